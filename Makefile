@@ -1,0 +1,44 @@
+# make run   the parking study: four planners, 200 runs each, and its report
+# make test  the tests, on the CPU
+# make check formatting, lints, types, layers
+# EXTRA=cuda13 (or cuda12) installs JAX for an NVIDIA GPU; PYTHON=python3.12 picks the interpreter.
+PYTHON ?= python3
+EXTRA ?=
+BIN := .venv/bin
+PINS := constraints/$(shell $(PYTHON) -c 'import sys; print("py311" if sys.version_info < (3, 12) else "py312")').txt
+STAMP := .venv/.bojax-$(if $(EXTRA),$(EXTRA),cpu)
+TEST_STAMP := .venv/.bojax-test
+
+.PHONY: run test check format clean
+
+run: $(STAMP)
+	$(BIN)/bojax sweep sweeps/parking.yaml
+
+test: $(TEST_STAMP)
+	JAX_PLATFORMS=cpu $(BIN)/python -m pytest -n auto -m "not slow"
+
+check: $(TEST_STAMP)
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/lint-imports
+	$(BIN)/pyright
+
+format: $(TEST_STAMP)
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+clean:
+	rm -rf .venv
+
+$(BIN)/python:
+	$(PYTHON) -m venv .venv
+
+$(STAMP): pyproject.toml $(wildcard constraints/*.txt) | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c $(PINS) -e ".$(if $(EXTRA),[$(EXTRA)])"
+	touch $@
+
+$(TEST_STAMP): pyproject.toml $(wildcard constraints/*.txt) | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c $(PINS) -e ".[test$(if $(EXTRA),$(comma)$(EXTRA))]"
+	touch $@
+
+comma := ,
