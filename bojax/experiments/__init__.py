@@ -1,0 +1,1 @@
+"""Experiments: pure descriptions of a run that the engine can batch, pause and stop."""

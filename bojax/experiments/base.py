@@ -1,0 +1,67 @@
+"""The protocol between an experiment and the engine that batches it."""
+
+import abc
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import equinox as eqx
+from jaxtyping import Array, Bool, Int, Key, Scalar
+
+from bojax.results.schema import Table
+
+Carry = Any
+"""Whatever an experiment carries from one advance to the next: a tree of strongly typed arrays."""
+
+
+class Records(eqx.Module):
+    """What one advance of one lane reports.
+
+    Attributes:
+        tables: `{table: {column: [capacity], "valid": [capacity]}}`; rows that are not valid are dropped.
+        active_steps: Environment steps that this advance really made; 0 for a finished lane.
+    """
+
+    tables: dict[str, dict[str, Array]]
+    active_steps: Int[Array, ""]
+
+
+class Experiment(eqx.Module):
+    """One run, written for a single lane; batching is the engine's work.
+
+    The module is its own parameter tree: every array leaf can be swept in one compiled program, every
+    static field fixes the program's structure. The parameters are never part of the carry. A finished
+    lane is a no-op: its carry stays, its records have no valid row and no active step. Randomness is
+    `fold_in(key, counter)`, never a chain of splits in the carry, so that a lane's numbers do not depend
+    on how often the engine paused.
+
+    Attributes:
+        tables: Columns of every table: `"runs"` are those of `summary`, all others those of `Records`.
+    """
+
+    tables: ClassVar[Mapping[str, Table]]
+
+    @property
+    @abc.abstractmethod
+    def max_advances(self) -> int:
+        """Number of advances after which every lane is done."""
+
+    @abc.abstractmethod
+    def init(self, key: Key[Array, ""]) -> Carry:
+        """The carry before the first advance."""
+
+    @abc.abstractmethod
+    def advance(self, carry: Carry) -> tuple[Carry, Records]:
+        """One planning step, or one episode with its refit."""
+
+    @abc.abstractmethod
+    def is_done(self, carry: Carry) -> Bool[Array, ""]:
+        """Whether this lane has finished."""
+
+    @abc.abstractmethod
+    def summary(self, carry: Carry) -> dict[str, Scalar]:
+        """The run's scalars: one row of `runs.parquet`."""
+
+    def snapshot(self, carry: Carry) -> dict[str, dict[str, Array]]:
+        """Arrays worth keeping for the recorded runs: `{name: {array name: array}}`."""
+        del carry
+        return {}
