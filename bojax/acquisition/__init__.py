@@ -1,0 +1,1 @@
+"""Acquisition functions of Bayesian optimisation and their maximisation."""

@@ -1,0 +1,90 @@
+"""Acquisition functions: how much a point is worth evaluating, for maximisation (Section 2.7.1)."""
+
+import abc
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax.scipy.stats import norm
+from jaxtyping import Array, Float
+
+
+class Acquisition(eqx.Module):
+    """A score of points from their posterior mean and standard deviation."""
+
+    @abc.abstractmethod
+    def __call__(
+        self, mean: Float[Array, "*N"], std: Float[Array, "*N"], best: Float[Array, ""]
+    ) -> Float[Array, "*N"]:
+        """Score of each point; `best` is the highest value observed so far."""
+
+
+class UpperConfidenceBound(Acquisition):
+    """Mean plus `kappa` standard deviations (2.37)."""
+
+    kappa: Float[Array, ""]
+
+    def __call__(
+        self, mean: Float[Array, "*N"], std: Float[Array, "*N"], best: Float[Array, ""]
+    ) -> Float[Array, "*N"]:
+        """See `Acquisition`."""
+        del best
+        return mean + self.kappa * std
+
+
+class ProbabilityOfImprovement(Acquisition):
+    """Probability that the value exceeds `best + xi`, xi >= 0 (2.36; 2.35 is printed for minimisation)."""
+
+    xi: Float[Array, ""]
+
+    def __call__(
+        self, mean: Float[Array, "*N"], std: Float[Array, "*N"], best: Float[Array, ""]
+    ) -> Float[Array, "*N"]:
+        """See `Acquisition`."""
+        # In logarithms: the order is the same, and far from the best the score does not underflow to ties.
+        return norm.logcdf(_standard_score(mean, std, best + self.xi))
+
+
+class LogExpectedImprovement(Acquisition):
+    """Logarithm of the expected improvement over `best + xi` (Ament et al., NeurIPS 2023, Section 4.1).
+
+    Beyond the thesis. Finite wherever the standard score is above -1e150 in float64 (-1e18 in float32).
+    """
+
+    xi: Float[Array, ""]
+
+    def __call__(
+        self, mean: Float[Array, "*N"], std: Float[Array, "*N"], best: Float[Array, ""]
+    ) -> Float[Array, "*N"]:
+        """See `Acquisition`."""
+        return _log_h(_standard_score(mean, std, best + self.xi)) + jnp.log(_positive(std))
+
+
+def _positive(std: Float[Array, "*N"]) -> Float[Array, "*N"]:
+    return jnp.maximum(std, jnp.finfo(std.dtype).eps)
+
+
+def _standard_score(mean, std, threshold) -> Float[Array, "*N"]:
+    return (mean - threshold) / _positive(std)
+
+
+def _log_h(z: Float[Array, "*N"]) -> Float[Array, "*N"]:
+    """log(phi(z) + z Phi(z)) without cancellation.
+
+    Three ranges: directly above -1; with the Mills ratio down to -25, where 1 + z Phi/phi has lost about
+    three digits; below that the asymptotic series phi(z)/z^2 (1 - 3/z^2 + 15/z^4 - 105/z^6 + 945/z^8).
+    """
+    high = jnp.maximum(z, -1.0)
+    middle = jnp.clip(z, -25.0, -1.0)
+    low = jnp.minimum(z, -25.0)
+    ratio = jnp.exp(norm.logcdf(middle) - norm.logpdf(middle))
+    u = 1.0 / (low * low)
+    series = jnp.log1p(u * (-3.0 + u * (15.0 + u * (-105.0 + u * 945.0))))
+    return jnp.where(
+        z > -1.0,
+        jnp.log(jnp.exp(norm.logpdf(high)) + high * norm.cdf(high)),
+        jnp.where(
+            z > -25.0,
+            norm.logpdf(middle) + jnp.log1p(middle * ratio),
+            norm.logpdf(low) - 2.0 * jnp.log(-low) + series,
+        ),
+    )

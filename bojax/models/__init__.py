@@ -1,0 +1,1 @@
+"""Probabilistic models: kernels and Gaussian processes."""

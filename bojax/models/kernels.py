@@ -1,0 +1,74 @@
+"""Stationary covariance functions, written for two points and batched outside."""
+
+import abc
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Scalar
+
+
+class Kernel(eqx.Module):
+    """A covariance function k(x, y) with k(x, x) = 1; lengthscales are one number or one a dimension."""
+
+    @abc.abstractmethod
+    def __call__(self, x: Float[Array, "D"], y: Float[Array, "D"]) -> Scalar:
+        """Covariance of the values at two points."""
+
+    def gram(self, xs: Float[Array, "N D"], ys: Float[Array, "M D"]) -> Float[Array, "N M"]:
+        """Covariances of all pairs."""
+        return jax.vmap(lambda x: jax.vmap(lambda y: self(x, y))(ys))(xs)
+
+
+class RBF(Kernel):
+    """Squared exponential, exp(-r^2/2) with r the scaled distance (2.26, whose sign is printed wrong)."""
+
+    lengthscale: Float[Array, ""] | Float[Array, "D"]
+
+    def __call__(self, x: Float[Array, "D"], y: Float[Array, "D"]) -> Scalar:
+        """See `Kernel`."""
+        return jnp.exp(-0.5 * _squared_distance(x, y, self.lengthscale))
+
+
+class Matern12(Kernel):
+    """Matern kernel of smoothness 1/2, exp(-r): the exponential kernel."""
+
+    lengthscale: Float[Array, ""] | Float[Array, "D"]
+
+    def __call__(self, x: Float[Array, "D"], y: Float[Array, "D"]) -> Scalar:
+        """See `Kernel`."""
+        return jnp.exp(-_distance(x, y, self.lengthscale))
+
+
+class Matern32(Kernel):
+    """Matern kernel of smoothness 3/2, (1 + s) exp(-s) with s = sqrt(3) r."""
+
+    lengthscale: Float[Array, ""] | Float[Array, "D"]
+
+    def __call__(self, x: Float[Array, "D"], y: Float[Array, "D"]) -> Scalar:
+        """See `Kernel`."""
+        s = 3.0**0.5 * _distance(x, y, self.lengthscale)
+        return (1.0 + s) * jnp.exp(-s)
+
+
+class Matern52(Kernel):
+    """Matern kernel of smoothness 5/2, (1 + s + s^2/3) exp(-s) with s = sqrt(5) r."""
+
+    lengthscale: Float[Array, ""] | Float[Array, "D"]
+
+    def __call__(self, x: Float[Array, "D"], y: Float[Array, "D"]) -> Scalar:
+        """See `Kernel`."""
+        s = 5.0**0.5 * _distance(x, y, self.lengthscale)
+        return (1.0 + s + s * s / 3.0) * jnp.exp(-s)
+
+
+def _squared_distance(x, y, lengthscale) -> Scalar:
+    scaled = (x - y) / lengthscale
+    return jnp.sum(scaled * scaled)
+
+
+def _distance(x, y, lengthscale) -> Scalar:
+    squared = _squared_distance(x, y, lengthscale)
+    # The gradient of sqrt at 0 is infinite; where the points coincide it is defined as 0 instead.
+    is_positive = squared > 0.0
+    return jnp.where(is_positive, jnp.sqrt(jnp.where(is_positive, squared, 1.0)), 0.0)

@@ -1,0 +1,1 @@
+"""Families of trajectories in the robot's own frame."""

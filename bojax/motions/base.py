@@ -1,0 +1,101 @@
+"""What a motion is: a path in the robot's frame, and the families that planners choose from."""
+
+import abc
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, Key
+
+Path = Float[Array, "S 3"]
+"""Poses (x and y in metres, heading in radians) at equal arc lengths, the start left out, the end included."""
+
+Pose = Float[Array, "3"]
+"""x and y in metres, heading in radians."""
+
+
+def place(path: Float[Array, "*S 3"], pose: Pose) -> Float[Array, "*S 3"]:
+    """A path of the robot's frame, driven from `pose`; headings are not wrapped."""
+    cos, sin = jnp.cos(pose[2]), jnp.sin(pose[2])
+    x, y = path[..., 0], path[..., 1]
+    return jnp.stack(
+        [pose[0] + cos * x - sin * y, pose[1] + sin * x + cos * y, pose[2] + path[..., 2]], axis=-1
+    )
+
+
+def drive(
+    curve: Callable[[Float[Array, ""]], Float[Array, "2"]],
+    length: Float[Array, ""],
+    num_samples: int,
+    num_knots: int = 65,
+) -> Path:
+    """A plane curve over [0, 1], scaled about its start to `length` and sampled at equal arc lengths.
+
+    Constant velocity and constant length, as Section 4.7.2 asks of every trajectory. Arc length is the
+    trapezoid rule over `num_knots`; positions and headings are the curve's own at the parameters found.
+
+    Args:
+        curve: Position at a parameter in [0, 1], starting at the origin; differentiable.
+        length: Arc length of the result, in metres.
+        num_samples: Number of poses, at the arc lengths length/S, 2 length/S, ..., length.
+        num_knots: Points of the quadrature.
+    """
+
+    def position_and_velocity(u):
+        return jax.jvp(curve, (u,), (jnp.ones_like(u),))
+
+    knots = jnp.linspace(0.0, 1.0, num_knots, dtype=length.dtype)
+    _, velocity = jax.vmap(position_and_velocity)(knots)
+    speed = jnp.sqrt(jnp.sum(velocity * velocity, axis=-1))
+    pieces = 0.5 * (speed[1:] + speed[:-1]) / (num_knots - 1)
+    arc = jnp.concatenate([jnp.zeros((1,), length.dtype), jnp.cumsum(pieces)])
+    targets = arc[-1] * jnp.arange(1, num_samples + 1, dtype=length.dtype) / num_samples
+    position, velocity = jax.vmap(position_and_velocity)(jnp.interp(targets, arc, knots))
+    heading = jnp.arctan2(velocity[:, 1], velocity[:, 0])
+    return jnp.concatenate([position * (length / arc[-1]), heading[:, None]], axis=-1)
+
+
+class ContinuousMotions(eqx.Module):
+    """Trajectories with parameters in the box [-1, 1]^D."""
+
+    length: eqx.AbstractVar[Float[Array, ""]]
+    num_samples: eqx.AbstractVar[int]
+
+    @property
+    @abc.abstractmethod
+    def num_params(self) -> int:
+        """Dimension D of the parameters."""
+
+    @abc.abstractmethod
+    def path(self, params: Float[Array, "D"]) -> Path:
+        """The path of one parameter vector."""
+
+    def sample(self, key: Key[Array, ""]) -> Path:
+        """The path of a parameter vector drawn uniformly from the box."""
+        shape = (self.num_params,)
+        return self.path(jax.random.uniform(key, shape, self.length.dtype, minval=-1.0, maxval=1.0))
+
+
+class DiscreteMotions(eqx.Module):
+    """A finite set of trajectories."""
+
+    length: eqx.AbstractVar[Float[Array, ""]]
+    num_samples: eqx.AbstractVar[int]
+
+    @property
+    @abc.abstractmethod
+    def num_actions(self) -> int:
+        """Number A of trajectories."""
+
+    @abc.abstractmethod
+    def paths(self) -> Float[Array, "A S 3"]:
+        """All paths."""
+
+    def sample(self, key: Key[Array, ""]) -> Path:
+        """One of the paths, each with the same probability."""
+        index: Int[Array, ""] = jax.random.randint(key, (), 0, self.num_actions)
+        return self.paths()[index]
+
+
+Motions = ContinuousMotions | DiscreteMotions

@@ -1,0 +1,120 @@
+"""Kernel trajectories: smooth paths through anchor points by kernel Bayes' rule (Sections 4.5-4.6)."""
+
+from typing import Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax.scipy.special import erf
+from jaxtyping import Array, Float
+
+from bojax.models.kernels import RBF
+from bojax.motions.base import ContinuousMotions, Path, drive
+from bojax.numerics.linalg import matmul, solve_small
+
+
+def posterior_coefficients(
+    anchors: Float[Array, "N 2"],
+    space_gram: Float[Array, "N N"],
+    time_gram: Float[Array, "N N"],
+    prior_embedding: Float[Array, "N"],
+    epsilon: Float[Array, ""],
+    delta: Float[Array, ""],
+) -> Float[Array, "N 2"]:
+    """C such that the expected position at time y is k_Y(y)' C: (4.7)-(4.9) for all times at once.
+
+    (4.9) Lambda = diag((G_X + n epsilon I)^-1 m_pi); (4.8) w(y) = Lambda G_Y ((Lambda G_Y)^2 + delta I)^-1
+    Lambda k_Y(y); (4.7) T(y) = X' w(y), over all anchors, the first included (the sum is printed from 1).
+    """
+    num = anchors.shape[0]
+    eye = jnp.eye(num, dtype=anchors.dtype)
+    weights = solve_small(space_gram + num * epsilon * eye, prior_embedding[:, None])[:, 0]
+    a = weights[:, None] * time_gram
+    # X' A (A^2 + delta I)^-1 Lambda k = (Lambda (A^2 + delta I)^-T A' X)' k
+    return weights[:, None] * solve_small((matmul(a, a) + delta * eye).T, matmul(a.T, anchors))
+
+
+class KernelTrajectories(ContinuousMotions):
+    """Kernel trajectories from equally spaced anchor points, one turning angle a segment (Fig. 4.1).
+
+    Everything happens in the robot's frame: a weighted sum of world positions (4.7) would shrink towards
+    the world's origin. The uniform prior of Section 4.6 is taken over the square of all points within one
+    length along each axis, with its mean embedding in closed form instead of samples.
+
+    (4.8)-(4.9) regularise, so the raw curve starts a little off the robot and off its heading, whatever
+    anchors are added. With `start="pose"` both are imposed: T(y) - T(0) + (length e_x - T'(0)) y (1-y)^2
+    has its start at the robot, its tangent along the heading and the end where it was relative to the
+    start. With `start="relaxed"` only the position is (Fig. 4.2d). The curve is then scaled to `length`.
+
+    Attributes:
+        length: Arc length in metres.
+        first_angle: Largest turn of the first segment against the heading, in radians.
+        turn_angle: Largest turn between two segments, in radians.
+        space_lengthscale: Lengthscale of the kernel on positions, in units of `length`.
+        time_lengthscale: Lengthscale of the kernel on time; a trajectory lasts 1.
+        epsilon: Regulariser of (4.9).
+        delta: Regulariser of (4.8).
+        num_segments: Number of segments and of parameters.
+        start: `"pose"` or `"relaxed"`.
+        num_samples: Poses a path.
+    """
+
+    length: Float[Array, ""]
+    first_angle: Float[Array, ""]
+    turn_angle: Float[Array, ""]
+    space_lengthscale: Float[Array, ""]
+    time_lengthscale: Float[Array, ""]
+    epsilon: Float[Array, ""]
+    delta: Float[Array, ""]
+    num_segments: int = eqx.field(static=True)
+    start: Literal["pose", "relaxed"] = eqx.field(static=True)
+    num_samples: int = eqx.field(static=True)
+
+    @property
+    def num_params(self) -> int:
+        """Dimension of the parameters."""
+        return self.num_segments
+
+    def anchors(self, params: Float[Array, "D"]) -> Float[Array, "N 2"]:
+        """Anchor points for a trajectory of length 1, the robot's position first (Fig. 4.1)."""
+        is_first = jnp.arange(self.num_segments) == 0
+        turns = jnp.where(is_first, self.first_angle, self.turn_angle) * params
+        heading = jnp.cumsum(turns)
+        steps = jnp.stack([jnp.cos(heading), jnp.sin(heading)], axis=-1) / self.num_segments
+        return jnp.concatenate([jnp.zeros((1, 2), params.dtype), jnp.cumsum(steps, axis=0)])
+
+    def path(self, params: Float[Array, "D"]) -> Path:
+        """See `ContinuousMotions`."""
+        anchors = self.anchors(params)
+        times = jnp.linspace(0.0, 1.0, self.num_segments + 1, dtype=params.dtype)
+        space, time = RBF(self.space_lengthscale), RBF(self.time_lengthscale)
+        coefficients = posterior_coefficients(
+            anchors,
+            space.gram(anchors, anchors),
+            time.gram(times[:, None], times[:, None]),
+            _uniform_embedding(anchors, self.space_lengthscale),
+            self.epsilon,
+            self.delta,
+        )
+
+        def expected(u):
+            return matmul(time.gram(u[None, None], times[:, None])[0], coefficients)
+
+        zero, one = jnp.zeros((), params.dtype), jnp.ones((), params.dtype)
+        origin, velocity = eqx.filter_jvp(expected, (zero,), (one,))
+        misfit = jnp.asarray([1.0, 0.0], params.dtype) - velocity
+        if self.start == "relaxed":
+            misfit = jnp.zeros_like(misfit)
+
+        def curve(u):
+            return expected(u) - origin + u * (1.0 - u) ** 2 * misfit
+
+        return drive(curve, self.length, self.num_samples)
+
+
+def _uniform_embedding(points: Float[Array, "N 2"], lengthscale: Float[Array, ""]) -> Float[Array, "N"]:
+    """E[k(x, U)] for U uniform on [-1, 1]^2 and the squared exponential kernel."""
+    scaled = 1.0 / (2.0**0.5 * lengthscale)
+    by_axis = (
+        (jnp.pi**0.5 / (4.0 * scaled)) * (erf((1.0 - points) * scaled) + erf((1.0 + points) * scaled))
+    )
+    return by_axis[:, 0] * by_axis[:, 1]

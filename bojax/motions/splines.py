@@ -1,0 +1,106 @@
+"""Spline trajectories: the discrete sets of 5, 9 and 17 actions (Fig. 4.2a) and a continuous family."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from bojax.motions.base import ContinuousMotions, DiscreteMotions, Path, drive
+
+# Coefficients (b_x, c_x, b_y, c_y) of x = b_x u^2 + c_x u, y = b_y u^2 + c_y u: turning left, each with a
+# mirror image turning right. Sets of 9 and 17 add to the set before them. The numbers are those of the
+# copies of the author's planning code; the thesis shows the sets only as a figure.
+_STRAIGHT = (0.0, 0.72, 0.0, 0.0)
+_LEFT_TURNS = {
+    5: ((0.0, 0.55, 0.5, -0.1), (-0.33, 0.71, 0.52, 0.0)),
+    9: ((0.0, 0.65, 0.34, -0.08), (-0.20, 0.67, 0.475, 0.0)),
+    17: (
+        (0.0, 0.705, 0.14, -0.02),
+        (0.0, 0.61, 0.40, -0.08),
+        (-0.15, 0.66, 0.44, 0.0),
+        (-0.27, 0.69, 0.5, 0.0),
+    ),
+}
+
+
+class SplineSet(DiscreteMotions):
+    """The 5, 9 or 17 spline actions of Fig. 4.2a, of equal arc length and along the heading at the start.
+
+    The published coefficients with c_y other than 0 leave the start 1.6 to 10.3 degrees off the heading:
+    those curves are rotated onto it.
+
+    Attributes:
+        length: Arc length in metres.
+        actions: 5, 9 or 17.
+        num_samples: Poses a path.
+    """
+
+    length: Float[Array, ""]
+    actions: int = eqx.field(static=True)
+    num_samples: int = eqx.field(static=True)
+
+    @property
+    def num_actions(self) -> int:
+        """Number A of trajectories."""
+        return self.actions
+
+    def paths(self) -> Float[Array, "A S 3"]:
+        """All paths: straight on first, then each left turn followed by its mirror image."""
+        rows = [_STRAIGHT]
+        for size, turns in _LEFT_TURNS.items():
+            if size <= self.actions:
+                for b_x, c_x, b_y, c_y in turns:
+                    rows += [(b_x, c_x, b_y, c_y), (b_x, c_x, -b_y, -c_y)]
+        return jax.vmap(self._path)(jnp.asarray(rows, self.length.dtype))
+
+    def _path(self, coefficients: Float[Array, "4"]) -> Path:
+        b_x, c_x, b_y, c_y = coefficients
+        norm = jnp.hypot(c_x, c_y)
+        cos, sin = c_x / norm, c_y / norm
+
+        def curve(u):
+            x, y = (b_x * u + c_x) * u, (b_y * u + c_y) * u
+            return jnp.stack([cos * x + sin * y, cos * y - sin * x])
+
+        return drive(curve, self.length, self.num_samples)
+
+
+class CubicCurves(ContinuousMotions):
+    """Cubic Hermite curves with two parameters: the bearing and the heading of the end.
+
+    The continuous counterpart of the spline sets, for CBTS without kernel trajectories. Zero parameters
+    give a straight line.
+
+    Attributes:
+        length: Arc length in metres.
+        bearing: Largest bearing of the end seen from the start, in radians.
+        heading: Largest deviation of the end's heading from that of a circular arc, in radians.
+        num_samples: Poses a path.
+    """
+
+    length: Float[Array, ""]
+    bearing: Float[Array, ""]
+    heading: Float[Array, ""]
+    num_samples: int = eqx.field(static=True)
+
+    @property
+    def num_params(self) -> int:
+        """Dimension of the parameters."""
+        return 2
+
+    def path(self, params: Float[Array, "D"]) -> Path:
+        """See `ContinuousMotions`."""
+        bearing = self.bearing * params[0]
+        heading = 2.0 * bearing + self.heading * params[1]
+        end = jnp.stack([jnp.cos(bearing), jnp.sin(bearing)])
+        end_tangent = jnp.stack([jnp.cos(heading), jnp.sin(heading)])
+        start_tangent = jnp.asarray([1.0, 0.0], params.dtype)
+
+        def curve(u):
+            return (
+                u * (1.0 - u) ** 2 * start_tangent
+                + u**2 * (3.0 - 2.0 * u) * end
+                - u**2 * (1.0 - u) * end_tangent
+            )
+
+        return drive(curve, self.length, self.num_samples)

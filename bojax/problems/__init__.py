@@ -1,0 +1,1 @@
+"""Problems: the world, the belief about it, and what is scored."""

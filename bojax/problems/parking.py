@@ -1,0 +1,107 @@
+"""Robot parking (Section 4.7.2): reach a small area from anywhere, heading along its axis."""
+
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Key
+
+from bojax.motions.base import Pose
+from bojax.problems.pose import Outcome, PoseProblem
+
+
+class Parking(PoseProblem):
+    """Drive from a random pose of a square to the pose (0, 0, 0), rewarded by (4.13).
+
+    Before it parks, the robot is paid in three levels: get onto the axis of the parking lot, then turn
+    along it, then come closer. With alpha the heading, beta the bearing and d the distance to the lot, the
+    reward of a path is that of its end:
+
+    - `-|sin beta| - d_max - 1` where `|sin beta| > bearing_tolerance`,
+    - `-|sin alpha| - d_max` else where `|sin alpha| > heading_tolerance`,
+    - `-d` else, and `success_reward` once parked.
+
+    What the thesis leaves open is a setting: the bearing's frame, whether the bearing matters within
+    `distance_tolerance` (where it is nearly arbitrary), whether passing through the lot parks the robot,
+    and whether leaving the domain ends the episode or puts the robot back where the path began (the text
+    says that it ends; Fig. 4.6, whose axis reaches -2400, is only possible if it does not).
+
+    Attributes:
+        half_width: Half the side of the domain, in metres.
+        distance_tolerance: Largest distance to the lot of a parked robot, in metres.
+        heading_tolerance: Bound on |sin alpha|; the opposite heading is accepted too, as printed.
+        bearing_tolerance: Bound on |sin beta|.
+        success_reward: Reward for parking.
+        exit_reward: Reward for leaving the domain.
+        position_noise: Standard deviation of a position reading, per axis, in metres.
+        heading_noise: Standard deviation of a heading reading, in radians.
+        max_steps: Actions an episode.
+        bearing: `"world"`: beta is the direction of the robot seen from the lot; `"robot"`: beta is the
+            direction of the lot relative to the robot's heading.
+        success_needs_bearing: Parking needs the bearing condition too, as (4.13) prints it.
+        exit_terminates: Leaving the domain ends the episode.
+        park_along_path: Any pose of a path can park the robot, not only its end.
+    """
+
+    half_width: Float[Array, ""]
+    distance_tolerance: Float[Array, ""]
+    heading_tolerance: Float[Array, ""]
+    bearing_tolerance: Float[Array, ""]
+    success_reward: Float[Array, ""]
+    exit_reward: Float[Array, ""]
+    position_noise: Float[Array, ""]
+    heading_noise: Float[Array, ""]
+    max_steps: int = eqx.field(static=True)
+    bearing: Literal["world", "robot"] = eqx.field(static=True)
+    success_needs_bearing: bool = eqx.field(static=True)
+    exit_terminates: bool = eqx.field(static=True)
+    park_along_path: bool = eqx.field(static=True)
+
+    def reset(self, key: Key[Array, ""]) -> Pose:
+        """A pose uniform over the domain and over all headings."""
+        low = jnp.stack([-self.half_width, -self.half_width, jnp.zeros_like(self.half_width)])
+        high = jnp.stack([self.half_width, self.half_width, jnp.full_like(self.half_width, 2.0 * jnp.pi)])
+        return jax.random.uniform(key, (3,), self.half_width.dtype, low, high)
+
+    def outcome(self, start: Pose, path: Float[Array, "S 3"]) -> Outcome:
+        """See `PoseProblem`; a path ends where it parks or leaves the domain, whichever comes first."""
+        outside = jnp.max(jnp.abs(path[:, :2]), axis=-1) > self.half_width
+        # Sin, cos and distances of all poses at once; the reward is that of the last one.
+        distance = jnp.sqrt(jnp.sum(path[:, :2] ** 2, axis=-1))
+        off_heading = jnp.abs(jnp.sin(path[:, 2]))
+        off_axis = self._off_axis(path, distance)
+        parked = (distance <= self.distance_tolerance) & (off_heading <= self.heading_tolerance)
+        if self.success_needs_bearing:
+            parked = parked & (off_axis <= self.bearing_tolerance)
+        if not self.park_along_path:
+            parked = parked & (jnp.arange(path.shape[0]) == path.shape[0] - 1)
+        first_parked, first_outside = _first(parked), _first(outside)
+        success = first_parked < first_outside
+        exited = first_outside < first_parked
+        farthest = 2.0**0.5 * self.half_width
+        shaped = jnp.where(
+            off_axis[-1] > self.bearing_tolerance,
+            -off_axis[-1] - farthest - 1.0,
+            jnp.where(off_heading[-1] > self.heading_tolerance, -off_heading[-1] - farthest, -distance[-1]),
+        )
+        reward = jnp.where(success, self.success_reward, jnp.where(exited, self.exit_reward, shaped))
+        last = jnp.where(success, first_parked, jnp.where(exited, first_outside, path.shape[0] - 1))
+        end = path[last]
+        if not self.exit_terminates:
+            end = jnp.where(exited, start, end)
+        terminated = success | exited if self.exit_terminates else success
+        return Outcome(end, reward, terminated, success, exited)
+
+    def _off_axis(self, path: Float[Array, "S 3"], distance: Float[Array, "S"]) -> Float[Array, "S"]:
+        """|sin beta|, 0 at the lot itself."""
+        safe = jnp.where(distance > 0.0, distance, 1.0)
+        across = path[:, 1]
+        if self.bearing == "robot":
+            across = path[:, 1] * jnp.cos(path[:, 2]) - path[:, 0] * jnp.sin(path[:, 2])
+        return jnp.abs(across) / safe
+
+
+def _first(flags: Bool[Array, "S"]) -> Array:
+    """Index of the first true flag, the number of flags if there is none."""
+    return jnp.where(jnp.any(flags), jnp.argmax(flags), flags.shape[0])
