@@ -1,0 +1,98 @@
+"""Merge the parts of all chunks into the tables of a results folder."""
+
+import json
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from bojax.results.parts import ChunkFolder
+from bojax.results.store import ARRAYS, explained, write_table
+from bojax.results.tables import count_nans, sort_rows
+
+RUNS = "runs"
+
+
+@dataclass(frozen=True)
+class PointInfo:
+    """What the merged tables say of a point: its identifier, its name in the sweep, its swept values."""
+
+    index: int
+    label: str
+    variant: str
+    swept: Mapping[str, Any]
+
+
+def merge(
+    folder: Path, chunks: Sequence[ChunkFolder], names: Iterable[str], points: Sequence[PointInfo], seed: int
+) -> dict[tuple[int, int], int]:
+    """Write every table, move the arrays, and return the NaN counts `{(point, run): count}`.
+
+    Only what the parts say goes into the files, in one fixed order, so that a sweep that was interrupted
+    ends in the same bytes as one that was not.
+    """
+    tables: dict[str, pa.Table] = {}
+    for name in names:
+        parts = [table for chunk in chunks for table in chunk.tables(name)]
+        if parts:
+            tables[name] = sort_rows(pa.concat_tables(parts, promote_options="default"))
+    nans = count_nans(list(tables.values()))
+    for name, table in tables.items():
+        merged = _runs(table, points, seed, nans) if name == RUNS else _labelled(table, points)
+        write_table(folder / f"{name}.parquet", merged)
+    arrays = [path for chunk in chunks for path in chunk.snapshots()]
+    if arrays:
+        with explained(folder / ARRAYS):
+            (folder / ARRAYS).mkdir(exist_ok=True)
+            for path in arrays:
+                os.replace(path, folder / ARRAYS / path.name)
+    return nans
+
+
+def _labelled(table: pa.Table, points: Sequence[PointInfo]) -> pa.Table:
+    return table.add_column(1, "label", _of_point(table, [point.label for point in points], pa.string()))
+
+
+def _runs(table: pa.Table, points: Sequence[PointInfo], seed: int, nans: Mapping) -> pa.Table:
+    """`point, label, variant, <swept keys>, run, seed, <scalars>, nans`."""
+    keys = table["point"].to_pylist(), table["run"].to_pylist()
+    columns: dict[str, Any] = {
+        "point": table["point"],
+        "label": _of_point(table, [point.label for point in points], pa.string()),
+        "variant": _of_point(table, [point.variant for point in points], pa.string()),
+    }
+    for key in dict.fromkeys(key for point in points for key in point.swept):
+        values, kind = _column([point.swept.get(key) for point in points])
+        columns[key] = _of_point(table, values, kind)
+    columns["run"] = table["run"]
+    columns["seed"] = pa.array(np.full(table.num_rows, seed, dtype=np.int64))
+    scalars = {name: table[name] for name in table.column_names if name not in ("point", "run")}
+    columns |= scalars
+    columns["nans"] = pa.array([nans.get(key, 0) for key in zip(*keys, strict=True)], pa.int64())
+    fields = [
+        table.schema.field(name) if name in table.column_names else pa.field(name, column.type)
+        for name, column in columns.items()
+    ]
+    return pa.Table.from_arrays(list(columns.values()), schema=pa.schema(fields))
+
+
+def _of_point(table: pa.Table, values: Sequence[Any], kind: pa.DataType) -> pa.Array:
+    return pa.array(values, kind).take(table["point"].combine_chunks())
+
+
+def _column(values: Sequence[Any]) -> tuple[list[Any], pa.DataType]:
+    """Swept values as one Arrow type: numbers and flags as such, anything else as text."""
+    given = [value for value in values if value is not None]
+    if given and all(isinstance(value, bool) for value in given):
+        return list(values), pa.bool_()
+    if given and all(isinstance(value, int) and not isinstance(value, bool) for value in given):
+        return list(values), pa.int64()
+    if given and all(isinstance(value, int | float) and not isinstance(value, bool) for value in given):
+        return [None if value is None else float(value) for value in values], pa.float64()
+    return [
+        value if value is None or isinstance(value, str) else json.dumps(value) for value in values
+    ], pa.string()

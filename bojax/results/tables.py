@@ -1,0 +1,70 @@
+"""Tables between NumPy and Arrow: typed by their schema, sorted, with nulls and NaNs accounted for."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from bojax.results.schema import Column, Table
+
+SORT_KEYS = ("point", "run", "episode", "step")
+"""Columns by which every merged table is sorted, where it has them."""
+
+KEYS: Table = (
+    Column("point", "int32", doc="index of the point of the sweep"),
+    Column("run", "int32", doc="index of the run"),
+)
+"""What identifies a row's run in every table, before the table's own columns."""
+
+_ARROW = {
+    "float64": pa.float64(),
+    "float32": pa.float32(),
+    "int32": pa.int32(),
+    "int64": pa.int64(),
+    "bool": pa.bool_(),
+    "string": pa.string(),
+}
+
+
+def arrow_schema(table: Table) -> pa.Schema:
+    """The Arrow schema of a table, units and meanings as field metadata."""
+    return pa.schema([_field(column) for column in table])
+
+
+def to_arrow(table: Table, columns: Mapping[str, np.ndarray]) -> pa.Table:
+    """Columns as an Arrow table; -1 in a nullable column is null."""
+    schema = arrow_schema(table)
+    arrays = []
+    for column, field in zip(table, schema, strict=True):
+        values = np.asarray(columns[column.name])
+        mask = values == -1 if column.nullable else None
+        arrays.append(pa.array(values, mask=mask).cast(field.type))
+    return pa.Table.from_arrays(arrays, schema=schema)
+
+
+def sort_rows(table: pa.Table) -> pa.Table:
+    """The table in the one order that every results file has."""
+    keys = [(name, "ascending") for name in SORT_KEYS if name in table.column_names]
+    return table.sort_by(keys) if keys else table
+
+
+def count_nans(tables: Sequence[pa.Table]) -> dict[tuple[int, int], int]:
+    """Number of NaNs of each run, `{(point, run): count}`, over all float columns of the tables."""
+    counts: dict[tuple[int, int], int] = {}
+    for table in tables:
+        is_nan = np.zeros(table.num_rows, dtype=np.int64)
+        for field in table.schema:
+            if pa.types.is_floating(field.type):
+                nan = pc.call_function("is_nan", [table[field.name]])
+                is_nan += nan.fill_null(False).to_numpy().astype(np.int64)
+        (rows,) = np.nonzero(is_nan)
+        points, runs = table["point"].to_numpy()[rows], table["run"].to_numpy()[rows]
+        for point, run, count in zip(points.tolist(), runs.tolist(), is_nan[rows].tolist(), strict=True):
+            counts[point, run] = counts.get((point, run), 0) + count
+    return counts
+
+
+def _field(column: Column) -> pa.Field:
+    metadata = {key: value for key, value in (("unit", column.unit), ("doc", column.doc)) if value}
+    return pa.field(column.name, _ARROW[column.dtype], metadata=metadata or None)
