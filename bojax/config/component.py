@@ -1,0 +1,165 @@
+"""Schema classes: one frozen pydantic class per identifier, which is also its registration."""
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any, ClassVar, Literal, get_args, get_origin
+
+import pydantic
+from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
+
+registry: dict[str, dict[str, type["Component"]]] = {}
+"""Every schema class, by role and kind."""
+
+IMPORT_PATH = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*")
+"""A class given by import path: `package.module:Class`."""
+
+
+class Schema(pydantic.BaseModel, frozen=True):
+    """A mapping of settings: no unknown keys, nothing coerced but integers to floats, no NaN or infinity."""
+
+    model_config = pydantic.ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _complete(cls, data: Any) -> Any:
+        """Refuse unknown keys by naming the known ones; merge what stands in a slot over its default."""
+        if not isinstance(data, Mapping):
+            return data
+        unknown = [name for name in data if name not in cls.model_fields]
+        if unknown:
+            names = [name for name in cls.model_fields if name != "kind"]
+            raise pydantic.ValidationError.from_exception_data(
+                cls.__name__,
+                [
+                    InitErrorDetails(
+                        type=PydanticCustomError("unknown_key", "unknown key", {"names": names}),
+                        loc=(name,),
+                        input=data[name],
+                    )
+                    for name in unknown
+                ],
+            )
+        data = dict(data)
+        for name, _ in slots(cls):
+            default = cls.model_fields[name].default
+            if name in data and isinstance(default, Component):
+                data[name] = merged(default.model_dump(), data[name])
+        return data
+
+
+class Component(Schema, frozen=True):
+    """Settings of one part: what its constructor takes, as plain numbers.
+
+    A final class gives `role` and `target`, and `kind` as a `Literal` with that default; that registers it.
+
+    Attributes:
+        role: The slot that it fits: "problem", "planner", "motions", ...
+        target: The class that is built from it, `package.module:Class`.
+        kind: Its identifier.
+    """
+
+    role: ClassVar[str] = ""
+    target: ClassVar[str] = ""
+    constructor_defaults: ClassVar[frozenset[str]] = frozenset()
+    """Fields that are left to the constructor unless they were set."""
+
+    kind: str
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
+        """Register a final class: one that pins its kind."""
+        super().__pydantic_init_subclass__(**kwargs)
+        annotation = cls.__annotations__.get("kind")
+        if get_origin(annotation) is not Literal:
+            return
+        (kind,) = get_args(annotation)
+        kinds = registry.setdefault(cls.role, {})
+        if kind in kinds:
+            raise TypeError(
+                f"{cls.role} {kind!r} is registered twice: {kinds[kind].__name__}, {cls.__name__}"
+            )
+        kinds[kind] = cls
+
+    @property
+    def label(self) -> str:
+        """The name that results use for it."""
+        return self.kind.rpartition(":")[2]
+
+
+class External(Component, frozen=True):
+    """A part given by import path, before its class has been imported.
+
+    Attributes:
+        kind: `package.module:Class`.
+        slot: The role that it has to fill.
+        params: Its settings, not yet validated.
+    """
+
+    slot: str
+    params: dict[str, Any] = {}
+
+
+class Slot:
+    """Marks a field that holds a component: `problem: Annotated[Component, Slot("problem")]`.
+
+    The field accepts a component, an identifier (`parking` means `{kind: parking}`), an import path, or a
+    mapping with `kind` and settings. What the mapping leaves out is taken from the field's default if that
+    is of the same kind, otherwise from the defaults of the kind.
+    """
+
+    def __init__(self, role: str):
+        self.role = role
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: pydantic.GetCoreSchemaHandler) -> CoreSchema:
+        """Pydantic's hook: validate by `kind`, serialise the whole component."""
+        del source, handler
+        return core_schema.no_info_plain_validator_function(
+            self.validate,
+            serialization=core_schema.plain_serializer_function_ser_schema(
+                lambda component, info: component.model_dump(mode=info.mode), info_arg=True
+            ),
+        )
+
+    def validate(self, value: Any) -> Component:
+        """The component that `value` describes."""
+        if isinstance(value, Component):
+            role = value.slot if isinstance(value, External) else value.role
+            if role != self.role:
+                raise PydanticCustomError(
+                    "wrong_role", "a {role} is expected here, not a {got}", {"role": self.role, "got": role}
+                )
+            return value
+        if isinstance(value, str):
+            value = {"kind": value}
+        kinds = registry.get(self.role, {})
+        allowed = {"role": self.role, "names": list(kinds)}
+        if not isinstance(value, Mapping):
+            raise PydanticCustomError("unknown_kind", "unknown kind", {**allowed, "kind": ""})
+        kind = value.get("kind")
+        if isinstance(kind, str) and IMPORT_PATH.fullmatch(kind):
+            params = {name: setting for name, setting in value.items() if name != "kind"}
+            return External(kind=kind, slot=self.role, params=params)
+        if kind is None or not isinstance(kind, str) or kind not in kinds:
+            raise PydanticCustomError("unknown_kind", "unknown kind", {**allowed, "kind": kind or ""})
+        return kinds[kind].model_validate(value)
+
+
+def slots(schema: type[pydantic.BaseModel]) -> Iterator[tuple[str, Slot]]:
+    """The fields of a schema that hold a component, with their slots."""
+    for name, field in schema.model_fields.items():
+        for mark in field.metadata:
+            if isinstance(mark, Slot):
+                yield name, mark
+
+
+def merged(base: Any, new: Any) -> Any:
+    """`new` laid over `base`: mappings key by key, but a new kind replaces the old one with its settings."""
+    if isinstance(base, Mapping) and "kind" in base and isinstance(new, str):
+        new = {"kind": new}
+    elif isinstance(new, Mapping) and isinstance(base, str):
+        base = {"kind": base}
+    if not isinstance(base, Mapping) or not isinstance(new, Mapping):
+        return new
+    if "kind" in new and new["kind"] != base.get("kind"):
+        return dict(new)
+    return dict(base) | {name: merged(base.get(name), value) for name, value in new.items()}

@@ -1,0 +1,122 @@
+"""One line for whatever is wrong with a configuration: where, what stands there, what is allowed."""
+
+import difflib
+import json
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import pydantic
+
+Location = tuple[int | str, ...]
+
+MAX_SHOWN = 60
+"""Longest value that an error message quotes, in characters."""
+
+
+class ConfigError(ValueError):
+    """A user's mistake in a configuration, told in one line.
+
+    Attributes:
+        exit_code: What the command line exits with.
+    """
+
+    exit_code = 2
+
+
+def shown(value: Any) -> str:
+    """A value as it would stand in a YAML file, on one line and cut to a readable length."""
+    try:
+        text = json.dumps(value, ensure_ascii=False)
+    except (TypeError, ValueError):
+        text = " ".join(repr(value).split())
+    return text if len(text) <= MAX_SHOWN else text[: MAX_SHOWN - 3] + "..."
+
+
+def did_you_mean(name: Any, names: Iterable[str]) -> str:
+    """`; did you mean "x"?` with the name nearest to `name`, or nothing when none is near."""
+    near = difflib.get_close_matches(str(name), sorted(names), n=1)
+    return f'; did you mean "{near[0]}"?' if near else ""
+
+
+def one_of(name: Any, names: Iterable[str]) -> str:
+    """`; allowed: a, b, c; did you mean "a"?`, or only the nearest name."""
+    names = sorted(names)
+    if not names:
+        return "; nothing is allowed here"
+    return "; allowed: " + ", ".join(names) + did_you_mean(name, names)
+
+
+def dotted(location: Iterable[int | str]) -> str:
+    """A location as a dotted path."""
+    return ".".join(str(part) for part in location)
+
+
+def from_validation(
+    error: pydantic.ValidationError,
+    locate: Callable[[Location], str],
+    siblings: Sequence[str] = (),
+) -> ConfigError:
+    """The first complaint of a pydantic error, and how many more there are, as one line.
+
+    Args:
+        error: What pydantic raised.
+        locate: Turns the location of a complaint into `FILE: dotted.path`.
+        siblings: Names that are also allowed at the top level, beside those that pydantic knows.
+    """
+    lines = error.errors(include_url=False)
+    first = lines[0]
+    more = f" (and {len(lines) - 1} more)" if len(lines) > 1 else ""
+    return ConfigError(f"{locate(first['loc'])}: {_complaint(first, siblings)}{more}")
+
+
+_EXPECTED = {
+    "int_type": "an integer",
+    "int_parsing": "an integer",
+    "int_from_float": "an integer",
+    "float_type": "a number",
+    "float_parsing": "a number",
+    "finite_number": "a finite number",
+    "string_type": "text",
+    "bool_type": "true or false",
+    "bool_parsing": "true or false",
+    "dict_type": "a mapping",
+    "model_type": "a mapping",
+    "model_attributes_type": "a mapping",
+    "list_type": "a list",
+    "tuple_type": "a list",
+    "none_required": "nothing",
+}
+"""What is allowed, by type of pydantic error."""
+
+_BOUNDS = {
+    "greater_than": ("gt", ">"),
+    "greater_than_equal": ("ge", ">="),
+    "less_than": ("lt", "<"),
+    "less_than_equal": ("le", "<="),
+}
+
+
+def _complaint(line: Any, siblings: Sequence[str]) -> str:
+    kind, context, value = line["type"], line.get("ctx", {}), line["input"]
+    if kind == "unknown_key":
+        names = [*context["names"], *(siblings if len(line["loc"]) == 1 else ())]
+        return "unknown key" + one_of(line["loc"][-1], names)
+    if kind == "missing":
+        return "missing, and it has no default"
+    got = f"got {shown(value)}; "
+    if kind == "unknown_kind":
+        return got + "unknown " + context["role"] + one_of(context["kind"], context["names"])
+    if kind == "literal_error":
+        allowed = context["expected"].replace("'", '"')
+        names = [name.strip('"') for name in allowed.replace(" or ", ", ").split(", ")]
+        return got + f"allowed: {allowed}" + (did_you_mean(value, names) if isinstance(value, str) else "")
+    if kind in _BOUNDS:
+        key, sign = _BOUNDS[kind]
+        return got + f"allowed: {sign} {context[key]:g}"
+    if kind in ("too_short", "too_long"):
+        sign, key = (">=", "min_length") if kind == "too_short" else ("<=", "max_length")
+        return got + f"allowed: {sign} {context[key]} entries"
+    if kind in _EXPECTED:
+        return got + f"allowed: {_EXPECTED[kind]}"
+    message = " ".join(line["msg"].removeprefix("Value error, ").split())
+    return got + message

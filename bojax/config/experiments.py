@@ -1,0 +1,48 @@
+"""Settings of the experiments: what one run does."""
+
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from bojax.config.component import Component, Slot
+from bojax.config.motions import KernelTrajectories
+from bojax.config.planners import KCBTS
+from bojax.config.problems import Parking
+
+
+class _Experiment(Component, frozen=True):
+    role: ClassVar[str] = "experiment"
+
+    dtype: Literal["float64", "float32"] = Field("float64", description="precision of every number")
+
+
+class Planning(_Experiment, frozen=True):
+    """One episode of a planner on a problem."""
+
+    target: ClassVar[str] = "bojax.experiments.planning:PlanningEpisode"
+
+    kind: Literal["planning"] = "planning"
+    problem: Annotated[Component, Slot("problem")] = Field(Parking(), description="what is planned on")
+    planner: Annotated[Component, Slot("planner")] = Field(KCBTS(), description="who plans")
+
+    @property
+    def label(self) -> str:
+        """The planner's name."""
+        return self.planner.label
+
+
+class Trajectories(_Experiment, frozen=True):
+    """A gallery of trajectories of one family, from one pose (thesis, Fig. 4.2)."""
+
+    target: ClassVar[str] = "bojax.experiments.trajectories:TrajectoryGallery"
+
+    kind: Literal["trajectories"] = "trajectories"
+    motions: Annotated[Component, Slot("motions")] = Field(
+        KernelTrajectories(), description="the family of trajectories"
+    )
+    num_trajectories: int = Field(25, ge=1, description="trajectories that are drawn")
+
+    @property
+    def label(self) -> str:
+        """The name of the family."""
+        return self.motions.label

@@ -1,0 +1,89 @@
+"""Settings of the planners."""
+
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from bojax.config.component import Component, Slot
+from bojax.config.models import RBF, UpperConfidenceBound
+from bojax.config.motions import CubicCurves, KernelTrajectories, Splines
+
+
+class _Planner(Component, frozen=True):
+    role: ClassVar[str] = "planner"
+
+
+class _TreeSearch(_Planner, frozen=True):
+    iterations: int = Field(300, ge=1, description="simulations for one decision")
+    depth: int = Field(3, ge=1, description="horizon, actions")
+    exploration: float = Field(
+        1.0, ge=0, description="weight of rarely tried branches in the tree (kappa_MC)"
+    )
+    discount: float = Field(1.0, gt=0, le=1, description="discount of rewards per action")
+
+
+class _ContinuousBeliefTreeSearch(_TreeSearch, frozen=True):
+    target: ClassVar[str] = "bojax.planning.cbts:ContinuousBeliefTreeSearch"
+
+    max_actions: int = Field(20, ge=1, description="actions that a node may try (A_max)")
+    kernel: Annotated[Component, Slot("kernel")] = Field(RBF(), description="kernel of a node's GP")
+    acquisition: Annotated[Component, Slot("acquisition")] = Field(
+        UpperConfidenceBound(), description="how a node chooses its next action"
+    )
+    noise_variance: float = Field(
+        0.01, gt=0, description="noise variance of a node's GP, standardised targets"
+    )
+    num_candidates: int = Field(128, ge=1, description="quasi-random candidates of an acquisition search")
+    refine_steps: int = Field(0, ge=0, description="gradient steps that refine the best candidate")
+
+
+class KCBTS(_ContinuousBeliefTreeSearch, frozen=True):
+    """Continuous belief tree search on kernel trajectories (thesis, Algorithms 3-4, Section 4.6)."""
+
+    kind: Literal["kcbts"] = "kcbts"
+    motions: Annotated[Component, Slot("motions")] = Field(
+        KernelTrajectories(), description="trajectories to choose from"
+    )
+
+
+class CBTS(_ContinuousBeliefTreeSearch, frozen=True):
+    """Continuous belief tree search on cubic curves (thesis, Algorithm 3)."""
+
+    kind: Literal["cbts"] = "cbts"
+    motions: Annotated[Component, Slot("motions")] = Field(
+        CubicCurves(), description="trajectories to choose from"
+    )
+
+
+class SBO(_TreeSearch, frozen=True):
+    """Monte Carlo tree search over a discrete set of trajectories (thesis, Algorithm 2)."""
+
+    target: ClassVar[str] = "bojax.planning.discrete:DiscreteTreeSearch"
+
+    kind: Literal["sbo"] = "sbo"
+    motions: Annotated[Component, Slot("motions")] = Field(
+        Splines(), description="trajectories to choose from"
+    )
+
+
+class GpsAbt(_TreeSearch, frozen=True):
+    """Tree search whose nodes refine their actions by generalised pattern search."""
+
+    target: ClassVar[str] = "bojax.planning.gps_abt:PatternSearch"
+
+    kind: Literal["gps-abt"] = "gps-abt"
+    max_actions: int = Field(20, ge=1, description="actions that a node may try (A_max)")
+    motions: Annotated[Component, Slot("motions")] = Field(
+        KernelTrajectories(), description="trajectories to choose from"
+    )
+
+
+class Random(_Planner, frozen=True):
+    """Trajectories drawn at random from a discrete set."""
+
+    target: ClassVar[str] = "bojax.planning.random:RandomPlanner"
+
+    kind: Literal["random"] = "random"
+    motions: Annotated[Component, Slot("motions")] = Field(
+        Splines(), description="trajectories to choose from"
+    )
