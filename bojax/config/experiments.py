@@ -13,7 +13,7 @@ from bojax.config.problems import Parking
 class _Experiment(Component, frozen=True):
     role: ClassVar[str] = "experiment"
 
-    dtype: Literal["float64", "float32"] = Field("float64", description="precision of every number")
+    dtype: Literal["float64", "float32"] = Field(default="float64", description="precision of every number")
 
 
 class Planning(_Experiment, frozen=True):
@@ -22,8 +22,10 @@ class Planning(_Experiment, frozen=True):
     target: ClassVar[str] = "bojax.experiments.planning:PlanningEpisode"
 
     kind: Literal["planning"] = "planning"
-    problem: Annotated[Component, Slot("problem")] = Field(Parking(), description="what is planned on")
-    planner: Annotated[Component, Slot("planner")] = Field(KCBTS(), description="who plans")
+    problem: Annotated[Component, Slot("problem")] = Field(
+        default=Parking(), description="what is planned on"
+    )
+    planner: Annotated[Component, Slot("planner")] = Field(default=KCBTS(), description="who plans")
 
     @property
     def label(self) -> str:
@@ -38,9 +40,9 @@ class Trajectories(_Experiment, frozen=True):
 
     kind: Literal["trajectories"] = "trajectories"
     motions: Annotated[Component, Slot("motions")] = Field(
-        KernelTrajectories(), description="the family of trajectories"
+        default=KernelTrajectories(), description="the family of trajectories"
     )
-    num_trajectories: int = Field(25, ge=1, description="trajectories that are drawn")
+    num_trajectories: int = Field(default=25, ge=1, description="trajectories that are drawn")
 
     @property
     def label(self) -> str:

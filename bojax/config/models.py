@@ -10,7 +10,7 @@ from bojax.config.component import Component
 class _Stationary(Component, frozen=True):
     role: ClassVar[str] = "kernel"
 
-    lengthscale: float = Field(0.5, gt=0, description="lengthscale, in units of the input")
+    lengthscale: float = Field(default=0.5, gt=0, description="lengthscale, in units of the input")
 
 
 class RBF(_Stationary, frozen=True):
@@ -48,7 +48,7 @@ class UpperConfidenceBound(Component, frozen=True):
     target: ClassVar[str] = "bojax.acquisition.functions:UpperConfidenceBound"
 
     kind: Literal["ucb"] = "ucb"
-    kappa: float = Field(10.0, ge=0, description="weight of the standard deviation")
+    kappa: float = Field(default=10.0, ge=0, description="weight of the standard deviation")
 
 
 class ProbabilityOfImprovement(Component, frozen=True):
@@ -58,7 +58,7 @@ class ProbabilityOfImprovement(Component, frozen=True):
     target: ClassVar[str] = "bojax.acquisition.functions:ProbabilityOfImprovement"
 
     kind: Literal["pi"] = "pi"
-    xi: float = Field(0.01, ge=0, description="improvement that is asked for, in units of the target")
+    xi: float = Field(default=0.01, ge=0, description="improvement that is asked for, in units of the target")
 
 
 class LogExpectedImprovement(Component, frozen=True):
@@ -68,4 +68,4 @@ class LogExpectedImprovement(Component, frozen=True):
     target: ClassVar[str] = "bojax.acquisition.functions:LogExpectedImprovement"
 
     kind: Literal["log-ei"] = "log-ei"
-    xi: float = Field(0.01, ge=0, description="improvement that is asked for, in units of the target")
+    xi: float = Field(default=0.01, ge=0, description="improvement that is asked for, in units of the target")

@@ -14,9 +14,9 @@ class Splines(Component, frozen=True):
     target: ClassVar[str] = "bojax.motions.splines:SplineSet"
 
     kind: Literal["splines"] = "splines"
-    actions: Literal[5, 9, 17] = Field(5, description="number of splines in the set")
-    length: float = Field(1.0, gt=0, description="arc length, m")
-    num_samples: int = Field(8, ge=2, description="poses along a trajectory")
+    actions: Literal[5, 9, 17] = Field(default=5, description="number of splines in the set")
+    length: float = Field(default=1.0, gt=0, description="arc length, m")
+    num_samples: int = Field(default=8, ge=2, description="poses along a trajectory")
 
 
 class CubicCurves(Component, frozen=True):
@@ -26,10 +26,10 @@ class CubicCurves(Component, frozen=True):
     target: ClassVar[str] = "bojax.motions.splines:CubicCurves"
 
     kind: Literal["cubic"] = "cubic"
-    length: float = Field(1.0, gt=0, description="arc length, m")
-    bearing: float = Field(0.8, gt=0, description="largest bearing of the end, rad")
-    heading: float = Field(1.5, gt=0, description="largest change of heading, rad")
-    num_samples: int = Field(8, ge=2, description="poses along a trajectory")
+    length: float = Field(default=1.0, gt=0, description="arc length, m")
+    bearing: float = Field(default=0.8, gt=0, description="largest bearing of the end, rad")
+    heading: float = Field(default=1.5, gt=0, description="largest change of heading, rad")
+    num_samples: int = Field(default=8, ge=2, description="poses along a trajectory")
 
 
 class KernelTrajectories(Component, frozen=True):
@@ -39,17 +39,26 @@ class KernelTrajectories(Component, frozen=True):
     target: ClassVar[str] = "bojax.motions.kernel_trajectories:KernelTrajectories"
 
     kind: Literal["kernel"] = "kernel"
-    num_segments: int = Field(3, ge=1, description="segments between anchor points, one turning angle each")
-    length: float = Field(1.0, gt=0, description="length of the chain of anchor points, m")
-    first_angle: float = Field(0.3, gt=0, description="largest first turning angle, rad")
-    turn_angle: float = Field(1.0, gt=0, description="largest turning angle of the other segments, rad")
-    space_lengthscale: float = Field(0.5, gt=0, description="lengthscale of the kernel on poses, m")
+    num_segments: int = Field(
+        default=3, ge=1, description="segments between anchor points, one turning angle each"
+    )
+    length: float = Field(default=1.0, gt=0, description="length of the chain of anchor points, m")
+    first_angle: float = Field(default=0.3, gt=0, description="largest first turning angle, rad")
+    turn_angle: float = Field(
+        default=1.0, gt=0, description="largest turning angle of the other segments, rad"
+    )
+    space_lengthscale: float = Field(default=0.5, gt=0, description="lengthscale of the kernel on poses, m")
     time_lengthscale: float = Field(
-        0.3, gt=0, description="lengthscale of the kernel on time, of a whole path"
+        default=0.3, gt=0, description="lengthscale of the kernel on time, of a whole path"
     )
-    epsilon: float = Field(0.1, gt=0, description="regulariser of the first inversion in kernel Bayes' rule")
-    delta: float = Field(1e-5, gt=0, description="regulariser of the second inversion in kernel Bayes' rule")
+    epsilon: float = Field(
+        default=0.1, gt=0, description="regulariser of the first inversion in kernel Bayes' rule"
+    )
+    delta: float = Field(
+        default=1e-5, gt=0, description="regulariser of the second inversion in kernel Bayes' rule"
+    )
     start: Literal["pose", "relaxed"] = Field(
-        "pose", description="whether a path starts along the heading of the pose, or is free to turn at once"
+        default="pose",
+        description="whether a path starts along the heading of the pose, or is free to turn at once",
     )
-    num_samples: int = Field(8, ge=2, description="poses along a trajectory")
+    num_samples: int = Field(default=8, ge=2, description="poses along a trajectory")

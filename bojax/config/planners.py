@@ -14,27 +14,29 @@ class _Planner(Component, frozen=True):
 
 
 class _TreeSearch(_Planner, frozen=True):
-    iterations: int = Field(300, ge=1, description="simulations for one decision")
-    depth: int = Field(3, ge=1, description="horizon, actions")
+    iterations: int = Field(default=300, ge=1, description="simulations for one decision")
+    depth: int = Field(default=3, ge=1, description="horizon, actions")
     exploration: float = Field(
-        1.0, ge=0, description="weight of rarely tried branches in the tree (kappa_MC)"
+        default=1.0, ge=0, description="weight of rarely tried branches in the tree (kappa_MC)"
     )
-    discount: float = Field(1.0, gt=0, le=1, description="discount of rewards per action")
+    discount: float = Field(default=1.0, gt=0, le=1, description="discount of rewards per action")
 
 
 class _ContinuousBeliefTreeSearch(_TreeSearch, frozen=True):
     target: ClassVar[str] = "bojax.planning.cbts:ContinuousBeliefTreeSearch"
 
-    max_actions: int = Field(20, ge=1, description="actions that a node may try (A_max)")
-    kernel: Annotated[Component, Slot("kernel")] = Field(RBF(), description="kernel of a node's GP")
+    max_actions: int = Field(default=20, ge=1, description="actions that a node may try (A_max)")
+    kernel: Annotated[Component, Slot("kernel")] = Field(default=RBF(), description="kernel of a node's GP")
     acquisition: Annotated[Component, Slot("acquisition")] = Field(
-        UpperConfidenceBound(), description="how a node chooses its next action"
+        default=UpperConfidenceBound(), description="how a node chooses its next action"
     )
     noise_variance: float = Field(
-        0.01, gt=0, description="noise variance of a node's GP, standardised targets"
+        default=0.01, gt=0, description="noise variance of a node's GP, standardised targets"
     )
-    num_candidates: int = Field(128, ge=1, description="quasi-random candidates of an acquisition search")
-    refine_steps: int = Field(0, ge=0, description="gradient steps that refine the best candidate")
+    num_candidates: int = Field(
+        default=128, ge=1, description="quasi-random candidates of an acquisition search"
+    )
+    refine_steps: int = Field(default=0, ge=0, description="gradient steps that refine the best candidate")
 
 
 class KCBTS(_ContinuousBeliefTreeSearch, frozen=True):
@@ -42,7 +44,7 @@ class KCBTS(_ContinuousBeliefTreeSearch, frozen=True):
 
     kind: Literal["kcbts"] = "kcbts"
     motions: Annotated[Component, Slot("motions")] = Field(
-        KernelTrajectories(), description="trajectories to choose from"
+        default=KernelTrajectories(), description="trajectories to choose from"
     )
 
 
@@ -51,7 +53,7 @@ class CBTS(_ContinuousBeliefTreeSearch, frozen=True):
 
     kind: Literal["cbts"] = "cbts"
     motions: Annotated[Component, Slot("motions")] = Field(
-        CubicCurves(), description="trajectories to choose from"
+        default=CubicCurves(), description="trajectories to choose from"
     )
 
 
@@ -62,7 +64,7 @@ class SBO(_TreeSearch, frozen=True):
 
     kind: Literal["sbo"] = "sbo"
     motions: Annotated[Component, Slot("motions")] = Field(
-        Splines(), description="trajectories to choose from"
+        default=Splines(), description="trajectories to choose from"
     )
 
 
@@ -72,9 +74,9 @@ class GpsAbt(_TreeSearch, frozen=True):
     target: ClassVar[str] = "bojax.planning.gps_abt:PatternSearch"
 
     kind: Literal["gps-abt"] = "gps-abt"
-    max_actions: int = Field(20, ge=1, description="actions that a node may try (A_max)")
+    max_actions: int = Field(default=20, ge=1, description="actions that a node may try (A_max)")
     motions: Annotated[Component, Slot("motions")] = Field(
-        KernelTrajectories(), description="trajectories to choose from"
+        default=KernelTrajectories(), description="trajectories to choose from"
     )
 
 
@@ -85,5 +87,5 @@ class Random(_Planner, frozen=True):
 
     kind: Literal["random"] = "random"
     motions: Annotated[Component, Slot("motions")] = Field(
-        Splines(), description="trajectories to choose from"
+        default=Splines(), description="trajectories to choose from"
     )

@@ -15,22 +15,32 @@ class Parking(Component, frozen=True):
     target: ClassVar[str] = "bojax.problems.parking:Parking"
 
     kind: Literal["parking"] = "parking"
-    half_width: float = Field(4.0, gt=0, description="half the width of the square domain, m")
-    max_steps: int = Field(15, ge=1, description="steps after which an episode ends")
-    distance_tolerance: float = Field(0.1, gt=0, description="largest distance from the goal when parked, m")
+    half_width: float = Field(default=4.0, gt=0, description="half the width of the square domain, m")
+    max_steps: int = Field(default=15, ge=1, description="steps after which an episode ends")
+    distance_tolerance: float = Field(
+        default=0.1, gt=0, description="largest distance from the goal when parked, m"
+    )
     heading_tolerance: float = Field(
-        pi / 10, gt=0, description="largest |sin| of the heading when parked, rad"
+        default=pi / 10, gt=0, description="largest |sin| of the heading when parked, rad"
     )
     bearing_tolerance: float = Field(
-        pi / 10, gt=0, description="largest |sin| of the bearing when parked, rad"
+        default=pi / 10, gt=0, description="largest |sin| of the bearing when parked, rad"
     )
-    success_reward: float = Field(1000.0, description="reward of parking")
-    exit_reward: float = Field(-1000.0, description="reward of leaving the domain")
-    position_noise: float = Field(0.02, ge=0, description="standard deviation of the observed position, m")
-    heading_noise: float = Field(0.02, ge=0, description="standard deviation of the observed heading, rad")
-    bearing: Literal["world", "heading"] = Field("world", description="what the bearing is relative to")
-    success_needs_bearing: bool = Field(False, description="whether parking also needs the bearing condition")
-    exit_terminates: bool = Field(True, description="whether leaving the domain ends the episode")
+    success_reward: float = Field(default=1000.0, description="reward of parking")
+    exit_reward: float = Field(default=-1000.0, description="reward of leaving the domain")
+    position_noise: float = Field(
+        default=0.02, ge=0, description="standard deviation of the observed position, m"
+    )
+    heading_noise: float = Field(
+        default=0.02, ge=0, description="standard deviation of the observed heading, rad"
+    )
+    bearing: Literal["world", "heading"] = Field(
+        default="world", description="what the bearing is relative to"
+    )
+    success_needs_bearing: bool = Field(
+        default=False, description="whether parking also needs the bearing condition"
+    )
+    exit_terminates: bool = Field(default=True, description="whether leaving the domain ends the episode")
     park_along_path: bool = Field(
-        True, description="whether passing through the goal region counts as parking"
+        default=True, description="whether passing through the goal region counts as parking"
     )
