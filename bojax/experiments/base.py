@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import equinox as eqx
 from jaxtyping import Array, Bool, Int, Key, Scalar
@@ -33,12 +33,12 @@ class Experiment(eqx.Module):
     lane is a no-op: its carry stays, its records have no valid row and no active step. Randomness is
     `fold_in(key, counter)`, never a chain of splits in the carry, so that a lane's numbers do not depend
     on how often the engine paused.
-
-    Attributes:
-        tables: Columns of every table: `"runs"` are those of `summary`, all others those of `Records`.
     """
 
-    tables: ClassVar[Mapping[str, Table]]
+    @property
+    @abc.abstractmethod
+    def tables(self) -> Mapping[str, Table]:
+        """Columns of every table: `"runs"` are those of `summary`, all others those of `Records`."""
 
     @property
     @abc.abstractmethod

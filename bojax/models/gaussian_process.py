@@ -69,7 +69,7 @@ class GaussianProcess(eqx.Module):
             jnp.maximum(self.kernel(x, x) + self.noise_variance - jnp.sum(whitened * whitened), floor)
         )
         row = -matmul(whitened, self.inverse_cholesky)
-        return jnp.where(jnp.arange(row.shape[0]) == self.count, 1.0, row) / pivot
+        return jnp.where(jnp.arange(row.shape[0], dtype=self.count.dtype) == self.count, 1.0, row) / pivot
 
     def predict(self, xs: Float[Array, "M D"]) -> tuple[Float[Array, "M"], Float[Array, "M"]]:
         """Posterior mean and variance of the noise-free function at `xs` (2.28, 2.29)."""

@@ -114,7 +114,5 @@ class KernelTrajectories(ContinuousMotions):
 def _uniform_embedding(points: Float[Array, "N 2"], lengthscale: Float[Array, ""]) -> Float[Array, "N"]:
     """E[k(x, U)] for U uniform on [-1, 1]^2 and the squared exponential kernel."""
     scaled = 1.0 / (2.0**0.5 * lengthscale)
-    by_axis = (
-        (jnp.pi**0.5 / (4.0 * scaled)) * (erf((1.0 - points) * scaled) + erf((1.0 + points) * scaled))
-    )
+    by_axis = (jnp.pi**0.5 / (4.0 * scaled)) * (erf((1.0 - points) * scaled) + erf((1.0 + points) * scaled))
     return by_axis[:, 0] * by_axis[:, 1]

@@ -29,5 +29,7 @@ def solve_small(a: Float[Array, "N N"], b: Float[Array, "N K"]) -> Float[Array, 
         pivot_row = rows[pivot] / rows[pivot, k]
         # Swap rows k and pivot, then eliminate column k from every row but k.
         rows = jnp.where((index == pivot)[:, None], rows[k][None, :], rows)
-        rows = jnp.where((index == k)[:, None], pivot_row[None, :], rows - rows[:, k : k + 1] * pivot_row[None, :])
+        rows = jnp.where(
+            (index == k)[:, None], pivot_row[None, :], rows - rows[:, k : k + 1] * pivot_row[None, :]
+        )
     return rows[:, n:]

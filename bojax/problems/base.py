@@ -35,12 +35,14 @@ class Events(eqx.Module):
         terminated: The episode is over.
         success: The task is solved.
         exited: The robot left the domain.
+        driven: Poses that the robot went through, in the world's frame.
     """
 
     reward: Float[Array, ""]
     terminated: Bool[Array, ""]
     success: Bool[Array, ""]
     exited: Bool[Array, ""]
+    driven: Float[Array, "S 3"]
 
 
 class Simulation(eqx.Module):

@@ -91,7 +91,8 @@ class Parking(PoseProblem):
         if not self.exit_terminates:
             end = jnp.where(exited, start, end)
         terminated = success | exited if self.exit_terminates else success
-        return Outcome(end, reward, terminated, success, exited)
+        driven = path[jnp.minimum(jnp.arange(path.shape[0]), last)]
+        return Outcome(end, reward, terminated, success, exited, driven)
 
     def _off_axis(self, path: Float[Array, "S 3"], distance: Float[Array, "S"]) -> Float[Array, "S"]:
         """|sin beta|, 0 at the lot itself."""

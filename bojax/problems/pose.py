@@ -20,6 +20,7 @@ class Outcome(eqx.Module):
         terminated: The episode is over.
         success: The task is solved.
         exited: The robot left the domain.
+        driven: Poses that the robot went through; the last one again after an early end.
     """
 
     pose: Pose
@@ -27,6 +28,7 @@ class Outcome(eqx.Module):
     terminated: Bool[Array, ""]
     success: Bool[Array, ""]
     exited: Bool[Array, ""]
+    driven: Float[Array, "S 3"]
 
 
 class PoseProblem(Problem):
@@ -55,7 +57,13 @@ class PoseProblem(Problem):
         """Drive a path from the true pose and read the pose it ends in."""
         outcome = self.outcome(world, place(path, world))
         end = outcome.pose.at[2].set(jnp.mod(outcome.pose[2], 2.0 * jnp.pi))
-        events = Events(outcome.reward, outcome.terminated, outcome.success, outcome.exited)
+        events = Events(
+            reward=outcome.reward,
+            terminated=outcome.terminated,
+            success=outcome.success,
+            exited=outcome.exited,
+            driven=outcome.driven,
+        )
         return end, self._read(key, end), events
 
     def update(self, belief: Pose, path: Path, observation: Pose) -> Pose:

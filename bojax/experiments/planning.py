@@ -1,0 +1,169 @@
+"""A planning episode: plan, drive, observe, until the task ends."""
+
+from collections.abc import Mapping
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, Key, Scalar
+
+from bojax.experiments.base import Experiment, Records
+from bojax.planning.base import Planner
+from bojax.problems.base import POSE_COLUMNS, Belief, Problem, World
+from bojax.results.schema import Column, Table
+
+
+class Episode(eqx.Module):
+    """The state of an episode.
+
+    Attributes:
+        key_world: Key of what the world draws.
+        key_planner: Key of what the planner draws; a stream of its own, so that all planners meet the
+            same starts and the same noise.
+        world: The true state.
+        belief: What the planner knows.
+        step: Steps done.
+        accumulated: Sum of the rewards so far.
+        success: The task was solved.
+        exited: Number of times that the robot left the domain.
+        is_done: The episode is over.
+        start: Pose at the start.
+        paths: Paths driven, in the world's frame; NaN where there is none.
+    """
+
+    key_world: Key[Array, ""]
+    key_planner: Key[Array, ""]
+    world: World
+    belief: Belief
+    step: Int[Array, ""]
+    accumulated: Float[Array, ""]
+    success: Bool[Array, ""]
+    exited: Int[Array, ""]
+    is_done: Bool[Array, ""]
+    start: Float[Array, "3"]
+    paths: Float[Array, "T S 3"]
+
+
+class PlanningEpisode(Experiment):
+    """One episode of a planner on a problem; an advance is one plan and the drive that follows.
+
+    Attributes:
+        problem: The world and its task.
+        planner: The planner, which knows the problem's model and sees its observations only.
+    """
+
+    problem: Problem
+    planner: Planner
+
+    @property
+    def tables(self) -> Mapping[str, Table]:
+        """See `Experiment`."""
+        return {"runs": _RUN_COLUMNS + self.problem.scores, "steps": _STEP_COLUMNS + POSE_COLUMNS}
+
+    @property
+    def max_advances(self) -> int:
+        """See `Experiment`."""
+        return self.problem.max_steps
+
+    def init(self, key: Key[Array, ""]) -> Episode:
+        """See `Experiment`."""
+        key_world, key_planner = jax.random.split(key)
+        world = self.problem.reset(jax.random.fold_in(key_world, 0))
+        start = self.problem.pose(world)
+        num_samples = self.planner.motions.num_samples
+        return Episode(
+            key_world=key_world,
+            key_planner=key_planner,
+            world=world,
+            belief=self.problem.prior(jax.random.fold_in(key_world, 1), world),
+            step=jnp.zeros((), jnp.int32),
+            accumulated=jnp.zeros((), start.dtype),
+            success=jnp.zeros((), bool),
+            exited=jnp.zeros((), jnp.int32),
+            is_done=jnp.zeros((), bool),
+            start=start,
+            paths=jnp.full((self.problem.max_steps, num_samples, 3), jnp.nan, start.dtype),
+        )
+
+    def advance(self, carry: Episode) -> tuple[Episode, Records]:
+        """See `Experiment`."""
+        active = ~carry.is_done
+        key = jax.random.fold_in(carry.key_planner, carry.step)
+        plan = self.planner.plan(key, self.problem, carry.belief)
+        # Counters 0 and 1 of the world's stream made the start.
+        key = jax.random.fold_in(carry.key_world, carry.step + 2)
+        world, observation, events = self.problem.execute(key, carry.world, plan.path)
+        reward = self.problem.reward(None, carry.belief, plan.path, events)
+        belief = self.problem.update(carry.belief, plan.path, observation)
+
+        step = carry.step + 1
+        done = events.terminated | (step >= self.problem.max_steps)
+        accumulated = carry.accumulated + reward
+        after = Episode(
+            key_world=carry.key_world,
+            key_planner=carry.key_planner,
+            world=world,
+            belief=belief,
+            step=step,
+            accumulated=accumulated,
+            success=carry.success | events.success,
+            exited=carry.exited + events.exited.astype(jnp.int32),
+            is_done=done,
+            start=carry.start,
+            paths=carry.paths.at[carry.step].set(events.driven),
+        )
+        pose = self.problem.pose(world)
+        row = {
+            "step": step,
+            "reward": reward,
+            "planned_reward": plan.reward,
+            "accumulated_reward": accumulated,
+            "done": done,
+            "x": pose[0],
+            "y": pose[1],
+            "heading": pose[2],
+            "valid": active,
+        }
+        records = Records(
+            tables={"steps": {name: value[None] for name, value in row.items()}},
+            active_steps=active.astype(jnp.int32),
+        )
+        return _where(active, after, carry), records
+
+    def is_done(self, carry: Episode) -> Bool[Array, ""]:
+        """See `Experiment`."""
+        return carry.is_done
+
+    def summary(self, carry: Episode) -> dict[str, Scalar]:
+        """See `Experiment`."""
+        return {
+            "return": carry.accumulated,
+            "success": carry.success,
+            "steps": carry.step,
+            "exits": carry.exited,
+            **self.problem.score(carry.world, carry.belief),
+        }
+
+    def snapshot(self, carry: Episode) -> dict[str, dict[str, Array]]:
+        """The paths driven, for figures and animations."""
+        return {"paths": {"paths": carry.paths, "start": carry.start}}
+
+
+def _where(active: Bool[Array, ""], after: Episode, before: Episode) -> Episode:
+    return jax.tree.map(lambda a, b: jnp.where(active, a, b), after, before)
+
+
+_RUN_COLUMNS: Table = (
+    Column("return", "float64", "", "sum of the task's rewards"),
+    Column("success", "bool", "", "the task was solved"),
+    Column("steps", "int32", "", "actions taken"),
+    Column("exits", "int32", "", "times that the robot left the domain"),
+)
+
+_STEP_COLUMNS: Table = (
+    Column("step", "int32", "", "number of the action, from 1"),
+    Column("reward", "float64", "", "the task's reward"),
+    Column("planned_reward", "float64", "", "reward that the planner expected of the action"),
+    Column("accumulated_reward", "float64", "", "sum of the task's rewards so far"),
+    Column("done", "bool", "", "the episode ended with this action"),
+)

@@ -1,0 +1,72 @@
+"""A gallery of trajectories: what a family of motions looks like (Fig. 4.2)."""
+
+from collections.abc import Mapping
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Key, Scalar
+
+from bojax.experiments.base import Experiment, Records
+from bojax.motions.base import DiscreteMotions, Motions
+from bojax.results.schema import Column, Table
+
+
+class Gallery(eqx.Module):
+    """The state of a gallery: drawn, or not yet."""
+
+    is_done: Bool[Array, ""]
+
+
+class TrajectoryGallery(Experiment):
+    """All paths of a discrete set, or a grid over the parameters of a continuous family.
+
+    Attributes:
+        motions: The family.
+        levels: Values a parameter, evenly spaced over [-1, 1]; a family of D parameters gives levels^D
+            paths.
+    """
+
+    motions: Motions
+    levels: int = eqx.field(static=True)
+
+    @property
+    def tables(self) -> Mapping[str, Table]:
+        """See `Experiment`."""
+        return {"runs": (Column("trajectories", "int32", "", "trajectories drawn"),)}
+
+    @property
+    def max_advances(self) -> int:
+        """See `Experiment`."""
+        return 1
+
+    def init(self, key: Key[Array, ""]) -> Gallery:
+        """See `Experiment`; nothing here is random, but lanes must depend on their key to be a batch."""
+        return Gallery(jax.random.bits(key) < 0)
+
+    def advance(self, carry: Gallery) -> tuple[Gallery, Records]:
+        """See `Experiment`."""
+        records = Records(tables={}, active_steps=(~carry.is_done).astype(jnp.int32))
+        return Gallery(jnp.ones_like(carry.is_done)), records
+
+    def is_done(self, carry: Gallery) -> Bool[Array, ""]:
+        """See `Experiment`."""
+        return carry.is_done
+
+    def summary(self, carry: Gallery) -> dict[str, Scalar]:
+        """See `Experiment`."""
+        del carry
+        return {"trajectories": jnp.asarray(self.paths().shape[0], jnp.int32)}
+
+    def snapshot(self, carry: Gallery) -> dict[str, dict[str, Array]]:
+        """The paths."""
+        del carry
+        return {"trajectories": {"paths": self.paths()}}
+
+    def paths(self) -> Float[Array, "K S 3"]:
+        """The paths of the gallery."""
+        if isinstance(self.motions, DiscreteMotions):
+            return self.motions.paths()
+        axis = jnp.linspace(-1.0, 1.0, self.levels, dtype=self.motions.length.dtype)
+        grid = jnp.meshgrid(*[axis] * self.motions.num_params, indexing="ij")
+        return jax.vmap(self.motions.path)(jnp.stack([g.ravel() for g in grid], axis=-1))

@@ -1,0 +1,1 @@
+"""Planners: how a robot chooses its next path from a belief."""

@@ -1,0 +1,193 @@
+"""Continuous belief tree search: nodes choose new actions by Bayesian optimisation (Algorithms 3-4)."""
+
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from bojax.acquisition.functions import Acquisition
+from bojax.acquisition.maximise import best_candidate, refine
+from bojax.models.gaussian_process import GaussianProcess
+from bojax.models.kernels import Kernel
+from bojax.motions.base import ContinuousMotions, Path
+from bojax.numerics.quasirandom import shifted_kronecker
+from bojax.planning.search import Proposal, TreeSearch
+from bojax.planning.tree import UNVISITED, Tree, best_by_mean, best_by_uct
+from bojax.problems.base import Objective
+
+
+class NodeModels(eqx.Module):
+    """The Gaussian processes of all nodes, from action parameters to rewards.
+
+    An observation of a node's process is an action of that node, so it is stored with the child that the
+    action leads to: the row that it appended to the inverse Cholesky factor, its parameters (its value is
+    the tree's). That takes N A numbers where a factor for every node would take N A^2.
+
+    Attributes:
+        candidates: Parameters that acquisitions are maximised over, and that rollouts draw from.
+        paths: Their paths.
+        params: Parameters of the action that leads to each node.
+        row: Row of that action in the inverse Cholesky factor of its parent's process.
+        has_converged: Whether that action was nearly the one before it.
+    """
+
+    candidates: Float[Array, "C D"]
+    paths: Float[Array, "C S 3"]
+    params: Float[Array, "N D"]
+    row: Float[Array, "N A"]
+    has_converged: Bool[Array, "N"]
+
+
+class ActionNote(eqx.Module):
+    """What a node's process remembers of a new action."""
+
+    params: Float[Array, "D"]
+    row: Float[Array, "A"]
+    has_converged: Bool[Array, ""]
+
+
+class ContinuousBeliefTreeSearch(TreeSearch[NodeModels]):
+    """CBTS; with kernel trajectories, kCBTS.
+
+    A node with fewer than `max_actions` actions gets a new one, the maximiser of the acquisition under the
+    node's Gaussian process from action parameters to immediate rewards; otherwise the search descends to
+    the child of the best upper confidence bound.
+
+    Attributes:
+        motions: Trajectories and their parameters.
+        kernel: Covariance of the node's rewards, over parameters in [-1, 1]^D.
+        acquisition: How a new action is chosen.
+        noise_variance: Noise of the node's process, relative to the variance of its rewards.
+        exploration: kappa_MC of (4.1), in units of the return.
+        convergence: Stop generating actions at a node once two in a row are closer than this; 0 for never.
+        discount: Discount a step.
+        iterations: Simulations a plan.
+        depth: Actions to the horizon.
+        max_actions: A_max, the most actions of a node.
+        num_candidates: Parameters among which the acquisition is maximised, drawn anew for each plan.
+        num_initial: First actions of a node that are random candidates instead.
+        refine_steps: Gradient steps from the best candidate; 0 for none.
+        scaling: How a node's rewards enter its process: `"standardise"` to mean 0 and variance 1, or
+            `"none"`.
+        objective: What to maximise, if not the problem's own task.
+    """
+
+    motions: ContinuousMotions
+    kernel: Kernel
+    acquisition: Acquisition
+    noise_variance: Float[Array, ""]
+    exploration: Float[Array, ""]
+    convergence: Float[Array, ""]
+    discount: Float[Array, ""]
+    iterations: int = eqx.field(static=True)
+    depth: int = eqx.field(static=True)
+    max_actions: int = eqx.field(static=True)
+    num_candidates: int = eqx.field(static=True)
+    num_initial: int = eqx.field(static=True)
+    refine_steps: int = eqx.field(static=True)
+    scaling: Literal["standardise", "none"] = eqx.field(static=True)
+    objective: Objective = None
+
+    @property
+    def num_actions(self) -> int:
+        """See `TreeSearch`."""
+        return self.max_actions
+
+    def begin(self, key: Key[Array, ""], dtype) -> tuple[NodeModels, dict[str, Array]]:
+        """See `TreeSearch`."""
+        key_candidates, key_rollout, key_initial = jax.random.split(key, 3)
+        candidates = shifted_kronecker(key_candidates, self.num_candidates, self.motions.num_params, dtype)
+        num_nodes = self.iterations + 1
+        memory = NodeModels(
+            candidates=candidates,
+            paths=jax.vmap(self.motions.path)(candidates),
+            params=jnp.zeros((num_nodes, self.motions.num_params), dtype),
+            row=jnp.zeros((num_nodes, self.max_actions), dtype),
+            has_converged=jnp.zeros((num_nodes,), bool),
+        )
+        shape = (self.iterations, self.depth - 1)
+        draws = {
+            "rollout": jax.random.randint(key_rollout, shape, 0, self.num_candidates),
+            "initial": jax.random.randint(key_initial, (self.iterations,), 0, self.num_candidates),
+        }
+        return memory, draws
+
+    def rollout(self, memory: NodeModels, draws: dict[str, Array]) -> Float[Array, "H S 3"]:
+        """See `TreeSearch`."""
+        return memory.paths[draws["rollout"]]
+
+    def select(self, tree: Tree, memory: NodeModels, node: Int[Array, ""]) -> Int[Array, ""]:
+        """See `TreeSearch`."""
+        children = tree.children[node]
+        exists = children != UNVISITED
+        is_full = jnp.all(exists) | jnp.any(exists & memory.has_converged[children])
+        return jnp.where(is_full, best_by_uct(tree, node, self.exploration), UNVISITED)
+
+    def propose(
+        self, tree: Tree, memory: NodeModels, node: Int[Array, ""], draws: dict[str, Array]
+    ) -> Proposal:
+        """See `TreeSearch`."""
+        model, best = self._model(tree, memory, node)
+        is_initial = model.count < self.num_initial
+        choice = best_candidate(self.acquisition, model, best, memory.candidates)
+        choice = jnp.where(is_initial, draws["initial"], choice)
+        params, path = memory.candidates[choice], memory.paths[choice]
+        if self.refine_steps > 0:
+            refined = refine(self.acquisition, model, best, params, self.refine_steps)
+            params = jnp.where(is_initial, params, refined)
+            path = self.motions.path(params)
+        previous = model.x[jnp.maximum(model.count - 1, 0)]
+        distance = jnp.sqrt(jnp.sum((params - previous) ** 2))
+        note = ActionNote(
+            params=params,
+            row=model.next_row(params),
+            has_converged=(model.count > 0) & (distance < self.convergence),
+        )
+        return Proposal(path=path, slot=model.count, note=note)
+
+    def learn(self, memory: NodeModels, child: Int[Array, ""], proposal: Proposal) -> NodeModels:
+        """See `TreeSearch`."""
+        note = proposal.note
+        return NodeModels(
+            candidates=memory.candidates,
+            paths=memory.paths,
+            params=memory.params.at[child].set(note.params),
+            row=memory.row.at[child].set(note.row),
+            has_converged=memory.has_converged.at[child].set(note.has_converged),
+        )
+
+    def _model(
+        self, tree: Tree, memory: NodeModels, node: Int[Array, ""]
+    ) -> tuple[GaussianProcess, Float[Array, ""]]:
+        """The Gaussian process of a node, and the best value it has seen."""
+        children = tree.children[node]
+        exists = children != UNVISITED
+        count = jnp.sum(exists, dtype=jnp.int32)
+        rewards = tree.reward[children]
+        if self.scaling == "standardise":
+            number = jnp.maximum(count, 1).astype(rewards.dtype)
+            mean = jnp.sum(jnp.where(exists, rewards, 0.0)) / number
+            variance = jnp.sum(jnp.where(exists, (rewards - mean) ** 2, 0.0)) / number
+            # Equal rewards say nothing about the surface: they stay 0.
+            scale = jnp.where(variance > 1e-12 * mean**2, jnp.sqrt(variance), 1.0)
+            rewards = (rewards - mean) / scale
+        model = GaussianProcess(
+            kernel=self.kernel,
+            noise_variance=self.noise_variance,
+            x=jnp.where(exists[:, None], memory.params[children], 0.0),
+            y=jnp.where(exists, rewards, 0.0),
+            inverse_cholesky=jnp.where(exists[:, None], memory.row[children], 0.0),
+            count=count,
+        )
+        return model, jnp.max(jnp.where(exists, rewards, -jnp.inf))
+
+    def recommend(self, tree: Tree, memory: NodeModels) -> Int[Array, ""]:
+        """See `TreeSearch`."""
+        del memory
+        return best_by_mean(tree)
+
+    def path_of(self, memory: NodeModels, child: Int[Array, ""]) -> Path:
+        """See `TreeSearch`."""
+        return self.motions.path(memory.params[child])

@@ -1,0 +1,92 @@
+"""Tree search over a finite set of actions: SBO, BO-POMDP and plain MCTS (Algorithm 2)."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, Key
+
+from bojax.motions.base import DiscreteMotions, Path
+from bojax.planning.search import Proposal, TreeSearch
+from bojax.planning.tree import UNVISITED, Tree, best_by_mean, best_by_uct
+from bojax.problems.base import Objective
+
+
+class DiscreteMemory(eqx.Module):
+    """The action of every node, and the paths of all actions.
+
+    Attributes:
+        paths: Paths of the actions.
+        action: Action that leads to each node.
+    """
+
+    paths: Float[Array, "A S 3"]
+    action: Int[Array, "N"]
+
+
+class DiscreteTreeSearch(TreeSearch[DiscreteMemory]):
+    """Untried actions first, in random order, then the child of the best upper confidence bound.
+
+    Attributes:
+        motions: The set of actions.
+        exploration: kappa_MC of (4.1), in units of the return.
+        discount: Discount a step.
+        iterations: Simulations a plan.
+        depth: Actions to the horizon.
+        objective: What to maximise, if not the problem's own task.
+    """
+
+    motions: DiscreteMotions
+    exploration: Float[Array, ""]
+    discount: Float[Array, ""]
+    iterations: int = eqx.field(static=True)
+    depth: int = eqx.field(static=True)
+    objective: Objective = None
+
+    @property
+    def num_actions(self) -> int:
+        """See `TreeSearch`."""
+        return self.motions.num_actions
+
+    def begin(self, key: Key[Array, ""], dtype) -> tuple[DiscreteMemory, dict[str, Array]]:
+        """See `TreeSearch`."""
+        key_rollout, key_order = jax.random.split(key)
+        shape = (self.iterations, self.depth - 1)
+        draws = {
+            "rollout": jax.random.randint(key_rollout, shape, 0, self.num_actions),
+            "order": jax.random.uniform(key_order, (self.iterations, self.num_actions), dtype),
+        }
+        memory = DiscreteMemory(
+            paths=self.motions.paths(), action=jnp.zeros((self.iterations + 1,), jnp.int32)
+        )
+        return memory, draws
+
+    def rollout(self, memory: DiscreteMemory, draws: dict[str, Array]) -> Float[Array, "H S 3"]:
+        """See `TreeSearch`."""
+        return memory.paths[draws["rollout"]]
+
+    def select(self, tree: Tree, memory: DiscreteMemory, node: Int[Array, ""]) -> Int[Array, ""]:
+        """See `TreeSearch`."""
+        del memory
+        is_open = tree.num_children(node) < self.num_actions
+        return jnp.where(is_open, UNVISITED, best_by_uct(tree, node, self.exploration))
+
+    def propose(
+        self, tree: Tree, memory: DiscreteMemory, node: Int[Array, ""], draws: dict[str, Array]
+    ) -> Proposal:
+        """See `TreeSearch`."""
+        is_untried = tree.children[node] == UNVISITED
+        action = jnp.argmax(jnp.where(is_untried, draws["order"], -1.0)).astype(jnp.int32)
+        return Proposal(path=memory.paths[action], slot=action)
+
+    def learn(self, memory: DiscreteMemory, child: Int[Array, ""], proposal: Proposal) -> DiscreteMemory:
+        """See `TreeSearch`."""
+        return DiscreteMemory(memory.paths, memory.action.at[child].set(proposal.slot))
+
+    def recommend(self, tree: Tree, memory: DiscreteMemory) -> Int[Array, ""]:
+        """See `TreeSearch`."""
+        del memory
+        return best_by_mean(tree)
+
+    def path_of(self, memory: DiscreteMemory, child: Int[Array, ""]) -> Path:
+        """See `TreeSearch`."""
+        return memory.paths[memory.action[child]]

@@ -1,0 +1,27 @@
+"""The baseline that draws a path at random."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Key
+
+from bojax.motions.base import Motions
+from bojax.planning.base import Plan, Planner
+from bojax.problems.base import Belief, Problem
+
+
+class RandomPlanner(Planner):
+    """Any path of its motions, each as likely as another.
+
+    Attributes:
+        motions: The paths.
+    """
+
+    motions: Motions
+
+    def plan(self, key: Key[Array, ""], problem: Problem, belief: Belief) -> Plan:
+        """See `Planner`; the path is simulated once, to say what the model expects of it."""
+        key_path, key_simulate = jax.random.split(key)
+        path = self.motions.sample(key_path)
+        root, node = problem.root(belief, 1)
+        reward = problem.simulate(key_simulate, root, node, path[None], None).rewards[0]
+        return Plan(path=path, reward=reward, value=reward, visits=jnp.ones((), jnp.int32))
