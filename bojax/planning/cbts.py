@@ -147,8 +147,11 @@ class ContinuousBeliefTreeSearch(TreeSearch[NodeModels]):
         )
         return Proposal(path=path, slot=model.count, note=note)
 
-    def learn(self, memory: NodeModels, child: Int[Array, ""], proposal: Proposal) -> NodeModels:
+    def learn(
+        self, memory: NodeModels, child: Int[Array, ""], proposal: Proposal, is_new: Bool[Array, ""]
+    ) -> NodeModels:
         """See `TreeSearch`."""
+        del is_new
         note = proposal.note
         return NodeModels(
             candidates=memory.candidates,

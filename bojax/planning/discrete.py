@@ -3,7 +3,7 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from bojax.motions.base import DiscreteMotions, Path
 from bojax.planning.search import Proposal, TreeSearch
@@ -78,8 +78,11 @@ class DiscreteTreeSearch(TreeSearch[DiscreteMemory]):
         action = jnp.argmax(jnp.where(is_untried, draws["order"], -1.0)).astype(jnp.int32)
         return Proposal(path=memory.paths[action], slot=action)
 
-    def learn(self, memory: DiscreteMemory, child: Int[Array, ""], proposal: Proposal) -> DiscreteMemory:
+    def learn(
+        self, memory: DiscreteMemory, child: Int[Array, ""], proposal: Proposal, is_new: Bool[Array, ""]
+    ) -> DiscreteMemory:
         """See `TreeSearch`."""
+        del is_new
         return DiscreteMemory(memory.paths, memory.action.at[child].set(proposal.slot))
 
     def recommend(self, tree: Tree, memory: DiscreteMemory) -> Int[Array, ""]:

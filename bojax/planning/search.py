@@ -6,7 +6,7 @@ from typing import Any, Generic, TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from bojax.motions.base import Path
 from bojax.planning.base import Plan, Planner
@@ -66,7 +66,7 @@ class TreeSearch(Planner, Generic[Memory]):
 
     @abc.abstractmethod
     def rollout(self, memory: Memory, draws: Draws) -> Float[Array, "H S 3"]:
-        """Random paths that follow a new action; `draws` are those of one iteration."""
+        """Random paths that follow a new action to the horizon, or none; `draws` are of one iteration."""
 
     @abc.abstractmethod
     def select(self, tree: Tree, memory: Memory, node: Int[Array, ""]) -> Int[Array, ""]:
@@ -77,8 +77,14 @@ class TreeSearch(Planner, Generic[Memory]):
         """A new action of `node`."""
 
     @abc.abstractmethod
-    def learn(self, memory: Memory, child: Int[Array, ""], proposal: Proposal) -> Memory:
-        """The memory of the action that leads to `child`, which no node refers to if it was not played."""
+    def learn(
+        self, memory: Memory, child: Int[Array, ""], proposal: Proposal, is_new: Bool[Array, ""]
+    ) -> Memory:
+        """The memory with the action that leads to `child`.
+
+        Unless `is_new` the action was not played: no node refers to `child`, whatever is stored for it,
+        but what is stored for other nodes must not change.
+        """
 
     @abc.abstractmethod
     def recommend(self, tree: Tree, memory: Memory) -> Int[Array, ""]:
@@ -136,11 +142,12 @@ class TreeSearch(Planner, Generic[Memory]):
         belief = jax.tree.map(lambda leaf: leaf[node], tree.belief)
         simulation = problem.simulate(key, root, belief, paths, self.objective)
         future = jnp.zeros((), tree.reward.dtype)
-        for step in reversed(range(self.depth)):
+        for step in reversed(range(paths.shape[0])):
             is_within = level + step < self.depth
             ended = simulation.terminated[step]
             reward = simulation.rewards[step]
-            future = jnp.where(is_within, reward + jnp.where(ended, 0.0, self.discount * future), 0.0)
+            rest = jnp.where(ended, 0.0, self.discount * future)
+            future = jnp.where(is_within, reward + rest, 0.0)
 
         # Back up: from the new node, if there is one, through the nodes visited to the root.
         nodes, gains = [jnp.where(is_new, child, tree.visits.shape[0])], [future]
@@ -162,4 +169,4 @@ class TreeSearch(Planner, Generic[Memory]):
             total_return=tree.total_return.at[indices].add(jnp.stack(gains), mode="drop"),
             children=tree.children.at[node, slot].set(child, mode="drop"),
         )
-        return tree, self.learn(memory, child, proposal)
+        return tree, self.learn(memory, child, proposal, is_new)

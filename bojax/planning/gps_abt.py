@@ -1,0 +1,295 @@
+"""GPS-ABT: tree search whose nodes choose actions by generalised pattern search (Seiler et al., ICRA 2015)."""
+
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from bojax.motions.base import ContinuousMotions, Path
+from bojax.planning.search import Proposal, TreeSearch
+from bojax.planning.tree import ROOT, UNVISITED, Tree
+from bojax.problems.base import Objective
+
+CENTRE = 0
+"""Index of a stencil's centre among its points."""
+
+
+class Stencils(eqx.Module):
+    """The stencil trees of all nodes: G stencils of P = 2D + 1 points, a centre and a step each way.
+
+    Stencil v < N is the first one of node v; stencil N + c was added together with node c. Points are
+    actions: their places follow from the centre and the radius, and `member` says which were simulated.
+
+    Attributes:
+        paths: Random paths, for rollouts.
+        params: Parameters of the action that leads to each node.
+        centre: Centres, in the box [-1, 1]^D.
+        radius: Length of a step.
+        member: Nodes that the points lead to, `UNVISITED` where there is none yet.
+        finer: Stencils that refine the points, `UNVISITED` where there is none yet.
+    """
+
+    paths: Float[Array, "C S 3"]
+    params: Float[Array, "N D"]
+    centre: Float[Array, "G D"]
+    radius: Float[Array, "G"]
+    member: Int[Array, "G P"]
+    finer: Int[Array, "G P"]
+
+    def points(self, stencil: Int[Array, ""]) -> Float[Array, "P D"]:
+        """Places of a stencil's points."""
+        return _points(self.centre[stencil], self.radius[stencil])
+
+
+class Walk(eqx.Module):
+    """Where a walk down a node's stencil tree, from best mean to best mean, ended.
+
+    Attributes:
+        stencil: The last stencil.
+        point: Its best point by mean return.
+        has_unvisited: That stencil has points that were never simulated.
+        may_refine: It has none, and its best point may get a finer stencil.
+        best_ucb: The child of the highest upper confidence bound of all points on the way.
+        most_visited: The most visited of the best points on the way.
+    """
+
+    stencil: Int[Array, ""]
+    point: Int[Array, ""]
+    has_unvisited: Bool[Array, ""]
+    may_refine: Bool[Array, ""]
+    best_ucb: Int[Array, ""]
+    most_visited: Int[Array, ""]
+
+
+class StencilNote(eqx.Module):
+    """What a new action changes in the stencils.
+
+    Attributes:
+        params: Its parameters.
+        stencil: The stencil that it is a point of, if that stencil existed.
+        point: Its place there, or in the finer stencil.
+        refined: The point that gets a finer stencil.
+        is_refinement: Whether it does.
+        centre: Centre of the finer stencil.
+        radius: Its radius.
+        member: Its points that were simulated before.
+    """
+
+    params: Float[Array, "D"]
+    stencil: Int[Array, ""]
+    point: Int[Array, ""]
+    refined: Int[Array, ""]
+    is_refinement: Bool[Array, ""]
+    centre: Float[Array, "D"]
+    radius: Float[Array, ""]
+    member: Int[Array, "P"]
+
+
+class PatternSearch(TreeSearch[Stencils]):
+    """The public ABT toolkit's pattern search, on the belief tree that all planners here share.
+
+    At a node, any unvisited point of a stencil is tried first, in random order; otherwise the walk
+    descends to the best point by mean return and into its finer stencil. Where there is none, the point
+    is refined if every best point on the way was visited `min_visits` times, the number of levels is below
+    ln N / ln(growth) for a node visited N times, and the radius exceeds `min_radius`; if not, the action
+    is the one of the best upper confidence bound on the way, with a bonus of `exploration` sqrt(ln N / n).
+    Refining the centre halves the radius, refining another point moves the centre there; points outside
+    the box are dropped, and where a moved stencil has no new point inside the radius halves instead. The
+    plan is the most visited of the best points on the way through the root's stencils.
+
+    Deviation: the toolkit's simulations are full histories of particles; here a belief is one node.
+
+    Attributes:
+        motions: Trajectories and their parameters.
+        exploration: The square root of the toolkit's C, in units of the return.
+        growth: The k of ln N / ln k.
+        min_visits: Visits of every best point on the way before a refinement.
+        min_radius: Smallest radius that is refined, for the box [-1, 1]^D.
+        initial_radius: Radius of a node's first stencil, for the box [-1, 1]^D.
+        discount: Discount a step.
+        iterations: Simulations a plan.
+        depth: Actions to the horizon.
+        max_levels: Most stencils on one walk.
+        num_rollout_paths: Random paths that rollouts draw from, drawn anew for each plan.
+        heuristic: Value past a new action: `"rollout"` to the horizon, or `"zero"`.
+        objective: What to maximise, if not the problem's own task.
+    """
+
+    motions: ContinuousMotions
+    exploration: Float[Array, ""]
+    growth: Float[Array, ""]
+    min_visits: Float[Array, ""]
+    min_radius: Float[Array, ""]
+    initial_radius: Float[Array, ""]
+    discount: Float[Array, ""]
+    iterations: int = eqx.field(static=True)
+    depth: int = eqx.field(static=True)
+    max_levels: int = eqx.field(static=True)
+    num_rollout_paths: int = eqx.field(static=True)
+    heuristic: Literal["rollout", "zero"] = eqx.field(static=True)
+    objective: Objective = None
+
+    @property
+    def num_actions(self) -> int:
+        """The tree lists a node's actions in order of their creation; the search itself uses stencils."""
+        return self.max_levels * (2 * self.motions.num_params + 1)
+
+    def begin(self, key: Key[Array, ""], dtype) -> tuple[Stencils, dict[str, Array]]:
+        """See `TreeSearch`."""
+        key_paths, key_rollout, key_order = jax.random.split(key, 3)
+        num_nodes, num_params = self.iterations + 1, self.motions.num_params
+        num_points = 2 * num_params + 1
+        nobody = jnp.full((2 * num_nodes, num_points), UNVISITED, jnp.int32)
+        memory = Stencils(
+            paths=jax.vmap(self.motions.sample)(jax.random.split(key_paths, self.num_rollout_paths)),
+            params=jnp.zeros((num_nodes, num_params), dtype),
+            centre=jnp.zeros((2 * num_nodes, num_params), dtype),
+            radius=jnp.broadcast_to(self.initial_radius, (2 * num_nodes,)),
+            member=nobody,
+            finer=nobody,
+        )
+        shape = (self.iterations, self.depth - 1)
+        draws = {
+            "rollout": jax.random.randint(key_rollout, shape, 0, self.num_rollout_paths),
+            "order": jax.random.uniform(key_order, (self.iterations, num_points), dtype),
+        }
+        return memory, draws
+
+    def rollout(self, memory: Stencils, draws: dict[str, Array]) -> Float[Array, "H S 3"]:
+        """See `TreeSearch`."""
+        if self.heuristic == "zero":
+            return memory.paths[:0]
+        return memory.paths[draws["rollout"]]
+
+    def select(self, tree: Tree, memory: Stencils, node: Int[Array, ""]) -> Int[Array, ""]:
+        """See `TreeSearch`."""
+        walk = self._walk(tree, memory, node)
+        return jnp.where(walk.has_unvisited | walk.may_refine, UNVISITED, walk.best_ucb)
+
+    def propose(
+        self, tree: Tree, memory: Stencils, node: Int[Array, ""], draws: dict[str, Array]
+    ) -> Proposal:
+        """See `TreeSearch`."""
+        walk = self._walk(tree, memory, node)
+        centre, radius, member = self._finer(memory, walk.stencil, walk.point)
+        centre = jnp.where(walk.may_refine, centre, memory.centre[walk.stencil])
+        radius = jnp.where(walk.may_refine, radius, memory.radius[walk.stencil])
+        member = jnp.where(walk.may_refine, member, memory.member[walk.stencil])
+        points = _points(centre, radius)
+        is_new = _is_inside(points) & (member == UNVISITED)
+        point = jnp.argmax(jnp.where(is_new, draws["order"], -1.0)).astype(jnp.int32)
+        note = StencilNote(
+            params=points[point],
+            stencil=walk.stencil,
+            point=point,
+            refined=walk.point,
+            is_refinement=walk.may_refine,
+            centre=centre,
+            radius=radius,
+            member=member,
+        )
+        return Proposal(path=self.motions.path(points[point]), slot=tree.num_children(node), note=note)
+
+    def learn(
+        self, memory: Stencils, child: Int[Array, ""], proposal: Proposal, is_new: Bool[Array, ""]
+    ) -> Stencils:
+        """See `TreeSearch`."""
+        note: StencilNote = proposal.note
+        added = memory.params.shape[0] + child
+        nowhere = memory.radius.shape[0]
+        into_old = jnp.where(is_new & ~note.is_refinement, note.stencil, nowhere)
+        parent = jnp.where(is_new & note.is_refinement, note.stencil, nowhere)
+        return Stencils(
+            paths=memory.paths,
+            params=memory.params.at[child].set(note.params),
+            centre=memory.centre.at[added].set(note.centre),
+            radius=memory.radius.at[added].set(note.radius),
+            member=memory.member.at[added]
+            .set(note.member.at[note.point].set(child))
+            .at[into_old, note.point]
+            .set(child, mode="drop"),
+            finer=memory.finer.at[parent, note.refined].set(added, mode="drop"),
+        )
+
+    def recommend(self, tree: Tree, memory: Stencils) -> Int[Array, ""]:
+        """See `TreeSearch`: the toolkit's "robust" choice."""
+        return self._walk(tree, memory, jnp.asarray(ROOT, jnp.int32)).most_visited
+
+    def path_of(self, memory: Stencils, child: Int[Array, ""]) -> Path:
+        """See `TreeSearch`."""
+        return self.motions.path(memory.params[child])
+
+    def _walk(self, tree: Tree, memory: Stencils, node: Int[Array, ""]) -> Walk:
+        dtype = tree.reward.dtype
+        visits_of_node = jnp.maximum(tree.visits[node], 1).astype(dtype)
+        stencil, point = node, jnp.asarray(CENTRE, jnp.int32)
+        is_walking = jnp.asarray(True)
+        has_unvisited, may_refine = jnp.asarray(False), jnp.asarray(False)
+        best_ucb, best_ucb_child = jnp.asarray(-jnp.inf, dtype), jnp.asarray(UNVISITED, jnp.int32)
+        most_visits, most_visited = jnp.asarray(-1, jnp.int32), jnp.asarray(UNVISITED, jnp.int32)
+        fewest_visits = jnp.asarray(jnp.inf, dtype)
+        for level in range(self.max_levels):
+            is_inside = _is_inside(memory.points(stencil))
+            member = jnp.where(is_inside, memory.member[stencil], UNVISITED)
+            visits = jnp.where(member == UNVISITED, 0, tree.visits[member])
+            mean = tree.mean_return(member)
+            # A stencil with unvisited points is where the walk ends.
+            unvisited = is_walking & jnp.any(is_inside & (member == UNVISITED))
+
+            bound = mean + self.exploration * jnp.sqrt(
+                jnp.log(visits_of_node) / jnp.maximum(visits, 1).astype(dtype)
+            )
+            highest = jnp.argmax(bound)
+            is_higher = is_walking & (bound[highest] > best_ucb)
+            best_ucb = jnp.where(is_higher, bound[highest], best_ucb)
+            best_ucb_child = jnp.where(is_higher, member[highest], best_ucb_child)
+            best = jnp.argmax(mean).astype(jnp.int32)
+            is_most = is_walking & (member[best] != UNVISITED) & (visits[best] > most_visits)
+            most_visits = jnp.where(is_most, visits[best], most_visits)
+            most_visited = jnp.where(is_most, member[best], most_visited)
+            fewest_visits = jnp.where(
+                is_walking, jnp.minimum(fewest_visits, visits[best].astype(dtype)), fewest_visits
+            )
+
+            goes_on = is_walking & ~unvisited & (memory.finer[stencil, best] != UNVISITED)
+            is_leaf = is_walking & ~unvisited & ~goes_on
+            refines = (
+                is_leaf
+                & (fewest_visits >= self.min_visits)
+                & ((level + 1) * jnp.log(self.growth) < jnp.log(visits_of_node))
+                & (memory.radius[stencil] > self.min_radius)
+            )
+            if level + 1 == self.max_levels:
+                refines = jnp.zeros_like(refines)
+            has_unvisited, may_refine = has_unvisited | unvisited, may_refine | refines
+            point = jnp.where(is_walking, best, point)
+            stencil = jnp.where(goes_on, memory.finer[stencil, best], stencil)
+            is_walking = goes_on
+        return Walk(stencil, point, has_unvisited, may_refine, best_ucb_child, most_visited)
+
+    def _finer(
+        self, memory: Stencils, stencil: Int[Array, ""], point: Int[Array, ""]
+    ) -> tuple[Float[Array, "D"], Float[Array, ""], Int[Array, "P"]]:
+        """Centre, radius and known members of the stencil that refines a point."""
+        radius, member = memory.radius[stencil], memory.member[stencil]
+        centre = memory.points(stencil)[point]
+        index = jnp.arange(member.shape[0], dtype=jnp.int32)
+        # Points 1, 2 step up and down the first dimension, 3, 4 the second: the way back is the other one.
+        back = jnp.where(point % 2 == 1, point + 1, point - 1)
+        known = jnp.where(index == CENTRE, member[point], UNVISITED)
+        moved = jnp.where(index == back, member[CENTRE], known)
+        has_new = jnp.any(_is_inside(_points(centre, radius)) & (moved == UNVISITED))
+        is_move = (point != CENTRE) & has_new
+        return centre, jnp.where(is_move, radius, 0.5 * radius), jnp.where(is_move, moved, known)
+
+
+def _points(centre: Float[Array, "D"], radius: Float[Array, ""]) -> Float[Array, "P D"]:
+    eye = jnp.eye(centre.shape[0], dtype=centre.dtype)
+    steps = jnp.stack([eye, -eye], axis=1).reshape(-1, centre.shape[0])
+    return centre[None, :] + radius * jnp.concatenate([jnp.zeros_like(steps[:1]), steps])
+
+
+def _is_inside(points: Float[Array, "P D"]) -> Bool[Array, "P"]:
+    return jnp.max(jnp.abs(points), axis=-1) <= 1.0 + 1e-9
