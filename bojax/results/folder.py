@@ -108,7 +108,11 @@ def is_unfinished(folder: Path) -> bool:
 
 def check_plan(folder: Path, old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
     """Raise a `ResultsError` that names the first differences of two plans, if there are any."""
-    changes = list(_changes(old, new))
+    # A change of the base config is one of every point too: say it once.
+    found: dict[str, str] = {}
+    for line in _changes(old, new):
+        found.setdefault(line.rpartition("config.")[2], line)
+    changes = list(found.values())
     if changes:
         more = f" and {len(changes) - 3} more" if len(changes) > 3 else ""
         listed = ", ".join(changes[:3]) + more

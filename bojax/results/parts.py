@@ -29,18 +29,18 @@ class ChunkState:
     Attributes:
         parts: Number of committed parts; later files belong to a run that was cut off.
         advances: Advances made up to the checkpoint.
+        remaining: Lanes that are not done there.
         checkpoint: Name of the checkpoint to go on from; None before the first and after the last one.
         is_done: Whether all rows of the chunk are in its parts.
         segments: `[lanes, active steps, seconds]` of each segment.
-        error: Why the chunk failed, if it did.
     """
 
     parts: int = 0
     advances: int = 0
+    remaining: int = 0
     checkpoint: str | None = None
     is_done: bool = False
     segments: list[list[float]] = field(default_factory=list)
-    error: str | None = None
 
 
 class ChunkFolder:
@@ -64,7 +64,6 @@ class ChunkFolder:
                 self.state = ChunkState(**read_json(self._state_file))
             except TypeError as error:
                 raise ResultsError(f"{self._state_file}: not a chunk's state ({error})") from error
-        self.state.error = None
         for path in self.path.glob("part-*.parquet"):
             if self._number(path) >= self.state.parts:
                 path.unlink()

@@ -1,0 +1,170 @@
+"""A static group compiled: `shard_map` over devices of `vmap` over lanes, ahead of time.
+
+A lane is one run of one point. Each device loops over its own lanes and talks to no other device.
+"""
+
+import time
+from collections import Counter
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jaxtyping import Array, Bool, Int, Key, PyTree
+
+from bojax.engine.devices import DEVICES
+from bojax.engine.groups import StaticGroup
+from bojax.engine.protocol import VALID, check_advance, check_init, check_records, check_summary
+from bojax.experiments.base import Carry
+from bojax.numerics.lanes import LANES
+
+compile_counts: Counter[str] = Counter()
+"""Number of XLA compilations of the engine in this process, by program."""
+
+
+class Lanes(NamedTuple):
+    """The inputs of a chunk's lanes, on the devices.
+
+    Attributes:
+        runs: Index of each lane's run, from which its key is derived.
+        is_real: False for the lanes that only fill up the chunk.
+        swept: The leaves in which points differ.
+    """
+
+    runs: Int[Array, " lanes"]
+    is_real: Bool[Array, " lanes"]
+    swept: PyTree
+
+
+class Status(NamedTuple):
+    """What the host wants to know of an advance, summed over the real lanes of each device."""
+
+    remaining: Int[Array, " devices"]
+    active_steps: Int[Array, " devices"]
+
+
+class Compiled:
+    """The programs of one static group at a fixed number of lanes.
+
+    Attributes:
+        num_lanes: Lanes of a chunk, on all devices together.
+        max_advances: Advances after which every lane is done.
+        compile_seconds: Seconds spent on tracing and compiling.
+    """
+
+    def __init__(self, group: StaticGroup, mesh: Mesh, lanes_per_device: int, seed: int, *, snapshots: bool):
+        start = time.perf_counter()
+        self.num_lanes = lanes_per_device * mesh.size
+        self._group = group
+        self._by_lane = NamedSharding(mesh, PartitionSpec(DEVICES))
+        everywhere = NamedSharding(mesh, PartitionSpec())
+        self._key = jax.device_put(jax.random.key(seed), everywhere)
+        self._shared = jax.device_put(group.shared, everywhere)
+        one_point = np.zeros(self.num_lanes, dtype=np.int32)
+        lanes = self.place(one_point, one_point, np.ones(self.num_lanes, dtype=bool))
+
+        by_lane, same = PartitionSpec(DEVICES), PartitionSpec()
+        compiled = partial(_compile, mesh=mesh)
+        init = partial(_init, group)
+        carry = jax.eval_shape(init, self._key, lanes, self._shared)
+        self.carry_structure = jax.tree.map(
+            lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=self._by_lane), carry
+        )
+        self._init = compiled(init, (same, by_lane, same), self._key, lanes, self._shared)
+        inputs = (self.carry_structure, lanes, self._shared)
+        specs = (by_lane, by_lane, same)
+        self._advance = compiled(partial(_advance, group), specs, *inputs, donate=True)
+        self._summary = compiled(partial(_summary, group), specs, *inputs)
+        snapshot = partial(_snapshot, group)
+        has_snapshot = snapshots and bool(jax.tree.leaves(jax.eval_shape(snapshot, *inputs)))
+        self._snapshot = compiled(snapshot, specs, *inputs) if has_snapshot else None
+
+        self.max_advances = group.experiment(lanes.swept, self._shared).max_advances
+        self.compile_seconds = time.perf_counter() - start
+
+    def place(self, positions: np.ndarray, runs: np.ndarray, is_real: np.ndarray) -> Lanes:
+        """Put the inputs of `num_lanes` lanes on the devices; `positions` are those of their points."""
+        lanes = (runs.astype(np.int32), is_real, self._group.swept_at(positions))
+        return Lanes(*jax.device_put(lanes, self._by_lane))
+
+    def init(self, lanes: Lanes) -> Carry:
+        """The carry of every lane before its first advance."""
+        return self._init(self._key, lanes, self._shared)
+
+    def advance(self, carry: Carry, lanes: Lanes) -> tuple[Carry, dict[str, dict[str, Array]], Status]:
+        """One advance of every lane; the carry that goes in is consumed."""
+        return self._advance(carry, lanes, self._shared)
+
+    def summary(self, carry: Carry, lanes: Lanes) -> dict[str, Array]:
+        """The scalars of every lane."""
+        return self._summary(carry, lanes, self._shared)
+
+    def snapshot(self, carry: Carry, lanes: Lanes) -> dict[str, dict[str, Array]]:
+        """The named arrays of every lane; empty where the experiment has none or none are kept."""
+        return {} if self._snapshot is None else self._snapshot(carry, lanes, self._shared)
+
+
+def run_key(key: Key[Array, ""], run: Int[Array, ""]) -> Key[Array, ""]:
+    """The key of a run: the same for every point of a sweep, so that comparisons are paired by run."""
+    return jax.random.fold_in(key, run)
+
+
+def _init(group: StaticGroup, key: Key[Array, ""], lanes: Lanes, shared: PyTree) -> Carry:
+    def one(run, swept):
+        experiment = group.experiment(swept, shared)
+        carry = experiment.init(run_key(key, run))
+        check_init(experiment, carry)
+        return carry
+
+    return jax.vmap(one, axis_name=LANES)(lanes.runs, lanes.swept)
+
+
+def _advance(group: StaticGroup, carry: Carry, lanes: Lanes, shared: PyTree):
+    def one(carry, is_real, swept):
+        experiment = group.experiment(swept, shared)
+        after, records = experiment.advance(carry)
+        check_advance(experiment, carry, after)
+        check_records(experiment, records.tables)
+        tables = {
+            name: {**columns, VALID: columns[VALID] & is_real} for name, columns in records.tables.items()
+        }
+        return after, tables, experiment.is_done(after), records.active_steps
+
+    carry, tables, is_done, active_steps = jax.vmap(one, axis_name=LANES)(carry, lanes.is_real, lanes.swept)
+    status = Status(
+        remaining=jnp.sum(~is_done & lanes.is_real, keepdims=True),
+        active_steps=jnp.sum(jnp.where(lanes.is_real, active_steps, 0), keepdims=True),
+    )
+    return carry, tables, status
+
+
+def _summary(group: StaticGroup, carry: Carry, lanes: Lanes, shared: PyTree) -> dict[str, Array]:
+    def one(carry, swept):
+        experiment = group.experiment(swept, shared)
+        summary = experiment.summary(carry)
+        check_summary(experiment, summary)
+        return summary
+
+    return jax.vmap(one, axis_name=LANES)(carry, lanes.swept)
+
+
+def _snapshot(group: StaticGroup, carry: Carry, lanes: Lanes, shared: PyTree) -> dict[str, dict[str, Array]]:
+    def one(carry, swept):
+        return group.experiment(swept, shared).snapshot(carry)
+
+    return jax.vmap(one, axis_name=LANES)(carry, lanes.swept)
+
+
+def _compile(function: Callable, in_specs: tuple, *inputs: Any, mesh: Mesh, donate: bool = False) -> Callable:
+    """Compile for inputs of exactly these shapes and shardings: any other input raises when called."""
+    # A replicated constant and a lane's value may meet in an experiment's loop carry: no need to tell
+    # them apart, since nothing is communicated.
+    sharded = jax.shard_map(
+        function, mesh=mesh, in_specs=in_specs, out_specs=PartitionSpec(DEVICES), check_vma=False
+    )
+    program = jax.jit(sharded, donate_argnums=0 if donate else ()).lower(*inputs).compile()
+    compile_counts[function.func.__name__.lstrip("_")] += 1  # type: ignore[attr-defined]
+    return program

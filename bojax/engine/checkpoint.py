@@ -1,0 +1,95 @@
+"""Checkpoints of a carry: Orbax's v1 API, typed keys as their data, restored to a target and shardings."""
+
+import contextlib
+import logging
+from collections.abc import Iterator
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, PyTree
+
+from bojax.engine.errors import one_line
+from bojax.experiments.base import Carry
+from bojax.results.store import ResultsError
+
+
+def save(path: Path, carry: Carry) -> None:
+    """Write a checkpoint; Orbax renames it into place when it is whole.
+
+    Raises:
+        ResultsError: it could not be written.
+    """
+    ocp = _orbax()
+    leaves = {_name(i): _plain(leaf) for i, leaf in enumerate(jax.tree.leaves(carry))}
+    try:
+        with _quiet():
+            ocp.save(str(path.resolve()), leaves, overwrite=True)
+    except Exception as error:
+        if "No space left" in str(error) or getattr(error, "errno", None) == 28:
+            raise ResultsError(
+                f"{path}: the disk is full: free some space, then run again with --resume", exit_code=1
+            ) from error
+        raise ResultsError(f"{path}: the checkpoint cannot be written ({one_line(error)})", 1) from error
+
+
+def restore(path: Path, structure: PyTree[jax.ShapeDtypeStruct]) -> Carry:
+    """Read a checkpoint into the given structure, each leaf with its sharding.
+
+    Raises:
+        ResultsError: it is missing, truncated, or of another structure.
+    """
+    ocp = _orbax()
+    target, treedef = jax.tree.flatten(structure)
+    plain = {_name(i): jax.eval_shape(_plain, leaf) for i, leaf in enumerate(target)}
+    plain = {
+        name: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=target[i].sharding)
+        for i, (name, leaf) in enumerate(plain.items())
+    }
+    try:
+        with _quiet():
+            leaves = ocp.load(str(path.resolve()), plain)
+    except Exception as error:
+        raise ResultsError(
+            f"{path}: the checkpoint cannot be read ({one_line(error)}): delete the folder {path.parent} "
+            "and resume to compute this chunk again"
+        ) from error
+    restored = [_typed(leaves[_name(i)], leaf) for i, leaf in enumerate(target)]
+    return jax.tree.unflatten(treedef, restored)
+
+
+def _plain(leaf: Array) -> Array:
+    return jax.random.key_data(leaf) if _is_key(leaf) else leaf
+
+
+def _typed(leaf: Array, target: jax.ShapeDtypeStruct) -> Array:
+    if not _is_key(target):
+        return leaf
+    return jax.random.wrap_key_data(leaf, impl=jax.random.key_impl(jax.numpy.empty(0, target.dtype)))
+
+
+def _is_key(leaf) -> bool:
+    return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+
+
+def _name(index: int) -> str:
+    return f"leaf-{index:04d}"
+
+
+def _orbax():
+    # Orbax takes most of a second to import: sweeps that end before their first checkpoint need none.
+    from orbax.checkpoint import v1
+
+    return v1
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep Orbax's own log out of the terminal."""
+    logger = logging.getLogger("absl")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)

@@ -1,0 +1,79 @@
+"""Static groups: the points of a sweep that one compiled program can run."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import PyTree
+
+from bojax.experiments.base import Experiment
+
+
+@dataclass(frozen=True)
+class StaticGroup:
+    """Points whose modules have equal tree structure, shapes and dtypes.
+
+    Attributes:
+        index: Position among the groups of the sweep.
+        points: Indices of its points in the sweep.
+        swept: The leaves that differ between points, `[num_points, ...]`; None elsewhere.
+        shared: The array leaves that all points have in common; None elsewhere.
+        static: Everything that is no array.
+    """
+
+    index: int
+    points: tuple[int, ...]
+    swept: PyTree
+    shared: PyTree
+    static: PyTree
+
+    def swept_at(self, positions: np.ndarray) -> PyTree:
+        """The swept leaves of lanes whose points have these positions in the group."""
+        return jax.tree.map(lambda leaf: leaf[positions], self.swept)
+
+    def experiment(self, swept: PyTree, shared: PyTree) -> Experiment:
+        """The module of one lane."""
+        return eqx.combine(swept, shared, self.static)
+
+
+def static_groups(modules: Sequence[Experiment]) -> list[StaticGroup]:
+    """Group the modules of a sweep's points, in the order of their first points."""
+    members: dict[Any, list[int]] = {}
+    for index, module in enumerate(modules):
+        members.setdefault(_signature(module), []).append(index)
+    return [
+        _group(index, points, [modules[point] for point in points])
+        for index, points in enumerate(members.values())
+    ]
+
+
+def _group(index: int, points: list[int], modules: list[Experiment]) -> StaticGroup:
+    split = [eqx.partition(module, eqx.is_array) for module in modules]
+    leaves = [jax.tree.leaves(arrays) for arrays, _ in split]
+    columns = [[np.asarray(leaf) for leaf in column] for column in zip(*leaves, strict=True)]
+    differs = [any(not _equal(column[0], other) for other in column[1:]) for column in columns]
+    structure = jax.tree.structure(split[0][0])
+    swept = [np.stack(column) if swept else None for column, swept in zip(columns, differs, strict=True)]
+    shared = [None if swept else column[0] for column, swept in zip(columns, differs, strict=True)]
+    return StaticGroup(
+        index=index,
+        points=tuple(points),
+        swept=jax.tree.unflatten(structure, swept),
+        shared=jax.tree.unflatten(structure, shared),
+        static=split[0][1],
+    )
+
+
+def _signature(module: Experiment) -> Any:
+    leaves, structure = jax.tree.flatten(module)
+    kinds = tuple(
+        (leaf.shape, str(leaf.dtype)) if eqx.is_array(leaf) else ("static", leaf) for leaf in leaves
+    )
+    return structure, kinds
+
+
+def _equal(a: np.ndarray, b: np.ndarray) -> bool:
+    return a.tobytes() == b.tobytes()

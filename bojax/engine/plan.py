@@ -1,0 +1,62 @@
+"""What the numbers of a sweep depend on, as plain values: a resumed sweep must have the same plan."""
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from bojax.engine.groups import StaticGroup
+from bojax.engine.provenance import code_hashes, versions
+from bojax.experiments.base import Experiment
+
+if TYPE_CHECKING:
+    from bojax.config.sweep import Sweep
+
+
+def make_plan(
+    sweep: "Sweep",
+    modules: Sequence[Experiment],
+    device: Mapping[str, Any],
+    groups: Sequence[StaticGroup],
+    lanes_per_device: Sequence[int],
+) -> dict[str, Any]:
+    """Runs, seed, resolved configs, device, lanes, versions and code.
+
+    How long segments are and what is reported of the results is left out: that may change on resume.
+    """
+    used = versions()
+    return plain(
+        {
+            "runs": sweep.runs,
+            "seed": sweep.seed,
+            "record": {"runs": sweep.record.runs},
+            "config": sweep.base,
+            "points": [
+                {
+                    "label": point.label,
+                    "variant": point.variant,
+                    "swept": point.swept,
+                    "config": point.config.model_dump(mode="json"),
+                }
+                for point in sweep.points
+            ],
+            "device": {key: device[key] for key in ("platform", "kind", "count")},
+            "lanes_per_device": {
+                str(group.index): lanes for group, lanes in zip(groups, lanes_per_device, strict=True)
+            },
+            "versions": {name: used[name] for name in ("jax", "jaxlib", "bojax") if name in used},
+            "code": {name: value[:16] for name, value in code_hashes(modules).items()},
+        }
+    )
+
+
+def plain(value: Any) -> Any:
+    """A copy that is nothing but what JSON knows."""
+    return json.loads(json.dumps(value, default=_plain))
+
+
+def _plain(value: Any) -> Any:
+    if hasattr(value, "model_dump"):
+        return value.model_dump(mode="json")
+    if isinstance(value, Mapping):
+        return dict(value)
+    return str(value)

@@ -1,0 +1,92 @@
+"""Where results come from: versions, revision, devices, and a hash of the code that made them."""
+
+import hashlib
+import importlib.metadata
+import subprocess
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+
+import bojax
+from bojax.engine.devices import Device
+
+PACKAGE = Path(bojax.__file__).parent
+PACKAGES = ("bojax", "jax", "jaxlib", "equinox", "optax", "orbax-checkpoint", "numpy", "pyarrow")
+WITHOUT_RESULTS = ("cli", "report")
+"""Parts of the package that no number depends on: they may change while a sweep is paused."""
+
+
+def code_hashes(modules: Iterable[Any]) -> dict[str, str]:
+    """Hash of the package's sources, and of each file outside it that defines a class of the modules."""
+    package = hashlib.sha256()
+    for path in sorted(PACKAGE.rglob("*.py")):
+        relative = path.relative_to(PACKAGE)
+        if relative.parts[0] not in WITHOUT_RESULTS:
+            package.update(str(relative).encode() + b"\0" + path.read_bytes())
+    hashes = {"bojax": package.hexdigest()}
+    for kind in sorted({kind for module in modules for kind in _classes(module)}, key=lambda k: k.__module__):
+        source = getattr(sys.modules.get(kind.__module__), "__file__", None)
+        if source is not None and not kind.__module__.startswith("bojax."):
+            hashes[kind.__module__] = hashlib.sha256(Path(source).read_bytes()).hexdigest()
+    return hashes
+
+
+def versions() -> dict[str, str]:
+    """Python's version and those of the packages that numbers depend on."""
+    found = {"python": sys.version.split()[0]}
+    for package in PACKAGES:
+        try:
+            found[package] = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def git_revision() -> dict[str, Any] | None:
+    """Revision of the repository that the package is in, and whether it has changes; None outside one."""
+    status = _git("status", "--porcelain", "--", ".")
+    revision = _git("rev-parse", "HEAD")
+    if revision is None or status is None or _git("ls-files", "--error-unmatch", "bojax/__init__.py") is None:
+        return None
+    return {"revision": revision, "has_changes": bool(status)}
+
+
+def device_description(devices: list[Device]) -> dict[str, Any]:
+    """Platform, kind, number and driver of the devices."""
+    first = devices[0]
+    driver = Path("/proc/driver/nvidia/version")
+    return {
+        "platform": first.platform,
+        "kind": first.device_kind,
+        "count": len(devices),
+        "runtime": " ".join(first.client.platform_version.split()),
+        "driver": driver.read_text().splitlines()[0] if first.platform == "gpu" and driver.exists() else None,
+    }
+
+
+def _git(*arguments: str) -> str | None:
+    try:
+        result = subprocess.run(
+            ["git", *arguments], cwd=PACKAGE.parent, capture_output=True, text=True, timeout=10, check=True
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return result.stdout.strip()
+
+
+def _classes(module: Any) -> set[type]:
+    """Classes of all nodes of a tree of Equinox modules."""
+    found: set[type] = set()
+
+    def visit(node: Any) -> bool:
+        if isinstance(node, eqx.Module):
+            found.update(kind for kind in type(node).__mro__ if issubclass(kind, eqx.Module))
+        return False
+
+    jax.tree.leaves(module, is_leaf=visit)
+    found.discard(eqx.Module)
+    return found

@@ -1,0 +1,127 @@
+"""Segments: advances grouped by wall time, issued ahead of the device so that it never waits for the host."""
+
+import time
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+
+from bojax.engine.batch import Compiled, Lanes, Status
+from bojax.engine.protocol import VALID
+from bojax.engine.signals import StopRequest
+from bojax.experiments.base import Carry
+from bojax.results.schema import Table
+
+LOOKAHEAD_SECONDS = 0.02
+"""Work kept in the device's queue: much longer than a round trip of the host. Advances longer than this
+are not issued before the last one has ended, since one too many, after all lanes are done, would show."""
+
+MAX_LOOKAHEAD = 16
+MAX_ADVANCES = 512
+"""Most advances of a segment: their records stay on the device until it ends."""
+
+Rows = dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Segment:
+    """What a segment did.
+
+    Attributes:
+        carry: The carry after it.
+        records: The tables of each advance, on the device.
+        advances: Number of advances.
+        remaining: Real lanes that are not done.
+        active_steps: Environment steps that the lanes made.
+        lane_advances: Number of (lane, advance) pairs in which the lane was not done yet.
+        seconds: Wall time of the advances alone.
+    """
+
+    carry: Carry
+    records: list[Any]
+    advances: int
+    remaining: int
+    active_steps: int
+    lane_advances: int
+    seconds: float
+
+
+def run_segment(
+    program: Compiled,
+    carry: Carry,
+    lanes: Lanes,
+    remaining: int,
+    seconds: float,
+    max_advances: int,
+    stop: StopRequest,
+) -> Segment:
+    """Advance all lanes until they are done, the time is up, or a stop is asked for.
+
+    Args:
+        program: The compiled group.
+        carry: The carry to start from; it is consumed.
+        lanes: Inputs of the lanes.
+        remaining: Real lanes that are not done at the start.
+        seconds: Wall time after which no further advance is issued.
+        max_advances: Most advances to make.
+        stop: Asked after each advance.
+    """
+    start = time.perf_counter()
+    records: list[Any] = []
+    statuses: list[Status] = []
+    waiting: deque[Status] = deque()
+    lookahead, finished, last_remaining = 0, 0, remaining
+    while len(records) < min(max_advances, MAX_ADVANCES):
+        carry, tables, status = program.advance(carry, lanes)
+        records.append(tables)
+        statuses.append(status)
+        waiting.append(status)
+        if len(waiting) <= lookahead:
+            continue
+        last_remaining = int(np.asarray(waiting.popleft().remaining).sum())
+        finished += 1
+        elapsed = time.perf_counter() - start
+        lookahead = min(MAX_LOOKAHEAD, int(LOOKAHEAD_SECONDS * finished / elapsed))
+        if last_remaining == 0 or elapsed > seconds or stop:
+            break
+    jax.block_until_ready(carry)
+    elapsed = time.perf_counter() - start
+    fetched = jax.device_get(statuses)
+    left = [int(status.remaining.sum()) for status in fetched]
+    return Segment(
+        carry=carry,
+        records=records,
+        advances=len(records),
+        remaining=left[-1],
+        active_steps=sum(int(status.active_steps.sum()) for status in fetched),
+        lane_advances=remaining + sum(left[:-1]),
+        seconds=elapsed,
+    )
+
+
+def fetch_rows(
+    records: Sequence[Any], tables: Mapping[str, Table], points: np.ndarray, runs: np.ndarray
+) -> dict[str, Rows]:
+    """The valid rows of a segment's records, `{table: {column: [rows]}}`, with their points and runs.
+
+    Args:
+        records: The tables of each advance, columns `[lanes, rows]`.
+        tables: Schemas of the tables.
+        points: Point of each real lane; the lanes after them have no valid rows.
+        runs: Run of each real lane.
+    """
+    fetched = jax.device_get(records)
+    rows: dict[str, Rows] = {}
+    for name in fetched[0] if fetched else ():
+        found = [np.nonzero(advance[name][VALID]) for advance in fetched]
+        lanes = np.concatenate([lane for lane, _ in found])
+        rows[name] = {"point": points[lanes], "run": runs[lanes]} | {
+            column.name: np.concatenate(
+                [advance[name][column.name][where] for advance, where in zip(fetched, found, strict=True)]
+            )
+            for column in tables[name]
+        }
+    return rows
