@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Literal, get_args, get_origin
 import pydantic
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
-registry: dict[str, dict[str, type["Component"]]] = {}
+registry: dict[str, dict[str, type["Registered"]]] = {}
 """Every schema class, by role and kind."""
 
 IMPORT_PATH = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*")
@@ -25,9 +25,10 @@ class Schema(pydantic.BaseModel, frozen=True):
         """Refuse unknown keys by naming the known ones; merge what stands in a slot over its default."""
         if not isinstance(data, Mapping):
             return data
-        unknown = [name for name in data if name not in cls.model_fields]
+        names = [field.alias or name for name, field in cls.model_fields.items()]
+        unknown = [name for name in data if name not in names]
         if unknown:
-            names = [name for name in cls.model_fields if name != "kind"]
+            names = [name for name in names if name != "kind"]
             raise pydantic.ValidationError.from_exception_data(
                 cls.__name__,
                 [
@@ -42,32 +43,26 @@ class Schema(pydantic.BaseModel, frozen=True):
         data = dict(data)
         for name, _ in slots(cls):
             default = cls.model_fields[name].default
-            if name in data and isinstance(default, Component):
+            if name in data and isinstance(default, Registered):
                 data[name] = merged(default.model_dump(), data[name])
         return data
 
 
-class Component(Schema, frozen=True):
-    """Settings of one part: what its constructor takes, as plain numbers.
-
-    A final class gives `role` and `target`, and `kind` as a `Literal` with that default; that registers it.
+class Registered(Schema, frozen=True):
+    """A mapping with a `kind`, which a final class pins as a `Literal` default; that registers the class.
 
     Attributes:
         role: The slot that it fits: "problem", "planner", "motions", ...
-        target: The class that is built from it, `package.module:Class`.
         kind: Its identifier.
     """
 
     role: ClassVar[str] = ""
-    target: ClassVar[str] = ""
-    constructor_defaults: ClassVar[frozenset[str]] = frozenset()
-    """Fields that are left to the constructor unless they were set."""
 
     kind: str
 
     @classmethod
     def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
-        """Register a final class: one that pins its kind."""
+        """Register a final class."""
         super().__pydantic_init_subclass__(**kwargs)
         annotation = cls.__annotations__.get("kind")
         if get_origin(annotation) is not Literal:
@@ -79,6 +74,18 @@ class Component(Schema, frozen=True):
                 f"{cls.role} {kind!r} is registered twice: {kinds[kind].__name__}, {cls.__name__}"
             )
         kinds[kind] = cls
+
+
+class Component(Registered, frozen=True):
+    """Settings of one part, as plain numbers: what the constructor of its target takes.
+
+    Attributes:
+        target: The class that is built from it, `package.module:Class`.
+        constructor_defaults: Fields that are left to the constructor unless they were set.
+    """
+
+    target: ClassVar[str] = ""
+    constructor_defaults: ClassVar[frozenset[str]] = frozenset()
 
     @property
     def label(self) -> str:
@@ -120,9 +127,9 @@ class Slot:
             ),
         )
 
-    def validate(self, value: Any) -> Component:
+    def validate(self, value: Any) -> Registered:
         """The component that `value` describes."""
-        if isinstance(value, Component):
+        if isinstance(value, Registered):
             role = value.slot if isinstance(value, External) else value.role
             if role != self.role:
                 raise PydanticCustomError(

@@ -1,0 +1,166 @@
+"""The axes of a sweep: what is swept, and the points that a grid or a zip of them makes."""
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from bojax.config.component import merged, registry
+from bojax.config.errors import ConfigError, shown
+from bojax.config.overrides import Override, assign
+from bojax.config.places import look_up
+from bojax.config.settings import RESERVED
+
+Path = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One value on an axis.
+
+    Attributes:
+        axis: Dotted path of the axis.
+        name: Its name, on an axis of named subtrees.
+        value: What stands at the path, or is laid over what stands there.
+    """
+
+    axis: Path
+    name: str | None
+    value: Any
+
+    def apply(self, experiment: Mapping[str, Any]) -> dict[str, Any]:
+        """The experiment with this choice made."""
+        place = look_up(experiment, self.axis)
+        value = self.value
+        if self.name is not None and isinstance(value, Mapping):
+            kinds = registry.get(place.role, {}) if place and place.role else {}
+            if "kind" not in value and self.name in kinds:
+                value = {"kind": self.name, **value}
+            below = _get(experiment, self.axis)
+            if place and place.kind and not isinstance(below, str):
+                below = {"kind": place.kind} | (below or {})
+            value = merged(below, value) if below is not None else value
+        return assign(experiment, self.axis, value)
+
+    def sets(self, path: Path) -> bool:
+        """Whether this choice itself fixes the setting at `path`, or something below it."""
+        below, value = path[len(self.axis) :], self.value
+        for name in below:
+            if not isinstance(value, Mapping) or name not in value:
+                return name == "kind" and isinstance(value, str)
+            value = value[name]
+        return True
+
+
+Combination = tuple[Choice, ...]
+
+
+def read_axes(axes: Mapping[str, Any], combine: str, source: str) -> list[Combination]:
+    """The combinations of choices, in the order of the file; one empty combination without axes.
+
+    Raises:
+        ConfigError: An axis is empty, holds a value twice, or has another length than its partner in a zip.
+    """
+    columns = [_read_axis(name, values, f"{source}: axes.{name}") for name, values in axes.items()]
+    _refuse_overlap([column[0].axis for column in columns], source)
+    if combine == "zip":
+        lengths = {name: len(column) for name, column in zip(axes, columns, strict=True)}
+        if len(set(lengths.values())) > 1:
+            listed = ", ".join(f"{name} has {length}" for name, length in lengths.items())
+            raise ConfigError(
+                f"{source}: axes: got axes of different lengths ({listed}); a zip needs equal ones"
+            )
+        return list(zip(*columns, strict=True)) if columns else [()]
+    return list(itertools.product(*columns))
+
+
+def expand(
+    experiment: Mapping[str, Any], combinations: Sequence[Combination], overrides: Sequence[Override]
+) -> list[dict[str, Any]]:
+    """The raw experiment of every point.
+
+    `overrides` are those that lie below an axis: each goes to every point that has such a setting.
+    """
+    points = []
+    for combination in combinations:
+        raw = dict(experiment)
+        for choice in combination:
+            raw = choice.apply(raw)
+        points.append(raw)
+    for override in overrides:
+        fits = [look_up(raw, override.path) is not None for raw in points]
+        # Where no point has it, validation says so, with the nearest name.
+        points = [
+            assign(raw, override.path, override.value) if fit or not any(fits) else raw
+            for raw, fit in zip(points, fits, strict=True)
+        ]
+    return points
+
+
+def split_overrides(
+    overrides: Sequence[Override], combinations: Sequence[Combination], source: str
+) -> tuple[list[Override], list[Override]]:
+    """The overrides of the base, and those that lie below an axis.
+
+    Raises:
+        ConfigError: An override sets what the sweep sets.
+    """
+    base, below = [], []
+    for override in overrides:
+        axes = {choice.axis for choice in combinations[0] if _is_prefix(choice.axis, override.path)}
+        for choice in itertools.chain.from_iterable(combinations):
+            if choice.axis in axes and choice.sets(override.path):
+                where = ".".join(choice.axis) + (f".{choice.name}" if choice.name else "")
+                raise ConfigError(
+                    f"command line: {'.'.join(override.path)}: got {shown(override.value)}; "
+                    f"a swept key cannot be overridden (axes.{where} in {source})"
+                )
+        (below if axes else base).append(override)
+    return base, below
+
+
+def _read_axis(name: str, values: Any, where: str) -> list[Choice]:
+    axis = tuple(name.split("."))
+    if not all(axis):
+        raise ConfigError(f"{where}: a dotted path such as planner.depth is expected")
+    if axis[0] in (*RESERVED, "experiment"):
+        raise ConfigError(f"{where}: {axis[0]} cannot be swept; allowed: settings of the experiment")
+    if not isinstance(values, list | dict):
+        raise ConfigError(f"{where}: got {shown(values)}; allowed: a list of values, or named subtrees")
+    if not values:
+        raise ConfigError(f"{where}: is empty; at least one value is expected")
+    if isinstance(values, dict):
+        for choice in values:
+            if not choice or "/" in choice:
+                raise ConfigError(f"{where}: got the name {shown(choice)}; a name is not empty and has no /")
+        return [Choice(axis, choice, {} if value is None else value) for choice, value in values.items()]
+    seen = []
+    for value in values:
+        if isinstance(value, dict):
+            raise ConfigError(
+                f"{where}: got {shown(value)}; a subtree needs a name: `{name}: {{NAME: {{...}}}}`"
+            )
+        if (type(value), value) in seen:
+            raise ConfigError(f"{where}: got {shown(value)} twice; the values of an axis differ")
+        seen.append((type(value), value))
+    return [Choice(axis, None, value) for value in values]
+
+
+def _refuse_overlap(axes: Sequence[Path], source: str) -> None:
+    for first, second in itertools.permutations(axes, 2):
+        if _is_prefix(first, second) and axes.index(first) > axes.index(second):
+            raise ConfigError(
+                f"{source}: axes.{'.'.join(first)}: would undo axes.{'.'.join(second)}; put it first"
+            )
+
+
+def _is_prefix(prefix: Path, path: Path) -> bool:
+    return path[: len(prefix)] == prefix
+
+
+def _get(raw: Any, path: Path) -> Any:
+    for name in path:
+        if isinstance(raw, str):
+            raw = {"kind": raw}
+        raw = raw.get(name) if isinstance(raw, Mapping) else None
+    return raw

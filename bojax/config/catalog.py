@@ -1,0 +1,23 @@
+"""Every built-in schema class: importing this module registers them all."""
+
+from bojax.config import claims, experiments, models, motions, planners, problems
+from bojax.config.component import Component, registry
+
+__all__ = ["ROLES", "claims", "experiments", "kinds", "models", "motions", "planners", "problems"]
+
+ROLES = {
+    "experiment": "experiments",
+    "problem": "problems",
+    "env": "environments",
+    "planner": "planners",
+    "learner": "learners",
+    "motions": "families of trajectories",
+    "kernel": "kernels",
+    "acquisition": "acquisition functions",
+}
+"""The roles that a user can fill, with their plurals, in the order of lists."""
+
+
+def kinds(role: str) -> dict[str, type[Component]]:
+    """The built-in schema classes of a role, by kind."""
+    return {kind: schema for kind, schema in registry.get(role, {}).items() if issubclass(schema, Component)}

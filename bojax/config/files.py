@@ -1,0 +1,71 @@
+"""Finding a configuration: a path, then the folders beside the user, then the ones that bojax brings."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from bojax.config.errors import ConfigError, did_you_mean
+
+SUFFIXES = (".yaml", ".yml")
+_PACKAGE = Path(__file__).resolve().parent.parent
+
+
+def shipped(folder: str) -> Path:
+    """Where bojax's own `configs` or `sweeps` lie: inside an installed package, or beside its sources."""
+    inside = _PACKAGE / f"_{folder}"
+    return inside if inside.is_dir() else _PACKAGE.parent / folder
+
+
+def find(source: str, folder: str, beside: Sequence[Path] = ()) -> Path:
+    """The file that a user means.
+
+    Args:
+        source: A path, or a name: `parking` stands for `FOLDER/parking.yaml`.
+        folder: "configs" or "sweeps".
+        beside: Folders to look in before the usual ones.
+
+    Raises:
+        ConfigError: There is no such file.
+    """
+    if not source:
+        raise ConfigError(f"no name given: a file, or a name in {folder}/, is expected")
+    path = Path(source)
+    if path.suffix in SUFFIXES:
+        for candidate in (path, *(place / path for place in beside)):
+            if candidate.is_file():
+                return candidate
+    elif len(path.parts) == 1:
+        for place in (*beside, *_places(folder)):
+            for suffix in SUFFIXES:
+                candidate = place / f"{source}{suffix}"
+                if candidate.is_file():
+                    return candidate
+    if path.is_dir():
+        raise ConfigError(f"{source}: is a folder; a YAML file, or a name in {folder}/, is expected")
+    if path.is_file():
+        raise ConfigError(f"{source}: a file that ends in .yaml is expected")
+    names = available(folder)
+    stem = path.stem if path.suffix in SUFFIXES else path.name
+    listed = f"; there are: {', '.join(names)}" if names else ""
+    raise ConfigError(
+        f"{source}: no such file, and no such name in {folder}/{listed}{did_you_mean(stem, names)}"
+    )
+
+
+def available(folder: str) -> dict[str, Path]:
+    """The files of a folder by name; what stands beside the user hides what bojax brings."""
+    found: dict[str, Path] = {}
+    for place in _places(folder):
+        for path in sorted(place.glob("*")) if place.is_dir() else ():
+            if path.suffix in SUFFIXES and path.is_file():
+                found.setdefault(path.stem, path)
+    return dict(sorted(found.items()))
+
+
+def display(path: Path) -> str:
+    """How messages call a file: relative to where the user stands, if it lies below."""
+    absolute = path.resolve()
+    return str(absolute.relative_to(Path.cwd())) if absolute.is_relative_to(Path.cwd()) else str(absolute)
+
+
+def _places(folder: str) -> tuple[Path, Path]:
+    return Path(folder), shipped(folder)

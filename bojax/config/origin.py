@@ -1,0 +1,56 @@
+"""Where each setting came from, so that a message names the file that is to be mended."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from bojax.config.axes import Combination
+from bojax.config.errors import Location, dotted
+from bojax.config.overrides import SOURCE
+
+
+@dataclass(frozen=True)
+class Origin:
+    """The command line, an axis, the sweep file or the base, whichever set a location last.
+
+    Attributes:
+        base: Names a location of the base, as `FILE: dotted.path`.
+        file: The sweep file.
+        own: Reserved keys that the sweep file sets itself.
+        overridden: Paths set on the command line.
+        combinations: The choices that make each point.
+    """
+
+    base: Callable[[Location], str]
+    file: str
+    own: tuple[str, ...]
+    overridden: tuple[tuple[str, ...], ...]
+    combinations: Sequence[Combination]
+
+    def setting(self, location: Location) -> str:
+        """Name a reserved key."""
+        if self._is_overridden(location):
+            return f"{SOURCE}: {dotted(location)}"
+        if location[0] in self.own:
+            return f"{self.file}: {dotted(location)}"
+        return self.base(location)
+
+    def point(self, index: int, location: Location) -> str:
+        """Name a setting of the experiment of a point."""
+        if location in ((), ("kind",)):
+            location = ("experiment",)
+        if self._is_overridden(location):
+            return f"{SOURCE}: {dotted(location)}"
+        for choice in self.combinations[index]:
+            if _related(choice.axis, location):
+                name = () if choice.name is None else (choice.name,)
+                rest = location[len(choice.axis) :]
+                return f"{self.file}: axes.{dotted((*choice.axis, *name, *rest))} (point {index})"
+        return self.base(location)
+
+    def _is_overridden(self, location: Location) -> bool:
+        return any(_related(path, location) for path in self.overridden)
+
+
+def _related(path: Sequence[str], location: Location) -> bool:
+    """Whether one is a prefix of the other."""
+    return all(a == b for a, b in zip(path, location, strict=False))

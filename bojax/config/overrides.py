@@ -1,0 +1,62 @@
+"""Dotted `key=value` overrides of a raw configuration."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from bojax.config.errors import ConfigError, dotted
+from bojax.config.yaml_file import parse
+
+SOURCE = "command line"
+"""What messages call the file of an override."""
+
+
+@dataclass(frozen=True)
+class Override:
+    """One setting from the command line.
+
+    Attributes:
+        path: Where it stands.
+        value: Its value, typed by YAML.
+    """
+
+    path: tuple[str, ...]
+    value: Any
+
+
+def parse_overrides(texts: Iterable[str]) -> list[Override]:
+    """The overrides, the outer ones first: `planner=sbo planner.depth=2` means the same in any order.
+
+    Raises:
+        ConfigError: A text is not `key=value`, or a key stands there twice.
+    """
+    overrides: dict[tuple[str, ...], Override] = {}
+    for text in texts:
+        key, equals, value = text.partition("=")
+        path = tuple(key.strip().split("."))
+        if not equals or not all(path):
+            raise ConfigError(f"{SOURCE}: {text}: an override is key=value, such as planner.iterations=100")
+        if path in overrides:
+            raise ConfigError(f"{SOURCE}: {key}: given twice")
+        try:
+            overrides[path] = Override(path, parse(value, SOURCE))
+        except ConfigError as error:
+            raise ConfigError(f"{SOURCE}: {key}: got {value}; a YAML value is expected") from error
+    return sorted(overrides.values(), key=lambda override: (len(override.path), override.path[-1] != "kind"))
+
+
+def assign(raw: Mapping[str, Any], path: tuple[str, ...], value: Any) -> dict[str, Any]:
+    """A copy of `raw` with the value at `path`; a new `kind` drops the settings of the old one."""
+    name, *rest = path
+    if rest:
+        below = raw.get(name)
+        if isinstance(below, str):
+            below = {"kind": below}
+        elif below is None:
+            below = {}
+        elif not isinstance(below, Mapping):
+            raise ConfigError(f"{SOURCE}: {dotted(path)}: {name} is a single value, with nothing below it")
+        value = assign(below, tuple(rest), value)
+    elif name == "kind" and raw.get("kind") != value:
+        return {"kind": value}
+    return {**raw, name: value}

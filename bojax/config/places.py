@@ -1,0 +1,45 @@
+"""Looking up what a dotted path means in a raw, not yet validated, configuration."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from bojax.config.component import Component, Slot, registry
+
+
+@dataclass(frozen=True)
+class Place:
+    """What stands at a path.
+
+    Attributes:
+        role: Role of the component that stands there; None for a plain setting.
+        kind: Its kind, given or by default.
+    """
+
+    role: str | None = None
+    kind: str | None = None
+
+
+def look_up(experiment: Mapping[str, Any], path: Sequence[str]) -> Place | None:
+    """What a path means: None where there is no such setting, as far as can be known without imports."""
+    place = Place("experiment", experiment.get("kind"))
+    schema = registry.get("experiment", {}).get(str(place.kind))
+    raw: Any = experiment
+    default: Any = None
+    for depth, name in enumerate(path):
+        if schema is None:  # below an import path or an unknown kind
+            return Place()
+        if name not in schema.model_fields:
+            return None
+        field = schema.model_fields[name]
+        default = getattr(default if isinstance(default, schema) else None, name, field.default)
+        raw = raw.get(name) if isinstance(raw, Mapping) else None
+        slot = next((mark for mark in field.metadata if isinstance(mark, Slot)), None)
+        if slot is None:
+            return Place() if depth == len(path) - 1 else None
+        kind = raw.get("kind") if isinstance(raw, Mapping) else raw
+        if kind is None and isinstance(default, Component):
+            kind = default.kind
+        place = Place(slot.role, kind if isinstance(kind, str) else None)
+        schema = registry.get(slot.role, {}).get(str(kind))
+    return place
