@@ -3,7 +3,17 @@
 from bojax.config import claims, experiments, models, motions, planners, problems
 from bojax.config.component import Component, registry
 
-__all__ = ["ROLES", "claims", "experiments", "kinds", "models", "motions", "planners", "problems"]
+__all__ = [
+    "PROTOCOLS",
+    "ROLES",
+    "claims",
+    "experiments",
+    "kinds",
+    "models",
+    "motions",
+    "planners",
+    "problems",
+]
 
 ROLES = {
     "experiment": "experiments",
@@ -16,6 +26,15 @@ ROLES = {
     "acquisition": "acquisition functions",
 }
 """The roles that a user can fill, with their plurals, in the order of lists."""
+
+PROTOCOLS = {
+    "experiment": "bojax.experiments.base:Experiment",
+    "problem": "bojax.problems.base:Problem",
+    "planner": "bojax.planning.base:Planner",
+    "kernel": "bojax.models.kernels:Kernel",
+    "acquisition": "bojax.acquisition.functions:Acquisition",
+}
+"""Base class of each role, whose abstract methods a user's class has to provide."""
 
 
 def kinds(role: str) -> dict[str, type[Component]]:

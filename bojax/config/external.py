@@ -1,4 +1,4 @@
-"""Parts given by import path: import the user's class, and make a schema class from what it says it takes.
+"""Parts given by import path: import the user's class, make a schema class from what it says it takes.
 
 After that an external part is a component like any other. The class says what it takes by a nested
 pydantic `Config`, or else by the annotations of its constructor.
@@ -9,33 +9,129 @@ import importlib
 import inspect
 import sys
 import traceback
-import types
-import typing
-from collections.abc import Mapping, Sequence
-from functools import cache
+from collections.abc import Callable
+from functools import cache, partial
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Union, get_args, get_origin
+from typing import Any
 
 import pydantic
-from pydantic.fields import FieldInfo
 
+from bojax.config.catalog import PROTOCOLS
 from bojax.config.component import Component, External
 from bojax.config.errors import ConfigError, Location, did_you_mean, from_validation, shown
-from bojax.config.sweep import Point, Sweep
+from bojax.config.signature import fields_of
+from bojax.config.sweep import Sweep
 
-Numbers = float | tuple["Numbers", ...]
-"""A number, or a list of numbers, or a list of these."""
+Locate = Callable[[Location], str]
 
 
 def resolve(sweep: Sweep) -> Sweep:
-    """The sweep with every import path imported and its settings validated; runs the user's module.
+    """The sweep with every import path imported and its settings validated; runs the user's modules.
 
     Raises:
         ConfigError: There is no such module or class, or it does not take these settings.
     """
+    here = str(Path.cwd())
+    if here not in sys.path:  # an installed command does not have it
+        sys.path.insert(0, here)
     points = []
     for point in sweep.points:
-        config = _resolve(point.config, (), lambda location, index=point.index: sweep.locate(index, location))
-        variant = config.label if point.variant == point.config.label else point.variant
-        points.append(Point(point.index, config.label, variant, point.swept, config))
+        config = _resolve(point.config, (), partial(sweep.locate, point.index))
+        variant = config.label if point.variant == point.label else point.variant
+        points.append(dataclasses.replace(point, config=config, label=config.label, variant=variant))
     return dataclasses.replace(sweep, points=tuple(points))
+
+
+def _resolve(component: Component, path: Location, locate: Locate) -> Component:
+    if isinstance(component, External):
+        component = _validate(component, path, locate)
+    changes = {}
+    for name in type(component).model_fields:
+        value = getattr(component, name)
+        if isinstance(value, Component):
+            resolved = _resolve(value, (*path, name), locate)
+            if resolved is not value:
+                changes[name] = resolved
+    return component.model_copy(update=changes) if changes else component
+
+
+def _validate(external: External, path: Location, locate: Locate) -> Component:
+    try:
+        schema = schema_of(external.slot, external.kind)
+    except _Refusal as error:
+        raise ConfigError(f"{locate((*path, 'kind') if path else ())}: {error}") from error.__cause__
+    try:
+        return schema.model_validate({"kind": external.kind, **external.params})
+    except pydantic.ValidationError as error:
+        raise from_validation(error, lambda location: locate((*path, *location))) from error
+
+
+class _Refusal(Exception):
+    """Why a class cannot be used."""
+
+
+@cache
+def schema_of(role: str, kind: str) -> type[Component]:
+    """The schema class of an imported class, of the role that it fills."""
+    cls = _import(kind)
+    _check_protocol(cls, role, kind)
+    config = getattr(cls, "Config", None)
+    if isinstance(config, type) and issubclass(config, pydantic.BaseModel):
+        fields, left_out = {}, frozenset()
+        bases = (config, Component)
+    else:
+        bases = (Component,)
+        try:
+            fields, left_out = fields_of(cls)
+        except TypeError as error:
+            raise _Refusal(f"got {shown(kind)}; {error}") from error
+    create: Any = pydantic.create_model  # its overloads do not know fields that are made at run time
+    schema = create(cls.__name__, __base__=bases, __module__=cls.__module__, **fields)
+    schema.__doc__ = inspect.getdoc(cls)
+    schema.role, schema.target, schema.constructor_defaults = role, kind, left_out
+    return schema
+
+
+def _import(kind: str) -> type:
+    module_name, _, name = kind.partition(":")
+    got = f"got {shown(kind)}; "
+    try:
+        module = importlib.import_module(module_name)
+    except ModuleNotFoundError as error:
+        if error.name and (module_name == error.name or module_name.startswith(f"{error.name}.")):
+            raise _Refusal(
+                f"{got}there is no module {error.name}, neither here ({Path.cwd()}) nor installed"
+            ) from error
+        raise _Refusal(f"{got}importing {module_name} failed: {_last_line(error)}") from error
+    except Exception as error:
+        raise _Refusal(f"{got}importing {module_name} failed: {_last_line(error)}") from error
+    if not hasattr(module, name):
+        names = [key for key, value in vars(module).items() if isinstance(value, type)]
+        raise _Refusal(f"{got}{module_name} has no {name}{did_you_mean(name, names)}")
+    cls = getattr(module, name)
+    if not isinstance(cls, type):
+        raise _Refusal(f"{got}{name} is not a class")
+    return cls
+
+
+def _check_protocol(cls: type, role: str, kind: str) -> None:
+    """Refuse a class that lacks methods which the base class of its role leaves open."""
+    missing = set(getattr(cls, "__abstractmethods__", ()))
+    base = PROTOCOLS.get(role)
+    if base:
+        module, _, name = base.partition(":")
+        protocol = getattr(importlib.import_module(module), name)
+        has = {name for parent in cls.__mro__ for name in vars(parent)}
+        missing |= protocol.__abstractmethods__ - has
+    if missing:
+        hint = f"; see {base.replace(':', '.')}" if base else ""
+        raise _Refusal(f"got {shown(kind)}; as a {role} it lacks {', '.join(sorted(missing))}{hint}")
+
+
+def _last_line(error: Exception) -> str:
+    """An exception with the line of the user's file where it was raised."""
+    frames = traceback.extract_tb(error.__traceback__)
+    where = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
+    if isinstance(error, SyntaxError):
+        where = ""  # its message names the line
+    return f"{type(error).__name__}: {' '.join(str(error).split())}{where}"

@@ -1,0 +1,103 @@
+"""What a constructor takes, read from its annotations, as the fields of a schema class.
+
+Arrays are recognised by the name of their type, so that no array library is imported here.
+"""
+
+import dataclasses
+import inspect
+import math
+import types
+from typing import Annotated, Any, Literal, Optional, Union, get_args, get_origin, get_type_hints
+
+from pydantic import Field, PlainValidator
+
+
+def _numbers(value: Any) -> Any:
+    if isinstance(value, list | tuple):
+        return tuple(_numbers(part) for part in value)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError("allowed: a number or a list of numbers")
+    return value
+
+
+Numbers = Annotated[Any, PlainValidator(_numbers)]
+"""A number, or a list of numbers, or a list of such lists."""
+
+_PLAIN = (int, float, bool, str, type(None))
+
+
+def fields_of(cls: type) -> tuple[dict[str, tuple[Any, Any]], frozenset[str]]:
+    """Fields `{name: (annotation, default)}` that a schema of `cls` needs.
+
+    Returns:
+        The fields, and the names of those whose default is no plain value: they are left to the constructor.
+
+    Raises:
+        TypeError: A parameter's annotation is neither a number, text, a truth value nor an array.
+    """
+    hints = _hints(cls)
+    fields: dict[str, tuple[Any, Any]] = {}
+    left_out = set()
+    for name, parameter in inspect.signature(cls).parameters.items():
+        if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
+            continue
+        annotation = _field_type(hints.get(name, parameter.annotation))
+        has_default = parameter.default is not parameter.empty
+        if annotation is None:
+            if not has_default:
+                raise TypeError(
+                    f"{cls.__name__} takes {name}, and its annotation does not say what a file may give: "
+                    "numbers, text, truth values and arrays do; or give the class a nested pydantic Config"
+                )
+            continue  # not for a file to set
+        default = parameter.default if has_default else ...
+        if has_default and not _is_plain(default):
+            left_out.add(name)
+            annotation, default = Optional[annotation], None  # noqa: UP045 (made at run time)
+        fields[name] = (annotation, default)
+    return fields, frozenset(left_out)
+
+
+def _hints(cls: type) -> dict[str, Any]:
+    try:
+        if dataclasses.is_dataclass(cls):
+            return get_type_hints(cls, include_extras=True)
+        return get_type_hints(cls.__init__, include_extras=True)
+    except (NameError, TypeError):  # names that exist for type checkers alone
+        return {}
+
+
+def _field_type(annotation: Any) -> Any:
+    """The type of a schema field for a constructor's annotation, None where there is none."""
+    if annotation is inspect.Parameter.empty or annotation is Any:
+        return Numbers
+    if _is_array(annotation):
+        return float if getattr(annotation, "dim_str", None) == "" else Numbers
+    origin = get_origin(annotation)
+    if annotation in _PLAIN or origin is Literal:
+        return annotation
+    if origin is Annotated:
+        return _field_type(get_args(annotation)[0])
+    if origin is tuple:
+        parts = [part if part is ... else _field_type(part) for part in get_args(annotation)]
+        return None if None in parts else Annotated[tuple[tuple(parts)], Field(strict=False)]
+    if origin in (Union, types.UnionType):
+        parts = [_field_type(part) for part in get_args(annotation)]
+        if Numbers in parts:
+            parts = [Numbers, *(part for part in parts if part is type(None))]
+        return None if None in parts else Union[tuple(parts)]  # noqa: UP007 (made at run time)
+    return None
+
+
+def _is_array(annotation: Any) -> bool:
+    if hasattr(annotation, "dim_str"):  # jaxtyping
+        return True
+    module = (getattr(annotation, "__module__", None) or "").partition(".")[0]
+    name = getattr(annotation, "__name__", "").rpartition(".")[2]
+    return module in ("jax", "jaxlib", "numpy") and name in ("Array", "ndarray")
+
+
+def _is_plain(value: Any) -> bool:
+    if isinstance(value, list | tuple):
+        return all(_is_plain(part) for part in value)
+    return isinstance(value, _PLAIN)

@@ -1,0 +1,104 @@
+"""From settings to modules: import a component's target and construct it with strongly typed arrays."""
+
+import dataclasses
+import importlib
+import inspect
+from collections.abc import Mapping
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+
+from bojax.config.component import Component, External
+from bojax.config.errors import ConfigError, dotted
+
+
+def build(component: Component, dtype: Literal["float64", "float32"] = "float64") -> Any:
+    """The module that a component describes.
+
+    Fields that are static in the module stay Python values. Every other number, or list of numbers,
+    becomes an array of `dtype`, integers too: it is a leaf that can be swept. Truth values become arrays
+    of their own type, text and null stay as they are.
+
+    Args:
+        component: Validated settings; parts given by import path must have been resolved.
+        dtype: Precision of every number.
+
+    Raises:
+        ConfigError: A constructor refuses its settings, or float64 is asked for while JAX has it off.
+    """
+    if dtype == "float64" and not jax.config.read("jax_enable_x64"):
+        raise ConfigError(
+            'dtype: got "float64"; JAX runs without 64-bit numbers: '
+            'call jax.config.update("jax_enable_x64", True) first, or set dtype to "float32"'
+        )
+    return _build(component, dtype, ())
+
+
+def import_target(target: str) -> type:
+    """The class at `package.module:Class`."""
+    module, _, name = target.partition(":")
+    return getattr(importlib.import_module(module), name)
+
+
+def _build(component: Component, dtype: str, path: tuple[str, ...]) -> Any:
+    if isinstance(component, External):
+        raise ConfigError(f"{_where(path, component)}: an import path has to be resolved before it is built")
+    cls = import_target(component.target)
+    static = static_fields(cls)
+    accepted = inspect.signature(cls).parameters
+    arguments = {}
+    for name in type(component).model_fields:
+        left_out = name in component.constructor_defaults and name not in component.model_fields_set
+        # An experiment's dtype says how to build it; its constructor need not know.
+        if name == "kind" or left_out or (name == "dtype" and name not in accepted):
+            continue
+        value = getattr(component, name)
+        if isinstance(value, Component):
+            arguments[name] = _build(value, dtype, (*path, name))
+        elif name in static:
+            arguments[name] = value
+        else:
+            arguments[name] = _leaf(value, dtype)
+    _refuse_unknown(arguments, accepted, component, path)
+    try:
+        return cls(**arguments)
+    except ValueError as error:
+        raise ConfigError(f"{_where(path, component)}: {' '.join(str(error).split())}") from error
+
+
+def static_fields(cls: type) -> frozenset[str]:
+    """Names whose values stay Python values: static fields, and arguments that are no field at all."""
+    if not dataclasses.is_dataclass(cls):
+        return frozenset(inspect.signature(cls).parameters)
+    fields = {field.name: field for field in dataclasses.fields(cls)}
+    others = inspect.signature(cls).parameters.keys() - fields.keys()
+    return frozenset(name for name, field in fields.items() if field.metadata.get("static")) | others
+
+
+def _leaf(value: Any, dtype: str) -> Any:
+    if value is None or isinstance(value, str):
+        return value
+    if isinstance(value, bool):
+        return jnp.asarray(value)
+    return jnp.asarray(value, dtype)
+
+
+def _refuse_unknown(
+    arguments: Mapping[str, Any],
+    accepted: Mapping[str, inspect.Parameter],
+    component: Component,
+    path: tuple[str, ...],
+) -> None:
+    if any(parameter.kind is inspect.Parameter.VAR_KEYWORD for parameter in accepted.values()):
+        return
+    for name in arguments:
+        if name not in accepted:
+            raise ConfigError(
+                f"{_where((*path, name), component)}: the constructor of {component.target} takes no such "
+                f"argument; it takes: {', '.join(accepted) or 'none'}"
+            )
+
+
+def _where(path: tuple[str, ...], component: Component) -> str:
+    return dotted(path) or component.kind
