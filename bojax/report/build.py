@@ -1,0 +1,110 @@
+"""Results folders in; figures, `claims.json` and `report.html` out, each written whole or not at all."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from bojax.report import style
+from bojax.report.claims import evaluate
+from bojax.report.figures import FIGURES
+from bojax.report.figures.base import Undrawable
+from bojax.report.page import Plate, plate, render
+from bojax.report.source import Results, load
+from bojax.report.tables import count_nan_runs
+from bojax.report.text import counted, joined
+from bojax.results.store import explained, write_atomically
+
+_TABLES = ("latency",)
+"""Names that `report.figures` may hold and that are tables of every page."""
+
+
+def build_report(folders: Sequence[Path]) -> Path:
+    """Write the report of each folder into it, replacing what an earlier report left there.
+
+    Figures, claims and page are derived from the tables alone: equal tables and manifest give equal
+    files. Nothing is written before everything is ready.
+
+    Args:
+        folders: Results folders.
+
+    Returns:
+        The last folder's `report.html`.
+
+    Raises:
+        ResultsError: If a folder is missing, unfinished, damaged or cannot be written; one line.
+    """
+    page = Path()
+    for folder in folders:
+        page = _build(Path(folder))
+    return page
+
+
+def _build(folder: Path) -> Path:
+    results = load(folder)
+    claims = evaluate(results)
+    images, plates, notes = _figures(results)
+    page = render(results, claims, plates, [*notes, *_gaps(results)])
+
+    figures = folder / "figures"
+    with explained(figures):
+        figures.mkdir(exist_ok=True)
+    for name in FIGURES:
+        for suffix in ("png", "svg"):
+            path = figures / f"{name}.{suffix}"
+            if name in images:
+                _write(path, images[name][suffix])
+            else:
+                with explained(path):
+                    path.unlink(missing_ok=True)  # of an earlier report: it would no longer agree
+    text = json.dumps(claims, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    _write(folder / "claims.json", text.encode())
+    _write(folder / "report.html", page.encode())
+    return folder / "report.html"
+
+
+def _figures(results: Results) -> tuple[dict[str, Any], list[Plate], list[str]]:
+    """Files by figure, figures on the page, and why a figure that was asked for is not there."""
+    asked = results.settings.get("figures")
+    names = list(dict.fromkeys(asked if asked is not None else FIGURES))
+    images, plates, notes = {}, [], []
+    for name in names:
+        if name in _TABLES:
+            continue
+        if name not in FIGURES:
+            notes.append(f"No figure is called {name}: the figures are {joined(list(FIGURES))}.")
+            continue
+        try:
+            with style.settings():
+                drawing = FIGURES[name](results)
+                images[name] = style.encode(drawing.figure)
+        except Undrawable as reason:
+            if asked is not None:
+                notes.append(f"The figure {name} is not drawn: {reason}.")
+            continue
+        plates.append(plate(name, drawing.title, drawing.caption, drawing.alt, images[name]["svg"]))
+    return images, plates, notes
+
+
+def _gaps(results: Results) -> list[str]:
+    """What is missing from the results: runs and numbers."""
+    notes = []
+    wanted = results.sweep.get("runs")
+    wanted = wanted if isinstance(wanted, int) else 0
+    short = [point for point in results.points if results.runs_of(point)["run"].size < wanted]
+    if short:
+        missing = sum(wanted - results.runs_of(point)["run"].size for point in short)
+        notes.append(
+            f"{counted(missing, 'run')} of {joined([point.name for point in short])} did not finish: "
+            "the sweep goes on with --resume."
+        )
+    elif not results.is_complete:
+        notes.append("A part of the sweep failed: it goes on with --resume.")
+    bad = [f"{point.name} {count}" for point in results.points if (count := count_nan_runs(results, point))]
+    if bad:
+        notes.append(f"Runs with a value that is not a number: {', '.join(bad)}.")
+    return notes
+
+
+def _write(path: Path, content: bytes) -> None:
+    write_atomically(path, lambda temporary: temporary.write_bytes(content))

@@ -1,0 +1,15 @@
+"""The figures of a report: one function in one file each, and one line here."""
+
+from collections.abc import Mapping
+
+from bojax.report.figures import accumulated_reward, paths, returns, success, trajectories
+from bojax.report.figures.base import Draw
+
+FIGURES: Mapping[str, Draw] = {
+    "accumulated-reward": accumulated_reward.draw,
+    "success": success.draw,
+    "returns": returns.draw,
+    "paths": paths.draw,
+    "trajectories": trajectories.draw,
+}
+"""By the name that a sweep's `report.figures` uses, which is also the name of the file."""

@@ -1,0 +1,74 @@
+"""Final return of every run: one dot a run, since means hide that returns fall into separate groups."""
+
+import numpy as np
+
+from bojax.report import statistics, style
+from bojax.report.figures.base import Drawing, Undrawable, drawn_points
+from bojax.report.source import Results
+from bojax.report.text import number
+
+_BINS = 90
+_HALF_ROW = 0.38
+_MAX_DOTS = 400
+
+
+def draw(results: Results) -> Drawing:
+    """A swarm per point over the final return, its mean with the 95% interval on top."""
+    if "return" not in results.runs:
+        raise Undrawable("runs.parquet has no return")
+    points, note = drawn_points(results)
+    samples = [_finite(results.runs_of(point)["return"]) for point in points]
+    everything = np.concatenate(samples)
+    if not everything.size:
+        raise Undrawable("no run has a finite return")
+    edges = np.histogram_bin_edges(everything, bins=_BINS)
+    figure, grid = style.figure(0.95 + 0.62 * len(points))
+    axes = grid[0, 0]
+    means = []
+    for row, (point, sample, look) in enumerate(zip(points, samples, style.looks(points), strict=True)):
+        dots, offsets = swarm(sample, edges)
+        axes.scatter(dots, row + offsets, s=7, color=look["color"], alpha=0.55, linewidths=0)
+        if sample.size:
+            mean = statistics.mean_interval(sample)
+            means.append(f"{point.name} {number(mean.estimate)}")
+            axes.plot([mean.low, mean.high], [row, row], color="white", linewidth=5, zorder=3)
+            axes.plot([mean.low, mean.high], [row, row], color=style.INK, linewidth=2.2, zorder=4)
+            axes.scatter(
+                [mean.estimate], [row], marker="D", s=30, color=style.INK, edgecolors="white", zorder=5
+            )
+    axes.set_ylim(len(points) - 0.5, -0.5)
+    axes.set_yticks(range(len(points)), [style.wrapped(point.name, 14) for point in points])
+    for tick, look in zip(axes.get_yticklabels(), style.looks(points), strict=True):
+        tick.set_color(look["color"])
+    axes.spines["left"].set_visible(False)
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.10g}".replace("-", "\N{MINUS SIGN}"))
+    axes.set_xlabel("final return of a run")
+    style.quiet_grid(axes, "x")
+    axes.tick_params(axis="y", length=0)
+    return Drawing(
+        figure=figure,
+        title="Distribution of returns",
+        caption="Final return of every run (dots, stacked where they coincide) and the mean with its 95% "
+        f"bootstrap interval (diamond and bar).{note}",
+        alt=f"Dot plot of the final returns of all runs. Means: {', '.join(means)}.",
+    )
+
+
+def swarm(sample: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Dots at the middles of their bins and their vertical offsets, stacked around the middle of the row.
+
+    A large sample is drawn by its quantiles. The fullest bin fills the row's height at most.
+    """
+    dots = np.sort(sample)
+    if dots.size > _MAX_DOTS:
+        dots = np.quantile(dots, (np.arange(_MAX_DOTS) + 0.5) / _MAX_DOTS, method="inverted_cdf")
+    bins = np.clip(np.searchsorted(edges, dots, side="right") - 1, 0, len(edges) - 2)
+    counts = np.bincount(bins, minlength=len(edges) - 1)
+    rank = np.arange(dots.size) - np.concatenate([[0], np.cumsum(counts)[:-1]])[bins]
+    height = min(0.07, 2 * _HALF_ROW / max(1, counts.max(initial=1) - 1))
+    return (edges[bins] + edges[bins + 1]) / 2, (rank - (counts[bins] - 1) / 2) * height
+
+
+def _finite(values: np.ndarray) -> np.ndarray:
+    values = np.asarray(values, dtype=np.float64)
+    return values[np.isfinite(values)]

@@ -1,0 +1,209 @@
+"""What a report reads of a results folder: manifest, tables, arrays; every other part asks here.
+
+Of `manifest.json` these keys are read, and only `sweep.points` and `finished` have to be there:
+
+- `sweep`: `title`, `name`, `claims` (mappings), `report` (`figures`, `notes`, `thesis`, `by_step`),
+  `runs`, `seed`, `points` (`index`, `label`, `variant`, `swept`, `config`);
+- `groups`: `group`, `points`, `lanes_per_device`, `compile_seconds`, `run_seconds`, `active_steps`,
+  `latency` (`{point: seconds}`);
+- `command`, `versions`, `git`, `devices`, `started`, `finished`.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from bojax.results.store import ARRAYS, MANIFEST, WORK, ResultsError, array_file, read_manifest, read_table
+
+Columns = dict[str, NDArray[Any]]
+"""A table as one array per column; a null is NaN in a number and None elsewhere."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """One point of the sweep: a setting that was run with every seed.
+
+    Attributes:
+        index: Its number, the column `point` of every table.
+        label: Identifier of its planner or learner.
+        variant: Its name in the sweep.
+        name: What a report calls it: the variant, with the swept numbers where variants repeat.
+        swept: Value of every swept key, by dotted path.
+        config: The resolved experiment.
+    """
+
+    index: int
+    label: str
+    variant: str
+    name: str
+    swept: Mapping[str, Any]
+    config: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Results:
+    """A finished results folder.
+
+    Attributes:
+        folder: Where it is.
+        manifest: `manifest.json` as it stands.
+        points: The points of the sweep, in order.
+    """
+
+    folder: Path
+    manifest: Mapping[str, Any]
+    points: tuple[Point, ...]
+
+    @property
+    def sweep(self) -> Mapping[str, Any]:
+        """The resolved sweep."""
+        return _mapping(self.manifest.get("sweep"))
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """The sweep's `report` mapping."""
+        return _mapping(self.sweep.get("report"))
+
+    @property
+    def name(self) -> str:
+        """The sweep's name."""
+        return str(self.sweep.get("name") or self.folder.name)
+
+    @property
+    def title(self) -> str:
+        """The sweep's title."""
+        return str(self.sweep.get("title") or self.name)
+
+    @cached_property
+    def is_complete(self) -> bool:
+        """Whether every chunk was run; the working files of a failed one stay for `--resume`."""
+        return not (self.folder / WORK).is_dir()
+
+    @cached_property
+    def runs(self) -> Columns:
+        """`runs.parquet`."""
+        return _read_columns(self.folder / "runs.parquet", ("point", "run"))
+
+    @cached_property
+    def steps(self) -> Columns:
+        """`steps.parquet`; empty where the experiment has no steps."""
+        path = self.folder / "steps.parquet"
+        return _read_columns(path, ("point", "run", "step")) if path.exists() else {}
+
+    @cached_property
+    def nullable(self) -> frozenset[str]:
+        """Integer columns of `runs.parquet`: read as floats where they hold nulls, NaN for each."""
+        schema = read_table(self.folder / "runs.parquet").schema
+        return frozenset(field.name for field in schema if pa.types.is_integer(field.type))
+
+    @cached_property
+    def num_steps(self) -> int:
+        """The longest episode of any run, in steps."""
+        return int(self.steps["step"].max()) if self.steps and self.steps["step"].size else 0
+
+    def runs_of(self, point: Point) -> Columns:
+        """The runs of one point."""
+        return _rows(self.runs, point)
+
+    def steps_of(self, point: Point) -> Columns:
+        """The steps of one point."""
+        return _rows(self.steps, point)
+
+    def arrays(self, point: Point, name: str) -> Iterable[tuple[int, Mapping[str, NDArray[Any]]]]:
+        """Run index and arrays of every kept snapshot `name` of a point, by run index."""
+        runs = sorted(int(run) for run in self.runs_of(point)["run"])
+        for run in runs:
+            path = self.folder / ARRAYS / array_file(point.index, run, name, "end")
+            if path.exists():
+                yield run, _read_arrays(path)
+
+
+def load(folder: Path) -> Results:
+    """A results folder; its tables are read when they are asked for.
+
+    Raises:
+        ResultsError: If the folder is missing, is none of results, or its sweep has not finished. Reading
+            a truncated table raises it too, later.
+    """
+    if not folder.is_dir():
+        raise ResultsError(f"{folder}: no such results folder")
+    if (folder / WORK).is_dir() and not (folder / MANIFEST).exists():
+        raise _unfinished(folder)
+    manifest = read_manifest(folder)
+    entries = _mapping(_mapping(manifest).get("sweep")).get("points")
+    if not isinstance(entries, list) or not entries:
+        raise ResultsError(
+            f"{folder / MANIFEST}: sweep.points: missing or empty: not a results folder of bojax"
+        )
+    if not manifest.get("finished"):
+        raise _unfinished(folder)
+    return Results(folder, manifest, _points(entries, folder / MANIFEST))
+
+
+def _unfinished(folder: Path) -> ResultsError:
+    return ResultsError(f"{folder}: this sweep has not finished: run it again with --resume --out {folder}")
+
+
+def _points(entries: Sequence[Any], path: Path) -> tuple[Point, ...]:
+    for position, entry in enumerate(entries):
+        if not isinstance(entry, Mapping) or not {"index", "label"} <= entry.keys():
+            raise ResultsError(f"{path}: sweep.points[{position}]: needs at least index and label")
+    variants = [str(entry.get("variant") or entry["label"]) for entry in entries]
+    swept = [_mapping(entry.get("swept")) for entry in entries]
+    names = _names(variants, swept)
+    return tuple(
+        Point(int(entry["index"]), str(entry["label"]), variant, name, values, _mapping(entry.get("config")))
+        for entry, variant, name, values in zip(entries, variants, names, swept, strict=True)
+    )
+
+
+def _names(variants: Sequence[str], swept: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Variants, told apart by the swept values that differ among points of the same variant."""
+    names = []
+    for variant, values in zip(variants, swept, strict=True):
+        twins = [other for name, other in zip(variants, swept, strict=True) if name == variant]
+        differing = [
+            f"{key.rsplit('.', 1)[-1]} {value}"
+            for key, value in values.items()
+            if not isinstance(value, Mapping) and any(other.get(key) != value for other in twins)
+        ]
+        names.append(", ".join([variant, *differing]))
+    return names
+
+
+def _read_columns(path: Path, keys: Sequence[str]) -> Columns:
+    table = read_table(path)
+    for key in keys:
+        if key not in table.column_names:
+            raise ResultsError(f"{path}: no column {key}: not a table of bojax")
+    columns = {}
+    for name, column in zip(table.column_names, table.columns, strict=True):
+        if pa.types.is_dictionary(column.type):
+            column = column.cast(column.type.value_type)
+        columns[name] = column.to_numpy()
+    return columns
+
+
+def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    try:
+        with np.load(path, allow_pickle=False) as arrays:
+            return {name: arrays[name] for name in arrays.files}
+    except Exception as error:  # a damaged archive raises whatever the decoder of that byte raises
+        raise ResultsError(f"{path}: cannot be read: was it truncated?") from error
+
+
+def _rows(table: Columns, point: Point) -> Columns:
+    if not table:
+        return {}
+    kept = table["point"] == point.index
+    return {name: column[kept] for name, column in table.items()}
+
+
+def _mapping(value: Any) -> Mapping[str, Any]:
+    return value if isinstance(value, Mapping) else {}

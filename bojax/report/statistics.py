@@ -1,0 +1,163 @@
+"""The statistics of a report: bootstrap and Wilson intervals, Holm's procedure, carrying values forward.
+
+Every random choice is made from one fixed seed: the same table gives the same report.
+"""
+
+from dataclasses import dataclass
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float64]
+
+RESAMPLES = 10_000
+"""Bootstrap resamples: the bounds of a 95% interval then stand within about 1% of its width."""
+LEVEL = 0.95
+"""Coverage of every interval in a report."""
+SEED = 0
+
+# Resamples are counted in blocks of at most this many cells, 16 MB, whatever the number of runs.
+_BLOCK_CELLS = 2_000_000
+
+
+@dataclass(frozen=True)
+class Interval:
+    """An estimate and the bounds of its interval; NaN where there were no data."""
+
+    estimate: float
+    low: float
+    high: float
+
+
+def bootstrap_means(
+    values: ArrayLike, strata: ArrayLike | None = None, *, resamples: int = RESAMPLES, seed: int = SEED
+) -> Floats:
+    """Means of resampled rows, one row of the result per resample.
+
+    Rows are drawn with replacement and every column takes the same rows: columns that belong to the same
+    runs stay paired. A resample is a vector of counts, so that all columns cost one matrix product.
+
+    Args:
+        values: `[n]` or `[n, columns]`.
+        strata: `[n]` group of each row; each group is resampled on its own and keeps its size.
+        resamples: Number of resamples.
+        seed: Seed of the resampling.
+
+    Returns:
+        `[resamples]` or `[resamples, columns]`.
+    """
+    table = np.asarray(values, dtype=np.float64)
+    num_rows = len(table)
+    groups = [np.arange(num_rows)]
+    if strata is not None:
+        groups = [np.flatnonzero(np.asarray(strata) == name) for name in np.unique(np.asarray(strata))]
+    random = np.random.default_rng(seed)
+    means = np.empty((resamples, *table.shape[1:]))
+    block = max(1, _BLOCK_CELLS // max(1, num_rows))
+    for start in range(0, resamples, block):
+        size = min(block, resamples - start)
+        counts = np.empty((size, num_rows))
+        for rows in groups:
+            drawn = random.integers(0, len(rows), (size, len(rows)))
+            drawn += np.arange(size)[:, None] * len(rows)
+            tally = np.bincount(drawn.ravel(), minlength=size * len(rows))
+            counts[:, rows] = tally.reshape(size, len(rows))
+        means[start : start + size] = counts @ table / num_rows
+    return means
+
+
+def mean_interval(values: ArrayLike, strata: ArrayLike | None = None, *, level: float = LEVEL) -> Interval:
+    """Mean of `[n]` values with its percentile bootstrap interval; NaN for no value or a NaN among them."""
+    table = np.asarray(values, dtype=np.float64)
+    if table.size == 0 or not np.isfinite(table).all():
+        return Interval(float("nan"), float("nan"), float("nan"))
+    low, high = _central(bootstrap_means(table, strata), level)
+    return Interval(float(table.mean()), float(low), float(high))
+
+
+def mean_band(values: ArrayLike, *, level: float = LEVEL) -> tuple[Floats, Floats, Floats]:
+    """Mean, lower and upper bound of every column of `[n, columns]`: a pointwise bootstrap band."""
+    table = np.asarray(values, dtype=np.float64)
+    low, high = _central(bootstrap_means(table), level)
+    return table.mean(axis=0), low, high
+
+
+def wilson(successes: ArrayLike, trials: int, *, level: float = LEVEL) -> tuple[Floats, Floats]:
+    """Bounds of Wilson's score interval for a share (Wilson 1927, eq. 1), without continuity correction."""
+    count = np.asarray(successes, dtype=np.float64)
+    if trials == 0:
+        return np.full(count.shape, np.nan), np.full(count.shape, np.nan)
+    z = NormalDist().inv_cdf(0.5 + level / 2)
+    share = count / trials
+    centre = (share + z**2 / (2 * trials)) / (1 + z**2 / trials)
+    half = z * np.sqrt(share * (1 - share) / trials + z**2 / (4 * trials**2)) / (1 + z**2 / trials)
+    # At 0 and n the bound is exactly the share; rounding must not put it on the wrong side.
+    return np.where(count == 0, 0.0, centre - half), np.where(count == trials, 1.0, centre + half)
+
+
+def share_interval(flags: ArrayLike, *, level: float = LEVEL) -> Interval:
+    """Share of `[n]` booleans that hold, with Wilson's interval."""
+    hits = np.asarray(flags, dtype=bool)
+    low, high = wilson(hits.sum(), hits.size, level=level)
+    return Interval(float(hits.mean()) if hits.size else float("nan"), float(low), float(high))
+
+
+def holm_levels(p_values: ArrayLike, alpha: float) -> Floats:
+    """The level at which Holm's step-down procedure tests each hypothesis (Holm 1979).
+
+    The k-th smallest p-value is tested at `alpha / (m - k + 1)`. From the first hypothesis that is kept
+    on, the rest are kept as well: they are given the level of that one. So `p <= level` is exactly
+    Holm's decision, and a confidence bound at that level excludes zero exactly where Holm rejects.
+    """
+    p = np.asarray(p_values, dtype=np.float64)
+    levels = np.empty_like(p)
+    level = 0.0
+    is_rejecting = True
+    for rank, index in enumerate(np.argsort(p, kind="stable")):
+        if is_rejecting:
+            level = alpha / (p.size - rank)
+            is_rejecting = bool(p[index] <= level)
+        levels[index] = level
+    return levels
+
+
+def carry_forward(
+    runs: ArrayLike,
+    run: ArrayLike,
+    step: ArrayLike,
+    value: ArrayLike,
+    num_steps: int,
+    *,
+    initial: float = 0.0,
+) -> Floats:
+    """Values per run and step, the last one carried on after a run has ended.
+
+    Args:
+        runs: `[R]` run indices wanted, in the order wanted.
+        run: `[rows]` run index of each recorded row.
+        step: `[rows]` its step, from 1.
+        value: `[rows]` its value.
+        num_steps: Number of steps of the result.
+        initial: Value at step 0.
+
+    Returns:
+        `[R, num_steps + 1]`, from step 0 on. A run with no row at all is NaN.
+    """
+    wanted, run, step = np.asarray(runs), np.asarray(run), np.asarray(step)
+    table = np.full((wanted.size, num_steps + 1), np.nan)
+    kept = np.isin(run, wanted) & (step >= 1) & (step <= num_steps)
+    order = np.argsort(wanted, kind="stable")
+    row = order[np.searchsorted(wanted, run[kept], sorter=order)]
+    # The column that was recorded last, so that a recorded NaN is carried on as NaN, not papered over.
+    source = np.zeros(table.shape, dtype=np.int64)
+    source[row, step[kept]] = step[kept]
+    table[row, step[kept]] = np.asarray(value, dtype=np.float64)[kept]
+    table[np.isin(wanted, run[kept]), 0] = initial
+    return np.take_along_axis(table, np.maximum.accumulate(source, axis=1), axis=1)
+
+
+def _central(samples: Floats, level: float) -> tuple[Floats, Floats]:
+    tail = (1 - level) / 2
+    low, high = np.quantile(samples, [tail, 1 - tail], axis=0)
+    return low, high

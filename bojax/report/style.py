@@ -1,0 +1,173 @@
+"""How figures look: one colour per identifier everywhere, sizes that survive a phone, files without dates."""
+
+import io
+import textwrap
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.transforms import offset_copy
+
+from bojax.report.source import Point
+
+BLUE, ORANGE, GREEN, PINK, SKY, YELLOW, GREY, BROWN = (
+    "#0072B2",
+    "#D55E00",
+    "#009E73",
+    "#B8558F",
+    "#56B4E9",
+    "#C98A00",
+    "#6B6B6B",
+    "#7A4B2A",
+)
+"""Okabe and Ito's palette for all kinds of colour vision, pink and yellow darkened to carry text."""
+
+COLOURS: Mapping[str, str] = {
+    "kcbts": BLUE,
+    "sbo": ORANGE,
+    "gps-abt": GREEN,
+    "random": GREY,
+    "cbts": SKY,
+    "bo-pomdp": PINK,
+    "myopic": YELLOW,
+    "explorer": BROWN,
+    "emu-q": BLUE,
+    "rff-q": ORANGE,
+    "exploration-values": BLUE,
+    "additive": ORANGE,
+    "epsilon-greedy": GREY,
+    "dora": GREEN,
+    "vime": PINK,
+}
+"""Colour of every identifier of the results format; planners and learners never share a figure."""
+
+LINES = ("-", (0, (5, 1.6)), (0, (1.2, 1.4)), (0, (6, 1.5, 1.2, 1.5)), (0, (2.5, 1.2)))
+"""Line styles that tell variants of one identifier apart."""
+
+WIDTH = 4.7
+"""Width of every figure in inches: on a phone, 340 CSS pixels, its text is still 10 pixels high."""
+
+INK, FAINT = "#222222", "#8A8A8A"
+
+_SETTINGS: Mapping[str, Any] = {
+    "font.family": "DejaVu Sans",  # comes with matplotlib: the same glyphs on every machine
+    "font.size": 10.5,
+    "axes.titlesize": 10.5,
+    "axes.labelsize": 10.5,
+    "axes.edgecolor": "#555555",
+    "axes.labelcolor": INK,
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "axes.unicode_minus": True,
+    "grid.color": "#E4E4E4",
+    "grid.linewidth": 0.7,
+    "xtick.color": "#444444",
+    "ytick.color": "#444444",
+    "xtick.labelsize": 9.5,
+    "ytick.labelsize": 9.5,
+    "legend.frameon": False,
+    "legend.fontsize": 9.5,
+    "lines.linewidth": 1.9,
+    "lines.solid_capstyle": "round",
+    "savefig.facecolor": "white",
+    "savefig.dpi": 200,
+    "svg.hashsalt": "bojax",
+    "svg.fonttype": "path",
+    "path.simplify": True,
+}
+
+
+def settings() -> Any:
+    """Context in which figures are made and saved; matplotlib's defaults come back after it."""
+    settings: dict[Any, Any] = {**matplotlib.rcParamsDefault, **_SETTINGS, "backend": "agg"}
+    return matplotlib.rc_context(settings)
+
+
+def figure(height: float, rows: int = 1, columns: int = 1, **options: Any) -> tuple[Figure, np.ndarray]:
+    """A figure of the common width and its grid of axes, `[rows, columns]`, laid out without overlap."""
+    drawn = Figure(figsize=(WIDTH, height), layout="constrained")
+    return drawn, drawn.subplots(rows, columns, squeeze=False, **options)
+
+
+def encode(drawn: Figure) -> Mapping[str, bytes]:
+    """The figure as `png` and `svg`, the same bytes every time: fixed ids, no date."""
+    files = {}
+    for kind, metadata in (("png", {"Software": None}), ("svg", {"Date": None, "Creator": None})):
+        buffer = io.BytesIO()
+        drawn.savefig(buffer, format=kind, metadata=metadata)
+        files[kind] = buffer.getvalue()
+    return files
+
+
+def colour(label: str, labels: Sequence[str]) -> str:
+    """Colour of an identifier; one that the format does not know gets a colour that no other label uses."""
+    if label in COLOURS:
+        return COLOURS[label]
+    unknown = sorted({name for name in labels if name not in COLOURS} | {label})
+    taken = {COLOURS[name] for name in labels if name in COLOURS}
+    free = [c for c in (BLUE, ORANGE, GREEN, PINK, SKY, YELLOW, BROWN, GREY) if c not in taken] or [GREY]
+    return free[unknown.index(label) % len(free)]
+
+
+def looks(points: Sequence[Point]) -> list[dict[str, Any]]:
+    """Colour and line style of each point: the label's colour, and a style per variant of that label."""
+    labels = [point.label for point in points]
+    return [
+        {
+            "color": colour(point.label, labels),
+            "linestyle": LINES[labels[:position].count(point.label) % len(LINES)],
+        }
+        for position, point in enumerate(points)
+    ]
+
+
+def direct_labels(
+    axes: Axes, x: float, heights: Sequence[float], names: Sequence[str], colours: Sequence[str]
+) -> None:
+    """Names beside the right ends of curves, moved apart until none overlaps, with a leader where moved."""
+    figure = axes.figure
+    assert isinstance(figure, Figure)
+    low, high = axes.get_ylim()
+    gap = 13.0 / (0.8 * figure.get_figheight() * 72) * (high - low)
+    places = spread(heights, gap, low + gap / 2, high - gap / 2)
+    span = axes.get_xlim()[1] - axes.get_xlim()[0]
+    for height, place, name, ink in zip(heights, places, names, colours, strict=True):
+        if abs(place - height) > gap / 4:
+            axes.plot([x, x + 0.022 * span], [height, place], color=ink, linewidth=0.8, clip_on=False)
+        shifted = offset_copy(axes.transData, fig=figure, x=9, units="points")
+        axes.text(x, place, name, color=ink, transform=shifted, va="center", ha="left", fontsize=9.5)
+
+
+def spread(heights: Sequence[float], gap: float, low: float, high: float) -> list[float]:
+    """Places as near to `heights` as a gap allows, in the same order, within the bounds if they fit."""
+    order = np.argsort(np.asarray(heights, dtype=np.float64), kind="stable")
+    offsets = gap * np.arange(len(order))
+    # Moving neighbours apart by a gap is isotonic regression of the heights less their offsets.
+    blocks: list[list[float]] = []
+    for position, index in enumerate(order):
+        blocks.append([heights[index] - offsets[position], 1.0])
+        while len(blocks) > 1 and blocks[-2][0] > blocks[-1][0]:
+            mean, count = blocks.pop()
+            blocks[-1][0] = (blocks[-1][0] * blocks[-1][1] + mean * count) / (blocks[-1][1] + count)
+            blocks[-1][1] += count
+    flat = np.repeat([block[0] for block in blocks], [int(block[1]) for block in blocks])
+    room = max(low, high - (offsets[-1] if len(order) else 0.0))
+    places = np.empty(len(order))
+    places[order] = np.clip(flat, low, room) + offsets
+    return [float(place) for place in places]
+
+
+def wrapped(name: str, width: int) -> str:
+    """A long name on several lines."""
+    return "\n".join(textwrap.wrap(name, width)) or name
+
+
+def quiet_grid(axes: Axes, which: str = "y") -> None:
+    """A faint grid along one axis."""
+    axes.grid(True, axis=which)  # type: ignore[arg-type]
+    axes.tick_params(length=3)

@@ -1,0 +1,214 @@
+"""The tables of the page: what came of the runs, how fast they were, how they were set up."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bojax.report import statistics
+from bojax.report.source import Columns, Point, Results
+from bojax.report.text import MISSING, counted, number, percent, plain, seconds, with_bounds
+
+BY_STEP = 6
+"""Step up to which early success is counted, unless `report.by_step` says otherwise (p. 100)."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A value, its interval and the thesis's value, as text; the last two may be empty."""
+
+    text: str
+    interval: str = ""
+    thesis: str = ""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Column headings and, by row, its heading and cells."""
+
+    headings: list[str]
+    rows: list[tuple[str, list[Cell]]]
+
+
+@dataclass(frozen=True)
+class Speed:
+    """How fast one static group ran, with the latency of each of its points at batch 1."""
+
+    group: str
+    latencies: list[tuple[str, str]]
+    lanes: str
+    steps: str
+    steps_per_second: str
+    iterations_per_second: str
+    run: str
+    compile: str
+
+
+@dataclass(frozen=True)
+class _Measure:
+    heading: str
+    column: str
+    cell: Callable[[Columns], Cell]
+
+
+def outcomes(results: Results) -> Table:
+    """One row per point: means and shares of its runs with 95% intervals, beside the thesis's numbers."""
+    measures = _measures(results)
+    rows = []
+    for point in results.points:
+        runs = results.runs_of(point)
+        cells = [Cell(f"{runs['run'].size:,}")]
+        for measure in measures:
+            cell = measure.cell(runs) if runs["run"].size else Cell(MISSING)
+            cells.append(Cell(cell.text, cell.interval, _thesis(results, point, measure.column)))
+        cells.append(Cell(f"{count_nan_runs(results, point):,}"))
+        rows.append((point.name, cells))
+    return Table(["runs", *(measure.heading for measure in measures), "runs with NaN"], rows)
+
+
+def count_nan_runs(results: Results, point: Point) -> int:
+    """Runs of a point with a NaN among the floats of `runs.parquet` or `steps.parquet`."""
+    bad: set[int] = set()
+    for table in (results.runs_of(point), results.steps_of(point)):
+        for name, column in table.items():
+            # Integers with nulls are read as floats with NaN: those are not errors.
+            if column.dtype.kind == "f" and name not in results.nullable:
+                bad.update(table["run"][np.isnan(column)].tolist())
+    return len(bad)
+
+
+def speeds(results: Results) -> list[Speed]:
+    """One entry per static group of the manifest; empty where it has no timings."""
+    points = {point.index: point for point in results.points}
+    entries = []
+    for position, group in enumerate(results.manifest.get("groups") or []):
+        members = [points[index] for index in group.get("points") or [] if index in points]
+        run, steps = group.get("run_seconds"), group.get("active_steps")
+        rate = steps / run if steps and run else None
+        iterations = {_iterations(point) for point in members}
+        per_step = iterations.pop() if len(iterations) == 1 else None
+        latency = group.get("latency")
+        latency = latency if isinstance(latency, Mapping) else {}
+        entries.append(
+            Speed(
+                group=str(group.get("group", position)),
+                latencies=[(point.name, seconds(latency.get(str(point.index)))) for point in members],
+                lanes=number(group.get("lanes_per_device")),
+                steps=f"{steps:,}" if isinstance(steps, int) else MISSING,
+                steps_per_second=number(rate),
+                iterations_per_second=number(rate * per_step if rate and per_step else None),
+                run=seconds(run),
+                compile=seconds(group.get("compile_seconds")),
+            )
+        )
+    return entries
+
+
+def common_settings(results: Results) -> list[tuple[str, str]]:
+    """Settings that all points share, by dotted path."""
+    flat = [dict(flatten(point.config)) for point in results.points]
+    return [(key, value) for key, value in flat[0].items() if all(other.get(key) == value for other in flat)]
+
+
+def own_settings(results: Results) -> list[tuple[str, list[tuple[str, str]]]]:
+    """Per point, the settings that not all points share."""
+    shared = {key for key, _ in common_settings(results)}
+    return [
+        (point.name, [(key, value) for key, value in flatten(point.config) if key not in shared])
+        for point in results.points
+    ]
+
+
+def flatten(config: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+    """A nested mapping as dotted paths and values."""
+    rows = []
+    for key, value in config.items():
+        path = f"{prefix}{key}"
+        rows += flatten(value, f"{path}.") if isinstance(value, Mapping) else [(path, plain(value))]
+    return rows
+
+
+def _measures(results: Results) -> list[_Measure]:
+    runs = results.runs
+    known = {"point", "label", "variant", "run", "seed", "return", "success", "steps", "exits", "exited"}
+    measures = []
+    if "return" in runs:
+        measures.append(_Measure("final return", "return", lambda table: mean_cell(table["return"])))
+    if "success" in runs:
+        measures.append(_Measure("success", "success", lambda table: share_cell(table["success"])))
+    if "success" in runs and "steps" in runs:
+        limit = int(results.settings.get("by_step", BY_STEP))
+        measures.append(
+            _Measure(
+                f"success by step {limit}",
+                f"success_by_{limit}",
+                lambda table: share_cell(
+                    np.asarray(table["success"], dtype=bool) & (table["steps"] <= limit)
+                ),
+            )
+        )
+        measures.append(
+            _Measure(
+                "steps to success",
+                "steps_to_success",
+                lambda table: mean_cell(
+                    table["steps"][np.asarray(table["success"], dtype=bool)], empty="never"
+                ),
+            )
+        )
+    for column in ("exited", "exits"):
+        if column in runs:
+            measures.append(
+                _Measure(
+                    "left the domain", column, lambda table, column=column: share_cell(table[column] > 0)
+                )
+            )
+            break
+    swept = {key for point in results.points for key in point.swept}
+    for column, values in runs.items():
+        if column in known or column in swept or values.dtype.kind not in "bfiu":
+            continue
+        draw = share_cell if values.dtype.kind == "b" else mean_cell
+        measures.append(
+            _Measure(
+                column.replace("_", " "), column, lambda table, column=column, draw=draw: draw(table[column])
+            )
+        )
+    return measures
+
+
+def mean_cell(values: np.ndarray, *, empty: str = MISSING) -> Cell:
+    """Mean with its bootstrap interval; a NaN is said, not skipped."""
+    if not values.size:
+        return Cell(empty)
+    bad = int((~np.isfinite(values.astype(np.float64))).sum())
+    if bad:
+        return Cell("NaN", f"in {counted(bad, 'run')}")
+    interval = statistics.mean_interval(values)
+    if values.size == 1:
+        return Cell(f"{interval.estimate:,.6g}")
+    return Cell(*with_bounds(interval.estimate, interval.low, interval.high))
+
+
+def share_cell(flags: np.ndarray) -> Cell:
+    """Share with its Wilson interval."""
+    interval = statistics.share_interval(flags)
+    return Cell(percent(interval.estimate), f"[{percent(interval.low)}, {percent(interval.high)}]")
+
+
+def _thesis(results: Results, point: Point, column: str) -> str:
+    values = results.settings.get("thesis")
+    if not isinstance(values, Mapping):
+        return ""
+    for name in (point.name, point.variant, point.label):
+        row = values.get(name)
+        if isinstance(row, Mapping) and column in row:
+            return plain(row[column])
+    return ""
+
+
+def _iterations(point: Point) -> int | None:
+    planner = point.config.get("planner")
+    iterations = planner.get("iterations") if isinstance(planner, Mapping) else None
+    return iterations if isinstance(iterations, int) else None

@@ -1,0 +1,73 @@
+"""How numbers are written in a report, one rule for the page, the figures and `claims.json`."""
+
+import math
+from typing import Any
+
+MISSING = "–"
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """A number to `digits` significant digits, whole from 1000 on: `0.0123`, `570`, `-1,523`."""
+    if value is None or not math.isfinite(value):
+        return MISSING
+    if value == 0:
+        return "0"
+    decimals = max(0, digits - 1 - math.floor(math.log10(abs(value))))
+    rounded = round(value, decimals)
+    if abs(rounded) < 1e-4:
+        return f"{value:.{digits - 1}e}"
+    return f"{rounded:,.{decimals}f}"
+
+
+def percent(share: float | None) -> str:
+    """A share as a percentage with one decimal."""
+    return MISSING if share is None or not math.isfinite(share) else f"{100 * share:.1f}%"
+
+
+def with_bounds(estimate: float, low: float, high: float) -> tuple[str, str]:
+    """An estimate and `[low, high]`, with the decimals that the width of the interval leaves meaningful."""
+    half = (high - low) / 2
+    if not math.isfinite(half) or half <= 0:
+        return f"{estimate:,.6g}", f"[{low:,.6g}, {high:,.6g}]"
+    decimals = max(0, 1 - math.floor(math.log10(half)))
+    if decimals > 6:
+        return number(estimate, 6), f"[{number(low, 6)}, {number(high, 6)}]"
+    # Adding zero turns a rounded -0 into 0.
+    estimate, low, high = (round(value, decimals) + 0.0 for value in (estimate, low, high))
+    return f"{estimate:,.{decimals}f}", f"[{low:,.{decimals}f}, {high:,.{decimals}f}]"
+
+
+def seconds(value: float | None) -> str:
+    """A time span in the unit that suits it."""
+    if value is None or not math.isfinite(value):
+        return MISSING
+    if value < 1e-3:
+        return f"{number(value * 1e6)} µs"
+    if value < 1:
+        return f"{number(value * 1e3)} ms"
+    if value < 120:
+        return f"{number(value)} s"
+    return f"{int(value // 60)} min {int(value % 60)} s"
+
+
+def plain(value: Any) -> str:
+    """A configuration value on one line."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if value is None:
+        return "none"
+    if isinstance(value, float):
+        return f"{value:g}"
+    if isinstance(value, list | tuple):
+        return ", ".join(plain(item) for item in value)
+    return str(value)
+
+
+def joined(names: list[str]) -> str:
+    """Names in a sentence: `a`, `a and b`, `a, b and c`."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def counted(count: int, noun: str) -> str:
+    """A count with its noun: `1 run`, `200 runs`."""
+    return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"

@@ -1,0 +1,206 @@
+"""A results folder made up for the tests: the layout of a real one, shares known beforehand."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+MAX_STEPS = 15
+SAMPLES = 12
+
+# Of every 20 runs: how many park, how many leave the domain, and the step at which either happens.
+BEHAVIOUR = {
+    "kcbts": {"label": "kcbts", "parks": 16, "exits": 1, "at": 5},
+    "sbo-5": {"label": "sbo", "parks": 5, "exits": 2, "at": 8},
+    "sbo-9": {"label": "sbo", "parks": 9, "exits": 2, "at": 8},
+    "gps-abt": {"label": "gps-abt", "parks": 3, "exits": 4, "at": 9},
+    "random": {"label": "random", "parks": 0, "exits": 15, "at": 6},
+}
+
+CLAIMS = [
+    {
+        "id": "order-holds",
+        "source": "Fig. 4.6, p. 99-100",
+        "claim": "final accumulated reward: kCBTS > SBO > GPS-ABT > random",
+        "thesis": "kcbts > sbo > gps-abt > random",
+        "test": {
+            "kind": "order",
+            "column": "return",
+            "by": "label",
+            "greater": ["kcbts", "sbo", "gps-abt", "random"],
+        },
+    },
+    {
+        "id": "order-fails",
+        "source": "p. 100",
+        "claim": "random is above kCBTS",
+        "thesis": "random > kcbts",
+        "test": {"kind": "order", "column": "return", "by": "label", "greater": ["random", "kcbts"]},
+    },
+    {
+        "id": "share-holds",
+        "source": "p. 100",
+        "claim": "kCBTS parks in most episodes by step 6",
+        "thesis": "most",
+        "test": {"kind": "share", "label": "kcbts", "column": "success", "within": 6, "above": 0.5},
+    },
+    {
+        "id": "share-fails",
+        "source": "p. 100",
+        "claim": "SBO parks in most episodes by step 6",
+        "thesis": "most",
+        "test": {"kind": "share", "label": "sbo", "column": "success", "within": 6, "above": 0.5},
+    },
+    {
+        "id": "share-open",
+        "source": "p. 100",
+        "claim": "SBO <parks> in fewer than 45% of runs & more",
+        "thesis": 0.45,
+        "test": {"kind": "share", "label": "sbo", "column": "success", "below": 0.45},
+    },
+    {
+        "id": "trend-holds",
+        "source": "p. 100",
+        "claim": "the curve of kCBTS falls after step 6",
+        "thesis": "steady decrease",
+        "test": {
+            "kind": "trend",
+            "label": "kcbts",
+            "column": "accumulated_reward",
+            "from": 6,
+            "to": 15,
+            "direction": "falls",
+        },
+    },
+    {
+        "id": "missing",
+        "source": "p. 90",
+        "claim": "CBTS is above random",
+        "thesis": "cbts > random",
+        "test": {"kind": "order", "column": "return", "by": "label", "greater": ["cbts", "random"]},
+    },
+]
+
+
+def write_results(folder: Path, *, runs: int = 40, recorded: int = 8, report: dict | None = None) -> Path:
+    """Write the folder; every number follows from `BEHAVIOUR` and a fixed seed."""
+    (folder / "arrays").mkdir(parents=True)
+    random = np.random.default_rng(7)
+    run_rows, step_rows, points = [], [], []
+    starts = np.stack(
+        [
+            random.uniform(-3.5, 3.5, runs),
+            random.uniform(-3.5, 3.5, runs),
+            random.uniform(0, 2 * np.pi, runs),
+        ],
+        axis=1,
+    )
+    for index, (variant, behaviour) in enumerate(BEHAVIOUR.items()):
+        label = behaviour["label"]
+        points.append(
+            {
+                "index": index,
+                "label": label,
+                "variant": variant,
+                "swept": {"planner": variant},
+                "config": {
+                    "kind": "planning",
+                    "problem": {
+                        "kind": "parking",
+                        "half_width": 4.0,
+                        "distance_tolerance": 0.1,
+                        "max_steps": 15,
+                    },
+                    "planner": {"kind": label, "iterations": 300, "depth": 3},
+                },
+            }
+        )
+        for run in range(runs):
+            parks, exits = _outcome(behaviour, run)
+            length = max(1, behaviour["at"] + run % 3 - 1) if parks or exits else MAX_STEPS
+            rewards = -2.0 - 0.05 * run - random.uniform(0, 2, length) * (1 + index)
+            rewards[-1] += 1000.0 * parks - 1000.0 * exits
+            total = np.cumsum(rewards)
+            run_rows.append((index, label, variant, variant, run, 0, total[-1], parks, length, int(exits)))
+            for step in range(length):
+                step_rows.append(
+                    (index, label, run, step + 1, rewards[step], total[step], step == length - 1)
+                )
+            if run < recorded:
+                paths = np.full((MAX_STEPS, SAMPLES, 3), np.nan)
+                paths[:length] = _drive(starts[run], length, parks, exits, random)
+                np.savez(folder / "arrays" / f"{index}-{run}-paths-end.npz", paths=paths, start=starts[run])
+    _table(
+        folder / "runs.parquet",
+        ["point", "label", "variant", "planner", "run", "seed", "return", "success", "steps", "exits"],
+        run_rows,
+    )
+    _table(
+        folder / "steps.parquet",
+        ["point", "label", "run", "step", "reward", "accumulated_reward", "done"],
+        step_rows,
+    )
+    manifest = {
+        "sweep": {
+            "name": "parking",
+            "title": "Robot parking (Fig. 4.6)",
+            "points": points,
+            "runs": runs,
+            "seed": 0,
+            "claims": CLAIMS,
+            "report": {"notes": "Left open: <what> & why."} if report is None else report,
+        },
+        "command": "bojax sweep sweeps/parking.yaml --runs 40",
+        "versions": {"bojax": "0.1.0", "jax": "0.10.2", "numpy": "2.4.6", "python": "3.11.2"},
+        "git": {"revision": "97d835b", "dirty": False},
+        "devices": ["cpu", "cpu"],
+        "groups": [
+            {
+                "group": index,
+                "points": [index],
+                "lanes_per_device": 200,
+                "compile_seconds": 7.25,
+                "run_seconds": 1.5 + index,
+                "active_steps": 12_345,
+                "latency": {str(index): 0.0123 * (1 + index)},
+            }
+            for index in range(len(points))
+        ],
+        "started": "2026-01-02T10:00:00+00:00",
+        "finished": "2026-01-02T10:01:35+00:00",
+    }
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    return folder
+
+
+def edit_manifest(folder: Path, edit) -> None:
+    """Change the manifest in place."""
+    path = folder / "manifest.json"
+    manifest = json.loads(path.read_text())
+    edit(manifest)
+    path.write_text(json.dumps(manifest))
+
+
+def _outcome(behaviour: dict, run: int) -> tuple[bool, bool]:
+    slot = (run * 7) % 20
+    return slot < behaviour["parks"], slot >= 20 - behaviour["exits"]
+
+
+def _drive(start, length, parks, exits, random) -> np.ndarray:
+    """Steps of smooth poses that end at the goal, outside, or anywhere."""
+    end = np.zeros(2) if parks else np.array([4.3, start[1]]) if exits else random.uniform(-3, 3, 2)
+    t = np.linspace(0, 1, length * SAMPLES + 1)
+    out = start[:2] + 2.0 * np.array([np.cos(start[2]), np.sin(start[2])])
+    back = end - np.array([1.5, 0.0])
+    basis = np.stack([(1 - t) ** 3, 3 * t * (1 - t) ** 2, 3 * t**2 * (1 - t), t**3])
+    xy = basis.T @ np.stack([start[:2], out, back, end])
+    heading = np.arctan2(np.gradient(xy[:, 1]), np.gradient(xy[:, 0]))
+    poses = np.concatenate([xy, heading[:, None]], axis=1)[1:]
+    return poses.reshape(length, SAMPLES, 3)
+
+
+def _table(path: Path, names: list[str], rows: list[tuple]) -> None:
+    columns = list(zip(*rows, strict=True))
+    pq.write_table(pa.table(dict(zip(names, [pa.array(column) for column in columns], strict=True))), path)

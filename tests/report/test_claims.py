@@ -1,0 +1,160 @@
+import json
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from bojax.config import claims as schemas
+from bojax.config.component import registry
+from bojax.report.claims import MIN_RUNS, TESTS, evaluate
+from bojax.report.source import load
+from tests.report.synthetic import CLAIMS, edit_manifest, write_results
+
+EXPECTED = {
+    "order-holds": "reproduced",
+    "order-fails": "not reproduced",
+    "share-holds": "reproduced",
+    "share-fails": "not reproduced",
+    "share-open": "inconclusive",
+    "trend-holds": "reproduced",
+    "missing": "inconclusive",
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return write_results(tmp_path_factory.mktemp("claims") / "results", runs=40)
+
+
+@pytest.fixture(scope="module")
+def entries(folder):
+    return {entry["id"]: entry for entry in evaluate(load(folder))}
+
+
+def judge(folder, tmp_path, test) -> dict:
+    """The entry of one claim with this test, on a copy of the folder's tables."""
+    copy = tmp_path / "copy"
+    copy.mkdir()
+    for name in ("runs.parquet", "steps.parquet", "manifest.json"):
+        (copy / name).write_bytes((folder / name).read_bytes())
+    claim = {"id": "x", "source": "s", "claim": "c", "thesis": None, "test": test}
+    edit_manifest(copy, lambda manifest: manifest["sweep"].update(claims=[claim]))
+    return evaluate(load(copy))[0]
+
+
+def test_verdicts_of_clear_cases(entries):
+    assert {key: entry["verdict"] for key, entry in entries.items()} == EXPECTED
+
+
+def test_entries_hold_the_keys_of_the_results_format(entries):
+    keys = {"id", "source", "claim", "thesis", "ours", "interval", "runs", "verdict", "test"}
+    assert all(set(entry) == keys for entry in entries.values())
+    json.dumps(list(entries.values()), allow_nan=False)
+
+
+def test_the_best_variant_stands_for_a_label(entries):
+    assert entries["order-holds"]["test"]["chosen"] == {"sbo": "sbo-9"}
+    # 9 of 20 runs of sbo-9 park, 5 of 20 of sbo-5.
+    assert entries["share-open"]["ours"] == pytest.approx(0.45)
+
+
+def test_a_variant_can_be_named_itself(folder, tmp_path):
+    entry = judge(
+        folder,
+        tmp_path,
+        {"kind": "share", "by": "variant", "label": "sbo-5", "column": "success", "above": 0.0},
+    )
+    assert entry["ours"] == pytest.approx(0.25)
+    assert entry["verdict"] == "reproduced"
+
+
+def test_order_compares_equal_runs(entries, folder):
+    results = load(folder)
+    kcbts, sbo = results.points[0], results.points[2]
+    difference = results.runs_of(kcbts)["return"] - results.runs_of(sbo)["return"]
+    pair = entries["order-holds"]["test"]["comparisons"][0]
+    assert pair["of"] == "kcbts - sbo"
+    assert pair["estimate"] == pytest.approx(difference.mean())
+    assert pair["interval"][0] < difference.mean() < pair["interval"][1]
+
+
+def test_settings_that_do_not_differ_leave_an_order_open(folder, tmp_path):
+    entry = judge(
+        folder,
+        tmp_path,
+        {"kind": "order", "by": "variant", "column": "seed", "greater": ["kcbts", "random"]},
+    )
+    assert entry["verdict"] == "inconclusive"
+    assert entry["interval"] == [0.0, 0.0]
+
+
+def test_one_broken_pair_breaks_an_order(folder, tmp_path):
+    entry = judge(
+        folder, tmp_path, {"kind": "order", "column": "return", "greater": ["kcbts", "random", "sbo"]}
+    )
+    assert entry["verdict"] == "not reproduced"
+    assert entry["interval"][1] < 0
+
+
+def test_trend_follows_the_direction(folder, tmp_path):
+    test = {"kind": "trend", "label": "random", "column": "accumulated_reward", "from": 1, "to": 15}
+    entry = judge(folder, tmp_path, {**test, "direction": "rises"})
+    assert entry["verdict"] == "not reproduced"
+    assert entry["ours"] < -500
+
+
+@pytest.mark.parametrize(
+    ("test", "reason"),
+    [
+        ({"kind": "share", "label": "cbts", "column": "success", "above": 0.5}, "no runs of cbts"),
+        ({"kind": "share", "label": "sbo", "column": "parked", "above": 0.5}, "no column parked"),
+        ({"kind": "order", "column": "rmse", "greater": ["sbo", "random"]}, "no column rmse"),
+        (
+            {
+                "kind": "trend",
+                "label": "sbo",
+                "column": "accumulated_reward",
+                "from": 6,
+                "to": 40,
+                "direction": "falls",
+            },
+            "the longest took 15",
+        ),
+        ({"kind": "spectrum"}, "no test of kind"),
+        ({"kind": "order", "greater": ["sbo", "random"]}, "column"),
+    ],
+)
+def test_what_cannot_be_tested_is_inconclusive_and_says_why(folder, tmp_path, test, reason):
+    entry = judge(folder, tmp_path, test)
+    assert entry["verdict"] == "inconclusive"
+    assert entry["ours"] is None and entry["interval"] is None
+    assert reason in entry["test"]["reason"]
+
+
+def test_too_few_runs_decide_nothing(tmp_path):
+    entries = evaluate(load(write_results(tmp_path / "few", runs=MIN_RUNS - 1)))
+    assert {entry["verdict"] for entry in entries} == {"inconclusive"}
+    assert f"at least {MIN_RUNS}" in entries[0]["test"]["reason"]
+
+
+def test_a_nan_is_a_reason_not_a_number(folder, tmp_path):
+    copy = write_results(tmp_path / "nan", runs=40)
+    table = pq.read_table(copy / "runs.parquet")
+    returns = table["return"].to_numpy().copy()
+    returns[3] = np.nan
+    position = table.column_names.index("return")
+    pq.write_table(table.set_column(position, "return", pa.array(returns)), copy / "runs.parquet")
+    entry = evaluate(load(copy))[0]
+    assert entry["verdict"] == "inconclusive"
+    assert "1 run of kcbts without a finite return" in entry["test"]["reason"]
+
+
+def test_every_test_that_a_sweep_may_ask_for_is_there():
+    assert set(TESTS) == set(registry["test"])
+
+
+@pytest.mark.parametrize("claim", CLAIMS, ids=lambda claim: claim["id"])
+def test_claims_as_a_sweep_writes_them_give_the_verdict_of_the_file(folder, tmp_path, claim):
+    written = schemas.Claim.model_validate(claim).model_dump(mode="json")
+    assert judge(folder, tmp_path, written["test"])["verdict"] == EXPECTED[claim["id"]]

@@ -1,0 +1,229 @@
+import json
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from bojax.report.build import build_report
+from bojax.report.figures import FIGURES
+from bojax.results.store import ResultsError
+from tests.report.synthetic import BEHAVIOUR, edit_manifest, write_results
+
+DRAWN = ["accumulated-reward", "success", "returns", "paths"]
+
+
+class Page(HTMLParser):
+    """What a browser would find in the page."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.loaded, self.text = [], [], ""
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        self.loaded += [value for name, value in attrs if name in ("src", "href", "srcset", "data", "action")]
+
+    def handle_data(self, data):
+        self.text += data
+
+    def all(self, tag):
+        return [attributes for name, attributes in self.tags if name == tag]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = write_results(tmp_path_factory.mktemp("report") / "results", runs=40)
+    assert build_report([folder]) == folder / "report.html"
+    return folder
+
+
+@pytest.fixture(scope="module")
+def page(folder):
+    return Page((folder / "report.html").read_text(encoding="utf-8"))
+
+
+def derived(folder):
+    paths = [folder / "claims.json", folder / "report.html", *sorted((folder / "figures").iterdir())]
+    return {path.name: path.read_bytes() for path in paths}
+
+
+def test_page_names_every_planner_and_every_verdict(page, folder):
+    for variant in BEHAVIOUR:
+        assert variant in page.text
+    for claim in json.loads((folder / "claims.json").read_text()):
+        assert claim["id"] in page.text and claim["verdict"] in page.text
+    assert "Robot parking (Fig. 4.6)" in page.text
+    assert "bojax sweep sweeps/parking.yaml --runs 40" in page.text
+    assert "1 min 35 s" not in page.text and "95.0 s" in page.text
+
+
+def test_page_shows_the_numbers_of_the_tables(page):
+    assert "80.0%" in page.text  # 16 of 20 runs of kcbts park
+    assert "75.0%" in page.text  # 15 of 20 runs of random leave the domain
+    assert "12.3 ms" in page.text and "7.25 s" in page.text
+    assert "8,230" in page.text  # 12,345 steps in 1.5 s
+
+
+def test_page_loads_nothing_and_runs_nothing(page, folder):
+    assert page.loaded and all(address.startswith("data:image/svg+xml;base64,") for address in page.loaded)
+    assert not page.all("script") and not page.all("link")
+    text = (folder / "report.html").read_text()
+    assert not re.search(r"url\(|@import|https?://", text)
+
+
+def test_page_is_accessible(page):
+    assert page.all("html") == [{"lang": "en"}]
+    assert len(page.all("img")) == len(DRAWN)
+    assert all(len(image["alt"]) > 40 for image in page.all("img"))
+    assert all(header.get("scope") in ("row", "col") for header in page.all("th"))
+    assert [name for name, _ in page.tags].count("h1") == 1
+
+
+def test_text_of_the_sweep_is_escaped(folder):
+    text = (folder / "report.html").read_text()
+    assert "SBO &lt;parks&gt; in fewer" in text
+    assert "Left open: &lt;what&gt; &amp; why." in text
+
+
+def test_figures_are_written_as_png_and_svg(folder):
+    names = {path.name for path in (folder / "figures").iterdir()}
+    assert names == {f"{name}.{suffix}" for name in DRAWN for suffix in ("png", "svg")}
+    assert (folder / "figures" / "paths.png").read_bytes().startswith(b"\x89PNG")
+    assert not [path for path in folder.rglob("*") if path.name.endswith(".tmp")]
+
+
+def test_rebuilding_gives_the_same_bytes(folder):
+    first = derived(folder)
+    build_report([folder])
+    assert derived(folder) == first
+
+
+def test_report_settings_choose_figures_and_notes(tmp_path):
+    report = {
+        "figures": ["returns", "latency", "trajectories", "no-such-figure"],
+        "notes": ["First note.", "Second note."],
+        "thesis": {"sbo": {"success": "1 of 5"}},
+        "by_step": 9,
+    }
+    folder = write_results(tmp_path / "results", runs=8, recorded=0, report=report)
+    (folder / "figures").mkdir()
+    (folder / "figures" / "success.png").write_bytes(b"of an earlier report")
+    (folder / "figures" / "mine.png").write_bytes(b"of the user")
+    build_report([folder])
+    page = Page((folder / "report.html").read_text())
+    assert {path.name for path in (folder / "figures").iterdir()} == {
+        "returns.png",
+        "returns.svg",
+        "mine.png",
+    }
+    assert "First note." in page.text and "Second note." in page.text
+    assert "No figure is called no-such-figure" in page.text
+    assert "The figure trajectories is not drawn: no trajectories in arrays/." in page.text
+    assert page.text.count("thesis 1 of 5") == 2  # both variants of sbo
+    assert "success by step 9" in page.text
+
+
+def test_missing_runs_and_nans_are_said(tmp_path):
+    folder = write_results(tmp_path / "results", runs=8, report={"figures": []})
+    edit_manifest(folder, lambda manifest: manifest["sweep"].update(runs=10))
+    build_report([folder])
+    assert (
+        "10 runs of kcbts, sbo-5, sbo-9, gps-abt and random did not finish"
+        in Page((folder / "report.html").read_text()).text
+    )
+
+
+def test_trajectories_are_drawn_one_panel_a_point(tmp_path):
+    folder = write_results(tmp_path / "results", runs=2, recorded=0)
+    angle = np.linspace(-1, 1, 5)[:, None] * np.linspace(0, 1, 9)
+    paths = np.stack([np.cos(angle), np.sin(angle), angle], axis=-1)
+    for point in range(3):
+        np.savez(folder / "arrays" / f"{point}-0-trajectories-end.npz", paths=paths)
+    build_report([folder])
+    (alt,) = [
+        image["alt"]
+        for image in Page((folder / "report.html").read_text()).all("img")
+        if image["alt"].startswith("Trajectories")
+    ]
+    assert "kcbts, 5 paths; sbo−5, 5 paths; sbo−9, 5 paths" in alt or "kcbts, 5 paths; sbo-5, 5 paths" in alt
+
+
+def test_many_points_are_drawn_by_the_best_of_each_label(tmp_path):
+    folder = write_results(tmp_path / "results", runs=4, recorded=0)
+
+    def repeat(manifest):
+        points = manifest["sweep"]["points"]
+        manifest["sweep"]["points"] = [
+            {**points[index % 5], "index": index % 5, "swept": {"planner.kappa": index}}
+            for index in range(15)
+        ]
+
+    edit_manifest(folder, repeat)
+    build_report([folder])
+    text = Page((folder / "report.html").read_text()).text
+    assert "Of 15 points, the one with the best mean return of each label is drawn." in text
+    assert "kcbts, kappa 5" in text
+
+
+def test_several_folders_get_a_report_each(tmp_path):
+    folders = [write_results(tmp_path / name, runs=2, report={"figures": []}) for name in ("a", "b")]
+    assert build_report(folders) == folders[1] / "report.html"
+    assert (folders[0] / "report.html").exists()
+
+
+def _truncate(name):
+    def damage(folder):
+        path = folder / name
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+    return damage
+
+
+@pytest.mark.parametrize(
+    ("damage", "named"),
+    [
+        (lambda folder: folder.rename(folder.with_name("elsewhere")), "no such results folder"),
+        (lambda folder: (folder / "manifest.json").unlink(), "manifest.json"),
+        (lambda folder: (folder / "runs.parquet").unlink(), "runs.parquet"),
+        (_truncate("manifest.json"), "manifest.json"),
+        (_truncate("runs.parquet"), "runs.parquet"),
+        (_truncate("steps.parquet"), "steps.parquet"),
+        (_truncate("arrays/0-0-paths-end.npz"), "0-0-paths-end.npz"),
+        (lambda folder: edit_manifest(folder, lambda manifest: manifest.pop("finished")), "--resume"),
+        (
+            lambda folder: edit_manifest(folder, lambda manifest: manifest["sweep"].pop("points")),
+            "sweep.points",
+        ),
+        (
+            lambda folder: edit_manifest(folder, lambda manifest: manifest["sweep"].update(points=[{}])),
+            "sweep.points[0]",
+        ),
+        (lambda folder: (folder / "figures").write_text("in the way"), "figures"),
+    ],
+)
+def test_unreadable_folders_end_in_one_line_and_nothing_is_written(tmp_path, damage, named):
+    folder = write_results(tmp_path / "results", runs=2)
+    damage(folder)
+    with pytest.raises(ResultsError) as error:
+        build_report([folder])
+    assert "\n" not in str(error.value) and str(folder) in str(error.value) and named in str(error.value)
+    assert not (folder / "report.html").exists() and not (folder / "claims.json").exists()
+
+
+def test_reports_are_made_without_jax_and_without_pyplot(folder):
+    code = (
+        "import sys, pathlib; from bojax.report.build import build_report; "
+        f"build_report([pathlib.Path({str(folder)!r})]); "
+        "print([name for name in ('jax', 'equinox', 'matplotlib.pyplot') if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_default_figures_are_those_of_the_registry():
+    assert list(FIGURES)[0] == "accumulated-reward"
+    assert set(DRAWN) < set(FIGURES)

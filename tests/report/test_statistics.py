@@ -1,0 +1,81 @@
+import numpy as np
+import pytest
+import scipy.stats
+
+from bojax.report import statistics
+
+
+def test_mean_interval_agrees_with_scipys_percentile_bootstrap():
+    values = np.random.default_rng(0).exponential(size=120)
+    ours = statistics.mean_interval(values)
+    theirs = scipy.stats.bootstrap(
+        (values,), np.mean, method="percentile", n_resamples=10_000, rng=np.random.default_rng(1)
+    ).confidence_interval
+    # Two Monte-Carlo estimates of the same quantiles: within a few hundredths of the interval's width.
+    width = theirs.high - theirs.low
+    assert ours.estimate == pytest.approx(values.mean())
+    assert ours.low == pytest.approx(theirs.low, abs=0.03 * width)
+    assert ours.high == pytest.approx(theirs.high, abs=0.03 * width)
+
+
+def test_bootstrap_is_the_same_every_time_whatever_the_block(monkeypatch):
+    values = np.random.default_rng(0).normal(size=(50, 2))
+    whole = statistics.bootstrap_means(values, resamples=300)
+    np.testing.assert_array_equal(whole, statistics.bootstrap_means(values, resamples=300))
+    assert whole.shape == (300, 2)
+    monkeypatch.setattr(statistics, "_BLOCK_CELLS", 50 * 100)
+    np.testing.assert_allclose(statistics.bootstrap_means(values, resamples=300), whole, rtol=1e-12)
+
+
+def test_columns_are_resampled_together():
+    column = np.random.default_rng(0).normal(size=40)
+    means = statistics.bootstrap_means(np.stack([column, column + 1.0], axis=1), resamples=200)
+    np.testing.assert_allclose(means[:, 1] - means[:, 0], 1.0, rtol=1e-12)
+
+
+def test_strata_keep_their_sizes():
+    strata = np.repeat([0, 1, 2], [5, 20, 3])
+    means = statistics.bootstrap_means(strata.astype(float), strata, resamples=50)
+    np.testing.assert_allclose(means, strata.mean(), rtol=1e-12)
+
+
+def test_stratification_removes_the_variance_between_strata():
+    random = np.random.default_rng(0)
+    strata = np.repeat([0, 1], 50)
+    values = 10.0 * strata + random.normal(size=100)
+    plain, stratified = statistics.mean_interval(values), statistics.mean_interval(values, strata)
+    assert stratified.high - stratified.low < 0.3 * (plain.high - plain.low)
+
+
+@pytest.mark.parametrize(("successes", "trials"), [(0, 200), (1, 7), (103, 200), (200, 200)])
+def test_wilson_agrees_with_scipy(successes, trials):
+    low, high = statistics.wilson(successes, trials)
+    theirs = scipy.stats.binomtest(successes, trials).proportion_ci(method="wilson")
+    assert float(low) == pytest.approx(theirs.low, abs=1e-12)
+    assert float(high) == pytest.approx(theirs.high, abs=1e-12)
+
+
+def test_holm_tests_the_smallest_at_the_strictest_level_and_stops_at_the_first_kept():
+    np.testing.assert_allclose(statistics.holm_levels([0.03, 0.001, 0.02], 0.06), [0.06, 0.02, 0.03])
+    # 0.03 > 0.025 is kept, and so is 0.04 although 0.04 < 0.05.
+    levels = statistics.holm_levels([0.04, 0.03], 0.05)
+    np.testing.assert_allclose(levels, [0.025, 0.025])
+
+
+def test_values_are_carried_forward_from_the_last_row_of_a_run():
+    run, step, value = [3, 3, 5], [1, 2, 1], [10.0, 11.0, -4.0]
+    table = statistics.carry_forward([5, 3, 9], run, step, value, 4)
+    np.testing.assert_array_equal(table[0], [0.0, -4.0, -4.0, -4.0, -4.0])
+    np.testing.assert_array_equal(table[1], [0.0, 10.0, 11.0, 11.0, 11.0])
+    assert np.isnan(table[2]).all()
+
+
+def test_a_recorded_nan_is_carried_forward_not_papered_over():
+    table = statistics.carry_forward([0], [0, 0], [1, 2], [1.0, np.nan], 3)
+    np.testing.assert_array_equal(table, [[0.0, 1.0, np.nan, np.nan]])
+
+
+def test_no_data_and_nan_have_no_interval():
+    for values in ([], [1.0, float("nan")]):
+        assert np.isnan(statistics.mean_interval(values).estimate)
+    assert np.isnan(statistics.share_interval([]).low)

@@ -1,0 +1,61 @@
+import numpy as np
+import pytest
+
+from bojax.report import style, text
+from bojax.report.figures.curves import step_ticks
+from bojax.report.figures.returns import swarm
+
+
+def test_labels_are_spread_no_further_than_needed():
+    places = style.spread([0.0, 0.1, 5.0, 0.05], 1.0, -10.0, 10.0)
+    order = np.argsort(places)
+    np.testing.assert_array_equal(order, [0, 3, 1, 2])
+    assert (np.diff(np.asarray(places)[order]) >= 1.0 - 1e-9).all()
+    assert places[2] == 5.0
+    assert np.mean([places[0], places[3], places[1]]) == pytest.approx(0.05)
+
+
+def test_labels_stay_within_bounds_that_fit_them():
+    assert style.spread([9.9, 10.0], 1.0, 0.0, 10.0) == pytest.approx([9.0, 10.0])
+    assert style.spread([0.0, 0.0], 1.0, 0.0, 10.0) == pytest.approx([0.0, 1.0])
+
+
+def test_a_known_identifier_has_one_colour_and_unknown_ones_take_the_rest():
+    assert style.colour("kcbts", ["mine", "kcbts"]) == style.colour("kcbts", ["kcbts"]) == style.BLUE
+    labels = ["kcbts", "mine", "yours"]
+    assert len({style.colour(label, labels) for label in labels}) == 3
+
+
+@pytest.mark.parametrize(
+    ("last", "ticks"), [(1, [0, 1]), (5, range(6)), (15, range(0, 16, 3)), (50, range(0, 51, 10))]
+)
+def test_step_ticks_are_even_and_reach_the_end(last, ticks):
+    assert step_ticks(last) == list(ticks)
+
+
+def test_a_swarm_stacks_what_falls_into_one_bin():
+    dots, offsets = swarm(np.array([0.1, 0.2, 5.0]), np.linspace(0, 10, 11))
+    np.testing.assert_allclose(dots, [0.5, 0.5, 5.5])
+    np.testing.assert_allclose(offsets, [-0.035, 0.035, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("value", "written"),
+    [(0.0, "0"), (0.01234, "0.0123"), (569.6, "570"), (-1523.4, "-1,523"), (None, "–"), (float("nan"), "–")],
+)
+def test_numbers_keep_three_digits(value, written):
+    assert text.number(value) == written
+
+
+def test_an_estimate_has_the_decimals_that_its_interval_allows():
+    assert text.with_bounds(569.62, 531.9, 611.3) == ("570", "[532, 611]")
+    assert text.with_bounds(4.9721, 4.84, 5.09) == ("4.97", "[4.84, 5.09]")
+    assert text.with_bounds(-0.2, -40.0, 41.0) == ("0", "[-40, 41]")
+    assert text.with_bounds(17.0, 17.0, 17.0) == ("17", "[17, 17]")
+
+
+@pytest.mark.parametrize(
+    ("value", "written"), [(4.2e-5, "42.0 µs"), (0.0123, "12.3 ms"), (7.25, "7.25 s"), (150, "2 min 30 s")]
+)
+def test_time_spans_have_a_fitting_unit(value, written):
+    assert text.seconds(value) == written
