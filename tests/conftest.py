@@ -1,0 +1,24 @@
+"""Strict settings for every test: promotions raise, keys are used once, shapes are checked, CPU only."""
+
+import os
+from pathlib import Path
+
+os.environ["JAX_PLATFORMS"] = "cpu"
+os.environ.setdefault("BOJAX_CACHE", str(Path(__file__).parents[1] / ".pytest_cache" / "jax"))
+
+import jax  # noqa: E402
+from jaxtyping import install_import_hook  # noqa: E402
+
+STRICT = {
+    "jax_enable_x64": True,
+    "jax_numpy_dtype_promotion": "strict",
+    "jax_numpy_rank_promotion": "raise",
+    "jax_debug_key_reuse": True,
+    "jax_num_cpu_devices": 2,
+}
+CHECKED = ("numerics", "models", "acquisition", "motions", "problems", "planning", "experiments", "engine")
+"""Packages whose annotations, shapes included, are checked at every call."""
+
+for flag, value in STRICT.items():
+    jax.config.update(flag, value)
+install_import_hook([f"bojax.{package}" for package in CHECKED], "beartype.beartype")

@@ -1,0 +1,247 @@
+"""A whole sweep: the results folder, and every way in which it can fail."""
+
+import errno
+import os
+from pathlib import Path
+
+import jax
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from bojax.engine import batch
+from bojax.results.store import WORK, ResultsError, read_manifest, read_table
+from tests.engine.drive import contents, run_toy, start_toy
+from tests.toy import Toy
+
+RUNS = 10
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("sweep") / "toy"
+    before = batch.compile_counts.copy()
+    assert run_toy(out, runs=RUNS, latency=True) == 0
+    # Two static groups: the points that differ in a number share one.
+    each = {name: 2 for name in ("init", "advance", "summary", "snapshot")}
+    assert batch.compile_counts - before == each
+    return out
+
+
+def columns(path: Path) -> dict[str, np.ndarray]:
+    table = read_table(path)
+    return {name: table[name].to_numpy() for name in table.column_names}
+
+
+def errors(capsys) -> list[str]:
+    return [line for line in capsys.readouterr().err.splitlines() if line.startswith("error: ")]
+
+
+def test_runs(folder):
+    runs = read_table(folder / "runs.parquet")
+    assert runs.column_names == [
+        *("point", "label", "variant", "scale", "max_length", "run", "seed"),
+        *("return", "steps", "first_right", "success", "nans"),
+    ]
+    assert runs["point"].to_pylist() == [point for point in range(3) for _ in range(RUNS)]
+    assert runs["run"].to_pylist() == list(range(RUNS)) * 3
+    assert set(runs["variant"].to_pylist()) == {"scale=1.0", "scale=2.0", "max_length=15"}
+    assert runs["scale"].to_pylist() == [1.0] * RUNS + [2.0] * RUNS + [None] * RUNS
+    assert runs["nans"].to_pylist() == [0] * 3 * RUNS
+    assert runs["first_right"].null_count > 0 and -1 not in runs["first_right"].to_pylist()
+    assert runs.schema.field("return").metadata == {b"unit": b"m"}
+
+
+def test_steps_stop_where_the_run_does(folder):
+    runs, steps = columns(folder / "runs.parquet"), columns(folder / "steps.parquet")
+    expected = [
+        (point, run, step)
+        for point, run, length in zip(runs["point"], runs["run"], runs["steps"], strict=True)
+        for step in range(1, length + 1)
+    ]
+    assert list(zip(steps["point"], steps["run"], steps["step"], strict=True)) == expected
+
+
+def test_arrays_of_the_recorded_runs(folder):
+    names = sorted(path.name for path in (folder / "arrays").iterdir())
+    assert names == sorted(f"{point}-{run}-walk-end.npz" for point in range(3) for run in range(2))
+    steps = columns(folder / "steps.parquet")
+    last = np.nonzero((steps["point"] == 1) & (steps["run"] == 1))[0][-1]
+    with np.load(folder / "arrays" / "1-1-walk-end.npz") as arrays:
+        assert arrays["position"].tolist() == [steps["x"][last], steps["y"][last]]
+        assert arrays["start"].tolist() == [0.0, 1.0]
+
+
+def test_manifest(folder):
+    manifest = read_manifest(folder)
+    assert manifest["status"] == "finished" and manifest["command"] == "bojax sweep toy"
+    assert [group["points"] for group in manifest["groups"]] == [[0, 1], [2]]
+    total = sum(read_table(folder / "runs.parquet")["steps"].to_pylist())
+    assert sum(group["active_steps"] for group in manifest["groups"]) == total
+    for group in manifest["groups"]:
+        assert group["compile_seconds"] > 0 and group["run_seconds"] > 0
+        assert list(group["latency_seconds"]) == [str(point) for point in group["points"]]
+        assert all(0 < seconds < 1 for seconds in group["latency_seconds"].values())
+    assert all(chunk["status"] == "done" for chunk in manifest["chunks"])
+    assert manifest["device"]["platform"] == "cpu" and manifest["precision"]["x64"]
+    assert not (folder / WORK).exists()
+
+
+def test_timings(folder):
+    timings = read_table(folder / "timings.parquet")
+    assert timings["point"].to_pylist() == [-1, 2]
+    assert timings["lanes"].to_pylist() == [2 * RUNS, RUNS]
+    assert all(seconds > 0 for seconds in timings["seconds"].to_pylist())
+
+
+def test_files_are_of_one_row_group(folder):
+    for name in ("runs", "steps"):
+        assert pq.ParquetFile(folder / f"{name}.parquet").num_row_groups == 1
+
+
+def test_chunks_and_segments_change_nothing(folder, tmp_path):
+    out = tmp_path / "toy"
+    assert run_toy(out, runs=RUNS, lanes_per_device=5, segment_seconds=1e-6) == 0
+    assert len(read_table(out / "timings.parquet")) > 6
+    assert contents(out) == contents(folder)
+
+
+def test_four_cpu_devices_give_what_two_give(folder, tmp_path):
+    out = tmp_path / "toy"
+    # The test settings ask for two devices; here XLA's flag is to decide, as on a user's machine.
+    environment = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=4"}
+    undo = "import jax; jax.config.update('jax_num_cpu_devices', -1)"
+    process = start_toy(out, undo, env=environment, runs=RUNS)
+    assert process.wait(timeout=120) == 0
+    assert read_manifest(out)["device"]["count"] == 4
+    ours, theirs = (columns(where / "runs.parquet") for where in (out, folder))
+    np.testing.assert_allclose(ours["return"], theirs["return"], rtol=1e-12)
+    assert (ours["steps"] == theirs["steps"]).all()
+
+
+def test_nans_are_counted(tmp_path, capsys):
+    out = tmp_path / "toy"
+    assert run_toy(out, {"poison": 1.0}, {"poison": 2.0}, runs=RUNS) == 0
+    runs, steps = columns(out / "runs.parquet"), columns(out / "steps.parquet")
+    expected = np.isnan(runs["return"]).astype(int)
+    for point, run, x, y in zip(*(steps[name] for name in ("point", "run", "x", "y")), strict=True):
+        expected[RUNS * point + run] += int(np.isnan(x)) + int(np.isnan(y))
+    assert runs["nans"].tolist() == expected.tolist() and expected.sum() > 0
+    by_point = {str(point): int(expected[runs["point"] == point].sum()) for point in (0, 1)}
+    assert read_manifest(out)["nans"] == {point: count for point, count in by_point.items() if count}
+    assert f"warning: {(expected > 0).sum()} runs contain NaN" in capsys.readouterr().err
+
+
+def test_existing_folder_is_left_alone(tmp_path, capsys):
+    (tmp_path / "mine.txt").write_text("mine")
+    assert run_toy(tmp_path) == 2
+    (line,) = errors(capsys)
+    assert "is not empty" in line
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+
+
+def test_unwritable_folder(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert run_toy(tmp_path / "file" / "out") == 2
+    (line,) = errors(capsys)
+    assert "cannot be written" in line
+
+
+def test_no_gpu(tmp_path, capsys):
+    assert run_toy(tmp_path / "toy", device="gpu") == 2
+    (line,) = errors(capsys)
+    assert "engine.device: gpu" in line and "engine.device=auto" in line
+    assert not (tmp_path / "toy").exists()
+
+
+def test_full_disk_is_resumable(tmp_path, capsys, folder, monkeypatch):
+    out = tmp_path / "toy"
+    replace, count = os.replace, 0
+
+    def full(source, target):
+        nonlocal count
+        count += Path(target).suffix == ".parquet"
+        if count > 2:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        replace(source, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "replace", full)
+        assert run_toy(out, runs=RUNS) == 1
+    (line,) = errors(capsys)
+    assert "the disk is full" in line and "--resume" in line
+    assert not list(out.rglob("*.tmp")) and not (out / "runs.parquet").exists()
+    assert run_toy(out, runs=RUNS, resume=True) == 0
+    assert contents(out) == contents(folder)
+
+
+def test_full_disk_at_a_checkpoint(tmp_path, capsys, monkeypatch):
+    from orbax.checkpoint import v1
+
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(v1, "save", full)
+    often = {"segment_seconds": 1e-6, "checkpoint_seconds": 1e-6}
+    assert run_toy(tmp_path / "toy", {"max_length": 200}, **often) == 1
+    (line,) = errors(capsys)
+    assert "the disk is full" in line
+
+
+@pytest.mark.parametrize("program", ["advance", "init"])
+def test_out_of_memory_names_the_setting(tmp_path, capsys, monkeypatch, program):
+    def exhausted(self, *_):
+        raise jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 99 bytes.")
+
+    monkeypatch.setattr(batch.Compiled, program, exhausted)
+    assert run_toy(tmp_path / "toy", lanes_per_device=16) == 1
+    text = capsys.readouterr().err
+    assert "16 lanes per device: try engine.lanes_per_device=8" in text
+
+
+def test_a_failed_chunk_does_not_stop_the_others(tmp_path, capsys, folder, monkeypatch):
+    out = tmp_path / "toy"
+    place = batch.Compiled.place
+
+    def fail(self, positions, runs, is_real):
+        if runs[0] == 0 and positions[0] == 1:
+            raise RuntimeError("boom\nand a stack")
+        return place(self, positions, runs, is_real)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(batch.Compiled, "place", fail)
+        assert run_toy(out, runs=RUNS, lanes_per_device=5) == 1
+    (line,) = [line for line in errors(capsys) if "chunks failed" in line]
+    assert "1 of 3 chunks failed" in line
+    manifest = read_manifest(out)
+    assert manifest["status"] == "failed"
+    assert [chunk["status"] for chunk in manifest["chunks"]] == ["done", "failed", "done"]
+    assert manifest["chunks"][1]["error"] == "RuntimeError: boom"
+    assert set(read_table(out / "runs.parquet")["point"].to_pylist()) == {0, 2}
+    assert run_toy(out, runs=RUNS, lanes_per_device=5, resume=True) == 0
+    assert contents(out) == contents(folder)
+    assert read_manifest(out)["status"] == "finished"
+
+
+def test_an_experiment_that_does_not_end(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(Toy, "max_advances", property(lambda self: 3))
+    out = tmp_path / "toy"
+    assert run_toy(out) == 1
+    assert "runs are not done after 3 advances" in read_manifest(out)["chunks"][0]["error"]
+    assert "runs are not done after 3 advances" in capsys.readouterr().err
+
+
+def test_truncated_results(folder, tmp_path):
+    whole = (folder / "runs.parquet").read_bytes()
+    (tmp_path / "runs.parquet").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(ResultsError, match="was it truncated") as error:
+        read_table(tmp_path / "runs.parquet")
+    assert "\n" not in str(error.value)
+
+
+def test_finished_sweep_resumed(folder, capsys):
+    before = contents(folder)
+    assert run_toy(folder, runs=RUNS, resume=True) == 0
+    assert "already finished" in capsys.readouterr().out
+    assert run_toy(folder, runs=RUNS + 1, resume=True) == 2
+    assert contents(folder) == before
