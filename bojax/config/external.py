@@ -25,6 +25,11 @@ from bojax.config.sweep import Sweep
 Locate = Callable[[Location], str]
 
 
+def has_import_paths(sweep: Sweep) -> bool:
+    """Whether any part of the sweep is given by import path and not yet imported."""
+    return any(_has_import_paths(point.config) for point in sweep.points)
+
+
 def resolve(sweep: Sweep) -> Sweep:
     """The sweep with every import path imported and its settings validated; runs the user's modules.
 
@@ -40,6 +45,12 @@ def resolve(sweep: Sweep) -> Sweep:
         variant = config.label if point.variant == point.label else point.variant
         points.append(dataclasses.replace(point, config=config, label=config.label, variant=variant))
     return dataclasses.replace(sweep, points=tuple(points))
+
+
+def _has_import_paths(component: Component) -> bool:
+    parts = (getattr(component, name) for name in type(component).model_fields)
+    nested = (part for part in parts if isinstance(part, Component))
+    return isinstance(component, External) or any(map(_has_import_paths, nested))
 
 
 def _resolve(component: Component, path: Location, locate: Locate) -> Component:

@@ -1,0 +1,1 @@
+"""The command line: `bojax COMMAND`. Nothing heavy is imported before the user's input is validated."""

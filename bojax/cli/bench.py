@@ -1,0 +1,64 @@
+"""`bojax bench`: the benchmarks of the repository, each beside its peer in the same process."""
+
+import importlib.util
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from types import ModuleType
+
+from bojax.cli.parser import Parser, UsageError
+from bojax.config.errors import one_of
+from bojax.config.files import shipped
+
+_EXAMPLES = """\
+  bojax bench          list the benchmarks and run them all
+  bojax bench kcbts    run one of them
+"""
+
+_PREFIX = "bench_"
+
+
+def main(name: str, words: Sequence[str]) -> int:
+    """Run the command."""
+    parser = Parser(
+        prog=f"bojax {name}",
+        usage=f"bojax {name} [NAME ...]",
+        description="Run benchmarks: ./benchmarks/bench_NAME.py, or those beside bojax's sources.",
+        examples=_EXAMPLES,
+    )
+    parser.add_argument("names", nargs="*", metavar="NAME", help="benchmarks; all of them by default")
+    args = parser.parse_intermixed_args(list(words))
+    benchmarks = find_benchmarks()
+    if not benchmarks:
+        raise UsageError(
+            "no benchmarks here: they come with the repository, in benchmarks/, not with the package"
+        )
+    for wanted in args.names:
+        if wanted not in benchmarks:
+            raise UsageError(f"unknown benchmark {wanted}{one_of(wanted, benchmarks)}")
+    if not args.names:
+        print("benchmarks: " + ", ".join(benchmarks), flush=True)
+    codes = [_load(benchmarks[wanted]).main([]) for wanted in args.names or benchmarks]
+    return max(codes)
+
+
+def find_benchmarks() -> dict[str, Path]:
+    """The benchmarks by name: those in ./benchmarks, or else those beside bojax's sources."""
+    for folder in (Path("benchmarks"), shipped("benchmarks")):
+        files = sorted(folder.glob(f"{_PREFIX}*.py"))
+        if files:
+            return {path.stem.removeprefix(_PREFIX).replace("_", "-"): path for path in files}
+    return {}
+
+
+def _load(path: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None:
+        raise UsageError(f"{path}: cannot be imported")
+    folder = str(path.parent.resolve())
+    if folder not in sys.path:  # benchmarks share helpers that lie beside them
+        sys.path.insert(0, folder)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[path.stem] = module
+    spec.loader.exec_module(module)
+    return module

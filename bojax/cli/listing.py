@@ -1,0 +1,120 @@
+"""`bojax list`: what there is, and the settings of one part. Imports no JAX."""
+
+import shutil
+import textwrap
+from collections.abc import Iterable, Sequence
+
+from bojax.cli.parser import Parser, UsageError
+from bojax.config.catalog import ROLES, kinds
+from bojax.config.component import Component
+from bojax.config.describe import settings_of, summary_of
+from bojax.config.errors import ConfigError, one_of
+from bojax.config.files import available, display
+from bojax.config.yaml_file import read_mapping
+
+_EXAMPLES = """\
+  bojax list           everything, one line each
+  bojax list kcbts     the settings of a part, with types, defaults and units
+  bojax list planners  one group
+"""
+
+_FILES = ("configs", "sweeps")
+
+
+def main(name: str, words: Sequence[str]) -> int:
+    """Run the command."""
+    parser = Parser(
+        prog=f"bojax {name}",
+        usage=f"bojax {name} [NAME ...]",
+        description="List problems, planners and other parts, configs and sweeps; or the settings of a part.",
+        examples=_EXAMPLES,
+    )
+    parser.add_argument("names", nargs="*", metavar="NAME", help="a part, a group, a config or a sweep")
+    args = parser.parse_intermixed_args(list(words))
+    groups = _groups()
+    blocks = [_group(title, lines) for title, lines in groups.items()]
+    if args.names:
+        blocks = [block for wanted in args.names for block in _about(wanted, groups)]
+    print("\n\n".join(blocks))
+    if not args.names:
+        print("\nbojax list NAME shows the settings of a part.")
+    return 0
+
+
+def _groups() -> dict[str, dict[str, str]]:
+    """Every name with its line, by group; groups with nothing in them are left out."""
+    groups = {
+        plural: {kind: summary_of(schema) for kind, schema in kinds(role).items()}
+        for role, plural in ROLES.items()
+    }
+    groups |= {folder: {stem: _title(path) for stem, path in available(folder).items()} for folder in _FILES}
+    return {title: lines for title, lines in groups.items() if lines}
+
+
+def _title(path) -> str:
+    try:
+        mapping = read_mapping(path, display(path))
+    except ConfigError as error:
+        return f"(broken: {error})"
+    if "alias" in mapping:
+        return f"the same as {mapping['alias']}"
+    return str(mapping.get("title", ""))
+
+
+def _about(name: str, groups: dict[str, dict[str, str]]) -> list[str]:
+    if name in groups:
+        return [_group(name, groups[name])]
+    blocks = [_part(role, kinds(role)[name]) for role in ROLES if name in kinds(role)]
+    for folder in _FILES:
+        path = available(folder).get(name)
+        if path is not None:
+            command = "run" if folder == "configs" else "sweep"
+            blocks.append(
+                f"{name}: a {folder[:-1]}, {display(path)}\n  {_title(path)}\n  bojax {command} {name}"
+            )
+    if not blocks:
+        names = {*groups, *(known for lines in groups.values() for known in lines)}
+        raise UsageError(f"unknown name {name}{one_of(name, names)}")
+    return blocks
+
+
+def _part(role: str, schema: type[Component]) -> str:
+    settings = settings_of(schema)
+    kind = schema.model_fields["kind"].default
+    head = f"{kind}: {_article(role)}\n{_indented(summary_of(schema))}"
+    if not settings:
+        return f"{head}\n\n  It has no settings."
+    rows = [("setting", "type", "default", "meaning")]
+    rows += [(setting.name, setting.type, setting.default, setting.meaning) for setting in settings]
+    return f"{head}\n\n{_table(rows)}"
+
+
+def _article(role: str) -> str:
+    if role == "motions":
+        return "a family of trajectories (role motions)"
+    return f"{'an' if role[0] in 'aeiou' else 'a'} {role}"
+
+
+def _group(title: str, lines: dict[str, str]) -> str:
+    return f"{title}\n{_table(list(lines.items()))}"
+
+
+def _table(rows: Sequence[Sequence[str]]) -> str:
+    """Columns aligned, the last one wrapped to the terminal."""
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]) - 1)]
+    return "\n".join(_row(row, widths) for row in rows)
+
+
+def _row(row: Sequence[str], widths: Iterable[int]) -> str:
+    start = "  " + "".join(f"{cell:<{width}}  " for cell, width in zip(row[:-1], widths, strict=True))
+    room = max(_width() - len(start), 30)
+    lines = textwrap.wrap(row[-1], room) or [""]
+    return "\n".join([start + lines[0], *(" " * len(start) + line for line in lines[1:])]).rstrip()
+
+
+def _indented(text: str) -> str:
+    return textwrap.fill(text, _width(), initial_indent="  ", subsequent_indent="  ")
+
+
+def _width() -> int:
+    return min(shutil.get_terminal_size((110, 24)).columns, 140)

@@ -1,0 +1,101 @@
+"""`bojax run` and `bojax sweep`: validate everything, run it, write the report."""
+
+from argparse import Namespace
+from collections.abc import Sequence
+from pathlib import Path
+
+from bojax.cli.parser import Parser, UsageError, integer
+from bojax.config.sweep import Sweep, load_config, load_sweep
+
+_OVERRIDES = """\
+key=value sets one setting by its dotted path, whatever the order: planner.iterations=100 problem=parking.
+Values are YAML. A new kind (planner=sbo) drops the settings of the old one. engine.device=cpu, record.runs=2
+and the like work too. Results go to results/NAME/TIME, or to --out; nothing there is ever overwritten.
+"""
+
+_RUN = """\
+  bojax run parking                                  configs/parking.yaml
+  bojax run my.yaml planner=sbo planner.depth=2      a file, with changes
+  bojax run parking problem=mine:Field --runs 4      a problem of your own, from mine.py
+"""
+
+_SWEEP = """\
+  bojax sweep parking                                sweeps/parking.yaml, and its report
+  bojax sweep fig-4.2 fig-4.6 --out results/paper    two sweeps, each in a folder of its own below
+  bojax sweep parking --runs 20 planner.iterations=50
+  bojax sweep parking --resume                       go on with the newest unfinished one
+"""
+
+
+def main(name: str, words: Sequence[str]) -> int:
+    """Run the command `name`, which is "run" or "sweep"."""
+    args = _parser(name).parse_intermixed_args(list(words))
+    overrides = [word for word in args.words if "=" in word and not Path(word).is_file()]
+    sources = [word for word in args.words if word not in overrides]
+    if not sources or (name == "run" and len(sources) > 1):
+        expected = "one config" if name == "run" else "at least one sweep"
+        got = ", ".join(sources) or "none"
+        raise UsageError(f"bojax {name}: got {got}; {expected} is expected (bojax list shows what there is)")
+    load = load_config if name == "run" else load_sweep
+    sweeps = [load(source, overrides, args.runs, args.seed) for source in sources]
+    names = [sweep.name for sweep in sweeps]
+    if twins := {twin for twin in names if names.count(twin) > 1}:
+        raise UsageError(f"bojax {name}: {min(twins)} stands there twice")
+    return _run([_resolve(sweep) for sweep in sweeps], args, ["bojax", name, *words])
+
+
+def _parser(name: str) -> Parser:
+    is_run = name == "run"
+    parser = Parser(
+        prog=f"bojax {name}",
+        usage=f"bojax {name} {'CONFIG' if is_run else 'SWEEP...'} [key=value ...] [--runs N] [--seed S] "
+        "[--out DIR] [--resume]",
+        description=("Run one experiment.\n\n" if is_run else "Run sweeps and write a report of each.\n\n")
+        + _OVERRIDES,
+        examples=_RUN if is_run else _SWEEP,
+    )
+    what = "a file, or a name in configs/" if is_run else "files, or names in sweeps/"
+    parser.add_argument(
+        "words", nargs="*", metavar="CONFIG" if is_run else "SWEEP", help=f"{what}, and settings to change"
+    )
+    parser.add_argument("--runs", type=integer, metavar="N", help="runs of every point")
+    parser.add_argument("--seed", type=integer, metavar="S", help="seed of all random numbers")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="results folder, new or empty")
+    parser.add_argument("--resume", action="store_true", help="go on with an interrupted run")
+    return parser
+
+
+def _resolve(sweep: Sweep) -> Sweep:
+    """Import the parts given by import path; this runs the user's code, so JAX is set up before."""
+    from bojax.config.external import has_import_paths, resolve
+
+    if not has_import_paths(sweep):
+        return sweep
+    from bojax.engine.devices import prepare
+
+    prepare(sweep.engine.device)
+    return resolve(sweep)
+
+
+def _run(sweeps: Sequence[Sweep], args: Namespace, command: list[str]) -> int:
+    from bojax.engine.run import run_sweep
+    from bojax.results.folder import choose_folder
+
+    first_failure = 0
+    for sweep in sweeps:
+        out = args.out / sweep.name if args.out and len(sweeps) > 1 else args.out
+        # Chosen here because the report needs it: with this folder the engine decides the same again.
+        folder, is_resumed = choose_folder(sweep.name, out, resume=args.resume)
+        code = run_sweep(sweep, folder, is_resumed, command)
+        if code in (130, 143):
+            return code
+        if code == 0:
+            _report(folder)
+        first_failure = first_failure or code
+    return first_failure
+
+
+def _report(folder: Path) -> None:
+    from bojax.report.build import build_report
+
+    print(build_report([folder]))

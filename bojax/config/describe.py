@@ -1,0 +1,85 @@
+"""A schema class in words: type, default and meaning of each setting, for `bojax list` and the docs."""
+
+import inspect
+import types
+from dataclasses import dataclass
+from typing import Any, Literal, Union, get_args, get_origin
+
+import pydantic
+from pydantic.fields import FieldInfo
+
+from bojax.config.component import Registered, Slot
+from bojax.config.errors import shown
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One setting of a part.
+
+    Attributes:
+        name: Its key.
+        type: What it may be, with its bounds.
+        default: Its default as in YAML; empty where there is none.
+        meaning: What it means, with its unit.
+    """
+
+    name: str
+    type: str
+    default: str
+    meaning: str
+
+
+def settings_of(schema: type[pydantic.BaseModel]) -> list[Setting]:
+    """The settings of a schema class, in the order of its definition."""
+    return [
+        Setting(field.alias or name, _type(field), _default(field), field.description or "")
+        for name, field in schema.model_fields.items()
+        if name != "kind"
+    ]
+
+
+def summary_of(schema: type[pydantic.BaseModel]) -> str:
+    """The first sentence of a schema class's docstring."""
+    return (inspect.getdoc(schema) or "").partition("\n")[0]
+
+
+_WORDS = {int: "integer", float: "number", str: "text", bool: "true | false", type(None): "null"}
+_SIGNS = {"ge": ">=", "gt": ">", "le": "<=", "lt": "<"}
+
+
+def _type(field: FieldInfo) -> str:
+    slot = next((mark for mark in field.metadata if isinstance(mark, Slot)), None)
+    if slot is not None:
+        return slot.role
+    bounds = [
+        f"{sign} {getattr(mark, name):g}"
+        for name, sign in _SIGNS.items()
+        for mark in field.metadata
+        if getattr(mark, name, None) is not None
+    ]
+    return " ".join([_words(field.annotation), ", ".join(bounds)]).strip()
+
+
+def _words(annotation: Any) -> str:
+    origin, parts = get_origin(annotation), get_args(annotation)
+    if origin is Literal:
+        return " | ".join(str(part) for part in parts)
+    if origin in (Union, types.UnionType):
+        return " | ".join(_words(part) for part in parts)
+    if origin in (tuple, list):
+        return f"list of {_words(parts[0])}" if parts else "list"
+    if origin is dict or (isinstance(annotation, type) and issubclass(annotation, pydantic.BaseModel)):
+        return "mapping"
+    return _WORDS.get(annotation, "any")
+
+
+def _default(field: FieldInfo) -> str:
+    if field.is_required():
+        return ""
+    if isinstance(field.default, Registered):
+        return field.default.kind
+    if isinstance(field.default, pydantic.BaseModel):
+        return shown(field.default.model_dump())
+    if isinstance(field.default, float):
+        return f"{field.default:.6g}"
+    return field.default if isinstance(field.default, str) and field.default else shown(field.default)
