@@ -6,11 +6,11 @@ import inspect
 from collections.abc import Mapping
 from typing import Any, Literal
 
-import jax
 import jax.numpy as jnp
 
 from bojax.config.component import Component, External
 from bojax.config.errors import ConfigError, dotted
+from bojax.engine.devices import setting
 
 
 def build(component: Component, dtype: Literal["float64", "float32"] = "float64") -> Any:
@@ -27,7 +27,7 @@ def build(component: Component, dtype: Literal["float64", "float32"] = "float64"
     Raises:
         ConfigError: A constructor refuses its settings, or float64 is asked for while JAX has it off.
     """
-    if dtype == "float64" and not jax.config.read("jax_enable_x64"):
+    if dtype == "float64" and not setting("jax_enable_x64"):
         raise ConfigError(
             'dtype: got "float64"; JAX runs without 64-bit numbers: '
             'call jax.config.update("jax_enable_x64", True) first, or set dtype to "float32"'

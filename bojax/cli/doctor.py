@@ -1,0 +1,182 @@
+"""`bojax doctor`: what works on this machine, one line a check."""
+
+import importlib.metadata
+import io
+import platform
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from bojax import __version__
+from bojax.cli.parser import Parser
+
+_EXAMPLES = """\
+  bojax doctor                      everything
+  JAX_PLATFORMS=cpu bojax doctor    as a machine without a GPU would see it
+"""
+
+_PACKAGES = (
+    "jax",
+    "jaxlib",
+    "equinox",
+    "jaxtyping",
+    "optax",
+    "orbax-checkpoint",
+    "numpy",
+    "pyarrow",
+    "pydantic",
+    "PyYAML",
+    "rich",
+    "matplotlib",
+    "jinja2",
+)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What a check found.
+
+    Attributes:
+        state: "ok", "note" for what is worth knowing, "FAILED" for what will not work.
+        text: In words.
+    """
+
+    state: str
+    text: str
+
+
+class Failure(Exception):
+    """A check that failed, and what to do about it."""
+
+
+def main(name: str, words: Sequence[str]) -> int:
+    """Run the command; 1 if something will not work."""
+    parser = Parser(
+        prog=f"bojax {name}",
+        usage=f"bojax {name}",
+        description="Check versions, devices, precision, the compilation cache and the results folder.",
+        examples=_EXAMPLES,
+    )
+    parser.parse_intermixed_args(list(words))
+    findings = []
+    for title, check in CHECKS.items():
+        for finding in examine(check):
+            findings.append(finding)
+            print(f"{finding.state:<6}  {title:<12}  {finding.text}", flush=True)
+    failed = sum(finding.state == "FAILED" for finding in findings)
+    print(f"\n{failed} of {len(findings)} checks failed" if failed else "\neverything works")
+    return 1 if failed else 0
+
+
+def examine(check: Callable[[], Iterator[Finding]]) -> Iterator[Finding]:
+    """The findings of a check; an exception is one more, a failure."""
+    try:
+        yield from check()
+    except Failure as error:
+        yield Finding("FAILED", str(error))
+    except Exception as error:
+        yield Finding("FAILED", f"{type(error).__name__}: {' '.join(str(error).split())}")
+
+
+def _python() -> Iterator[Finding]:
+    yield Finding("ok", f"{platform.python_version()}, {platform.system()} {platform.machine()}")
+    yield Finding("ok", f"bojax {__version__}")
+
+
+def _packages() -> Iterator[Finding]:
+    found, missing = [], []
+    for package in _PACKAGES:
+        try:
+            found.append(f"{package} {importlib.metadata.version(package)}")
+        except importlib.metadata.PackageNotFoundError:
+            missing.append(package)
+    yield Finding("ok", ", ".join(found))
+    if missing:
+        raise Failure(f"not installed: {', '.join(missing)}; install bojax again")
+
+
+def _devices() -> Iterator[Finding]:
+    import jax
+
+    from bojax.engine.devices import prepare
+
+    prepare("auto")
+    for platform_name in sorted({device.platform for device in jax.devices()}):
+        devices = [device for device in jax.devices() if device.platform == platform_name]
+        yield Finding("ok", f"{len(devices)} x {platform_name} ({devices[0].device_kind})")
+    if jax.default_backend() == "cpu" and Path("/proc/driver/nvidia/version").exists():
+        yield Finding(
+            "note", "an NVIDIA driver is here, but JAX sees no GPU: install the extra cuda13 (or cuda12)"
+        )
+
+
+def _computation() -> Iterator[Finding]:
+    import jax
+    import jax.numpy as jnp
+
+    start = time.perf_counter()
+    value = jax.jit(lambda x: jnp.sum(x * x))(jnp.linspace(0.0, 1.0, 11))
+    if value.dtype != jnp.float64:
+        raise Failure("float64 is off: unset JAX_ENABLE_X64")
+    if abs(float(value) - 3.85) > 1e-12:
+        raise Failure(f"a compiled sum gives {float(value)}, not 3.85")
+    yield Finding("ok", f"float64, a compiled program ran ({time.perf_counter() - start:.1f} s)")
+
+
+def _cache() -> Iterator[Finding]:
+    from bojax.engine.devices import setting
+
+    folder = setting("jax_compilation_cache_dir")
+    if not folder:
+        yield Finding("note", "no compilation cache: every start compiles anew")
+        return
+    _write_in(Path(folder))
+    yield Finding("ok", str(folder))
+
+
+def _tables() -> Iterator[Finding]:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    pq.write_table(pa.table({"x": [1]}), buffer := io.BytesIO())
+    yield Finding("ok", f"parquet written, {len(buffer.getvalue())} bytes")
+
+
+def _figures() -> Iterator[Finding]:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    FigureCanvasAgg(Figure()).print_png(buffer := io.BytesIO())
+    yield Finding("ok", f"PNG drawn, {len(buffer.getvalue())} bytes")
+
+
+def _results() -> Iterator[Finding]:
+    folder = Path("results")
+    _write_in(folder if folder.exists() else Path.cwd())
+    yield Finding("ok", f"{folder.resolve()} can be written")
+
+
+def _write_in(folder: Path) -> None:
+    """Raise unless a file can be made in this folder, or in the nearest one above that exists."""
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    try:
+        with tempfile.NamedTemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise Failure(f"{folder}: cannot be written: {error.strerror}") from error
+
+
+CHECKS: dict[str, Callable[[], Iterator[Finding]]] = {
+    "Python": _python,
+    "packages": _packages,
+    "devices": _devices,
+    "precision": _computation,
+    "cache": _cache,
+    "tables": _tables,
+    "figures": _figures,
+    "results": _results,
+}
+"""Every check, in order: later ones rely on JAX being set up by `devices`."""
