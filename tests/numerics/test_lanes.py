@@ -1,0 +1,49 @@
+"""`any_lane` inside the engine's batch and outside."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bojax.numerics.lanes import LANES, any_lane
+
+FLAGS = [[False, False, False], [False, True, False], [True, True, True]]
+
+
+@pytest.mark.parametrize("flags", FLAGS)
+def test_every_lane_sees_whether_any_flag_holds(flags):
+    seen = jax.vmap(any_lane, axis_name=LANES)(jnp.asarray(flags))
+    np.testing.assert_array_equal(seen, [any(flags)] * 3)
+
+
+@pytest.mark.parametrize("flags", FLAGS)
+def test_the_answer_is_not_batched(flags):
+    # `out_axes=None` is refused for a value that differs, or might differ, between lanes.
+    seen = jax.vmap(any_lane, axis_name=LANES, out_axes=None)(jnp.asarray(flags))
+    assert bool(seen) == any(flags)
+
+
+@pytest.mark.parametrize("flag", [False, True])
+def test_a_single_lane_sees_its_own_flag(flag):
+    assert bool(any_lane(jnp.asarray(flag))) == flag
+    assert bool(jax.jit(any_lane)(jnp.asarray(flag))) == flag
+
+
+def test_other_batch_axes_stay_apart():
+    flags = jnp.asarray(FLAGS)
+    np.testing.assert_array_equal(jax.vmap(any_lane)(flags[:, 1]), flags[:, 1])
+    over_lanes = jax.vmap(jax.vmap(any_lane), axis_name=LANES)(flags.T)
+    np.testing.assert_array_equal(over_lanes, np.broadcast_to(np.any(FLAGS, axis=1), (3, 3)))
+
+
+def test_a_loop_runs_until_the_slowest_lane_is_done():
+    def countdown(length):
+        def step(carry):
+            left, turns = carry
+            return jnp.maximum(left - 1, 0), turns + 1
+
+        return jax.lax.while_loop(lambda c: any_lane(c[0] > 0), step, (length, jnp.zeros_like(length)))
+
+    left, turns = jax.vmap(countdown, axis_name=LANES)(jnp.asarray([1, 5, 3]))
+    np.testing.assert_array_equal(left, [0, 0, 0])
+    np.testing.assert_array_equal(turns, [5, 5, 5])

@@ -1,0 +1,98 @@
+"""Gauss-Jordan elimination against the exact solution in rational numbers and against LAPACK."""
+
+from fractions import Fraction
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bojax.numerics.linalg import matmul, solve_small
+
+SIZES = (1, 2, 3, 4, 5, 6)
+solve = jax.jit(jax.vmap(solve_small))
+
+
+def exact_solution(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Solution of `a x = b` in rational arithmetic, rounded once at the end."""
+    rows = [[Fraction(float(v)) for v in (*left, *right)] for left, right in zip(a, b, strict=True)]
+    n = len(rows)
+    for k in range(n):
+        pivot = next(i for i in range(k, n) if rows[i][k])
+        rows[k], rows[pivot] = rows[pivot], rows[k]
+        rows[k] = [v / rows[k][k] for v in rows[k]]
+        for i in range(n):
+            if i != k:
+                factor = rows[i][k]
+                rows[i] = [v - factor * w for v, w in zip(rows[i], rows[k], strict=True)]
+    return np.array([[float(v) for v in row[n:]] for row in rows])
+
+
+def relative_errors(xs: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Largest error of each solution, relative to its largest entry."""
+    exact = np.stack([exact_solution(left, right) for left, right in zip(a, b, strict=True)])
+    return np.abs(xs - exact).max(axis=(1, 2)) / np.abs(exact).max(axis=(1, 2))
+
+
+@pytest.mark.parametrize("n", SIZES)
+def test_solves_random_systems(n):
+    rng = np.random.default_rng(n)
+    a, b = rng.normal(size=(100, n, n)), rng.normal(size=(100, n, 3))
+    x = np.asarray(solve(a, b))
+    error = np.abs(x - np.linalg.solve(a, b)).max(axis=(1, 2)) / np.abs(x).max(axis=(1, 2))
+    assert np.all(error <= 1e-15 * n * np.linalg.cond(a))
+
+
+@pytest.mark.parametrize("n", SIZES[1:])
+@pytest.mark.parametrize("scaled", ["rows", "columns"])
+def test_is_as_accurate_as_lapack_on_badly_scaled_systems(n, scaled):
+    rng = np.random.default_rng(n)
+    a, b = rng.normal(size=(100, n, n)), rng.normal(size=(100, n, 2))
+    scale = 10.0 ** rng.uniform(-6.0, 6.0, size=(100, n))
+    if scaled == "rows":
+        a, b = a * scale[:, :, None], b * scale[:, :, None]
+    else:
+        a = a * scale[:, None, :]
+    ours = relative_errors(np.asarray(solve(a, b)), a, b)
+    lapack = relative_errors(np.linalg.solve(a, b), a, b)
+    assert np.median(ours) <= 1.5 * np.median(lapack)
+    assert np.all(ours <= 100.0 * lapack + 1e-14)
+
+
+@pytest.mark.parametrize("n", SIZES[1:])
+def test_exchanges_rows_where_the_diagonal_vanishes(n):
+    # A cyclic permutation: without pivoting the first division is by zero.
+    rng = np.random.default_rng(n)
+    a = np.roll(np.diag(rng.uniform(1.0, 2.0, n)), 1, axis=0)
+    b = rng.normal(size=(n, 2))
+    np.testing.assert_allclose(solve(a[None], b[None])[0], np.linalg.solve(a, b), rtol=1e-15)
+
+
+def test_exchanges_rows_where_a_pivot_is_tiny():
+    # Eliminating with the pivot 1e-20 loses the second equation altogether: x would be (0, 1).
+    a, b = jnp.asarray([[1e-20, 1.0], [1.0, 1.0]]), jnp.asarray([[1.0], [2.0]])
+    np.testing.assert_allclose(solve(a[None], b[None])[0], [[1.0], [1.0]], rtol=1e-15)
+
+
+@pytest.mark.parametrize("n", [1, 3, 4])
+def test_a_batch_is_a_loop(n):
+    rng = np.random.default_rng(n)
+    a, b = jnp.asarray(rng.normal(size=(5, n, n))), jnp.asarray(rng.normal(size=(5, n, 1)))
+    one = jax.jit(solve_small)
+    one_by_one = [one(left, right) for left, right in zip(a, b, strict=True)]
+    np.testing.assert_allclose(solve(a, b), jnp.stack(one_by_one), rtol=1e-10)
+
+
+def test_a_singular_matrix_gives_no_finite_solution():
+    a, b = jnp.asarray([[1.0, 2.0], [2.0, 4.0]]), jnp.asarray([[1.0], [1.0]])
+    assert not np.any(np.isfinite(solve(a[None], b[None])))
+
+
+@pytest.mark.parametrize("left, right", [((4, 3), (3, 5)), ((3,), (3, 5)), ((4, 3), (3,)), ((3,), (3,))])
+def test_products_keep_full_precision(left, right):
+    rng = np.random.default_rng(0)
+    a, b = rng.normal(size=left).astype(np.float32), rng.normal(size=right).astype(np.float32)
+    exact = a.astype(np.float64) @ b.astype(np.float64)
+    np.testing.assert_allclose(matmul(jnp.asarray(a), jnp.asarray(b)), exact, atol=1e-6)
+    # A CPU has no lower precision to fall into: look at what an accelerator would be told.
+    assert "HIGHEST" in jax.jit(matmul).lower(a, b).as_text()
