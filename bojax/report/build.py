@@ -66,7 +66,7 @@ def _build(folder: Path) -> Path:
 def _figures(results: Results) -> tuple[dict[str, Any], list[Plate], list[str]]:
     """Files by figure, figures on the page, and why a figure that was asked for is not there."""
     asked = results.settings.get("figures")
-    names = list(dict.fromkeys(asked if asked is not None else FIGURES))
+    names = list(dict.fromkeys(asked or FIGURES))
     images, plates, notes = {}, [], []
     for name in names:
         if name in _TABLES:
@@ -79,7 +79,7 @@ def _figures(results: Results) -> tuple[dict[str, Any], list[Plate], list[str]]:
                 drawing = FIGURES[name](results)
                 images[name] = style.encode(drawing.figure)
         except Undrawable as reason:
-            if asked is not None:
+            if asked:
                 notes.append(f"The figure {name} is not drawn: {reason}.")
             continue
         plates.append(plate(name, drawing.title, drawing.caption, drawing.alt, images[name]["svg"]))
@@ -89,17 +89,18 @@ def _figures(results: Results) -> tuple[dict[str, Any], list[Plate], list[str]]:
 def _gaps(results: Results) -> list[str]:
     """What is missing from the results: runs and numbers."""
     notes = []
-    wanted = results.sweep.get("runs")
+    wanted = results.manifest.get("runs")
     wanted = wanted if isinstance(wanted, int) else 0
     short = [point for point in results.points if results.runs_of(point)["run"].size < wanted]
     if short:
         missing = sum(wanted - results.runs_of(point)["run"].size for point in short)
-        notes.append(
-            f"{counted(missing, 'run')} of {joined([point.name for point in short])} did not finish: "
-            "the sweep goes on with --resume."
+        errors = dict.fromkeys(
+            str(chunk["error"]) for chunk in results.manifest.get("chunks") or [] if chunk["error"]
         )
-    elif not results.is_complete:
-        notes.append("A part of the sweep failed: it goes on with --resume.")
+        notes.append(
+            f"{counted(missing, 'run')} of {joined([point.name for point in short])} missing; "
+            f"--resume tries them again.{''.join(f' {error}.' for error in errors)}"
+        )
     bad = [f"{point.name} {count}" for point in results.points if (count := count_nan_runs(results, point))]
     if bad:
         notes.append(f"Runs with a value that is not a number: {', '.join(bad)}.")

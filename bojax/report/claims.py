@@ -61,7 +61,7 @@ class Finding:
 
 def evaluate(results: Results) -> list[dict[str, Any]]:
     """The entries of `claims.json`, one per claim of the sweep, in its order."""
-    return [_entry(results, claim) for claim in results.sweep.get("claims") or []]
+    return [_entry(results, claim) for claim in results.manifest.get("claims") or []]
 
 
 def order(results: Results, test: Mapping[str, Any]) -> Finding:

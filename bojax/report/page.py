@@ -4,7 +4,6 @@ import base64
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -83,7 +82,7 @@ def summary(results: Results) -> str:
         what = f"{counted(len(names), 'setting')} of {counted(len(labels), noun)}"
     listed = f" ({joined(names)})" if len(names) <= 12 else ""
     kinds = sorted({_kind(config.get("problem", config.get("env"))) for config in configs} - {""})
-    where = f" on {joined(kinds)}" if kinds else ""
+    where = f" on the problem {joined(kinds)}" if kinds else ""
     numbers = sorted({int(results.runs_of(point)["run"].size) for point in results.points})
     runs = (
         counted(numbers[-1], "run")
@@ -95,25 +94,24 @@ def summary(results: Results) -> str:
     groups = results.manifest.get("groups") or []
     run = sum(group.get("run_seconds") or 0 for group in groups)
     build = sum(group.get("compile_seconds") or 0 for group in groups)
-    time = f", in {seconds(run)} after {seconds(build)} of compilation" if run else ""
+    time = f", in {seconds(run)} and {seconds(build)} of compilation" if run else ""
     return f"{what}{listed}{where}: {runs}{each}{steps}{time}."
 
 
 def provenance(results: Results) -> list[tuple[str, str]]:
     """How the results came about: command, times, seeds, versions, machine."""
-    manifest, sweep = results.manifest, results.sweep
+    manifest = results.manifest
     rows = [
         ("command", _line(manifest.get("command"))),
-        ("started", _line(manifest.get("started"))),
-        ("finished", _line(manifest.get("finished"))),
-        ("time taken", _elapsed(manifest.get("started"), manifest.get("finished"))),
-        ("runs, seed", f"{plain(sweep.get('runs', MISSING))}, {plain(sweep.get('seed', MISSING))}"),
-        ("revision", _line(manifest.get("git"))),
-        ("devices", _line(manifest.get("devices"))),
+        ("written", _line(manifest.get("written"))),
+        ("time taken", _time_taken(manifest.get("groups") or [])),
+        ("runs, seed", f"{plain(manifest.get('runs'))}, {plain(manifest.get('seed'))}"),
+        ("revision", _revision(manifest.get("git"))),
+        ("device", _line(manifest.get("device"))),
         ("versions", _line(manifest.get("versions"))),
+        ("precision", _line(manifest.get("precision"))),
+        ("hash of settings", _line(manifest.get("config_hash"))),
     ]
-    shown = {"command", "started", "finished", "git", "devices", "versions"}
-    rows += [(key, plain(value)) for key, value in manifest.items() if key not in shown and _is_scalar(value)]
     return [(key, value) for key, value in rows if value]
 
 
@@ -164,25 +162,23 @@ def _line(value: Any) -> str:
     return "" if value is None else plain(value)
 
 
-def _elapsed(started: Any, finished: Any) -> str:
-    try:
-        if isinstance(started, int | float) and isinstance(finished, int | float):
-            return seconds(finished - started)
-        return seconds(
-            (datetime.fromisoformat(str(finished)) - datetime.fromisoformat(str(started))).total_seconds()
-        )
-    except (ValueError, TypeError):
+def _revision(git: Any) -> str:
+    if not isinstance(git, Mapping):
+        return _line(git)
+    return f"{git.get('revision', MISSING)}{', with uncommitted changes' if git.get('has_changes') else ''}"
+
+
+def _time_taken(groups: Sequence[Mapping[str, Any]]) -> str:
+    if not groups:
         return ""
+    run, build = (sum(group.get(key) or 0 for group in groups) for key in ("run_seconds", "compile_seconds"))
+    return f"{seconds(run)} of runs, {seconds(build)} of compilation"
 
 
 def _kind(component: Any) -> str:
     if isinstance(component, Mapping):
         return str(component.get("kind", ""))
     return component if isinstance(component, str) else ""
-
-
-def _is_scalar(value: Any) -> bool:
-    return isinstance(value, str | int | float | bool)
 
 
 def _minus(text: Any) -> str:

@@ -1,12 +1,13 @@
 """What a report reads of a results folder: manifest, tables, arrays; every other part asks here.
 
-Of `manifest.json` these keys are read, and only `sweep.points` and `finished` have to be there:
+Of `manifest.json` these keys are read, and only `points` and `status` have to be there:
 
-- `sweep`: `title`, `name`, `claims` (mappings), `report` (`figures`, `notes`, `thesis`, `by_step`),
-  `runs`, `seed`, `points` (`index`, `label`, `variant`, `swept`, `config`);
-- `groups`: `group`, `points`, `lanes_per_device`, `compile_seconds`, `run_seconds`, `active_steps`,
-  `latency` (`{point: seconds}`);
-- `command`, `versions`, `git`, `devices`, `started`, `finished`.
+- `points`: `index`, `label`, `variant`, `swept`, `config`; `status`: `finished`, or `failed` where only
+  some chunks were run; `chunks`: `error`;
+- `name`, `title`, `runs`, `seed`, `claims`, `report` (`figures`, `notes`, `thesis`, `by_step`);
+- `groups`: `points`, `lanes_per_device`, `devices`, `compile_seconds`, `run_seconds`, `active_steps`,
+  `latency_seconds` (`{point: seconds}`);
+- `command`, `written`, `versions`, `git`, `device`, `config_hash`.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -61,29 +62,19 @@ class Results:
     points: tuple[Point, ...]
 
     @property
-    def sweep(self) -> Mapping[str, Any]:
-        """The resolved sweep."""
-        return _mapping(self.manifest.get("sweep"))
-
-    @property
     def settings(self) -> Mapping[str, Any]:
         """The sweep's `report` mapping."""
-        return _mapping(self.sweep.get("report"))
+        return _mapping(self.manifest.get("report"))
 
     @property
     def name(self) -> str:
         """The sweep's name."""
-        return str(self.sweep.get("name") or self.folder.name)
+        return str(self.manifest.get("name") or self.folder.name)
 
     @property
     def title(self) -> str:
         """The sweep's title."""
-        return str(self.sweep.get("title") or self.name)
-
-    @cached_property
-    def is_complete(self) -> bool:
-        """Whether every chunk was run; the working files of a failed one stay for `--resume`."""
-        return not (self.folder / WORK).is_dir()
+        return str(self.manifest.get("title") or self.name)
 
     @cached_property
     def runs(self) -> Columns:
@@ -95,12 +86,6 @@ class Results:
         """`steps.parquet`; empty where the experiment has no steps."""
         path = self.folder / "steps.parquet"
         return _read_columns(path, ("point", "run", "step")) if path.exists() else {}
-
-    @cached_property
-    def nullable(self) -> frozenset[str]:
-        """Integer columns of `runs.parquet`: read as floats where they hold nulls, NaN for each."""
-        schema = read_table(self.folder / "runs.parquet").schema
-        return frozenset(field.name for field in schema if pa.types.is_integer(field.type))
 
     @cached_property
     def num_steps(self) -> int:
@@ -136,12 +121,10 @@ def load(folder: Path) -> Results:
     if (folder / WORK).is_dir() and not (folder / MANIFEST).exists():
         raise _unfinished(folder)
     manifest = read_manifest(folder)
-    entries = _mapping(_mapping(manifest).get("sweep")).get("points")
+    entries = _mapping(manifest).get("points")
     if not isinstance(entries, list) or not entries:
-        raise ResultsError(
-            f"{folder / MANIFEST}: sweep.points: missing or empty: not a results folder of bojax"
-        )
-    if not manifest.get("finished"):
+        raise ResultsError(f"{folder / MANIFEST}: points: missing or empty: not a results folder of bojax")
+    if manifest.get("status") not in ("finished", "failed"):
         raise _unfinished(folder)
     return Results(folder, manifest, _points(entries, folder / MANIFEST))
 
@@ -153,7 +136,7 @@ def _unfinished(folder: Path) -> ResultsError:
 def _points(entries: Sequence[Any], path: Path) -> tuple[Point, ...]:
     for position, entry in enumerate(entries):
         if not isinstance(entry, Mapping) or not {"index", "label"} <= entry.keys():
-            raise ResultsError(f"{path}: sweep.points[{position}]: needs at least index and label")
+            raise ResultsError(f"{path}: points[{position}]: needs at least index and label")
     variants = [str(entry.get("variant") or entry["label"]) for entry in entries]
     swept = [_mapping(entry.get("swept")) for entry in entries]
     names = _names(variants, swept)

@@ -35,7 +35,6 @@ class Table:
 class Speed:
     """How fast one static group ran, with the latency of each of its points at batch 1."""
 
-    group: str
     latencies: list[tuple[str, str]]
     lanes: str
     steps: str
@@ -68,31 +67,24 @@ def outcomes(results: Results) -> Table:
 
 
 def count_nan_runs(results: Results, point: Point) -> int:
-    """Runs of a point with a NaN among the floats of `runs.parquet` or `steps.parquet`."""
-    bad: set[int] = set()
-    for table in (results.runs_of(point), results.steps_of(point)):
-        for name, column in table.items():
-            # Integers with nulls are read as floats with NaN: those are not errors.
-            if column.dtype.kind == "f" and name not in results.nullable:
-                bad.update(table["run"][np.isnan(column)].tolist())
-    return len(bad)
+    """Runs of a point with a NaN in any table; the column `nans` counts them."""
+    return int((results.runs_of(point).get("nans", np.zeros(0)) > 0).sum())
 
 
 def speeds(results: Results) -> list[Speed]:
     """One entry per static group of the manifest; empty where it has no timings."""
     points = {point.index: point for point in results.points}
     entries = []
-    for position, group in enumerate(results.manifest.get("groups") or []):
+    for group in results.manifest.get("groups") or []:
         members = [points[index] for index in group.get("points") or [] if index in points]
         run, steps = group.get("run_seconds"), group.get("active_steps")
         rate = steps / run if steps and run else None
         iterations = {_iterations(point) for point in members}
         per_step = iterations.pop() if len(iterations) == 1 else None
-        latency = group.get("latency")
+        latency = group.get("latency_seconds")
         latency = latency if isinstance(latency, Mapping) else {}
         entries.append(
             Speed(
-                group=str(group.get("group", position)),
                 latencies=[(point.name, seconds(latency.get(str(point.index)))) for point in members],
                 lanes=number(group.get("lanes_per_device")),
                 steps=f"{steps:,}" if isinstance(steps, int) else MISSING,
@@ -131,14 +123,14 @@ def flatten(config: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]
 
 def _measures(results: Results) -> list[_Measure]:
     runs = results.runs
-    known = {"point", "label", "variant", "run", "seed", "return", "success", "steps", "exits", "exited"}
+    known = {"point", "label", "variant", "run", "seed", "nans", "return", "success", "steps", "exits"}
     measures = []
     if "return" in runs:
         measures.append(_Measure("final return", "return", lambda table: mean_cell(table["return"])))
     if "success" in runs:
         measures.append(_Measure("success", "success", lambda table: share_cell(table["success"])))
     if "success" in runs and "steps" in runs:
-        limit = int(results.settings.get("by_step", BY_STEP))
+        limit = int(results.settings.get("by_step") or BY_STEP)
         measures.append(
             _Measure(
                 f"success by step {limit}",
@@ -157,14 +149,8 @@ def _measures(results: Results) -> list[_Measure]:
                 ),
             )
         )
-    for column in ("exited", "exits"):
-        if column in runs:
-            measures.append(
-                _Measure(
-                    "left the domain", column, lambda table, column=column: share_cell(table[column] > 0)
-                )
-            )
-            break
+    if "exits" in runs:
+        measures.append(_Measure("left the domain", "exits", lambda table: share_cell(table["exits"] > 0)))
     swept = {key for point in results.points for key in point.swept}
     for column, values in runs.items():
         if column in known or column in swept or values.dtype.kind not in "bfiu":

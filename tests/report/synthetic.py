@@ -123,7 +123,7 @@ def write_results(folder: Path, *, runs: int = 40, recorded: int = 8, report: di
             rewards = -2.0 - 0.05 * run - random.uniform(0, 2, length) * (1 + index)
             rewards[-1] += 1000.0 * parks - 1000.0 * exits
             total = np.cumsum(rewards)
-            run_rows.append((index, label, variant, variant, run, 0, total[-1], parks, length, int(exits)))
+            run_rows.append((index, label, variant, variant, run, 0, total[-1], parks, length, int(exits), 0))
             for step in range(length):
                 step_rows.append(
                     (index, label, run, step + 1, rewards[step], total[step], step == length - 1)
@@ -134,7 +134,19 @@ def write_results(folder: Path, *, runs: int = 40, recorded: int = 8, report: di
                 np.savez(folder / "arrays" / f"{index}-{run}-paths-end.npz", paths=paths, start=starts[run])
     _table(
         folder / "runs.parquet",
-        ["point", "label", "variant", "planner", "run", "seed", "return", "success", "steps", "exits"],
+        [
+            "point",
+            "label",
+            "variant",
+            "planner",
+            "run",
+            "seed",
+            "return",
+            "success",
+            "steps",
+            "exits",
+            "nans",
+        ],
         run_rows,
     )
     _table(
@@ -143,33 +155,36 @@ def write_results(folder: Path, *, runs: int = 40, recorded: int = 8, report: di
         step_rows,
     )
     manifest = {
-        "sweep": {
-            "name": "parking",
-            "title": "Robot parking (Fig. 4.6)",
-            "points": points,
-            "runs": runs,
-            "seed": 0,
-            "claims": CLAIMS,
-            "report": {"notes": "Left open: <what> & why."} if report is None else report,
-        },
+        "name": "parking",
+        "title": "Robot parking (Fig. 4.6)",
+        "status": "finished",
+        "written": "2026-01-02T10:01:35+0000",
         "command": "bojax sweep sweeps/parking.yaml --runs 40",
-        "versions": {"bojax": "0.1.0", "jax": "0.10.2", "numpy": "2.4.6", "python": "3.11.2"},
-        "git": {"revision": "97d835b", "dirty": False},
-        "devices": ["cpu", "cpu"],
+        "runs": runs,
+        "seed": 0,
+        "config_hash": "0123abcd",
+        "points": points,
+        "report": {"notes": "Left open: <what> & why."} if report is None else report,
+        "claims": CLAIMS,
+        "versions": {"python": "3.11.2", "bojax": "0.1.0", "jax": "0.10.2", "numpy": "2.4.6"},
+        "git": {"revision": "97d835b", "has_changes": True},
+        "device": {"platform": "cpu", "kind": "cpu", "count": 2, "driver": None},
+        "precision": {"x64": True, "dtypes": ["float64"] * len(points)},
         "groups": [
             {
                 "group": index,
+                "name": point["variant"],
                 "points": [index],
                 "lanes_per_device": 200,
+                "devices": 2,
                 "compile_seconds": 7.25,
                 "run_seconds": 1.5 + index,
                 "active_steps": 12_345,
-                "latency": {str(index): 0.0123 * (1 + index)},
+                "latency_seconds": {str(index): 0.0123 * (1 + index)},
             }
-            for index in range(len(points))
+            for index, point in enumerate(points)
         ],
-        "started": "2026-01-02T10:00:00+00:00",
-        "finished": "2026-01-02T10:01:35+00:00",
+        "chunks": [{"chunk": 0, "status": "done", "error": None}],
     }
     (folder / "manifest.json").write_text(json.dumps(manifest))
     return folder

@@ -39,7 +39,7 @@ def judge(folder, tmp_path, test) -> dict:
     for name in ("runs.parquet", "steps.parquet", "manifest.json"):
         (copy / name).write_bytes((folder / name).read_bytes())
     claim = {"id": "x", "source": "s", "claim": "c", "thesis": None, "test": test}
-    edit_manifest(copy, lambda manifest: manifest["sweep"].update(claims=[claim]))
+    edit_manifest(copy, lambda manifest: manifest.update(claims=[claim]))
     return evaluate(load(copy))[0]
 
 

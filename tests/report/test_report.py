@@ -5,6 +5,8 @@ import sys
 from html.parser import HTMLParser
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from bojax.report.build import build_report
@@ -58,7 +60,8 @@ def test_page_names_every_planner_and_every_verdict(page, folder):
         assert claim["id"] in page.text and claim["verdict"] in page.text
     assert "Robot parking (Fig. 4.6)" in page.text
     assert "bojax sweep sweeps/parking.yaml --runs 40" in page.text
-    assert "1 min 35 s" not in page.text and "95.0 s" in page.text
+    assert "17.5 s of runs, 36.2 s of compilation" in page.text
+    assert "97d835b, with uncommitted changes" in page.text
 
 
 def test_page_shows_the_numbers_of_the_tables(page):
@@ -128,13 +131,30 @@ def test_report_settings_choose_figures_and_notes(tmp_path):
 
 
 def test_missing_runs_and_nans_are_said(tmp_path):
-    folder = write_results(tmp_path / "results", runs=8, report={"figures": []})
-    edit_manifest(folder, lambda manifest: manifest["sweep"].update(runs=10))
+    folder = write_results(tmp_path / "results", runs=8)
+    failed = {"status": "failed", "runs": 10, "chunks": [{"error": None}, {"error": "out of memory"}]}
+    edit_manifest(folder, lambda manifest: manifest.update(failed))
+    table = pq.read_table(folder / "runs.parquet")
+    nans = np.zeros(table.num_rows, dtype=np.int64)
+    nans[:2] = 3
+    table = table.set_column(table.column_names.index("nans"), "nans", pa.array(nans))
+    pq.write_table(table, folder / "runs.parquet")
     build_report([folder])
-    assert (
-        "10 runs of kcbts, sbo-5, sbo-9, gps-abt and random did not finish"
-        in Page((folder / "report.html").read_text()).text
-    )
+    text = Page((folder / "report.html").read_text()).text
+    assert "10 runs of kcbts, sbo-5, sbo-9, gps-abt and random missing" in text
+    assert "out of memory" in text
+    assert "Runs with a value that is not a number: kcbts 2." in text
+
+
+def test_a_nan_is_shown_as_one(tmp_path):
+    folder = write_results(tmp_path / "results", runs=8)
+    table = pq.read_table(folder / "runs.parquet")
+    returns = table["return"].to_numpy().copy()
+    returns[3] = np.nan
+    table = table.set_column(table.column_names.index("return"), "return", pa.array(returns))
+    pq.write_table(table, folder / "runs.parquet")
+    build_report([folder])
+    assert "NaN in 1 run" in Page((folder / "report.html").read_text()).text
 
 
 def test_trajectories_are_drawn_one_panel_a_point(tmp_path):
@@ -156,8 +176,8 @@ def test_many_points_are_drawn_by_the_best_of_each_label(tmp_path):
     folder = write_results(tmp_path / "results", runs=4, recorded=0)
 
     def repeat(manifest):
-        points = manifest["sweep"]["points"]
-        manifest["sweep"]["points"] = [
+        points = manifest["points"]
+        manifest["points"] = [
             {**points[index % 5], "index": index % 5, "swept": {"planner.kappa": index}}
             for index in range(15)
         ]
@@ -170,7 +190,7 @@ def test_many_points_are_drawn_by_the_best_of_each_label(tmp_path):
 
 
 def test_several_folders_get_a_report_each(tmp_path):
-    folders = [write_results(tmp_path / name, runs=2, report={"figures": []}) for name in ("a", "b")]
+    folders = [write_results(tmp_path / name, runs=2, report={"figures": ["success"]}) for name in ("a", "b")]
     assert build_report(folders) == folders[1] / "report.html"
     assert (folders[0] / "report.html").exists()
 
@@ -193,14 +213,17 @@ def _truncate(name):
         (_truncate("runs.parquet"), "runs.parquet"),
         (_truncate("steps.parquet"), "steps.parquet"),
         (_truncate("arrays/0-0-paths-end.npz"), "0-0-paths-end.npz"),
-        (lambda folder: edit_manifest(folder, lambda manifest: manifest.pop("finished")), "--resume"),
         (
-            lambda folder: edit_manifest(folder, lambda manifest: manifest["sweep"].pop("points")),
-            "sweep.points",
+            lambda folder: edit_manifest(folder, lambda manifest: manifest.update(status="running")),
+            "--resume",
         ),
         (
-            lambda folder: edit_manifest(folder, lambda manifest: manifest["sweep"].update(points=[{}])),
-            "sweep.points[0]",
+            lambda folder: edit_manifest(folder, lambda manifest: manifest.pop("points")),
+            "points",
+        ),
+        (
+            lambda folder: edit_manifest(folder, lambda manifest: manifest.update(points=[{}])),
+            "points[0]",
         ),
         (lambda folder: (folder / "figures").write_text("in the way"), "figures"),
     ],
