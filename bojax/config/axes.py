@@ -7,7 +7,7 @@ from typing import Any
 
 from bojax.config.component import merged, registry
 from bojax.config.errors import ConfigError, shown
-from bojax.config.overrides import Override, assign
+from bojax.config.overrides import Override, apply, assign
 from bojax.config.places import look_up
 from bojax.config.settings import RESERVED
 
@@ -28,8 +28,8 @@ class Choice:
     name: str | None
     value: Any
 
-    def apply(self, experiment: Mapping[str, Any]) -> dict[str, Any]:
-        """The experiment with this choice made."""
+    def apply(self, experiment: Mapping[str, Any], source: str) -> dict[str, Any]:
+        """The experiment with this choice made; `source` is the file that holds the axis."""
         place = look_up(experiment, self.axis)
         value = self.value
         if self.name is not None and isinstance(value, Mapping):
@@ -40,7 +40,7 @@ class Choice:
             if place and place.kind and not isinstance(below, str):
                 below = {"kind": place.kind} | (below or {})
             value = merged(below, value) if below is not None else value
-        return assign(experiment, self.axis, value)
+        return assign(experiment, self.axis, value, f"{source}: axes.{'.'.join(self.axis)}")
 
     def sets(self, path: Path) -> bool:
         """Whether this choice itself fixes the setting at `path`, or something below it."""
@@ -75,7 +75,10 @@ def read_axes(axes: Mapping[str, Any], combine: str, source: str) -> list[Combin
 
 
 def expand(
-    experiment: Mapping[str, Any], combinations: Sequence[Combination], overrides: Sequence[Override]
+    experiment: Mapping[str, Any],
+    combinations: Sequence[Combination],
+    overrides: Sequence[Override],
+    source: str,
 ) -> list[dict[str, Any]]:
     """The raw experiment of every point.
 
@@ -85,13 +88,13 @@ def expand(
     for combination in combinations:
         raw = dict(experiment)
         for choice in combination:
-            raw = choice.apply(raw)
+            raw = choice.apply(raw, source)
         points.append(raw)
     for override in overrides:
         fits = [look_up(raw, override.path) is not None for raw in points]
         # Where no point has it, validation says so, with the nearest name.
         points = [
-            assign(raw, override.path, override.value) if fit or not any(fits) else raw
+            apply(raw, override) if fit or not any(fits) else raw
             for raw, fit in zip(points, fits, strict=True)
         ]
     return points

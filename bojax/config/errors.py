@@ -105,6 +105,7 @@ def _complaint(line: Any, siblings: Sequence[str]) -> str:
         return "missing, and it has no default"
     got = f"got {shown(value)}; "
     if kind == "unknown_kind":
+        got = f"got {shown(value.get('kind', value) if isinstance(value, dict) else value)}; "
         return got + "unknown " + context["role"] + one_of(context["kind"], context["names"])
     if kind == "literal_error":
         allowed = context["expected"].replace("'", '"')

@@ -40,11 +40,15 @@ class Origin:
             location = ("experiment",)
         if self._is_overridden(location):
             return f"{SOURCE}: {dotted(location)}"
-        for choice in self.combinations[index]:
-            if _related(choice.axis, location):
-                name = () if choice.name is None else (choice.name,)
-                rest = location[len(choice.axis) :]
-                return f"{self.file}: axes.{dotted((*choice.axis, *name, *rest))} (point {index})"
+        axes = self.combinations[index]
+        # The axis that set the location last, or else one that reaches below it.
+        above = [choice for choice in axes if choice.axis == location[: len(choice.axis)]]
+        below = [choice for choice in axes if location == choice.axis[: len(location)]]
+        if above or below:
+            choice = above[-1] if above else below[0]
+            name = () if choice.name is None else (choice.name,)
+            rest = location[len(choice.axis) :]
+            return f"{self.file}: axes.{dotted((*choice.axis, *name, *rest))} (point {index})"
         return self.base(location)
 
     def _is_overridden(self, location: Location) -> bool:

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from bojax.config.errors import ConfigError, dotted
+from bojax.config.errors import ConfigError, dotted, shown
 from bojax.config.yaml_file import parse
 
 SOURCE = "command line"
@@ -45,8 +45,17 @@ def parse_overrides(texts: Iterable[str]) -> list[Override]:
     return sorted(overrides.values(), key=lambda override: (len(override.path), override.path[-1] != "kind"))
 
 
-def assign(raw: Mapping[str, Any], path: tuple[str, ...], value: Any) -> dict[str, Any]:
-    """A copy of `raw` with the value at `path`; a new `kind` drops the settings of the old one."""
+def apply(raw: Mapping[str, Any], override: Override) -> dict[str, Any]:
+    """A copy of `raw` with an override made."""
+    return assign(raw, override.path, override.value, f"{SOURCE}: {dotted(override.path)}")
+
+
+def assign(raw: Mapping[str, Any], path: tuple[str, ...], value: Any, where: str) -> dict[str, Any]:
+    """A copy of `raw` with the value at `path`; a new `kind` drops the settings of the old one.
+
+    Raises:
+        ConfigError: There is a plain value on the way; `where` names the setting.
+    """
     name, *rest = path
     if rest:
         below = raw.get(name)
@@ -55,8 +64,8 @@ def assign(raw: Mapping[str, Any], path: tuple[str, ...], value: Any) -> dict[st
         elif below is None:
             below = {}
         elif not isinstance(below, Mapping):
-            raise ConfigError(f"{SOURCE}: {dotted(path)}: {name} is a single value, with nothing below it")
-        value = assign(below, tuple(rest), value)
+            raise ConfigError(f"{where}: {name} is {shown(below)}, with nothing below it")
+        value = assign(below, tuple(rest), value, where)
     elif name == "kind" and raw.get("kind") != value:
         return {"kind": value}
     return {**raw, name: value}

@@ -16,7 +16,7 @@ from bojax.config.component import Component, Schema, Slot, merged
 from bojax.config.errors import ConfigError, Location, dotted, from_validation, one_of, shown
 from bojax.config.files import SUFFIXES, display, find
 from bojax.config.origin import Origin
-from bojax.config.overrides import Override, assign, parse_overrides
+from bojax.config.overrides import Override, apply, parse_overrides
 from bojax.config.settings import RESERVED, EngineConfig, Record, Settings, split
 from bojax.config.yaml_file import read_mapping
 
@@ -132,7 +132,7 @@ def load_sweep(
         overridden=tuple(change.path for change in changes),
         combinations=combinations,
     )
-    experiments = expand(experiment, combinations, below_axes)
+    experiments = expand(experiment, combinations, below_axes, file)
     sweep = _assemble(path, given.stem, settings, experiments, experiment, origin, parsed)
     _check_claims(sweep, file)
     return sweep
@@ -225,11 +225,11 @@ def _override(
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     for change in changes:
         if change.path == ("experiment",):
-            experiment = assign(experiment, ("kind",), change.value)
+            experiment = apply(experiment, Override(("kind",), change.value))
         elif change.path[0] in RESERVED:
-            settings = assign(settings, change.path, change.value)
+            settings = apply(settings, change)
         else:
-            experiment = assign(experiment, change.path, change.value)
+            experiment = apply(experiment, change)
     return settings, experiment
 
 
