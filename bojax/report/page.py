@@ -94,7 +94,7 @@ def summary(results: Results) -> str:
     groups = results.manifest.get("groups") or []
     run = sum(group.get("run_seconds") or 0 for group in groups)
     build = sum(group.get("compile_seconds") or 0 for group in groups)
-    time = f", in {seconds(run)} and {seconds(build)} of compilation" if run else ""
+    time = f", in {seconds(run)} of run time and {seconds(build)} of compilation" if run else ""
     return f"{what}{listed}{where}: {runs}{each}{steps}{time}."
 
 
@@ -131,7 +131,7 @@ def _claim(claim: Mapping[str, Any]) -> dict[str, Any]:
         **claim,
         "mark": _MARKS[claim["verdict"]],
         "slug": claim["verdict"].replace(" ", "-"),
-        "thesis": plain(claim["thesis"]) if claim["thesis"] is not None else MISSING,
+        "thesis": "" if claim["thesis"] is None else plain(claim["thesis"]),
         "ours": MISSING if ours is None else ours,
         "interval": listed[0][2] if is_single else "",
         "comparisons": [] if is_single else listed,
@@ -172,7 +172,7 @@ def _time_taken(groups: Sequence[Mapping[str, Any]]) -> str:
     if not groups:
         return ""
     run, build = (sum(group.get(key) or 0 for group in groups) for key in ("run_seconds", "compile_seconds"))
-    return f"{seconds(run)} of runs, {seconds(build)} of compilation"
+    return f"{seconds(run)} of run time, {seconds(build)} of compilation"
 
 
 def _kind(component: Any) -> str:

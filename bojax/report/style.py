@@ -96,6 +96,9 @@ def figure(height: float, rows: int = 1, columns: int = 1, **options: Any) -> tu
 
 def encode(drawn: Figure) -> Mapping[str, bytes]:
     """The figure as `png` and `svg`, the same bytes every time: fixed ids, no date."""
+    # Panels of equal aspect move once the first layout is known: let it settle, so that nothing is cut off.
+    for _ in range(2):
+        drawn.draw_without_rendering()
     files = {}
     for kind, metadata in (("png", {"Software": None}), ("svg", {"Date": None, "Creator": None})):
         buffer = io.BytesIO()

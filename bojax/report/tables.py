@@ -86,7 +86,7 @@ def speeds(results: Results) -> list[Speed]:
         entries.append(
             Speed(
                 latencies=[(point.name, seconds(latency.get(str(point.index)))) for point in members],
-                lanes=number(group.get("lanes_per_device")),
+                lanes=plain(group.get("lanes_per_device", MISSING)),
                 steps=f"{steps:,}" if isinstance(steps, int) else MISSING,
                 steps_per_second=number(rate),
                 iterations_per_second=number(rate * per_step if rate and per_step else None),

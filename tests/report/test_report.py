@@ -60,7 +60,7 @@ def test_page_names_every_planner_and_every_verdict(page, folder):
         assert claim["id"] in page.text and claim["verdict"] in page.text
     assert "Robot parking (Fig. 4.6)" in page.text
     assert "bojax sweep sweeps/parking.yaml --runs 40" in page.text
-    assert "17.5 s of runs, 36.2 s of compilation" in page.text
+    assert "17.5 s of run time, 36.2 s of compilation" in page.text
     assert "97d835b, with uncommitted changes" in page.text
 
 

@@ -13,7 +13,7 @@ from bojax.report.figures.base import Drawing, Undrawable, drawn_points, panel_g
 from bojax.report.figures.domains import DOMAINS
 from bojax.report.source import Point, Results
 
-EXAMPLES = 3
+EXAMPLES = 2
 """Runs of each outcome in a panel: more cross too often to be followed."""
 
 
@@ -87,7 +87,12 @@ def _run(axes: Axes, arrays: Mapping[str, Any], colour: str, *, is_success: bool
     whole = np.concatenate([start[None], *steps])
     line = "-" if is_success else _DASHES
     axes.plot(
-        whole[:, 0], whole[:, 1], color=colour, linewidth=1.4, linestyle=line, zorder=3 if is_success else 2
+        whole[:, 0],
+        whole[:, 1],
+        color=colour,
+        linewidth=1.4 if is_success else 1.1,
+        linestyle=line,
+        zorder=3 if is_success else 2,
     )
     axes.scatter(*start[:2], s=22, facecolors="white", edgecolors=colour, linewidths=1.3, zorder=5)
     poses = np.stack([step[-1] for step in steps]) if steps else start[None]
@@ -101,8 +106,8 @@ def _run(axes: Axes, arrays: Mapping[str, Any], colour: str, *, is_success: bool
         angles="uv",
         units="inches",
         scale_units="inches",
-        scale=1 / 0.085,
-        width=0.017,
+        scale=1 / 0.075,
+        width=0.015,
         headwidth=5,
         headlength=4.6,
         headaxislength=4.2,
@@ -118,7 +123,7 @@ def _legend() -> list[tuple[Any, str]]:
     )
     return [
         (Line2D([], [], color=style.INK, linewidth=1.4), "success"),
-        (Line2D([], [], color=style.FAINT, linewidth=1.4, linestyle=_DASHES), "failure"),
+        (Line2D([], [], color=style.FAINT, linewidth=1.1, linestyle=_DASHES), "failure"),
         (Line2D([], [], **ring, markersize=5, markerfacecolor="white"), "start"),
         (goal, "goal"),
     ]

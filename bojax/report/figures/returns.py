@@ -1,6 +1,7 @@
 """Final return of every run: one dot a run, since means hide that returns fall into separate groups."""
 
 import numpy as np
+from matplotlib.ticker import MaxNLocator
 
 from bojax.report import statistics, style
 from bojax.report.figures.base import Drawing, Undrawable, drawn_points
@@ -42,6 +43,7 @@ def draw(results: Results) -> Drawing:
         tick.set_color(look["color"])
     axes.spines["left"].set_visible(False)
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.10g}".replace("-", "\N{MINUS SIGN}"))
+    axes.xaxis.set_major_locator(MaxNLocator(nbins=5))
     axes.set_xlabel("final return of a run")
     style.quiet_grid(axes, "x")
     axes.tick_params(axis="y", length=0)
