@@ -24,7 +24,7 @@ def out_of_memory(error: BaseException, lanes_per_device: int) -> EngineError | 
     smaller = max(1, lanes_per_device // 2)
     return EngineError(
         f"out of device memory at {lanes_per_device} lanes per device: "
-        f"try engine.lanes_per_device={smaller}, with a new --out",
+        f"try engine.lanes_per_device={smaller} and a new --out",
         FAILURE,
     )
 

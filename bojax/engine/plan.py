@@ -4,7 +4,6 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from bojax.engine.groups import StaticGroup
 from bojax.engine.provenance import code_hashes, versions
 from bojax.experiments.base import Experiment
 
@@ -16,7 +15,6 @@ def make_plan(
     sweep: "Sweep",
     modules: Sequence[Experiment],
     device: Mapping[str, Any],
-    groups: Sequence[StaticGroup],
     lanes_per_device: Sequence[int],
 ) -> dict[str, Any]:
     """Runs, seed, resolved configs, device, lanes, versions and code.
@@ -40,9 +38,7 @@ def make_plan(
                 for point in sweep.points
             ],
             "device": {key: device[key] for key in ("platform", "kind", "count")},
-            "lanes_per_device": {
-                str(group.index): lanes for group, lanes in zip(groups, lanes_per_device, strict=True)
-            },
+            "lanes_per_device": list(lanes_per_device),
             "versions": {name: used[name] for name in ("jax", "jaxlib", "bojax") if name in used},
             "code": {name: value[:16] for name, value in code_hashes(modules).items()},
         }

@@ -59,6 +59,10 @@ class SweepProgress:
         """A compilation has ended."""
         self.say(f"compiled {what} in {seconds:.1f} s")
 
+    def timing(self, what: str) -> None:
+        """A single run is compiled and timed."""
+        self._set_text(f"timing a single run of {what} ...")
+
     def skip(self, lanes: int) -> None:
         """These lanes were finished before."""
         self._lanes_before += lanes

@@ -21,7 +21,8 @@ are not issued before the last one has ended, since one too many, after all lane
 
 MAX_LOOKAHEAD = 16
 MAX_ADVANCES = 512
-"""Most advances of a segment: their records stay on the device until it ends."""
+MAX_RECORD_BYTES = 1 << 28
+"""Most advances of a segment, and most bytes of their records, which stay on the device until it ends."""
 
 Rows = dict[str, np.ndarray]
 
@@ -74,8 +75,12 @@ def run_segment(
     statuses: list[Status] = []
     waiting: deque[Status] = deque()
     lookahead, finished, last_remaining = 0, 0, remaining
-    while len(records) < min(max_advances, MAX_ADVANCES):
+    limit = min(max_advances, MAX_ADVANCES)
+    while len(records) < limit:
         carry, tables, status = program.advance(carry, lanes)
+        if not records:
+            num_bytes = sum(column.nbytes for column in jax.tree.leaves(tables))
+            limit = min(limit, max(1, MAX_RECORD_BYTES // max(1, num_bytes)))
         records.append(tables)
         statuses.append(status)
         waiting.append(status)

@@ -13,6 +13,8 @@ from bojax.results.store import MANIFEST, WORK, ResultsError, explained, read_js
 ROOT = Path("results")
 _PLAN = "plan.json"
 _LOCK = "lock"
+_ASKED_FOR = ("runs", "seed", "record", "config", "points")
+"""Keys of a plan that say what is run; the others say with what."""
 
 
 class RunFolder:
@@ -121,10 +123,13 @@ def check_plan(folder: Path, old: Mapping[str, Any], new: Mapping[str, Any]) -> 
         )
 
 
-def read_plan(folder: Path) -> dict[str, Any]:
-    """The plan of a folder, finished or not."""
-    work = folder / WORK / _PLAN
-    return read_json(work) if work.exists() else read_manifest(folder).get("plan", {})
+def check_finished(folder: Path, plan: Mapping[str, Any]) -> None:
+    """Raise a `ResultsError` unless a finished folder holds what this plan asks for.
+
+    By what code and on which device is not compared: nothing would be mixed.
+    """
+    old = read_manifest(folder).get("plan", {})
+    check_plan(folder, *({key: found.get(key) for key in _ASKED_FOR} for found in (old, plan)))
 
 
 def _newest_unfinished(root: Path) -> Path:

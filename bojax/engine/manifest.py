@@ -1,0 +1,87 @@
+"""What `manifest.json` and `timings.parquet` say of a sweep."""
+
+import time
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import pyarrow as pa
+
+from bojax.engine.chunks import Chunk, digest
+from bojax.engine.devices import setting
+from bojax.engine.groups import StaticGroup
+from bojax.engine.plan import plain
+from bojax.engine.provenance import git_revision, versions
+from bojax.results.parts import ChunkState
+
+if TYPE_CHECKING:
+    from bojax.config.sweep import Sweep
+
+_TIMINGS = ("group", "point", "chunk", "segment", "lanes", "active_steps", "seconds")
+
+States = Sequence[tuple[Chunk, ChunkState]]
+"""Every chunk of the sweep, with what of it is done."""
+
+
+def describe_sweep(sweep: "Sweep", plan: Mapping[str, Any], command: str, status: str) -> dict[str, Any]:
+    """What was run, how it was asked for, and what it was run with."""
+    return {
+        "name": sweep.name,
+        "title": sweep.title,
+        "status": status,
+        "written": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+        "command": command,
+        "runs": sweep.runs,
+        "seed": sweep.seed,
+        "config": plan["config"],
+        "config_hash": digest({key: plan[key] for key in ("runs", "seed", "record", "points")}),
+        "points": [{"index": index, **point} for index, point in enumerate(plan["points"])],
+        "report": plain(sweep.report),
+        "claims": plain(sweep.claims),
+        "engine": plain(sweep.engine),
+        "versions": versions(),
+        "git": git_revision(),
+        "precision": {
+            "x64": bool(setting("jax_enable_x64")),
+            "dtypes": sorted({point["config"].get("dtype", "float64") for point in plan["points"]}),
+            "matmul": setting("jax_default_matmul_precision") or "set by each operation",
+        },
+        "plan": plan,
+    }
+
+
+def describe_group(group: StaticGroup, name: str, states: States, facts: Mapping[str, Any]) -> dict[str, Any]:
+    """Times and steps of a static group: compilation, advances, latency of a single run."""
+    segments = [
+        segment for chunk, state in states if chunk.group == group.index for segment in state.segments
+    ]
+    return {
+        "group": group.index,
+        "name": name,
+        "points": list(group.points),
+        **facts,
+        "run_seconds": sum(seconds for _, _, seconds in segments),
+        "active_steps": int(sum(steps for _, steps, _ in segments)),
+    }
+
+
+def describe_chunk(chunk: Chunk, state: ChunkState, error: str | None) -> dict[str, Any]:
+    """Whether a chunk is done, and why not."""
+    return {
+        "chunk": chunk.index,
+        "group": chunk.group,
+        "point": chunk.point,
+        "runs": chunk.num_lanes,
+        "identity": chunk.identity,
+        "status": "failed" if error else "done" if state.is_done else "unfinished",
+        "error": error,
+    }
+
+
+def timings(states: States) -> pa.Table:
+    """One row per segment; `point` is -1 where a chunk has several."""
+    rows = [
+        (chunk.group, chunk.point, chunk.index, number, int(lanes), int(steps), float(seconds))
+        for chunk, state in states
+        for number, (lanes, steps, seconds) in enumerate(state.segments)
+    ]
+    return pa.table({name: [row[i] for row in rows] for i, name in enumerate(_TIMINGS)})
