@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from bojax.models.kernels import Kernel
-from bojax.numerics.linalg import matmul
+from bojax.numerics.linalg import matmul, noise_floor
 
 
 class GaussianProcess(eqx.Module):
@@ -16,7 +16,7 @@ class GaussianProcess(eqx.Module):
 
     Attributes:
         kernel: Prior covariance.
-        noise_variance: Variance of the observation noise.
+        noise_variance: Variance of the observation noise; below `noise_floor` it counts as that.
         x: Inputs.
         y: Observed values.
         inverse_cholesky: `L^-1`, with `L L' = K + noise_variance I`.
@@ -64,10 +64,11 @@ class GaussianProcess(eqx.Module):
         arithmetic d^2 is at least the noise variance; it is kept there against rounding.
         """
         whitened = matmul(self.inverse_cholesky, self.kernel.gram(self.x, x[None, :])[:, 0])
-        floor = jnp.maximum(self.noise_variance, jnp.finfo(x.dtype).eps)
-        pivot = jnp.sqrt(
-            jnp.maximum(self.kernel(x, x) + self.noise_variance - jnp.sum(whitened * whitened), floor)
-        )
+        variance = self.kernel(x, x)
+        # The floor is part of the noise of every row: if d^2 alone were kept above it, L would belong to no
+        # matrix, and a third observation of one point without noise would make it explode.
+        noise = jnp.maximum(self.noise_variance, noise_floor(x.dtype) * variance)
+        pivot = jnp.sqrt(jnp.maximum(variance + noise - jnp.sum(whitened * whitened), noise))
         row = -matmul(whitened, self.inverse_cholesky)
         return jnp.where(jnp.arange(row.shape[0], dtype=self.count.dtype) == self.count, 1.0, row) / pivot
 
