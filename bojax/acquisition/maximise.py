@@ -17,10 +17,15 @@ def best_candidate(
     posterior: GaussianProcess,
     best: Float[Array, ""],
     candidates: Float[Array, "C D"],
-) -> Int[Array, ""]:
-    """Index of the candidate of highest acquisition; the first one of several equal ones."""
-    mean, variance = posterior.predict(candidates)
-    return jnp.argmax(acquisition(mean, jnp.sqrt(variance), best))
+) -> tuple[Int[Array, ""], Float[Array, "N C"]]:
+    """Index of the candidate of highest acquisition, the first of equal ones; and all candidates whitened.
+
+    An observation of the winner appends a row to the posterior that starts from its whitened covariances:
+    they are returned so that nobody computes them twice.
+    """
+    whitened = posterior.whiten(candidates)
+    mean, variance = posterior.moments(candidates, whitened)
+    return jnp.argmax(acquisition(mean, jnp.sqrt(variance), best)), whitened
 
 
 def refine(

@@ -1,6 +1,7 @@
-"""Gaussian process regression of fixed capacity, updated in place by an incremental inverse Cholesky factor."""
+"""Gaussian process regression of fixed capacity, updated by an incremental inverse Cholesky factor."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
@@ -48,34 +49,43 @@ class GaussianProcess(eqx.Module):
     def update(self, x: Float[Array, "D"], y: Float[Array, ""]) -> "GaussianProcess":
         """The posterior after one more observation; dropped without a trace once the capacity is reached."""
         at = self.count
+        row = self.next_row(x, self.whiten(x[None, :])[:, 0])
         return GaussianProcess(
             kernel=self.kernel,
             noise_variance=self.noise_variance,
             x=self.x.at[at].set(x, mode="drop"),
             y=self.y.at[at].set(y, mode="drop"),
-            inverse_cholesky=self.inverse_cholesky.at[at].set(self.next_row(x), mode="drop"),
+            inverse_cholesky=self.inverse_cholesky.at[at].set(row, mode="drop"),
             count=jnp.minimum(at + 1, self.y.shape[0]).astype(at.dtype),
         )
 
-    def next_row(self, x: Float[Array, "D"]) -> Float[Array, "N"]:
-        """The row that an observation at `x` appends to the inverse Cholesky factor.
+    def whiten(self, xs: Float[Array, "M D"]) -> Float[Array, "N M"]:
+        """L^-1 k(X, xs), from which everything about `xs` follows."""
+        return matmul(self.inverse_cholesky, self.kernel.gram(self.x, xs))
+
+    def next_row(self, x: Float[Array, "D"], whitened: Float[Array, "N"]) -> Float[Array, "N"]:
+        """The row that an observation at `x` appends to the inverse Cholesky factor; `whitened` is its own.
 
         With l = L^-1 k(X, x) and d^2 = k(x, x) + noise - l'l, the row is [-l' L^-1, 1] / d. In exact
         arithmetic d^2 is at least the noise variance; it is kept there against rounding.
         """
-        whitened = matmul(self.inverse_cholesky, self.kernel.gram(self.x, x[None, :])[:, 0])
         variance = self.kernel(x, x)
         # The floor is part of the noise of every row: if d^2 alone were kept above it, L would belong to no
         # matrix, and a third observation of one point without noise would make it explode.
         noise = jnp.maximum(self.noise_variance, noise_floor(x.dtype) * variance)
         pivot = jnp.sqrt(jnp.maximum(variance + noise - jnp.sum(whitened * whitened), noise))
         row = -matmul(whitened, self.inverse_cholesky)
-        return jnp.where(jnp.arange(row.shape[0], dtype=self.count.dtype) == self.count, 1.0, row) / pivot
+        is_new = jnp.arange(row.shape[0], dtype=self.count.dtype) == self.count
+        return jnp.where(is_new, 1.0, row) / pivot
+
+    def moments(
+        self, xs: Float[Array, "M D"], whitened: Float[Array, "N M"]
+    ) -> tuple[Float[Array, "M"], Float[Array, "M"]]:
+        """What `predict` returns, from the `whitened` covariances of `xs`."""
+        mean = matmul(matmul(self.inverse_cholesky, self.y), whitened)
+        prior = jax.vmap(lambda x: self.kernel(x, x))(xs)
+        return mean, jnp.maximum(prior - jnp.sum(whitened * whitened, axis=0), 0.0)
 
     def predict(self, xs: Float[Array, "M D"]) -> tuple[Float[Array, "M"], Float[Array, "M"]]:
         """Posterior mean and variance of the noise-free function at `xs` (2.28, 2.29)."""
-        whitened = matmul(self.inverse_cholesky, self.kernel.gram(self.x, xs))
-        mean = matmul(matmul(self.inverse_cholesky, self.y), whitened)
-        # k(x, x) = 1 for every kernel here, but ask: sums and scalings will not have it.
-        prior = eqx.filter_vmap(lambda x: self.kernel(x, x))(xs)
-        return mean, jnp.maximum(prior - jnp.sum(whitened * whitened, axis=0), 0.0)
+        return self.moments(xs, self.whiten(xs))

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
 Path = Float[Array, "S 3"]
-"""Poses (x and y in metres, heading in radians) at equal arc lengths, the start left out, the end included."""
+"""Poses (x, y in metres, heading in radians) at equal arc lengths, without the start, with the end."""
 
 Pose = Float[Array, "3"]
 """x and y in metres, heading in radians."""

@@ -18,6 +18,9 @@ from bojax.planning.tree import UNVISITED, Tree, best_by_mean, best_by_uct
 from bojax.problems.base import Objective
 
 
+Scaling = Literal["standardise", "rank", "none"]
+
+
 class NodeModels(eqx.Module):
     """The Gaussian processes of all nodes, from action parameters to rewards.
 
@@ -69,8 +72,8 @@ class ContinuousBeliefTreeSearch(TreeSearch[NodeModels]):
         num_candidates: Parameters among which the acquisition is maximised, drawn anew for each plan.
         num_initial: First actions of a node that are random candidates instead.
         refine_steps: Gradient steps from the best candidate; 0 for none.
-        scaling: How a node's rewards enter its process: `"standardise"` to mean 0 and variance 1, or
-            `"none"`.
+        scaling: How a node's rewards enter its process: `"standardise"` to mean 0 and variance 1, `"rank"`
+            for their ranks spread evenly over [-1, 1], or `"none"`.
         objective: What to maximise, if not the problem's own task.
     """
 
@@ -87,7 +90,7 @@ class ContinuousBeliefTreeSearch(TreeSearch[NodeModels]):
     num_candidates: int = eqx.field(static=True)
     num_initial: int = eqx.field(static=True)
     refine_steps: int = eqx.field(static=True)
-    scaling: Literal["standardise", "none"] = eqx.field(static=True)
+    scaling: Scaling = eqx.field(static=True)
     objective: Objective = None
 
     @property
@@ -131,18 +134,18 @@ class ContinuousBeliefTreeSearch(TreeSearch[NodeModels]):
         """See `TreeSearch`."""
         model, best = self._model(tree, memory, node)
         is_initial = model.count < self.num_initial
-        choice = best_candidate(self.acquisition, model, best, memory.candidates)
+        choice, whitened_all = best_candidate(self.acquisition, model, best, memory.candidates)
         choice = jnp.where(is_initial, draws["initial"], choice)
-        params, path = memory.candidates[choice], memory.paths[choice]
+        params, path, whitened = memory.candidates[choice], memory.paths[choice], whitened_all[:, choice]
         if self.refine_steps > 0:
             refined = refine(self.acquisition, model, best, params, self.refine_steps)
             params = jnp.where(is_initial, params, refined)
-            path = self.motions.path(params)
+            path, whitened = self.motions.path(params), model.whiten(params[None, :])[:, 0]
         previous = model.x[jnp.maximum(model.count - 1, 0)]
         distance = jnp.sqrt(jnp.sum((params - previous) ** 2))
         note = ActionNote(
             params=params,
-            row=model.next_row(params),
+            row=model.next_row(params, whitened),
             has_converged=(model.count > 0) & (distance < self.convergence),
         )
         return Proposal(path=path, slot=model.count, note=note)
@@ -168,14 +171,7 @@ class ContinuousBeliefTreeSearch(TreeSearch[NodeModels]):
         children = tree.children[node]
         exists = children != UNVISITED
         count = jnp.sum(exists, dtype=jnp.int32)
-        rewards = tree.reward[children]
-        if self.scaling == "standardise":
-            number = jnp.maximum(count, 1).astype(rewards.dtype)
-            mean = jnp.sum(jnp.where(exists, rewards, 0.0)) / number
-            variance = jnp.sum(jnp.where(exists, (rewards - mean) ** 2, 0.0)) / number
-            # Equal rewards say nothing about the surface: they stay 0.
-            scale = jnp.where(variance > 1e-12 * mean**2, jnp.sqrt(variance), 1.0)
-            rewards = (rewards - mean) / scale
+        rewards = _scale(tree.reward[children], exists, self.scaling)
         model = GaussianProcess(
             kernel=self.kernel,
             noise_variance=self.noise_variance,
@@ -194,3 +190,19 @@ class ContinuousBeliefTreeSearch(TreeSearch[NodeModels]):
     def path_of(self, memory: NodeModels, child: Int[Array, ""]) -> Path:
         """See `TreeSearch`."""
         return self.motions.path(memory.params[child])
+
+
+def _scale(rewards: Float[Array, "A"], exists: Bool[Array, "A"], scaling: Scaling) -> Float[Array, "A"]:
+    """A node's rewards as its process sees them; meaningless where `exists` is false."""
+    number = jnp.maximum(jnp.sum(exists), 1).astype(rewards.dtype)
+    if scaling == "none":
+        return rewards
+    if scaling == "rank":
+        # Twice the mean rank: one for each reward below and one for each reward not above, itself included.
+        below = jnp.sum(exists[None, :] & (rewards[None, :] < rewards[:, None]), axis=1)
+        not_above = jnp.sum(exists[None, :] & (rewards[None, :] <= rewards[:, None]), axis=1)
+        return (below + not_above).astype(rewards.dtype) / number - 1.0
+    mean = jnp.sum(jnp.where(exists, rewards, 0.0)) / number
+    variance = jnp.sum(jnp.where(exists, (rewards - mean) ** 2, 0.0)) / number
+    # Equal rewards say nothing about the surface: they stay 0.
+    return (rewards - mean) / jnp.where(variance > 1e-12 * mean**2, jnp.sqrt(variance), 1.0)

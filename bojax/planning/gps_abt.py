@@ -1,4 +1,4 @@
-"""GPS-ABT: tree search whose nodes choose actions by generalised pattern search (Seiler et al., ICRA 2015)."""
+"""GPS-ABT: nodes choose actions by generalised pattern search (Seiler, Kurniawati, Singh, ICRA 2015)."""
 
 from typing import Literal
 

@@ -5,7 +5,7 @@ from typing import Literal
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Key
+from jaxtyping import Array, Float, Key
 
 from bojax.motions.base import Pose
 from bojax.problems.pose import Outcome, PoseProblem
@@ -24,8 +24,8 @@ class Parking(PoseProblem):
 
     What the thesis leaves open is a setting: the bearing's frame, whether the bearing matters within
     `distance_tolerance` (where it is nearly arbitrary), whether passing through the lot parks the robot,
-    and whether leaving the domain ends the episode or puts the robot back where the path began (the text
-    says that it ends; Fig. 4.6, whose axis reaches -2400, is only possible if it does not).
+    and whether leaving the domain ends the episode (the text says that it does; but then no return is far
+    below -1100, and the axis of Fig. 4.6 reaches -2400).
 
     Attributes:
         half_width: Half the side of the domain, in metres.
@@ -40,7 +40,8 @@ class Parking(PoseProblem):
         bearing: `"world"`: beta is the direction of the robot seen from the lot; `"robot"`: beta is the
             direction of the lot relative to the robot's heading.
         success_needs_bearing: Parking needs the bearing condition too, as (4.13) prints it.
-        exit_terminates: Leaving the domain ends the episode.
+        exit_terminates: Leaving the domain ends the episode; otherwise the robot drives on, and pays each
+            time that a path leads from the inside to the outside.
         park_along_path: Any pose of a path can park the robot, not only its end.
     """
 
@@ -66,33 +67,38 @@ class Parking(PoseProblem):
 
     def outcome(self, start: Pose, path: Float[Array, "S 3"]) -> Outcome:
         """See `PoseProblem`; a path ends where it parks or leaves the domain, whichever comes first."""
-        outside = jnp.max(jnp.abs(path[:, :2]), axis=-1) > self.half_width
-        # Sin, cos and distances of all poses at once; the reward is that of the last one.
+        index = jnp.arange(path.shape[0], dtype=jnp.int32)
+        end = path.shape[0] - 1
+        is_outside = jnp.max(jnp.abs(path[:, :2]), axis=-1) > self.half_width
         distance = jnp.sqrt(jnp.sum(path[:, :2] ** 2, axis=-1))
         off_heading = jnp.abs(jnp.sin(path[:, 2]))
         off_axis = self._off_axis(path, distance)
-        parked = (distance <= self.distance_tolerance) & (off_heading <= self.heading_tolerance)
+        is_parked = (distance <= self.distance_tolerance) & (off_heading <= self.heading_tolerance)
         if self.success_needs_bearing:
-            parked = parked & (off_axis <= self.bearing_tolerance)
+            is_parked = is_parked & (off_axis <= self.bearing_tolerance)
         if not self.park_along_path:
-            parked = parked & (jnp.arange(path.shape[0]) == path.shape[0] - 1)
-        first_parked, first_outside = _first(parked), _first(outside)
-        success = first_parked < first_outside
-        exited = first_outside < first_parked
+            is_parked = is_parked & (index == end)
+        first_parked = jnp.min(jnp.where(is_parked, index, end + 1))
+        first_outside = jnp.min(jnp.where(is_outside, index, end + 1))
+        if self.exit_terminates:
+            success = first_parked < first_outside
+            exited = first_outside < first_parked
+            terminated = success | exited
+            last = jnp.minimum(jnp.minimum(first_parked, first_outside), end)
+        else:
+            was_inside = jnp.max(jnp.abs(start[:2])) <= self.half_width
+            success = terminated = first_parked <= end
+            exited = was_inside & (first_outside < first_parked)
+            last = jnp.minimum(first_parked, end)
         farthest = 2.0**0.5 * self.half_width
         shaped = jnp.where(
             off_axis[-1] > self.bearing_tolerance,
             -off_axis[-1] - farthest - 1.0,
             jnp.where(off_heading[-1] > self.heading_tolerance, -off_heading[-1] - farthest, -distance[-1]),
         )
-        reward = jnp.where(success, self.success_reward, jnp.where(exited, self.exit_reward, shaped))
-        last = jnp.where(success, first_parked, jnp.where(exited, first_outside, path.shape[0] - 1))
-        end = path[last]
-        if not self.exit_terminates:
-            end = jnp.where(exited, start, end)
-        terminated = success | exited if self.exit_terminates else success
-        driven = path[jnp.minimum(jnp.arange(path.shape[0]), last)]
-        return Outcome(end, reward, terminated, success, exited, driven)
+        paid = jnp.where(success, self.success_reward, shaped)
+        reward = jnp.where(exited & ~success, self.exit_reward, paid)
+        return Outcome(reward, terminated, success, exited, last)
 
     def _off_axis(self, path: Float[Array, "S 3"], distance: Float[Array, "S"]) -> Float[Array, "S"]:
         """|sin beta|, 0 at the lot itself."""
@@ -101,8 +107,3 @@ class Parking(PoseProblem):
         if self.bearing == "robot":
             across = path[:, 1] * jnp.cos(path[:, 2]) - path[:, 0] * jnp.sin(path[:, 2])
         return jnp.abs(across) / safe
-
-
-def _first(flags: Bool[Array, "S"]) -> Array:
-    """Index of the first true flag, the number of flags if there is none."""
-    return jnp.where(jnp.any(flags), jnp.argmax(flags), flags.shape[0])

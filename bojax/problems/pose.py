@@ -5,7 +5,7 @@ import abc
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Key, Scalar
+from jaxtyping import Array, Bool, Float, Int, Key, Scalar
 
 from bojax.motions.base import Path, Pose, place
 from bojax.problems.base import Events, Objective, Problem, Simulation
@@ -15,20 +15,18 @@ class Outcome(eqx.Module):
     """What driving a path leads to.
 
     Attributes:
-        pose: Where the robot stands afterwards.
         reward: Reward of the path.
-        terminated: The episode is over.
+        terminated: The episode is over; the robot drives every other path to its end.
         success: The task is solved.
         exited: The robot left the domain.
-        driven: Poses that the robot went through; the last one again after an early end.
+        last: Index of the last pose driven.
     """
 
-    pose: Pose
     reward: Float[Array, ""]
     terminated: Bool[Array, ""]
     success: Bool[Array, ""]
     exited: Bool[Array, ""]
-    driven: Float[Array, "S 3"]
+    last: Int[Array, ""]
 
 
 class PoseProblem(Problem):
@@ -55,14 +53,16 @@ class PoseProblem(Problem):
 
     def execute(self, key: Key[Array, ""], world: Pose, path: Path) -> tuple[Pose, Pose, Events]:
         """Drive a path from the true pose and read the pose it ends in."""
-        outcome = self.outcome(world, place(path, world))
-        end = outcome.pose.at[2].set(jnp.mod(outcome.pose[2], 2.0 * jnp.pi))
+        poses = place(path, world)
+        outcome = self.outcome(world, poses)
+        driven = poses[jnp.minimum(jnp.arange(poses.shape[0], dtype=outcome.last.dtype), outcome.last)]
+        end = driven[-1].at[2].set(jnp.mod(driven[-1, 2], 2.0 * jnp.pi))
         events = Events(
             reward=outcome.reward,
             terminated=outcome.terminated,
             success=outcome.success,
             exited=outcome.exited,
-            driven=outcome.driven,
+            driven=driven,
         )
         return end, self._read(key, end), events
 
@@ -89,17 +89,18 @@ class PoseProblem(Problem):
         paths: Float[Array, "H S 3"],
         objective: Objective,
     ) -> Simulation:
-        """Drive the paths one after the other, without noise."""
+        """Drive the paths one after the other, without noise.
+
+        The starts follow from the ends of the paths alone, so that all outcomes are one batch: what comes
+        after a terminated path does not count.
+        """
         del key, root, objective
-        poses, rewards, terminated = [], [], []
-        pose = node
+        starts = [node]
         for path in paths:
-            outcome = self.outcome(pose, place(path, pose))
-            pose = outcome.pose
-            poses.append(pose)
-            rewards.append(outcome.reward)
-            terminated.append(outcome.terminated)
-        return Simulation(poses[0], jnp.stack(rewards), jnp.stack(terminated))
+            starts.append(place(path[-1], starts[-1]))
+        begin = jnp.stack(starts[:-1])
+        outcome = jax.vmap(lambda start, path: self.outcome(start, place(path, start)))(begin, paths)
+        return Simulation(starts[1], outcome.reward, outcome.terminated)
 
     def pose(self, world: Pose) -> Pose:
         """The state itself."""
