@@ -48,7 +48,7 @@ def read_mapping(path: Path, name: str) -> dict[str, Any]:
         ConfigError: The file cannot be read, is empty, is not YAML, is not a mapping, or has a key twice.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise ConfigError(f"{name}: is not text in UTF-8 (byte {error.start})") from error
     except OSError as error:
@@ -69,18 +69,21 @@ def parse(text: str, name: str) -> Any:
     Raises:
         ConfigError: The text is not YAML, or has a key twice.
     """
-    loader = _Loader(text)
     try:
-        node = loader.get_single_node()
-        return None if node is None else _construct(loader, node, name, ())
+        loader = _Loader(text)
+        try:
+            node = loader.get_single_node()
+            return None if node is None else _construct(loader, node, name, ())
+        finally:
+            loader.dispose()
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         where = f":{mark.line + 1}" if mark else ""
         raise ConfigError(f"{name}{where}: is not YAML: {error.problem or error.context}") from error
     except yaml.YAMLError as error:
         raise ConfigError(f"{name}: is not YAML: {' '.join(str(error).split())}") from error
-    finally:
-        loader.dispose()
+    except RecursionError as error:
+        raise ConfigError(f"{name}: is nested too deeply") from error
 
 
 def _construct(loader: _Loader, node: yaml.Node, name: str, ancestors: tuple[yaml.Node, ...]) -> Any:

@@ -1,0 +1,105 @@
+"""Schema classes: strict types, slots, registration."""
+
+from typing import Annotated, ClassVar, Literal
+
+import pydantic
+import pytest
+
+from bojax.config import catalog
+from bojax.config.component import Component, External, Registered, Schema, Slot, registry
+from bojax.config.experiments import Planning
+from bojax.config.models import Matern52
+from bojax.config.motions import KernelTrajectories, Splines
+from bojax.config.planners import KCBTS, SBO
+from bojax.config.problems import Parking
+
+BUILT_IN = [
+    pytest.param(schema, id=f"{role}-{kind}")
+    for role in catalog.ROLES
+    for kind, schema in catalog.kinds(role).items()
+]
+
+
+@pytest.mark.parametrize("schema", BUILT_IN)
+def test_every_part_has_defaults_and_says_what_it_is(schema):
+    part = schema()
+    assert part.target.startswith("bojax.")
+    assert schema.__doc__.strip().endswith(".")
+    for name, field in schema.model_fields.items():
+        assert name == "kind" or field.description, f"{name} has no description"
+
+
+@pytest.mark.parametrize("schema", BUILT_IN)
+def test_dumping_and_reading_back_gives_the_same(schema):
+    part = schema()
+    assert Slot(schema.role).validate(part.model_dump(mode="json")) == part
+
+
+def test_parts_are_frozen_and_equal_by_value():
+    with pytest.raises(pydantic.ValidationError):
+        Parking().half_width = 2.0  # pyright: ignore[reportAttributeAccessIssue]
+    assert Parking() == Parking()
+    assert Parking(half_width=2.0) != Parking()
+
+
+@pytest.mark.parametrize("value", ["3", 3.0, 3.7, True, None, [3]])
+def test_an_integer_is_not_made_of_anything_else(value):
+    with pytest.raises(pydantic.ValidationError):
+        SBO(depth=value)
+
+
+@pytest.mark.parametrize("value", ["3", True, None, float("nan"), float("inf"), [3.0]])
+def test_a_number_is_not_made_of_anything_but_an_integer(value):
+    assert SBO(exploration=3) == SBO(exploration=3.0)
+    with pytest.raises(pydantic.ValidationError):
+        SBO(exploration=value)
+
+
+def test_a_slot_takes_a_name_a_mapping_or_a_component():
+    slot = Slot("motions")
+    assert (
+        slot.validate("splines")
+        == slot.validate({"kind": "splines"})
+        == slot.validate(Splines())
+        == Splines()
+    )
+    with pytest.raises(ValueError, match="a motions is expected here, not a kernel"):
+        slot.validate(Matern52())
+
+
+def test_what_a_mapping_leaves_out_comes_from_the_default_of_its_place():
+    class Place(Schema, frozen=True):
+        motions: Annotated[Component, Slot("motions")] = KernelTrajectories(length=2.0, num_segments=2)
+
+    expected = KernelTrajectories(length=2.0, num_segments=5)
+    assert Place.model_validate({"motions": {"num_segments": 5}}).motions == expected
+    assert Place.model_validate({"motions": {"kind": "kernel", "num_segments": 5}}).motions == expected
+    assert Place.model_validate({"motions": "kernel"}).motions == Place().motions
+    assert Place.model_validate({"motions": "splines"}).motions == Splines()
+
+
+def test_the_default_of_a_place_reaches_further_down():
+    planning = Planning.model_validate({"planner": {"motions": {"length": 3}}})
+    assert planning == Planning(planner=KCBTS(motions=KernelTrajectories(length=3.0)))
+
+
+def test_an_import_path_waits_for_its_class():
+    part = Slot("problem").validate({"kind": "mine.fields:Field", "width": 3})
+    assert part == External(kind="mine.fields:Field", slot="problem", params={"width": 3})
+    assert isinstance(part, External) and part.label == "Field"
+
+
+def test_one_kind_is_registered_once():
+    class Once(Registered, frozen=True):
+        role: ClassVar[str] = "test-role"
+        kind: Literal["once"] = "once"
+
+    try:
+        assert registry["test-role"] == {"once": Once}
+        with pytest.raises(TypeError, match="registered twice: Once, Twice"):
+
+            class Twice(Registered, frozen=True):
+                role: ClassVar[str] = "test-role"
+                kind: Literal["once"] = "once"
+    finally:
+        del registry["test-role"]

@@ -1,0 +1,261 @@
+"""Experiment and sweep files become points: overrides, axes, defaults, aliases."""
+
+import pytest
+
+from bojax.config.component import Component
+from bojax.config.files import available, shipped
+from bojax.config.motions import KernelTrajectories, Splines
+from bojax.config.planners import KCBTS, SBO
+from bojax.config.problems import Parking
+from bojax.config.settings import EngineConfig, Record
+from bojax.config.sweep import Sweep, load_config, load_sweep
+
+
+def planner(sweep: Sweep, index: int = 0) -> Component:
+    """The planner of a point."""
+    return sweep.points[index].config.planner  # pyright: ignore[reportAttributeAccessIssue]
+
+
+@pytest.mark.parametrize("name", available("configs"))
+def test_every_config_loads(name):
+    sweep = load_config(name)
+    assert sweep.name == name and len(sweep.points) == 1
+    assert sweep.title != name
+
+
+@pytest.mark.parametrize("name", available("sweeps"))
+def test_every_sweep_expands(name):
+    sweep = load_sweep(name)
+    assert sweep.name == name
+    variants = [(point.variant, *point.swept.values()) for point in sweep.points]
+    assert len(set(variants)) == len(variants)
+
+
+def test_the_parking_sweep_is_figure_4_6():
+    sweep = load_sweep("parking")
+    assert [point.label for point in sweep.points] == ["kcbts", "sbo", "gps-abt", "random"]
+    assert sweep.runs == 200
+    assert sweep.points == load_sweep("fig-4.6").points
+    assert {claim.test.kind for claim in sweep.claims} == {"order", "share", "trend"}
+
+
+def test_shipped_files_are_found_from_anywhere(write):
+    write("unrelated.yaml", "planner: sbo")
+    assert load_sweep("parking").source == shipped("sweeps") / "fig-4.6.yaml"
+
+
+def test_a_file_beside_the_user_hides_a_shipped_one(write):
+    path = write("configs/parking.yaml", "planner: sbo")
+    assert load_config("parking").source.resolve() == path
+    assert planner(load_config(str(path))) == SBO()
+
+
+def test_an_experiment_needs_almost_nothing(write):
+    write("x.yaml", "planner: sbo")
+    sweep = load_config("x.yaml")
+    (point,) = sweep.points
+    assert (sweep.name, sweep.title, sweep.runs, sweep.seed) == ("x", "x", 1, 0)
+    assert (sweep.record, sweep.engine, sweep.claims) == (Record(), EngineConfig(), ())
+    assert (point.index, point.label, point.variant, point.swept) == (0, "sbo", "sbo", {})
+    assert sweep.base == {"experiment": "planning", "planner": "sbo"}
+
+
+def test_options_beat_overrides_beat_the_file(write):
+    write("x.yaml", "{runs: 5, seed: 1, engine: {device: cpu, segment_seconds: 9}}")
+    sweep = load_config("x.yaml", ["runs=6", "seed=2", "engine.device=gpu"], runs=7)
+    assert (sweep.runs, sweep.seed) == (7, 2)
+    assert sweep.engine == EngineConfig(device="gpu", segment_seconds=9)
+
+
+class TestOverrides:
+    """`key=value` with dotted paths."""
+
+    def test_values_are_typed_by_yaml(self, write):
+        write("x.yaml", "planner: kcbts")
+        sweep = load_config(
+            "x.yaml", ["planner.iterations=10", "planner.noise_variance=1e-3", "dtype=float32"]
+        )
+        assert planner(sweep) == KCBTS(iterations=10, noise_variance=1e-3)
+        assert sweep.points[0].config.dtype == "float32"  # pyright: ignore[reportAttributeAccessIssue]
+
+    def test_a_name_replaces_the_part(self, write):
+        write("x.yaml", "planner: {kind: kcbts, iterations: 10}")
+        assert planner(load_config("x.yaml", ["planner=sbo"])) == SBO()
+        assert planner(load_config("x.yaml", ["planner=kcbts"])) == KCBTS()
+
+    def test_a_new_kind_drops_the_settings_of_the_old_one(self, write):
+        write("x.yaml", "planner: {kind: kcbts, max_actions: 10}")
+        assert planner(load_config("x.yaml", ["planner.kind=sbo"])) == SBO()
+        assert planner(load_config("x.yaml", ["planner.kind=kcbts"])) == KCBTS(max_actions=10)
+
+    def test_the_order_does_not_matter(self, write):
+        write("x.yaml", "planner: kcbts")
+        changes = [
+            "planner.motions.length=2",
+            "planner.motions.kind=splines",
+            "planner=sbo",
+            "planner.depth=2",
+        ]
+        expected = SBO(depth=2, motions=Splines(length=2.0))
+        assert planner(load_config("x.yaml", changes)) == expected
+        assert planner(load_config("x.yaml", changes[::-1])) == expected
+
+    def test_settings_of_a_default_part(self, write):
+        write("x.yaml", "planner: kcbts")
+        got = planner(load_config("x.yaml", ["planner.motions.length=2"]))
+        assert got == KCBTS(motions=KernelTrajectories(length=2.0))
+
+    def test_a_part_given_as_a_mapping(self, write):
+        write("x.yaml", "planner: kcbts")
+        assert planner(load_config("x.yaml", ["planner={kind: sbo, depth: 2}"])) == SBO(depth=2)
+
+
+class TestAxes:
+    """Sweeps expand into points."""
+
+    def test_a_grid_of_values(self, write):
+        write("x.yaml", "{base: {}, axes: {planner.depth: [1, 2], problem.position_noise: [0, 0.1]}}")
+        sweep = load_sweep("x.yaml")
+        assert [tuple(point.swept.values()) for point in sweep.points] == [
+            (1, 0.0),
+            (1, 0.1),
+            (2, 0.0),
+            (2, 0.1),
+        ]
+        assert list(sweep.points[0].swept) == ["planner.depth", "problem.position_noise"]
+        assert isinstance(sweep.points[0].swept["problem.position_noise"], float)
+        assert planner(sweep, 2) == KCBTS(depth=2)
+        assert {point.variant for point in sweep.points} == {"kcbts"}
+        assert sweep.runs == 200
+
+    def test_a_zip_of_values(self, write):
+        write(
+            "x.yaml", "{base: {}, combine: zip, axes: {planner.depth: [1, 2], planner.iterations: [10, 20]}}"
+        )
+        assert [tuple(point.swept.values()) for point in load_sweep("x.yaml").points] == [(1, 10), (2, 20)]
+
+    def test_no_axes_make_one_point(self, write):
+        for combine in ("grid", "zip"):
+            write("x.yaml", f"{{base: {{planner: sbo}}, combine: {combine}}}")
+            (point,) = load_sweep("x.yaml").points
+            assert (point.label, point.variant, point.swept) == ("sbo", "sbo", {})
+
+    def test_a_named_subtree_of_the_same_kind_is_laid_over_the_base(self, write):
+        write(
+            "x.yaml",
+            """
+            base: {planner: {kind: kcbts, iterations: 50}}
+            axes:
+              planner:
+                kcbts: {}
+                deep: {depth: 5}
+                deep-kcbts: {kind: kcbts, depth: 5}
+                sbo: {}
+                sbo-9: {kind: sbo, motions: {actions: 9}}
+                short: {motions: {length: 0.5}}
+                plain: sbo
+            """,
+        )
+        sweep = load_sweep("x.yaml")
+        assert [planner(sweep, index) for index in range(7)] == [
+            KCBTS(iterations=50),
+            KCBTS(iterations=50, depth=5),
+            KCBTS(iterations=50, depth=5),
+            SBO(),
+            SBO(motions=Splines(actions=9)),
+            KCBTS(iterations=50, motions=KernelTrajectories(length=0.5)),
+            SBO(),
+        ]
+        assert [point.variant for point in sweep.points][:3] == ["kcbts", "deep", "deep-kcbts"]
+        assert sweep.points[4].label == "sbo" and sweep.points[4].swept == {"planner": "sbo-9"}
+
+    def test_a_named_subtree_over_a_default(self, write):
+        write("x.yaml", "{base: {planner: {iterations: 50}}, axes: {planner: {kcbts: {}, more: {depth: 4}}}}")
+        sweep = load_sweep("x.yaml")
+        assert [planner(sweep, 0), planner(sweep, 1)] == [KCBTS(iterations=50), KCBTS(iterations=50, depth=4)]
+
+    def test_two_named_axes(self, write):
+        write(
+            "x.yaml",
+            "{base: {}, axes: {planner: {kcbts: {}, sbo: {}}, problem: {calm: {half_width: 3}, usual: {}}}}",
+        )
+        sweep = load_sweep("x.yaml")
+        assert [point.variant for point in sweep.points] == [
+            "kcbts/calm",
+            "kcbts/usual",
+            "sbo/calm",
+            "sbo/usual",
+        ]
+        config = sweep.points[2].config
+        assert config.problem == Parking(half_width=3.0)  # pyright: ignore[reportAttributeAccessIssue]
+
+    def test_names_of_plain_values(self, write):
+        write("x.yaml", "{base: {}, axes: {planner.depth: {shallow: 1, deep: 9}}}")
+        sweep = load_sweep("x.yaml")
+        assert planner(sweep, 1) == KCBTS(depth=9)
+        assert sweep.points[1].swept == {"planner.depth": "deep"}
+
+    def test_kinds_as_values(self, write):
+        write("x.yaml", "{base: {}, axes: {planner: [kcbts, sbo]}}")
+        sweep = load_sweep("x.yaml")
+        assert [point.variant for point in sweep.points] == ["kcbts", "sbo"]
+        assert sweep.points[1].swept == {"planner": "sbo"}
+
+    def test_an_override_below_an_axis_goes_to_every_point_that_has_it(self, write):
+        write("x.yaml", "{base: {}, axes: {planner: {kcbts: {}, sbo-2: {kind: sbo, depth: 2}, random: {}}}}")
+        sweep = load_sweep("x.yaml", ["planner.iterations=7", "problem.half_width=2"])
+        assert [planner(sweep, 0), planner(sweep, 1)] == [KCBTS(iterations=7), SBO(iterations=7, depth=2)]
+        assert sweep.points[2].label == "random"
+        assert sweep.points[2].config.problem == Parking(half_width=2.0)  # pyright: ignore[reportAttributeAccessIssue]
+
+
+class TestFiles:
+    """Bases and aliases."""
+
+    def test_a_base_by_name_and_by_path(self, write):
+        write("configs/mine.yaml", "{planner: sbo, runs: 3, seed: 4, engine: {device: cpu, latency: false}}")
+        write("sweeps/a.yaml", "{base: mine}")
+        write("sweeps/b.yaml", "{base: ../configs/mine.yaml, runs: 5, engine: {device: auto}}")
+        first, second = load_sweep("a"), load_sweep("b")
+        assert first.points == second.points and first.points[0].label == "sbo"
+        assert (first.runs, first.seed, second.runs, second.seed) == (3, 4, 5, 4)
+        assert second.engine == EngineConfig(device="auto", latency=False)
+
+    def test_a_base_is_no_sweep_of_the_same_name(self, write):
+        write("configs/same.yaml", "planner: sbo")
+        write("sweeps/same.yaml", "base: same")
+        assert load_sweep("same").points[0].label == "sbo"
+
+    def test_an_alias_keeps_its_own_name(self, write):
+        write("sweeps/fig-1.yaml", "{title: Figure 1, base: {planner: sbo}}")
+        write("sweeps/plain.yaml", "alias: fig-1")
+        sweep = load_sweep("sweeps/plain.yaml")
+        assert (sweep.name, sweep.title, sweep.source.name) == ("plain", "Figure 1", "fig-1.yaml")
+
+    def test_claims_and_report(self, write):
+        write(
+            "x.yaml",
+            """
+            base: {}
+            axes: {planner: {kcbts: {}, sbo: {}}}
+            report: {figures: [returns]}
+            claims:
+              - {id: a, source: p. 1, claim: better, thesis: 3,
+                 test: {kind: order, column: return, greater: [kcbts, sbo]}}
+              - {id: b, source: p. 1, claim: falls,
+                 test: {kind: trend, label: sbo, column: reward, from: 1, to: 5, direction: falls}}
+            """,
+        )
+        sweep = load_sweep("x.yaml")
+        assert sweep.report == {"figures": ["returns"]}
+        assert [claim.thesis for claim in sweep.claims] == [3, None]
+        dumped = sweep.claims[1].model_dump(mode="json")
+        assert dumped["test"] == {
+            "kind": "trend",
+            "by": "label",
+            "label": "sbo",
+            "column": "reward",
+            "from": 1,
+            "to": 5,
+            "direction": "falls",
+        }
