@@ -24,7 +24,7 @@ class SweepProgress:
         self._console = console or Console(stderr=True, highlight=False)
         self._title = title
         self._num_lanes = num_lanes
-        self._lanes_before = 0  # finished before this process: they tell nothing of its speed
+        self._work_before = 0.0  # done before this process: it tells nothing of its speed
         self._lanes_done = 0
         self._chunk_lanes, self._chunk_share, self._chunk_runs = 0, 0.0, 0
         self._steps, self._seconds = 0, 0.0
@@ -65,13 +65,14 @@ class SweepProgress:
 
     def skip(self, lanes: int) -> None:
         """These lanes were finished before."""
-        self._lanes_before += lanes
+        self._work_before += lanes
         self._lanes_done += lanes
         self._show()
 
     def start_chunk(self, lanes: int, share: float) -> None:
         """A chunk begins, or goes on with this share of its advances already made."""
         self._chunk_lanes, self._chunk_share, self._chunk_runs = lanes, share, 0
+        self._work_before += lanes * share
 
     def segment(self, *, share: float, runs: int, steps: int, seconds: float, busy: int, issued: int) -> None:
         """A segment has ended.
@@ -111,7 +112,7 @@ class SweepProgress:
 
     def _time_left(self) -> float | None:
         """Seconds left at the pace so far, compilation apart; an upper bound where lanes end early."""
-        done = self._work() - self._lanes_before
+        done = self._work() - self._work_before
         if done <= 0 or not self._seconds:
             return None
         return self._seconds / done * (self._num_lanes - self._work())

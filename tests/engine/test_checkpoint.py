@@ -1,0 +1,74 @@
+"""A checkpoint gives back the same bits, keys and shardings, or one line."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bojax.engine import checkpoint
+from bojax.engine.batch import Compiled
+from bojax.engine.devices import make_mesh
+from bojax.engine.groups import static_groups
+from bojax.results.store import ResultsError
+from tests.toy import toy
+
+
+@pytest.fixture(scope="module")
+def program():
+    (group,) = static_groups([toy(), toy(scale=2.0)])
+    return Compiled(group, make_mesh(jax.devices()), 3, 0, snapshots=False)
+
+
+@pytest.fixture
+def carry(program):
+    lanes = program.place(np.arange(6) % 2, np.arange(6), np.ones(6, dtype=bool))
+    carry, _, _ = program.advance(program.init(lanes), lanes)
+    return carry
+
+
+def bits(leaf):
+    if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
+        leaf = jax.random.key_data(leaf)
+    return np.asarray(leaf).tobytes()
+
+
+def test_round_trip(tmp_path, program, carry):
+    checkpoint.save(tmp_path / "one", carry)
+    restored = checkpoint.restore(tmp_path / "one", program.carry_structure)
+    assert jax.tree.structure(restored) == jax.tree.structure(carry)
+    for old, new in zip(jax.tree.leaves(carry), jax.tree.leaves(restored), strict=True):
+        assert old.dtype == new.dtype and old.sharding.is_equivalent_to(new.sharding, old.ndim)
+        assert bits(old) == bits(new)
+
+
+def test_a_restored_carry_goes_on(tmp_path, program, carry):
+    lanes = program.place(np.arange(6) % 2, np.arange(6), np.ones(6, dtype=bool))
+    checkpoint.save(tmp_path / "one", carry)
+    restored = checkpoint.restore(tmp_path / "one", program.carry_structure)
+    expected, _, _ = program.advance(carry, lanes)
+    found, _, _ = program.advance(restored, lanes)
+    assert bits(found.position) == bits(expected.position)
+
+
+def test_missing(tmp_path, program):
+    with pytest.raises(ResultsError, match="cannot be read") as error:
+        checkpoint.restore(tmp_path / "none", program.carry_structure)
+    assert "\n" not in str(error.value)
+
+
+def test_every_truncated_file_is_noticed(tmp_path, program, carry):
+    checkpoint.save(tmp_path / "one", carry)
+    needed = 0
+    files = [path for path in (tmp_path / "one").rglob("*") if path.is_file() and path.stat().st_size]
+    for path in files:
+        whole = path.read_bytes()
+        path.write_bytes(whole[: len(whole) // 2])
+        try:
+            restored = checkpoint.restore(tmp_path / "one", program.carry_structure)
+        except ResultsError as error:
+            assert "\n" not in str(error)
+            needed += 1
+        else:  # a file that the restored carry does not depend on
+            assert bits(restored.position) == bits(carry.position)
+        path.write_bytes(whole)
+    assert needed

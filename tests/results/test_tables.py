@@ -1,0 +1,127 @@
+"""Tables: typed by their schema, merged in one order whatever order they were written in."""
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from bojax.results.merge import PointInfo, merge
+from bojax.results.parts import ChunkFolder
+from bojax.results.schema import Column
+from bojax.results.store import ResultsError, read_json, read_manifest, read_table, write_json
+from bojax.results.tables import KEYS, count_nans, sort_rows, to_arrow
+
+STEPS = (*KEYS, Column("step", "int32"), Column("reward", "float32", "m", "what the task pays"))
+
+
+def steps(*rows):
+    names = ("point", "run", "step", "reward")
+    values = list(zip(*rows, strict=True)) if rows else [[]] * 4
+    return to_arrow(STEPS, {name: np.asarray(column) for name, column in zip(names, values, strict=True)})
+
+
+def test_minus_one_is_null_where_a_column_can_be():
+    table = to_arrow(
+        (Column("episodes", "int32", nullable=True), Column("count", "int64")),
+        {"episodes": np.array([3, -1]), "count": np.array([3, -1])},
+    )
+    assert table.to_pydict() == {"episodes": [3, None], "count": [3, -1]}
+
+
+def test_only_integers_can_be_null():
+    with pytest.raises(ValueError, match="nullable"):
+        Column("x", "float64", nullable=True)
+
+
+def test_types_and_units_are_those_of_the_schema():
+    schema = steps((0, 0, 1, 0.5)).schema
+    assert [str(field.type) for field in schema] == ["int32", "int32", "int32", "float"]
+    assert schema.field("reward").metadata == {b"unit": b"m", b"doc": b"what the task pays"}
+
+
+def test_rows_are_sorted_by_point_run_step():
+    rows = [(p, r, s, 0.0) for p in (1, 0) for s in (2, 1) for r in (1, 0)]
+    found = sort_rows(steps(*rows)).select(["point", "run", "step"]).to_pydict()
+    assert list(zip(*found.values(), strict=True)) == sorted(row[:3] for row in rows)
+
+
+def test_nans_are_counted_by_run_over_all_tables():
+    tables = [steps((0, 1, 1, np.nan), (0, 1, 2, np.nan), (1, 0, 1, 2.0)), steps((1, 0, 1, np.nan))]
+    assert count_nans(tables) == {(0, 1): 2, (1, 0): 1}
+
+
+def make_chunk(path, *parts):
+    chunk = ChunkFolder(path)
+    chunk.open()
+    for part in parts:
+        chunk.write_part({"steps": part})
+    chunk.state.is_done = True
+    chunk.commit()
+    return chunk
+
+
+POINTS = [PointInfo(0, "kcbts", "fast", {}), PointInfo(1, "sbo", "slow", {})]
+
+
+def test_merge_depends_on_the_rows_alone(tmp_path):
+    a, b, c = steps((0, 0, 1, 0.0)), steps((1, 0, 1, 0.1), (1, 0, 2, 0.2)), steps((0, 1, 1, 0.3))
+    one = [make_chunk(tmp_path / "one", a, b, c)]
+    two = [make_chunk(tmp_path / "two", c, b), make_chunk(tmp_path / "three", steps(), a)]
+    merged = []
+    for name, chunks in (("x", one), ("y", two)):
+        (tmp_path / name).mkdir()
+        merge(tmp_path / name, chunks, ["steps"], POINTS, seed=0)
+        merged.append((tmp_path / name / "steps.parquet").read_bytes())
+    assert merged[0] == merged[1]
+    table = read_table(tmp_path / "x" / "steps.parquet")
+    assert table["label"].to_pylist() == ["kcbts", "kcbts", "sbo", "sbo"]
+
+
+def test_uncommitted_parts_never_happened(tmp_path):
+    chunk = make_chunk(tmp_path / "chunk", steps((0, 0, 1, 0.0)))
+    chunk.write_part({"steps": steps((0, 0, 2, 0.0))})
+    (tmp_path / "chunk" / "checkpoint-00000007").mkdir()
+    again = ChunkFolder(tmp_path / "chunk")
+    again.open()
+    assert [table.num_rows for table in again.tables("steps")] == [1]
+    names = sorted(path.name for path in (tmp_path / "chunk").iterdir())
+    assert names == ["arrays", "part-000000-steps.parquet", "state.json"]
+
+
+@pytest.mark.parametrize(
+    ("values", "kind"),
+    [
+        ([1, 2], pa.int64()),
+        ([1, 0.5], pa.float64()),
+        ([True, None], pa.bool_()),
+        (["a", 1], pa.string()),
+        ([[1, 2], None], pa.string()),
+    ],
+)
+def test_swept_values_keep_their_type(tmp_path, values, kind):
+    chunk = ChunkFolder(tmp_path / "chunk")
+    chunk.open()
+    runs = to_arrow(KEYS, {"point": np.array([1, 0]), "run": np.array([0, 0])})
+    chunk.write_part({"runs": runs})
+    chunk.commit()
+    points = [PointInfo(i, "kcbts", "", {"a.b": value}) for i, value in enumerate(values)]
+    merge(tmp_path, [chunk], ["runs"], points, seed=9)
+    table = read_table(tmp_path / "runs.parquet")
+    assert table.column_names == ["point", "label", "variant", "a.b", "run", "seed", "nans"]
+    assert table["a.b"].type == kind and table["seed"].to_pylist() == [9, 9]
+
+
+def test_json_has_no_nan(tmp_path):
+    write_json(tmp_path / "a.json", {"x": [float("nan"), 1.5, {"y": float("inf")}]})
+    assert read_json(tmp_path / "a.json") == {"x": [None, 1.5, {"y": None}]}
+
+
+def test_unreadable_files_are_one_line(tmp_path):
+    (tmp_path / "manifest.json").write_text('{"name": ')
+    for read in (lambda: read_manifest(tmp_path), lambda: read_table(tmp_path / "manifest.json")):
+        with pytest.raises(ResultsError, match="truncated") as error:
+            read()
+        assert "\n" not in str(error.value)
+    with pytest.raises(ResultsError, match="not a results folder"):
+        read_manifest(tmp_path / "nowhere")
+    with pytest.raises(ResultsError, match="no such file"):
+        read_table(tmp_path / "nowhere.parquet")
