@@ -52,7 +52,7 @@ def _type(field: FieldInfo) -> str:
     if slot is not None:
         return slot.role
     bounds = [
-        f"{sign} {getattr(mark, name):g}"
+        f"{sign} {getattr(mark, name):.15g}"
         for name, sign in _SIGNS.items()
         for mark in field.metadata
         if getattr(mark, name, None) is not None

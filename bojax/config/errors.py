@@ -113,7 +113,7 @@ def _complaint(line: Any, siblings: Sequence[str]) -> str:
         return got + f"allowed: {allowed}" + (did_you_mean(value, names) if isinstance(value, str) else "")
     if kind in _BOUNDS:
         key, sign = _BOUNDS[kind]
-        return got + f"allowed: {sign} {context[key]:g}"
+        return got + f"allowed: {sign} {context[key]:.15g}"
     if kind in ("too_short", "too_long"):
         sign, key = (">=", "min_length") if kind == "too_short" else ("<=", "max_length")
         return got + f"allowed: {sign} {context[key]} entries"

@@ -13,7 +13,7 @@ from bojax.config.sweep import Sweep, load_config, load_sweep
 
 def planner(sweep: Sweep, index: int = 0) -> Component:
     """The planner of a point."""
-    return sweep.points[index].config.planner  # pyright: ignore[reportAttributeAccessIssue]
+    return sweep.points[index].config.planner
 
 
 @pytest.mark.parametrize("name", available("configs"))
@@ -76,7 +76,7 @@ class TestOverrides:
             "x.yaml", ["planner.iterations=10", "planner.noise_variance=1e-3", "dtype=float32"]
         )
         assert planner(sweep) == KCBTS(iterations=10, noise_variance=1e-3)
-        assert sweep.points[0].config.dtype == "float32"  # pyright: ignore[reportAttributeAccessIssue]
+        assert sweep.points[0].config.dtype == "float32"
 
     def test_a_name_replaces_the_part(self, write):
         write("x.yaml", "planner: {kind: kcbts, iterations: 10}")
@@ -187,7 +187,7 @@ class TestAxes:
             "sbo/usual",
         ]
         config = sweep.points[2].config
-        assert config.problem == Parking(half_width=3.0)  # pyright: ignore[reportAttributeAccessIssue]
+        assert config.problem == Parking(half_width=3.0)
 
     def test_names_of_plain_values(self, write):
         write("x.yaml", "{base: {}, axes: {planner.depth: {shallow: 1, deep: 9}}}")
@@ -206,7 +206,7 @@ class TestAxes:
         sweep = load_sweep("x.yaml", ["planner.iterations=7", "problem.half_width=2"])
         assert [planner(sweep, 0), planner(sweep, 1)] == [KCBTS(iterations=7), SBO(iterations=7, depth=2)]
         assert sweep.points[2].label == "random"
-        assert sweep.points[2].config.problem == Parking(half_width=2.0)  # pyright: ignore[reportAttributeAccessIssue]
+        assert sweep.points[2].config.problem == Parking(half_width=2.0)
 
 
 class TestFiles:

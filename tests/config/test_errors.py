@@ -1,0 +1,386 @@
+"""Everything that is wrong ends in one line: where, what stands there, what is allowed, the nearest name."""
+
+import re
+
+import pytest
+
+from bojax.config.errors import ConfigError, shown
+from bojax.config.sweep import load_config, load_sweep
+
+
+def check(error: ConfigError, expected: str) -> None:
+    """The whole message is as expected, in one line; … stands for names that come and go."""
+    pattern = ".*".join(re.escape(part) for part in expected.split("…"))
+    assert re.fullmatch(pattern, str(error)), f"{error}\n{expected}"
+    assert error.exit_code == 2
+
+
+EXPERIMENTS = {
+    "an unknown key": (
+        "planner: {kind: sbo, iteratons: 3}",
+        'x.yaml: planner.iteratons: unknown key; allowed: …; did you mean "iterations"?',
+    ),
+    "an unknown key at the top": (
+        "plannr: sbo",
+        'x.yaml: plannr: unknown key; allowed: …; did you mean "planner"?',
+    ),
+    "an unknown kind": (
+        "planner: kcbt",
+        'x.yaml: planner: got "kcbt"; unknown planner; allowed: …; did you mean "kcbts"?',
+    ),
+    "an unknown kind in a mapping": (
+        "planner: {kind: sbo, motions: {kind: spline}}",
+        'x.yaml: planner.motions: got "spline"; unknown motions; allowed: …; did you mean "splines"?',
+    ),
+    "an unknown experiment": (
+        "experiment: plan",
+        'x.yaml: experiment: got "plan"; unknown experiment; allowed: …; did you mean "planning"?',
+    ),
+    "a list in the place of a part": (
+        "planner: [sbo]",
+        'x.yaml: planner: got ["sbo"]; unknown planner; allowed: …random, sbo…',
+    ),
+    "text in the place of an integer": (
+        'planner: {kind: sbo, depth: "3"}',
+        'x.yaml: planner.depth: got "3"; allowed: an integer',
+    ),
+    "a fraction in the place of an integer": (
+        "planner: {kind: sbo, depth: 3.7}",
+        "x.yaml: planner.depth: got 3.7; allowed: an integer",
+    ),
+    "a truth value in the place of a number": (
+        "problem: {half_width: true}",
+        "x.yaml: problem.half_width: got true; allowed: a number",
+    ),
+    "a number in the place of a truth value": (
+        "problem: {exit_terminates: 1}",
+        "x.yaml: problem.exit_terminates: got 1; allowed: true or false",
+    ),
+    "out of range": ("problem: {half_width: 0}", "x.yaml: problem.half_width: got 0; allowed: > 0"),
+    "out of range above": (
+        "planner: {kind: sbo, discount: 1.5}",
+        "x.yaml: planner.discount: got 1.5; allowed: <= 1",
+    ),
+    "NaN": ("problem: {half_width: .nan}", "x.yaml: problem.half_width: got NaN; allowed: a finite number"),
+    "infinity": (
+        "problem: {half_width: .inf}",
+        "x.yaml: problem.half_width: got Infinity; allowed: a finite number",
+    ),
+    "none of the choices": (
+        "dtype: float6",
+        'x.yaml: dtype: got "float6"; allowed: "float64" or "float32"; did you mean "float64"?',
+    ),
+    "an impossible structural value": (
+        "planner: {kind: sbo, motions: {actions: 7}}",
+        "x.yaml: planner.motions.actions: got 7; allowed: 5, 9 or 17",
+    ),
+    "no runs": ("runs: 0", "x.yaml: runs: got 0; allowed: >= 1"),
+    "a negative seed": ("seed: -1", "x.yaml: seed: got -1; allowed: >= 0"),
+    "a seed that no key takes": ("seed: 4294967296", "x.yaml: seed: got 4294967296; allowed: <= 4294967295"),
+    "a list in the place of settings": ("engine: []", "x.yaml: engine: got []; allowed: a mapping"),
+    "an unknown device": (
+        "engine: {device: gpus}",
+        'x.yaml: engine.device: got "gpus"; allowed: "auto", "cpu" or "gpu"; did you mean "gpu"?',
+    ),
+    "several mistakes": (
+        "{problem: {half_width: 0, max_steps: 0}, dtype: x}",
+        'x.yaml: dtype: got "x"; allowed: "float64" or "float32" (and 2 more)',
+    ),
+    "a key twice": ("runs: 1\nruns: 2", 'x.yaml:2: duplicate key "runs" (first on line 1)'),
+    "a sweep": (
+        "base: parking",
+        "x.yaml: is a sweep, not an experiment; start it by: bojax sweep x.yaml",
+    ),
+    "a malformed import path": (
+        "problem: 'mine.fields:'",
+        'x.yaml: problem: got "mine.fields:"; unknown problem; allowed: …parking…',
+    ),
+}
+
+
+@pytest.mark.parametrize("case", EXPERIMENTS)
+def test_experiment_files(write, case):
+    text, message = EXPERIMENTS[case]
+    write("x.yaml", text)
+    with pytest.raises(ConfigError) as raised:
+        load_config("x.yaml")
+    check(raised.value, message)
+
+
+OVERRIDES = {
+    "an unknown key": (
+        ["planner.depht=3"],
+        'command line: planner.depht: unknown key; allowed: …; did you mean "depth"?',
+    ),
+    "an unknown key at the top": (
+        ["runz=3"],
+        'command line: runz: unknown key; allowed: …; did you mean "runs"?',
+    ),
+    "a wrong type": (["planner.depth=deep"], 'command line: planner.depth: got "deep"; allowed: an integer'),
+    "out of range": (
+        ["engine.segment_seconds=0"],
+        "command line: engine.segment_seconds: got 0; allowed: > 0",
+    ),
+    "an unknown kind": (
+        ["problem=park"],
+        'command line: problem: got "park"; unknown problem; allowed: …; did you mean "parking"?',
+    ),
+    "no value": (
+        ["planner.depth"],
+        "command line: planner.depth: an override is key=value, such as planner.iterations=100",
+    ),
+    "no key": (["=3"], "command line: =3: an override is key=value, such as planner.iterations=100"),
+    "an empty part of a path": (
+        ["planner..depth=3"],
+        "command line: planner..depth=3: an override is key=value, such as planner.iterations=100",
+    ),
+    "an empty value": (["planner.depth="], "command line: planner.depth: got null; allowed: an integer"),
+    "no YAML": (["planner={a"], "command line: planner: got {a; a YAML value is expected"),
+    "twice": (["runs=1", "runs=2"], "command line: runs: given twice"),
+    "below a number": (
+        ["problem.half_width.x=1"],
+        "command line: problem.half_width.x: half_width is 2, with nothing below it",
+    ),
+    "below a default number": (
+        ["planner.depth.x=1"],
+        'command line: planner.depth: got {"x": 1}; allowed: an integer',
+    ),
+}
+
+
+@pytest.mark.parametrize("case", OVERRIDES)
+def test_overrides(write, case):
+    texts, message = OVERRIDES[case]
+    write("x.yaml", "{planner: sbo, problem: {half_width: 2}}")
+    with pytest.raises(ConfigError) as raised:
+        load_config("x.yaml", texts)
+    check(raised.value, message)
+
+
+SWEEPS = {
+    "no base": ("axes: {}", "s.yaml: base: missing; a name in configs/, a file or an experiment is expected"),
+    "an experiment": (
+        "planner: sbo",
+        "s.yaml: base: missing; a name in configs/, a file or an experiment is expected; "
+        "an experiment is started by: bojax run s.yaml",
+    ),
+    "an unknown base": (
+        "base: prking",
+        "s.yaml: base: prking: no such file, and no such name in configs/; there are: …; "
+        'did you mean "parking"?',
+    ),
+    "a base of the wrong type": (
+        "base: 3",
+        "s.yaml: base: a name in configs/, a file, or an experiment is expected",
+    ),
+    "an unknown key": (
+        "{base: {}, axis: {}}",
+        's.yaml: axis: unknown key; allowed: …; did you mean "axes"?',
+    ),
+    "a mistake in an inline base": (
+        "base: {planner: {depth: 0}}",
+        "s.yaml: base.planner.depth: got 0; allowed: >= 1",
+    ),
+    "a mistake in the base's file": (
+        "base: broken.yaml",
+        'broken.yaml: dtype: got 3; allowed: "float64" or "float32"',
+    ),
+    "an own setting": ("{base: {runs: 3}, runs: 0}", "s.yaml: runs: got 0; allowed: >= 1"),
+    "an unknown path": (
+        "{base: {}, axes: {planner.depht: [1, 2]}}",
+        's.yaml: axes.planner.depht (point 0): unknown key; allowed: …; did you mean "depth"?',
+    ),
+    "a swept value out of range": (
+        "{base: {}, axes: {planner.depth: [1, 2, 0]}}",
+        "s.yaml: axes.planner.depth (point 2): got 0; allowed: >= 1",
+    ),
+    "an impossible structural value": (
+        "{base: {planner: sbo}, axes: {planner.motions.actions: [5, 7]}}",
+        "s.yaml: axes.planner.motions.actions (point 1): got 7; allowed: 5, 9 or 17",
+    ),
+    "a mistake in a named subtree": (
+        "{base: {}, axes: {planner: {kcbts: {}, sbo-0: {kind: sbo, depth: 0}}}}",
+        "s.yaml: axes.planner.sbo-0.depth (point 1): got 0; allowed: >= 1",
+    ),
+    "an unknown kind in a named subtree": (
+        "{base: {}, axes: {planner: {sbo: {}, x: {kind: sb0}}}}",
+        's.yaml: axes.planner.x (point 1): got "sb0"; unknown planner; allowed: …; did you mean "sbo"?',
+    ),
+    "a name twice": (
+        "base: {}\naxes:\n  planner:\n    a: {}\n    a: {}",
+        's.yaml:5: duplicate key "a" (first on line 4)',
+    ),
+    "a value twice": (
+        "{base: {}, axes: {planner.depth: [1, 1]}}",
+        "s.yaml: axes.planner.depth: got 1 twice; the values of an axis differ",
+    ),
+    "an empty list": (
+        "{base: {}, axes: {planner.depth: []}}",
+        "s.yaml: axes.planner.depth: is empty; at least one value is expected",
+    ),
+    "no subtrees": (
+        "{base: {}, axes: {planner: {}}}",
+        "s.yaml: axes.planner: is empty; at least one value is expected",
+    ),
+    "a single value": (
+        "{base: {}, axes: {planner.depth: 3}}",
+        "s.yaml: axes.planner.depth: got 3; allowed: a list of values, or named subtrees",
+    ),
+    "a subtree without a name": (
+        "{base: {}, axes: {planner: [{kind: sbo}]}}",
+        's.yaml: axes.planner: got {"kind": "sbo"}; a subtree needs a name: `planner: {NAME: {...}}`',
+    ),
+    "a name with a slash": (
+        "{base: {}, axes: {planner: {a/b: {}}}}",
+        's.yaml: axes.planner: got the name "a/b"; a name is not empty and has no /',
+    ),
+    "a zip of unequal lengths": (
+        "{base: {}, combine: zip, axes: {planner.depth: [1, 2], planner.iterations: [1, 2, 3]}}",
+        "s.yaml: axes: got axes of different lengths (planner.depth has 2, planner.iterations has 3); "
+        "a zip needs equal ones",
+    ),
+    "an unknown combination": (
+        "{base: {}, combine: zipp}",
+        's.yaml: combine: got "zipp"; allowed: "grid" or "zip"; did you mean "zip"?',
+    ),
+    "a reserved key": (
+        "{base: {}, axes: {seed: [1, 2]}}",
+        "s.yaml: axes.seed: seed cannot be swept; allowed: settings of the experiment",
+    ),
+    "an axis that undoes another": (
+        "{base: {}, axes: {planner.depth: [1, 2], planner: {sbo: {}}}}",
+        "s.yaml: axes.planner: would undo axes.planner.depth; put it first",
+    ),
+    "an axis below a number": (
+        "{base: {problem: {half_width: 2}}, axes: {problem.half_width.x: [1]}}",
+        "s.yaml: axes.problem.half_width.x: half_width is 2, with nothing below it",
+    ),
+    "an alias with company": (
+        "{alias: parking, runs: 3}",
+        "s.yaml: alias: an alias is the name of another sweep, and stands alone",
+    ),
+    "an alias of itself": ("alias: s.yaml", "s.yaml: alias: s.yaml leads back to itself"),
+    "an alias of nothing": (
+        "alias: prking",
+        "s.yaml: alias: prking: no such file, and no such name in sweeps/; there are: …; "
+        'did you mean "parking"?',
+    ),
+    "two claims of one id": (
+        "{base: {planner: sbo}, claims: [&c {id: a, source: s, claim: c, test: "
+        "{kind: share, label: sbo, column: success, above: 0.5}}, *c]}",
+        's.yaml: claims.1.id: got "a"; another claim has this id',
+    ),
+    "a claim about nobody": (
+        "{base: {planner: sbo}, claims: [{id: a, source: s, claim: c, test: "
+        "{kind: share, label: sb0, column: success, above: 0.5}}]}",
+        's.yaml: claims.0.test: got "sb0"; no such label; allowed: sbo; did you mean "sbo"?',
+    ),
+    "a claim without a threshold": (
+        "{base: {}, claims: [{id: a, source: s, claim: c, test: {kind: share, label: a, column: b}}]}",
+        's.yaml: claims.0.test: got {"kind": "share", "label": "a", "column": "b"}; '
+        "a share takes one of above and below",
+    ),
+    "an unknown test": (
+        "{base: {}, claims: [{id: a, source: s, claim: c, test: {kind: orders}}]}",
+        's.yaml: claims.0.test: got "orders"; unknown test; allowed: …; did you mean "order"?',
+    ),
+    "a test without its settings": (
+        "{base: {}, claims: [{id: a, source: s, claim: c, test: {kind: order, column: return}}]}",
+        "s.yaml: claims.0.test.greater: missing, and it has no default",
+    ),
+    "an order of one": (
+        "{base: {}, claims: [{id: a, source: s, claim: c, test: {kind: order, column: x, greater: [a]}}]}",
+        's.yaml: claims.0.test.greater: got ["a"]; allowed: >= 2 entries',
+    ),
+    "a trend backwards": (
+        "{base: {}, claims: [{id: a, source: s, claim: c, test: "
+        "{kind: trend, label: a, column: b, from: 6, to: 3, direction: falls}}]}",
+        's.yaml: claims.0.test: got {"kind": "trend", "label": "a", "column": "b", "from": 6,...; '
+        "to must lie after from, which is 6",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", SWEEPS)
+def test_sweep_files(write, case):
+    text, message = SWEEPS[case]
+    write("broken.yaml", "dtype: 3")
+    write("s.yaml", text)
+    with pytest.raises(ConfigError) as raised:
+        load_sweep("s.yaml")
+    check(raised.value, message)
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        (
+            "planner.depth=3",
+            "command line: planner.depth: got 3; a swept key cannot be overridden "
+            "(axes.planner.two in s.yaml)",
+        ),
+        (
+            "planner=sbo",
+            'command line: planner: got "sbo"; a swept key cannot be overridden …kcbts in s.yaml)',
+        ),
+        (
+            "problem.half_width=3",
+            "command line: problem.half_width: got 3; a swept key cannot be overridden "
+            "(axes.problem.half_width in s.yaml)",
+        ),
+        (
+            "planner.depht=3",
+            'command line: planner.depht: unknown key; allowed: …; did you mean "depth"?',
+        ),
+    ],
+)
+def test_overrides_of_swept_keys(write, override, message):
+    write(
+        "s.yaml",
+        "{base: {}, axes: {planner: {kcbts: {}, two: {depth: 2}}, problem.half_width: [1, 2]}}",
+    )
+    with pytest.raises(ConfigError) as raised:
+        load_sweep("s.yaml", [override])
+    check(raised.value, message)
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        ("", "no name given: a file, or a name in configs/, is expected"),
+        (
+            "prking",
+            'prking: no such file, and no such name in configs/; there are: …; did you mean "parking"?',
+        ),
+        (
+            "configs/min.yaml",
+            "configs/min.yaml: no such file, and no such name in configs/; there are: …; "
+            'did you mean "mine"?',
+        ),
+        ("configs", "configs: is a folder; a YAML file, or a name in configs/, is expected"),
+        ("configs/notes.txt", "configs/notes.txt: a file that ends in .yaml is expected"),
+    ],
+)
+def test_missing_files(write, source, message):
+    write("configs/mine.yaml", "planner: sbo")
+    write("configs/notes.txt", "planner: sbo")
+    with pytest.raises(ConfigError) as raised:
+        load_config(source)
+    check(raised.value, message)
+
+
+def test_an_unreadable_file(write, monkeypatch):
+    path = write("x.yaml", "planner: sbo")
+
+    def refuse(*args, **kwargs):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(type(path), "read_text", refuse)
+    with pytest.raises(ConfigError) as raised:
+        load_config("x.yaml")
+    assert str(raised.value) == "x.yaml: cannot be read: Permission denied"
+
+
+def test_a_long_value_is_cut_and_stays_on_one_line():
+    assert shown("a\nb") == '"a\\nb"'
+    assert len(shown(list(range(1000)))) == 60
