@@ -1,0 +1,69 @@
+"""Kernels against those of scikit-learn, and their gradients where two points coincide."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from sklearn.gaussian_process import kernels as sk
+
+from bojax.models.kernels import RBF, Matern12, Matern32, Matern52
+
+REFERENCES = {
+    RBF: sk.RBF,
+    Matern12: lambda lengthscale: sk.Matern(lengthscale, nu=0.5),
+    Matern32: lambda lengthscale: sk.Matern(lengthscale, nu=1.5),
+    Matern52: lambda lengthscale: sk.Matern(lengthscale, nu=2.5),
+}
+LENGTHSCALES = [0.05, 0.5, 3.0, [0.2, 1.0, 40.0]]
+each_kernel = pytest.mark.parametrize("kernel", REFERENCES)
+gram = jax.jit(lambda kernel, xs, ys: kernel.gram(xs, ys))
+
+
+def points(seed: int, num: int):
+    return jnp.asarray(np.random.default_rng(seed).uniform(-1.0, 1.0, (num, 3)))
+
+
+@each_kernel
+@pytest.mark.parametrize("lengthscale", LENGTHSCALES)
+def test_equals_the_kernel_of_scikit_learn(kernel, lengthscale):
+    xs, ys = points(0, 20), points(1, 30)
+    expected = REFERENCES[kernel](lengthscale)(np.asarray(xs), np.asarray(ys))
+    covariances = gram(kernel(jnp.asarray(lengthscale)), xs, ys)
+    np.testing.assert_allclose(covariances, expected, rtol=1e-12, atol=1e-300)
+
+
+@each_kernel
+def test_is_a_correlation(kernel):
+    xs = points(2, 15)
+    correlations = np.asarray(gram(kernel(jnp.asarray(0.7)), xs, xs))
+    np.testing.assert_array_equal(np.diag(correlations), 1.0)
+    np.testing.assert_array_equal(correlations, correlations.T)
+    assert np.all(correlations > 0.0) and np.all(correlations <= 1.0)
+    assert np.linalg.eigvalsh(correlations).min() > 0.0
+
+
+@each_kernel
+def test_one_lengthscale_stands_for_all_dimensions(kernel):
+    xs, ys = points(0, 5), points(1, 5)
+    one, each = kernel(jnp.asarray(0.3)), kernel(jnp.full((3,), 0.3))
+    np.testing.assert_array_equal(gram(one, xs, ys), gram(each, xs, ys))
+
+
+@each_kernel
+def test_an_endless_lengthscale_ignores_its_dimension(kernel):
+    xs, ys = points(0, 5), points(1, 5)
+    ignoring = kernel(jnp.asarray([0.4, jnp.inf, 0.4]))
+    np.testing.assert_array_equal(gram(ignoring, xs, ys), gram(ignoring, xs, ys.at[:, 1].add(5.0)))
+
+
+@each_kernel
+def test_gradients_are_finite_where_points_coincide(kernel):
+    # Compared with points 1e-7 apart, for all but the exponential kernel, which has a kink there.
+    x = points(4, 1)[0]
+    gradients = jax.jit(jax.grad(lambda k, a, b: k(a, b), argnums=(0, 1, 2)))
+    at = gradients(kernel(jnp.asarray(0.5)), x, x)
+    for leaf in jax.tree.leaves(at):
+        np.testing.assert_array_equal(leaf, jnp.zeros_like(leaf))
+    if kernel is not Matern12:
+        for leaf in jax.tree.leaves(gradients(kernel(jnp.asarray(0.5)), x, x + 1e-7)):
+            assert np.all(np.abs(leaf) < 1e-5) and np.all(np.abs(leaf) > 0.0)
