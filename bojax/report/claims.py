@@ -107,7 +107,8 @@ def order(results: Results, test: Mapping[str, Any]) -> Finding:
         ),
         runs=int(shared.size),
         method=f"mean difference of {column} between equal runs, each pair of neighbours, one-sided at "
-        f"{_TAIL:.1%} with Holm's correction over {counted(len(comparisons), 'pair')}; {_BOOTSTRAP}",
+        f"{_TAIL:.1%} with Holm's correction over {counted(len(comparisons), 'pair')}, "
+        f"intervals at the levels that it gives; {_BOOTSTRAP}",
         chosen={name: variant for name, variant in zip(names, chosen, strict=True) if variant},
     )
 

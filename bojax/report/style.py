@@ -18,12 +18,12 @@ BLUE, ORANGE, GREEN, PINK, SKY, YELLOW, GREY, BROWN = (
     "#D55E00",
     "#009E73",
     "#B8558F",
-    "#56B4E9",
+    "#3795CF",
     "#C98A00",
     "#6B6B6B",
     "#7A4B2A",
 )
-"""Okabe and Ito's palette for all kinds of colour vision, pink and yellow darkened to carry text."""
+"""Okabe and Ito's palette for all kinds of colour vision, the light ones darkened to carry text."""
 
 COLOURS: Mapping[str, str] = {
     "kcbts": BLUE,

@@ -4,6 +4,7 @@ import pytest
 from bojax.report import style, text
 from bojax.report.figures.curves import step_ticks
 from bojax.report.figures.returns import swarm
+from bojax.report.figures.smooth import smooth
 
 
 def test_labels_are_spread_no_further_than_needed():
@@ -59,3 +60,17 @@ def test_an_estimate_has_the_decimals_that_its_interval_allows():
 )
 def test_time_spans_have_a_fitting_unit(value, written):
     assert text.seconds(value) == written
+
+
+def test_a_smooth_curve_follows_an_arc_through_its_poses():
+    angle = np.linspace(0.0, 2.0, 9)[1:]
+    poses = np.stack([np.sin(angle), 1 - np.cos(angle), angle], axis=1)
+    curve = smooth(np.zeros(3), poses)
+    np.testing.assert_allclose(curve[8::8], poses[:, :2], atol=1e-12)
+    np.testing.assert_allclose(np.hypot(curve[:, 0], curve[:, 1] - 1), 1.0, atol=2e-3)
+
+
+def test_a_curve_in_reverse_has_no_loops():
+    x = -np.linspace(0.0, 1.0, 5)[1:]
+    curve = smooth(np.zeros(3), np.stack([x, 0 * x, 0 * x], axis=1))
+    assert (np.diff(curve[:, 0]) < 0).all() and (curve[:, 1] == 0).all()

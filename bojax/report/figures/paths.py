@@ -11,6 +11,7 @@ from matplotlib.lines import Line2D
 from bojax.report import style
 from bojax.report.figures.base import Drawing, Undrawable, drawn_points, panel_grid
 from bojax.report.figures.domains import DOMAINS
+from bojax.report.figures.smooth import smooth
 from bojax.report.source import Point, Results
 
 EXAMPLES = 2
@@ -84,7 +85,9 @@ def _run(axes: Axes, arrays: Mapping[str, Any], colour: str, *, is_success: bool
         start = steps[0][0]
     if start is None:
         return
-    whole = np.concatenate([start[None], *steps])
+    ends = [start, *(step[-1] for step in steps)]
+    curves = [smooth(begin, step) for begin, step in zip(ends, steps, strict=False)]
+    whole = np.concatenate(curves) if curves else start[None, :2]
     line = "-" if is_success else _DASHES
     axes.plot(
         whole[:, 0],

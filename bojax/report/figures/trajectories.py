@@ -4,6 +4,7 @@ import numpy as np
 
 from bojax.report import style
 from bojax.report.figures.base import Drawing, Undrawable, drawn_points, panel_grid
+from bojax.report.figures.smooth import smooth
 from bojax.report.source import Results
 from bojax.report.text import counted
 
@@ -31,7 +32,8 @@ def draw(results: Results) -> Drawing:
     )
     for axes, point, look in zip(grid.flat, points, style.looks(points), strict=False):
         for path in found[point.index]:
-            axes.plot(path[:, 0], path[:, 1], color=look["color"], linewidth=1.3)
+            curve = smooth(np.zeros(2), path)
+            axes.plot(curve[:, 0], curve[:, 1], color=look["color"], linewidth=1.3)
         axes.quiver(
             [0],
             [0],

@@ -1,0 +1,40 @@
+"""Smooth curves through the poses of a path, whose few samples are too coarse to be drawn as a polyline."""
+
+import numpy as np
+
+from bojax.report.statistics import Floats
+
+_POINTS = 8
+"""Points of a curve between two poses."""
+
+
+def smooth(start: Floats, poses: Floats) -> Floats:
+    """A cubic Hermite curve from a start through poses, along the heading of each.
+
+    Args:
+        start: `[2 or more]` position before the first pose; its heading is not used, since a trajectory
+            need not leave along it: the first piece is the parabola that arrives along the first pose.
+        poses: `[S, 3]` x, y, heading.
+
+    Returns:
+        `[8 S + 1, 2]` points, the start and every pose among them.
+    """
+    ends = np.concatenate([np.asarray(start)[None, :2], poses[:, :2]])
+    chords = np.diff(ends, axis=0)
+    headings = np.stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])], axis=1)
+    lengths = np.linalg.norm(chords, axis=1, keepdims=True)
+    # A robot in reverse moves against its heading.
+    arriving = _along(headings, chords) * lengths
+    leaving = np.concatenate([2 * chords[:1] - arriving[:1], _along(headings[:-1], chords[1:]) * lengths[1:]])
+    u = (np.arange(1, _POINTS + 1) / _POINTS)[None, :, None]
+    pieces = (
+        (2 * u**3 - 3 * u**2 + 1) * ends[:-1, None]
+        + (u**3 - 2 * u**2 + u) * leaving[:, None]
+        + (3 * u**2 - 2 * u**3) * ends[1:, None]
+        + (u**3 - u**2) * arriving[:, None]
+    )
+    return np.concatenate([ends[:1], pieces.reshape(-1, 2)])
+
+
+def _along(headings: Floats, chords: Floats) -> Floats:
+    return np.where((headings * chords).sum(axis=1, keepdims=True) < 0, -headings, headings)
