@@ -57,7 +57,9 @@ def _type(field: FieldInfo) -> str:
         for mark in field.metadata
         if getattr(mark, name, None) is not None
     ]
-    return " ".join([_words(field.annotation), ", ".join(bounds)]).strip()
+    words, null = _words(field.annotation), " | null"
+    bounded = " ".join([words.removesuffix(null), ", ".join(bounds)]).strip()
+    return bounded + null if words.endswith(null) else bounded
 
 
 def _words(annotation: Any) -> str:

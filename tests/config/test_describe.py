@@ -1,0 +1,26 @@
+"""Settings in words."""
+
+from bojax.config.describe import settings_of, summary_of
+from bojax.config.motions import Splines
+from bojax.config.planners import SBO
+from bojax.config.settings import EngineConfig
+
+
+def test_settings_say_type_default_and_meaning():
+    settings = {setting.name: setting for setting in settings_of(Splines)}
+    assert (settings["actions"].type, settings["actions"].default) == ("5 | 9 | 17", "5")
+    assert (settings["length"].type, settings["length"].default) == ("number > 0", "1")
+    assert "kind" not in settings and settings["length"].meaning.endswith(", m")
+
+
+def test_parts_bounds_and_nulls():
+    settings = {setting.name: setting.type for setting in settings_of(SBO)}
+    assert settings["motions"] == "motions"
+    assert settings["discount"] == "number > 0, <= 1"
+    engine = {setting.name: (setting.type, setting.default) for setting in settings_of(EngineConfig)}
+    assert engine["lanes_per_device"] == ("integer >= 1 | null", "null")
+    assert engine["latency"] == ("true | false", "true")
+
+
+def test_the_summary_is_the_first_line():
+    assert summary_of(Splines) == (Splines.__doc__ or "").splitlines()[0]

@@ -1,0 +1,167 @@
+"""A user's own class by import path: imported, checked, validated, an ordinary component after that."""
+
+import sys
+
+import pytest
+
+from bojax.config.component import External
+from bojax.config.errors import ConfigError
+from bojax.config.external import has_import_paths, resolve, schema_of
+from bojax.config.sweep import load_config, load_sweep
+
+MODULE = '''
+"""Kernels of a user."""
+
+from typing import Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+import pydantic
+from jaxtyping import Array, Float
+
+from bojax.models.kernels import Kernel
+
+
+class Annotated(Kernel):
+    """A kernel that says by annotations what it takes."""
+
+    lengthscale: Float[Array, ""]
+    weights: Float[Array, "3"] = (1, 2.5, 3)
+    either: Float[Array, ""] | Float[Array, "D"] = 2
+    order: int = eqx.field(static=True, default=3)
+    mode: Literal["sum", "product"] = eqx.field(static=True, default="sum")
+    names: tuple[str, ...] = eqx.field(static=True, default=())
+    table: Float[Array, "2"] = eqx.field(default_factory=lambda: jnp.ones(2))
+
+    def __call__(self, x, y):
+        return jnp.zeros(())
+
+
+class Configured(Kernel):
+    lengthscale: Float[Array, ""]
+
+    class Config(pydantic.BaseModel):
+        lengthscale: float = pydantic.Field(3.0, gt=0)
+
+    def __call__(self, x, y):
+        return jnp.zeros(())
+
+
+class Nested(Kernel):
+    inner: Kernel
+
+    def __call__(self, x, y):
+        return jnp.zeros(())
+
+
+class Lacking(eqx.Module):
+    lengthscale: float
+
+
+number = 3
+'''
+
+
+@pytest.fixture
+def resolved(write, monkeypatch):
+    """Resolves a config whose kernel is given by import path."""
+    write("my_kernels.py", MODULE)
+    write("my_broken.py", "import math\n\nmath.sqrt(-1)\n")
+    write("my_needy.py", "import there_is_no_such_module\n")
+    write("x.yaml", "planner: {kind: kcbts, kernel: {kind: 'my_kernels:Annotated', lengthscale: 2}}")
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    schema_of.cache_clear()
+    for name in [name for name in sys.modules if name.startswith("my_")]:
+        del sys.modules[name]
+    return lambda *overrides: resolve(load_config("x.yaml", overrides)).points[0]
+
+
+def test_nothing_is_imported_before_it_is_resolved(resolved):
+    sweep = load_config("x.yaml")
+    assert has_import_paths(sweep) and "my_kernels" not in sys.modules
+    assert isinstance(sweep.points[0].config.planner.kernel, External)
+    assert not has_import_paths(resolve(sweep)) and "my_kernels" in sys.modules
+
+
+def test_annotations_say_what_a_class_takes(resolved):
+    kernel = resolved("planner.kernel.names=[a, b]").config.planner.kernel
+    assert kernel.model_dump(mode="json", exclude={"table"}) == {
+        "kind": "my_kernels:Annotated",
+        "lengthscale": 2.0,
+        "weights": [1, 2.5, 3],
+        "either": 2,
+        "order": 3,
+        "mode": "sum",
+        "names": ["a", "b"],
+    }
+    assert (kernel.role, kernel.target, kernel.label) == ("kernel", kernel.kind, "Annotated")
+    assert kernel.constructor_defaults == {"table"}
+
+
+def test_a_nested_config_says_what_a_class_takes(resolved):
+    assert resolved("planner.kernel=my_kernels:Configured").config.planner.kernel.lengthscale == 3.0
+
+
+def test_the_label_of_a_class_is_its_name(write, resolved):
+    write("s.yaml", "{base: x.yaml, axes: {planner.kernel: {mine: {}, rbf: {}}}}")
+    sweep = resolve(load_sweep("s.yaml"))
+    assert [point.variant for point in sweep.points] == ["mine", "rbf"]
+    assert sweep.points[0].config.planner.kernel.label == "Annotated"
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["planner.kernel.lengthscale=a"], 'planner.kernel.lengthscale: got "a"; allowed: a number'),
+        (
+            ["planner.kernel.weights=[1, a]"],
+            'planner.kernel.weights: got [1, "a"]; allowed: a number or a list',
+        ),
+        (
+            ["planner.kernel.weights=[1, .nan]"],
+            "planner.kernel.weights: got [1, NaN]; allowed: a number or a",
+        ),
+        (["planner.kernel.order=1.5"], "planner.kernel.order: got 1.5; allowed: an integer"),
+        (["planner.kernel.mode=x"], 'planner.kernel.mode: got "x"; allowed: "sum" or "product"'),
+        (
+            ["planner.kernel.wieghts=1"],
+            "planner.kernel.wieghts: unknown key; allowed: either, lengthscale, mode",
+        ),
+        (
+            ["planner.kernel=my_kernels:Annotated"],
+            "planner.kernel.lengthscale: missing, and it has no default",
+        ),
+        (["planner.kernel={kind: 'my_kernels:Configured', lengthscale: 0}"], "got 0; allowed: > 0"),
+        (["planner.kernel=my_kernels:Anotated"], 'my_kernels has no Anotated; did you mean "Annotated"?'),
+        (["planner.kernel=my_kernels:number"], "number is not a class"),
+        (["planner.kernel=my_kernel:X"], "there is no module my_kernel, neither here ("),
+        (["planner.kernel=my_kernels.x:X"], "there is no module my_kernels.x, neither here ("),
+        (
+            ["planner.kernel=my_broken:X"],
+            "importing my_broken failed: ValueError: math domain error (my_broken.py",
+        ),
+        (
+            ["planner.kernel=my_needy:X"],
+            "importing my_needy failed: ModuleNotFoundError: No module named 'there",
+        ),
+        (
+            ["planner.kernel=my_kernels:Nested"],
+            "Nested takes inner, and its annotation does not say what a file",
+        ),
+        (
+            ["planner.kernel=my_kernels:Lacking"],
+            "as a kernel it lacks __call__; see bojax.models.kernels.Kernel",
+        ),
+    ],
+)
+def test_refused(resolved, overrides, message):
+    with pytest.raises(ConfigError) as raised:
+        resolved(*overrides)
+    text = str(raised.value)
+    assert text.startswith("command line: planner.kernel") and message in text and "\n" not in text
+
+
+def test_a_mistake_in_the_file_names_the_file(write, resolved):
+    write("x.yaml", "planner: {kind: kcbts, kernel: {kind: 'my_kernels:Annotated', lengthscale: a}}")
+    with pytest.raises(ConfigError, match='^x.yaml: planner.kernel.lengthscale: got "a"; allowed: a number$'):
+        resolved()

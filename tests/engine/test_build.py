@@ -1,0 +1,150 @@
+"""From settings to modules with strongly typed leaves."""
+
+from typing import Annotated, ClassVar, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import pytest
+from jaxtyping import Array, Float
+
+from bojax.config.component import Component, External, Slot
+from bojax.config.errors import ConfigError
+from bojax.config.models import RBF, LogExpectedImprovement
+from bojax.engine.build import build
+
+
+class Inner(eqx.Module):
+    scale: Float[Array, ""]
+
+
+class Outer(eqx.Module):
+    inner: Inner
+    weight: Float[Array, ""]
+    corner: Float[Array, "2"]
+    flag: Array
+    limit: Float[Array, ""] | None
+    count: int = eqx.field(static=True)
+    sizes: tuple[int, ...] = eqx.field(static=True)
+    mode: str = eqx.field(static=True)
+
+    def __check_init__(self):
+        if self.count > 9:
+            raise ValueError("count is at\nmost 9")
+
+
+class OwnConstructor(eqx.Module):
+    values: Float[Array, "N"]
+
+    def __init__(self, count: int):
+        self.values = jnp.zeros(count)
+
+
+class InnerSettings(Component, frozen=True):
+    role: ClassVar[str] = "test-inner"
+    target: ClassVar[str] = f"{__name__}:Inner"
+    kind: str = "inner"
+    scale: float = 2.0
+
+
+class OuterSettings(Component, frozen=True):
+    role: ClassVar[str] = "test-outer"
+    target: ClassVar[str] = f"{__name__}:Outer"
+    kind: str = "outer"
+    dtype: Literal["float64", "float32"] = "float64"
+    inner: Annotated[Component, Slot("test-inner")] = InnerSettings()
+    weight: float = 3
+    corner: tuple[float, ...] = (1, 2.5)
+    flag: bool = True
+    limit: float | None = None
+    count: int = 4
+    sizes: tuple[int, ...] = (1, 2)
+    mode: str = "fast"
+
+
+class OwnSettings(Component, frozen=True):
+    target: ClassVar[str] = f"{__name__}:OwnConstructor"
+    kind: str = "own"
+    count: int = 4
+
+
+class WrongSettings(Component, frozen=True):
+    target: ClassVar[str] = f"{__name__}:Inner"
+    kind: str = "wrong"
+    scale: float = 1.0
+    scales: float = 1.0
+
+
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+def test_numbers_become_strongly_typed_leaves_and_structure_stays(dtype):
+    module = build(OuterSettings(), dtype)
+    assert isinstance(module, Outer) and isinstance(module.inner, Inner)
+    for leaf in (module.weight, module.corner, module.inner.scale):
+        assert leaf.dtype == dtype and not leaf.weak_type
+    assert (float(module.weight), module.corner.tolist(), float(module.inner.scale)) == (3.0, [1.0, 2.5], 2.0)
+    assert module.flag.dtype == bool and module.limit is None
+    assert (module.count, module.sizes, module.mode) == (4, (1, 2), "fast")
+    assert {type(module.count), *map(type, module.sizes)} == {int}
+
+
+def test_points_of_a_sweep_share_their_structure():
+    first, second = build(OuterSettings(weight=1.0)), build(OuterSettings(weight=2.0))
+    assert jax.tree.structure(first) == jax.tree.structure(second)
+    assert jax.tree.structure(first) != jax.tree.structure(build(OuterSettings(count=5)))
+
+
+def test_arguments_that_are_no_fields_stay_python_values():
+    assert build(OwnSettings()).values.shape == (4,)
+
+
+def test_built_in_parts():
+    assert float(build(RBF(lengthscale=0.5)).lengthscale) == 0.5
+    assert build(LogExpectedImprovement(), "float32").xi.dtype == jnp.float32
+
+
+def test_settings_left_to_the_constructor():
+    class Defaulted(Component, frozen=True):
+        target: ClassVar[str] = f"{__name__}:Inner"
+        constructor_defaults: ClassVar[frozenset[str]] = frozenset({"shift"})
+        kind: str = "defaulted"
+        scale: float = 1.0
+        shift: float | None = None
+
+    assert float(build(Defaulted()).scale) == 1.0
+    with pytest.raises(ConfigError, match="^shift: the constructor of .*:Inner takes no such argument"):
+        build(Defaulted(shift=1.0))
+
+
+@pytest.mark.parametrize(
+    ("component", "message"),
+    [
+        (OuterSettings(count=10), "outer: count is at most 9"),
+        (
+            WrongSettings(),
+            "scales: the constructor of tests.engine.test_build:Inner takes no such argument; it takes",
+        ),
+        (External(kind="a:B", slot="kernel"), "a:B: an import path has to be resolved before it is built"),
+    ],
+)
+def test_refused(component, message):
+    with pytest.raises(ConfigError) as raised:
+        build(component)
+    assert str(raised.value).startswith(message) and "\n" not in str(raised.value)
+
+
+def test_a_mistake_deep_inside_names_its_path():
+    class Bad(InnerSettings, frozen=True):
+        scales: float = 1.0
+
+    with pytest.raises(ConfigError, match="^inner.scales: the constructor"):
+        build(OuterSettings.model_construct(**{**dict(OuterSettings()), "inner": Bad()}))
+
+
+def test_float64_needs_x64():
+    with (
+        jax.enable_x64(False),
+        pytest.raises(ConfigError, match='^dtype: got "float64"; JAX runs without 64-bit'),
+    ):
+        build(RBF())
+    with jax.enable_x64(False):
+        assert build(RBF(), "float32").lengthscale.dtype == jnp.float32
