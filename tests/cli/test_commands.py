@@ -1,0 +1,185 @@
+"""What `run`, `sweep`, `report`, `bench` and `doctor` hand on, and what they make of the answer."""
+
+from pathlib import Path
+
+import pytest
+
+from bojax.cli import doctor
+from bojax.cli.main import main
+from bojax.config.component import External
+
+
+@pytest.fixture
+def calls(tmp_path, monkeypatch):
+    """Calls of the engine and of the report, which do nothing but return what `codes` says."""
+    monkeypatch.chdir(tmp_path)
+    made: list[tuple] = []
+    codes: dict[str, int] = {}
+
+    def run_sweep(sweep, out, resume, command):
+        made.append(("run", sweep, out, resume, command))
+        return codes.get(sweep.name, 0)
+
+    def build_report(folders):
+        made.append(("report", *folders))
+        return folders[0] / "report.html"
+
+    monkeypatch.setattr("bojax.engine.run.run_sweep", run_sweep)
+    monkeypatch.setattr("bojax.report.build.build_report", build_report)
+    return made, codes
+
+
+def test_a_sweep_runs_and_is_reported(calls, capsys):
+    made, _ = calls
+    assert main(["sweep", "parking", "problem.half_width=3", "--runs", "5", "runs=9", "--seed", "7"]) == 0
+    (_, sweep, out, resume, command), report = made
+    assert (sweep.name, sweep.runs, sweep.seed, len(sweep.points)) == ("parking", 5, 7, 4)
+    assert out.parent == Path("results/parking") and resume is False
+    assert command == [
+        "bojax",
+        "sweep",
+        "parking",
+        "problem.half_width=3",
+        "--runs",
+        "5",
+        "runs=9",
+        "--seed",
+        "7",
+    ]
+    assert report == ("report", out)
+    assert capsys.readouterr().out == f"{out}/report.html\n"
+
+
+def test_a_config_runs(calls):
+    made, _ = calls
+    assert main(["run", "planner=sbo", "parking", "--out", "mine", "planner.depth=2"]) == 0
+    _, sweep, out, _, _ = made[0]
+    assert out == Path("mine") and sweep.points[0].config.planner.depth == 2
+
+
+def test_several_sweeps_get_folders_of_their_own(calls):
+    made, _ = calls
+    assert main(["sweep", "fig-4.2", "fig-4.6", "--out", "both"]) == 0
+    assert [call[2] for call in made if call[0] == "run"] == [Path("both/fig-4.2"), Path("both/fig-4.6")]
+
+
+def test_a_failure_is_not_reported_and_does_not_stop_the_next(calls):
+    made, codes = calls
+    codes["fig-4.2"] = 1
+    assert main(["sweep", "fig-4.2", "fig-4.6"]) == 1
+    assert [call[0] for call in made] == ["run", "run", "report"]
+
+
+@pytest.mark.parametrize("code", [130, 143])
+def test_a_signal_stops_everything(calls, code):
+    made, codes = calls
+    codes["fig-4.2"] = code
+    assert main(["sweep", "fig-4.2", "fig-4.6"]) == code
+    assert [call[0] for call in made] == ["run"]
+
+
+def test_resume_without_anything_to_resume(calls, capsys):
+    made, _ = calls
+    assert main(["sweep", "parking", "--resume"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1 and made == []
+
+
+def test_an_existing_folder_is_not_touched(calls, capsys, tmp_path):
+    made, _ = calls
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "notes.txt").write_text("precious")
+    assert main(["run", "parking", "--out", "mine"]) == 2
+    assert capsys.readouterr().err.startswith("error: mine: ") and made == []
+    assert (tmp_path / "mine" / "notes.txt").read_text() == "precious"
+
+
+def test_a_part_of_the_users_own_is_resolved_before_the_engine_sees_it(calls, tmp_path):
+    made, _ = calls
+    (tmp_path / "own_kernels.py").write_text(
+        "import equinox as eqx\n"
+        "from jaxtyping import Array, Float\n"
+        "from bojax.models.kernels import Kernel\n"
+        "class Mine(Kernel):\n"
+        "    lengthscale: Float[Array, ''] = 2.0\n"
+        "    def __call__(self, x, y):\n"
+        "        return self.lengthscale\n"
+    )
+    assert main(["run", "parking", "planner.kernel=own_kernels:Mine"]) == 0
+    kernel = made[0][1].points[0].config.planner.kernel
+    assert not isinstance(kernel, External) and kernel.lengthscale == 2.0
+
+
+def test_report_takes_folders(calls, capsys):
+    made, _ = calls
+    assert main(["report", "a", "b"]) == 0
+    assert made == [("report", Path("a")), ("report", Path("b"))]
+    assert capsys.readouterr().out == "a/report.html\nb/report.html\n"
+
+
+class TestBench:
+    """Benchmarks are modules `bench_NAME.py` with a `main`."""
+
+    @pytest.fixture
+    def benchmarks(self, tmp_path, monkeypatch):
+        monkeypatch.chdir(tmp_path)
+        (tmp_path / "benchmarks").mkdir()
+        for name, code in (("one", 0), ("two_words", 3)):
+            path = tmp_path / "benchmarks" / f"bench_{name}.py"
+            path.write_text(f"def main(argv):\n    print('{name}', argv)\n    return {code}\n")
+
+    @pytest.mark.usefixtures("benchmarks")
+    def test_by_name(self, capsys):
+        assert main(["bench", "one"]) == 0
+        assert capsys.readouterr().out == "one []\n"
+        assert main(["bench", "two-words"]) == 3
+
+    @pytest.mark.usefixtures("benchmarks")
+    def test_all_of_them(self, capsys):
+        assert main(["bench"]) == 3
+        assert capsys.readouterr().out == "benchmarks: one, two-words\none []\ntwo_words []\n"
+
+    @pytest.mark.usefixtures("benchmarks")
+    def test_an_unknown_one(self, capsys):
+        assert main(["bench", "two-word"]) == 2
+        assert "unknown benchmark two-word; allowed: one, two-words; did you mean" in capsys.readouterr().err
+
+    def test_an_installed_package_has_none(self, tmp_path, monkeypatch, capsys):
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setattr("bojax.cli.bench.shipped", lambda folder: tmp_path / folder)
+        assert main(["bench"]) == 2
+        assert capsys.readouterr().err.startswith("error: no benchmarks here: they come with the repository")
+
+
+class TestDoctor:
+    """Every check ends in a line."""
+
+    def test_this_machine(self, tmp_path, monkeypatch, capsys):
+        monkeypatch.chdir(tmp_path)
+        assert main(["doctor"]) == 0
+        out = capsys.readouterr().out
+        assert "jaxlib" in out and "cpu" in out and "float64" in out and out.endswith("everything works\n")
+        assert list(tmp_path.iterdir()) == []
+
+    def test_a_failure_is_a_line_and_an_exit_code(self, monkeypatch, capsys):
+        def fail():
+            yield doctor.Finding("ok", "half of it")
+            raise ValueError("broken\nin two")
+
+        monkeypatch.setattr(doctor, "CHECKS", {"devices": fail})
+        assert main(["doctor"]) == 1
+        assert capsys.readouterr().out.splitlines() == [
+            "ok      devices       half of it",
+            "FAILED  devices       ValueError: broken in two",
+            "",
+            "1 of 2 checks failed",
+        ]
+
+    def test_a_folder_that_cannot_be_written(self, tmp_path, monkeypatch):
+        monkeypatch.chdir(tmp_path)
+
+        def refuse(**_):
+            raise PermissionError(13, "Permission denied")
+
+        monkeypatch.setattr("tempfile.NamedTemporaryFile", refuse)
+        (finding,) = doctor.examine(doctor.CHECKS["results"])
+        assert finding.state == "FAILED" and finding.text.endswith("cannot be written: Permission denied")

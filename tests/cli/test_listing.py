@@ -1,0 +1,59 @@
+"""`bojax list` shows everything that is there, without JAX."""
+
+import pytest
+
+from bojax.cli.main import main
+from bojax.config import catalog
+from bojax.config.files import available
+
+
+@pytest.fixture
+def listed(capsys):
+    def run(*names: str) -> str:
+        assert main(["list", *names]) == 0
+        return capsys.readouterr().out
+
+    return run
+
+
+def test_everything_is_listed_with_a_line(listed):
+    out = listed()
+    names = [kind for role in catalog.ROLES for kind in catalog.kinds(role)]
+    names += [*available("configs"), *available("sweeps")]
+    lines = {
+        line.split()[0]: line.split(maxsplit=1)[1:] for line in out.splitlines() if line.startswith("  ")
+    }
+    for name in names:
+        assert lines[name], f"{name} has no description"
+
+
+@pytest.mark.parametrize("kind", [kind for role in catalog.ROLES for kind in catalog.kinds(role)])
+def test_every_part_shows_its_settings(listed, kind):
+    out = listed(kind)
+    role = next(role for role in catalog.ROLES if kind in catalog.kinds(role))
+    for name in catalog.kinds(role)[kind].model_fields:
+        assert name == "kind" or f"\n  {name} " in out
+
+
+def test_a_setting_has_type_default_and_unit(listed):
+    line = next(line for line in listed("parking").splitlines() if line.split()[:1] == ["half_width"])
+    assert line.split(maxsplit=5)[1:5] == ["number", ">", "0", "4"] and line.endswith(", m")
+
+
+def test_configs_and_sweeps_say_how_to_start_them(listed):
+    out = listed("parking")
+    assert "bojax run parking" in out and "bojax sweep parking" in out
+    assert "the same as fig-4.6" in out
+
+
+def test_a_group(listed):
+    out = listed("planners")
+    assert out.startswith("planners\n") and "kcbts" in out and "problems" not in out
+
+
+def test_a_broken_file_does_not_hide_the_others(listed, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "configs").mkdir()
+    (tmp_path / "configs" / "mine.yaml").write_text("a: [")
+    out = listed("configs")
+    assert "(broken: configs/mine.yaml" in out and "Robot parking" in out

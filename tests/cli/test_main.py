@@ -1,0 +1,148 @@
+"""A mistake on the command line is one line on stderr and exit code 2, before anything heavy is imported."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from bojax import __version__
+from bojax.cli.main import COMMANDS, main
+
+HEAVY = ("jax", "equinox", "orbax", "numpy", "pyarrow", "matplotlib", "rich", "jinja2")
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """An empty working directory."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+MISTAKES = {
+    "an unknown command": (
+        ["swep"],
+        'unknown command swep; allowed: bench, doctor, list, report, run, sweep; did you mean "sweep"?',
+    ),
+    "an unknown option before the command": (["--runs"], "unknown option --runs; allowed: bench"),
+    "an unknown option": (
+        ["run", "parking", "--rnus", "3"],
+        'unknown option --rnus; did you mean "--runs"? (see: bojax run --help)',
+    ),
+    "an abbreviated option": (["run", "parking", "--run=3"], 'unknown option --run; did you mean "--runs"?'),
+    "no integer": (["run", "parking", "--runs", "x"], "--runs: got x; an integer is expected"),
+    "no value": (["run", "parking", "--runs"], "--runs: expected one argument"),
+    "no runs": (["run", "parking", "--runs", "0"], "command line: runs: got 0; allowed: >= 1"),
+    "a negative seed": (["sweep", "parking", "--seed", "-1"], "command line: seed: got -1; allowed: >= 0"),
+    "no config": (["run"], "bojax run: got none; one config is expected"),
+    "only overrides": (["sweep", "runs=3"], "bojax sweep: got none; at least one sweep is expected"),
+    "two configs": (["run", "a", "b"], "bojax run: got a, b; one config is expected"),
+    "a sweep twice": (["sweep", "parking", "parking"], "bojax sweep: parking stands there twice"),
+    "an unknown config": (
+        ["run", "prking"],
+        "prking: no such file, and no such name in configs/; there are:",
+    ),
+    "an unknown sweep": (
+        ["sweep", "fig-4.7"],
+        "fig-4.7: no such file, and no such name in sweeps/; there are:",
+    ),
+    "an unknown key": (
+        ["run", "parking", "problem.half_widht=3"],
+        "command line: problem.half_widht: unknown key",
+    ),
+    "a second sweep that is wrong": (["sweep", "parking", "fig-4.7"], "fig-4.7: no such file"),
+    "a swept key": (
+        ["sweep", "parking", "planner=sbo"],
+        'command line: planner: got "sbo"; a swept key cannot',
+    ),
+    "a missing module": (
+        ["run", "parking", "problem=nowhere:Field"],
+        'command line: problem.kind: got "nowhere:Field"; there is no module nowhere',
+    ),
+    "no folder": (["report"], "the following arguments are required: DIR (see: bojax report --help)"),
+    "an unknown part": (["list", "kcbt"], "unknown name kcbt; allowed: "),
+    "an argument of doctor": (["doctor", "now"], "unknown option now (see: bojax doctor --help)"),
+}
+
+
+@pytest.mark.parametrize("case", MISTAKES)
+def test_mistakes(here, capsys, case):
+    words, message = MISTAKES[case]
+    assert main(words) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and err.count("\n") == 1 and err.startswith(f"error: {message}"), err
+    assert list(here.iterdir()) == []
+
+
+def imported_by(words: list[str], cwd) -> tuple[int, set[str]]:
+    """The exit code of a command in a process of its own, and which heavy packages it imported."""
+    code = (
+        "import contextlib, io, json, sys\n"
+        "from bojax.cli.main import main\n"
+        "with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):\n"
+        "    try:\n"
+        f"        code = main({words!r})\n"
+        "    except SystemExit as stop:\n"
+        "        code = stop.code\n"
+        f"print(json.dumps([code or 0, [name for name in {HEAVY!r} if name in sys.modules]]))"
+    )
+    result = subprocess.run([sys.executable, "-c", code], cwd=cwd, capture_output=True, text=True, check=True)
+    code, names = json.loads(result.stdout)
+    return code, set(names)
+
+
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        (["--help"], 0),
+        (["sweep", "--help"], 0),
+        (["list"], 0),
+        (["list", "kcbts"], 0),
+        (["run", "parking", "planner.depth=0"], 2),
+        (["sweep", "parking", "plannr=sbo"], 2),
+        (["sweep", "nothing"], 2),
+    ],
+)
+def test_nothing_heavy_is_imported_for_help_lists_and_mistakes(tmp_path, words, code):
+    assert imported_by(words, tmp_path) == (code, set())
+
+
+def test_an_unexpected_exception_keeps_its_traceback(monkeypatch):
+    def fail(name, words):
+        raise RuntimeError("a bug")
+
+    monkeypatch.setattr("bojax.cli.listing.main", fail)
+    with pytest.raises(RuntimeError, match="a bug"):
+        main(["list"])
+
+
+@pytest.mark.parametrize(("raised", "code"), [(KeyboardInterrupt, 130), (BrokenPipeError, 0)])
+def test_interrupts_and_closed_pipes_are_no_bugs(monkeypatch, capfd, raised, code):
+    def stop(name, words):
+        raise raised
+
+    monkeypatch.setattr("bojax.cli.listing.main", stop)
+    monkeypatch.setattr("os.dup2", lambda *_: None)
+    assert main(["list"]) == code
+
+
+def test_help_comes_with_examples(capsys):
+    assert main([]) == main(["--help"]) == 0
+    out = capsys.readouterr().out
+    assert all(f"\n  {name} " in out for name in COMMANDS)
+    assert "launcher" not in out
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_help_with_examples(capsys, name):
+    with pytest.raises(SystemExit) as stop:
+        main([name, "--help"])
+    out = capsys.readouterr().out
+    assert stop.value.code == 0
+    assert out.startswith(f"usage: bojax {name}") and f"examples:\n  bojax {name}" in out
+    assert max(len(line) for line in out.splitlines()) <= 110
+
+
+def test_the_version(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out == f"bojax {__version__}\n"
