@@ -2,6 +2,7 @@
 
 import shlex
 import sys
+import traceback
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +23,7 @@ from bojax.engine.signals import StopRequest
 from bojax.results.folder import RunFolder, check_finished, choose_folder, is_unfinished
 from bojax.results.merge import RUNS, PointInfo, merge
 from bojax.results.parts import ChunkFolder
-from bojax.results.store import MANIFEST, ResultsError, write_json, write_table
+from bojax.results.store import MANIFEST, ResultsError, write_atomically, write_json, write_table
 
 if TYPE_CHECKING:
     from bojax.config.sweep import Sweep
@@ -181,10 +182,15 @@ class SweepRun:
         )
 
     def _fail(self, chunks: list[Chunk], error: Exception, progress: SweepProgress) -> None:
-        """Note chunks as failed; the others go on."""
+        """Note chunks as failed; the others go on. The stack of an unknown failure is kept in a file."""
         group = self.groups[chunks[0].group]
         known = error if isinstance(error, EngineError) else out_of_memory(error, self._lanes[group.index])
         message = str(known or one_line(error))
+        if known is None:
+            stack = self._folder.work / f"error-{chunks[0].index:05d}.txt"
+            text = "".join(traceback.format_exception(error))
+            write_atomically(stack, lambda temporary: temporary.write_text(text))
+            message += f" (stack in {stack})"
         self._errors |= {chunk.index: message for chunk in chunks}
         progress.say(
             f"failed: {self._name(group)}, {sum(chunk.num_lanes for chunk in chunks)} runs: {message}"

@@ -74,7 +74,7 @@ def run_segment(
     records: list[Any] = []
     statuses: list[Status] = []
     waiting: deque[Status] = deque()
-    lookahead, finished, last_remaining = 0, 0, remaining
+    lookahead, finished = 0, 0
     limit = min(max_advances, MAX_ADVANCES)
     while len(records) < limit:
         carry, tables, status = program.advance(carry, lanes)
@@ -86,11 +86,11 @@ def run_segment(
         waiting.append(status)
         if len(waiting) <= lookahead:
             continue
-        last_remaining = int(np.asarray(waiting.popleft().remaining).sum())
+        is_done = not np.asarray(waiting.popleft().remaining).any()
         finished += 1
         elapsed = time.perf_counter() - start
         lookahead = min(MAX_LOOKAHEAD, int(LOOKAHEAD_SECONDS * finished / elapsed))
-        if last_remaining == 0 or elapsed > seconds or stop:
+        if is_done or elapsed > seconds or stop:
             break
     jax.block_until_ready(carry)
     elapsed = time.perf_counter() - start

@@ -1,6 +1,7 @@
 """A sweep's results folder: created without overwriting anything, locked, found again, resumed."""
 
 import fcntl
+import os
 import shutil
 import time
 from collections.abc import Mapping
@@ -59,7 +60,10 @@ class RunFolder:
     def close(self, *, finished: bool) -> None:
         """Release the folder; delete the working files of a finished sweep."""
         if finished:
-            shutil.rmtree(self.work, ignore_errors=True)
+            # Renamed first: a process killed while it deletes leaves no half of a working folder behind.
+            done = self.work.with_name(f"{WORK}-done")
+            os.replace(self.work, done)
+            shutil.rmtree(done, ignore_errors=True)
         if self._lock is not None:
             self._lock.close()
             self._lock = None

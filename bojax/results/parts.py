@@ -62,8 +62,8 @@ class ChunkFolder:
         if self._state_file.exists():
             try:
                 self.state = ChunkState(**read_json(self._state_file))
-            except TypeError as error:
-                raise ResultsError(f"{self._state_file}: not a chunk's state ({error})") from error
+            except (ResultsError, TypeError) as error:
+                raise self._unreadable(self._state_file, "state file") from error
         for path in self.path.glob("part-*.parquet"):
             if self._number(path) >= self.state.parts:
                 path.unlink()
@@ -122,7 +122,10 @@ class ChunkFolder:
         try:
             pq.read_metadata(path)
         except (OSError, pa.ArrowException) as error:
-            raise ResultsError(
-                f"{path}: not a readable parquet file: delete the folder {self.path} and resume "
-                "to compute this chunk again"
-            ) from error
+            raise self._unreadable(path, "parquet file") from error
+
+    def _unreadable(self, path: Path, what: str) -> ResultsError:
+        return ResultsError(
+            f"{path}: not a readable {what}: delete the folder {self.path} and resume "
+            "to compute this chunk again"
+        )

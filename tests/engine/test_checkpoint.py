@@ -56,6 +56,7 @@ def test_missing(tmp_path, program):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.filterwarnings("ignore:coroutine:RuntimeWarning")  # Orbax drops what it began to read
 def test_every_truncated_file_is_noticed(tmp_path, program, carry):
     checkpoint.save(tmp_path / "one", carry)
     needed = 0

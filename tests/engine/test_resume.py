@@ -157,13 +157,14 @@ def test_segments_and_reports_may_change(interrupted, undisturbed):
     assert contents(interrupted) == contents(undisturbed)
 
 
-def test_truncated_part(interrupted, capsys):
-    part = sorted(interrupted.glob(f"{WORK}/chunk-*/part-*.parquet"))[0]
-    part.write_bytes(part.read_bytes()[:-20])
+@pytest.mark.parametrize("name", ["part-000000-steps.parquet", "state.json"])
+def test_truncated_file(interrupted, capsys, name):
+    (path,) = interrupted.glob(f"{WORK}/chunk-*/{name}")
+    path.write_bytes(path.read_bytes()[:-20])
     capsys.readouterr()
     assert run_sweep_here(interrupted, resume=True) == 2
     line = one_line(capsys)
-    assert str(part) in line and "delete the folder" in line
+    assert str(path) in line and "delete the folder" in line
 
 
 def test_truncated_checkpoint(interrupted, capsys):

@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from bojax.config.errors import ConfigError
 from bojax.engine import batch
 from bojax.results.store import WORK, ResultsError, read_manifest, read_table
 from tests.engine.drive import contents, run_toy, start_toy
@@ -154,6 +155,16 @@ def test_no_gpu(tmp_path, capsys):
     assert not (tmp_path / "toy").exists()
 
 
+def test_settings_that_a_constructor_refuses(tmp_path, capsys, monkeypatch):
+    def refuse(component, dtype):
+        raise ConfigError("problem.size: got -1; allowed: > 0")
+
+    monkeypatch.setattr("bojax.engine.run.build", refuse)
+    assert run_toy(tmp_path / "toy") == 2
+    assert errors(capsys) == ["error: problem.size: got -1; allowed: > 0"]
+    assert not (tmp_path / "toy").exists()
+
+
 def test_full_disk_is_resumable(tmp_path, capsys, folder, monkeypatch):
     out = tmp_path / "toy"
     replace, count = os.replace, 0
@@ -212,11 +223,13 @@ def test_a_failed_chunk_does_not_stop_the_others(tmp_path, capsys, folder, monke
         patch.setattr(batch.Compiled, "place", fail)
         assert run_toy(out, runs=RUNS, lanes_per_device=5) == 1
     (line,) = errors(capsys)
-    assert "1 of 3 chunks failed: RuntimeError: boom: " in line
+    assert "1 of 3 chunks failed: RuntimeError: boom (stack in " in line
     manifest = read_manifest(out)
     assert manifest["status"] == "failed"
     assert [chunk["status"] for chunk in manifest["chunks"]] == ["done", "failed", "done"]
-    assert manifest["chunks"][1]["error"] == "RuntimeError: boom"
+    (stack,) = out.glob(f"{WORK}/error-*.txt")
+    assert manifest["chunks"][1]["error"] == f"RuntimeError: boom (stack in {stack})"
+    assert "and a stack" in stack.read_text()
     assert set(read_table(out / "runs.parquet")["point"].to_pylist()) == {0, 2}
     assert run_toy(out, runs=RUNS, lanes_per_device=5, resume=True) == 0
     assert contents(out) == contents(folder)
