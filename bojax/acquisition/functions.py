@@ -70,21 +70,25 @@ def _standard_score(mean, std, threshold) -> Float[Array, "*N"]:
 def _log_h(z: Float[Array, "*N"]) -> Float[Array, "*N"]:
     """log(phi(z) + z Phi(z)) without cancellation.
 
-    Three ranges: directly above -1; with the Mills ratio down to -25, where 1 + z Phi/phi has lost about
-    three digits; below that the asymptotic series phi(z)/z^2 (1 - 3/z^2 + 15/z^4 - 105/z^6 + 945/z^8).
+    Three ranges: directly above -1; with the Mills ratio, where 1 + z Phi/phi loses no more than three digits;
+    and from -20 down (-10 in float32), where `norm.logcdf` turns into a series too short for that, with the
+    asymptotic series phi(z)/z^2 (1 - 3/z^2 + 15/z^4 - 105/z^6 + 945/z^8 - ...).
     """
-    high = jnp.maximum(z, -1.0)
-    middle = jnp.clip(z, -25.0, -1.0)
-    low = jnp.minimum(z, -25.0)
+    border = -20.0 if jnp.finfo(z.dtype).bits == 64 else -10.0
+    is_high, is_low = z > -1.0, z <= border
+    # Each formula sees a number of its own range, so that neither its value nor its gradient overflows.
+    high = jnp.where(is_high, z, 0.0)
+    middle = jnp.where(is_high | is_low, -1.0, z)
+    low = jnp.where(is_low, z, border)
     ratio = jnp.exp(norm.logcdf(middle) - norm.logpdf(middle))
     u = 1.0 / (low * low)
-    series = jnp.log1p(u * (-3.0 + u * (15.0 + u * (-105.0 + u * 945.0))))
+    series = jnp.log1p(u * (-3.0 + u * (15.0 + u * (-105.0 + u * (945.0 + u * (-10395.0 + u * 135135.0))))))
     return jnp.where(
-        z > -1.0,
+        is_high,
         jnp.log(jnp.exp(norm.logpdf(high)) + high * norm.cdf(high)),
         jnp.where(
-            z > -25.0,
-            norm.logpdf(middle) + jnp.log1p(middle * ratio),
+            is_low,
             norm.logpdf(low) - 2.0 * jnp.log(-low) + series,
+            norm.logpdf(middle) + jnp.log1p(middle * ratio),
         ),
     )

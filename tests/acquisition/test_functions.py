@@ -1,0 +1,150 @@
+"""Acquisition functions against SciPy and against expectations integrated numerically, far into the tails."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import integrate, stats
+
+from bojax.acquisition.functions import (
+    Acquisition,
+    LogExpectedImprovement,
+    ProbabilityOfImprovement,
+    UpperConfidenceBound,
+)
+
+SCORES = [-1e8, -1e5, -300.0, -40.0, -20.5, -20.0, -19.5, -10.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 5.0, 30.0]
+"""Standard scores (mean - best) / std, on both sides of every change of formula."""
+
+score = jax.jit(lambda acquisition, mean, std, best: acquisition(mean, std, best))
+
+
+@jax.jit
+def gradients(acquisition: Acquisition, mean, std, best):
+    """Derivatives with respect to the mean and the standard deviation, at every point."""
+
+    def alone(mean, std):
+        return acquisition(mean[None], std[None], best)[0]
+
+    return jax.vmap(jax.grad(alone, argnums=(0, 1)))(mean, std)
+
+
+def log_expected_improvement(z: float) -> float:
+    """log E[max(Y, 0)] for Y ~ N(z, 1): log of phi(z) times the integral of t exp(z t - t^2/2) over t > 0."""
+    if z < -1.0:  # the same integral in s = -z t, where its mass is near s = 1
+        value, _ = integrate.quad(lambda s: s * np.exp(-s - 0.5 * (s / z) ** 2), 0, np.inf, epsrel=1e-13)
+        return stats.norm.logpdf(z) + np.log(value) - 2.0 * np.log(-z)
+    value, _ = integrate.quad(lambda t: t * stats.norm.pdf(t - z), 0, z + 40.0, points=[max(z, 0.1)])
+    return np.log(value)
+
+
+@pytest.mark.parametrize("std", [0.01, 1.0, 20.0])
+@pytest.mark.parametrize("xi", [0.0, 0.3])
+def test_log_expected_improvement_is_the_logarithm_of_the_expectation(std, xi):
+    best = 0.7
+    mean = best + xi + std * np.array(SCORES)
+    found = score(
+        LogExpectedImprovement(jnp.asarray(xi)), jnp.asarray(mean), jnp.full(16, std), jnp.asarray(best)
+    )
+    # The mean is rounded before it is standardised: ask for what is left.
+    z = (mean - (best + xi)) / std
+    expected = [log_expected_improvement(value) + np.log(std) for value in z]
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-11)
+
+
+def test_log_expected_improvement_in_single_precision():
+    z = np.concatenate([-np.logspace(15, 0, 500), np.linspace(-30.0, 10.0, 500)]).astype(np.float32)
+    acquisition = LogExpectedImprovement(jnp.asarray(0.0, jnp.float32))
+    found = score(acquisition, jnp.asarray(z), jnp.ones(1000, jnp.float32), jnp.asarray(0.0, jnp.float32))
+    expected = [log_expected_improvement(float(value)) for value in z]
+    np.testing.assert_allclose(found, expected, rtol=3e-7, atol=1e-3)
+
+
+@pytest.mark.parametrize("dtype, lowest", [(jnp.float32, -1e18), (jnp.float64, -1e150)])
+def test_log_expected_improvement_is_finite_as_far_as_it_says(dtype, lowest):
+    one = jnp.ones(1, dtype)
+    value = score(LogExpectedImprovement(jnp.zeros((), dtype)), lowest * one, one, jnp.zeros((), dtype))
+    np.testing.assert_allclose(value, -0.5 * lowest**2, rtol=1e-6)
+
+
+@pytest.mark.parametrize("xi", [0.0, 0.3])
+def test_probability_of_improvement_is_scored_by_its_logarithm(xi):
+    mean, std, best = 0.7 + 2.0 * np.array(SCORES), np.full(16, 2.0), 0.7
+    found = score(
+        ProbabilityOfImprovement(jnp.asarray(xi)), jnp.asarray(mean), jnp.asarray(std), jnp.asarray(best)
+    )
+    np.testing.assert_allclose(found, stats.norm.logsf(best + xi, mean, std), rtol=1e-8)
+
+
+def test_upper_confidence_bound_is_a_quantile():
+    rng = np.random.default_rng(0)
+    mean, std = rng.normal(size=50), rng.uniform(size=50)
+    kappa = 1.7
+    found = score(
+        UpperConfidenceBound(jnp.asarray(kappa)), jnp.asarray(mean), jnp.asarray(std), jnp.asarray(9.0)
+    )
+    np.testing.assert_allclose(found, stats.norm.ppf(stats.norm.cdf(kappa), mean, std), rtol=1e-12)
+
+
+ACQUISITIONS = [
+    UpperConfidenceBound(jnp.asarray(2.0)),
+    ProbabilityOfImprovement(jnp.asarray(0.01)),
+    LogExpectedImprovement(jnp.asarray(0.01)),
+]
+each_acquisition = pytest.mark.parametrize("acquisition", ACQUISITIONS, ids=lambda a: type(a).__name__)
+
+
+@each_acquisition
+def test_a_higher_mean_is_worth_more(acquisition):
+    # Down to a standard score of -1e6; the changes of formula at -20 and -1 are crossed in steps of 1e-4.
+    z = np.sort(np.concatenate([-np.logspace(6, 0, 2000), np.linspace(-26, 8, 340_000)]))
+    values = np.asarray(score(acquisition, jnp.asarray(z), jnp.ones(z.size), jnp.asarray(0.0)))
+    assert np.all(np.diff(values)[z[1:] < 5.0] > 0.0)
+    assert np.all(np.diff(values) >= 0.0)  # a probability saturates at 1
+
+
+@pytest.mark.parametrize("acquisition", [ACQUISITIONS[0], ACQUISITIONS[2]], ids=lambda a: type(a).__name__)
+@pytest.mark.parametrize("mean", [-10.0, -1.0, 0.0, 1.0])
+def test_more_uncertainty_is_worth_more(acquisition, mean):
+    std = jnp.asarray(np.logspace(-4, 4, 4000))
+    values = np.asarray(score(acquisition, jnp.full(4000, mean), std, jnp.asarray(0.0)))
+    # Where the mean is above the best by many deviations, the improvement is the difference of the two.
+    grows = np.diff(values)[np.asarray(std)[1:] > max(mean, 0.0) / 5.0]
+    assert np.all(np.diff(values) >= -1e-14) and np.all(grows > 0.0)
+
+
+def test_certainty_of_improvement_is_hurt_by_uncertainty():
+    # The probability of improvement prefers a sure gain, however small: why it is not monotone in std.
+    std = jnp.asarray([0.1, 1.0, 10.0])
+    values = score(ACQUISITIONS[1], jnp.full(3, 0.5), std, jnp.asarray(0.0))
+    assert np.all(np.diff(values) < 0.0)
+
+
+@each_acquisition
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_scores_and_gradients_are_finite(acquisition, dtype):
+    lowest = -1e12 if dtype == jnp.float32 else -1e140
+    mean = jnp.asarray([lowest, -1e6, -20.0, -10.0, -1.0, 0.0, 0.01, 1.0, 25.0, 1e6], dtype)
+    acquisition = jax.tree.map(lambda leaf: leaf.astype(dtype), acquisition)
+    for std in (1.0, 1e-3):
+        arguments = mean, jnp.full_like(mean, std), jnp.asarray(0.0, dtype)
+        assert np.all(np.isfinite(score(acquisition, *arguments)))
+        for gradient in gradients(acquisition, *arguments):
+            assert np.all(np.isfinite(gradient))
+
+
+@each_acquisition
+def test_an_observed_point_without_noise_has_a_finite_score(acquisition):
+    mean, std = jnp.asarray([-1.0, 0.0, 1.0]), jnp.zeros(3)
+    assert np.all(np.isfinite(score(acquisition, mean, std, jnp.asarray(0.0))))
+
+
+@pytest.mark.parametrize("z", [-1e4, -30.0, -20.0, -19.9, -10.0, -1.0, 0.0, 3.0])
+def test_gradients_of_log_expected_improvement_are_those_of_the_expectation(z):
+    # With h(z) = E[max(z + e, 0)]: d log EI / d mean = Phi(z) / h(z) / std, d / d std = phi(z) / h(z) / std.
+    std = 0.5
+    acquisition = LogExpectedImprovement(jnp.asarray(0.0))
+    by_mean, by_std = gradients(acquisition, jnp.asarray([z * std]), jnp.asarray([std]), jnp.asarray(0.0))
+    log_h = log_expected_improvement(z)
+    np.testing.assert_allclose(by_mean, np.exp(stats.norm.logcdf(z) - log_h) / std, rtol=1e-8)
+    np.testing.assert_allclose(by_std, np.exp(stats.norm.logpdf(z) - log_h) / std, rtol=1e-8)
