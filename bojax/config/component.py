@@ -1,7 +1,7 @@
 """Schema classes: one frozen pydantic class per identifier, which is also its registration."""
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any, ClassVar, Literal, get_args, get_origin
 
 import pydantic
@@ -112,10 +112,15 @@ class Slot:
     The field accepts a component, an identifier (`parking` means `{kind: parking}`), an import path, or a
     mapping with `kind` and settings. What the mapping leaves out is taken from the field's default if that
     is of the same kind, otherwise from the defaults of the kind.
+
+    Attributes:
+        role: The role of the component.
+        only: The built-in kinds that fit, if not all of the role do.
     """
 
-    def __init__(self, role: str):
+    def __init__(self, role: str, only: Collection[str] = ()):
         self.role = role
+        self.only = only
 
     def __get_pydantic_core_schema__(self, source: Any, handler: pydantic.GetCoreSchemaHandler) -> CoreSchema:
         """Pydantic's hook: validate by `kind`, serialise the whole component."""
@@ -130,25 +135,39 @@ class Slot:
     def validate(self, value: Any) -> Registered:
         """The component that `value` describes."""
         if isinstance(value, Registered):
-            role = value.slot if isinstance(value, External) else value.role
-            if role != self.role:
-                raise PydanticCustomError(
-                    "wrong_role", "a {role} is expected here, not a {got}", {"role": self.role, "got": role}
-                )
-            return value
-        if isinstance(value, str):
-            value = {"kind": value}
+            return self._checked(value)
         kinds = registry.get(self.role, {})
-        allowed = {"role": self.role, "names": list(kinds)}
-        if not isinstance(value, Mapping):
-            raise PydanticCustomError("unknown_kind", "unknown kind", {**allowed, "kind": ""})
-        kind = value.get("kind")
+        kind = value.get("kind") if isinstance(value, Mapping) else value
         if isinstance(kind, str) and IMPORT_PATH.fullmatch(kind):
-            params = {name: setting for name, setting in value.items() if name != "kind"}
+            params = {name: setting for name, setting in dict(_mapping(value)).items() if name != "kind"}
             return External(kind=kind, slot=self.role, params=params)
-        if kind is None or not isinstance(kind, str) or kind not in kinds:
-            raise PydanticCustomError("unknown_kind", "unknown kind", {**allowed, "kind": kind or ""})
-        return kinds[kind].model_validate(value)
+        if not isinstance(kind, str) or kind not in self._fitting():
+            raise self._refusal(kind)
+        return kinds[kind].model_validate(_mapping(value))
+
+    def _checked(self, component: Registered) -> Registered:
+        is_external = isinstance(component, External)
+        role = component.slot if is_external else component.role
+        if role != self.role:
+            raise PydanticCustomError(
+                "wrong_role", "a {role} is expected here, not a {got}", {"role": self.role, "got": role}
+            )
+        if self.only and not is_external and component.kind not in self.only:
+            raise self._refusal(component.kind)
+        return component
+
+    def _fitting(self) -> list[str]:
+        """The built-in kinds that may stand here."""
+        return [kind for kind in registry.get(self.role, {}) if not self.only or kind in self.only]
+
+    def _refusal(self, kind: Any) -> PydanticCustomError:
+        is_known = isinstance(kind, str) and kind in registry.get(self.role, {})
+        context = {"role": self.role, "kind": kind, "names": self._fitting(), "is_known": is_known}
+        return PydanticCustomError("unknown_kind", "unknown kind", context)
+
+
+def _mapping(value: Any) -> Any:
+    return {"kind": value} if isinstance(value, str) else value
 
 
 def slots(schema: type[pydantic.BaseModel]) -> Iterator[tuple[str, Slot]]:

@@ -106,7 +106,8 @@ def _complaint(line: Any, siblings: Sequence[str]) -> str:
     got = f"got {shown(value)}; "
     if kind == "unknown_kind":
         got = f"got {shown(value.get('kind', value) if isinstance(value, dict) else value)}; "
-        return got + "unknown " + context["role"] + one_of(context["kind"], context["names"])
+        what = "not possible here" if context["is_known"] else "unknown " + context["role"]
+        return got + what + one_of(context["kind"], context["names"])
     if kind == "literal_error":
         allowed = context["expected"].replace("'", '"')
         names = [name.strip('"') for name in allowed.replace(" or ", ", ").split(", ")]

@@ -42,7 +42,7 @@ class Trajectories(_Experiment, frozen=True):
     motions: Annotated[Component, Slot("motions")] = Field(
         default=KernelTrajectories(), description="the family of trajectories"
     )
-    num_trajectories: int = Field(default=25, ge=1, description="trajectories that are drawn")
+    levels: int = Field(default=3, ge=1, description="values of each parameter of a continuous family")
 
     @property
     def label(self) -> str:

@@ -6,6 +6,12 @@ from pydantic import Field
 
 from bojax.config.component import Component
 
+DISCRETE = ("splines",)
+"""Families that are a set of trajectories."""
+
+CONTINUOUS = ("cubic", "kernel")
+"""Families with parameters."""
+
 
 class Splines(Component, frozen=True):
     """A discrete set of cubic splines of equal arc length (thesis, Section 3.5, Fig. 4.2a)."""
@@ -47,9 +53,11 @@ class KernelTrajectories(Component, frozen=True):
     turn_angle: float = Field(
         default=1.0, gt=0, description="largest turning angle of the other segments, rad"
     )
-    space_lengthscale: float = Field(default=0.5, gt=0, description="lengthscale of the kernel on poses, m")
+    space_lengthscale: float = Field(
+        default=0.5, gt=0, description="lengthscale of the kernel on positions, in units of the length"
+    )
     time_lengthscale: float = Field(
-        default=0.3, gt=0, description="lengthscale of the kernel on time, of a whole path"
+        default=0.3, gt=0, description="lengthscale of the kernel on time; a trajectory lasts 1"
     )
     epsilon: float = Field(
         default=0.1, gt=0, description="regulariser of the first inversion in kernel Bayes' rule"

@@ -6,7 +6,7 @@ from pydantic import Field
 
 from bojax.config.component import Component, Slot
 from bojax.config.models import RBF, UpperConfidenceBound
-from bojax.config.motions import CubicCurves, KernelTrajectories, Splines
+from bojax.config.motions import CONTINUOUS, DISCRETE, CubicCurves, KernelTrajectories, Splines
 
 
 class _Planner(Component, frozen=True):
@@ -17,7 +17,7 @@ class _TreeSearch(_Planner, frozen=True):
     iterations: int = Field(default=300, ge=1, description="simulations for one decision")
     depth: int = Field(default=3, ge=1, description="horizon, actions")
     exploration: float = Field(
-        default=1.0, ge=0, description="weight of rarely tried branches in the tree (kappa_MC)"
+        default=100.0, ge=0, description="weight of rarely tried branches (kappa_MC), in units of the return"
     )
     discount: float = Field(default=1.0, gt=0, le=1, description="discount of rewards per action")
 
@@ -30,6 +30,13 @@ class _ContinuousBeliefTreeSearch(_TreeSearch, frozen=True):
     acquisition: Annotated[Component, Slot("acquisition")] = Field(
         default=UpperConfidenceBound(), description="how a node chooses its next action"
     )
+    convergence: float = Field(
+        default=0.0, ge=0, description="no new actions at a node once two in a row are closer; 0 for never"
+    )
+    scaling: Literal["standardise", "none"] = Field(
+        default="standardise", description="how a node's rewards enter its GP"
+    )
+    num_initial: int = Field(default=1, ge=1, description="first actions of a node that are random")
     noise_variance: float = Field(
         default=0.01, gt=0, description="noise variance of a node's GP, standardised targets"
     )
@@ -43,7 +50,7 @@ class KCBTS(_ContinuousBeliefTreeSearch, frozen=True):
     """Continuous belief tree search on kernel trajectories (thesis, Algorithms 3-4, Section 4.6)."""
 
     kind: Literal["kcbts"] = "kcbts"
-    motions: Annotated[Component, Slot("motions")] = Field(
+    motions: Annotated[Component, Slot("motions", only=CONTINUOUS)] = Field(
         default=KernelTrajectories(), description="trajectories to choose from"
     )
 
@@ -52,7 +59,7 @@ class CBTS(_ContinuousBeliefTreeSearch, frozen=True):
     """Continuous belief tree search on cubic curves (thesis, Algorithm 3)."""
 
     kind: Literal["cbts"] = "cbts"
-    motions: Annotated[Component, Slot("motions")] = Field(
+    motions: Annotated[Component, Slot("motions", only=CONTINUOUS)] = Field(
         default=CubicCurves(), description="trajectories to choose from"
     )
 
@@ -63,7 +70,7 @@ class SBO(_TreeSearch, frozen=True):
     target: ClassVar[str] = "bojax.planning.discrete:DiscreteTreeSearch"
 
     kind: Literal["sbo"] = "sbo"
-    motions: Annotated[Component, Slot("motions")] = Field(
+    motions: Annotated[Component, Slot("motions", only=DISCRETE)] = Field(
         default=Splines(), description="trajectories to choose from"
     )
 
@@ -74,8 +81,20 @@ class GpsAbt(_TreeSearch, frozen=True):
     target: ClassVar[str] = "bojax.planning.gps_abt:PatternSearch"
 
     kind: Literal["gps-abt"] = "gps-abt"
-    max_actions: int = Field(default=20, ge=1, description="actions that a node may try (A_max)")
-    motions: Annotated[Component, Slot("motions")] = Field(
+    growth: float = Field(
+        default=2.0, gt=1, description="k: a node of N visits has at most ln N / ln k levels"
+    )
+    min_visits: float = Field(default=3.0, ge=0, description="visits of every best point before a refinement")
+    min_radius: float = Field(
+        default=0.05, gt=0, description="smallest radius that is refined; the box is [-1, 1]"
+    )
+    initial_radius: float = Field(
+        default=1.0, gt=0, description="radius of a first stencil; the box is [-1, 1]"
+    )
+    max_levels: int = Field(default=8, ge=1, description="most stencils on one walk")
+    num_rollout_paths: int = Field(default=128, ge=1, description="random paths that rollouts draw from")
+    heuristic: Literal["rollout", "zero"] = Field(default="rollout", description="value past a new action")
+    motions: Annotated[Component, Slot("motions", only=CONTINUOUS)] = Field(
         default=KernelTrajectories(), description="trajectories to choose from"
     )
 

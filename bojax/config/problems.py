@@ -21,10 +21,10 @@ class Parking(Component, frozen=True):
         default=0.1, gt=0, description="largest distance from the goal when parked, m"
     )
     heading_tolerance: float = Field(
-        default=pi / 10, gt=0, description="largest |sin| of the heading when parked, rad"
+        default=pi / 10, gt=0, description="largest |sin| of the heading when parked"
     )
     bearing_tolerance: float = Field(
-        default=pi / 10, gt=0, description="largest |sin| of the bearing when parked, rad"
+        default=pi / 10, gt=0, description="largest |sin| of the bearing when parked"
     )
     success_reward: float = Field(default=1000.0, description="reward of parking")
     exit_reward: float = Field(default=-1000.0, description="reward of leaving the domain")
@@ -34,8 +34,8 @@ class Parking(Component, frozen=True):
     heading_noise: float = Field(
         default=0.02, ge=0, description="standard deviation of the observed heading, rad"
     )
-    bearing: Literal["world", "heading"] = Field(
-        default="world", description="what the bearing is relative to"
+    bearing: Literal["world", "robot"] = Field(
+        default="world", description="whether the robot is seen from the lot, or the lot from the robot"
     )
     success_needs_bearing: bool = Field(
         default=False, description="whether parking also needs the bearing condition"

@@ -60,7 +60,7 @@ def _build(component: Component, dtype: str, path: tuple[str, ...]) -> Any:
             arguments[name] = value
         else:
             arguments[name] = _leaf(value, dtype)
-    _refuse_unknown(arguments, accepted, component, path)
+    _check_arguments(arguments, accepted, component, path)
     try:
         return cls(**arguments)
     except ValueError as error:
@@ -84,19 +84,30 @@ def _leaf(value: Any, dtype: str) -> Any:
     return jnp.asarray(value, dtype)
 
 
-def _refuse_unknown(
+def _check_arguments(
     arguments: Mapping[str, Any],
     accepted: Mapping[str, inspect.Parameter],
     component: Component,
     path: tuple[str, ...],
 ) -> None:
-    if any(parameter.kind is inspect.Parameter.VAR_KEYWORD for parameter in accepted.values()):
-        return
+    """Refuse what the constructor does not take, and what it takes and does not get."""
+    kinds = inspect.Parameter
+    is_open = any(parameter.kind is kinds.VAR_KEYWORD for parameter in accepted.values())
     for name in arguments:
-        if name not in accepted:
+        if name not in accepted and not is_open:
             raise ConfigError(
                 f"{_where((*path, name), component)}: the constructor of {component.target} takes no such "
                 f"argument; it takes: {', '.join(accepted) or 'none'}"
+            )
+    for name, parameter in accepted.items():
+        is_needed = parameter.default is kinds.empty and parameter.kind not in (
+            kinds.VAR_KEYWORD,
+            kinds.VAR_POSITIONAL,
+        )
+        if is_needed and name not in arguments:
+            raise ConfigError(
+                f"{_where((*path, name), component)}: the constructor of {component.target} needs it, "
+                f"but {type(component).__name__} has no such setting"
             )
 
 

@@ -91,6 +91,10 @@ EXPERIMENTS = {
         "base: parking",
         "x.yaml: is a sweep, not an experiment; start it by: bojax sweep x.yaml",
     ),
+    "motions that a planner cannot use": (
+        "planner: {kind: sbo, motions: kernel}",
+        'x.yaml: planner.motions: got "kernel"; not possible here; allowed: splines',
+    ),
     "a malformed import path": (
         "problem: 'mine.fields:'",
         'x.yaml: problem: got "mine.fields:"; unknown problem; allowed: …parking…',

@@ -68,6 +68,11 @@ class OwnSettings(Component, frozen=True):
     count: int = 4
 
 
+class ShortSettings(Component, frozen=True):
+    target: ClassVar[str] = f"{__name__}:Inner"
+    kind: str = "short"
+
+
 class WrongSettings(Component, frozen=True):
     target: ClassVar[str] = f"{__name__}:Inner"
     kind: str = "wrong"
@@ -122,6 +127,10 @@ def test_settings_left_to_the_constructor():
         (
             WrongSettings(),
             "scales: the constructor of tests.engine.test_build:Inner takes no such argument; it takes",
+        ),
+        (
+            ShortSettings(),
+            "scale: the constructor of tests.engine.test_build:Inner needs it, but ShortSettings has",
         ),
         (External(kind="a:B", slot="kernel"), "a:B: an import path has to be resolved before it is built"),
     ],
