@@ -19,8 +19,12 @@ Device: TypeAlias = Any
 DEVICES = "devices"
 """Name of the mesh axis over devices."""
 
-DEFAULT_LANES = {"cpu": 256, "gpu": 4096}
-"""Lanes per device where the config says nothing, by platform."""
+DEFAULT_LANES = {"cpu": 64, "gpu": 4096}
+"""Lanes per device where the config says nothing, by platform.
+
+Measured on one CPU core with 200 runs of SBO on the parking problem: 2,400 steps/s at 50 lanes, 1,500 to
+1,800 at 100 and 200, 1,600 at 4. Many lanes leave the cache, and wait longer for the slowest among them.
+"""
 
 
 def prepare(device: Literal["auto", "cpu", "gpu"]) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bojax.engine.chunks import cut
-from bojax.engine.devices import choose_lanes
+from bojax.engine.devices import DEFAULT_LANES, choose_lanes
 from bojax.engine.groups import static_groups
 from tests.toy import toy
 
@@ -56,7 +56,8 @@ def test_identity_is_of_all_that_rows_depend_on():
         (3, 8, None, 1),
     ],
 )
-def test_lanes_per_device(num_lanes, num_devices, given, expected):
+def test_lanes_per_device(monkeypatch, num_lanes, num_devices, given, expected):
+    monkeypatch.setitem(DEFAULT_LANES, "cpu", 256)
     assert choose_lanes("cpu", num_lanes, num_devices, given) == expected
 
 
