@@ -1,5 +1,6 @@
 """Schema classes: one frozen pydantic class per identifier, which is also its registration."""
 
+import inspect
 import re
 from collections.abc import Collection, Iterator, Mapping
 from typing import Any, ClassVar, Literal, get_args, get_origin
@@ -64,7 +65,7 @@ class Registered(Schema, frozen=True):
     def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
         """Register a final class."""
         super().__pydantic_init_subclass__(**kwargs)
-        annotation = cls.__annotations__.get("kind")
+        annotation = inspect.get_annotations(cls).get("kind")
         if get_origin(annotation) is not Literal:
             return
         (kind,) = get_args(annotation)
