@@ -22,7 +22,7 @@ class Splines(Component, frozen=True):
     kind: Literal["splines"] = "splines"
     actions: Literal[5, 9, 17] = Field(default=5, description="number of splines in the set")
     length: float = Field(default=1.0, gt=0, description="arc length, m")
-    num_samples: int = Field(default=8, ge=2, description="poses along a trajectory")
+    num_samples: int = Field(default=10, ge=2, description="poses along a trajectory")
 
 
 class CubicCurves(Component, frozen=True):
@@ -35,7 +35,7 @@ class CubicCurves(Component, frozen=True):
     length: float = Field(default=1.0, gt=0, description="arc length, m")
     bearing: float = Field(default=0.8, gt=0, description="largest bearing of the end, rad")
     heading: float = Field(default=1.5, gt=0, description="largest change of heading, rad")
-    num_samples: int = Field(default=8, ge=2, description="poses along a trajectory")
+    num_samples: int = Field(default=10, ge=2, description="poses along a trajectory")
 
 
 class KernelTrajectories(Component, frozen=True):
@@ -48,16 +48,16 @@ class KernelTrajectories(Component, frozen=True):
     num_segments: int = Field(
         default=3, ge=1, description="segments between anchor points, one turning angle each"
     )
-    length: float = Field(default=1.0, gt=0, description="length of the chain of anchor points, m")
-    first_angle: float = Field(default=0.3, gt=0, description="largest first turning angle, rad")
+    length: float = Field(default=1.0, gt=0, description="arc length, m")
+    first_angle: float = Field(default=1.2, ge=0, description="largest first turning angle, rad")
     turn_angle: float = Field(
-        default=1.0, gt=0, description="largest turning angle of the other segments, rad"
+        default=1.25, ge=0, description="largest turning angle of the other segments, rad"
     )
     space_lengthscale: float = Field(
         default=0.5, gt=0, description="lengthscale of the kernel on positions, in units of the length"
     )
     time_lengthscale: float = Field(
-        default=0.3, gt=0, description="lengthscale of the kernel on time; a trajectory lasts 1"
+        default=1.0, gt=0, description="lengthscale of the kernel on time; a trajectory lasts 1"
     )
     epsilon: float = Field(
         default=0.1, gt=0, description="regulariser of the first inversion in kernel Bayes' rule"
@@ -69,4 +69,4 @@ class KernelTrajectories(Component, frozen=True):
         default="pose",
         description="whether a path starts along the heading of the pose, or is free to turn at once",
     )
-    num_samples: int = Field(default=8, ge=2, description="poses along a trajectory")
+    num_samples: int = Field(default=10, ge=2, description="poses along a trajectory")

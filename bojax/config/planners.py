@@ -17,7 +17,7 @@ class _TreeSearch(_Planner, frozen=True):
     iterations: int = Field(default=300, ge=1, description="simulations for one decision")
     depth: int = Field(default=3, ge=1, description="horizon, actions")
     exploration: float = Field(
-        default=100.0, ge=0, description="weight of rarely tried branches (kappa_MC), in units of the return"
+        default=300.0, ge=0, description="weight of rarely tried branches (kappa_MC), in units of the return"
     )
     discount: float = Field(default=1.0, gt=0, le=1, description="discount of rewards per action")
 
@@ -28,15 +28,15 @@ class _ContinuousBeliefTreeSearch(_TreeSearch, frozen=True):
     max_actions: int = Field(default=20, ge=1, description="actions that a node may try (A_max)")
     kernel: Annotated[Component, Slot("kernel")] = Field(default=RBF(), description="kernel of a node's GP")
     acquisition: Annotated[Component, Slot("acquisition")] = Field(
-        default=UpperConfidenceBound(), description="how a node chooses its next action"
+        default=UpperConfidenceBound(kappa=100.0), description="how a node chooses its next action"
     )
     convergence: float = Field(
         default=0.0, ge=0, description="no new actions at a node once two in a row are closer; 0 for never"
     )
-    scaling: Literal["standardise", "none"] = Field(
+    scaling: Literal["standardise", "rank", "none"] = Field(
         default="standardise", description="how a node's rewards enter its GP"
     )
-    num_initial: int = Field(default=1, ge=1, description="first actions of a node that are random")
+    num_initial: int = Field(default=2, ge=1, description="first actions of a node that are random")
     noise_variance: float = Field(
         default=0.01, gt=0, description="noise variance of a node's GP, standardised targets"
     )
@@ -81,17 +81,20 @@ class GpsAbt(_TreeSearch, frozen=True):
     target: ClassVar[str] = "bojax.planning.gps_abt:PatternSearch"
 
     kind: Literal["gps-abt"] = "gps-abt"
-    growth: float = Field(
-        default=2.0, gt=1, description="k: a node of N visits has at most ln N / ln k levels"
+    exploration: float = Field(
+        default=100.0, ge=0, description="weight of rarely tried actions (sqrt C), in units of the return"
     )
-    min_visits: float = Field(default=3.0, ge=0, description="visits of every best point before a refinement")
+    growth: float = Field(
+        default=5.0, gt=1, description="k: a node of N visits has at most ln N / ln k levels"
+    )
+    min_visits: float = Field(default=2.0, ge=0, description="visits of every best point before a refinement")
     min_radius: float = Field(
-        default=0.05, gt=0, description="smallest radius that is refined; the box is [-1, 1]"
+        default=0.1, gt=0, description="smallest radius that is refined; the box is [-1, 1]"
     )
     initial_radius: float = Field(
         default=1.0, gt=0, description="radius of a first stencil; the box is [-1, 1]"
     )
-    max_levels: int = Field(default=8, ge=1, description="most stencils on one walk")
+    max_levels: int = Field(default=6, ge=1, description="most stencils on one walk")
     num_rollout_paths: int = Field(default=128, ge=1, description="random paths that rollouts draw from")
     heuristic: Literal["rollout", "zero"] = Field(default="rollout", description="value past a new action")
     motions: Annotated[Component, Slot("motions", only=CONTINUOUS)] = Field(
