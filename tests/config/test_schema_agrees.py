@@ -1,0 +1,26 @@
+"""Schema fields and constructor fields are one list: nothing is configured in vain or left to chance."""
+
+import inspect
+
+import pytest
+
+from bojax.config.catalog import ROLES, kinds
+from bojax.engine.build import build, import_target
+
+COMPONENTS = [(role, kind, schema) for role in ROLES for kind, schema in kinds(role).items()]
+
+
+@pytest.mark.parametrize("schema", [pytest.param(s, id=f"{r}-{k}") for r, k, s in COMPONENTS])
+def test_schema_and_constructor_take_the_same_settings(schema):
+    configured = set(schema.model_fields) - {"kind"}
+    parameters = inspect.signature(import_target(schema.target)).parameters
+    if schema.role == "experiment":
+        configured -= {"dtype"}  # how to build it, which its constructor need not know
+    required = {name for name, parameter in parameters.items() if parameter.default is parameter.empty}
+    assert configured <= set(parameters)
+    assert required <= configured
+
+
+@pytest.mark.parametrize("schema", [pytest.param(s, id=f"{r}-{k}") for r, k, s in COMPONENTS])
+def test_the_defaults_of_every_part_build(schema):
+    assert isinstance(build(schema()), import_target(schema.target))
