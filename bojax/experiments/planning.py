@@ -150,7 +150,8 @@ class PlanningEpisode(Experiment):
 
 
 def _where(active: Bool[Array, ""], after: Episode, before: Episode) -> Episode:
-    return jax.tree.map(lambda a, b: jnp.where(active, a, b), after, before)
+    # What an advance leaves alone is not selected: choosing between a key and itself would use it twice.
+    return jax.tree.map(lambda a, b: a if a is b else jnp.where(active, a, b), after, before)
 
 
 _RUN_COLUMNS: Table = (

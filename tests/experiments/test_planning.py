@@ -1,0 +1,265 @@
+"""A planning episode: what it records, when it ends, and that planners meet the same world."""
+
+import functools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bojax.experiments.planning import Episode, PlanningEpisode
+from bojax.planning.base import Plan, Planner
+from bojax.planning.random import RandomPlanner
+from bojax.results.schema import column_names
+from tests.motions.families import cubic, kernel, splines
+from tests.problems.goal_disc import goal_disc
+from tests.problems.parking_reference import Settings
+from tests.problems.test_parking import parking
+
+NUM_LANES = 64
+
+
+class Straight(Planner):
+    """Always straight on, whatever the belief."""
+
+    motions: eqx.Module
+
+    def plan(self, key, problem, belief) -> Plan:
+        del key, problem, belief
+        zero = jnp.zeros((), self.motions.length.dtype)
+        return Plan(path=self.motions.paths()[0], reward=zero, value=zero, visits=jnp.ones((), jnp.int32))
+
+
+EXPERIMENTS = {
+    "parking": PlanningEpisode(parking(), RandomPlanner(kernel())),
+    "parking-on": PlanningEpisode(parking(Settings(exit_terminates=False)), RandomPlanner(splines(5))),
+    "disc": PlanningEpisode(goal_disc(), RandomPlanner(cubic())),
+    "disc-straight": PlanningEpisode(goal_disc(), Straight(splines(5))),
+}
+each_experiment = pytest.mark.parametrize("name", EXPERIMENTS)
+
+
+def lanes_of(seed: int = 0):
+    return jax.random.split(jax.random.key(seed), NUM_LANES)
+
+
+@jax.jit
+def start(experiment: PlanningEpisode, keys) -> Episode:
+    return jax.vmap(experiment.init)(keys)
+
+
+@jax.jit
+def advance(experiment: PlanningEpisode, carries: Episode):
+    return jax.vmap(experiment.advance)(carries)
+
+
+def play(experiment: PlanningEpisode, keys):
+    """All carries of a batch of episodes, and all rows: `[lane, step]` for each column."""
+    carries, rows, active = [start(experiment, keys)], [], []
+    for _ in range(experiment.max_advances + 1):  # once more than any lane needs
+        carry, records = advance(experiment, carries[-1])
+        carries.append(carry)
+        rows.append(records.tables["steps"])
+        active.append(records.active_steps)
+    table = {name: np.concatenate([row[name] for row in rows], axis=1) for name in rows[0]}
+    return carries, table, np.stack(active, axis=1)
+
+
+@functools.cache
+def played(name: str):
+    return play(EXPERIMENTS[name], lanes_of())
+
+
+def plain(tree):
+    """A tree of NumPy arrays, keys as their data."""
+    is_key = lambda leaf: jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)  # noqa: E731
+    return jax.tree.map(lambda leaf: np.asarray(jax.random.key_data(leaf) if is_key(leaf) else leaf), tree)
+
+
+def noises(carries) -> np.ndarray:
+    """What the readings added to the poses, `[step, lane, axis]`."""
+    return np.stack([np.asarray(carry.belief - carry.world) for carry in carries])
+
+
+@each_experiment
+def test_rows_are_valid_until_the_episode_is_done_and_not_after(name):
+    _, table, active = played(name)
+    valid, done = table["valid"], table["done"]
+    assert np.all(valid[:, 0])
+    np.testing.assert_array_equal(valid[:, 1:], valid[:, :-1] & ~done[:, :-1])
+    np.testing.assert_array_equal(np.sum(valid & done, axis=1), 1)
+    np.testing.assert_array_equal(active, valid)
+
+
+@each_experiment
+def test_rewards_add_up_to_the_return(name):
+    carries, table, _ = played(name)
+    summary = jax.vmap(EXPERIMENTS[name].summary)(carries[-1])
+    steps = table["valid"].sum(axis=1)
+    total = np.cumsum(np.where(table["valid"], table["reward"], 0.0), axis=1)
+    np.testing.assert_allclose(
+        table["accumulated_reward"][table["valid"]], total[table["valid"]], rtol=1e-13, atol=1e-12
+    )
+    last = table["accumulated_reward"][np.arange(NUM_LANES), steps - 1]
+    np.testing.assert_array_equal(summary["return"], last)
+    np.testing.assert_array_equal(summary["steps"], steps)
+    counted = np.where(table["valid"], table["step"], 0)
+    expected = np.arange(1, table["step"].shape[1] + 1)
+    np.testing.assert_array_equal(counted, np.where(table["valid"], expected[None], 0))
+
+
+def test_success_and_exits_are_those_of_the_steps():
+    for name, succeeded, left in [("parking", 1000.0, -1000.0), ("parking-on", 1000.0, -1000.0)]:
+        carries, table, _ = played(name)
+        summary = jax.vmap(EXPERIMENTS[name].summary)(carries[-1])
+        rewards = np.where(table["valid"], table["reward"], 0.0)
+        np.testing.assert_array_equal(summary["success"], np.any(rewards == succeeded, axis=1))
+        np.testing.assert_array_equal(summary["exits"], np.sum(rewards == left, axis=1))
+        assert np.sum(summary["exits"]) > 0
+    assert np.any(summary["exits"] > 1)  # where leaving does not end the episode
+
+
+def test_an_episode_ends_with_its_task_or_after_its_last_step():
+    carries, table, _ = played("disc-straight")
+    success, steps = np.asarray(carries[-1].success), np.asarray(carries[-1].step)
+    # From two metres away and heading for the centre: in the disc of 0.3 m with the second path.
+    np.testing.assert_array_equal(steps, 2)
+    assert np.all(success)
+    carries, _, _ = played("disc")
+    success, steps = np.asarray(carries[-1].success), np.asarray(carries[-1].step)
+    assert 0 < success.sum() < NUM_LANES
+    np.testing.assert_array_equal(steps[~success], EXPERIMENTS["disc"].max_advances)
+    assert np.all(np.asarray(carries[-1].is_done))
+
+
+@each_experiment
+def test_a_finished_lane_stays_as_it_is(name):
+    carries, table, active = played(name)
+    for step, (before, after) in enumerate(zip(carries[:-1], carries[1:], strict=True)):
+        finished = np.asarray(before.is_done)
+        for one, other in zip(jax.tree.leaves(plain(before)), jax.tree.leaves(plain(after)), strict=True):
+            np.testing.assert_array_equal(one[finished], other[finished])
+        assert not np.any(table["valid"][finished, step])
+        assert np.all(active[finished, step] == 0)
+    assert np.all(np.asarray(carries[-2].is_done))
+
+
+@pytest.mark.parametrize("name", ["parking", "disc-straight"])
+def test_a_batch_of_episodes_is_a_loop(name):
+    experiment, keys = EXPERIMENTS[name], lanes_of()
+    _, table, _ = played(name)
+    for lane in (0, 17):
+        _, alone, _ = play(experiment, keys[lane][None])
+        for column, values in alone.items():
+            rows = alone["valid"][0]
+            np.testing.assert_array_equal(rows, table["valid"][lane])
+            np.testing.assert_allclose(values[0, rows], table[column][lane, rows], rtol=1e-10, atol=1e-10)
+
+
+def test_every_planner_meets_the_same_start_and_the_same_noise():
+    (one, one_table, _), (other, other_table, _) = played("disc"), played("disc-straight")
+    np.testing.assert_array_equal(one[0].world, other[0].world)
+    np.testing.assert_array_equal(one[0].belief, other[0].belief)
+    both = (one_table["valid"] & other_table["valid"]).T
+    assert np.all(both[0]) and np.mean(both[1]) > 0.5
+    np.testing.assert_allclose(noises(one)[1:][both], noises(other)[1:][both], atol=1e-12)
+    assert np.mean(np.any(np.asarray(one[1].world != other[1].world), axis=1)) > 0.9
+
+
+def test_what_the_planner_draws_does_not_depend_on_the_noise_of_the_world():
+    quiet, noisy = (
+        PlanningEpisode(parking(position_noise=noise, heading_noise=noise), RandomPlanner(kernel()))
+        for noise in (0.0, 0.5)
+    )
+    one, other = (play(experiment, lanes_of())[0][-1].paths for experiment in (quiet, noisy))
+    np.testing.assert_allclose(one, other, atol=1e-9)
+    assert np.any(np.isfinite(one))
+
+
+def test_no_two_draws_share_a_key():
+    carries, table, _ = played("parking-on")
+    # Fresh noise with each reading of a lane, and in each lane.
+    drawn = noises(carries)[:-1][table["valid"].T]
+    assert len(np.unique(np.round(drawn, 12), axis=0)) == len(drawn)
+    # The tests run with key-reuse checking: a key that is used twice raises. It must be switched on here.
+    key = jax.random.key(0)
+    jax.random.normal(key)
+    with pytest.raises(jax.errors.KeyReuseError):
+        jax.random.normal(key)
+
+
+@each_experiment
+def test_carries_are_strongly_typed_and_keep_their_types(name):
+    experiment = EXPERIMENTS[name]
+    before = jax.eval_shape(experiment.init, jax.random.key(0))
+    after, records = jax.eval_shape(experiment.advance, before)
+    summary = jax.eval_shape(experiment.summary, after)
+    assert not any(leaf.weak_type for leaf in jax.tree.leaves((before, after, records, summary)))
+    described = [jax.tree.map(lambda leaf: (leaf.shape, leaf.dtype), tree) for tree in (before, after)]
+    assert eqx.tree_equal(*described)
+
+
+@each_experiment
+def test_columns_are_those_that_the_tables_announce(name):
+    experiment = EXPERIMENTS[name]
+    carry, records = jax.eval_shape(lambda key: experiment.advance(experiment.init(key)), jax.random.key(0))
+    rows, summary = records.tables["steps"], jax.eval_shape(experiment.summary, carry)
+    announced = experiment.tables
+    assert set(records.tables) == set(announced) - {"runs"}
+    assert set(rows) == {*column_names(announced["steps"]), "valid"}
+    assert set(summary) == set(column_names(announced["runs"]))
+    for column in announced["steps"]:
+        assert rows[column.name].shape == (1,) and rows[column.name].dtype == column.dtype
+    for column in announced["runs"]:
+        assert summary[column.name].shape == () and summary[column.name].dtype == column.dtype
+
+
+def test_a_whole_episode_and_other_numbers_compile_nothing_more():
+    num_traces = 0
+
+    @jax.jit
+    def counted(experiment, carry):
+        nonlocal num_traces
+        num_traces += 1
+        return experiment.advance(carry)
+
+    for noise in (0.0, 0.1):
+        experiment = PlanningEpisode(goal_disc(noise), RandomPlanner(cubic(length=0.5 + noise)))
+        carry = jax.jit(lambda experiment, key: experiment.init(key))(experiment, jax.random.key(1))
+        for _ in range(experiment.max_advances + 1):
+            carry, _ = counted(experiment, carry)
+    assert num_traces == 1
+
+
+@each_experiment
+def test_the_paths_driven_are_kept(name):
+    carries, table, _ = played(name)
+    [kept] = jax.vmap(EXPERIMENTS[name].snapshot)(carries[-1]).values()
+    paths, steps = np.asarray(kept["paths"]), np.asarray(carries[-1].step)
+    np.testing.assert_array_equal(kept["start"], carries[0].world)
+    happened = np.arange(paths.shape[1])[None] < steps[:, None]
+    assert np.all(np.isfinite(paths[happened])) and np.all(np.isnan(paths[~happened]))
+    ends = np.stack([table["x"], table["y"]], axis=-1)[:, : paths.shape[1]]
+    np.testing.assert_array_equal(paths[happened][:, -1, :2], ends[happened])
+    # Each path begins within one sample of where the path before it ended.
+    before = np.concatenate([np.asarray(kept["start"])[:, None, :2], paths[:, :-1, -1, :2]], axis=1)
+    gaps = np.linalg.norm(paths[:, :, 0, :2] - before, axis=-1)[happened]
+    np.testing.assert_allclose(gaps, 1.0 / 8.0, atol=0.01)
+
+
+def test_without_noise_the_reward_is_the_planned_one():
+    problem = parking(position_noise=0.0, heading_noise=0.0)
+    _, table, _ = play(PlanningEpisode(problem, RandomPlanner(kernel())), lanes_of())
+    valid = table["valid"]
+    np.testing.assert_allclose(table["planned_reward"][valid], table["reward"][valid], atol=1e-9)
+    _, noisy, _ = played("parking")
+    assert np.mean(noisy["planned_reward"][noisy["valid"]] == noisy["reward"][noisy["valid"]]) < 0.5
+
+
+def test_the_recorded_pose_is_where_the_placed_path_ends():
+    carries, table, _ = played("disc-straight")
+    x, y, heading = np.asarray(carries[0].world).T
+    np.testing.assert_allclose(table["x"][:, 0], x + np.cos(heading), atol=1e-12)
+    np.testing.assert_allclose(table["y"][:, 0], y + np.sin(heading), atol=1e-12)
+    np.testing.assert_allclose(table["heading"][:, 0], np.mod(heading, 2.0 * np.pi), atol=1e-12)
