@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from bojax.report.figures import accumulated_reward, paths, returns, success, trajectories
+from bojax.report.figures import accumulated_reward, paths, returns, settings, success, trajectories
 from bojax.report.figures.base import Draw
 
 FIGURES: Mapping[str, Draw] = {
@@ -11,5 +11,6 @@ FIGURES: Mapping[str, Draw] = {
     "returns": returns.draw,
     "paths": paths.draw,
     "trajectories": trajectories.draw,
+    "settings": settings.draw,
 }
 """By the name that a sweep's `report.figures` uses, which is also the name of the file."""

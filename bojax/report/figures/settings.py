@@ -1,0 +1,99 @@
+"""How each swept setting matters: the best and the mean over all other settings, for each of its values."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from bojax.report import style
+from bojax.report.figures.base import Drawing, Undrawable, panel_grid
+from bojax.report.source import Point, Results
+from bojax.report.text import number
+
+MAX_PANELS = 8
+
+
+def draw(results: Results) -> Drawing:
+    """One panel for each swept list of values; a pair of curves for each label."""
+    if "return" not in results.runs:
+        raise Undrawable("runs.parquet has no return")
+    points = [point for point in results.points if results.runs_of(point)["run"].size]
+    keys = [key for key in _keys(points) if len(values_of(points, key)) > 1][:MAX_PANELS]
+    if not keys:
+        raise Undrawable("the sweep has no list of values")
+    names = _curve_names(points, keys)
+    curves = list(dict.fromkeys(names))
+    means = np.array([np.mean(results.runs_of(point)["return"]) for point in points])
+    rows, columns = panel_grid(len(keys))
+    figure, grid = style.figure(0.8 + 2.0 * rows, rows, columns, sharey=True)
+    labels = [point.label for point in points]
+    for axes, key in zip(grid.flat, keys, strict=False):
+        values = values_of(points, key)
+        places = np.arange(len(values))
+        for curve in curves:
+            best, mean = marginals(points, means, key, values, [name == curve for name in names])
+            first = points[names.index(curve)]
+            ink = style.colour(first.label, labels)
+            variants = [name for name in curves if points[names.index(name)].label == first.label]
+            line = style.LINES[variants.index(curve) % len(style.LINES)]
+            axes.plot(places, best, color=ink, linestyle=line, marker="o", markersize=3.5, label=curve)
+            axes.plot(places, mean, color=ink, linestyle=line, alpha=0.35)
+        axes.set_xticks(places, [_short(value) for value in values], fontsize=8 if len(values) > 6 else 9.5)
+        axes.set_title(style.wrapped(key.removeprefix("planner."), 26))
+        style.quiet_grid(axes)
+    for axes in list(grid.flat)[len(keys) :]:
+        axes.set_axis_off()
+    for row in grid:
+        row[0].set_ylabel("mean return")
+    if len(curves) > 1:
+        handles, texts = grid.flat[0].get_legend_handles_labels()
+        figure.legend(handles, texts, loc="outside lower center", ncols=min(3, len(curves)))
+    winner = points[int(np.nanargmax(means))]
+    return Drawing(
+        figure=figure,
+        title="How the settings matter",
+        caption="Mean return for each value of a swept setting: the best over all other settings (dots) and "
+        f"the mean over them (faint). The best of {len(points)} settings, chosen after the fact: "
+        f"{winner.name}, {number(float(np.nanmax(means)))}.",
+        alt=f"Line charts of the mean return over {', '.join(keys)}; the best point is {winner.name}.",
+    )
+
+
+def values_of(points: Sequence[Point], key: str) -> list[Any]:
+    """The values of a swept key, in the order of the sweep."""
+    return list(dict.fromkeys(point.swept[key] for point in points if key in point.swept))
+
+
+def marginals(
+    points: Sequence[Point], means: np.ndarray, key: str, values: Sequence[Any], is_drawn: Sequence[bool]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Best and mean, over the points drawn, of the mean returns at each value of a key."""
+    chosen = [
+        means[[d and point.swept.get(key) == value for point, d in zip(points, is_drawn, strict=True)]]
+        for value in values
+    ]
+    empty = np.array([np.nan])
+    return (
+        np.array([np.max(c if c.size else empty) for c in chosen]),
+        np.array([np.mean(c if c.size else empty) for c in chosen]),
+    )
+
+
+def _keys(points: Sequence[Point]) -> list[str]:
+    return list(dict.fromkeys(key for point in points for key in point.swept))
+
+
+def _curve_names(points: Sequence[Point], keys: list[str]) -> list[str]:
+    """Name of the curve of each point; drops from `keys` the named axes, which the curves stand for."""
+    named = [key for key in keys if all(point.swept.get(key) in point.variant.split("/") for point in points)]
+    for key in named:
+        keys.remove(key)
+    if not keys:
+        raise Undrawable("the sweep has no list of values")
+    return ["/".join(str(point.swept[key]) for key in named) or point.label for point in points]
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return str(value).lower()
+    return f"{value / 1000:g}k" if abs(value) >= 1000 else f"{value:g}"

@@ -1,0 +1,46 @@
+"""The figure of swept settings: best and mean over all others at each value."""
+
+import numpy as np
+import pytest
+
+from bojax.report.figures.base import Undrawable
+from bojax.report.figures.settings import _curve_names, _short, marginals, values_of
+from bojax.report.source import Point
+
+
+def grid():
+    points = []
+    for variant in ("a", "b"):
+        for kappa in (1.0, 10.0):
+            for depth in (2, 3):
+                swept = {"planner": variant, "planner.kappa": kappa, "planner.depth": depth}
+                points.append(Point(len(points), "sbo", variant, variant, swept, {}))
+    return points
+
+
+def test_marginals_are_the_best_and_the_mean_over_all_other_settings():
+    points = grid()
+    means = np.arange(8.0)  # a: kappa 1 -> 0, 1; kappa 10 -> 2, 3; b: 4..7
+    is_b = [point.variant == "b" for point in points]
+    best, mean = marginals(points, means, "planner.kappa", [1.0, 10.0], is_b)
+    np.testing.assert_array_equal(best, [5.0, 7.0])
+    np.testing.assert_array_equal(mean, [4.5, 6.5])
+
+
+def test_named_axes_are_curves_and_lists_are_panels():
+    points = grid()
+    keys = ["planner", "planner.kappa", "planner.depth"]
+    assert _curve_names(points, keys) == [point.variant for point in points]
+    assert keys == ["planner.kappa", "planner.depth"]
+    assert values_of(points, "planner.depth") == [2, 3]
+
+
+def test_a_sweep_of_names_alone_has_no_such_figure():
+    points = [Point(0, "sbo", "a", "a", {"planner": "a"}, {})]
+    with pytest.raises(Undrawable, match="no list"):
+        _curve_names(points, ["planner"])
+
+
+@pytest.mark.parametrize(("value", "text"), [(0.35, "0.35"), (3000.0, "3k"), (17, "17"), (True, "true")])
+def test_values_are_short_enough_for_an_axis(value, text):
+    assert _short(value) == text
