@@ -1,9 +1,9 @@
-"""Strict settings for every test: promotions raise, keys are used once, shapes are checked, CPU only."""
+"""Strict settings for every test: promotions raise, keys are used once, shapes are checked."""
 
 import os
 from pathlib import Path
 
-os.environ["JAX_PLATFORMS"] = "cpu"
+os.environ.setdefault("JAX_PLATFORMS", "cpu")  # JAX_PLATFORMS=cuda tests on a GPU
 os.environ.setdefault("BOJAX_CACHE", str(Path(__file__).parents[1] / ".pytest_cache" / "jax"))
 
 import jax  # noqa: E402
