@@ -33,7 +33,8 @@ def test_every_sweep_expands(name):
 
 def test_the_parking_sweep_is_figure_4_6():
     sweep = load_sweep("parking")
-    assert [point.label for point in sweep.points] == ["kcbts", "sbo", "gps-abt", "random"]
+    assert {point.label for point in sweep.points} == {"kcbts", "sbo", "gps-abt", "random"}
+    assert [point.variant for point in sweep.points[:4]] == ["kcbts", "sbo", "gps-abt", "random"]
     assert sweep.runs == 200
     assert sweep.points == load_sweep("fig-4.6").points
     assert {claim.test.kind for claim in sweep.claims} == {"order", "share", "trend"}
