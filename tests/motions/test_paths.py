@@ -113,14 +113,13 @@ def test_paths_grow_with_their_length(family):
     np.testing.assert_allclose(all_paths(long), expected, atol=1e-12)
 
 
-@pytest.mark.parametrize("actions", [5, 17])
-def test_a_random_action_is_any_of_the_set(actions):
-    motions = splines(actions)
-    keys = jax.random.split(jax.random.key(0), 200 * actions)
+def test_a_random_action_is_any_of_the_set():
+    motions = splines(9)
+    keys = jax.random.split(jax.random.key(0), 1800)
     drawn = np.asarray(jax.jit(jax.vmap(motions.sample))(keys))
     paths = all_paths(motions)
     which = [np.flatnonzero(np.all(paths == path, axis=(1, 2))).item() for path in drawn]
-    assert stats.chisquare(np.bincount(which, minlength=actions)).pvalue > 1e-3
+    assert stats.chisquare(np.bincount(which, minlength=9)).pvalue > 1e-3
 
 
 def test_a_random_curve_has_uniform_parameters():

@@ -43,12 +43,12 @@ def test_solves_random_systems(n):
     assert np.all(error <= 1e-15 * n * np.linalg.cond(a))
 
 
-@pytest.mark.parametrize("n", SIZES[1:])
+@pytest.mark.parametrize("n", [2, 4, 6])
 @pytest.mark.parametrize("scaled", ["rows", "columns"])
 def test_is_as_accurate_as_lapack_on_badly_scaled_systems(n, scaled):
     rng = np.random.default_rng(n)
-    a, b = rng.normal(size=(100, n, n)), rng.normal(size=(100, n, 2))
-    scale = 10.0 ** rng.uniform(-6.0, 6.0, size=(100, n))
+    a, b = rng.normal(size=(50, n, n)), rng.normal(size=(50, n, 2))
+    scale = 10.0 ** rng.uniform(-6.0, 6.0, size=(50, n))
     if scaled == "rows":
         a, b = a * scale[:, :, None], b * scale[:, :, None]
     else:
