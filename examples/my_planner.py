@@ -1,0 +1,37 @@
+"""A planner of my own: of a set of actions, the one with the best simulated reward, one step ahead."""
+
+from typing import Annotated
+
+import jax
+import jax.numpy as jnp
+import pydantic
+from jaxtyping import Array, Key
+
+from bojax.config.component import Component, Slot
+from bojax.config.motions import Splines
+from bojax.motions.base import DiscreteMotions
+from bojax.planning.base import Plan, Planner
+from bojax.problems.base import Belief, Problem
+
+
+class Greedy(Planner):
+    """One step ahead, every action tried."""
+
+    motions: DiscreteMotions
+
+    class Config(pydantic.BaseModel):
+        """What a file may set. Without one, the annotations of the constructor say it."""
+
+        motions: Annotated[Component, Slot("motions", only=("splines",))] = Splines()
+
+    def plan(self, key: Key[Array, ""], problem: Problem, belief: Belief) -> Plan:
+        """The path to drive from `belief`, in the robot's frame."""
+        paths = self.motions.paths()
+        root, node = problem.root(belief, horizon=1)
+
+        def simulate(path):
+            return problem.simulate(key, root, node, path[None], None).rewards[0]
+
+        rewards = jax.vmap(simulate)(paths)
+        best = jnp.argmax(rewards)
+        return Plan(paths[best], reward=rewards[best], value=rewards[best], visits=jnp.ones((), jnp.int32))

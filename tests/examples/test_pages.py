@@ -1,0 +1,118 @@
+"""The pages say what is true: their files exist, their commands are understood, their tables are complete."""
+
+import re
+from operator import attrgetter
+
+import pytest
+import yaml
+
+from bojax.cli import main as cli
+from bojax.config import catalog
+from bojax.config.claims import Order, Share, Trend
+from bojax.config.component import registry
+from bojax.config.describe import settings_of
+from bojax.config.experiments import Planning
+from bojax.config.places import look_up
+from bojax.config.settings import EngineConfig, Settings
+from bojax.config.sweep import Report, SweepFile, load_config, load_sweep
+from bojax.engine.build import build
+from bojax.engine.manifest import timings
+from bojax.report.figures import FIGURES
+from tests.examples.pages import PAGES, ROOT, blocks, commands, links
+
+DOCS = ROOT / "docs"
+SHOWN = [(page, content, file) for page in PAGES for _, content, file in blocks(page) if file]
+COMMANDS = [(page.name, words) for page in PAGES for words in commands(page) if words[0] == "bojax"]
+
+
+def names_in(page) -> set[str]:
+    """Everything that stands in backticks in the text of a page."""
+    text = re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+    return set(re.findall(r"`([^`\n]+)`", text))
+
+
+@pytest.mark.parametrize(("page", "content", "file"), SHOWN, ids=[file for _, _, file in SHOWN])
+def test_a_block_is_the_file_that_it_shows(page, content, file):
+    assert content == (ROOT / file).read_text()
+
+
+def test_every_example_is_shown():
+    shown = {ROOT / file for _, _, file in SHOWN}
+    assert shown == {path for path in (ROOT / "examples").iterdir() if path.is_file()}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page):
+    assert [target for target in links(page) if not (page.parent / target).exists()] == []
+
+
+@pytest.mark.parametrize(("page", "words"), COMMANDS, ids=[" ".join(words) for _, words in COMMANDS])
+def test_a_command_is_understood(page, words, monkeypatch, capsys):
+    """Up to the point where a sweep would be run."""
+    asked = []
+    monkeypatch.setattr("bojax.cli.running._run", lambda sweeps, *_: asked.extend(sweeps) or 0)
+    monkeypatch.setattr("bojax.cli.reporting.main", lambda *_: 0)
+    monkeypatch.setattr("bojax.cli.doctor.main", lambda *_: 0)
+    monkeypatch.chdir(ROOT / "examples" if any("my_" in word for word in words) else ROOT)
+    assert cli.main(words[1:]) == 0, capsys.readouterr().err
+    assert asked or words[1] not in ("run", "sweep")
+
+
+def test_make_targets_exist():
+    targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    used = {words[1] for page in PAGES for words in commands(page) if words[0] == "make"}
+    assert {"run", "test"} <= used <= targets
+
+
+def test_the_configuration_page_names_every_key():
+    schemas = (Settings, EngineConfig, SweepFile, Report, Order, Share, Trend)
+    keys = {setting.name for schema in schemas for setting in settings_of(schema)}
+    kinds = {kind for role in catalog.ROLES for kind in registry.get(role, {})}
+    tests = {test.model_fields["kind"].default for test in (Order, Share, Trend)}
+    known = {"by", "label"}  # said in a sentence: `by: variant`
+    assert keys - known | kinds - {"toy"} | tests | set(FIGURES) <= names_in(DOCS / "configuration.md")
+
+
+def test_the_configuration_page_shows_files_that_load(tmp_path):
+    experiment, axes, claims = (
+        yaml.safe_load(c) for k, c, _ in blocks(DOCS / "configuration.md") if k == "yaml"
+    )
+    path = tmp_path / "shown.yaml"
+    path.write_text(yaml.safe_dump(experiment))
+    assert load_config(str(path)).points[0].config.planner.motions.turn_angle == 1.0
+    path.write_text(yaml.safe_dump({"base": "parking"} | axes | claims))
+    sweep = load_sweep(str(path))
+    assert [point.variant for point in sweep.points[::2]] == ["kcbts", "patient", "sbo-17"]
+
+
+def test_the_results_page_names_every_column():
+    tables = build(load_config("parking").points[0].config).tables
+    columns = {column.name for table in tables.values() for column in table}
+    assert columns | set(timings([]).column_names) <= names_in(DOCS / "results.md")
+
+
+def test_settings_named_beside_symbols_exist():
+    found = [
+        name for name in names_in(DOCS / "notation.md") if re.fullmatch(r"(planner|problem)(\.\w+)+", name)
+    ]
+    assert len(found) > 10
+    assert [path for path in found if look_up({"kind": "planning"}, path.split(".")) is None] == []
+
+
+def test_the_notes_on_the_thesis_tell_the_defaults():
+    text = (DOCS / "thesis-notes.md").read_text()
+    rows = re.findall(r"^\| [^|]+ \| (`(?:planner|problem)\.[^|]+) \| ([^|]+) \|$", text, re.MULTILINE)
+    assert len(rows) > 15
+    for settings, told in rows:
+        path = ""
+        for name in re.findall(r"`([^`]+)`", settings):
+            path = path.rpartition(".")[0] + name if name.startswith(".") else name
+            default = attrgetter(path)(Planning())
+            words = {True: "yes", False: "no"}.get(default) if isinstance(default, bool) else None
+            words = (
+                words
+                or getattr(default, "kind", None)
+                or (default if isinstance(default, str) else f"{default:g}")
+            )
+            expected = {"0": r"\b(0|no)\b", "1e-05": "1e-5"}.get(words, rf"\b{re.escape(words)}\b")
+            assert re.search(expected, told), f"{path} is {default}, but the page says: {told}"
