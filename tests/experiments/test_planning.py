@@ -13,7 +13,7 @@ from bojax.planning.base import Plan, Planner
 from bojax.planning.random import RandomPlanner
 from bojax.results.schema import column_names
 from tests.motions.families import cubic, kernel, splines
-from tests.problems.goal_disc import goal_disc
+from tests.problems.goal_disc import GoalDisc, goal_disc
 from tests.problems.parking_reference import Settings
 from tests.problems.test_parking import parking
 
@@ -176,12 +176,51 @@ def test_what_the_planner_draws_does_not_depend_on_the_noise_of_the_world():
     assert np.any(np.isfinite(one))
 
 
+class Logged(GoalDisc):
+    """A problem that notes the keys it is given."""
+
+    keys: list = eqx.field(static=True)
+
+    def reset(self, key):
+        self.keys.append(jax.random.key_data(key))
+        return super().reset(key)
+
+    def prior(self, key, world):
+        self.keys.append(jax.random.key_data(key))
+        return super().prior(key, world)
+
+    def execute(self, key, world, path):
+        self.keys.append(jax.random.key_data(key))
+        return super().execute(key, world, path)
+
+
+class LoggedPlanner(Straight):
+    """A planner that notes the keys it is given."""
+
+    keys: list = eqx.field(static=True)
+
+    def plan(self, key, problem, belief) -> Plan:
+        self.keys.append(jax.random.key_data(key))
+        return super().plan(key, problem, belief)
+
+
 def test_no_two_draws_share_a_key():
-    carries, table, _ = played("parking-on")
-    # Fresh noise with each reading of a lane, and in each lane.
-    drawn = noises(carries)[:-1][table["valid"].T]
-    assert len(np.unique(np.round(drawn, 12), axis=0)) == len(drawn)
-    # The tests run with key-reuse checking: a key that is used twice raises. It must be switched on here.
+    @jax.jit
+    def keys_of(disc, motions, key):
+        keys = []
+        problem = Logged(disc.radius, disc.position_noise, disc.heading_noise, disc.max_steps, keys)
+        experiment = PlanningEpisode(problem, LoggedPlanner(motions, keys))
+        carry = experiment.init(key)
+        for _ in range(3):
+            carry, _ = experiment.advance(carry)
+        return jnp.stack(keys)
+
+    keys = keys_of(goal_disc(), splines(5), jax.random.key(0))
+    assert len(np.unique(keys, axis=0)) == len(keys) == 2 + 2 * 3
+
+
+def test_key_reuse_is_checked_here():
+    # What makes all tests of this folder tests of how keys are used: a key used twice raises.
     key = jax.random.key(0)
     jax.random.normal(key)
     with pytest.raises(jax.errors.KeyReuseError):
