@@ -34,7 +34,9 @@ class CubicCurves(Component, frozen=True):
     kind: Literal["cubic"] = "cubic"
     length: float = Field(default=1.0, gt=0, description="arc length, m")
     bearing: float = Field(default=0.8, gt=0, description="largest bearing of the end, rad")
-    heading: float = Field(default=1.5, gt=0, description="largest change of heading, rad")
+    heading: float = Field(
+        default=1.5, gt=0, description="largest deviation of the end's heading from a circular arc's, rad"
+    )
     num_samples: int = Field(default=10, ge=2, description="poses along a trajectory")
 
 

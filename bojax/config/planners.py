@@ -38,7 +38,7 @@ class _ContinuousBeliefTreeSearch(_TreeSearch, frozen=True):
     )
     num_initial: int = Field(default=2, ge=1, description="first actions of a node that are random")
     noise_variance: float = Field(
-        default=0.01, gt=0, description="noise variance of a node's GP, standardised targets"
+        default=0.01, gt=0, description="noise variance of a node's GP, on its rewards as scaled"
     )
     num_candidates: int = Field(
         default=128, ge=1, description="quasi-random candidates of an acquisition search"
@@ -103,7 +103,7 @@ class GpsAbt(_TreeSearch, frozen=True):
 
 
 class Random(_Planner, frozen=True):
-    """Trajectories drawn at random from a discrete set."""
+    """Trajectories drawn at random."""
 
     target: ClassVar[str] = "bojax.planning.random:RandomPlanner"
 
