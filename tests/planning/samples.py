@@ -1,0 +1,171 @@
+"""Small planners and problems with every setting spelled out, and a search compiled once per structure."""
+
+from collections import Counter
+from functools import partial
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from bojax.acquisition.functions import (
+    LogExpectedImprovement,
+    ProbabilityOfImprovement,
+    UpperConfidenceBound,
+)
+from bojax.models.kernels import RBF
+from bojax.motions.kernel_trajectories import KernelTrajectories
+from bojax.motions.splines import SplineSet
+from bojax.planning.cbts import ContinuousBeliefTreeSearch
+from bojax.planning.discrete import DiscreteTreeSearch
+from bojax.planning.gps_abt import PatternSearch
+from bojax.planning.random import RandomPlanner
+from bojax.problems.parking import Parking
+
+
+def f64(value):
+    return jnp.asarray(value, jnp.float64)
+
+
+ACQUISITIONS = {
+    "ucb": UpperConfidenceBound(f64(3.0)),
+    "log-ei": LogExpectedImprovement(f64(0.01)),
+    "pi": ProbabilityOfImprovement(f64(0.01)),
+}
+
+
+def kernel_trajectories(num_segments=3):
+    return KernelTrajectories(
+        length=f64(1.0),
+        first_angle=f64(0.3),
+        turn_angle=f64(1.0),
+        space_lengthscale=f64(0.5),
+        time_lengthscale=f64(0.7),
+        epsilon=f64(0.1),
+        delta=f64(1e-5),
+        num_segments=num_segments,
+        start="pose",
+        num_samples=6,
+    )
+
+
+def parking(bearing="world", exit_terminates=True, park_along_path=True, success_needs_bearing=False):
+    return Parking(
+        half_width=f64(4.0),
+        distance_tolerance=f64(0.25),
+        heading_tolerance=f64(np.pi / 10.0),
+        bearing_tolerance=f64(np.pi / 10.0),
+        success_reward=f64(1000.0),
+        exit_reward=f64(-1000.0),
+        position_noise=f64(0.02),
+        heading_noise=f64(0.02),
+        max_steps=15,
+        bearing=bearing,
+        success_needs_bearing=success_needs_bearing,
+        exit_terminates=exit_terminates,
+        park_along_path=park_along_path,
+    )
+
+
+def kcbts(
+    acquisition="ucb",
+    depth=3,
+    iterations=60,
+    scaling="standardise",
+    discount=1.0,
+    exploration=10.0,
+    convergence=0.0,
+    max_actions=6,
+    num_initial=2,
+    refine_steps=0,
+    motions=None,
+):
+    return ContinuousBeliefTreeSearch(
+        motions=motions or kernel_trajectories(),
+        kernel=RBF(f64(0.7)),
+        acquisition=ACQUISITIONS[acquisition],
+        noise_variance=f64(0.01),
+        exploration=f64(exploration),
+        convergence=f64(convergence),
+        discount=f64(discount),
+        iterations=iterations,
+        depth=depth,
+        max_actions=max_actions,
+        num_candidates=32,
+        num_initial=num_initial,
+        refine_steps=refine_steps,
+        scaling=scaling,
+    )
+
+
+def sbo(actions=5, iterations=60, depth=3, discount=1.0, exploration=10.0):
+    return DiscreteTreeSearch(
+        motions=SplineSet(f64(1.0), actions, 6),
+        exploration=f64(exploration),
+        discount=f64(discount),
+        iterations=iterations,
+        depth=depth,
+    )
+
+
+def gps_abt(iterations=60, depth=3, discount=1.0, exploration=10.0, heuristic="rollout"):
+    return PatternSearch(
+        motions=kernel_trajectories(num_segments=2),
+        exploration=f64(exploration),
+        growth=f64(2.0),
+        min_visits=f64(1.0),
+        min_radius=f64(0.1),
+        initial_radius=f64(1.0 / 3.0),
+        discount=f64(discount),
+        iterations=iterations,
+        depth=depth,
+        max_levels=4,
+        num_rollout_paths=16,
+        heuristic=heuristic,
+    )
+
+
+def random_planner():
+    return RandomPlanner(motions=SplineSet(f64(1.0), 5, 6))
+
+
+TREE_PLANNERS = {"kcbts": kcbts, "sbo": sbo, "gps-abt": gps_abt}
+PLANNERS = {**TREE_PLANNERS, "random": random_planner}
+
+POSES = {
+    "far": (2.5, -1.5, 2.0),
+    "before the lot": (-0.7, 0.05, 0.0),
+    "at the border": (3.8, 3.0, 1.2),
+    "in the corner": (3.9, -3.9, 5.5),
+    "beside the lot": (0.3, 1.2, 4.6),
+}
+
+
+TRACES: Counter[str] = Counter()
+"""How often each program below was traced, and so compiled."""
+
+# These programs run for milliseconds: what costs time is to compile them.
+_jit = partial(eqx.filter_jit, compiler_options={"xla_backend_optimization_level": 0})
+
+
+@_jit
+def search(planner, key, problem, belief):
+    """The tree, what the planner remembers, and the child it recommends."""
+    TRACES["search"] += 1
+    tree, memory = planner.search(key, problem, belief)
+    return tree, memory, planner.recommend(tree, memory)
+
+
+@_jit
+def plan(planner, key, problem, belief):
+    """One plan."""
+    TRACES["plan"] += 1
+    return planner.plan(key, problem, belief)
+
+
+@_jit
+def plans(planners, keys, problem, beliefs):
+    """A batch of plans; every array of `planners` has a leading axis of lanes too."""
+    TRACES["plans"] += 1
+    return eqx.filter_vmap(lambda planner, key, belief: planner.plan(key, problem, belief))(
+        planners, keys, beliefs
+    )

@@ -1,0 +1,102 @@
+"""What every planner must do, whatever it is."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bojax.planning.base import Plan
+from tests.planning.samples import PLANNERS, POSES, TRACES, TREE_PLANNERS, f64, parking, plan, plans
+
+LANES = 3
+
+
+@pytest.fixture(params=PLANNERS)
+def planner(request):
+    return PLANNERS[request.param]()
+
+
+@pytest.fixture
+def problem():
+    return parking()
+
+
+@pytest.fixture
+def beliefs():
+    return f64([POSES["far"], POSES["before the lot"], POSES["at the border"]])
+
+
+def keys():
+    """Keys of the lanes, new objects each time: a key is used once."""
+    return jax.random.split(jax.random.key(5), LANES)
+
+
+def key(lane):
+    return keys()[lane]
+
+
+def test_a_plan_is_a_path_and_what_is_expected_of_it(planner, problem, beliefs):
+    result = plan(planner, key(0), problem, beliefs[0])
+    assert isinstance(result, Plan)
+    assert result.path.shape == (planner.motions.num_samples, 3)
+    assert jnp.all(jnp.isfinite(result.path))
+    assert {leaf.dtype for leaf in (result.path, result.reward, result.value)} == {jnp.dtype(jnp.float64)}
+    assert jnp.issubdtype(result.visits.dtype, jnp.integer) and result.visits >= 1
+    # Paths start at the robot and are one metre long.
+    assert jnp.linalg.norm(result.path[0, :2]) < 0.3
+    assert jnp.linalg.norm(result.path[-1, :2]) <= 1.0 + 1e-9
+
+
+def test_the_expected_reward_is_that_of_the_path(planner, problem, beliefs):
+    result = plan(planner, key(1), problem, beliefs[1])
+    root, node = problem.root(beliefs[1], 1)
+    simulation = problem.simulate(key(2), root, node, result.path[None], None)
+    np.testing.assert_allclose(result.reward, simulation.rewards[0], rtol=1e-9)
+
+
+def test_the_same_key_gives_the_same_plan(planner, problem, beliefs):
+    first, second = (plan(planner, key(0), problem, beliefs[0]) for _ in range(2))
+    assert all(
+        jnp.array_equal(a, b) for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True)
+    )
+
+
+def test_keys_matter(planner, problem, beliefs):
+    first, second = (plan(planner, key(i), problem, beliefs[0]) for i in range(2))
+    assert not jnp.array_equal(first.path, second.path) or first.value != second.value
+
+
+def test_a_batch_is_a_loop_and_its_lanes_differ(planner, problem, beliefs):
+    # Keys, beliefs and every hyper-parameter are a batch axis; those of the lanes differ by up to a fifth.
+    planners = [
+        jax.tree.map(lambda leaf, lane=lane: leaf * (1.0 - 0.1 * lane), planner) for lane in range(LANES)
+    ]
+    batch = jax.tree.map(lambda *leaves: jnp.stack(leaves), *planners)
+    lanes = plans(batch, keys(), problem, beliefs)
+    for lane in range(LANES):
+        alone = plan(planners[lane], key(lane), problem, beliefs[lane])
+        np.testing.assert_allclose(lanes.path[lane], alone.path, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(lanes.value[lane], alone.value, rtol=1e-9)
+        assert lanes.visits[lane] == alone.visits
+    assert len({float(value) for value in lanes.value}) == LANES
+
+
+def test_new_keys_beliefs_and_hyperparameters_compile_nothing(planner, problem, beliefs):
+    plan(planner, key(0), problem, beliefs[0])
+    before = TRACES["plan"]
+    changed = jax.tree.map(lambda leaf: 0.9 * leaf, planner)
+    harder = eqx.tree_at(lambda p: p.distance_tolerance, problem, f64(0.05))
+    first = plan(changed, key(1), problem, beliefs[1])
+    second = plan(planner, key(2), harder, beliefs[2])
+    assert TRACES["plan"] == before
+    assert not jnp.array_equal(first.path, second.path)
+
+
+def test_hyperparameters_matter(problem, beliefs):
+    # A weight of exploration captured as a constant would give the same plan twice.
+    for make in TREE_PLANNERS.values():
+        few, many = (
+            plan(make(exploration=weight), key(0), problem, beliefs[0]) for weight in (0.0, 10_000.0)
+        )
+        assert few.visits > many.visits
