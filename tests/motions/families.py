@@ -8,6 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from bojax.config import motions as settings
+from bojax.config.component import Component
 from bojax.motions.base import DiscreteMotions, Motions
 from bojax.motions.kernel_trajectories import KernelTrajectories
 from bojax.motions.splines import CubicCurves, SplineSet
@@ -45,12 +47,17 @@ def kernel(start="pose", num_segments: int = 3, **changes: float) -> KernelTraje
     )
 
 
+def defaults(component: Component) -> dict[str, float]:
+    """The numbers that the settings of a family propose."""
+    return {name: value for name, value in component.model_dump().items() if isinstance(value, float)}
+
+
 FAMILIES: dict[str, Motions] = {
     "splines-5": splines(5),
     "splines-17": splines(17, length=1.7),
     "cubic": cubic(),
     "kernel": kernel(),
-    "kernel-wide": kernel(first_angle=0.25 * np.pi, turn_angle=0.4 * np.pi),
+    "kernel-default": kernel(**defaults(settings.KernelTrajectories())),
     "kernel-4-segments": kernel(num_segments=4, length=0.6, first_angle=0.3, turn_angle=0.7),
     "kernel-relaxed": kernel(start="relaxed"),
 }
