@@ -8,7 +8,9 @@ from bojax.config.files import available
 
 
 @pytest.fixture
-def listed(capsys):
+def listed(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "110")  # lines are wrapped to the terminal; pytest-xdist says 80
+
     def run(*names: str) -> str:
         assert main(["list", *names]) == 0
         return capsys.readouterr().out
