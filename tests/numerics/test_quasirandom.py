@@ -25,7 +25,7 @@ def test_the_ratio_is_the_root_of_its_polynomial(num_dims):
     assert ratio ** (num_dims + 1) == pytest.approx(ratio + 1.0, rel=1e-14)
 
 
-@pytest.mark.parametrize("num_dims", [1, 2, 3, 5])
+@pytest.mark.parametrize("num_dims", [1, 3])
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 def test_points_lie_in_the_box(num_dims, dtype):
     xs = points(jax.random.split(jax.random.key(0), 10), 1000, num_dims, dtype)
