@@ -6,9 +6,9 @@ import pytest
 
 from bojax.planning.cbts import ContinuousBeliefTreeSearch
 from bojax.planning.discrete import DiscreteTreeSearch
-from tests.reference.compare import assert_same_tree, nodes_of
 from tests.planning.samples import POSES, f64, gps_abt, kcbts, parking, sbo, search
 from tests.reference.bridge import reference_planner, reference_problem
+from tests.reference.compare import assert_same_tree, nodes_of
 
 VARIANTS = {
     "kcbts": kcbts(),
