@@ -3,7 +3,8 @@
 import os
 from pathlib import Path
 
-os.environ.setdefault("JAX_PLATFORMS", "cpu")  # JAX_PLATFORMS=cuda tests on a GPU
+if os.environ.setdefault("JAX_PLATFORMS", "cpu") == "cuda":
+    os.environ["JAX_PLATFORMS"] = "cuda,cpu"  # what takes several devices is tested on the CPU there too
 os.environ.setdefault("BOJAX_CACHE", str(Path(__file__).parents[1] / ".pytest_cache" / "jax"))
 
 import jax  # noqa: E402

@@ -70,7 +70,7 @@ def _standard_score(mean, std, threshold) -> Float[Array, "*N"]:
 def _log_h(z: Float[Array, "*N"]) -> Float[Array, "*N"]:
     """log(phi(z) + z Phi(z)) without cancellation.
 
-    Three ranges: directly above -1; with the Mills ratio, where 1 + z Phi/phi loses no more than three digits;
+    Three ranges: directly above -1; with the Mills ratio, where 1 + z Phi/phi loses three digits at most;
     and from -20 down (-10 in float32), where `norm.logcdf` turns into a series too short for that, with the
     asymptotic series phi(z)/z^2 (1 - 3/z^2 + 15/z^4 - 105/z^6 + 945/z^8 - ...).
     """

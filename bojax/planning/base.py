@@ -1,11 +1,12 @@
 """What a planner is: a function from a belief to the next path."""
 
 import abc
+from typing import Generic, TypeVar
 
 import equinox as eqx
 from jaxtyping import Array, Float, Int, Key
 
-from bojax.motions.base import Path
+from bojax.motions.base import Motions, Path
 from bojax.problems.base import Belief, Problem
 
 
@@ -25,8 +26,18 @@ class Plan(eqx.Module):
     visits: Int[Array, ""]
 
 
-class Planner(eqx.Module):
-    """A way to choose the next path."""
+M = TypeVar("M", bound=Motions)
+"""The family of trajectories of a planner."""
+
+
+class Planner(eqx.Module, Generic[M]):
+    """A way to choose the next path.
+
+    Attributes:
+        motions: The family that the path is of.
+    """
+
+    motions: eqx.AbstractVar[M]
 
     @abc.abstractmethod
     def plan(self, key: Key[Array, ""], problem: Problem, belief: Belief) -> Plan:

@@ -17,7 +17,6 @@ from bojax.planning.search import Proposal, TreeSearch
 from bojax.planning.tree import UNVISITED, Tree, best_by_mean, best_by_uct
 from bojax.problems.base import Objective
 
-
 Scaling = Literal["standardise", "rank", "none"]
 
 
@@ -51,7 +50,7 @@ class ActionNote(eqx.Module):
     has_converged: Bool[Array, ""]
 
 
-class ContinuousBeliefTreeSearch(TreeSearch[NodeModels]):
+class ContinuousBeliefTreeSearch(TreeSearch[NodeModels, ContinuousMotions]):
     """CBTS; with kernel trajectories, kCBTS.
 
     A node with fewer than `max_actions` actions gets a new one, the maximiser of the acquisition under the

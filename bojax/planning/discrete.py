@@ -23,7 +23,7 @@ class DiscreteMemory(eqx.Module):
     action: Int[Array, "N"]
 
 
-class DiscreteTreeSearch(TreeSearch[DiscreteMemory]):
+class DiscreteTreeSearch(TreeSearch[DiscreteMemory, DiscreteMotions]):
     """Untried actions first, in random order, then the child of the best upper confidence bound.
 
     Attributes:

@@ -87,7 +87,7 @@ class StencilNote(eqx.Module):
     member: Int[Array, "P"]
 
 
-class PatternSearch(TreeSearch[Stencils]):
+class PatternSearch(TreeSearch[Stencils, ContinuousMotions]):
     """The public ABT toolkit's pattern search, on the belief tree that all planners here share.
 
     At a node, any unvisited point of a stencil is tried first, in random order; otherwise the walk

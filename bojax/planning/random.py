@@ -9,7 +9,7 @@ from bojax.planning.base import Plan, Planner
 from bojax.problems.base import Belief, Problem
 
 
-class RandomPlanner(Planner):
+class RandomPlanner(Planner[Motions]):
     """Any path of its motions, each as likely as another.
 
     Attributes:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from bojax.motions.base import Path
-from bojax.planning.base import Plan, Planner
+from bojax.planning.base import M, Plan, Planner
 from bojax.planning.tree import ROOT, UNVISITED, Tree
 from bojax.problems.base import Belief, Objective, Problem
 
@@ -34,7 +34,7 @@ class Proposal(eqx.Module):
     note: Any = None
 
 
-class TreeSearch(Planner, Generic[Memory]):
+class TreeSearch(Planner[M], Generic[Memory, M]):
     """The search that all tree planners share; a planner says how a node chooses its actions.
 
     One iteration descends from the root while `select` names a child, expands the node where it does not

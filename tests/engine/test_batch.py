@@ -1,4 +1,4 @@
-"""A compiled group does what single lanes do, on any number of devices, compiled once."""
+"""A compiled group does what single lanes do, on any number of (CPU) devices, compiled once."""
 
 import jax
 import jax.numpy as jnp
@@ -18,7 +18,9 @@ MODULES = [toy(scale=1.0), toy(scale=2.0)]
 
 def compile_toys(num_devices=2, lanes_per_device=4, modules=MODULES) -> Compiled:
     (group,) = static_groups(modules)
-    return Compiled(group, make_mesh(jax.devices()[:num_devices]), lanes_per_device, SEED, snapshots=True)
+    return Compiled(
+        group, make_mesh(jax.devices("cpu")[:num_devices]), lanes_per_device, SEED, snapshots=True
+    )
 
 
 def place(program, positions, runs):

@@ -4,6 +4,7 @@ from collections import Counter
 from functools import partial
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -143,8 +144,10 @@ POSES = {
 TRACES: Counter[str] = Counter()
 """How often each program below was traced, and so compiled."""
 
-# These programs run for milliseconds: what costs time is to compile them.
-_jit = partial(eqx.filter_jit, compiler_options={"xla_backend_optimization_level": 0})
+# These programs run for milliseconds: what costs time is to compile them. Not so on a GPU, where XLA of JAX
+# 0.11.2 makes wrong programs of them without optimisation: plans whose path is not that of their action.
+_OPTIONS = {"xla_backend_optimization_level": 0} if jax.default_backend() == "cpu" else None
+_jit = partial(eqx.filter_jit, compiler_options=_OPTIONS)
 
 
 @_jit
