@@ -87,7 +87,7 @@ def main(argv: list[str]) -> int:
     """Check that both do the same work, then time both."""
     args = parse(argv)
     try:
-        from tests.reference.bridge import reference_planner, reference_problem
+        from tests.reference.bridge import begin, reference_planner, reference_problem
         from tests.reference.compare import assert_same_tree
     except ImportError as error:
         print(f"error: {error}: needs a clone of the repository and bojax[test]", file=sys.stderr)
@@ -98,7 +98,8 @@ def main(argv: list[str]) -> int:
 
     references = []
     for run in range(args.plans):
-        reference, start = reference_planner(planner, problem, case.key(run)), np.asarray(case.start(run))
+        reference = reference_planner(planner, problem, *begin(planner, case.key(run)))
+        start = np.asarray(case.start(run))
         tree = jax.tree.map(np.asarray, eqx.filter_jit(case.tree)(run))
         assert_same_tree(tree, reference.search(start), planner.num_actions)
         references.append((reference, start))

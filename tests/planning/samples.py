@@ -152,10 +152,18 @@ _jit = partial(eqx.filter_jit, compiler_options=_OPTIONS)
 
 @_jit
 def search(planner, key, problem, belief):
-    """The tree, what the planner remembers, and the child it recommends."""
+    """The tree, what the planner remembers, the child it recommends, and what it drew before."""
     TRACES["search"] += 1
+    key_begin, _ = jax.random.split(jax.random.clone(key))
+    begun = planner.begin(key_begin, planner.discount.dtype)
     tree, memory = planner.search(key, problem, belief)
-    return tree, memory, planner.recommend(tree, memory)
+    return tree, memory, planner.recommend(tree, memory), begun
+
+
+@_jit
+def path_of(motions, params):
+    """The path of one parameter vector."""
+    return motions.path(params)
 
 
 @_jit

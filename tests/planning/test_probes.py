@@ -8,7 +8,7 @@ from jaxtyping import Array, Float, Key
 
 from bojax.motions.base import Pose
 from bojax.problems.pose import Outcome, PoseProblem
-from tests.planning.samples import f64, gps_abt, kcbts, kernel_trajectories, plan, sbo
+from tests.planning.samples import f64, gps_abt, kcbts, kernel_trajectories, path_of, plan, sbo
 
 
 class Target(PoseProblem):
@@ -62,7 +62,7 @@ PARAMS = {"ahead": (0.0, 0.0, 0.0), "left": (0.5, 0.4, 0.3), "right": (-0.8, -0.
 @pytest.mark.parametrize("acquisition", ["ucb", "log-ei"])
 def test_kcbts_finds_the_one_peak(acquisition, params):
     # 30 actions out of a box of three dimensions; the ends of random paths miss by 0.2 on average.
-    target = kernel_trajectories().path(f64(params))[-1, :2]
+    target = path_of(kernel_trajectories(), f64(params))[-1, :2]
     problem = Target(f64(0.0), f64(0.0), target)
     planner = kcbts(acquisition, depth=1, iterations=60, max_actions=30)
     misses = [-float(plan(planner, jax.random.key(seed), problem, f64(START)).reward) for seed in range(5)]
@@ -70,7 +70,7 @@ def test_kcbts_finds_the_one_peak(acquisition, params):
 
 
 def test_refinement_comes_closer_to_the_peak():
-    target = kernel_trajectories().path(f64(PARAMS["left"]))[-1, :2]
+    target = path_of(kernel_trajectories(), f64(PARAMS["left"]))[-1, :2]
     problem = Target(f64(0.0), f64(0.0), target)
 
     def mean_miss(refine_steps):
@@ -82,7 +82,7 @@ def test_refinement_comes_closer_to_the_peak():
 
 
 def test_gps_abt_finds_the_one_peak():
-    target = kernel_trajectories(num_segments=2).path(f64((0.5, 0.4)))[-1, :2]
+    target = path_of(kernel_trajectories(num_segments=2), f64((0.5, 0.4)))[-1, :2]
     problem = Target(f64(0.0), f64(0.0), target)
     result = plan(gps_abt(depth=1, iterations=120, exploration=0.1), jax.random.key(0), problem, f64(START))
     assert float(result.reward) > -0.1

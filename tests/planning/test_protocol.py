@@ -8,6 +8,7 @@ import pytest
 
 from bojax.planning.base import Plan
 from tests.planning.samples import PLANNERS, POSES, TRACES, TREE_PLANNERS, f64, parking, plan, plans
+from tests.reference.bridge import reference_problem
 
 LANES = 3
 
@@ -50,9 +51,8 @@ def test_a_plan_is_a_path_and_what_is_expected_of_it(planner, problem, beliefs):
 
 def test_the_expected_reward_is_that_of_the_path(planner, problem, beliefs):
     result = plan(planner, key(1), problem, beliefs[1])
-    root, node = problem.root(beliefs[1], 1)
-    simulation = problem.simulate(key(2), root, node, result.path[None], None)
-    np.testing.assert_allclose(result.reward, simulation.rewards[0], rtol=1e-9)
+    _, reward, _ = reference_problem(problem).drive(np.asarray(beliefs[1]), np.asarray(result.path))
+    np.testing.assert_allclose(result.reward, reward, rtol=1e-9)
 
 
 def test_the_same_key_gives_the_same_plan(planner, problem, beliefs):

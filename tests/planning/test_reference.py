@@ -31,8 +31,8 @@ VARIANTS = {
 
 def grow(planner, problem, seed, pose):
     grown = search(planner, jax.random.key(seed), problem, f64(pose))
-    tree, memory, recommended = jax.tree.map(np.asarray, grown)
-    reference = reference_planner(planner, reference_problem(problem), jax.random.key(seed))
+    tree, memory, recommended, begun = jax.tree.map(np.asarray, grown)
+    reference = reference_planner(planner, reference_problem(problem), *begun)
     root = reference.search(np.array(pose))
     return tree, memory, recommended, reference, root
 

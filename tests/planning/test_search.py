@@ -18,7 +18,7 @@ def grown(request):
     """A planner and its tree, as NumPy arrays."""
     name, pose = request.param
     planner = TREE_PLANNERS[name]()
-    tree, _, _ = search(planner, jax.random.key(7), parking(), f64(POSES[pose]))
+    tree, *_ = search(planner, jax.random.key(7), parking(), f64(POSES[pose]))
     return planner, jax.tree.map(np.asarray, tree)
 
 
@@ -66,14 +66,14 @@ def test_returns_are_between_the_worst_and_the_best(grown):
 def test_a_converged_node_gets_no_new_actions():
     # Any two actions are closer than this: no node has more than two.
     planner = kcbts(convergence=100.0)
-    tree, _, _ = search(planner, jax.random.key(0), parking(), f64(POSES["far"]))
+    tree, *_ = search(planner, jax.random.key(0), parking(), f64(POSES["far"]))
     tree = jax.tree.map(np.asarray, tree)
     assert max(len(_children(tree, node)) for node, _ in _nodes(tree)) == 2
 
 
 def test_nothing_converges_at_a_threshold_of_zero():
     planner = kcbts(convergence=0.0)
-    tree, _, _ = search(planner, jax.random.key(0), parking(), f64(POSES["far"]))
+    tree, *_ = search(planner, jax.random.key(0), parking(), f64(POSES["far"]))
     tree = jax.tree.map(np.asarray, tree)
     assert len(_children(tree, ROOT)) == planner.max_actions
 

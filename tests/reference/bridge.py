@@ -27,18 +27,22 @@ def reference_problem(problem: Parking) -> parking.Parking:
     return parking.Parking(**{name: _plain(getattr(problem, name)) for name in names})
 
 
-def reference_planner(planner, problem, key, paths_of=None) -> mcts.TreeSearch:
-    """The reference of `planner` on the numbers that `planner.search(key, ...)` draws.
+def begin(planner, key):
+    """What `planner.search(key, ...)` draws at its start: the two things that `planner.begin` returns."""
+    key_begin, _ = jax.random.split(key)
+    return eqx.filter_jit(planner.begin)(key_begin, planner.discount.dtype)
+
+
+def reference_planner(planner, problem, memory, draws) -> mcts.TreeSearch:
+    """The reference of `planner` on the random numbers that it began with.
 
     Args:
         planner: A tree search of bojax.
         problem: The reference problem.
-        key: Key of the plan.
-        paths_of: Path of a parameter vector, if not the planner's own motions.
+        memory: Its empty memory, with the paths of the candidates.
+        draws: The random numbers of all iterations.
     """
-    key_begin, _ = jax.random.split(key)
-    begun = eqx.filter_jit(planner.begin)(key_begin, planner.discount.dtype)
-    memory, draws = jax.tree.map(np.asarray, begun)
+    memory, draws = jax.tree.map(np.asarray, (memory, draws))
     settings = {
         "problem": problem,
         "iterations": planner.iterations,
@@ -67,7 +71,7 @@ def reference_planner(planner, problem, key, paths_of=None) -> mcts.TreeSearch:
         case PatternSearch():
             if planner.heuristic == "zero":
                 settings["rollout_paths"] = memory.paths[:0][None].repeat(planner.iterations, axis=0)
-            path = paths_of or eqx.filter_jit(planner.motions.path)
+            path = eqx.filter_jit(planner.motions.path)
             return gps_abt.PatternSearch(
                 motions_path=lambda params: np.asarray(path(params)),
                 num_params=planner.motions.num_params,
