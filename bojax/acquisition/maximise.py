@@ -17,15 +17,19 @@ def best_candidate(
     posterior: GaussianProcess,
     best: Float[Array, ""],
     candidates: Float[Array, "C D"],
-) -> tuple[Int[Array, ""], Float[Array, "N C"]]:
-    """Index of the candidate of highest acquisition, the first of equal ones; and all candidates whitened.
+    whitened: Float[Array, "N C"],
+) -> Int[Array, ""]:
+    """Index of the candidate of highest acquisition, the first of equal ones.
 
-    An observation of the winner appends a row to the posterior that starts from its whitened covariances:
-    they are returned so that nobody computes them twice.
+    Args:
+        acquisition: What is maximised.
+        posterior: The belief about the function.
+        best: The highest value observed so far.
+        candidates: The points to choose from.
+        whitened: `posterior.whiten(candidates)`, which `posterior.next_whitened` keeps up to date.
     """
-    whitened = posterior.whiten(candidates)
     mean, variance = posterior.moments(candidates, whitened)
-    return jnp.argmax(acquisition(mean, jnp.sqrt(variance), best)), whitened
+    return jnp.argmax(acquisition(mean, jnp.sqrt(variance), best))
 
 
 def refine(

@@ -3,7 +3,7 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from bojax.models.kernels import Kernel
 from bojax.numerics.linalg import matmul, noise_floor
@@ -75,8 +75,26 @@ class GaussianProcess(eqx.Module):
         noise = jnp.maximum(self.noise_variance, noise_floor(x.dtype) * variance)
         pivot = jnp.sqrt(jnp.maximum(variance + noise - jnp.sum(whitened * whitened), noise))
         row = -matmul(whitened, self.inverse_cholesky)
-        is_new = jnp.arange(row.shape[0], dtype=self.count.dtype) == self.count
-        return jnp.where(is_new, 1.0, row) / pivot
+        return jnp.where(self._is_next(), 1.0, row) / pivot
+
+    def next_whitened(
+        self,
+        x: Float[Array, "D"],
+        whitened: Float[Array, "N"],
+        row: Float[Array, "N"],
+        xs: Float[Array, "M D"],
+        whitened_xs: Float[Array, "N M"],
+    ) -> Float[Array, "M"]:
+        """The row that an observation at `x` appends to `whiten(xs)`, given what it appends to the factor.
+
+        Rows never change once they are there: who asks about the same `xs` after every observation keeps
+        them, and pays for N M products where whitening anew takes N^2 M and N M covariances.
+        """
+        inverse_pivot = jnp.sum(jnp.where(self._is_next(), row, 0.0))
+        return (self.kernel.gram(x[None, :], xs)[0] - matmul(whitened, whitened_xs)) * inverse_pivot
+
+    def _is_next(self) -> Bool[Array, "N"]:
+        return jnp.arange(self.y.shape[0], dtype=self.count.dtype) == self.count
 
     def moments(
         self, xs: Float[Array, "M D"], whitened: Float[Array, "N M"]

@@ -24,14 +24,17 @@ class NodeModels(eqx.Module):
     """The Gaussian processes of all nodes, from action parameters to rewards.
 
     An observation of a node's process is an action of that node, so it is stored with the child that the
-    action leads to: the row that it appended to the inverse Cholesky factor, its parameters (its value is
-    the tree's). That takes N A numbers where a factor for every node would take N A^2.
+    action leads to: the rows that it appended to the inverse Cholesky factor and to the whitened covariances
+    of the candidates, and its parameters (its value is the tree's). That takes N (A + C) numbers, where
+    factors and covariances for every node would take N A (A + C); and a new action costs A C products,
+    where whitening the candidates anew would take A^2 C.
 
     Attributes:
         candidates: Parameters that acquisitions are maximised over, and that rollouts draw from.
         paths: Their paths.
         params: Parameters of the action that leads to each node.
         row: Row of that action in the inverse Cholesky factor of its parent's process.
+        whitened: Row of that action in the whitened covariances of the candidates.
         has_converged: Whether that action was nearly the one before it.
     """
 
@@ -39,6 +42,7 @@ class NodeModels(eqx.Module):
     paths: Float[Array, "C S 3"]
     params: Float[Array, "N D"]
     row: Float[Array, "N A"]
+    whitened: Float[Array, "N C"]
     has_converged: Bool[Array, "N"]
 
 
@@ -47,6 +51,7 @@ class ActionNote(eqx.Module):
 
     params: Float[Array, "D"]
     row: Float[Array, "A"]
+    whitened: Float[Array, "C"]
     has_converged: Bool[Array, ""]
 
 
@@ -107,6 +112,7 @@ class ContinuousBeliefTreeSearch(TreeSearch[NodeModels, ContinuousMotions]):
             paths=jax.vmap(self.motions.path)(candidates),
             params=jnp.zeros((num_nodes, self.motions.num_params), dtype),
             row=jnp.zeros((num_nodes, self.max_actions), dtype),
+            whitened=jnp.zeros((num_nodes, self.num_candidates), dtype),
             has_converged=jnp.zeros((num_nodes,), bool),
         )
         shape = (self.iterations, self.depth - 1)
@@ -133,7 +139,10 @@ class ContinuousBeliefTreeSearch(TreeSearch[NodeModels, ContinuousMotions]):
         """See `TreeSearch`."""
         model, best = self._model(tree, memory, node)
         is_initial = model.count < self.num_initial
-        choice, whitened_all = best_candidate(self.acquisition, model, best, memory.candidates)
+        children = tree.children[node]
+        exists = children != UNVISITED
+        whitened_all = jnp.where(exists[:, None], memory.whitened[children], 0.0)
+        choice = best_candidate(self.acquisition, model, best, memory.candidates, whitened_all)
         choice = jnp.where(is_initial, draws["initial"], choice)
         params, path, whitened = memory.candidates[choice], memory.paths[choice], whitened_all[:, choice]
         if self.refine_steps > 0:
@@ -142,9 +151,11 @@ class ContinuousBeliefTreeSearch(TreeSearch[NodeModels, ContinuousMotions]):
             path, whitened = self.motions.path(params), model.whiten(params[None, :])[:, 0]
         previous = model.x[jnp.maximum(model.count - 1, 0)]
         distance = jnp.sqrt(jnp.sum((params - previous) ** 2))
+        row = model.next_row(params, whitened)
         note = ActionNote(
             params=params,
-            row=model.next_row(params, whitened),
+            row=row,
+            whitened=model.next_whitened(params, whitened, row, memory.candidates, whitened_all),
             has_converged=(model.count > 0) & (distance < self.convergence),
         )
         return Proposal(path=path, slot=model.count, note=note)
@@ -160,6 +171,7 @@ class ContinuousBeliefTreeSearch(TreeSearch[NodeModels, ContinuousMotions]):
             paths=memory.paths,
             params=memory.params.at[child].set(note.params),
             row=memory.row.at[child].set(note.row),
+            whitened=memory.whitened.at[child].set(note.whitened),
             has_converged=memory.has_converged.at[child].set(note.has_converged),
         )
 

@@ -47,7 +47,9 @@ def random_points(seed: int = 0):
     return jnp.asarray(np.random.default_rng(seed).uniform(-1.0, 1.0, (200, 2)))
 
 
-best_of = jax.jit(best_candidate)
+@jax.jit
+def best_of(acquisition, gp, best, candidates):
+    return best_candidate(acquisition, gp, best, candidates, gp.whiten(candidates))
 
 
 @functools.partial(jax.jit, static_argnames="num_steps")
@@ -68,22 +70,32 @@ def test_the_best_candidate_is_found_by_looking_at_each(acquisition):
     for seed in range(3):
         gp, candidates = random_posterior(seed), random_points(seed)
         best = jnp.max(gp.y)
-        index, _ = best_of(acquisition, gp, best, candidates)
+        index = best_of(acquisition, gp, best, candidates)
         one_by_one = [float(value(acquisition, gp, best, x[None])[0]) for x in candidates]
         assert index == np.argmax(one_by_one)
 
 
 def test_of_equal_candidates_the_first_is_the_best():
-    index, _ = best_of(ACQUISITIONS[0], posterior([], []), jnp.asarray(0.0), random_points())
+    index = best_of(ACQUISITIONS[0], posterior([], []), jnp.asarray(0.0), random_points())
     assert index == 0
 
 
-def test_the_whitened_candidates_give_the_update():
+def test_the_whitened_candidates_give_the_update_and_grow_by_a_row():
     gp, candidates = random_posterior(), random_points()
-    index, whitened = best_of(ACQUISITIONS[0], gp, jnp.asarray(0.0), candidates)
-    row = jax.jit(lambda gp, x, whitened: gp.next_row(x, whitened))(gp, candidates[index], whitened[:, index])
-    updated = condition(gp, candidates[index], jnp.asarray(0.3))
+
+    @jax.jit
+    def grow(gp, index):
+        whitened = gp.whiten(candidates)
+        x, whitened_x = candidates[index], whitened[:, index]
+        row = gp.next_row(x, whitened_x)
+        return row, gp.next_whitened(x, whitened_x, row, candidates, whitened)
+
+    row, whitened_row = grow(gp, 17)
+    updated = condition(gp, candidates[17], jnp.asarray(0.3))
     np.testing.assert_allclose(updated.inverse_cholesky[6], row, atol=1e-13)
+    again = jax.jit(lambda gp: gp.whiten(candidates))(updated)
+    np.testing.assert_allclose(again[6], whitened_row, atol=1e-13)
+    np.testing.assert_allclose(again[:6], jax.jit(lambda gp: gp.whiten(candidates))(gp)[:6], atol=1e-13)
 
 
 @pytest.mark.parametrize(
