@@ -4,8 +4,9 @@ import dataclasses
 import importlib
 import inspect
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
+import jax
 import jax.numpy as jnp
 
 from bojax.config.component import Component, External
@@ -61,6 +62,7 @@ def _build(component: Component, dtype: str, path: tuple[str, ...]) -> Any:
         else:
             arguments[name] = _leaf(value, dtype)
     _check_arguments(arguments, accepted, component, path)
+    _check_shapes(arguments, accepted, component, path)
     try:
         return cls(**arguments)
     except ValueError as error:
@@ -109,6 +111,35 @@ def _check_arguments(
                 f"{_where((*path, name), component)}: the constructor of {component.target} needs it, "
                 f"but {type(component).__name__} has no such setting"
             )
+
+
+def _check_shapes(
+    arguments: Mapping[str, Any],
+    accepted: Mapping[str, inspect.Parameter],
+    component: Component,
+    path: tuple[str, ...],
+) -> None:
+    """Refuse an array whose shape is not the annotated one: indexing past its end would go unnoticed."""
+    for name, value in arguments.items():
+        expected: Any = accepted[name].annotation if name in accepted else object
+        if not isinstance(value, jax.Array):
+            continue
+        try:
+            fits = isinstance(value, expected)
+        except TypeError:  # text, or another annotation that cannot be asked
+            continue
+        if not fits:
+            shape = f"{value.size} numbers" if value.ndim == 1 else f"shape {value.shape}"
+            wanted = " or ".join(_dimensions(kind) for kind in get_args(expected) or (expected,))
+            raise ConfigError(f"{_where((*path, name), component)}: got {shape}; allowed: {wanted}")
+
+
+def _dimensions(annotation: Any) -> str:
+    """What an annotation says of a shape, in words: `Float[Array, "3"]` is 3 numbers."""
+    dimensions = getattr(annotation, "dim_str", None)
+    if dimensions is None:
+        return getattr(annotation, "__name__", str(annotation))
+    return f"{dimensions.strip()} numbers" if dimensions.strip() else "one number"
 
 
 def _where(path: tuple[str, ...], component: Component) -> str:

@@ -132,6 +132,8 @@ def test_settings_left_to_the_constructor():
             ShortSettings(),
             "scale: the constructor of tests.engine.test_build:Inner needs it, but ShortSettings has",
         ),
+        (OuterSettings(corner=(1.0, 2.0, 3.0)), "corner: got 3 numbers; allowed: 2 numbers"),
+        (OuterSettings(corner=(1.0,)), "corner: got 1 numbers; allowed: 2 numbers"),
         (External(kind="a:B", slot="kernel"), "a:B: an import path has to be resolved before it is built"),
     ],
 )
