@@ -64,6 +64,9 @@ class Matern52(Kernel):
 
 def _squared_distance(x, y, lengthscale) -> Scalar:
     scaled = (x - y) / lengthscale
+    # A sum over a short last axis is slow on a CPU: unrolled, it is elementwise arithmetic over all pairs.
+    if scaled.shape[0] <= 8:
+        return sum((scaled[i] ** 2 for i in range(1, scaled.shape[0])), start=scaled[0] ** 2)
     return jnp.sum(scaled * scaled)
 
 

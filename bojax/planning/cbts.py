@@ -34,7 +34,7 @@ class NodeModels(eqx.Module):
         paths: Their paths.
         params: Parameters of the action that leads to each node.
         row: Row of that action in the inverse Cholesky factor of its parent's process.
-        whitened: Row of that action in the whitened covariances of the candidates.
+        whitened: Row of that action in the whitened covariances of the candidates; zero in the last row.
         has_converged: Whether that action was nearly the one before it.
     """
 
@@ -42,7 +42,7 @@ class NodeModels(eqx.Module):
     paths: Float[Array, "C S 3"]
     params: Float[Array, "N D"]
     row: Float[Array, "N A"]
-    whitened: Float[Array, "N C"]
+    whitened: Float[Array, "N+1 C"]
     has_converged: Bool[Array, "N"]
 
 
@@ -112,7 +112,7 @@ class ContinuousBeliefTreeSearch(TreeSearch[NodeModels, ContinuousMotions]):
             paths=jax.vmap(self.motions.path)(candidates),
             params=jnp.zeros((num_nodes, self.motions.num_params), dtype),
             row=jnp.zeros((num_nodes, self.max_actions), dtype),
-            whitened=jnp.zeros((num_nodes, self.num_candidates), dtype),
+            whitened=jnp.zeros((num_nodes + 1, self.num_candidates), dtype),
             has_converged=jnp.zeros((num_nodes,), bool),
         )
         shape = (self.iterations, self.depth - 1)
@@ -139,9 +139,8 @@ class ContinuousBeliefTreeSearch(TreeSearch[NodeModels, ContinuousMotions]):
         """See `TreeSearch`."""
         model, best = self._model(tree, memory, node)
         is_initial = model.count < self.num_initial
-        children = tree.children[node]
-        exists = children != UNVISITED
-        whitened_all = jnp.where(exists[:, None], memory.whitened[children], 0.0)
+        # UNVISITED is -1: the last row, which no child has, stays zero.
+        whitened_all = memory.whitened[tree.children[node]]
         choice = best_candidate(self.acquisition, model, best, memory.candidates, whitened_all)
         choice = jnp.where(is_initial, draws["initial"], choice)
         params, path, whitened = memory.candidates[choice], memory.paths[choice], whitened_all[:, choice]

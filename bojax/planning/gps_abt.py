@@ -133,7 +133,7 @@ class PatternSearch(TreeSearch[Stencils, ContinuousMotions]):
 
     @property
     def num_actions(self) -> int:
-        """The tree lists a node's actions in order of their creation; the search itself uses stencils."""
+        """Actions that the tree lists for a node, the first ones; the search itself reads the stencils."""
         return self.max_levels * (2 * self.motions.num_params + 1)
 
     def begin(self, key: Key[Array, ""], dtype) -> tuple[Stencils, dict[str, Array]]:
