@@ -1,6 +1,8 @@
 """Stationary covariance functions, written for two points and batched outside."""
 
 import abc
+import functools
+import operator
 
 import equinox as eqx
 import jax
@@ -66,7 +68,8 @@ def _squared_distance(x, y, lengthscale) -> Scalar:
     scaled = (x - y) / lengthscale
     # A sum over a short last axis is slow on a CPU: unrolled, it is elementwise arithmetic over all pairs.
     if scaled.shape[0] <= 8:
-        return sum((scaled[i] ** 2 for i in range(1, scaled.shape[0])), start=scaled[0] ** 2)
+        squares = [scaled[i] ** 2 for i in range(scaled.shape[0])]
+        return functools.reduce(operator.add, squares)
     return jnp.sum(scaled * scaled)
 
 
