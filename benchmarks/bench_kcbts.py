@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from isolated import run_isolated
+from options import make_parser, positive
 
 EXAMPLES = """\
-examples:
   python benchmarks/bench_kcbts.py                 on a CPU one core; on a GPU whole episodes too
   python benchmarks/bench_kcbts.py --runs 200 1000 --episodes --json kcbts.json
 """
@@ -26,29 +26,12 @@ def main(argv: list[str]) -> int:
 
 def parse(argv: Sequence[str]) -> argparse.Namespace:
     """The arguments of the benchmark."""
-    parser = argparse.ArgumentParser(
-        prog="bench_kcbts.py",
-        description=(__doc__ or "").split("\n")[0],
-        epilog=EXAMPLES,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--device", choices=("auto", "cpu", "gpu"), default="auto", help="where bojax runs")
-    parser.add_argument("--cores", type=_positive, default=1, help="cores on a CPU (1)")
-    parser.add_argument("--runs", type=_positive, nargs="+", help="batch sizes (200; on a GPU 200 and 1000)")
-    parser.add_argument("--lanes", type=_positive, help="most runs at once on a device (CPU 64; GPU all)")
+    parser = make_parser(__file__, __doc__, EXAMPLES)
+    parser.add_argument("--runs", type=positive, nargs="+", help="batch sizes (200; on a GPU 200 and 1000)")
+    parser.add_argument("--lanes", type=positive, help="most runs at once on a device (CPU 64; GPU all)")
     parser.add_argument("--episodes", action="store_true", help="whole episodes too, as always on a GPU")
-    parser.add_argument("--plans", type=_positive, default=8, help="plans of the NumPy reference (8)")
-    parser.add_argument("--repeats", type=_positive, default=7, help="repeats: the median counts (7)")
-    parser.add_argument("--seed", type=int, default=0, help="seed of starts and plans (0)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="keep the results in a file")
+    parser.add_argument("--plans", type=positive, default=8, help="plans of the NumPy reference (8)")
     return parser.parse_args(argv)
-
-
-def _positive(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"{value}: has to be at least 1")
-    return value
 
 
 if __name__ == "__main__":

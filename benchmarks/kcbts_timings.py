@@ -1,11 +1,6 @@
 """The timings of bench_kcbts.py, made in a process that was given its cores."""
 
-import json
-import statistics
 import sys
-import time
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
 from typing import Any
 
 import equinox as eqx
@@ -13,38 +8,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from bench_kcbts import parse
-from isolated import describe_cores
-from jax.sharding import AxisType, NamedSharding, PartitionSpec
-from rich.console import Console
-from rich.table import Table
+from timing import Row, median_seconds, on_gpu, print_rows, time_runs, write_record
 
 from bojax.config.experiments import Planning
 from bojax.engine.build import build
 from bojax.engine.devices import DEFAULT_LANES
-
-
-@dataclass(frozen=True)
-class Row:
-    """One line of the table.
-
-    Attributes:
-        what: What was timed.
-        runs: Plans, or episodes, together.
-        seconds: Median over the repeats.
-        iterations: Search iterations in that time; an episode that ended early counts in full.
-        compile_seconds: Seconds of compilation, which are not part of `seconds`.
-    """
-
-    what: str
-    runs: int
-    seconds: float
-    iterations: int
-    compile_seconds: float = 0.0
-
-    @property
-    def rate(self) -> float:
-        """Iterations per second."""
-        return self.iterations / self.seconds
 
 
 class Case:
@@ -109,74 +77,21 @@ def main(argv: list[str]) -> int:
         for reference, start in references:
             reference.search(start)
 
-    seconds = _median_seconds(reference_plans, args.repeats) / args.plans
+    seconds = median_seconds(reference_plans, args.repeats) / args.plans
     rows = [Row("NumPy, one plan", 1, seconds, planner.iterations)]
-    rows.append(_time("bojax, one plan", case.plan, 1, 1, planner.iterations, args.repeats))
-    on_gpu = jax.default_backend() != "cpu"
+    rows.append(time_runs("bojax, one plan", case.plan, 1, 1, planner.iterations, args.repeats))
     num_devices = jax.device_count()
-    for runs in args.runs or ([200, 1000] if on_gpu else [200]):
-        lanes = num_devices * (args.lanes or (-(-runs // num_devices) if on_gpu else DEFAULT_LANES["cpu"]))
-        rows.append(_time("bojax, plans", case.plan, runs, lanes, planner.iterations, args.repeats))
-        if args.episodes or on_gpu:
+    for runs in args.runs or ([200, 1000] if on_gpu() else [200]):
+        lanes = num_devices * (args.lanes or (-(-runs // num_devices) if on_gpu() else DEFAULT_LANES["cpu"]))
+        rows.append(time_runs("bojax, plans", case.plan, runs, lanes, planner.iterations, args.repeats))
+        if args.episodes or on_gpu():
             iterations = planner.iterations * case.experiment.max_advances
-            rows.append(_time("bojax, episodes", case.episode, runs, lanes, iterations, args.repeats))
+            rows.append(time_runs("bojax, episodes", case.episode, runs, lanes, iterations, args.repeats))
 
-    device = f"{num_devices} x {jax.devices()[0].device_kind}, {describe_cores()}"
-    _print(rows, device)
+    print_rows("kCBTS on the parking problem", "iterations", rows, "NumPy")
     if args.json:
-        record = {
-            "benchmark": "kcbts",
-            "device": device,
-            "jax": jax.__version__,
-            "settings": Planning().model_dump(mode="json"),
-            "rows": [{**asdict(row), "iterations_per_second": row.rate} for row in rows],
-        }
-        args.json.write_text(json.dumps(record, indent=2) + "\n")
+        write_record(args.json, "kcbts", "iterations", rows, Planning().model_dump(mode="json"))
     return 0
-
-
-def _time(what: str, function: Callable, runs: int, lanes: int, iterations: int, repeats: int) -> Row:
-    """Time `runs` runs, in equal batches of at most `lanes`."""
-    mesh = jax.make_mesh((1 if runs == 1 else jax.device_count(),), ("devices",), (AxisType.Auto,))
-    by_lane = PartitionSpec("devices")
-    num_batches = -(-runs // lanes)
-    lanes = -(-runs // (num_batches * mesh.size)) * mesh.size
-    index = np.arange(num_batches * lanes, dtype=np.int32).reshape(num_batches, lanes)
-    batches = [jax.device_put(lane, NamedSharding(mesh, by_lane)) for lane in index]
-
-    start = time.perf_counter()
-    sharded = jax.shard_map(
-        jax.vmap(function), mesh=mesh, in_specs=by_lane, out_specs=by_lane, check_vma=False
-    )
-    program = jax.jit(sharded).lower(batches[0]).compile()
-    compile_seconds = time.perf_counter() - start
-
-    results = np.concatenate([np.asarray(program(batch)).reshape(lanes, -1) for batch in batches])
-    if len(np.unique(results, axis=0)) < len(results):
-        raise AssertionError(f"{what}: two runs gave the same path: the batch is not what it seems")
-    seconds = _median_seconds(lambda: [program(batch) for batch in batches], repeats)
-    return Row(what, index.size, seconds, index.size * iterations, compile_seconds)
-
-
-def _median_seconds(function: Callable[[], Any], repeats: int) -> float:
-    seconds = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        jax.block_until_ready(function())
-        seconds.append(time.perf_counter() - start)
-    return statistics.median(seconds)
-
-
-def _print(rows: list[Row], device: str) -> None:
-    table = Table(title=f"kCBTS on the parking problem ({device})")
-    table.add_column("")
-    for name in ("runs", "seconds", "compile, s", "iterations/s", "x NumPy"):
-        table.add_column(name, justify="right")
-    for row in rows:
-        compiled = f"{row.compile_seconds:.1f}" if row.compile_seconds else ""
-        ratio = f"{row.rate / rows[0].rate:.1f}"
-        table.add_row(row.what, str(row.runs), f"{row.seconds:.4f}", compiled, f"{row.rate:,.0f}", ratio)
-    Console().print(table)
 
 
 if __name__ == "__main__":
