@@ -1,16 +1,28 @@
-"""Settings of kernels and acquisition functions."""
+"""Settings of kernels, prior means and acquisition functions."""
 
-from typing import ClassVar, Literal
+import math
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field
+from pydantic import Field, PlainValidator
 
-from bojax.config.component import Component
+from bojax.config.component import Component, Slot
+
+
+def _positive(value: Any) -> float | tuple[float, ...]:
+    """A positive number, or some of them."""
+    numbers = tuple(value) if isinstance(value, list | tuple) else (value,)
+    are_numbers = all(isinstance(n, int | float) and not isinstance(n, bool) for n in numbers)
+    if not (numbers and are_numbers and all(0 < n < math.inf for n in numbers)):
+        raise ValueError("allowed: a number > 0 or a list of them")
+    return tuple(map(float, numbers)) if isinstance(value, list | tuple) else float(value)
 
 
 class _Stationary(Component, frozen=True):
     role: ClassVar[str] = "kernel"
 
-    lengthscale: float = Field(default=0.5, gt=0, description="lengthscale, in units of the input")
+    lengthscale: Annotated[float | tuple[float, ...], PlainValidator(_positive)] = Field(
+        default=0.5, description="lengthscale, in units of the input: one number, or one a dimension; > 0"
+    )
 
 
 class RBF(_Stationary, frozen=True):
@@ -39,6 +51,70 @@ class Matern52(_Stationary, frozen=True):
 
     target: ClassVar[str] = "bojax.models.kernels:Matern52"
     kind: Literal["matern52"] = "matern52"
+
+
+class Scaled(Component, frozen=True):
+    """A kernel times a constant."""
+
+    role: ClassVar[str] = "kernel"
+    target: ClassVar[str] = "bojax.models.kernels:Scaled"
+
+    kind: Literal["scaled"] = "scaled"
+    kernel: Annotated[Component, Slot("kernel")] = Field(default=RBF(), description="the kernel")
+    variance: float = Field(default=1.0, gt=0, description="the constant, in units of the value, squared")
+
+
+class _Composite(Component, frozen=True):
+    role: ClassVar[str] = "kernel"
+
+    first: Annotated[Component, Slot("kernel")] = Field(default=RBF(), description="one kernel")
+    second: Annotated[Component, Slot("kernel")] = Field(default=RBF(), description="another kernel")
+
+
+class Sum(_Composite, frozen=True):
+    """The sum of two kernels."""
+
+    target: ClassVar[str] = "bojax.models.kernels:Sum"
+    kind: Literal["sum"] = "sum"
+
+
+class Product(_Composite, frozen=True):
+    """The product of two kernels."""
+
+    target: ClassVar[str] = "bojax.models.kernels:Product"
+    kind: Literal["product"] = "product"
+
+
+class ZeroMean(Component, frozen=True):
+    """No expectation: a prior mean of zero."""
+
+    role: ClassVar[str] = "mean"
+    target: ClassVar[str] = "bojax.models.means:ZeroMean"
+
+    kind: Literal["zero"] = "zero"
+
+
+class ConstantMean(Component, frozen=True):
+    """The same prior mean everywhere."""
+
+    role: ClassVar[str] = "mean"
+    target: ClassVar[str] = "bojax.models.means:ConstantMean"
+
+    kind: Literal["constant"] = "constant"
+    value: float = Field(default=0.0, description="prior mean, in units of the value")
+
+
+class LinearMean(Component, frozen=True):
+    """A prior mean that is linear in the input."""
+
+    role: ClassVar[str] = "mean"
+    target: ClassVar[str] = "bojax.models.means:LinearMean"
+
+    kind: Literal["linear"] = "linear"
+    weights: tuple[float, ...] = Field(
+        default=(0.0, 0.0), strict=False, min_length=1, description="slope, one number a dimension"
+    )
+    bias: float = Field(default=0.0, description="prior mean at the origin, in units of the value")
 
 
 class UpperConfidenceBound(Component, frozen=True):

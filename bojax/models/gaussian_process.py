@@ -1,27 +1,35 @@
 """Gaussian process regression of fixed capacity, updated by an incremental inverse Cholesky factor."""
 
+import math
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from bojax.models.kernels import Kernel
-from bojax.numerics.linalg import matmul, noise_floor
+from bojax.models.means import Mean, ZeroMean
+from bojax.numerics.linalg import inverse_cholesky, matmul, noise_floor
+
+NO_MEAN = ZeroMean()
 
 
 class GaussianProcess(eqx.Module):
-    """The posterior of a zero-mean Gaussian process given `count` noisy observations (2.28-2.29).
+    """The posterior of a Gaussian process given `count` noisy observations (2.28-2.29, with a prior mean).
 
     Rows past `count` are zero, in the data and in the factor, so that they drop out of every product.
-    An update appends one row to the inverse Cholesky factor: no triangular solve, no refit.
+    An update appends one row to the inverse Cholesky factor: no triangular solve, no refit. An observation
+    that is NaN makes every later mean NaN, and at a point that is NaN every later variance too.
 
     Attributes:
         kernel: Prior covariance.
-        noise_variance: Variance of the observation noise; below `noise_floor` it counts as that.
+        noise_variance: Variance of the noise of an observation that comes without its own; below
+            `noise_floor` it counts as that.
         x: Inputs.
         y: Observed values.
-        inverse_cholesky: `L^-1`, with `L L' = K + noise_variance I`.
+        inverse_cholesky: `L^-1`, with `L L' = K + diag(noise variances)`.
         count: Number of observations held.
+        mean: Prior mean.
     """
 
     kernel: Kernel
@@ -30,10 +38,16 @@ class GaussianProcess(eqx.Module):
     y: Float[Array, "N"]
     inverse_cholesky: Float[Array, "N N"]
     count: Int[Array, ""]
+    mean: Mean = NO_MEAN
 
     @classmethod
     def prior(
-        cls, kernel: Kernel, noise_variance: Float[Array, ""], capacity: int, num_dims: int
+        cls,
+        kernel: Kernel,
+        noise_variance: Float[Array, ""],
+        capacity: int,
+        num_dims: int,
+        mean: Mean = NO_MEAN,
     ) -> "GaussianProcess":
         """No observation yet, room for `capacity` of them."""
         dtype = noise_variance.dtype
@@ -44,12 +58,69 @@ class GaussianProcess(eqx.Module):
             y=jnp.zeros((capacity,), dtype),
             inverse_cholesky=jnp.zeros((capacity, capacity), dtype),
             count=jnp.zeros((), jnp.int32),
+            mean=mean,
         )
 
-    def update(self, x: Float[Array, "D"], y: Float[Array, ""]) -> "GaussianProcess":
+    @classmethod
+    def fit(
+        cls,
+        kernel: Kernel,
+        noise_variance: Float[Array, ""],
+        x: Float[Array, "n D"],
+        y: Float[Array, "n"],
+        *,
+        mean: Mean = NO_MEAN,
+        count: Int[Array, ""] | None = None,
+        capacity: int | None = None,
+        noise_variances: Float[Array, "n"] | None = None,
+    ) -> "GaussianProcess":
+        """The posterior given all observations at once, by a Cholesky factor; differentiable.
+
+        Args:
+            kernel: Prior covariance.
+            noise_variance: Variance of the observation noise.
+            x: Inputs.
+            y: Observed values.
+            mean: Prior mean.
+            count: How many of the rows are observations, the first ones; all of them if left out.
+            capacity: Room for observations; as many as there are rows if left out.
+            noise_variances: Variance of the noise of each observation, in place of `noise_variance`.
+
+        Raises:
+            ValueError: There are more rows than room.
+        """
+        number, num_dims = x.shape
+        capacity = number if capacity is None else capacity
+        if capacity < number:
+            raise ValueError(f"capacity: got {capacity}; allowed: >= {number}, the number of observations")
+        empty = cls.prior(kernel, noise_variance, capacity, num_dims, mean)
+        count = jnp.asarray(number, jnp.int32) if count is None else jnp.clip(count, 0, number)
+        is_held = jnp.arange(number, dtype=count.dtype) < count
+        x = empty.x.at[:number].set(jnp.where(is_held[:, None], x, 0.0))
+        y = empty.y.at[:number].set(jnp.where(is_held, y, 0.0))
+        if noise_variances is not None:
+            noise_variances = empty.y.at[:number].set(jnp.where(is_held, noise_variances, 0.0))
+        is_held = jnp.arange(capacity, dtype=count.dtype) < count
+        both = is_held[:, None] & is_held[None, :]
+        noise = jnp.where(is_held, empty.noise(x, noise_variances), 1.0)
+        factor = jnp.linalg.cholesky(jnp.where(both, kernel.gram(x, x), 0.0) + jnp.diag(noise))
+        inverse = jax.scipy.linalg.solve_triangular(factor, jnp.eye(capacity, dtype=x.dtype), lower=True)
+        return cls(
+            kernel=kernel,
+            noise_variance=noise_variance,
+            x=x,
+            y=y,
+            inverse_cholesky=jnp.where(both, inverse, 0.0),
+            count=count,
+            mean=mean,
+        )
+
+    def update(
+        self, x: Float[Array, "D"], y: Float[Array, ""], noise_variance: Float[Array, ""] | None = None
+    ) -> "GaussianProcess":
         """The posterior after one more observation; dropped without a trace once the capacity is reached."""
         at = self.count
-        row = self.next_row(x, self.whiten(x[None, :])[:, 0])
+        row = self.next_row(x, self.whiten(x[None, :])[:, 0], noise_variance)
         return GaussianProcess(
             kernel=self.kernel,
             noise_variance=self.noise_variance,
@@ -57,22 +128,74 @@ class GaussianProcess(eqx.Module):
             y=self.y.at[at].set(y, mode="drop"),
             inverse_cholesky=self.inverse_cholesky.at[at].set(row, mode="drop"),
             count=jnp.minimum(at + 1, self.y.shape[0]).astype(at.dtype),
+            mean=self.mean,
         )
+
+    def extend(
+        self,
+        xs: Float[Array, "S D"],
+        ys: Float[Array, "S"],
+        is_valid: Bool[Array, "S"],
+        noise_variances: Float[Array, "S"] | None = None,
+    ) -> "GaussianProcess":
+        """The posterior after several more observations: that of an `update` by each of the valid ones.
+
+        With V = L^-1 k(X, xs) and B B' = k(xs, xs) + noise - V'V, the rows [-B^-1 V' L^-1, B^-1] are
+        appended. What is not valid leaves no trace and takes no room; what exceeds the capacity is dropped.
+        """
+        capacity = self.y.shape[0]
+        xs = jnp.where(is_valid[:, None], xs, 0.0)
+        noise = self.noise(xs, noise_variances)
+        whitened = jnp.where(is_valid[None, :], self.whiten(xs), 0.0)
+        both = is_valid[:, None] & is_valid[None, :]
+        complement = jnp.where(both, self.kernel.gram(xs, xs) - matmul(whitened.T, whitened), 0.0)
+        complement = complement + jnp.diag(jnp.where(is_valid, noise, 1.0))
+        inverse = inverse_cholesky(complement, jnp.where(is_valid, noise, 0.0))
+        place = self.count + jnp.cumsum(is_valid, dtype=self.count.dtype) - 1
+        at = jnp.where(is_valid, place, capacity)
+        own = jnp.zeros((xs.shape[0], capacity), xs.dtype).at[:, at].set(inverse, mode="drop")
+        rows = own - matmul(inverse, matmul(whitened.T, self.inverse_cholesky))
+        return GaussianProcess(
+            kernel=self.kernel,
+            noise_variance=self.noise_variance,
+            x=self.x.at[at].set(xs, mode="drop"),
+            y=self.y.at[at].set(ys, mode="drop"),
+            inverse_cholesky=self.inverse_cholesky.at[at].set(rows, mode="drop"),
+            count=jnp.minimum(self.count + jnp.sum(is_valid, dtype=self.count.dtype), capacity).astype(
+                self.count.dtype
+            ),
+            mean=self.mean,
+        )
+
+    def noise(
+        self, xs: Float[Array, "M D"], noise_variances: Float[Array, "M"] | None = None
+    ) -> Float[Array, "M"]:
+        """Variances of the noise of observations at `xs`, as they enter the factor.
+
+        The floor is part of the noise of every row: if only the pivots were kept above it, L would belong to
+        no matrix, and a third observation of one point without noise would make it explode.
+        """
+        noise_variances = self.noise_variance if noise_variances is None else noise_variances
+        return jnp.maximum(noise_variances, noise_floor(xs.dtype) * self._prior_variance(xs))
 
     def whiten(self, xs: Float[Array, "M D"]) -> Float[Array, "N M"]:
         """L^-1 k(X, xs), from which everything about `xs` follows."""
         return matmul(self.inverse_cholesky, self.kernel.gram(self.x, xs))
 
-    def next_row(self, x: Float[Array, "D"], whitened: Float[Array, "N"]) -> Float[Array, "N"]:
+    def next_row(
+        self,
+        x: Float[Array, "D"],
+        whitened: Float[Array, "N"],
+        noise_variance: Float[Array, ""] | None = None,
+    ) -> Float[Array, "N"]:
         """The row that an observation at `x` appends to the inverse Cholesky factor; `whitened` is its own.
 
         With l = L^-1 k(X, x) and d^2 = k(x, x) + noise - l'l, the row is [-l' L^-1, 1] / d. In exact
         arithmetic d^2 is at least the noise variance; it is kept there against rounding.
         """
         variance = self.kernel(x, x)
-        # The floor is part of the noise of every row: if d^2 alone were kept above it, L would belong to no
-        # matrix, and a third observation of one point without noise would make it explode.
-        noise = jnp.maximum(self.noise_variance, noise_floor(x.dtype) * variance)
+        noise_variance = self.noise_variance if noise_variance is None else noise_variance
+        noise = self.noise(x[None, :], noise_variance[None])[0]
         pivot = jnp.sqrt(jnp.maximum(variance + noise - jnp.sum(whitened * whitened), noise))
         row = -matmul(whitened, self.inverse_cholesky)
         return jnp.where(self._is_next(), 1.0, row) / pivot
@@ -93,17 +216,70 @@ class GaussianProcess(eqx.Module):
         inverse_pivot = jnp.sum(jnp.where(self._is_next(), row, 0.0))
         return (self.kernel.gram(x[None, :], xs)[0] - matmul(whitened, whitened_xs)) * inverse_pivot
 
-    def _is_next(self) -> Bool[Array, "N"]:
-        return jnp.arange(self.y.shape[0], dtype=self.count.dtype) == self.count
+    def residuals(self) -> Float[Array, "N"]:
+        """What the prior mean leaves of the observed values, y - m(X); 0 past `count`."""
+        return self.y - jnp.where(self._is_held(), jax.vmap(self.mean)(self.x), 0.0)
+
+    def weights(self) -> Float[Array, "N"]:
+        """K^-1 (y - m(X)), with the noise in K: the predictive mean is m(x) + k(x, X) weights."""
+        return matmul(matmul(self.inverse_cholesky, self.residuals()), self.inverse_cholesky)
 
     def moments(
         self, xs: Float[Array, "M D"], whitened: Float[Array, "N M"]
     ) -> tuple[Float[Array, "M"], Float[Array, "M"]]:
         """What `predict` returns, from the `whitened` covariances of `xs`."""
-        mean = matmul(matmul(self.inverse_cholesky, self.y), whitened)
-        prior = jax.vmap(lambda x: self.kernel(x, x))(xs)
-        return mean, jnp.maximum(prior - jnp.sum(whitened * whitened, axis=0), 0.0)
+        mean = matmul(matmul(self.inverse_cholesky, self.residuals()), whitened)
+        variance = self._prior_variance(xs) - jnp.sum(whitened * whitened, axis=0)
+        return jax.vmap(self.mean)(xs) + mean, jnp.maximum(variance, 0.0)
 
     def predict(self, xs: Float[Array, "M D"]) -> tuple[Float[Array, "M"], Float[Array, "M"]]:
         """Posterior mean and variance of the noise-free function at `xs` (2.28, 2.29)."""
         return self.moments(xs, self.whiten(xs))
+
+    def predict_gradient(self, xs: Float[Array, "M D"]) -> Float[Array, "M D"]:
+        """Gradient of the posterior mean at `xs`; where a kernel has a kink, its part is 0."""
+        weights = self.weights()
+
+        def mean(x: Float[Array, "D"]) -> Float[Array, ""]:
+            return self.mean(x) + matmul(self.kernel.gram(x[None, :], self.x)[0], weights)
+
+        return jax.vmap(jax.grad(mean))(xs)
+
+    def predict_covariance(self, xs: Float[Array, "M D"]) -> tuple[Float[Array, "M"], Float[Array, "M M"]]:
+        """Posterior mean and covariance matrix of the noise-free function at `xs` (2.28, 2.29)."""
+        whitened = self.whiten(xs)
+        mean, variance = self.moments(xs, whitened)
+        covariance = self.kernel.gram(xs, xs) - matmul(whitened.T, whitened)
+        is_diagonal = jnp.eye(xs.shape[0], dtype=bool)
+        return mean, jnp.where(is_diagonal, variance[None, :], covariance)
+
+    def sample(self, key: Key[Array, ""], xs: Float[Array, "M D"], num: int) -> Float[Array, "num M"]:
+        """Draws of the noise-free function at `xs`, jointly.
+
+        By the eigenvectors of the covariance, of which rounding leaves slightly negative eigenvalues where
+        points are near each other; they count as 0. A Cholesky factor would need a jitter for that.
+        """
+        mean, covariance = self.predict_covariance(xs)
+        values, vectors = jnp.linalg.eigh(covariance)
+        normal = jax.random.normal(key, (num, xs.shape[0]), xs.dtype)
+        return mean[None, :] + matmul(normal * jnp.sqrt(jnp.maximum(values, 0.0))[None, :], vectors.T)
+
+    def log_marginal_likelihood(self) -> Float[Array, ""]:
+        """Logarithm of the density of the values observed (2.30)."""
+        whitened = matmul(self.inverse_cholesky, self.residuals())
+        pivots = jnp.where(self._is_held(), jnp.diagonal(self.inverse_cholesky), 1.0)
+        count = self.count.astype(whitened.dtype)
+        return (
+            -0.5 * jnp.sum(whitened * whitened)
+            + jnp.sum(jnp.log(pivots))
+            - 0.5 * math.log(2.0 * math.pi) * count
+        )
+
+    def _prior_variance(self, xs: Float[Array, "M D"]) -> Float[Array, "M"]:
+        return jax.vmap(lambda x: self.kernel(x, x))(xs)
+
+    def _is_held(self) -> Bool[Array, "N"]:
+        return jnp.arange(self.y.shape[0], dtype=self.count.dtype) < self.count
+
+    def _is_next(self) -> Bool[Array, "N"]:
+        return jnp.arange(self.y.shape[0], dtype=self.count.dtype) == self.count

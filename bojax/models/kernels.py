@@ -1,4 +1,4 @@
-"""Stationary covariance functions, written for two points and batched outside."""
+"""Covariance functions, written for two points and batched outside: stationary ones, sums and products."""
 
 import abc
 import functools
@@ -11,11 +11,22 @@ from jaxtyping import Array, Float, Scalar
 
 
 class Kernel(eqx.Module):
-    """A covariance function k(x, y) with k(x, x) = 1; lengthscales are one number or one a dimension."""
+    """A covariance function k(x, y); `+` and `*` of two of them are covariance functions again.
+
+    Those named after their shape have k(x, x) = 1, and lengthscales that are one number or one a dimension.
+    """
 
     @abc.abstractmethod
     def __call__(self, x: Float[Array, "D"], y: Float[Array, "D"]) -> Scalar:
         """Covariance of the values at two points."""
+
+    def __add__(self, other: "Kernel") -> "Sum":
+        """The covariance of a sum of two independent functions."""
+        return Sum(self, other)
+
+    def __mul__(self, other: "Kernel") -> "Product":
+        """The covariance of a product of two independent functions of mean zero."""
+        return Product(self, other)
 
     def gram(self, xs: Float[Array, "N D"], ys: Float[Array, "M D"]) -> Float[Array, "N M"]:
         """Covariances of all pairs."""
@@ -62,6 +73,39 @@ class Matern52(Kernel):
         """See `Kernel`."""
         s = 5.0**0.5 * _distance(x, y, self.lengthscale)
         return (1.0 + s + s * s / 3.0) * jnp.exp(-s)
+
+
+class Scaled(Kernel):
+    """A kernel times a constant: of a correlation, `variance` is the prior variance."""
+
+    kernel: Kernel
+    variance: Float[Array, ""]
+
+    def __call__(self, x: Float[Array, "D"], y: Float[Array, "D"]) -> Scalar:
+        """See `Kernel`."""
+        return self.variance * self.kernel(x, y)
+
+
+class Sum(Kernel):
+    """The sum of two kernels."""
+
+    first: Kernel
+    second: Kernel
+
+    def __call__(self, x: Float[Array, "D"], y: Float[Array, "D"]) -> Scalar:
+        """See `Kernel`."""
+        return self.first(x, y) + self.second(x, y)
+
+
+class Product(Kernel):
+    """The product of two kernels."""
+
+    first: Kernel
+    second: Kernel
+
+    def __call__(self, x: Float[Array, "D"], y: Float[Array, "D"]) -> Scalar:
+        """See `Kernel`."""
+        return self.first(x, y) * self.second(x, y)
 
 
 def _squared_distance(x, y, lengthscale) -> Scalar:

@@ -1,0 +1,47 @@
+"""Prior means of Gaussian processes, written for one point and batched outside."""
+
+import abc
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Scalar
+
+from bojax.numerics.linalg import matmul
+
+
+class Mean(eqx.Module):
+    """The expected value m(x) before any observation."""
+
+    @abc.abstractmethod
+    def __call__(self, x: Float[Array, "D"]) -> Scalar:
+        """Expected value at a point."""
+
+
+class ZeroMean(Mean):
+    """m(x) = 0."""
+
+    def __call__(self, x: Float[Array, "D"]) -> Scalar:
+        """See `Mean`."""
+        return jnp.zeros((), x.dtype)
+
+
+class ConstantMean(Mean):
+    """The same value everywhere."""
+
+    value: Float[Array, ""]
+
+    def __call__(self, x: Float[Array, "D"]) -> Scalar:
+        """See `Mean`."""
+        del x
+        return self.value
+
+
+class LinearMean(Mean):
+    """m(x) = weights' x + bias."""
+
+    weights: Float[Array, "D"]
+    bias: Float[Array, ""]
+
+    def __call__(self, x: Float[Array, "D"]) -> Scalar:
+        """See `Mean`."""
+        return matmul(self.weights, x) + self.bias
