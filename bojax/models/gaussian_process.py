@@ -220,15 +220,20 @@ class GaussianProcess(eqx.Module):
         """What the prior mean leaves of the observed values, y - m(X); 0 past `count`."""
         return self.y - jnp.where(self._is_held(), jax.vmap(self.mean)(self.x), 0.0)
 
+    def whitened_residuals(self) -> Float[Array, "N"]:
+        """L^-1 (y - m(X)): of variance 1 and independent if the model is right; 0 past `count`."""
+        # Columns of the factor past `count` are zero: no need to mask what the mean says there.
+        return matmul(self.inverse_cholesky, self.y - jax.vmap(self.mean)(self.x))
+
     def weights(self) -> Float[Array, "N"]:
         """K^-1 (y - m(X)), with the noise in K: the predictive mean is m(x) + k(x, X) weights."""
-        return matmul(matmul(self.inverse_cholesky, self.residuals()), self.inverse_cholesky)
+        return matmul(self.whitened_residuals(), self.inverse_cholesky)
 
     def moments(
         self, xs: Float[Array, "M D"], whitened: Float[Array, "N M"]
     ) -> tuple[Float[Array, "M"], Float[Array, "M"]]:
         """What `predict` returns, from the `whitened` covariances of `xs`."""
-        mean = matmul(matmul(self.inverse_cholesky, self.residuals()), whitened)
+        mean = matmul(self.whitened_residuals(), whitened)
         variance = self._prior_variance(xs) - jnp.sum(whitened * whitened, axis=0)
         return jax.vmap(self.mean)(xs) + mean, jnp.maximum(variance, 0.0)
 
@@ -266,7 +271,7 @@ class GaussianProcess(eqx.Module):
 
     def log_marginal_likelihood(self) -> Float[Array, ""]:
         """Logarithm of the density of the values observed (2.30)."""
-        whitened = matmul(self.inverse_cholesky, self.residuals())
+        whitened = self.whitened_residuals()
         pivots = jnp.where(self._is_held(), jnp.diagonal(self.inverse_cholesky), 1.0)
         count = self.count.astype(whitened.dtype)
         return (
