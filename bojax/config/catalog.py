@@ -1,6 +1,6 @@
 """Every built-in schema class: importing this module registers them all."""
 
-from bojax.config import claims, experiments, models, motions, planners, problems
+from bojax.config import claims, experiments, fields, models, motions, objectives, planners, problems
 from bojax.config.component import Component, registry
 
 __all__ = [
@@ -8,9 +8,11 @@ __all__ = [
     "ROLES",
     "claims",
     "experiments",
+    "fields",
     "kinds",
     "models",
     "motions",
+    "objectives",
     "planners",
     "problems",
 ]
@@ -22,7 +24,10 @@ ROLES = {
     "planner": "planners",
     "learner": "learners",
     "motions": "families of trajectories",
+    "field": "fields",
+    "objective": "worths of a sample of a field",
     "kernel": "kernels",
+    "mean": "prior means",
     "acquisition": "acquisition functions",
 }
 """The roles that a user can fill, with their plurals, in the order of lists."""
@@ -31,7 +36,10 @@ PROTOCOLS = {
     "experiment": "bojax.experiments.base:Experiment",
     "problem": "bojax.problems.base:Problem",
     "planner": "bojax.planning.base:Planner",
+    "field": "bojax.fields.base:Field",
+    "objective": "bojax.problems.objectives:FieldObjective",
     "kernel": "bojax.models.kernels:Kernel",
+    "mean": "bojax.models.means:Mean",
     "acquisition": "bojax.acquisition.functions:Acquisition",
 }
 """Base class of each role, whose abstract methods a user's class has to provide."""

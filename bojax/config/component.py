@@ -117,11 +117,13 @@ class Slot:
     Attributes:
         role: The role of the component.
         only: The built-in kinds that fit, if not all of the role do.
+        optional: Whether null may stand there too.
     """
 
-    def __init__(self, role: str, only: Collection[str] = ()):
+    def __init__(self, role: str, only: Collection[str] = (), *, optional: bool = False):
         self.role = role
         self.only = only
+        self.optional = optional
 
     def __get_pydantic_core_schema__(self, source: Any, handler: pydantic.GetCoreSchemaHandler) -> CoreSchema:
         """Pydantic's hook: validate by `kind`, serialise the whole component."""
@@ -129,12 +131,14 @@ class Slot:
         return core_schema.no_info_plain_validator_function(
             self.validate,
             serialization=core_schema.plain_serializer_function_ser_schema(
-                lambda component, info: component.model_dump(mode=info.mode), info_arg=True
+                lambda component, info: component and component.model_dump(mode=info.mode), info_arg=True
             ),
         )
 
-    def validate(self, value: Any) -> Registered:
+    def validate(self, value: Any) -> Registered | None:
         """The component that `value` describes."""
+        if value is None and self.optional:
+            return None
         if isinstance(value, Registered):
             return self._checked(value)
         kinds = registry.get(self.role, {})

@@ -50,7 +50,7 @@ _SIGNS = {"ge": ">=", "gt": ">", "le": "<=", "lt": "<"}
 def _type(field: FieldInfo) -> str:
     slot = next((mark for mark in field.metadata if isinstance(mark, Slot)), None)
     if slot is not None:
-        return slot.role
+        return f"{slot.role} | null" if slot.optional else slot.role
     bounds = [
         f"{sign} {getattr(mark, name):.15g}"
         for name, sign in _SIGNS.items()

@@ -1,13 +1,14 @@
 """Settings of the experiments: what one run does."""
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, Self
 
+import pydantic
 from pydantic import Field
 
-from bojax.config.component import Component, Slot
+from bojax.config.component import Component, External, Slot
 from bojax.config.motions import KernelTrajectories
 from bojax.config.planners import KCBTS
-from bojax.config.problems import Parking
+from bojax.config.problems import FieldProblem, Parking
 
 
 class _Experiment(Component, frozen=True):
@@ -26,6 +27,16 @@ class Planning(_Experiment, frozen=True):
         default=Parking(), description="what is planned on"
     )
     planner: Annotated[Component, Slot("planner")] = Field(default=KCBTS(), description="who plans")
+
+    @pydantic.model_validator(mode="after")
+    def _objective_of_a_field(self) -> Self:
+        is_known = not isinstance(self.problem, External | FieldProblem)
+        if is_known and getattr(self.planner, "objective", None) is not None:
+            raise ValueError(
+                f"planner.objective: {self.planner.label} wants to learn a field, and {self.problem.label} "
+                "has none: set planner.objective to null, or choose another planner"
+            )
+        return self
 
     @property
     def label(self) -> str:

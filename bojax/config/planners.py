@@ -1,16 +1,20 @@
 """Settings of the planners."""
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
 from bojax.config.component import Component, Slot
 from bojax.config.models import RBF, UpperConfidenceBound
 from bojax.config.motions import CONTINUOUS, DISCRETE, CubicCurves, KernelTrajectories, Splines
+from bojax.config.objectives import Gradient, Uncertainty
 
 
 class _Planner(Component, frozen=True):
     role: ClassVar[str] = "planner"
+
+
+_OBJECTIVE: Any = Field(default=None, description="what the planner maximises; null for the problem's task")
 
 
 class _TreeSearch(_Planner, frozen=True):
@@ -20,6 +24,7 @@ class _TreeSearch(_Planner, frozen=True):
         default=300.0, ge=0, description="weight of rarely tried branches (kappa_MC), in units of the return"
     )
     discount: float = Field(default=1.0, gt=0, le=1, description="discount of rewards per action")
+    objective: Annotated[Component | None, Slot("objective", optional=True)] = _OBJECTIVE
 
 
 class _ContinuousBeliefTreeSearch(_TreeSearch, frozen=True):
@@ -64,14 +69,50 @@ class CBTS(_ContinuousBeliefTreeSearch, frozen=True):
     )
 
 
-class SBO(_TreeSearch, frozen=True):
-    """Monte Carlo tree search over a discrete set of trajectories (thesis, Algorithm 2)."""
-
+class _DiscreteTreeSearch(_TreeSearch, frozen=True):
     target: ClassVar[str] = "bojax.planning.discrete:DiscreteTreeSearch"
 
-    kind: Literal["sbo"] = "sbo"
     motions: Annotated[Component, Slot("motions", only=DISCRETE)] = Field(
         default=Splines(), description="trajectories to choose from"
+    )
+
+
+class SBO(_DiscreteTreeSearch, frozen=True):
+    """Monte Carlo tree search over a discrete set of trajectories (thesis, Algorithm 2)."""
+
+    kind: Literal["sbo"] = "sbo"
+
+
+class BOPOMDP(_DiscreteTreeSearch, frozen=True):
+    """Tree search over a discrete set that seeks the steep areas of a field (thesis, Algorithm 2)."""
+
+    kind: Literal["bo-pomdp"] = "bo-pomdp"
+    objective: Annotated[Component | None, Slot("objective", optional=True)] = Field(
+        default=Gradient(), description="what the planner maximises; null for the problem's task"
+    )
+
+
+class _MyopicPlanner(_Planner, frozen=True):
+    target: ClassVar[str] = "bojax.planning.myopic:MyopicPlanner"
+
+    motions: Annotated[Component, Slot("motions", only=DISCRETE)] = Field(
+        default=Splines(), description="trajectories to choose from"
+    )
+    objective: Annotated[Component | None, Slot("objective", optional=True)] = _OBJECTIVE
+
+
+class Myopic(_MyopicPlanner, frozen=True):
+    """The best next trajectory of a discrete set, by exhaustive search (thesis, Section 3.3.1)."""
+
+    kind: Literal["myopic"] = "myopic"
+
+
+class Explorer(_MyopicPlanner, frozen=True):
+    """The next trajectory of a discrete set along which a field is least known (thesis, Section 3.5.1)."""
+
+    kind: Literal["explorer"] = "explorer"
+    objective: Annotated[Component | None, Slot("objective", optional=True)] = Field(
+        default=Uncertainty(), description="what the planner maximises; null for the problem's task"
     )
 
 

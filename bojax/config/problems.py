@@ -1,11 +1,15 @@
 """Settings of the problems that are planned on."""
 
 from math import pi
-from typing import ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
+import pydantic
 from pydantic import Field
 
-from bojax.config.component import Component
+from bojax.config.component import Component, Slot
+from bojax.config.fields import Box, Bumps, Step, proper_box
+from bojax.config.models import RBF, Scaled, ZeroMean
+from bojax.config.objectives import Gradient, Value
 
 
 class Parking(Component, frozen=True):
@@ -43,4 +47,144 @@ class Parking(Component, frozen=True):
     exit_terminates: bool = Field(default=True, description="whether leaving the domain ends the episode")
     park_along_path: bool = Field(
         default=True, description="whether passing through the goal region counts as parking"
+    )
+
+
+Pose = Annotated[tuple[float, float, float], Field(strict=False)]
+
+
+class FieldProblem(Component, frozen=True):
+    """What all problems of learning a field share."""
+
+    role: ClassVar[str] = "problem"
+    target: ClassVar[str] = "bojax.problems.monitoring:FieldMonitoring"
+
+    field: Annotated[Component, Slot("field")] = Field(
+        default=Bumps(centres=((3.0, 3.0),)), description="the field"
+    )
+    domain: Box = Field(
+        default=(0.0, 0.0, 6.0, 6.0), description="the border, [x_min, y_min, x_max, y_max], m"
+    )
+    walls: tuple[Box, ...] | None = Field(
+        default=None,
+        strict=False,
+        min_length=1,
+        description="walls, a list of [x_min, y_min, x_max, y_max], m",
+    )
+    start: Pose | None = Field(
+        default=None, description="pose at the start, [x, y, heading], m and rad; null: random in free space"
+    )
+    target_area: Box | None = Field(
+        default=None, description="area that has to be reached for success, [x_min, y_min, x_max, y_max], m"
+    )
+    objective: Annotated[Component, Slot("objective")] = Field(
+        default=Value(), description="what a sample is worth, for the task"
+    )
+    kernel: Annotated[Component, Slot("kernel")] = Field(
+        default=Scaled(kernel=RBF(lengthscale=1.0)), description="prior covariance of the field"
+    )
+    mean: Annotated[Component, Slot("mean")] = Field(
+        default=ZeroMean(), description="prior mean of the field"
+    )
+    noise_variance: float = Field(default=0.01, ge=0, description="noise variance that the belief assumes")
+    noise: float = Field(default=0.1, ge=0, description="standard deviation of the observation noise")
+    collision_reward: float = Field(default=-100.0, le=0, description="paid when a wall stops the robot")
+    exit_reward: float = Field(default=-100.0, le=0, description="paid when the border stops the robot")
+    max_steps: int = Field(default=25, ge=1, description="steps after which an episode ends")
+    resolution: int = Field(default=31, ge=2, description="points a side of the grid of the error measures")
+    imagined: Literal["sample", "mean"] = Field(
+        default="sample", description="whether simulated observations are drawn from the belief, or its mean"
+    )
+    after_collision: Literal["stop", "turn"] = Field(
+        default="turn",
+        description="whether a robot that was stopped stands still, or turns round on the spot",
+    )
+    weighting: Literal["gradient", "gradient-norm", "value"] = Field(
+        default="value",
+        description="weights of wrmse: the gradient as (3.7) prints it, its norm, or the value",
+    )
+
+    @pydantic.field_validator("domain", "target_area")
+    @classmethod
+    def _proper_box(cls, box: Any) -> Any:
+        return box if box is None else proper_box(box)
+
+    @pydantic.field_validator("walls")
+    @classmethod
+    def _proper_walls(cls, walls: Any) -> Any:
+        return walls if walls is None else tuple(map(proper_box, walls))
+
+    @pydantic.model_validator(mode="after")
+    def _free_start(self) -> Self:
+        if self.start is None:
+            return self
+        x, y, _ = self.start
+        low_x, low_y, high_x, high_y = self.domain
+        if not (low_x <= x <= high_x and low_y <= y <= high_y):
+            raise ValueError(f"start: ({x:g}, {y:g}) lies outside the domain")
+        for number, wall in enumerate(self.walls or ()):
+            if wall[0] <= x <= wall[2] and wall[1] <= y <= wall[3]:
+                raise ValueError(f"start: ({x:g}, {y:g}) lies inside walls[{number}]")
+        return self
+
+
+class Monitoring(FieldProblem, frozen=True):
+    """Learn a field by driving trajectories on which samples are taken (thesis, Chapters 3 and 4.7.1)."""
+
+    kind: Literal["monitoring"] = "monitoring"
+
+
+class _Gradients(FieldProblem, frozen=True):
+    objective: Annotated[Component, Slot("objective")] = Field(
+        default=Gradient(kappa=5.0), description="what a sample is worth, for the task"
+    )
+    weighting: Literal["gradient", "gradient-norm", "value"] = Field(
+        default="gradient",
+        description="weights of wrmse: the gradient as (3.7) prints it, its norm, or the value",
+    )
+
+
+class Diagonal(_Gradients, frozen=True):
+    """A field with a steep diagonal (thesis, Section 3.5.1, Fig. 3.1)."""
+
+    kind: Literal["diagonal"] = "diagonal"
+    field: Annotated[Component, Slot("field")] = Field(
+        default=Step(point=(3.0, 3.0), direction=pi / 4, height=1.0, width=0.6), description="the field"
+    )
+    start: Pose | None = Field(
+        default=(1.0, 1.0, 0.0), description="pose at the start, [x, y, heading], m and rad; null: random"
+    )
+    max_steps: int = Field(default=35, ge=1, description="steps after which an episode ends")
+
+
+class TwoPits(_Gradients, frozen=True):
+    """Two pits farther apart than one action, one steeper than the other (thesis, Section 3.5.1, Fig. 3.2)."""
+
+    kind: Literal["two-pits"] = "two-pits"
+    field: Annotated[Component, Slot("field")] = Field(
+        default=Bumps(heights=(-0.8, -1.0), centres=((1.5, 4.5), (4.5, 1.5)), widths=(0.8, 0.4)),
+        description="the field",
+    )
+    max_steps: int = Field(default=50, ge=1, description="steps after which an episode ends")
+
+
+class SpaceModelling(FieldProblem, frozen=True):
+    """Two high areas behind a wall with a narrow gap (thesis, Section 4.7.1, Fig. 4.3)."""
+
+    kind: Literal["space-modelling"] = "space-modelling"
+    field: Annotated[Component, Slot("field")] = Field(
+        default=Bumps(heights=(1.0, 1.0), centres=((1.2, 4.5), (4.8, 1.5)), widths=(1.0, 1.0)),
+        description="the field",
+    )
+    walls: tuple[Box, ...] | None = Field(
+        default=((2.85, 0.0, 3.15, 2.6), (2.85, 3.4, 3.15, 6.0)),
+        strict=False,
+        min_length=1,
+        description="walls, a list of [x_min, y_min, x_max, y_max], m",
+    )
+    start: Pose | None = Field(
+        default=(1.0, 1.0, pi / 2), description="pose at the start, [x, y, heading], m and rad; null: random"
+    )
+    target_area: Box | None = Field(
+        default=(3.15, 0.0, 6.0, 6.0), description="area that has to be reached for success, m"
     )

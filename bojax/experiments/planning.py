@@ -75,7 +75,7 @@ class PlanningEpisode(Experiment):
             key_world=key_world,
             key_planner=key_planner,
             world=world,
-            belief=self.problem.prior(jax.random.fold_in(key_world, 1), world),
+            belief=self.problem.prior(jax.random.fold_in(key_world, 1), world, num_samples),
             step=jnp.zeros((), jnp.int32),
             accumulated=jnp.zeros((), start.dtype),
             success=jnp.zeros((), bool),
@@ -145,8 +145,9 @@ class PlanningEpisode(Experiment):
         }
 
     def snapshot(self, carry: Episode) -> dict[str, dict[str, Array]]:
-        """The paths driven, for figures and animations."""
-        return {"paths": {"paths": carry.paths, "start": carry.start}}
+        """The paths driven, and what the problem keeps: for figures and animations."""
+        paths = {"paths": carry.paths, "start": carry.start}
+        return {"paths": paths, **self.problem.snapshot(carry.world, carry.belief)}
 
 
 def _where(active: Bool[Array, ""], after: Episode, before: Episode) -> Episode:

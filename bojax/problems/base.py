@@ -36,6 +36,8 @@ class Events(eqx.Module):
         success: The task is solved.
         exited: The robot left the domain.
         driven: Poses that the robot went through, in the world's frame.
+        is_driven: Whether the robot reached that pose of the path; where it stopped before, `driven`
+            repeats the pose that it stopped at.
     """
 
     reward: Float[Array, ""]
@@ -43,6 +45,7 @@ class Events(eqx.Module):
     success: Bool[Array, ""]
     exited: Bool[Array, ""]
     driven: Float[Array, "S 3"]
+    is_driven: Bool[Array, "S"]
 
 
 class Simulation(eqx.Module):
@@ -78,8 +81,8 @@ class Problem(eqx.Module):
         """A start of an episode."""
 
     @abc.abstractmethod
-    def prior(self, key: Key[Array, ""], world: World) -> Belief:
-        """What the planner knows at the start."""
+    def prior(self, key: Key[Array, ""], world: World, num_samples: int) -> Belief:
+        """What the planner knows at the start; a path brings at most `num_samples` observations."""
 
     @abc.abstractmethod
     def execute(self, key: Key[Array, ""], world: World, path: Path) -> tuple[World, Observation, Events]:
@@ -111,6 +114,11 @@ class Problem(eqx.Module):
     @abc.abstractmethod
     def pose(self, world: World) -> Pose:
         """The robot's true pose."""
+
+    def snapshot(self, world: World, belief: Belief) -> dict[str, dict[str, Array]]:
+        """Arrays worth keeping of the end of an episode: `{name: {array name: array}}`."""
+        del world, belief
+        return {}
 
     def score(self, world: World, belief: Belief) -> dict[str, Scalar]:
         """How good the final belief is: the values of `scores`."""

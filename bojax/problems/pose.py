@@ -47,15 +47,17 @@ class PoseProblem(Problem):
     def outcome(self, start: Pose, path: Float[Array, "S 3"]) -> Outcome:
         """What happens when the robot drives from `start` through the poses of `path` (world frame)."""
 
-    def prior(self, key: Key[Array, ""], world: Pose) -> Pose:
+    def prior(self, key: Key[Array, ""], world: Pose, num_samples: int) -> Pose:
         """The first reading."""
+        del num_samples
         return self._read(key, world)
 
     def execute(self, key: Key[Array, ""], world: Pose, path: Path) -> tuple[Pose, Pose, Events]:
         """Drive a path from the true pose and read the pose it ends in."""
         poses = place(path, world)
         outcome = self.outcome(world, poses)
-        driven = poses[jnp.minimum(jnp.arange(poses.shape[0], dtype=outcome.last.dtype), outcome.last)]
+        index = jnp.arange(poses.shape[0], dtype=outcome.last.dtype)
+        driven = poses[jnp.minimum(index, outcome.last)]
         end = driven[-1].at[2].set(jnp.mod(driven[-1, 2], 2.0 * jnp.pi))
         events = Events(
             reward=outcome.reward,
@@ -63,6 +65,7 @@ class PoseProblem(Problem):
             success=outcome.success,
             exited=outcome.exited,
             driven=driven,
+            is_driven=index <= outcome.last,
         )
         return end, self._read(key, end), events
 

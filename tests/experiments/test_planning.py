@@ -185,9 +185,9 @@ class Logged(GoalDisc):
         self.keys.append(jax.random.key_data(key))
         return super().reset(key)
 
-    def prior(self, key, world):
+    def prior(self, key, world, num_samples):
         self.keys.append(jax.random.key_data(key))
-        return super().prior(key, world)
+        return super().prior(key, world, num_samples)
 
     def execute(self, key, world, path):
         self.keys.append(jax.random.key_data(key))

@@ -1,0 +1,118 @@
+"""Settings of the fields that are monitored."""
+
+import math
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+import pydantic
+from pydantic import Field
+
+from bojax.config.component import Component
+from bojax.config.data import read_array, sha256_of
+
+Pair = Annotated[tuple[float, float], Field(strict=False)]
+Box = Annotated[tuple[float, float, float, float], Field(strict=False)]
+"""`[x_min, y_min, x_max, y_max]`, m."""
+
+
+def proper_box(box: tuple[float, ...]) -> tuple[float, ...]:
+    """A box whose bounds are in order.
+
+    Raises:
+        ValueError: They are not.
+    """
+    if not (box[0] < box[2] and box[1] < box[3]):
+        raise ValueError("[x_min, y_min, x_max, y_max] has to rise from minimum to maximum")
+    return box
+
+
+class Bumps(Component, frozen=True):
+    """A sum of Gaussian bumps and pits."""
+
+    role: ClassVar[str] = "field"
+    target: ClassVar[str] = "bojax.fields.closed_form:Bumps"
+
+    kind: Literal["bumps"] = "bumps"
+    heights: tuple[float, ...] = Field(
+        default=(1.0,), strict=False, min_length=1, description="values at the centres; negative for a pit"
+    )
+    centres: tuple[Pair, ...] = Field(
+        default=((0.0, 0.0),), strict=False, min_length=1, description="positions, m"
+    )
+    widths: tuple[Annotated[float, Field(gt=0)], ...] = Field(
+        default=(1.0,), strict=False, min_length=1, description="standard deviations, m"
+    )
+
+    @pydantic.model_validator(mode="after")
+    def _as_many_of_each(self) -> Self:
+        if not len(self.heights) == len(self.centres) == len(self.widths):
+            raise ValueError(
+                f"heights, centres, widths: got {len(self.heights)}, {len(self.centres)} and "
+                f"{len(self.widths)} of them; as many of each are needed"
+            )
+        return self
+
+
+class Step(Component, frozen=True):
+    """A smooth step across a straight line (thesis, Fig. 3.1)."""
+
+    role: ClassVar[str] = "field"
+    target: ClassVar[str] = "bojax.fields.closed_form:Step"
+
+    kind: Literal["step"] = "step"
+    point: Pair = Field(default=(0.0, 0.0), description="a point of the line, m")
+    direction: float = Field(default=math.pi / 4, description="direction in which the field rises, rad")
+    height: float = Field(default=1.0, description="half the difference between the two levels")
+    width: float = Field(default=0.5, gt=0, description="width of the transition, m")
+
+
+class _Measured(Component, frozen=True):
+    role: ClassVar[str] = "field"
+
+    file: str = Field(min_length=1, description="a .npy or .csv file; relative to where the command runs")
+    extent: Box = Field(description="where the data lie, [x_min, y_min, x_max, y_max], m")
+    sha256: str | None = Field(default=None, description="SHA-256 of the file, filled in if left out")
+
+    @pydantic.field_validator("extent")
+    @classmethod
+    def _proper_extent(cls, extent: Any) -> Any:
+        return proper_box(extent)
+
+    @pydantic.model_validator(mode="after")
+    def _readable(self) -> Self:
+        table = read_array(self.file)
+        self._check(table.shape)
+        digest = sha256_of(self.file)
+        if self.sha256 is None:
+            # The results say which data they were made from, and refuse to go on with others.
+            object.__setattr__(self, "sha256", digest)
+        elif self.sha256 != digest:
+            raise ValueError(f"{self.file}: its content is not what it was: another SHA-256")
+        return self
+
+    def _check(self, shape: tuple[int, ...]) -> None:
+        raise NotImplementedError
+
+
+class Grid(_Measured, frozen=True):
+    """Values on a regular grid; the first axis is y, from the lowest, the second x."""
+
+    target: ClassVar[str] = "bojax.fields.measured:GridField"
+
+    kind: Literal["grid"] = "grid"
+
+    def _check(self, shape: tuple[int, ...]) -> None:
+        if min(shape) < 2:
+            raise ValueError(f"{self.file}: a grid of {shape[0]} x {shape[1]}; at least 2 x 2 are needed")
+
+
+class Scattered(_Measured, frozen=True):
+    """Measurements at scattered points: rows of x, y and value."""
+
+    target: ClassVar[str] = "bojax.fields.measured:ScatteredField"
+
+    kind: Literal["scattered"] = "scattered"
+    resolution: int = Field(default=101, ge=2, description="points a side of the grid of interpolation")
+
+    def _check(self, shape: tuple[int, ...]) -> None:
+        if shape[1] != 3:
+            raise ValueError(f"{self.file}: {shape[1]} columns; x, y and value are needed")

@@ -1,0 +1,1 @@
+"""Scalar fields over the plane, which a robot monitors."""

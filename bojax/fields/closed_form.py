@@ -1,0 +1,57 @@
+"""Fields given by a formula: the thesis shows its fields as pictures only (Figs. 3.1, 3.2, 4.3)."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Scalar
+
+from bojax.fields.base import Field
+
+
+class Bumps(Field):
+    """A sum of Gaussian bumps; a negative height makes a pit.
+
+    The steepest slope of a bump is 0.61 |height| / width, at the distance of one width from its centre.
+
+    Attributes:
+        heights: Values at the centres.
+        centres: Positions, in metres.
+        widths: Standard deviations, in metres.
+    """
+
+    heights: Float[Array, "K"]
+    centres: Float[Array, "K 2"]
+    widths: Float[Array, "K"]
+
+    def __check_init__(self):
+        """Every bump has a height, a centre and a width."""
+        if not self.heights.shape[0] == self.centres.shape[0] == self.widths.shape[0]:
+            raise ValueError(
+                f"heights, centres and widths: got {self.heights.shape[0]}, {self.centres.shape[0]} and "
+                f"{self.widths.shape[0]} of them; as many of each are needed"
+            )
+
+    def __call__(self, x: Float[Array, "2"]) -> Scalar:
+        """See `Field`."""
+        squared = jnp.sum((x[None, :] - self.centres) ** 2, axis=-1)
+        return jnp.sum(self.heights * jnp.exp(-0.5 * squared / self.widths**2))
+
+
+class Step(Field):
+    """A smooth step across a straight line, `height` tanh(d / width) with d the signed distance to it.
+
+    Attributes:
+        point: A point of the line, in metres.
+        direction: Direction in which the field rises, in radians.
+        height: Half the difference between the two levels.
+        width: Width of the transition, in metres; the slope on the line is height / width.
+    """
+
+    point: Float[Array, "2"]
+    direction: Float[Array, ""]
+    height: Float[Array, ""]
+    width: Float[Array, ""]
+
+    def __call__(self, x: Float[Array, "2"]) -> Scalar:
+        """See `Field`."""
+        offset = x - self.point
+        across = offset[0] * jnp.cos(self.direction) + offset[1] * jnp.sin(self.direction)
+        return self.height * jnp.tanh(across / self.width)

@@ -1,0 +1,80 @@
+"""Fields given by data: values on a grid, or measurements scattered over the plane."""
+
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.ndimage import map_coordinates
+from jaxtyping import Array, Float, Scalar
+from scipy.interpolate import griddata
+
+from bojax.config.data import read_array
+from bojax.fields.base import Field
+
+
+class GridField(Field):
+    """Values on a regular grid, with bilinear interpolation; the border's values hold outside.
+
+    Attributes:
+        table: Values; the first axis is y, from the lowest, the second x.
+        extent: Position of the outermost grid points, `[x_min, y_min, x_max, y_max]` in metres.
+    """
+
+    table: Float[Array, "H W"]
+    extent: Float[Array, "4"]
+
+    def __init__(self, file: str, extent: Float[Array, "4"], sha256: str | None = None):
+        """Read the grid from a `.npy` or `.csv` file; `sha256` was checked with the settings.
+
+        Raises:
+            ValueError: The file is no grid of at least 2 x 2 finite numbers.
+        """
+        del sha256
+        self.table = jnp.asarray(read_array(file), extent.dtype)
+        self.extent = extent
+
+    def __call__(self, x: Float[Array, "2"]) -> Scalar:
+        """See `Field`."""
+        return _interpolate(self.table, self.extent, x)
+
+
+class ScatteredField(Field):
+    """Measurements at scattered points: linear interpolation between them, the nearest one around them.
+
+    They are interpolated once, on a grid over the extent.
+
+    Attributes:
+        table: Values on the grid; the first axis is y, from the lowest, the second x.
+        extent: Position of the outermost grid points, `[x_min, y_min, x_max, y_max]` in metres.
+    """
+
+    table: Float[Array, "H W"]
+    extent: Float[Array, "4"]
+
+    def __init__(
+        self, file: str, extent: Float[Array, "4"], resolution: int = 101, sha256: str | None = None
+    ):
+        """Read rows of x, y and value from a `.npy` or `.csv` file.
+
+        Raises:
+            ValueError: The file is no table of three columns of finite numbers.
+        """
+        del sha256
+        rows = read_array(file)
+        low_x, low_y, high_x, high_y = np.asarray(extent)
+        x, y = np.meshgrid(np.linspace(low_x, high_x, resolution), np.linspace(low_y, high_y, resolution))
+        nearest = griddata(rows[:, :2], rows[:, 2], (x, y), method="nearest")
+        table = nearest
+        if len(rows) >= 4 and np.linalg.matrix_rank(rows[:, :2] - rows[0, :2]) == 2:
+            table = griddata(rows[:, :2], rows[:, 2], (x, y), method="linear")
+            table = np.where(np.isfinite(table), table, nearest)
+        self.table = jnp.asarray(table, extent.dtype)
+        self.extent = extent
+
+    def __call__(self, x: Float[Array, "2"]) -> Scalar:
+        """See `Field`."""
+        return _interpolate(self.table, self.extent, x)
+
+
+def _interpolate(table: Float[Array, "H W"], extent: Float[Array, "4"], x: Float[Array, "2"]) -> Scalar:
+    cells = jnp.asarray([table.shape[1] - 1, table.shape[0] - 1], x.dtype)
+    column, row = (x - extent[:2]) / (extent[2:] - extent[:2]) * cells
+    return map_coordinates(table, [row, column], order=1, mode="nearest")

@@ -1,0 +1,35 @@
+"""The myopic planner and the myopic explorer: the best next path, and nothing after it (Section 3.3.1)."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Key
+
+from bojax.motions.base import DiscreteMotions
+from bojax.planning.base import Plan, Planner
+from bojax.problems.base import Belief, Objective, Problem
+
+
+class MyopicPlanner(Planner[DiscreteMotions]):
+    """The path of highest simulated reward, of all of a finite set (3.3); the first of equal ones.
+
+    Attributes:
+        motions: The paths.
+        objective: What to maximise, if not the problem's own task.
+    """
+
+    motions: DiscreteMotions
+    objective: Objective = None
+
+    def plan(self, key: Key[Array, ""], problem: Problem, belief: Belief) -> Plan:
+        """See `Planner`."""
+        paths = self.motions.paths()
+        root, node = problem.root(belief, 1)
+
+        def reward(key, path):
+            return problem.simulate(key, root, node, path[None], self.objective).rewards[0]
+
+        rewards = jax.vmap(reward)(jax.random.split(key, paths.shape[0]), paths)
+        best = jnp.argmax(rewards)
+        return Plan(
+            path=paths[best], reward=rewards[best], value=rewards[best], visits=jnp.ones((), jnp.int32)
+        )

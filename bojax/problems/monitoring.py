@@ -1,0 +1,389 @@
+"""Monitoring a field: learn it by driving trajectories on which samples are taken (Chapters 3 and 4.7.1)."""
+
+from typing import ClassVar, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, Key, Scalar
+
+from bojax.fields.base import Field
+from bojax.models.gaussian_process import GaussianProcess
+from bojax.models.kernels import Kernel
+from bojax.models.lookahead import LookaheadRoot, look_ahead
+from bojax.models.means import Mean
+from bojax.motions.base import Path, Pose, place
+from bojax.problems.base import Events, Problem, Simulation
+from bojax.problems.objectives import FieldObjective
+from bojax.problems.walls import Boxes, Drive, drive_until_blocked, is_free
+from bojax.results.schema import Column, Table
+
+START_TRIES = 256
+"""Poses among which a random start is the first free one."""
+
+
+class FieldWorld(eqx.Module):
+    """The state of an episode.
+
+    Attributes:
+        pose: The robot's pose.
+        collisions: Times that a wall stopped the robot.
+        gradient: Sum over the samples taken of the norm of the true field's gradient.
+    """
+
+    pose: Pose
+    collisions: Int[Array, ""]
+    gradient: Float[Array, ""]
+
+
+class Samples(eqx.Module):
+    """What a robot learns from a path.
+
+    Attributes:
+        points: Where it looked.
+        values: What it saw.
+        is_taken: Whether it came there.
+        pose: Where it is.
+    """
+
+    points: Float[Array, "S 2"]
+    values: Float[Array, "S"]
+    is_taken: Bool[Array, "S"]
+    pose: Pose
+
+
+class FieldBelief(eqx.Module):
+    """What the robot knows: its pose, and a Gaussian process over the field.
+
+    Attributes:
+        pose: The robot's pose.
+        posterior: The belief about the field.
+        step: Paths driven.
+        num_samples: Most samples of a path.
+    """
+
+    pose: Pose
+    posterior: GaussianProcess
+    step: Int[Array, ""]
+    num_samples: int = eqx.field(static=True)
+
+
+class FieldNode(eqx.Module):
+    """A belief in the search tree: what was imagined since the root.
+
+    Attributes:
+        pose: The robot's pose.
+        level: Actions since the root.
+        points: Points of the samples, by action; the last action's are never conditioned on.
+        is_taken: Whether there is such a sample.
+        innovations: What they said, see `look_ahead`.
+    """
+
+    pose: Pose
+    level: Int[Array, ""]
+    points: Float[Array, "B 2"]
+    is_taken: Bool[Array, "B"]
+    innovations: Float[Array, "B"]
+
+
+class FieldMonitoring(Problem):
+    """Learn a field from noisy samples taken along trajectories.
+
+    A path pays what its samples are worth under the belief before it, summed (3.2, 4.11), plus what
+    collisions and leaving the domain cost. Walls, border and pose are known to the planner, the field is
+    not. Walls and border stop the robot at the last pose of the path that it can reach; samples past it are
+    neither taken nor paid. Then the robot stands still (`after_collision: "stop"`) or turns round on the
+    spot (`"turn"`): the same in the world and in a planner's simulations, for every planner.
+
+    Attributes:
+        field: The field.
+        domain: The border, `[x_min, y_min, x_max, y_max]` in metres.
+        walls: Walls.
+        start: Pose at the start; if there is none, it is random, uniform over the free space.
+        target_area: The area that has to be reached for success, `[x_min, y_min, x_max, y_max]` in metres.
+        objective: What a sample is worth, for the task.
+        kernel: Prior covariance of the field.
+        mean: Prior mean of the field.
+        noise_variance: Variance of the observation noise that the belief assumes.
+        noise: Standard deviation of the observation noise.
+        collision_reward: Paid when a wall stops the robot.
+        exit_reward: Paid when the border stops it.
+        max_steps: Actions an episode.
+        resolution: Points a side of the grid on which the final belief is scored.
+        imagined: Simulated observations are drawn from the belief (`"sample"`), or its `"mean"`.
+        after_collision: What a robot does that was stopped.
+        weighting: Weights of `wrmse`, see `weights`.
+    """
+
+    scores: ClassVar[Table] = (
+        Column("rmse", "float64", "", "root mean square error of the final belief"),
+        Column("wrmse", "float64", "", "the same, weighted towards what matters"),
+        Column("mnll", "float64", "", "mean negative log likelihood of the field under the final belief"),
+        Column("collisions", "int32", "", "times that a wall stopped the robot"),
+        Column("sampled_gradient", "float64", "1/m", "mean norm of the field's gradient at the samples"),
+    )
+
+    field: Field
+    domain: Float[Array, "4"]
+    walls: Boxes | None
+    start: Float[Array, "3"] | None
+    target_area: Float[Array, "4"] | None
+    objective: FieldObjective
+    kernel: Kernel
+    mean: Mean
+    noise_variance: Float[Array, ""]
+    noise: Float[Array, ""]
+    collision_reward: Float[Array, ""]
+    exit_reward: Float[Array, ""]
+    max_steps: int = eqx.field(static=True)
+    resolution: int = eqx.field(static=True)
+    imagined: Literal["sample", "mean"] = eqx.field(static=True)
+    after_collision: Literal["stop", "turn"] = eqx.field(static=True)
+    weighting: Literal["gradient", "gradient-norm", "value"] = eqx.field(static=True)
+
+    def reset(self, key: Key[Array, ""]) -> FieldWorld:
+        """See `Problem`."""
+        pose = self._random_start(key) if self.start is None else self.start
+        return FieldWorld(pose, jnp.zeros((), jnp.int32), jnp.zeros((), self.domain.dtype))
+
+    def prior(self, key: Key[Array, ""], world: FieldWorld, num_samples: int) -> FieldBelief:
+        """The prior of the field, and the pose."""
+        del key
+        capacity = self.max_steps * num_samples
+        return FieldBelief(
+            pose=world.pose,
+            posterior=GaussianProcess.prior(self.kernel, self.noise_variance, capacity, 2, self.mean),
+            step=jnp.zeros((), jnp.int32),
+            num_samples=num_samples,
+        )
+
+    def execute(
+        self, key: Key[Array, ""], world: FieldWorld, path: Path
+    ) -> tuple[FieldWorld, Samples, Events]:
+        """Drive a path and take the samples."""
+        driven = self._drive(world.pose, path)
+        pose = self._end(driven)
+        points = driven.poses[:, :2]
+        noise = self.noise * jax.random.normal(key, points.shape[:1], points.dtype)
+        values = self.field.values(points) + noise
+        slope = jnp.sqrt(jnp.sum(self.field.gradients(points) ** 2, axis=-1))
+        after = FieldWorld(
+            pose=pose,
+            collisions=world.collisions + driven.collided.astype(jnp.int32),
+            gradient=world.gradient + jnp.sum(jnp.where(driven.is_driven, slope, 0.0)),
+        )
+        events = Events(
+            reward=self._cost(driven),
+            terminated=jnp.zeros((), bool),
+            success=self._is_reached(driven),
+            exited=driven.exited,
+            driven=driven.poses,
+            is_driven=driven.is_driven,
+        )
+        return after, Samples(points, values, driven.is_driven, pose), events
+
+    def update(self, belief: FieldBelief, path: Path, observation: Samples) -> FieldBelief:
+        """The belief after the samples of a path."""
+        del path
+        posterior = belief.posterior.extend(observation.points, observation.values, observation.is_taken)
+        return FieldBelief(observation.pose, posterior, belief.step + 1, belief.num_samples)
+
+    def reward(
+        self, objective: FieldObjective | None, belief: FieldBelief, path: Path, events: Events
+    ) -> Scalar:
+        """What the samples taken are worth under the belief before the path, plus what the path cost."""
+        del path
+        objective = self.objective if objective is None else objective
+        points = events.driven[:, :2]
+        mean, variance = belief.posterior.predict(points)
+        gradient = belief.posterior.predict_gradient(points) if objective.needs_gradient else None
+        worth = objective(mean, variance, gradient)
+        return events.reward + jnp.sum(jnp.where(events.is_driven, worth, 0.0))
+
+    def root(self, belief: FieldBelief, horizon: int) -> tuple[LookaheadRoot, FieldNode]:
+        """See `Problem`: the factored posterior, and a node with room for all samples but the last path's."""
+        room, dtype = (horizon - 1) * belief.num_samples, self.domain.dtype
+        node = FieldNode(
+            pose=belief.pose,
+            level=jnp.zeros((), jnp.int32),
+            points=jnp.zeros((room, 2), dtype),
+            is_taken=jnp.zeros((room,), bool),
+            innovations=jnp.zeros((room,), dtype),
+        )
+        return LookaheadRoot.of(belief.posterior), node
+
+    def simulate(
+        self,
+        key: Key[Array, ""],
+        root: LookaheadRoot,
+        node: FieldNode,
+        paths: Float[Array, "H S 3"],
+        objective: FieldObjective | None,
+    ) -> Simulation:
+        """Drive the paths one after the other, and imagine what the samples say.
+
+        All samples since the root, those on the way to the node first, are one look ahead: nothing is
+        refitted. What lies past the horizon is dropped.
+        """
+        objective = self.objective if objective is None else objective
+        num_paths, size = paths.shape[:2]
+        horizon = node.points.shape[0] // size + 1
+        pose, drives = node.pose, []
+        for path in paths:
+            drives.append(self._drive(pose, path))
+            pose = self._end(drives[-1])
+        innovations = jnp.zeros((num_paths * size,), paths.dtype)
+        if self.imagined == "sample":
+            innovations = jax.random.normal(key, (num_paths * size,), paths.dtype)
+        new_points = jnp.concatenate([driven.poses[:, :2] for driven in drives])
+        new_is_taken = jnp.concatenate([driven.is_driven for driven in drives])
+
+        def behind(past, new):
+            """`new` behind the samples on the way to the node, cut at the horizon."""
+            rows = []
+            for level in range(horizon):
+                both = jnp.concatenate([past[: level * size], new])[: horizon * size]
+                fill = [(0, horizon * size - both.shape[0])] + [(0, 0)] * (both.ndim - 1)
+                rows.append(jnp.pad(both, fill))
+            return _choose(node.level, rows)
+
+        points = behind(node.points, new_points)
+        is_taken = behind(node.is_taken, new_is_taken)
+        innovations = behind(node.innovations, innovations)
+        ahead = look_ahead(root, points, is_taken, innovations, horizon, objective.needs_gradient)
+        worth = jnp.where(is_taken, objective(ahead.mean, ahead.variance, ahead.gradient), 0.0)
+        by_stage = jnp.pad(jnp.sum(worth.reshape(horizon, size), axis=-1), (0, num_paths))
+        paid = _choose(node.level, [by_stage[level : level + num_paths] for level in range(horizon)])
+        rewards = paid + jnp.stack([self._cost(driven) for driven in drives])
+
+        room = (horizon - 1) * size
+        stage = jnp.arange(room, dtype=jnp.int32) // size
+        child = FieldNode(
+            pose=self._end(drives[0]),
+            level=node.level + 1,
+            points=points[:room],
+            is_taken=is_taken[:room] & (stage <= node.level),
+            innovations=innovations[:room],
+        )
+        return Simulation(child, rewards, jnp.zeros((num_paths,), bool))
+
+    def pose(self, world: FieldWorld) -> Pose:
+        """See `Problem`."""
+        return world.pose
+
+    def score(self, world: FieldWorld, belief: FieldBelief) -> dict[str, Scalar]:
+        """Errors of the final belief on a grid over the domain; cells in a wall do not count."""
+        grid = self.grid()
+        truth = self.field.values(grid)
+        mean, variance = self._predict(belief, grid)
+        is_open = is_free(grid, self.domain, self.walls).astype(truth.dtype)
+        number = jnp.sum(is_open)
+        squared = is_open * (mean - truth) ** 2
+        variance = jnp.maximum(variance, jnp.finfo(variance.dtype).eps)
+        nll = 0.5 * jnp.log(2.0 * jnp.pi * variance) + (mean - truth) ** 2 / (2.0 * variance)
+        taken = jnp.maximum(belief.posterior.count, 1).astype(truth.dtype)
+        return {
+            "rmse": jnp.sqrt(jnp.sum(squared) / number),
+            "wrmse": jnp.sqrt(jnp.sum(squared * self.weights(grid)) / number),
+            "mnll": jnp.sum(is_open * nll) / number,
+            "collisions": world.collisions,
+            "sampled_gradient": world.gradient / taken,
+        }
+
+    def weights(self, points: Float[Array, "N 2"]) -> Float[Array, "N"]:
+        """Weights of `wrmse`, between 0 and sqrt(2), from the true field at the points of a grid.
+
+        - `"gradient"`: as (3.7) prints it, the norm of the gradient's components, each scaled to [0, 1] by
+          its smallest and largest value over the grid, signs included; a flat area weighs about 0.7;
+        - `"gradient-norm"`: the norm of the gradient, scaled to [0, 1];
+        - `"value"`: the value, scaled to [0, 1] (Section 4.7.1: errors in high-valued locations).
+        """
+        if self.weighting == "value":
+            return _unit(self.field.values(points))
+        gradients = self.field.gradients(points)
+        if self.weighting == "gradient-norm":
+            return _unit(jnp.sqrt(jnp.sum(gradients**2, axis=-1)))
+        return jnp.sqrt(jnp.sum(jax.vmap(_unit, 1, 1)(gradients) ** 2, axis=-1))
+
+    def grid(self) -> Float[Array, "G 2"]:
+        """Points of a regular grid over the domain, by rows of equal y."""
+        x, y = self._axes()
+        return jnp.stack([g.ravel() for g in jnp.meshgrid(x, y)], axis=-1)
+
+    def snapshot(self, world: FieldWorld, belief: FieldBelief) -> dict[str, dict[str, Array]]:
+        """The field and the belief on the grid, and the samples."""
+        del world
+        x, y = self._axes()
+        grid = self.grid()
+        mean, variance = self._predict(belief, grid)
+        posterior = belief.posterior
+        samples = jnp.concatenate([posterior.x, posterior.y[:, None]], axis=-1)
+        is_taken = jnp.arange(samples.shape[0], dtype=posterior.count.dtype) < posterior.count
+        shape = (self.resolution, self.resolution)
+        return {
+            "belief": {
+                "x": x,
+                "y": y,
+                "truth": self.field.values(grid).reshape(shape),
+                "mean": mean.reshape(shape),
+                "std": jnp.sqrt(variance).reshape(shape),
+                "samples": jnp.where(is_taken[:, None], samples, jnp.nan),
+            }
+        }
+
+    def _axes(self) -> tuple[Float[Array, "R"], Float[Array, "R"]]:
+        low_x, low_y, high_x, high_y = self.domain
+        return jnp.linspace(low_x, high_x, self.resolution), jnp.linspace(low_y, high_y, self.resolution)
+
+    def _predict(
+        self, belief: FieldBelief, grid: Float[Array, "G 2"]
+    ) -> tuple[Float[Array, "G"], Float[Array, "G"]]:
+        """Posterior moments, a row of the grid at a time: all at once would take N G numbers a run."""
+        rows = grid.reshape(self.resolution, self.resolution, 2)
+        mean, variance = jax.lax.map(belief.posterior.predict, rows)
+        return mean.ravel(), variance.ravel()
+
+    def _random_start(self, key: Key[Array, ""]) -> Pose:
+        low_x, low_y, high_x, high_y = self.domain
+        low, high = (
+            jnp.stack([low_x, low_y, jnp.zeros_like(low_x)]),
+            jnp.stack([high_x, high_y, 2.0 * jnp.pi]),
+        )
+        poses = jax.random.uniform(key, (START_TRIES, 3), low.dtype, low, high)
+        return poses[jnp.argmax(is_free(poses[:, :2], self.domain, self.walls))]
+
+    def _drive(self, pose: Pose, path: Path) -> Drive:
+        return drive_until_blocked(pose, place(path, pose), self.domain, self.walls)
+
+    def _end(self, driven: Drive) -> Pose:
+        end = driven.poses[-1]
+        is_turned = (driven.collided | driven.exited) & (self.after_collision == "turn")
+        heading = end[2] + jnp.where(is_turned, jnp.pi, 0.0)
+        return end.at[2].set(jnp.mod(heading, 2.0 * jnp.pi))
+
+    def _cost(self, driven: Drive) -> Scalar:
+        return jnp.where(driven.collided, self.collision_reward, 0.0) + jnp.where(
+            driven.exited, self.exit_reward, 0.0
+        )
+
+    def _is_reached(self, driven: Drive) -> Bool[Array, ""]:
+        if self.target_area is None:
+            return jnp.zeros((), bool)
+        points = driven.poses[:, :2]
+        is_there = jnp.all((points >= self.target_area[:2]) & (points <= self.target_area[2:]), axis=-1)
+        return jnp.any(is_there & driven.is_driven)
+
+
+def _choose(level: Int[Array, ""], options: list[Array]) -> Array:
+    """`options[level]`; the last one past the end: elementwise arithmetic where an index costs a gather."""
+    chosen = options[-1]
+    for index in range(len(options) - 2, -1, -1):
+        chosen = jnp.where(level == index, options[index], chosen)
+    return chosen
+
+
+def _unit(values: Float[Array, "N"]) -> Float[Array, "N"]:
+    """Values scaled to [0, 1]; ones where they are all equal."""
+    low, high = jnp.min(values), jnp.max(values)
+    is_flat = high == low
+    return jnp.where(is_flat, 1.0, (values - low) / jnp.where(is_flat, 1.0, high - low))

@@ -1,0 +1,77 @@
+"""What a sample of a field is worth to who monitors it: the acquisition h of (3.1) and (4.10)."""
+
+import abc
+from typing import ClassVar, Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+class FieldObjective(eqx.Module):
+    """Worth of a sample, from the belief about the field before the path that takes it.
+
+    Attributes:
+        needs_gradient: Whether the gradient of the mean enters; computing it is not free.
+    """
+
+    needs_gradient: ClassVar[bool] = False
+
+    @abc.abstractmethod
+    def __call__(
+        self, mean: Float[Array, "S"], variance: Float[Array, "S"], gradient: Float[Array, "S 2"] | None
+    ) -> Float[Array, "S"]:
+        """Worth of each sample."""
+
+
+Uncertainty = Literal["std", "variance"]
+"""How a variance enters: Chapter 3 calls sigma the variance, (2.37) the standard deviation."""
+
+
+def _spread(variance: Float[Array, "S"], uncertainty: Uncertainty) -> Float[Array, "S"]:
+    return jnp.sqrt(variance) if uncertainty == "std" else variance
+
+
+class GradientObjective(FieldObjective):
+    """Norm of the mean's gradient plus `kappa` standard deviations (3.2): BO-POMDP and the myopic planner."""
+
+    needs_gradient: ClassVar[bool] = True
+
+    kappa: Float[Array, ""]
+    uncertainty: Uncertainty = eqx.field(static=True, default="std")
+
+    def __call__(
+        self, mean: Float[Array, "S"], variance: Float[Array, "S"], gradient: Float[Array, "S 2"] | None
+    ) -> Float[Array, "S"]:
+        """See `FieldObjective`."""
+        del mean
+        assert gradient is not None
+        norm = jnp.sqrt(jnp.sum(gradient * gradient, axis=-1))
+        return norm + self.kappa * _spread(variance, self.uncertainty)
+
+
+class ValueObjective(FieldObjective):
+    """Mean plus `kappa` standard deviations (4.11): SBO, and all planners of Section 4.7.1."""
+
+    kappa: Float[Array, ""]
+    uncertainty: Uncertainty = eqx.field(static=True, default="std")
+
+    def __call__(
+        self, mean: Float[Array, "S"], variance: Float[Array, "S"], gradient: Float[Array, "S 2"] | None
+    ) -> Float[Array, "S"]:
+        """See `FieldObjective`."""
+        del gradient
+        return mean + self.kappa * _spread(variance, self.uncertainty)
+
+
+class UncertaintyObjective(FieldObjective):
+    """The standard deviation alone: the myopic explorer of Section 3.5.1."""
+
+    uncertainty: Uncertainty = eqx.field(static=True, default="std")
+
+    def __call__(
+        self, mean: Float[Array, "S"], variance: Float[Array, "S"], gradient: Float[Array, "S 2"] | None
+    ) -> Float[Array, "S"]:
+        """See `FieldObjective`."""
+        del mean, gradient
+        return _spread(variance, self.uncertainty)
