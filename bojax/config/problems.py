@@ -158,7 +158,7 @@ class Diagonal(_Gradients, frozen=True):
 
 
 class TwoPits(_Gradients, frozen=True):
-    """Two pits farther apart than one action, one steeper than the other (thesis, Section 3.5.1, Fig. 3.2)."""
+    """Two pits farther apart than one action, one of them steeper (thesis, Section 3.5.1, Fig. 3.2)."""
 
     kind: Literal["two-pits"] = "two-pits"
     field: Annotated[Component, Slot("field")] = Field(
