@@ -4,7 +4,8 @@ Of `manifest.json` these keys are read, and only `points` and `status` have to b
 
 - `points`: `index`, `label`, `variant`, `swept`, `config`; `status`: `finished`, or `failed` where only
   some chunks were run; `chunks`: `error`;
-- `name`, `title`, `runs`, `seed`, `claims`, `report` (`figures`, `notes`, `thesis`, `by_step`);
+- `name`, `title`, `runs`, `seed`, `claims`, `report` (`figures`, `notes`, `thesis`, `relative_to`,
+  `by_step`);
 - `groups`: `points`, `lanes_per_device`, `devices`, `compile_seconds`, `run_seconds`, `active_steps`,
   `latency_seconds` (`{point: seconds}`);
 - `command`, `written`, `versions`, `git`, `device`, `config_hash`.
@@ -12,7 +13,7 @@ Of `manifest.json` these keys are read, and only `points` and `status` have to b
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +47,21 @@ class Point:
     swept: Mapping[str, Any]
     config: Mapping[str, Any]
 
+    @property
+    def problem(self) -> Mapping[str, Any]:
+        """Its problem; empty where the experiment has none."""
+        return _mapping(self.config.get("problem"))
+
+    @property
+    def has_success(self) -> bool:
+        """Whether its runs can succeed: monitoring without a target area has nothing to reach."""
+        return self.problem.get("target", True) is not None
+
+    @property
+    def ends_at_success(self) -> bool:
+        """Whether a run is over once it has succeeded; where there is an area to reach, it goes on."""
+        return "target" not in self.problem
+
 
 @dataclass(frozen=True)
 class Results:
@@ -76,6 +92,28 @@ class Results:
         """The sweep's title."""
         return str(self.manifest.get("title") or self.name)
 
+    @property
+    def reference(self) -> Point | None:
+        """The point that `report.relative_to` names, if it is one."""
+        name = self.settings.get("relative_to")
+        return next((point for point in self.points if name in (point.name, point.variant)), None)
+
+    def thesis(self, point: Point, column: str) -> Any:
+        """What `report.thesis` says of a column, for a name, a variant or a label; None where nothing."""
+        values = _mapping(self.settings.get("thesis"))
+        for name in (point.name, point.variant, point.label):
+            if (value := _mapping(values.get(name)).get(column)) is not None:
+                return value
+        return None
+
+    def thesis_ratio(self, point: Point, column: str) -> float | None:
+        """The thesis's number over that of the reference; None unless both are positive numbers."""
+        ours = self.reference
+        pair = [] if ours is None else [self.thesis(point, column), self.thesis(ours, column)]
+        if not pair or not all(isinstance(value, int | float) and value > 0 for value in pair):
+            return None
+        return float(pair[0] / pair[1])
+
     @cached_property
     def runs(self) -> Columns:
         """`runs.parquet`."""
@@ -99,6 +137,15 @@ class Results:
     def steps_of(self, point: Point) -> Columns:
         """The steps of one point."""
         return _rows(self.steps, point)
+
+    def shared_runs(self, points: Sequence[Point]) -> NDArray[Any]:
+        """Indices of the runs that all points have."""
+        return reduce(np.intersect1d, [self.runs_of(point)["run"] for point in points])
+
+    def paired(self, points: Sequence[Point], column: str) -> NDArray[Any]:
+        """Values of a column of `runs.parquet` of the runs that all points have, `[runs, points]`."""
+        shared, tables = self.shared_runs(points), [self.runs_of(point) for point in points]
+        return np.stack([table[column][np.searchsorted(table["run"], shared)] for table in tables], axis=1)
 
     def arrays(self, point: Point, name: str) -> Iterable[tuple[int, Mapping[str, NDArray[Any]]]]:
         """Run index and arrays of every kept snapshot `name` of a point, by run index."""

@@ -76,6 +76,18 @@ def mean_interval(values: ArrayLike, strata: ArrayLike | None = None, *, level: 
     return Interval(float(table.mean()), float(low), float(high))
 
 
+def ratio_interval(numerator: ArrayLike, denominator: ArrayLike, *, level: float = LEVEL) -> Interval:
+    """Ratio of the means of two columns of equal runs, `[n]` each, with its percentile bootstrap interval.
+
+    NaN where a mean, or that of any resample, is not positive: a ratio would then say nothing.
+    """
+    table = np.stack([np.asarray(values, dtype=np.float64) for values in (numerator, denominator)], axis=1)
+    if table.size == 0 or not np.isfinite(table).all() or not (means := bootstrap_means(table)).min() > 0:
+        return Interval(float("nan"), float("nan"), float("nan"))
+    low, high = _central(means[:, 0] / means[:, 1], level)
+    return Interval(float(table[:, 0].mean() / table[:, 1].mean()), float(low), float(high))
+
+
 def mean_band(values: ArrayLike, *, level: float = LEVEL) -> tuple[Floats, Floats, Floats]:
     """Mean, lower and upper bound of every column of `[n, columns]`: a pointwise bootstrap band."""
     table = np.asarray(values, dtype=np.float64)

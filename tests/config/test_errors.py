@@ -289,8 +289,30 @@ SWEEPS = {
         's.yaml: claims.0.test: got "orders"; unknown test; allowed: …; did you mean "order"?',
     ),
     "a test without its settings": (
-        "{base: {}, claims: [{id: a, source: s, claim: c, test: {kind: order, column: return}}]}",
-        "s.yaml: claims.0.test.greater: missing, and it has no default",
+        "{base: {}, claims: [{id: a, source: s, claim: c, test: {kind: order, greater: [a, b]}}]}",
+        "s.yaml: claims.0.test.column: missing, and it has no default",
+    ),
+    "an order without a direction": (
+        "{base: {}, claims: [{id: a, source: s, claim: c, test: {kind: order, column: x}}]}",
+        's.yaml: claims.0.test: got {"kind": "order", "column": "x"}; an order takes one of greater and less',
+    ),
+    "an order with a name twice": (
+        "{base: {}, claims: [{id: a, source: s, claim: c, test: "
+        "{kind: order, column: x, less: [a, [b, a]]}}]}",
+        's.yaml: claims.0.test: got {"kind": "order", "column": "x", "less": ["a", ["b", "a"]]}; '
+        "less: a name stands there twice",
+    ),
+    "an order with a margin that is no share": (
+        "{base: {}, claims: [{id: a, source: s, claim: c, test: "
+        "{kind: order, column: x, less: [a, b], margin: 2, baseline: c}}]}",
+        's.yaml: claims.0.test: got {"kind": "order", "column": "x", "less": ["a", "b"],...; '
+        "with a baseline, margin is a share of a lead: between 0 and 1",
+    ),
+    "a ratio to oneself": (
+        "{base: {}, claims: [{id: a, source: s, claim: c, test: "
+        "{kind: ratio, column: x, label: a, to: a, expected: 1.2, tolerance: 0.1}}]}",
+        's.yaml: claims.0.test: got {"kind": "ratio", "column": "x", "label": "a", "to":...; '
+        "to: a name stands there twice",
     ),
     "an order of one": (
         "{base: {}, claims: [{id: a, source: s, claim: c, test: {kind: order, column: x, greater: [a]}}]}",

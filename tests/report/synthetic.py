@@ -7,6 +7,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from bojax.report.source import Point, Results
+
 MAX_STEPS = 15
 SAMPLES = 12
 
@@ -188,6 +190,39 @@ def write_results(folder: Path, *, runs: int = 40, recorded: int = 8, report: di
     }
     (folder / "manifest.json").write_text(json.dumps(manifest))
     return folder
+
+
+def in_memory(
+    runs: dict[str, dict[str, np.ndarray]],
+    steps: dict[str, np.ndarray] | None = None,
+    problem: dict | None = None,
+    claims: list[dict] | None = None,
+) -> Results:
+    """Results of made-up columns: by name, columns of runs, and `[runs, steps]` of the column `value`."""
+    names = list(runs)
+    points = tuple(Point(i, name, name, name, {}, {"problem": problem or {}}) for i, name in enumerate(names))
+    results = Results(Path("nowhere"), {"claims": claims or []}, points)
+    sizes = [len(next(iter(columns.values()))) for columns in runs.values()]
+    table = {
+        "point": np.repeat(np.arange(len(names)), sizes),
+        "run": np.concatenate([np.arange(size) for size in sizes]),
+    }
+    columns = next(iter(runs.values()))
+    table |= {column: np.concatenate([runs[name][column] for name in names]) for column in columns}
+    results.__dict__["runs"] = table
+    results.__dict__["steps"] = {} if steps is None else _long(steps, names)
+    return results
+
+
+def _long(steps: dict[str, np.ndarray], names: list[str]) -> dict[str, np.ndarray]:
+    num_runs, num_steps = steps[names[0]].shape
+    run, step = np.indices((num_runs, num_steps))
+    return {
+        "point": np.repeat(np.arange(len(names)), num_runs * num_steps),
+        "run": np.tile(run.ravel(), len(names)),
+        "step": np.tile(step.ravel() + 1, len(names)),
+        "value": np.concatenate([steps[name].ravel() for name in names]),
+    }
 
 
 def edit_manifest(folder: Path, edit) -> None:
