@@ -1,0 +1,337 @@
+"""Algorithm 1 against plain NumPy, and on functions whose maximum is known."""
+
+from collections import Counter
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxtyping import Array, Float
+
+from bojax.acquisition.bayesian_optimisation import BayesianOptimisation
+from bojax.acquisition.functions import LogExpectedImprovement, ProbabilityOfImprovement, UpperConfidenceBound
+from bojax.models.kernels import RBF, Matern52
+from bojax.numerics.quasirandom import shifted_kronecker
+from tests.reference import bayesian_optimisation as reference
+from tests.reference.bridge import reference_acquisition, reference_kernel
+
+ACQUISITIONS = {
+    "ucb": UpperConfidenceBound(jnp.asarray(2.0)),
+    "pi": ProbabilityOfImprovement(jnp.asarray(0.01)),
+    "log-ei": LogExpectedImprovement(jnp.asarray(0.01)),
+}
+each_acquisition = pytest.mark.parametrize("acquisition", ACQUISITIONS.values(), ids=list(ACQUISITIONS))
+NUM_ITERATIONS = 12
+TRACES: Counter[str] = Counter()
+"""How often each program below was traced, and so compiled."""
+
+# These programs run for milliseconds: what costs time is to compile them.
+_OPTIONS = {"xla_backend_optimization_level": 0} if jax.default_backend() == "cpu" else None
+_jit = partial(eqx.filter_jit, compiler_options=_OPTIONS)
+
+
+def optimisation(acquisition=ACQUISITIONS["ucb"], low=(-1.0, -1.0), high=(1.0, 1.0), **changes):
+    settings = {"kernel": RBF(jnp.asarray(0.5)), "noise_variance": jnp.asarray(1e-4)}
+    sizes = {"capacity": NUM_ITERATIONS, "num_candidates": 64, "num_initial": 3, "refine_steps": 8}
+    return BayesianOptimisation(
+        acquisition=acquisition,
+        low=jnp.asarray(low),
+        high=jnp.asarray(high),
+        **{**settings, **sizes, **changes},
+    )
+
+
+def peak(key, x):
+    """One peak of height 1 at (0.3, -0.6)."""
+    del key
+    return 1.0 / (1.0 + jnp.sum((x - jnp.asarray([0.3, -0.6])) ** 2))
+
+
+def negative_branin(key, x):
+    """Branin's function, whose three minima of 0.397887 lie in [-5, 10] x [0, 15], upside down."""
+    del key
+    a = x[1] - 5.1 / (4.0 * np.pi**2) * x[0] ** 2 + 5.0 / np.pi * x[0] - 6.0
+    return -(a**2 + 10.0 * (1.0 - 1.0 / (8.0 * np.pi)) * jnp.cos(x[0]) + 10.0)
+
+
+def gap(key, x):
+    """A peak at (0.3, -0.6) behind a region without values, which holds a third of the box."""
+    return jnp.where(x[1] > 0.3, jnp.nan, peak(key, x))
+
+
+@_jit
+def maximise(optimisation, key, function=peak, num_iterations=NUM_ITERATIONS):
+    TRACES["maximise"] += 1
+    return optimisation.maximise(key, function, num_iterations)
+
+
+@_jit
+def maximise_lanes(optimisations, keys, function=peak, num_iterations=NUM_ITERATIONS):
+    """Every leaf of the optimisation is a batch axis."""
+    return jax.vmap(lambda one, key: one.maximise(key, function, num_iterations))(optimisations, keys)
+
+
+def seeds(number: int):
+    return jax.vmap(jax.random.key)(jnp.arange(number))
+
+
+def stacked(optimisations):
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves), *optimisations)
+
+
+def step_by_step(optimisation, key, function, num_iterations=NUM_ITERATIONS):
+    """`maximise`, by asking and telling."""
+    key_search, key_noise = jax.random.split(key)
+    init, ask, tell = (
+        _jit(f) for f in (type(optimisation).init, type(optimisation).ask, type(optimisation).tell)
+    )
+    state, xs, ys = init(optimisation, key_search), [], []
+    evaluate = jax.jit(function)
+    for i in range(num_iterations):
+        xs.append(ask(optimisation, state))
+        ys.append(evaluate(jax.random.fold_in(key_noise, i), xs[-1]))
+        state = tell(optimisation, state, xs[-1], ys[-1])
+    return state, jnp.stack(xs), jnp.stack(ys)
+
+
+def assert_equal_leaves(one, other):
+    for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        if jnp.issubdtype(a.dtype, jax.dtypes.prng_key):
+            a, b = jax.random.key_data(a), jax.random.key_data(b)
+        np.testing.assert_array_equal(a, b)
+
+
+@each_acquisition
+@pytest.mark.parametrize("function", [peak, gap], ids=["peak", "gap"])
+def test_points_and_values_are_those_of_plain_numpy(acquisition, function):
+    one = optimisation(acquisition)
+    state, xs, ys = maximise(one, jax.random.key(7), function)
+    key_search, _ = jax.random.split(jax.random.key(7))
+
+    def draw(stream):
+        return np.asarray(shifted_kronecker(jax.random.fold_in(key_search, stream), 64, 2, jnp.float64))
+
+    expected_xs, expected_ys = reference.maximise(
+        lambda x: float(function(None, jnp.asarray(x))),
+        reference_kernel(one.kernel),
+        reference_acquisition(acquisition),
+        noise_variance=1e-4,
+        num_initial=3,
+        refine_steps=8,
+        initial=draw(0),
+        candidates=[draw(i + 1) for i in range(NUM_ITERATIONS)],
+    )
+    np.testing.assert_allclose(xs, expected_xs, atol=1e-8)
+    np.testing.assert_allclose(ys, expected_ys, atol=1e-8)
+    assert int(state.num_missing) == np.isnan(expected_ys).sum()
+
+
+@each_acquisition
+def test_asking_and_telling_is_the_loop(acquisition):
+    one = optimisation(acquisition, low=(-2.0, 0.0), high=(1.0, 3.0))
+    assert_equal_leaves(step_by_step(one, jax.random.key(3), gap), maximise(one, jax.random.key(3), gap))
+
+
+def test_a_batch_of_problems_is_a_loop_and_its_lanes_differ():
+    problems = [
+        optimisation(
+            UpperConfidenceBound(jnp.asarray(kappa)),
+            kernel=Matern52(jnp.asarray(lengthscale)),
+            noise_variance=jnp.asarray(noise),
+            high=(high, 1.0),
+        )
+        for kappa, lengthscale, noise, high in [
+            (1.0, 0.3, 1e-2, 1.0),
+            (2.0, 0.5, 1e-3, 2.0),
+            (2.0, 0.5, 1e-3, 2.0),
+        ]
+    ]
+    _, lane_xs, lane_ys = maximise_lanes(stacked(problems), seeds(3))
+    for lane, problem in enumerate(problems):
+        _, xs, ys = maximise(problem, jax.random.key(lane))
+        np.testing.assert_allclose(lane_xs[lane], xs, atol=1e-8)
+        np.testing.assert_allclose(lane_ys[lane], ys, atol=1e-8)
+    assert len(np.unique(np.asarray(lane_xs)[:, -1], axis=0)) == 3
+
+
+def test_new_keys_and_hyperparameters_compile_nothing_and_matter():
+    one = optimisation()
+    _, first, _ = maximise(one, jax.random.key(0))
+    before = TRACES["maximise"]
+    _, second, _ = maximise(one, jax.random.key(1))
+    assert not np.array_equal(first, second)
+    for where, value in (
+        (lambda one: one.noise_variance, 0.5),
+        (lambda one: one.kernel.lengthscale, 0.2),
+        (lambda one: one.acquisition.kappa, 20.0),
+        (lambda one: one.high, [2.0, 1.0]),
+    ):
+        _, changed, _ = maximise(eqx.tree_at(where, one, jnp.asarray(value)), jax.random.key(0))
+        assert not np.array_equal(first, changed)
+    assert TRACES["maximise"] == before
+
+
+def regrets(function, maximum, optimisations, num_iterations):
+    """How far the best value found is below the maximum, in each lane."""
+    number = optimisations.noise_variance.shape[0]
+    state, _, ys = maximise_lanes(optimisations, seeds(number), function, num_iterations)
+    _, best = jax.vmap(type(optimisations).best)(optimisations, state)
+    np.testing.assert_allclose(best, np.max(ys, axis=1), rtol=1e-12)  # XLA may compute a value twice
+    return maximum - np.asarray(best)
+
+
+def random_regrets(function, maximum, low, high, num_iterations, number):
+    """The same for points drawn uniformly."""
+    rng = np.random.default_rng(0)
+    points = jnp.asarray(rng.uniform(low, high, (number, num_iterations, 2)))
+    values = jax.jit(jax.vmap(jax.vmap(partial(function, None))))(points)
+    return maximum - np.max(values, axis=1)
+
+
+@each_acquisition
+def test_one_peak_is_found(acquisition):
+    lanes = stacked([optimisation(acquisition, capacity=20)] * 16)
+    found = regrets(peak, 1.0, lanes, 20)
+    assert np.all(found < 0.02) and np.median(found) < 2e-3
+    by_chance = random_regrets(peak, 1.0, (-1, -1), (1, 1), 20, 16)
+    assert np.median(found) < 0.05 * np.median(by_chance)
+
+
+@each_acquisition
+def test_the_minimum_of_branin_is_found_by_maximising_its_negative(acquisition):
+    low, high = (-5.0, 0.0), (10.0, 15.0)
+    one = optimisation(acquisition, low, high, capacity=40, kernel=Matern52(jnp.asarray(0.6)), num_initial=4)
+    found = regrets(negative_branin, -0.397887, stacked([one] * 16), 40)
+    assert np.all(found > -1e-6) and np.all(found < 0.5) and np.median(found) < 0.05
+    by_chance = random_regrets(negative_branin, -0.397887, low, high, 40, 16)
+    assert np.median(found) < 0.1 * np.median(by_chance)
+
+
+# The probability of improvement is left out: it prefers a sure gain, however small, to the corner.
+@pytest.mark.parametrize("name", ["ucb", "log-ei"])
+def test_a_maximum_in_a_corner_is_found_there(name):
+    def slope(key, x):
+        del key
+        return x[0] - 2.0 * x[1]
+
+    one = optimisation(ACQUISITIONS[name], low=(-0.1, 3.0), high=(0.7, 3.1), capacity=16, refine_steps=20)
+    state, xs, ys = maximise_lanes(stacked([one] * 4), seeds(4), slope, 16)
+    assert np.all(np.asarray(xs) >= np.asarray(one.low)) and np.all(np.asarray(xs) <= np.asarray(one.high))
+    best, value = jax.vmap(one.best)(state)
+    np.testing.assert_allclose(best, np.broadcast_to([0.7, 3.0], (4, 2)), atol=1e-3)
+    np.testing.assert_allclose(value, 0.7 - 6.0, atol=3e-3)
+
+
+@each_acquisition
+def test_a_constant_function_is_explored(acquisition):
+    # No point is better than another: all that is left is the variance, which sends it to new points.
+    _, xs, ys = maximise(optimisation(acquisition), jax.random.key(0), lambda key, x: jnp.asarray(2.5))
+    assert np.all(np.isfinite(xs)) and np.all(ys == 2.5)
+    distance = np.linalg.norm(np.asarray(xs)[:, None] - np.asarray(xs)[None], axis=-1)
+    assert np.min(distance + 10.0 * np.eye(len(xs))) > 0.1
+
+
+class Bowl(eqx.Module):
+    """A quadratic function in units of one's own."""
+
+    scale: Float[Array, ""]
+    offset: Float[Array, ""]
+
+    def __call__(self, key, x):
+        del key
+        return self.scale * jnp.sum((x - jnp.asarray([0.3, -0.6], x.dtype)) ** 2) + self.offset
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_the_units_of_the_objective_do_not_matter(dtype):
+    one = jax.tree.map(lambda leaf: leaf.astype(dtype), optimisation())
+    for sign in (1.0, -1.0):
+        found = []
+        for scale, offset in ((1.0, 0.0), (1e-12, 0.0), (1e12, 0.0), (1.0, 100.0)):
+            bowl = Bowl(jnp.asarray(sign * scale, dtype), jnp.asarray(offset, dtype))
+            _, xs, ys = maximise(one, jax.random.key(0), bowl)
+            assert xs.dtype == ys.dtype == dtype
+            found.append(xs)
+        # What is left is rounding.
+        for xs in found[1:]:
+            np.testing.assert_allclose(xs, found[0], atol=1e-3 if dtype == jnp.float32 else 1e-8)
+
+
+def test_missing_values_are_counted_and_teach_nothing():
+    one = optimisation()
+    tell = _jit(type(one).tell)
+    state, xs, ys = maximise(one, jax.random.key(0))
+    more = tell(one, state, xs[0], jnp.asarray(1.0))
+    assert more.num_told == NUM_ITERATIONS + 1 and more.num_missing == 0
+    for value in (jnp.nan, jnp.inf, -jnp.inf):
+        missing = tell(one, state, xs[0], jnp.asarray(value))
+        assert missing.num_missing == 1 and missing.num_told == NUM_ITERATIONS + 1 and missing.was_missing
+        assert_equal_leaves(missing.model, state.model)
+        assert_equal_leaves(one.best(missing), one.best(state))
+    nowhere = tell(one, state, jnp.asarray([jnp.nan, 0.0]), jnp.asarray(1.0))
+    assert nowhere.num_missing == 1
+    assert_equal_leaves(nowhere.model, state.model)
+
+
+def test_a_function_without_values_is_still_searched():
+    state, xs, ys = maximise(optimisation(), jax.random.key(0), lambda key, x: jnp.asarray(jnp.nan))
+    assert state.num_missing == NUM_ITERATIONS and state.model.count == 0
+    assert np.all(np.isnan(ys)) and len(np.unique(xs, axis=0)) == NUM_ITERATIONS
+
+
+def test_a_peak_beside_missing_values_is_found():
+    lanes = stacked([optimisation(capacity=30)] * 8)
+    state, _, ys = maximise_lanes(lanes, seeds(8), gap, 30)
+    np.testing.assert_array_equal(state.num_missing, np.isnan(ys).sum(axis=1))
+    assert np.all(state.num_missing > 0) and np.all(np.nanmax(ys, axis=1) > 0.99)
+
+
+def test_the_same_state_asks_for_the_same_point_and_learns_from_any():
+    one = optimisation()
+    ask, tell = _jit(type(one).ask), _jit(type(one).tell)
+    state, _, _ = maximise(one, jax.random.key(0), num_iterations=6)
+    point = ask(one, state)
+    np.testing.assert_array_equal(point, ask(one, state))
+    told = tell(one, state, jnp.asarray([0.3, -0.6]), jnp.asarray(1.0))
+    x, y = one.best(told)
+    np.testing.assert_allclose(x, [0.3, -0.6], rtol=1e-14)
+    assert y == 1.0
+    assert not np.array_equal(ask(one, told), point)
+
+
+def test_before_any_observation_the_best_is_the_centre_of_the_box():
+    one = optimisation(low=(-2.0, 0.0), high=(1.0, 3.0))
+    x, y = one.best(one.init(jax.random.key(0)))
+    np.testing.assert_array_equal(x, [-0.5, 1.5])
+    assert y == -np.inf
+
+
+def test_what_is_told_beyond_the_capacity_is_forgotten():
+    one = optimisation()
+    state, xs, _ = maximise(one, jax.random.key(0))
+    over = _jit(type(one).tell)(one, state, xs[0], jnp.asarray(9.0))
+    assert over.num_told == NUM_ITERATIONS + 1
+    assert_equal_leaves(over.model, state.model)
+
+
+def test_noise_differs_between_iterations_and_lanes():
+    def noise(key, x):
+        return jax.random.normal(key) + 0.0 * x[0]
+
+    _, _, ys = maximise_lanes(stacked([optimisation()] * 2), seeds(2), noise)
+    assert len(np.unique(ys)) == 2 * NUM_ITERATIONS
+
+
+def test_more_iterations_than_the_capacity_are_refused():
+    with pytest.raises(ValueError, match="num_iterations: 13; the capacity is 12"):
+        optimisation().maximise(jax.random.key(0), peak, 13)
+
+
+@pytest.mark.parametrize(
+    "name, number", [("capacity", 0), ("num_candidates", 0), ("num_initial", 0), ("refine_steps", -1)]
+)
+def test_sizes_that_make_no_sense_are_refused(name, number):
+    with pytest.raises(ValueError, match=f"{name}: {number}; has to be at least {number + 1}"):
+        optimisation(**{name: number})
