@@ -55,12 +55,12 @@ class Point:
     @property
     def has_success(self) -> bool:
         """Whether its runs can succeed: monitoring without a target area has nothing to reach."""
-        return self.problem.get("target", True) is not None
+        return self.problem.get("target_area", True) is not None
 
     @property
     def ends_at_success(self) -> bool:
         """Whether a run is over once it has succeeded; where there is an area to reach, it goes on."""
-        return "target" not in self.problem
+        return "target_area" not in self.problem
 
 
 @dataclass(frozen=True)

@@ -305,13 +305,13 @@ SWEEPS = {
     "an order with a margin that is no share": (
         "{base: {}, claims: [{id: a, source: s, claim: c, test: "
         "{kind: order, column: x, less: [a, b], margin: 2, baseline: c}}]}",
-        's.yaml: claims.0.test: got {"kind": "order", "column": "x", "less": ["a", "b"],...; '
+        's.yaml: claims.0.test: got {"kind": "order", "column": "x", "less": ["a", "b"], "mar...; '
         "with a baseline, margin is a share of a lead: between 0 and 1",
     ),
     "a ratio to oneself": (
         "{base: {}, claims: [{id: a, source: s, claim: c, test: "
         "{kind: ratio, column: x, label: a, to: a, expected: 1.2, tolerance: 0.1}}]}",
-        's.yaml: claims.0.test: got {"kind": "ratio", "column": "x", "label": "a", "to":...; '
+        's.yaml: claims.0.test: got {"kind": "ratio", "column": "x", "label": "a", "to": "a",...; '
         "to: a name stands there twice",
     ),
     "an order of one": (

@@ -250,7 +250,7 @@ def test_success_within_steps_needs_runs_that_end_at_success():
     results = flags(40, 30, 0)
     walled = in_memory(
         {point.name: {"value": results.runs_of(point)["value"]} for point in results.points},
-        problem={"kind": "space-modelling", "target": [1, 0, 2, 1]},
+        problem={"kind": "space-modelling", "target_area": [1, 0, 2, 1]},
         claims=[claim],
     )
     (entry,) = evaluate(walled)
