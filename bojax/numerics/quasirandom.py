@@ -1,8 +1,11 @@
-"""Low-discrepancy points: a Kronecker sequence with a random shift, for candidates of an acquisition."""
+"""Low-discrepancy points: a shifted Kronecker sequence for candidates, Halton's for integrals."""
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Key
+
+from bojax.numerics.linalg import matmul
 
 
 def generalised_golden_ratio(num_dims: int) -> float:
@@ -25,3 +28,46 @@ def shifted_kronecker(key: Key[Array, ""], num_points: int, num_dims: int, dtype
     shift = jax.random.uniform(key, (num_dims,), dtype)
     index = jnp.arange(num_points, dtype=dtype)
     return 2.0 * jnp.mod(shift[None, :] + index[:, None] * step[None, :], 1.0) - 1.0
+
+
+def scrambled_halton(key: Key[Array, ""], num_points: int, num_dims: int, dtype) -> Float[Array, "N D"]:
+    """`num_points` points that fill the open cube (0, 1)^D evenly; each alone is a fair uniform draw.
+
+    Halton's sequence, whose j-th coordinate mirrors the digits of the index in the j-th prime base, with a
+    random permutation of the digits at every place (Owen, "A randomized Halton algorithm in R", 2017):
+    without one, coordinates of large bases are almost proportional to each other. At the places that no
+    index reaches all points have the same permuted zeros: one uniform number stands for them.
+    """
+    levels = [
+        (dim, base, base**k)
+        for dim, base in enumerate(_first_primes(num_dims))
+        for k in range(64)
+        if k == 0 or base**k < num_points
+    ]
+    dim, base, place = np.asarray(levels).T
+    digits = np.arange(num_points)[None, :] // place[:, None] % base[:, None]
+    weights = np.where(np.arange(num_dims)[:, None] == dim, 1.0 / (base * place), 0.0)
+    permute, shift = jax.random.split(key)
+    # One sort permutes the digits of all places: sorts are slow to compile.
+    order = jax.random.uniform(permute, (len(base), max(base)), dtype)
+    permutations = jnp.argsort(jnp.where(np.arange(max(base)) < base[:, None], order, 2.0), axis=1)
+    permuted = jnp.take_along_axis(permutations, digits, axis=1).astype(dtype)
+    beyond = jnp.asarray(np.where(weights > 0.0, weights, 1.0).min(axis=1), dtype)
+    rest = beyond * jax.random.uniform(shift, (num_dims,), dtype)
+    return inside_the_cube((matmul(jnp.asarray(weights, dtype), permuted) + rest[:, None]).T)
+
+
+def inside_the_cube(points: Float[Array, "N D"]) -> Float[Array, "N D"]:
+    """Points of the closed unit cube moved off its faces by half a rounding error: quantiles stay finite."""
+    margin = 0.5 * float(jnp.finfo(points.dtype).eps)
+    return jnp.clip(points, margin, 1.0 - margin)
+
+
+def _first_primes(number: int) -> list[int]:
+    primes: list[int] = []
+    candidate = 2
+    while len(primes) < number:
+        if all(candidate % prime for prime in primes):
+            primes.append(candidate)
+        candidate += 1
+    return primes

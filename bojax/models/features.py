@@ -1,0 +1,273 @@
+"""Feature maps of linear models: random Fourier (2.33), Fourier basis (5.23), polynomial and radial."""
+
+import abc
+import itertools
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import erf, ndtri
+from jaxtyping import Array, Float, Key
+
+from bojax.models.kernels import RBF, Kernel, Matern12, Matern32, Matern52, Product, Scaled, Sum
+from bojax.numerics.linalg import matmul
+from bojax.numerics.quasirandom import inside_the_cube, scrambled_halton
+
+Sampling = Literal["quasi-random", "monte-carlo"]
+"""How frequencies are drawn."""
+
+Correlation = RBF | Matern12 | Matern32 | Matern52
+"""A kernel with a spectral density of its own."""
+
+
+class Features(eqx.Module):
+    """A map phi from inputs to features (2.3)."""
+
+    @property
+    @abc.abstractmethod
+    def num_features(self) -> int:
+        """Number of features, M."""
+
+    @abc.abstractmethod
+    def __call__(self, x: Float[Array, "D"]) -> Float[Array, "M"]:
+        """The features of one input."""
+
+    def design(self, xs: Float[Array, "N D"]) -> Float[Array, "N M"]:
+        """The design matrix: a row of features for each input."""
+        return jax.vmap(self)(xs)
+
+
+class RandomFourier(Features):
+    """Features whose inner product approximates a stationary kernel, phi(x)'phi(y) ~ k(x, y) (2.31-2.33).
+
+    M/2 frequencies w of the kernel's spectral density give M features, a cos(w'x) and a sin(w'x), with
+    a^2 = 2 k(x, x) / M, so that phi(x)'phi(x) = k(x, x) exactly. The thesis prints another scale in (2.33),
+    and the density N(0, 2 I / lengthscale^2) where that of the kernel is N(0, I / lengthscale^2).
+
+    Attributes:
+        frequencies: Angular frequencies, in radians per unit of the input.
+        amplitudes: Amplitude of the two features of each frequency.
+    """
+
+    frequencies: Float[Array, "F D"]
+    amplitudes: Float[Array, "F"]
+
+    @classmethod
+    def draw(
+        cls,
+        key: Key[Array, ""],
+        kernel: Kernel,
+        num_features: int,
+        num_dims: int,
+        *,
+        sampling: Sampling = "quasi-random",
+    ) -> "RandomFourier":
+        """Features of a kernel; differentiable with respect to its lengthscales and variances.
+
+        A sum of kernels shares the frequencies out evenly among its terms; a frequency of a product is the
+        sum of one of each factor. Normal variables come from uniform ones through the quantile, also those
+        of the Matern kernels of smoothness nu, whose spectral density is Student's t with 2 nu degrees of
+        freedom: a normal vector over the root of an independent chi-squared variable over 2 nu.
+
+        Args:
+            key: Randomness.
+            kernel: Built of `RBF`, `Matern12`, `Matern32`, `Matern52`, `Scaled`, `Sum` and `Product`.
+            num_features: M, even: at least 2 for each term of a sum.
+            num_dims: Number of dimensions of the input.
+            sampling: Points of a scrambled Halton sequence, which cover the density evenly, or independent
+                draws (`monte-carlo`), whose error falls with the root of `num_features`.
+
+        Raises:
+            ValueError: A number is out of range, or a lengthscale is for another number of dimensions.
+            TypeError: The kernel has a part whose spectral density is not known.
+        """
+        terms = _terms(kernel)
+        if num_features < 2 * len(terms) or num_features % 2:
+            raise ValueError(f"num_features: got {num_features}; allowed: even, >= {2 * len(terms)}")
+        _refuse_below(1, "num_dims", num_dims)
+        if sampling not in ("quasi-random", "monte-carlo"):
+            raise ValueError(f"sampling: got {sampling!r}; allowed: quasi-random, monte-carlo")
+        frequencies, amplitudes = [], []
+        keys = jax.random.split(key, len(terms))
+        for i, (variance, factors) in enumerate(terms):
+            number = len(range(i, num_features // 2, len(terms)))
+            frequencies.append(_frequencies(keys[i], factors, number, num_dims, sampling))
+            amplitudes.append(jnp.full((number,), 1.0, variance.dtype) * jnp.sqrt(variance / number))
+        return cls(jnp.concatenate(frequencies), jnp.concatenate(amplitudes))
+
+    @property
+    def num_features(self) -> int:
+        """See `Features`."""
+        return 2 * len(self.amplitudes)
+
+    def __call__(self, x: Float[Array, "D"]) -> Float[Array, "M"]:
+        """See `Features`: first the cosines, then the sines."""
+        angles = matmul(self.frequencies, x)
+        return jnp.concatenate([self.amplitudes * jnp.cos(angles), self.amplitudes * jnp.sin(angles)])
+
+
+class FourierBasis(Features):
+    """cos(pi c'x) for all c in {0, ..., order}^D (5.23), for inputs in [0, 1]^D: (order + 1)^D features.
+
+    The first of them is the constant 1.
+
+    Attributes:
+        order: Highest number of half periods along a dimension.
+        num_dims: Number of dimensions of the input.
+    """
+
+    order: int = eqx.field(static=True)
+    num_dims: int = eqx.field(static=True)
+
+    def __check_init__(self):
+        """Raises ValueError if there would be no feature."""
+        _refuse_below(0, "order", self.order)
+        _refuse_below(1, "num_dims", self.num_dims)
+
+    @property
+    def num_features(self) -> int:
+        """See `Features`."""
+        return (self.order + 1) ** self.num_dims
+
+    def __call__(self, x: Float[Array, "D"]) -> Float[Array, "M"]:
+        """See `Features`."""
+        coefficients = np.indices((self.order + 1,) * self.num_dims).reshape(self.num_dims, -1).T
+        return jnp.cos(jnp.pi * matmul(jnp.asarray(coefficients, x.dtype), x))
+
+
+class Polynomial(Features):
+    """All products of at most `degree` coordinates of the input, with repetition, by rising degree.
+
+    Attributes:
+        degree: Highest total degree.
+        num_dims: Number of dimensions of the input.
+        has_bias: Whether the constant 1 is among them.
+    """
+
+    degree: int = eqx.field(static=True)
+    num_dims: int = eqx.field(static=True)
+    has_bias: bool = eqx.field(static=True, default=True)
+
+    def __check_init__(self):
+        """Raises ValueError if there would be no feature."""
+        _refuse_below(0 if self.has_bias else 1, "degree", self.degree)
+        _refuse_below(1, "num_dims", self.num_dims)
+
+    @property
+    def num_features(self) -> int:
+        """See `Features`."""
+        return len(self._factors())
+
+    def __call__(self, x: Float[Array, "D"]) -> Float[Array, "M"]:
+        """See `Features`."""
+        # The factor past the last coordinate is 1: it fills up the products of fewer than `degree`.
+        return jnp.prod(jnp.append(x, jnp.ones((), x.dtype))[self._factors()], axis=1)
+
+    def _factors(self) -> np.ndarray:
+        """Which coordinates each feature multiplies."""
+        products = [
+            (*chosen, *[self.num_dims] * (self.degree - size))
+            for size in range(0 if self.has_bias else 1, self.degree + 1)
+            for chosen in itertools.combinations_with_replacement(range(self.num_dims), size)
+        ]
+        return np.asarray(products, int).reshape(len(products), self.degree)
+
+
+class RadialBasis(Features):
+    """Bumps around given centres, exp(-|x - c|^2 / (2 width^2)).
+
+    Attributes:
+        centres: A centre for each feature.
+        width: Standard deviation of the bumps, one or one a dimension, in units of the input.
+        has_bias: Whether the constant 1 comes before them.
+    """
+
+    centres: Float[Array, "C D"]
+    width: Float[Array, ""] | Float[Array, "D"]
+    has_bias: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self):
+        """Raises ValueError if there would be no feature."""
+        if not self.num_features:
+            raise ValueError("centres: got 0; allowed: >= 1, or a bias")
+
+    @property
+    def num_features(self) -> int:
+        """See `Features`."""
+        return len(self.centres) + self.has_bias
+
+    def __call__(self, x: Float[Array, "D"]) -> Float[Array, "M"]:
+        """See `Features`."""
+        bumps = RBF(self.width).gram(x[None, :], self.centres)[0]
+        return jnp.concatenate([jnp.ones((1,), x.dtype), bumps]) if self.has_bias else bumps
+
+
+def _refuse_below(least: int, name: str, number: int) -> None:
+    if number < least:
+        raise ValueError(f"{name}: got {number}; allowed: >= {least}")
+
+
+def _terms(kernel: Kernel) -> list[tuple[Float[Array, ""], list[Correlation]]]:
+    """The kernel multiplied out: a sum of terms, each a variance times a product of correlations."""
+    match kernel:
+        case Sum():
+            return _terms(kernel.first) + _terms(kernel.second)
+        case Scaled():
+            return [(kernel.variance * variance, factors) for variance, factors in _terms(kernel.kernel)]
+        case Product():
+            return [
+                (one * other, left + right)
+                for one, left in _terms(kernel.first)
+                for other, right in _terms(kernel.second)
+            ]
+        case RBF() | Matern12() | Matern32() | Matern52():
+            return [(jnp.ones((), kernel.lengthscale.dtype), [kernel])]
+    raise TypeError(f"no spectral density is known of the kernel {type(kernel).__name__}")
+
+
+def _degrees_of_freedom(kernel: Correlation) -> int | None:
+    """Of the spectral density, a Student's t; None if it is normal."""
+    return {RBF: None, Matern12: 1, Matern32: 3, Matern52: 5}[type(kernel)]
+
+
+def _frequencies(key, factors, number, num_dims, sampling) -> Float[Array, "F D"]:
+    """Frequencies of a product of correlations: the sums of independent ones of each."""
+    widths = [num_dims + (_degrees_of_freedom(kernel) is not None) for kernel in factors]
+    dtype = factors[0].lengthscale.dtype
+    if sampling == "quasi-random":
+        uniform = scrambled_halton(key, number, sum(widths), dtype)
+    else:
+        uniform = inside_the_cube(jax.random.uniform(key, (number, sum(widths)), dtype))
+    total = jnp.zeros((number, num_dims), dtype)
+    for kernel, columns in zip(
+        factors, np.split(np.arange(sum(widths)), np.cumsum(widths)[:-1]), strict=True
+    ):
+        if kernel.lengthscale.shape not in ((), (num_dims,)):
+            raise ValueError(f"lengthscale: got {kernel.lengthscale.shape[0]}; allowed: 1 or {num_dims}")
+        normal = ndtri(uniform[:, columns[:num_dims]])
+        degrees = _degrees_of_freedom(kernel)
+        if degrees is not None:
+            normal = normal * (degrees**0.5 / _chi_quantile(uniform[:, columns[-1]], degrees))[:, None]
+        lengthscale = jnp.broadcast_to(kernel.lengthscale, (num_dims,))
+        total = total + normal / lengthscale[None, :]
+    return total
+
+
+def _chi_quantile(probabilities: Float[Array, "F"], degrees: int) -> Float[Array, "F"]:
+    """Quantiles of the length of a normal vector of 1, 3 or 5 dimensions, by bisection."""
+
+    def distribution(r):
+        polynomial = {1: 0.0 * r, 3: r, 5: r + r**3 / 3.0}[degrees]
+        return erf(r / 2.0**0.5) - (2.0 / jnp.pi) ** 0.5 * polynomial * jnp.exp(-0.5 * r**2)
+
+    def halve(bracket, _):
+        low, high = bracket
+        middle = 0.5 * (low + high)
+        is_below = distribution(middle) < probabilities
+        return (jnp.where(is_below, middle, low), jnp.where(is_below, high, middle)), None
+
+    bracket = (jnp.zeros_like(probabilities), jnp.full_like(probabilities, 16.0))
+    (_, high), _ = jax.lax.scan(halve, bracket, length=jnp.finfo(probabilities.dtype).nmant + 4)
+    return high
