@@ -36,7 +36,7 @@ def drive_until_blocked(
     """
     begin = jnp.concatenate([start[None], poses[:-1]])[:, :2]
     end = poses[:, :2]
-    is_outside = jnp.any((end < domain[:2]) | (end > domain[2:]), axis=-1)
+    is_outside = jnp.any((end < domain[None, :2]) | (end > domain[None, 2:]), axis=-1)
     if walls is None:
         hits_wall = jnp.zeros_like(is_outside)
     else:
@@ -57,15 +57,15 @@ def drive_until_blocked(
 
 def is_free(points: Float[Array, "N 2"], domain: Float[Array, "4"], walls: Boxes | None) -> Bool[Array, "N"]:
     """Whether points lie in the domain and in no wall."""
-    is_inside = jnp.all((points >= domain[:2]) & (points <= domain[2:]), axis=-1)
+    is_inside = jnp.all((points >= domain[None, :2]) & (points <= domain[None, 2:]), axis=-1)
     if walls is None:
         return is_inside
     return is_inside & ~jnp.any(_touches(points[:, None], points[:, None], walls[None]), axis=-1)
 
 
 def _touches(
-    begin: Float[Array, "*N 2"], end: Float[Array, "*N 2"], box: Float[Array, "*N 4"]
-) -> Bool[Array, "*N"]:
+    begin: Float[Array, "*#N 2"], end: Float[Array, "*#N 2"], box: Float[Array, "*#N 4"]
+) -> Bool[Array, "*#N"]:
     """Whether a line piece and a rectangle have a point in common, by the slab method."""
     step = end - begin
     is_parallel = step == 0.0

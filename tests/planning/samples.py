@@ -13,13 +13,19 @@ from bojax.acquisition.functions import (
     ProbabilityOfImprovement,
     UpperConfidenceBound,
 )
-from bojax.models.kernels import RBF
+from bojax.fields.closed_form import Bumps
+from bojax.models.gaussian_process import GaussianProcess
+from bojax.models.kernels import RBF, Scaled
+from bojax.models.means import ZeroMean
 from bojax.motions.kernel_trajectories import KernelTrajectories
-from bojax.motions.splines import SplineSet
+from bojax.motions.splines import CubicCurves, SplineSet
 from bojax.planning.cbts import ContinuousBeliefTreeSearch
 from bojax.planning.discrete import DiscreteTreeSearch
 from bojax.planning.gps_abt import PatternSearch
+from bojax.planning.myopic import MyopicPlanner
 from bojax.planning.random import RandomPlanner
+from bojax.problems.monitoring import FieldBelief, FieldMonitoring
+from bojax.problems.objectives import GradientObjective, UncertaintyObjective, ValueObjective
 from bojax.problems.parking import Parking
 
 
@@ -67,6 +73,74 @@ def parking(bearing="world", exit_terminates=True, park_along_path=True, success
     )
 
 
+OBJECTIVES = {
+    "gradient": GradientObjective(f64(2.0)),
+    "value": ValueObjective(f64(3.0)),
+    "value, variance": ValueObjective(f64(3.0), "variance"),
+    "uncertainty": UncertaintyObjective(),
+}
+
+FIELD = Bumps(f64([1.0, -0.7]), f64([[2.2, 0.8], [0.6, 1.8]]), f64([0.5, 0.7]))
+
+
+def monitoring(
+    objective="value",
+    kernel=None,
+    mean=None,
+    walls=((1.2, 0.0, 1.4, 1.0), (1.2, 1.5, 1.4, 2.4)),
+    start=None,
+    target_area=(1.4, 0.0, 3.0, 2.4),
+    noise_variance=0.01,
+    noise=0.1,
+    max_steps=4,
+    field=FIELD,
+    domain=(0.0, 0.0, 3.0, 2.4),
+    **choices,
+):
+    """Two rooms of 1.2 and 1.6 m with a gap of half a metre between them."""
+    settings = {"resolution": 9, "imagined": "sample", "after_collision": "turn", "weighting": "value"}
+    return FieldMonitoring(
+        field=field,
+        domain=f64(domain),
+        walls=None if walls is None else f64(walls),
+        start=None if start is None else f64(start),
+        target_area=None if target_area is None else f64(target_area),
+        objective=OBJECTIVES[objective],
+        kernel=kernel or Scaled(RBF(f64(0.6)), f64(0.8)),
+        mean=mean or ZeroMean(),
+        noise_variance=f64(noise_variance),
+        noise=f64(noise),
+        collision_reward=f64(-5.0),
+        exit_reward=f64(-4.0),
+        max_steps=max_steps,
+        **(settings | choices),
+    )
+
+
+def field_belief(problem, pose, num_observations, num_samples=6, seed=0):
+    """At a pose, after observations all over the domain."""
+    rng = np.random.default_rng(seed)
+    capacity = problem.max_steps * num_samples
+    x = f64(rng.uniform(problem.domain[:2], problem.domain[2:], (capacity, 2)))
+    y = problem.field.values(x) + problem.noise * f64(rng.normal(size=capacity))
+    return FieldBelief(
+        f64(pose), _fit(problem, x, y, num_observations), jnp.zeros((), jnp.int32), num_samples
+    )
+
+
+FIELD_POSES = {
+    "in a room": (0.5, 1.2, 0.5),
+    "before a wall": (1.0, 0.5, 0.2),
+    "in the gap": (1.1, 1.25, 0.1),
+    "at the border": (2.8, 0.3, -0.5),
+    "in a corner": (0.05, 0.05, 3.9),
+}
+
+
+def cubic_curves():
+    return CubicCurves(f64(1.0), f64(0.8), f64(1.5), 6)
+
+
 def kcbts(
     acquisition="ucb",
     depth=3,
@@ -79,6 +153,7 @@ def kcbts(
     num_initial=2,
     refine_steps=0,
     motions=None,
+    objective=None,
 ):
     return ContinuousBeliefTreeSearch(
         motions=motions or kernel_trajectories(),
@@ -95,20 +170,22 @@ def kcbts(
         num_initial=num_initial,
         refine_steps=refine_steps,
         scaling=scaling,
+        objective=objective,
     )
 
 
-def sbo(actions=5, iterations=60, depth=3, discount=1.0, exploration=10.0):
+def sbo(actions=5, iterations=60, depth=3, discount=1.0, exploration=10.0, objective=None):
     return DiscreteTreeSearch(
         motions=SplineSet(f64(1.0), actions, 6),
         exploration=f64(exploration),
         discount=f64(discount),
         iterations=iterations,
         depth=depth,
+        objective=objective,
     )
 
 
-def gps_abt(iterations=60, depth=3, discount=1.0, exploration=10.0, heuristic="rollout"):
+def gps_abt(iterations=60, depth=3, discount=1.0, exploration=10.0, heuristic="rollout", objective=None):
     return PatternSearch(
         motions=kernel_trajectories(num_segments=2),
         exploration=f64(exploration),
@@ -122,6 +199,7 @@ def gps_abt(iterations=60, depth=3, discount=1.0, exploration=10.0, heuristic="r
         max_levels=4,
         num_rollout_paths=16,
         heuristic=heuristic,
+        objective=objective,
     )
 
 
@@ -129,8 +207,12 @@ def random_planner():
     return RandomPlanner(motions=SplineSet(f64(1.0), 5, 6))
 
 
+def myopic(actions=5, objective=None):
+    return MyopicPlanner(SplineSet(f64(1.0), actions, 6), objective)
+
+
 TREE_PLANNERS = {"kcbts": kcbts, "sbo": sbo, "gps-abt": gps_abt}
-PLANNERS = {**TREE_PLANNERS, "random": random_planner}
+PLANNERS = {**TREE_PLANNERS, "myopic": myopic, "random": random_planner}
 
 POSES = {
     "far": (2.5, -1.5, 2.0),
@@ -148,6 +230,13 @@ TRACES: Counter[str] = Counter()
 # 0.11.2 makes wrong programs of them without optimisation: plans whose path is not that of their action.
 _OPTIONS = {"xla_backend_optimization_level": 0} if jax.default_backend() == "cpu" else None
 _jit = partial(eqx.filter_jit, compiler_options=_OPTIONS)
+
+
+@jax.jit
+def _fit(problem, x, y, count):
+    return GaussianProcess.fit(
+        problem.kernel, problem.noise_variance, x, y, mean=problem.mean, count=jnp.asarray(count, jnp.int32)
+    )
 
 
 @_jit

@@ -7,7 +7,7 @@ import pytest
 from bojax.planning.cbts import ContinuousBeliefTreeSearch
 from bojax.planning.discrete import DiscreteTreeSearch
 from tests.planning.samples import POSES, f64, gps_abt, kcbts, parking, sbo, search
-from tests.reference.bridge import reference_planner, reference_problem
+from tests.reference.bridge import drawn, reference_belief, reference_planner, reference_problem
 from tests.reference.compare import assert_same_tree, nodes_of
 
 VARIANTS = {
@@ -29,12 +29,22 @@ VARIANTS = {
 }
 
 
-def grow(planner, problem, seed, pose):
-    grown = search(planner, jax.random.key(seed), problem, f64(pose))
+def grow(planner, problem, seed, belief):
+    grown = search(planner, jax.random.key(seed), problem, belief)
     tree, memory, recommended, begun = jax.tree.map(np.asarray, grown)
-    reference = reference_planner(planner, reference_problem(problem), *begun)
-    root = reference.search(np.array(pose))
+    draws = drawn(planner, problem, jax.random.key(seed))
+    reference = reference_planner(planner, reference_problem(problem, planner), *begun, draws)
+    root = reference.search(reference_belief(problem, belief))
     return tree, memory, recommended, reference, root
+
+
+def assert_same_plan(planner, grown):
+    tree, memory, recommended, reference, root = grown
+    assert_same_tree(tree, root, planner.num_actions)
+    for node in nodes_of(root)[1:]:
+        _assert_same_action(planner, memory, reference, node)
+    assert recommended == reference.recommend(root).index
+    _assert_reference_adds_up(root, planner)
 
 
 @pytest.mark.parametrize("pose", POSES.values(), ids=POSES)
@@ -42,12 +52,7 @@ def grow(planner, problem, seed, pose):
 def test_the_tree_is_that_of_the_reference(planner, pose):
     problem = parking()
     for seed in range(2):
-        tree, memory, recommended, reference, root = grow(planner, problem, seed, pose)
-        assert_same_tree(tree, root, planner.num_actions)
-        for node in nodes_of(root)[1:]:
-            _assert_same_action(planner, memory, reference, node)
-        assert recommended == reference.recommend(root).index
-        _assert_reference_adds_up(root, planner)
+        assert_same_plan(planner, grow(planner, problem, seed, f64(pose)))
 
 
 @pytest.mark.parametrize(
@@ -61,7 +66,7 @@ def test_the_tree_is_that_of_the_reference(planner, pose):
 def test_the_tree_follows_the_problem(settings):
     problem = parking(**settings)
     for pose in POSES.values():
-        tree, _, _, _, root = grow(sbo(5), problem, 3, pose)
+        tree, _, _, _, root = grow(sbo(5), problem, 3, f64(pose))
         assert_same_tree(tree, root, 5)
 
 
@@ -69,7 +74,7 @@ def test_the_cases_contain_ends_and_full_depth():
     # What the comparison above is worth: its trees must have terminal nodes of both kinds.
     rewards, depths = set(), set()
     for pose in POSES.values():
-        _, _, _, _, root = grow(VARIANTS["kcbts"], parking(), 0, pose)
+        _, _, _, _, root = grow(VARIANTS["kcbts"], parking(), 0, f64(pose))
         rewards |= {node.reward for node in nodes_of(root) if node.is_terminal}
         depths |= {node.depth for node in nodes_of(root)}
     assert rewards == {1000.0, -1000.0}

@@ -4,15 +4,18 @@ import dataclasses
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from bojax.acquisition import functions
-from bojax.models import kernels
+from bojax.models import kernels, means
+from bojax.numerics.linalg import noise_floor
 from bojax.planning.cbts import ContinuousBeliefTreeSearch
 from bojax.planning.discrete import DiscreteTreeSearch
 from bojax.planning.gps_abt import PatternSearch
-from bojax.problems.parking import Parking
-from tests.reference import acquisition, gps_abt, kcbts, mcts, node_gp, parking
+from bojax.problems import objectives
+from bojax.problems.monitoring import FieldBelief, FieldMonitoring
+from tests.reference import acquisition, field_gp, gps_abt, kcbts, mcts, monitoring, node_gp, parking
 
 PROFILES = {
     kernels.RBF: node_gp.rbf,
@@ -20,11 +23,62 @@ PROFILES = {
     kernels.Matern32: node_gp.matern32,
     kernels.Matern52: node_gp.matern52,
 }
+SLOPES = {
+    kernels.RBF: field_gp.rbf_slope,
+    kernels.Matern12: field_gp.matern12_slope,
+    kernels.Matern32: field_gp.matern32_slope,
+    kernels.Matern52: field_gp.matern52_slope,
+}
+OBJECTIVES = {
+    objectives.GradientObjective: "gradient",
+    objectives.ValueObjective: "value",
+    objectives.UncertaintyObjective: "uncertainty",
+}
 
 
-def reference_problem(problem: Parking) -> parking.Parking:
+def reference_problem(problem, planner=None):
+    """The reference of `problem`, as `planner` sees it."""
+    if isinstance(problem, FieldMonitoring):
+        objective = getattr(planner, "objective", None) or problem.objective
+        return monitoring.Monitoring(
+            objective=reference_objective(objective),
+            noise_variance=_noise_variance(problem),
+            domain=np.asarray(problem.domain),
+            walls=np.zeros((0, 4)) if problem.walls is None else np.asarray(problem.walls),
+            collision_reward=float(problem.collision_reward),
+            exit_reward=float(problem.exit_reward),
+            after_collision=problem.after_collision,
+        )
     names = [field.name for field in dataclasses.fields(parking.Parking)]
     return parking.Parking(**{name: _plain(getattr(problem, name)) for name in names})
+
+
+def reference_belief(problem, belief):
+    """The reference of a belief: what was observed, to be fitted anew, or a pose."""
+    if not isinstance(belief, FieldBelief):
+        return np.asarray(belief)
+    kernel, mean = reference_field_kernel(problem.kernel), reference_mean(problem.mean)
+    noise_variance, count = _noise_variance(problem), int(belief.posterior.count)
+
+    def refit(x, y):
+        return field_gp.GP(kernel, mean, noise_variance, x, y)
+
+    x, y = (np.asarray(values)[:count] for values in (belief.posterior.x, belief.posterior.y))
+    return monitoring.Belief(np.asarray(belief.pose), x, y, refit)
+
+
+def drawn(planner, problem, key):
+    """What `problem.simulate` draws in each iteration of `planner.search(key, ...)`, by action."""
+    num_actions = 1 if getattr(planner, "heuristic", "rollout") == "zero" else planner.depth
+    shape = (num_actions, planner.motions.num_samples)
+    if not isinstance(problem, FieldMonitoring):
+        return [[None] * num_actions] * planner.iterations
+    if problem.imagined == "mean":
+        return np.zeros((planner.iterations, *shape))
+    _, key_simulate = jax.random.split(key)
+    keys = jax.random.split(key_simulate, planner.iterations)
+    normal = jax.vmap(lambda key: jax.random.normal(key, (shape[0] * shape[1],), problem.domain.dtype))(keys)
+    return np.asarray(normal).reshape(planner.iterations, *shape)
 
 
 def begin(planner, key):
@@ -33,7 +87,7 @@ def begin(planner, key):
     return eqx.filter_jit(planner.begin)(key_begin, planner.discount.dtype)
 
 
-def reference_planner(planner, problem, memory, draws) -> mcts.TreeSearch:
+def reference_planner(planner, problem, memory, draws, problem_draws=None) -> mcts.TreeSearch:
     """The reference of `planner` on the random numbers that it began with.
 
     Args:
@@ -41,6 +95,7 @@ def reference_planner(planner, problem, memory, draws) -> mcts.TreeSearch:
         problem: The reference problem.
         memory: Its empty memory, with the paths of the candidates.
         draws: The random numbers of all iterations.
+        problem_draws: What the problem draws in them, see `drawn`; nothing if left out.
     """
     memory, draws = jax.tree.map(np.asarray, (memory, draws))
     settings = {
@@ -50,6 +105,7 @@ def reference_planner(planner, problem, memory, draws) -> mcts.TreeSearch:
         "discount": float(planner.discount),
         "exploration": float(planner.exploration),
         "rollout_paths": memory.paths[draws["rollout"]],
+        "draws": [[None] * planner.depth] * planner.iterations if problem_draws is None else problem_draws,
     }
     match planner:
         case DiscreteTreeSearch():
@@ -90,6 +146,34 @@ def reference_kernel(kernel) -> node_gp.Kernel:
     return node_gp.Kernel(PROFILES[type(kernel)], np.asarray(kernel.lengthscale))
 
 
+def reference_field_kernel(kernel):
+    """The same, with its gradient."""
+    match kernel:
+        case kernels.Scaled():
+            return field_gp.Scaled(reference_field_kernel(kernel.kernel), float(kernel.variance))
+        case kernels.Sum() | kernels.Product():
+            both = reference_field_kernel(kernel.first), reference_field_kernel(kernel.second)
+            return (field_gp.Sum if isinstance(kernel, kernels.Sum) else field_gp.Product)(*both)
+    slope, lengthscale = SLOPES[type(kernel)], np.asarray(kernel.lengthscale)
+    return field_gp.Stationary(PROFILES[type(kernel)], slope, lengthscale)
+
+
+def reference_mean(mean) -> field_gp.LinearMean:
+    match mean:
+        case means.ZeroMean():
+            return field_gp.LinearMean(np.zeros(2), 0.0)
+        case means.ConstantMean():
+            return field_gp.LinearMean(np.zeros(2), float(mean.value))
+        case means.LinearMean():
+            return field_gp.LinearMean(np.asarray(mean.weights), float(mean.bias))
+    raise TypeError(f"no reference of {type(mean).__name__}")
+
+
+def reference_objective(objective) -> monitoring.Objective:
+    kappa = float(getattr(objective, "kappa", 0.0))
+    return monitoring.Objective(OBJECTIVES[type(objective)], kappa, objective.uncertainty)
+
+
 def reference_acquisition(function):
     match function:
         case functions.UpperConfidenceBound():
@@ -99,6 +183,14 @@ def reference_acquisition(function):
         case functions.LogExpectedImprovement():
             return acquisition.LogExpectedImprovement(float(function.xi))
     raise TypeError(f"no reference of {type(function).__name__}")
+
+
+def _noise_variance(problem: FieldMonitoring) -> float:
+    """The noise as it enters a factor: at least the floor, of a stationary prior."""
+    origin = jnp.zeros_like(problem.domain[:2])
+    return max(
+        float(problem.noise_variance), noise_floor(origin.dtype) * float(problem.kernel(origin, origin))
+    )
 
 
 def _plain(value):

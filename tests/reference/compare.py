@@ -1,8 +1,10 @@
 """Whether two trees are the same: bojax's flat arrays and the reference's linked nodes."""
 
+import jax
 import numpy as np
 
 from bojax.planning.tree import UNVISITED
+from bojax.problems.monitoring import FieldNode
 
 TOLERANCE = 1e-9
 
@@ -29,6 +31,23 @@ def assert_same_tree(tree, root, num_actions):
         numbers = [tree.reward[node.index], tree.total_return[node.index]]
         expected = [node.reward, node.total_return]
         if not node.is_terminal:  # where an episode ended nothing starts: the belief there is nobody's
-            numbers += [*tree.belief[node.index]]
-            expected += [*node.belief]
+            belief = jax.tree.map(lambda leaf, node=node: leaf[node.index], tree.belief)
+            numbers += [*_pose(belief)]
+            expected += [*_pose(node.belief)]
+            if isinstance(belief, FieldNode):
+                _assert_same_samples(belief, node, len(root.belief.x), where)
         np.testing.assert_allclose(numbers, expected, rtol=TOLERANCE, atol=TOLERANCE, err_msg=where)
+
+
+def _pose(belief):
+    """x, y, and the heading as a direction: headings next to 0 and to 2 pi are near each other."""
+    x, y, heading = getattr(belief, "pose", belief)
+    return x, y, np.cos(heading), np.sin(heading)
+
+
+def _assert_same_samples(belief, node, num_observations, where):
+    """A node of a field's tree has imagined samples at the places of the reference's."""
+    points, imagined = belief.points[belief.is_taken], node.belief.x[num_observations:]
+    if node.children:  # at the horizon the last samples are not kept: nothing follows them
+        assert len(points) == len(imagined), where
+    np.testing.assert_allclose(points, imagined[: len(points)], atol=TOLERANCE, err_msg=where)

@@ -32,21 +32,23 @@ class TreeSearch:
     """What Algorithms 2 and 4 share; a planner says how a node chooses its actions.
 
     Args:
-        problem: `problem.drive(belief, path)` gives (belief, reward, is_terminal).
+        problem: `problem.drive(belief, path, draws)` gives (belief, reward, is_terminal).
         iterations: Simulations a plan.
         depth: Actions to the horizon.
         discount: Discount an action.
         exploration: kappa_MC.
         rollout_paths: For each iteration the paths of its rollout, one for each action but the first.
+        draws: For each iteration what the problem draws for its actions, the new one first.
     """
 
-    def __init__(self, problem, iterations, depth, discount, exploration, rollout_paths):
+    def __init__(self, problem, iterations, depth, discount, exploration, rollout_paths, draws):
         self.problem = problem
         self.iterations = iterations
         self.depth = depth
         self.discount = discount
         self.exploration = exploration
         self.rollout_paths = rollout_paths
+        self.draws = draws
 
     def search(self, belief):
         """The tree, by its root."""
@@ -66,7 +68,7 @@ class TreeSearch:
 
     def expand(self, v, i):
         action, path = self.new_action(v, i)
-        belief, reward, is_terminal = self.problem.drive(v.belief, path)
+        belief, reward, is_terminal = self.problem.drive(v.belief, path, self.draws[i][0])
         child = Node(belief, v, action, reward, is_terminal, index=i + 1)
         v.children.append(child)
         self.learn(v, child)
@@ -76,10 +78,11 @@ class TreeSearch:
         """Discounted reward of random actions from `v` to the horizon, or to the end of the episode."""
         belief, is_terminal = v.belief, v.is_terminal
         r, weight = 0.0, 1.0
-        for path in self.rollout_paths[i][: self.depth - v.depth]:
+        paths = self.rollout_paths[i][: self.depth - v.depth]
+        for path, draws in zip(paths, self.draws[i][1:], strict=False):
             if is_terminal:
                 break
-            belief, reward, is_terminal = self.problem.drive(belief, path)
+            belief, reward, is_terminal = self.problem.drive(belief, path, draws)
             r += weight * reward
             weight *= self.discount
         v.rollouts.append(r)

@@ -21,8 +21,11 @@ class Parking:
     exit_terminates: bool
     park_along_path: bool
 
-    def drive(self, pose, path):
-        """The pose, the reward and whether the episode is over after driving `path` from `pose`."""
+    def drive(self, pose, path, draws=None):
+        """The pose, the reward and whether the episode is over after driving `path` from `pose`.
+
+        Without chance: nothing is drawn.
+        """
         path = place(path, pose)
         position = path[:, :2]
         is_outside = np.abs(position).max(axis=1) > self.half_width
