@@ -61,7 +61,8 @@ def draw(results: Results) -> Drawing:
 
 def values_of(points: Sequence[Point], key: str) -> list[Any]:
     """The values of a swept key, in the order of the sweep."""
-    return list(dict.fromkeys(point.swept[key] for point in points if key in point.swept))
+    values = [point.swept[key] for point in points if key in point.swept]
+    return [value for index, value in enumerate(values) if value not in values[:index]]  # lists have no hash
 
 
 def marginals(
