@@ -11,7 +11,7 @@ from bojax.report.figures import FIGURES
 from bojax.report.figures.base import Undrawable
 from bojax.report.page import Plate, plate, render
 from bojax.report.source import Results, load
-from bojax.report.tables import count_nan_runs
+from bojax.report.tables import count_nan_runs, thesis_gaps
 from bojax.report.text import counted, joined
 from bojax.results.store import explained, write_atomically
 
@@ -44,7 +44,7 @@ def _build(folder: Path) -> Path:
     results = load(folder)
     claims = evaluate(results)
     images, plates, notes = _figures(results)
-    page = render(results, claims, plates, [*notes, *_gaps(results)])
+    page = render(results, claims, plates, [*notes, *thesis_gaps(results), *_gaps(results)])
 
     figures = folder / "figures"
     with explained(figures):

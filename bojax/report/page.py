@@ -60,6 +60,7 @@ def render(
         claims=[_claim(claim) for claim in claims],
         plates=plates,
         outcomes=tables.outcomes(results),
+        ratios=tables.ratios(results),
         has_thesis=bool(results.settings.get("thesis")),
         speeds=tables.speeds(results),
         common=tables.common_settings(results),

@@ -8,7 +8,7 @@ import numpy as np
 
 from bojax.report import statistics
 from bojax.report.source import Columns, Point, Results
-from bojax.report.text import MISSING, counted, number, percent, plain, seconds, with_bounds
+from bojax.report.text import MISSING, counted, joined, number, percent, plain, seconds, with_bounds
 
 BY_STEP = 6
 """Step up to which early success is counted, unless `report.by_step` says otherwise (p. 100)."""
@@ -60,10 +60,49 @@ def outcomes(results: Results) -> Table:
         cells = [Cell(f"{runs['run'].size:,}")]
         for measure in measures:
             cell = measure.cell(runs) if runs["run"].size else Cell(MISSING)
-            cells.append(Cell(cell.text, cell.interval, _thesis(results, point, measure.column)))
+            value = results.thesis(point, measure.column)
+            cells.append(Cell(cell.text, cell.interval, "" if value is None else plain(value)))
         cells.append(Cell(f"{count_nan_runs(results, point):,}"))
         rows.append((point.name, cells))
     return Table(["runs", *(measure.heading for measure in measures), "runs with NaN"], rows)
+
+
+def ratios(results: Results) -> Table | None:
+    """Ratios of means to those of `report.relative_to`, for every column with thesis's numbers to compare.
+
+    None where there are no two such numbers of one column. A column with a number that is not positive has
+    no ratios: what is below 0 is no multiple of anything.
+    """
+    reference = results.reference
+    columns = [column for column in _thesis_columns(results) if _has_ratios(results, column)]
+    if reference is None or not columns:
+        return None
+    rows = []
+    for point in results.points:
+        cells = []
+        for column in columns:
+            thesis = results.thesis_ratio(point, column)
+            table = results.paired([point, reference], column)
+            ratio = statistics.ratio_interval(table[:, 0], table[:, 1])
+            bounds = with_bounds(ratio.estimate, ratio.low, ratio.high)
+            text = (
+                bounds if np.isfinite(ratio.low) and point is not reference else (number(ratio.estimate), "")
+            )
+            cells.append(Cell(*text, "" if thesis is None else number(thesis)))
+        if any(cell.thesis for cell in cells):
+            rows.append((point.name, cells))
+    return Table([f"{_heading(column)} / {reference.name}" for column in columns], rows)
+
+
+def thesis_gaps(results: Results) -> list[str]:
+    """What `report.thesis` and `report.relative_to` name and the results do not have."""
+    measured = {measure.column for measure in _measures(results)}
+    unknown = [column for column in _thesis_columns(results) if column not in measured]
+    notes = [f"The thesis's {joined(unknown)} stands beside no column of the results."] if unknown else []
+    name = results.settings.get("relative_to")
+    if name is not None and results.reference is None:
+        notes.append(f"No ratios: no setting is called {name}.")
+    return notes
 
 
 def count_nan_runs(results: Results, point: Point) -> int:
@@ -127,9 +166,10 @@ def _measures(results: Results) -> list[_Measure]:
     measures = []
     if "return" in runs:
         measures.append(_Measure("final return", "return", lambda table: mean_cell(table["return"])))
-    if "success" in runs:
+    has_success = all(point.has_success for point in results.points)
+    if "success" in runs and has_success:
         measures.append(_Measure("success", "success", lambda table: share_cell(table["success"])))
-    if "success" in runs and "steps" in runs:
+    if "success" in runs and "steps" in runs and all(point.ends_at_success for point in results.points):
         limit = int(results.settings.get("by_step") or BY_STEP)
         measures.append(
             _Measure(
@@ -150,16 +190,14 @@ def _measures(results: Results) -> list[_Measure]:
             )
         )
     if "exits" in runs:
-        measures.append(_Measure("left the domain", "exits", lambda table: share_cell(table["exits"] > 0)))
+        measures.append(_Measure("runs with an exit", "exits", lambda table: share_cell(table["exits"] > 0)))
     swept = {key for point in results.points for key in point.swept}
     for column, values in runs.items():
         if column in known or column in swept or values.dtype.kind not in "bfiu":
             continue
         draw = share_cell if values.dtype.kind == "b" else mean_cell
         measures.append(
-            _Measure(
-                column.replace("_", " "), column, lambda table, column=column, draw=draw: draw(table[column])
-            )
+            _Measure(_heading(column), column, lambda table, column=column, draw=draw: draw(table[column]))
         )
     return measures
 
@@ -183,15 +221,24 @@ def share_cell(flags: np.ndarray) -> Cell:
     return Cell(percent(interval.estimate), f"[{percent(interval.low)}, {percent(interval.high)}]")
 
 
-def _thesis(results: Results, point: Point, column: str) -> str:
+def _thesis_columns(results: Results) -> list[str]:
     values = results.settings.get("thesis")
-    if not isinstance(values, Mapping):
-        return ""
-    for name in (point.name, point.variant, point.label):
-        row = values.get(name)
-        if isinstance(row, Mapping) and column in row:
-            return plain(row[column])
-    return ""
+    rows = values.values() if isinstance(values, Mapping) else ()
+    return list(dict.fromkeys(column for row in rows if isinstance(row, Mapping) for column in row))
+
+
+def _has_ratios(results: Results, column: str) -> bool:
+    if column not in results.runs:
+        return False
+    values = [value for point in results.points if (value := results.thesis(point, column)) is not None]
+    is_positive = all(isinstance(value, int | float) and value > 0 for value in values)
+    return (
+        is_positive and sum(results.thesis_ratio(point, column) is not None for point in results.points) > 1
+    )
+
+
+def _heading(column: str) -> str:
+    return column.replace("_", " ")
 
 
 def _iterations(point: Point) -> int | None:

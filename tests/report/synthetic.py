@@ -192,6 +192,78 @@ def write_results(folder: Path, *, runs: int = 40, recorded: int = 8, report: di
     return folder
 
 
+SPACE = {
+    "kind": "space-modelling",
+    "domain": [0.0, 0.0, 6.0, 6.0],
+    "walls": [[2.85, 0.0, 3.15, 2.6], [2.85, 3.4, 3.15, 6.0]],
+    "start": [1.0, 1.0, 1.57],
+    "target_area": [3.15, 0.0, 6.0, 6.0],
+}
+MONITORS = {"kcbts": ("kcbts", 0.1), "sbo-5": ("sbo", 0.2), "sbo-9": ("sbo", 0.15)}
+"""Variants of a monitoring sweep: label and mean error."""
+
+
+def write_monitoring(
+    folder: Path, *, runs: int = 30, recorded: int = 2, report: dict | None = None, **problem
+) -> Path:
+    """A robot that learns two bumps: 25 steps of 8 samples; SBO is stopped in step 3."""
+    (folder / "arrays").mkdir(parents=True)
+    random = np.random.default_rng(5)
+    shared = random.normal(size=runs)
+    run_rows, step_rows, points = [], [], []
+    for index, (variant, (label, error)) in enumerate(MONITORS.items()):
+        config = {"kind": "planning", "problem": {**SPACE, **problem}, "planner": {"kind": label}}
+        points.append({"index": index, "label": label, "variant": variant, "config": config})
+        points[-1]["swept"] = {"planner": variant}
+        for run in range(runs):
+            rmse = error * (1 + 0.1 * shared[run] + 0.02 * random.normal())
+            total = np.cumsum(random.uniform(10, 20, 25) / error)
+            scores = (rmse, 0.8 * rmse, np.log(rmse), label == "sbo", 0)
+            run_rows.append(
+                (index, label, variant, variant, run, 0, total[-1], label == "kcbts", 25, 0, *scores)
+            )
+            step_rows += [(index, label, run, step + 1, total[step]) for step in range(25)]
+            if run < recorded:
+                paths, start = _wander(label == "sbo"), np.asarray(SPACE["start"])
+                np.savez(folder / "arrays" / f"{index}-{run}-paths-end.npz", paths=paths, start=start)
+                np.savez(folder / "arrays" / f"{index}-{run}-belief-end.npz", **_belief(paths, error))  # pyright: ignore
+    scores = ["rmse", "wrmse", "mnll", "collisions", "nans"]
+    known = ["point", "label", "variant", "planner", "run", "seed", "return", "success", "steps", "exits"]
+    _table(folder / "runs.parquet", known + scores, run_rows)
+    _table(folder / "steps.parquet", ["point", "label", "run", "step", "accumulated_reward"], step_rows)
+    manifest = {"name": "space", "status": "finished", "runs": runs, "seed": 0, "points": points}
+    (folder / "manifest.json").write_text(json.dumps({**manifest, "report": report or {}, "claims": []}))
+    return folder
+
+
+def _wander(is_stopped: bool) -> np.ndarray:
+    t = np.linspace(0, 1, 201)[1:]
+    x, y = 1 + 4 * t, 3 - 2 * np.cos(2 * np.pi * t)
+    heading = np.arctan2(np.gradient(y), np.gradient(x))
+    poses = np.stack([x, y, heading], axis=1).reshape(25, 8, 3)
+    if is_stopped:
+        poses[2, 5:] = poses[2, 4]
+    return poses
+
+
+def _belief(paths: np.ndarray, error: float) -> dict[str, np.ndarray]:
+    x = y = np.linspace(0, 6, 31)
+    bumps = [(x[None] - cx) ** 2 + (y[:, None] - cy) ** 2 for cx, cy in ((1.2, 4.5), (4.8, 1.5))]
+    truth = np.exp(-0.5 * np.stack(bumps)).sum(axis=0)
+    far = np.min(np.hypot(x[None, :, None] - paths[:, -1, 0], y[:, None, None] - paths[:, -1, 1]), axis=-1)
+    std = 1 - np.exp(-far)
+    samples = np.full((200, 3), np.nan)
+    samples[:190, :2] = paths.reshape(-1, 3)[:190, :2]
+    return {
+        "x": x,
+        "y": y,
+        "truth": truth,
+        "mean": truth + 3 * error * std - error,
+        "std": std,
+        "samples": samples,
+    }
+
+
 def in_memory(
     runs: dict[str, dict[str, np.ndarray]],
     steps: dict[str, np.ndarray] | None = None,

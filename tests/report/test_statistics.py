@@ -18,6 +18,31 @@ def test_mean_interval_agrees_with_scipys_percentile_bootstrap():
     assert ours.high == pytest.approx(theirs.high, abs=0.03 * width)
 
 
+def test_ratio_interval_agrees_with_scipys_paired_bootstrap():
+    random = np.random.default_rng(0)
+    denominator = random.gamma(4.0, size=100)
+    numerator = 1.5 * denominator + random.gamma(4.0, size=100)
+    ours = statistics.ratio_interval(numerator, denominator)
+    theirs = scipy.stats.bootstrap(
+        (numerator, denominator),
+        lambda a, b, axis: np.mean(a, axis=axis) / np.mean(b, axis=axis),
+        paired=True,
+        method="percentile",
+        n_resamples=10_000,
+        rng=np.random.default_rng(1),
+    ).confidence_interval
+    width = theirs.high - theirs.low
+    assert ours.estimate == pytest.approx(numerator.mean() / denominator.mean())
+    assert ours.low == pytest.approx(theirs.low, abs=0.03 * width)
+    assert ours.high == pytest.approx(theirs.high, abs=0.03 * width)
+
+
+def test_means_that_may_be_zero_have_no_ratio():
+    values = np.random.default_rng(0).normal(0.1, 1.0, size=50)
+    assert np.isnan(statistics.ratio_interval(values, values + 5).low)
+    assert np.isnan(statistics.ratio_interval(values + 5, values).low)
+
+
 def test_bootstrap_is_the_same_every_time_whatever_the_block(monkeypatch):
     values = np.random.default_rng(0).normal(size=(50, 2))
     whole = statistics.bootstrap_means(values, resamples=300)

@@ -37,12 +37,12 @@ class Drawing:
 Draw: TypeAlias = Callable[[Results], Drawing]
 
 
-def drawn_points(results: Results) -> tuple[tuple[Point, ...], str]:
+def drawn_points(results: Results, most: int = MAX_POINTS) -> tuple[tuple[Point, ...], str]:
     """The points that a figure shows, and a sentence for its caption where some are left out."""
     points = tuple(point for point in results.points if results.runs_of(point)["run"].size)
     if not points:
         raise Undrawable("no point has a run")
-    if len(points) <= MAX_POINTS:
+    if len(points) <= most:
         return points, ""
     best: dict[str, tuple[float, Point]] = {}
     for point in points:
@@ -51,7 +51,7 @@ def drawn_points(results: Results) -> tuple[tuple[Point, ...], str]:
         score = mean if np.isfinite(mean) else -np.inf
         if point.label not in best or score > best[point.label][0]:
             best[point.label] = (score, point)
-    kept = tuple(point for _, point in best.values())[:MAX_POINTS]
+    kept = tuple(point for _, point in best.values())[:most]
     return kept, f" Of {len(points)} points, the one with the best mean return of each label is drawn."
 
 

@@ -1,6 +1,6 @@
 """The domain of a problem, drawn from its configuration: border, goal, everything that stands still."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from matplotlib.axes import Axes
@@ -8,34 +8,81 @@ from matplotlib.patches import Circle, Rectangle
 
 from bojax.report import style
 
+FLOOR, WALL, EDGE = "#F6F6F4", "#4A4A4A", "#555555"
+
+TARGET: Mapping[str, Any] = {"facecolor": "none", "edgecolor": style.INK, "linestyle": (0, (2, 1.5))}
+"""How an area to reach is drawn."""
+
 
 def parking(axes: Axes, problem: Mapping[str, Any]) -> None:
     """A square `[-half_width, half_width]^2` with the goal, a disc of `distance_tolerance`, at its centre."""
     half = float(problem.get("half_width", 4.0))
     radius = float(problem.get("distance_tolerance", 0.1))
-    axes.add_patch(
-        Rectangle(
-            (-half, -half),
-            2 * half,
-            2 * half,
-            facecolor="#F6F6F4",
-            edgecolor="#555555",
-            linewidth=1.1,
-            zorder=0,
-        )
-    )
+    _frame(axes, (-half, -half, half, half), 0.1 * half)
     axes.add_patch(Circle((0, 0), radius, facecolor=style.INK, edgecolor="none", zorder=6))
     # The disc is a speck on this scale: a ring makes it findable without claiming its size.
     axes.scatter([0], [0], s=85, facecolors="none", edgecolors=style.INK, linewidths=1.0, zorder=6)
-    axes.set_xlim(-1.1 * half, 1.1 * half)
-    axes.set_ylim(-1.1 * half, 1.1 * half)
-    axes.set_xticks(
-        [-half, 0, half], [f"{tick:g}".replace("-", "\N{MINUS SIGN}") for tick in (-half, 0.0, half)]
-    )
-    axes.set_yticks(
-        [-half, 0, half], [f"{tick:g}".replace("-", "\N{MINUS SIGN}") for tick in (-half, 0.0, half)]
-    )
+    _ticks(axes, (-half, 0.0, half), (-half, 0.0, half))
 
 
-DOMAINS: Mapping[str, Callable[[Axes, Mapping[str, Any]], None]] = {"parking": parking}
+def monitoring(axes: Axes, problem: Mapping[str, Any]) -> None:
+    """The rectangle `domain` with its `walls`, the border of `target_area` and the position of `start`."""
+    domain = x_min, y_min, x_max, y_max = tuple(float(bound) for bound in problem["domain"])
+    frame = _frame(axes, domain, 0.03 * max(x_max - x_min, y_max - y_min))
+    for wall in problem.get("walls") or ():
+        patch = axes.add_patch(_box(wall, facecolor=WALL, edgecolor="none", zorder=2.5))
+        patch.set_clip_path(frame)
+    if problem.get("target_area") is not None:
+        # Inside the border, which it often shares.
+        inset = 0.012 * (x_max - x_min)
+        low_x, low_y, high_x, high_y = problem["target_area"]
+        inner = (low_x + inset, low_y + inset, high_x - inset, high_y - inset)
+        axes.add_patch(_box(inner, **TARGET, linewidth=1.0, zorder=2.4))
+    if problem.get("start") is not None:
+        axes.scatter(
+            *problem["start"][:2], s=22, facecolors="white", edgecolors=style.INK, linewidths=1.3, zorder=4.5
+        )
+    _ticks(axes, (x_min, (x_min + x_max) / 2, x_max), (y_min, (y_min + y_max) / 2, y_max))
+
+
+DOMAINS: Mapping[str, Callable[[Axes, Mapping[str, Any]], None]] = {
+    "parking": parking,
+    "space-modelling": monitoring,
+    "two-pits": monitoring,
+    "diagonal": monitoring,
+    "monitoring": monitoring,
+}
 """By the problem's kind; other problems are drawn without a domain."""
+
+
+def draw_domain(axes: Axes, problem: Mapping[str, Any]) -> None:
+    """The domain of a problem, in metres on both axes alike, without a box around it."""
+    if problem.get("kind") in DOMAINS:
+        DOMAINS[str(problem["kind"])](axes, problem)
+    axes.set_aspect("equal")
+    axes.tick_params(length=0)
+    for side in axes.spines.values():
+        side.set_visible(False)
+
+
+def _box(bounds: Sequence[float], **options: Any) -> Rectangle:
+    x_min, y_min, x_max, y_max = bounds
+    return Rectangle((x_min, y_min), x_max - x_min, y_max - y_min, **options)
+
+
+def _frame(axes: Axes, bounds: Sequence[float], margin: float) -> Rectangle:
+    axes.add_patch(_box(bounds, facecolor=FLOOR, edgecolor="none", zorder=0))
+    border = _box(bounds, facecolor="none", edgecolor=EDGE, linewidth=1.1, zorder=2.6)
+    axes.add_patch(border)
+    axes.set_xlim(bounds[0] - margin, bounds[2] + margin)
+    axes.set_ylim(bounds[1] - margin, bounds[3] + margin)
+    return border
+
+
+def _ticks(axes: Axes, x: Sequence[float], y: Sequence[float]) -> None:
+    axes.set_xticks(x, [_tick(value) for value in x])
+    axes.set_yticks(y, [_tick(value) for value in y])
+
+
+def _tick(value: float) -> str:
+    return f"{value:g}".replace("-", "\N{MINUS SIGN}")

@@ -1,28 +1,44 @@
 """Example runs drawn on the domain, some that succeeded and some that failed, one panel per planner."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import Normalize
 from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from bojax.report import style
 from bojax.report.figures.base import Drawing, Undrawable, drawn_points, panel_grid
-from bojax.report.figures.domains import DOMAINS
+from bojax.report.figures.domains import TARGET, WALL, draw_domain
+from bojax.report.figures.maps import QUIET, beliefs, draw_map
 from bojax.report.figures.smooth import smooth
 from bojax.report.source import Point, Results
+from bojax.report.statistics import Floats
+from bojax.report.text import counted
 
 EXAMPLES = 2
 """Runs of each outcome in a panel: more cross too often to be followed."""
 
-
 _DASHES = (0, (4, 1.5))
+_RED = "#C8102E"
+_STOP: dict[str, Any] = {
+    "s": 80,
+    "facecolors": "none",
+    "edgecolors": _RED,
+    "linewidths": 1.5,
+    "clip_on": False,
+}
+_RING: dict[str, Any] = {"color": style.INK, "linestyle": "", "marker": "o"}
 
 
 def draw(results: Results) -> Drawing:
-    """The first recorded runs of each outcome; recorded runs are the first of the sweep, not a choice."""
+    """The first recorded runs of each outcome; recorded runs are the first of the sweep, not a choice.
+
+    Where runs do not end at success, as in monitoring, it is the first recorded run alone, on the field.
+    """
     points, note = drawn_points(results)
     kept = {point.index: list(results.arrays(point, "paths")) for point in points}
     points = tuple(point for point in points if kept[point.index])
@@ -30,45 +46,70 @@ def draw(results: Results) -> Drawing:
         raise Undrawable("no recorded paths in arrays/")
     rows, columns = panel_grid(len(points))
     figure, grid = style.figure(2.34 * rows * 2 / columns + 0.45, rows, columns, sharex=True, sharey=True)
-    told = []
+    fields = {point.index: beliefs(results, point) for point in points}
+    truths = [belief["truth"] for found in fields.values() for belief in found.values()]
+    norm = Normalize(np.min(truths), np.max(truths)) if truths else None
+    told, is_outcome_shown, stops = [], False, 0
     for axes, point, look in zip(grid.flat, points, style.looks(points), strict=False):
-        outcomes = _outcomes(results, point)
-        shown = {True: 0, False: 0}
-        problem = point.config.get("problem")
-        if isinstance(problem, Mapping) and problem.get("kind") in DOMAINS:
-            DOMAINS[str(problem["kind"])](axes, problem)
-        for run, arrays in kept[point.index]:
-            succeeded = outcomes.get(run, False)
-            if shown[succeeded] < EXAMPLES and "paths" in arrays:
-                shown[succeeded] += 1
-                _run(axes, arrays, look["color"] if succeeded else style.FAINT, is_success=succeeded)
-        told.append(f"{point.name}: {shown[True]} successful and {shown[False]} failed")
+        draw_domain(axes, point.problem)
+        if point.ends_at_success:
+            is_outcome_shown = True
+            told.append(_outcomes_drawn(axes, results, point, kept[point.index], look["color"]))
+        else:
+            run, arrays = kept[point.index][0]
+            if norm is not None and run in fields[point.index]:
+                belief = fields[point.index][run]
+                draw_map(axes, belief, belief["truth"], norm, QUIET)
+            stopped = _run(axes, arrays, look["color"], is_success=True)
+            if len(stopped):
+                axes.scatter(*stopped.T, **_STOP, zorder=6)
+            stops += len(stopped)
+            reached = ""
+            if point.has_success:
+                reached = f", target area {'' if _outcomes(results, point).get(run) else 'not '}reached"
+            told.append(f"{point.name}: run {run}, stopped {counted(len(stopped), 'time')}{reached}")
         axes.set_title(style.wrapped(point.name, 24), color=look["color"], pad=4)
-        axes.set_aspect("equal")
-        axes.tick_params(length=0)
-        for side in axes.spines.values():
-            side.set_visible(False)
     for axes in grid.flat[len(points) :]:
         axes.set_visible(False)
     for axes in grid[:, 0]:
         axes.set_ylabel("y (m)", labelpad=1)
     for axes in grid[-1]:
         axes.set_xlabel("x (m)", labelpad=1)
+    legend = _legend() if is_outcome_shown else _monitoring_legend(points, has_stops=stops > 0)
     figure.legend(
-        *zip(*_legend(), strict=True),
+        *zip(*legend, strict=True),
         handler_map={tuple: HandlerTuple(ndivide=1)},
         loc="outside lower center",
-        ncols=4,
+        ncols=4 if is_outcome_shown else 3,
         columnspacing=1.2,
         handletextpad=0.5,
+    )
+    caption = (
+        f"Of the recorded runs, the first {EXAMPLES} that succeeded (in colour) and the first "
+        f"{EXAMPLES} that failed (grey, dashed)."
+        if is_outcome_shown
+        else f"The first recorded run.{' Grey: the true field, darker where higher.' if truths else ''}"
+        f"{' Red circles: a wall or the border stopped the robot.' if stops else ''}"
     )
     return Drawing(
         figure=figure,
         title="Example trajectories",
-        caption=f"Of the recorded runs, the first {EXAMPLES} that succeeded (in colour) and the first "
-        f"{EXAMPLES} that failed (grey, dashed). Arrows show the heading after each step.{note}",
+        caption=f"{caption} Arrows show the heading after each step.{note}",
         alt=f"Example trajectories on the domain, one panel per planner. {'; '.join(told)}.",
     )
+
+
+def _outcomes_drawn(
+    axes: Axes, results: Results, point: Point, kept: Sequence[tuple[int, Mapping[str, Any]]], colour: str
+) -> str:
+    """Draw the first runs of each outcome; how many there were."""
+    outcomes, shown = _outcomes(results, point), {True: 0, False: 0}
+    for run, arrays in kept:
+        succeeded = outcomes.get(run, False)
+        if shown[succeeded] < EXAMPLES and "paths" in arrays:
+            shown[succeeded] += 1
+            _run(axes, arrays, colour if succeeded else style.FAINT, is_success=succeeded)
+    return f"{point.name}: {shown[True]} successful and {shown[False]} failed"
 
 
 def _outcomes(results: Results, point: Point) -> dict[int, bool]:
@@ -77,14 +118,15 @@ def _outcomes(results: Results, point: Point) -> dict[int, bool]:
     return {int(run): bool(value) for run, value in zip(rows["run"], success, strict=True)}
 
 
-def _run(axes: Axes, arrays: Mapping[str, Any], colour: str, *, is_success: bool) -> None:
+def _run(axes: Axes, arrays: Mapping[str, Any], colour: str, *, is_success: bool) -> Floats:
+    """Draw a run; where it was stopped, `[stops, 2]`."""
     samples = [step[np.isfinite(step).all(axis=1)] for step in np.asarray(arrays["paths"], dtype=np.float64)]
     steps = [step for step in samples if len(step)]
     start = np.asarray(arrays["start"], dtype=np.float64) if "start" in arrays else None
     if start is None and steps:
         start = steps[0][0]
     if start is None:
-        return
+        return np.zeros((0, 2))
     ends = [start, *(step[-1] for step in steps)]
     curves = [smooth(begin, step) for begin, step in zip(ends, steps, strict=False)]
     whole = np.concatenate(curves) if curves else start[None, :2]
@@ -116,17 +158,45 @@ def _run(axes: Axes, arrays: Mapping[str, Any], colour: str, *, is_success: bool
         headaxislength=4.2,
         zorder=4,
     )
+    return stops(ends, steps)
+
+
+def stops(ends: Sequence[Floats], steps: Sequence[Floats]) -> Floats:
+    """Positions `[stops, 2]` at which the robot was stopped within a step.
+
+    Args:
+        ends: Pose before each step.
+        steps: Poses of each step; from where the robot was stopped on, they repeat.
+    """
+    last_two = [
+        np.concatenate([end[None, :2], step[:, :2]])[-2:] for end, step in zip(ends, steps, strict=False)
+    ]
+    return np.array([last for before, last in last_two if (before == last).all()]).reshape(-1, 2)
+
+
+def _monitoring_legend(points: Sequence[Point], *, has_stops: bool) -> list[tuple[Any, str]]:
+    entries: list[tuple[Any, str]] = [
+        (Line2D([], [], color=style.INK, linewidth=1.4), "path"),
+        (Line2D([], [], **_RING, markersize=5, markerfacecolor="white"), "start"),
+    ]
+    if has_stops:
+        red = {"markeredgecolor": _RED, "markerfacecolor": "none", "markeredgewidth": 1.5}
+        entries.append((Line2D([], [], linestyle="", marker="o", markersize=8, **red), "stopped"))
+    if any(point.problem.get("walls") for point in points):
+        entries.append((Patch(facecolor=WALL), "wall"))
+    if any(point.problem.get("target_area") is not None for point in points):
+        entries.append((Patch(**TARGET), "target area"))
+    return entries
 
 
 def _legend() -> list[tuple[Any, str]]:
-    ring: dict[str, Any] = {"color": style.INK, "linestyle": "", "marker": "o"}
     goal = (
-        Line2D([], [], **ring, markersize=9, markerfacecolor="none"),
-        Line2D([], [], **ring, markersize=2.5),
+        Line2D([], [], **_RING, markersize=9, markerfacecolor="none"),
+        Line2D([], [], **_RING, markersize=2.5),
     )
     return [
         (Line2D([], [], color=style.INK, linewidth=1.4), "success"),
         (Line2D([], [], color=style.FAINT, linewidth=1.1, linestyle=_DASHES), "failure"),
-        (Line2D([], [], **ring, markersize=5, markerfacecolor="white"), "start"),
+        (Line2D([], [], **_RING, markersize=5, markerfacecolor="white"), "start"),
         (goal, "goal"),
     ]

@@ -15,6 +15,8 @@ def draw(results: Results) -> Drawing:
     if "success" not in runs or "steps" not in runs or not runs["steps"].size:
         raise Undrawable("runs.parquet has no success and steps")
     points, note = drawn_points(results)
+    if not all(point.has_success and point.ends_at_success for point in points):
+        raise Undrawable("a run of this problem does not end at success, so that steps do not tell when")
     last = int(max(results.num_steps, runs["steps"].max()))
     curves = {}
     for point in points:

@@ -1,0 +1,86 @@
+"""The final belief of one recorded run per point beside the true field: Figs. 3.2 and 3.5 of the thesis."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.colors import Normalize
+from matplotlib.ticker import MaxNLocator
+
+from bojax.report import style
+from bojax.report.figures.base import Drawing, Undrawable, drawn_points
+from bojax.report.figures.domains import draw_domain
+from bojax.report.figures.maps import Belief, beliefs, draw_map
+from bojax.report.source import Results
+from bojax.report.statistics import Floats
+from bojax.report.text import joined, number
+
+MAX_ROWS = 6
+"""More rows than this do not fit a screen: then the best point of each label is drawn."""
+
+_PANELS = {"true field": "viridis", "mean": "viridis", "error": "RdBu_r", "std": "PuBu"}
+"""Columns of the figure, with their colours."""
+
+
+def draw(results: Results) -> Drawing:
+    """One row per point: true field, mean, error and standard deviation, one scale for each unit of them."""
+    points, note = drawn_points(results, MAX_ROWS)
+    found = {point.index: beliefs(results, point) for point in points}
+    points = tuple(point for point in points if found[point.index])
+    if not points:
+        raise Undrawable("no recorded belief in arrays/")
+    chosen = [next(iter(found[point.index].items())) for point in points]
+    maps = [_maps(belief) for _, belief in chosen]
+    norms = _norms(maps)
+    figure, grid = style.figure(
+        1.16 * len(points) + 0.75, len(points), len(_PANELS), sharex=True, sharey=True
+    )
+    figure.set_layout_engine("compressed")  # panels of equal aspect leave gaps that no other layout closes
+    looks = style.looks(points)
+    for row, point, look, (_, belief), values in zip(grid, points, looks, chosen, maps, strict=True):
+        for axes, (panel, colours) in zip(row, _PANELS.items(), strict=True):
+            draw_domain(axes, {**point.problem, "target_area": None})
+            draw_map(axes, belief, values[panel], norms[panel], colours)
+            axes.set_xticks([])
+            axes.set_yticks([])
+        if "samples" in belief:
+            row[-1].scatter(*belief["samples"][:, :2].T, s=1.6, color=style.INK, linewidths=0, zorder=2.4)
+        size = 10.5 if len(point.name) <= 14 else 8.0
+        row[0].set_ylabel(style.wrapped(point.name, 19), color=look["color"], labelpad=2, fontsize=size)
+    for axes, panel in zip(grid[0], _PANELS, strict=True):
+        axes.set_title(panel, pad=4)
+    for columns in ([0, 1], [2], [3]):
+        image = grid[0, columns[0]].images[0]
+        bar = figure.colorbar(
+            image, ax=list(grid[:, columns].flat), location="bottom", aspect=9 * len(columns)
+        )
+        bar.outline.set_visible(False)  # type: ignore[operator]
+        bar.ax.xaxis.set_major_locator(MaxNLocator(nbins=2 + len(columns)))
+        bar.ax.tick_params(length=2, labelsize=8.5)
+    runs = sorted({run for run, _ in chosen})
+    errors = [
+        f"{point.name} {number(float(np.sqrt(np.mean(values['error'] ** 2))))}"
+        for point, values in zip(points, maps, strict=True)
+    ]
+    return Drawing(
+        figure=figure,
+        title="Final belief",
+        caption="The true field, and what is believed about it at the end of run "
+        f"{joined([str(run) for run in runs])}: mean, error (red: too high) and standard deviation, in the "
+        f"field's unit. A column has one scale for all settings. Dots: samples.{note}",
+        alt="Maps of the true field, of mean, error and standard deviation of the final belief, one row per "
+        f"setting. Root mean square of the error on the map: {', '.join(errors)}.",
+    )
+
+
+def _maps(belief: Belief) -> dict[str, Floats]:
+    error = belief["mean"] - belief["truth"]
+    return {"true field": belief["truth"], "mean": belief["mean"], "error": error, "std": belief["std"]}
+
+
+def _norms(maps: Sequence[Mapping[str, Floats]]) -> dict[str, Normalize]:
+    """Field and mean share a scale; that of the error is symmetric, that of the deviation begins at 0."""
+    fields = np.stack([values[panel] for values in maps for panel in ("true field", "mean")])
+    error = max(float(np.abs(values["error"]).max()) for values in maps)
+    std = max(float(values["std"].max()) for values in maps)
+    field = Normalize(float(fields.min()), float(fields.max()))
+    return {"true field": field, "mean": field, "error": Normalize(-error, error), "std": Normalize(0.0, std)}

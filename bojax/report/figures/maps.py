@@ -1,0 +1,49 @@
+"""Maps: values on the grid of a belief, drawn over the domain."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.image import AxesImage
+from matplotlib.patches import Rectangle
+
+from bojax.report.source import Point, Results
+from bojax.report.statistics import Floats
+
+QUIET = LinearSegmentedColormap.from_list("quiet", ["#FBFBFA", "#D9DCDD", "#A9AFB2"])
+"""Light greys: a background on which every colour of a planner can be read."""
+
+Belief = Mapping[str, Floats]
+
+
+def beliefs(results: Results, point: Point) -> dict[int, Belief]:
+    """The final beliefs recorded of a point, by run; those without a true field are left out."""
+    found = results.arrays(point, "belief")
+    return {run: arrays for run, arrays in found if {"x", "y", "truth", "mean", "std"} <= arrays.keys()}
+
+
+def draw_map(axes: Axes, belief: Belief, values: Floats, norm: Normalize, cmap: Any) -> AxesImage:
+    """Values `[y, x]` as colours, interpolated between the points of the grid and cut at its outermost."""
+    (x_min, x_step), (y_min, y_step) = (_spacing(belief[name]) for name in ("x", "y"))
+    x_max, y_max = float(belief["x"][-1]), float(belief["y"][-1])
+    limits = axes.get_xlim(), axes.get_ylim()
+    image = axes.imshow(
+        values,
+        origin="lower",
+        extent=(x_min - x_step / 2, x_max + x_step / 2, y_min - y_step / 2, y_max + y_step / 2),
+        norm=norm,
+        cmap=cmap,
+        interpolation="bilinear",
+        zorder=1,
+    )
+    edge = Rectangle((x_min, y_min), x_max - x_min, y_max - y_min, transform=axes.transData)
+    image.set_clip_path(edge)
+    axes.set_xlim(limits[0])
+    axes.set_ylim(limits[1])
+    return image
+
+
+def _spacing(places: Floats) -> tuple[float, float]:
+    return float(places[0]), float(np.ptp(places) / max(1, len(places) - 1))
