@@ -18,7 +18,9 @@ def parking(axes: Axes, problem: Mapping[str, Any]) -> None:
     """A square `[-half_width, half_width]^2` with the goal, a disc of `distance_tolerance`, at its centre."""
     half = float(problem.get("half_width", 4.0))
     radius = float(problem.get("distance_tolerance", 0.1))
-    _frame(axes, (-half, -half, half, half), 0.1 * half)
+    square = (-half, -half, half, half)
+    axes.add_patch(_box(square, facecolor=FLOOR, edgecolor=EDGE, linewidth=1.1, zorder=0))
+    _limits(axes, square, 0.1 * half)
     axes.add_patch(Circle((0, 0), radius, facecolor=style.INK, edgecolor="none", zorder=6))
     # The disc is a speck on this scale: a ring makes it findable without claiming its size.
     axes.scatter([0], [0], s=85, facecolors="none", edgecolors=style.INK, linewidths=1.0, zorder=6)
@@ -28,10 +30,14 @@ def parking(axes: Axes, problem: Mapping[str, Any]) -> None:
 def monitoring(axes: Axes, problem: Mapping[str, Any]) -> None:
     """The rectangle `domain` with its `walls`, the border of `target_area` and the position of `start`."""
     domain = x_min, y_min, x_max, y_max = tuple(float(bound) for bound in problem["domain"])
-    frame = _frame(axes, domain, 0.03 * max(x_max - x_min, y_max - y_min))
+    _limits(axes, domain, 0.03 * max(x_max - x_min, y_max - y_min))
+    # The border stands above maps and walls, which end at it.
+    axes.add_patch(_box(domain, facecolor=FLOOR, edgecolor="none", zorder=0))
+    border = _box(domain, facecolor="none", edgecolor=EDGE, linewidth=1.1, zorder=2.6)
+    axes.add_patch(border)
     for wall in problem.get("walls") or ():
         patch = axes.add_patch(_box(wall, facecolor=WALL, edgecolor="none", zorder=2.5))
-        patch.set_clip_path(frame)
+        patch.set_clip_path(border)
     if problem.get("target_area") is not None:
         # Inside the border, which it often shares.
         inset = 0.012 * (x_max - x_min)
@@ -70,13 +76,9 @@ def _box(bounds: Sequence[float], **options: Any) -> Rectangle:
     return Rectangle((x_min, y_min), x_max - x_min, y_max - y_min, **options)
 
 
-def _frame(axes: Axes, bounds: Sequence[float], margin: float) -> Rectangle:
-    axes.add_patch(_box(bounds, facecolor=FLOOR, edgecolor="none", zorder=0))
-    border = _box(bounds, facecolor="none", edgecolor=EDGE, linewidth=1.1, zorder=2.6)
-    axes.add_patch(border)
+def _limits(axes: Axes, bounds: Sequence[float], margin: float) -> None:
     axes.set_xlim(bounds[0] - margin, bounds[2] + margin)
     axes.set_ylim(bounds[1] - margin, bounds[3] + margin)
-    return border
 
 
 def _ticks(axes: Axes, x: Sequence[float], y: Sequence[float]) -> None:
