@@ -85,7 +85,7 @@ def look_ahead(
     noise = posterior.noise(points)
     # A point that is not observed is made independent of all others.
     joint = jnp.where(both, covariance, 0.0) + eye * jnp.where(is_observed, noise, 1.0)[:, None]
-    factor = jnp.linalg.cholesky(joint)
+    factor = jax.lax.linalg.cholesky(joint, symmetrize_input=False)
     explained = jnp.where(is_before, factor, 0.0)
     innovations = jnp.where(is_observed, innovations, 0.0)
 

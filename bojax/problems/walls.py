@@ -34,48 +34,54 @@ def drive_until_blocked(
     A piece that touches a wall or ends outside the domain is not driven, nor is anything after it. A
     piece that does both counts as a collision.
     """
-    begin = jnp.concatenate([start[None], poses[:-1]])[:, :2]
-    end = poses[:, :2]
-    is_outside = jnp.any((end < domain[None, :2]) | (end > domain[None, 2:]), axis=-1)
-    if walls is None:
-        hits_wall = jnp.zeros_like(is_outside)
-    else:
-        hits_wall = jnp.any(_touches(begin[:, None], end[:, None], walls[None]), axis=-1)
-    # A cumulative product over few poses, unrolled by XLA into elementwise arithmetic.
-    is_driven = jnp.cumsum(is_outside | hits_wall) == 0
-    number = jnp.sum(is_driven, dtype=jnp.int32)
-    is_blocked = number < poses.shape[0]
-    collided = is_blocked & hits_wall[jnp.minimum(number, poses.shape[0] - 1)]
-    stop = jnp.where(number > 0, poses[jnp.maximum(number - 1, 0)], start)
+    # All loops here are over a handful of poses and walls, and unrolled: XLA makes one kernel of elementwise
+    # arithmetic, where every reduction would be one more on a GPU.
+    before = jnp.concatenate([start[None], poses[:-1]])
+    hits_wall = _touches_any(before, poses, walls)
+    is_blocked = hits_wall | ~_is_inside(poses, domain)
+    is_on, collided, stop = jnp.ones((), bool), jnp.zeros((), bool), start
+    is_driven = []
+    for index in range(poses.shape[0]):
+        collided = collided | (is_on & hits_wall[index])
+        is_on = is_on & ~is_blocked[index]
+        stop = jnp.where(is_on, poses[index], stop)
+        is_driven.append(is_on)
+    reached = jnp.stack(is_driven)
     return Drive(
-        poses=jnp.where(is_driven[:, None], poses, stop[None]),
-        is_driven=is_driven,
+        poses=jnp.where(reached[:, None], poses, stop[None]),
+        is_driven=reached,
         collided=collided,
-        exited=is_blocked & ~collided,
+        exited=~is_on & ~collided,
     )
 
 
 def is_free(points: Float[Array, "N 2"], domain: Float[Array, "4"], walls: Boxes | None) -> Bool[Array, "N"]:
     """Whether points lie in the domain and in no wall."""
-    is_inside = jnp.all((points >= domain[None, :2]) & (points <= domain[None, 2:]), axis=-1)
-    if walls is None:
-        return is_inside
-    return is_inside & ~jnp.any(_touches(points[:, None], points[:, None], walls[None]), axis=-1)
+    return _is_inside(points, domain) & ~_touches_any(points, points, walls)
 
 
-def _touches(
-    begin: Float[Array, "*#N 2"], end: Float[Array, "*#N 2"], box: Float[Array, "*#N 4"]
-) -> Bool[Array, "*#N"]:
-    """Whether a line piece and a rectangle have a point in common, by the slab method."""
-    step = end - begin
-    is_parallel = step == 0.0
-    inverse = 1.0 / jnp.where(is_parallel, 1.0, step)
-    low, high = (box[..., :2] - begin) * inverse, (box[..., 2:] - begin) * inverse
-    enters, leaves = jnp.minimum(low, high), jnp.maximum(low, high)
-    # Along a slab the piece is within it always, or never.
-    is_within = (begin >= box[..., :2]) & (begin <= box[..., 2:])
-    enters = jnp.where(is_parallel, jnp.where(is_within, -jnp.inf, jnp.inf), enters)
-    leaves = jnp.where(is_parallel, jnp.where(is_within, jnp.inf, -jnp.inf), leaves)
-    first = jnp.maximum(jnp.max(enters, axis=-1), 0.0)
-    last = jnp.minimum(jnp.min(leaves, axis=-1), 1.0)
-    return first <= last
+def _is_inside(points: Float[Array, "N _"], domain: Float[Array, "4"]) -> Bool[Array, "N"]:
+    x, y = points[:, 0], points[:, 1]
+    return (x >= domain[0]) & (y >= domain[1]) & (x <= domain[2]) & (y <= domain[3])
+
+
+def _touches_any(
+    begin: Float[Array, "N _"], end: Float[Array, "N _"], walls: Boxes | None
+) -> Bool[Array, "N"]:
+    """Whether line pieces have a point in common with a wall, by the slab method."""
+    touches = jnp.zeros(begin.shape[:1], bool)
+    for wall in () if walls is None else walls:
+        first, last = jnp.zeros_like(begin[:, 0]), jnp.ones_like(begin[:, 0])
+        for axis in range(2):
+            low, high = wall[axis], wall[axis + 2]
+            start, step = begin[:, axis], end[:, axis] - begin[:, axis]
+            is_parallel = step == 0.0
+            inverse = 1.0 / jnp.where(is_parallel, 1.0, step)
+            at_low, at_high = (low - start) * inverse, (high - start) * inverse
+            # Along a slab the piece is within it always, or never.
+            is_within = (start >= low) & (start <= high)
+            enters = jnp.where(is_parallel, jnp.where(is_within, 0.0, jnp.inf), jnp.minimum(at_low, at_high))
+            leaves = jnp.where(is_parallel, jnp.where(is_within, 1.0, -jnp.inf), jnp.maximum(at_low, at_high))
+            first, last = jnp.maximum(first, enters), jnp.minimum(last, leaves)
+        touches = touches | (first <= last)
+    return touches
