@@ -1,0 +1,209 @@
+"""Looking ahead is refitting: a Gaussian process fitted anew with all that was imagined says the same."""
+
+import jax
+import jax.extend
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bojax.models.gaussian_process import GaussianProcess
+from bojax.models.kernels import RBF, Matern12, Matern32, Matern52, Scaled
+from bojax.models.lookahead import LookaheadRoot, look_ahead
+from bojax.models.means import ConstantMean, LinearMean, ZeroMean
+from bojax.numerics.linalg import noise_floor
+from tests.reference.bridge import reference_field_kernel, reference_mean
+from tests.reference.field_gp import GP
+
+NUM_STAGES, SIZE = 3, 4
+
+
+def f64(value):
+    return jnp.asarray(value, jnp.float64)
+
+
+KERNELS = {
+    "rbf": RBF(f64(0.5)),
+    "rbf, a lengthscale a dimension": RBF(f64([0.3, 0.9])),
+    "matern 1/2": Matern12(f64(0.7)),
+    "matern 3/2": Matern32(f64(0.7)),
+    "matern 5/2": Matern52(f64([0.5, 0.8])),
+    "scaled": Scaled(RBF(f64(0.5)), f64(4.0)),
+    "a sum": Scaled(Matern32(f64(0.4)), f64(0.5)) + RBF(f64(1.2)),
+    "a product": Scaled(Matern52(f64(0.8)), f64(2.0)) * RBF(f64(1.5)),
+}
+MEANS = {
+    "zero": ZeroMean(),
+    "constant": ConstantMean(f64(1.3)),
+    "linear": LinearMean(f64([0.7, -0.4]), f64(0.2)),
+}
+
+
+@jax.jit
+def fit(kernel, mean, noise_variance, x, y, count):
+    return GaussianProcess.fit(kernel, noise_variance, x, y, mean=mean, count=count)
+
+
+@jax.jit
+def ahead(posterior, points, is_observed, innovations):
+    root = LookaheadRoot.of(posterior)
+    return look_ahead(root, points, is_observed, innovations, NUM_STAGES, with_gradient=True)
+
+
+def refitted(posterior, points, is_observed, innovations):
+    """Mean, variance and gradient at every observed point under the belief before its stage."""
+    kernel, mean = reference_field_kernel(posterior.kernel), reference_mean(posterior.mean)
+    prior_variance = kernel(np.zeros((1, 2)), np.zeros((1, 2)))[0, 0]
+    noise = max(float(posterior.noise_variance), noise_floor(posterior.y.dtype) * prior_variance)
+    count = int(posterior.count)
+    x, y = np.asarray(posterior.x)[:count], np.asarray(posterior.y)[:count]
+    found = []
+    for stage in range(NUM_STAGES):
+        rows = np.arange(stage * SIZE, (stage + 1) * SIZE)
+        rows = rows[np.asarray(is_observed)[rows]]
+        gp, at = GP(kernel, mean, noise, x, y), np.asarray(points)[rows]
+        m, covariance = gp.predict(at)
+        found += zip(m, np.diag(covariance), gp.gradient(at), strict=True)
+        draw = np.linalg.cholesky(covariance + noise * np.eye(len(rows))) @ np.asarray(innovations)[rows]
+        x, y = np.concatenate([x, at]), np.concatenate([y, m + draw])
+    return [np.array(part) for part in zip(*found, strict=True)]
+
+
+def case(kernel, mean=MEANS["zero"], noise_variance=0.01, count=12, capacity=20, seed=0):
+    rng = np.random.default_rng(seed)
+    x = rng.uniform(-1.0, 1.0, (capacity, 2))
+    y = np.sin(3.0 * x[:, 0]) + x[:, 1] + 0.1 * rng.normal(size=capacity)
+    points = rng.uniform(-1.0, 1.0, (NUM_STAGES * SIZE, 2))
+    innovations = rng.normal(size=NUM_STAGES * SIZE)
+    count = jnp.asarray(count, jnp.int32)
+    posterior = fit(kernel, mean, f64(noise_variance), f64(x), f64(y), count)
+    return posterior, f64(points), jnp.ones(NUM_STAGES * SIZE, bool), f64(innovations)
+
+
+def assert_refitted(posterior, points, is_observed, innovations, atol=1e-9):
+    found, expected = (
+        ahead(posterior, points, is_observed, innovations),
+        refitted(posterior, points, is_observed, innovations),
+    )
+    for got, wanted in zip((found.mean, found.variance, found.gradient), expected, strict=True):
+        np.testing.assert_allclose(np.asarray(got)[np.asarray(is_observed)], wanted, rtol=0.0, atol=atol)
+
+
+@pytest.mark.parametrize("kernel", KERNELS.values(), ids=KERNELS)
+def test_of_every_kernel_it_is_a_refit(kernel):
+    for count in (0, 1, 12, 20):
+        assert_refitted(*case(kernel, count=count))
+
+
+@pytest.mark.parametrize("mean", MEANS.values(), ids=MEANS)
+@pytest.mark.parametrize("noise_variance", [1e-4, 1.0])
+def test_of_every_mean_and_noise_it_is_a_refit(mean, noise_variance):
+    for count in (0, 20):
+        assert_refitted(*case(KERNELS["a sum"], mean, noise_variance, count))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_is_not_observed_leaves_no_trace(seed):
+    posterior, points, _, innovations = case(KERNELS["rbf"], MEANS["linear"], seed=seed)
+    is_observed = np.random.default_rng(seed).uniform(size=len(points)) < 0.6
+    is_observed[SIZE : 2 * SIZE] &= seed != 1  # a stage without observations
+    assert_refitted(posterior, points, jnp.asarray(is_observed), innovations)
+    # Nor does it matter where it is.
+    elsewhere = jnp.where(jnp.asarray(is_observed)[:, None], points, 0.0)
+    one, other = (ahead(posterior, at, jnp.asarray(is_observed), innovations) for at in (points, elsewhere))
+    for got, wanted in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        np.testing.assert_allclose(got[is_observed], wanted[is_observed], atol=1e-12)
+
+
+def test_a_stage_does_not_know_its_own_observations_nor_later_ones():
+    posterior, points, is_observed, innovations = case(KERNELS["matern 3/2"])
+    one = ahead(posterior, points, is_observed, innovations)
+    other = ahead(posterior, points, is_observed, innovations.at[SIZE:].set(0.0))
+    np.testing.assert_array_equal(one.mean[: 2 * SIZE], other.mean[: 2 * SIZE])
+    assert np.all(np.abs(one.mean - other.mean)[2 * SIZE :] > 1e-6)
+    # What was seen never enters a variance.
+    np.testing.assert_array_equal(one.variance, other.variance)
+
+
+def test_imagining_the_mean_changes_no_mean():
+    posterior, points, is_observed, _ = case(KERNELS["rbf"], MEANS["constant"])
+    found = ahead(posterior, points, is_observed, jnp.zeros(len(points)))
+    mean, variance = jax.jit(lambda posterior, points: posterior.predict(points))(posterior, points)
+    gradient = jax.jit(lambda posterior, points: posterior.predict_gradient(points))(posterior, points)
+    np.testing.assert_allclose(found.mean, mean, atol=1e-12)
+    np.testing.assert_allclose(found.gradient, gradient, atol=1e-11)
+    np.testing.assert_allclose(found.variance[:SIZE], variance[:SIZE], atol=1e-12)
+    assert np.all(found.variance <= variance + 1e-12)
+    assert np.all(found.variance[SIZE:] < variance[SIZE:])
+
+
+@pytest.mark.parametrize("kernel", KERNELS.values(), ids=KERNELS)
+def test_more_observations_never_raise_a_variance(kernel):
+    for seed in range(3):
+        posterior, points, is_observed, innovations = case(kernel, seed=seed)
+        last = [ahead(posterior, points, is_observed.at[:k].set(False), innovations) for k in range(9)]
+        variances = np.stack([found.variance[2 * SIZE :] for found in last])
+        assert np.all(np.diff(variances, axis=0) >= -1e-12)
+        assert np.all(variances[0] < variances[-1])
+
+
+@pytest.mark.parametrize("lengthscale", [0.5, 30.0, 1e6, 1e-6])
+@pytest.mark.parametrize("kernel", [RBF, Matern12, Matern32])
+def test_without_noise_the_same_point_again_and_again_is_finite(kernel, lengthscale):
+    rng = np.random.default_rng(0)
+    places = rng.uniform(-1.0, 1.0, (4, 2))
+    x = f64(places[rng.integers(4, size=20)])
+    zero = ZeroMean()
+    posterior = fit(kernel(f64(lengthscale)), zero, f64(0.0), x, x[:, 0], jnp.asarray(20, jnp.int32))
+    # Each stage looks at a known place twice, and at a new place that the other stages see too.
+    points = f64(np.tile([places[0], places[0], places[1], [0.3, 0.4]], (NUM_STAGES, 1)))
+    is_observed, innovations = jnp.ones(len(points), bool), f64(rng.normal(size=len(points)))
+    found = ahead(posterior, points, is_observed, innovations)
+    for part in (found.mean, found.variance, found.gradient):
+        assert np.all(np.isfinite(part))
+    assert np.all(found.variance >= 0.0) and np.all(found.variance <= 1.0 + 1e-9)
+    np.testing.assert_allclose(found.variance.reshape(NUM_STAGES, SIZE)[:, :3], 0.0, atol=1e-9)
+    np.testing.assert_allclose(found.variance.reshape(NUM_STAGES, SIZE)[1:, 3], 0.0, atol=1e-9)
+    if lengthscale < 1.0:
+        expected = np.tile(places[[0, 0, 1], 0], (NUM_STAGES, 1))
+        np.testing.assert_allclose(found.mean.reshape(NUM_STAGES, SIZE)[:, :3], expected, atol=1e-4)
+        # What was imagined at the new place is what the next stage expects there.
+        second, third = found.mean.reshape(NUM_STAGES, SIZE)[1:, 3]
+        np.testing.assert_allclose(second, third, atol=1e-4)
+
+
+def test_in_single_precision_the_error_is_that_of_rounding():
+    # As many observations as at the end of an episode: 192 in a square of six lengthscales.
+    rng = np.random.default_rng(0)
+    x, kernel = rng.uniform(0.0, 6.0, (200, 2)), Scaled(RBF(f64(1.0)), f64(1.0))
+    y = np.sin(x[:, 0]) * np.cos(x[:, 1]) + 0.1 * rng.normal(size=200)
+    points, innovations = rng.uniform(2.0, 4.0, (NUM_STAGES * SIZE, 2)), rng.normal(size=NUM_STAGES * SIZE)
+    errors = {"mean": 0.0, "variance": 0.0, "gradient": 0.0}
+    found = {}
+    for dtype in (jnp.float64, jnp.float32):
+        own, noise, *numbers = jax.tree.map(
+            lambda leaf, dtype=dtype: jnp.asarray(leaf, dtype), (kernel, 0.01, x, y, points, innovations)
+        )
+        posterior = fit(own, ZeroMean(), noise, *numbers[:2], jnp.asarray(192, jnp.int32))
+        found[dtype] = ahead(posterior, numbers[2], jnp.ones(len(points), bool), numbers[3])
+    for name in errors:
+        single, double = (np.asarray(getattr(found[dtype], name)) for dtype in (jnp.float32, jnp.float64))
+        assert single.dtype == np.float32
+        errors[name] = np.abs(single - double).max()
+    assert errors["mean"] < 1e-4 and errors["variance"] < 1e-5 and errors["gradient"] < 1e-3
+
+
+def test_nothing_is_refitted():
+    # Of all that is solved or factored, nothing is larger than what was imagined.
+    arguments = case(KERNELS["rbf"])
+
+    def solved(jaxpr):
+        for equation in jaxpr.eqns:
+            if equation.primitive.name in ("cholesky", "triangular_solve", "lu", "eigh"):
+                yield from (variable.aval.shape for variable in equation.invars)
+            for inner in jax.extend.core.jaxprs_in_params(equation.params):
+                yield from solved(inner)
+
+    root = LookaheadRoot.of(arguments[0])
+    program = jax.make_jaxpr(lambda root, *rest: look_ahead(root, *rest, NUM_STAGES, True))
+    shapes = list(solved(program(root, *arguments[1:]).jaxpr))
+    assert shapes and max(max(shape) for shape in shapes) == NUM_STAGES * SIZE
