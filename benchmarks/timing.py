@@ -45,7 +45,15 @@ def on_gpu() -> bool:
     return jax.default_backend() != "cpu"
 
 
-def time_runs(what: str, function: Callable, runs: int, lanes: int, work: int, repeats: int) -> Row:
+def time_runs(
+    what: str,
+    function: Callable,
+    runs: int,
+    lanes: int,
+    work: int,
+    repeats: int,
+    prepare: Callable | None = None,
+) -> Row:
     """Time `function(run)` for `runs` runs, compiled, in equal batches of at most `lanes`.
 
     Args:
@@ -55,6 +63,7 @@ def time_runs(what: str, function: Callable, runs: int, lanes: int, work: int, r
         lanes: Most runs at once, on all devices together.
         work: Units of work of one run.
         repeats: How often it is timed.
+        prepare: From the index of a run to what `function` takes besides; not timed.
 
     Raises:
         AssertionError: If two runs gave the same result.
@@ -64,19 +73,24 @@ def time_runs(what: str, function: Callable, runs: int, lanes: int, work: int, r
     num_batches = -(-runs // lanes)
     lanes = -(-runs // (num_batches * mesh.size)) * mesh.size
     index = np.arange(num_batches * lanes, dtype=np.int32).reshape(num_batches, lanes)
-    batches = [jax.device_put(lane, NamedSharding(mesh, by_lane)) for lane in index]
+
+    def sharded(function: Callable) -> Any:
+        lanes = jax.vmap(function)
+        return jax.jit(jax.shard_map(lanes, mesh=mesh, in_specs=by_lane, out_specs=by_lane, check_vma=False))
+
+    batches = [(jax.device_put(lane, NamedSharding(mesh, by_lane)),) for lane in index]
+    if prepare is not None:
+        prepared = sharded(prepare)
+        batches = jax.block_until_ready([(run, prepared(run)) for (run,) in batches])
 
     start = time.perf_counter()
-    sharded = jax.shard_map(
-        jax.vmap(function), mesh=mesh, in_specs=by_lane, out_specs=by_lane, check_vma=False
-    )
-    program = jax.jit(sharded).lower(batches[0]).compile()
+    program = sharded(function).lower(*batches[0]).compile()
     compile_seconds = time.perf_counter() - start
 
-    results = np.concatenate([_flat(program(batch), lanes) for batch in batches])
+    results = np.concatenate([_flat(program(*batch), lanes) for batch in batches])
     if len(np.unique(results, axis=0)) < len(results):
         raise AssertionError(f"{what}: two runs gave the same result: the batch is not what it seems")
-    seconds = median_seconds(lambda: [program(batch) for batch in batches], repeats)
+    seconds = median_seconds(lambda: [program(*batch) for batch in batches], repeats)
     return Row(what, index.size, seconds, index.size * work, compile_seconds)
 
 
@@ -86,12 +100,18 @@ def _flat(result: Any, lanes: int) -> np.ndarray:
 
 
 def median_seconds(function: Callable[[], Any], repeats: int) -> float:
-    """Median of the seconds until what `function` returns is there."""
+    """Median of the seconds until what `function` returns is there.
+
+    On a single CPU core it is the time that the process had the core: the time by the clock if nothing else
+    runs there, and not moved by what does.
+    """
+    is_one_core = not on_gpu() and describe_cores() == "1 core"
+    clock = time.process_time if is_one_core else time.perf_counter
     seconds = []
     for _ in range(repeats):
-        start = time.perf_counter()
+        start = clock()
         jax.block_until_ready(function())
-        seconds.append(time.perf_counter() - start)
+        seconds.append(clock() - start)
     return statistics.median(seconds)
 
 
