@@ -1,4 +1,4 @@
-"""The shifted Kronecker sequence: even, and uniform point by point."""
+"""The shifted Kronecker sequence and the scrambled Halton sequence: even, and uniform point by point."""
 
 import functools
 
@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 from scipy.stats import qmc
 
-from bojax.numerics.quasirandom import generalised_golden_ratio, shifted_kronecker
+from bojax.numerics.quasirandom import generalised_golden_ratio, scrambled_halton, shifted_kronecker
 
 
 @functools.partial(jax.jit, static_argnums=(1, 2, 3))
@@ -62,3 +62,60 @@ def test_different_keys_shift_differently():
     # A shift moves the whole set: modulo the box, differences between points are the same for all keys.
     steps = np.mod(np.diff(shifted, axis=1), 2.0)
     np.testing.assert_allclose(steps, np.broadcast_to(steps[:1], steps.shape), atol=1e-12)
+
+
+@functools.partial(jax.jit, static_argnums=(1, 2, 3))
+def halton(keys, num_points, num_dims, dtype=jnp.float64):
+    """One scrambled sequence for each key."""
+    return jax.vmap(lambda key: scrambled_halton(key, num_points, num_dims, dtype))(keys)
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+@pytest.mark.parametrize("num_points, num_dims", [(0, 2), (1, 1), (2, 3), (300, 15)])
+def test_scrambled_points_have_finite_quantiles(num_points, num_dims, dtype):
+    xs = halton(jax.random.split(jax.random.key(0), 20), num_points, num_dims, dtype)
+    assert xs.shape == (20, num_points, num_dims)
+    assert xs.dtype == dtype
+    assert jnp.all(xs > 0.0) and jnp.all(xs < 1.0)
+    assert jnp.all(jnp.isfinite(jax.scipy.special.ndtri(xs)))
+
+
+@pytest.mark.parametrize("num_dims", [1, 2, 5])
+@pytest.mark.parametrize("places", [1, 2])
+def test_scrambled_points_share_out_every_interval_of_their_base(num_dims, places):
+    # The first b^k points have one in each of the b^k intervals of length b^-k, and so has every next b^k.
+    base = [2, 3, 5, 7, 11][num_dims - 1]
+    xs = np.asarray(halton(jax.random.split(jax.random.key(1), 3), 3 * base**places, num_dims))[..., -1]
+    cells = np.floor(xs * base**places).reshape(3, 3, base**places)
+    np.testing.assert_array_equal(np.sort(cells), np.broadcast_to(np.arange(base**places), cells.shape))
+
+
+@pytest.mark.parametrize("num_points", [64, 256])
+@pytest.mark.parametrize("num_dims", [1, 2, 4, 9, 15])
+def test_scrambled_points_are_as_even_as_those_of_scipy(num_points, num_dims):
+    ours = np.asarray(halton(jax.random.split(jax.random.key(2), 9), num_points, num_dims))
+    theirs = [qmc.Halton(num_dims, rng=seed).random(num_points) for seed in range(9)]
+    random = np.random.default_rng(0).uniform(size=(9, num_points, num_dims))
+    halton_of_scipy, independent = (
+        np.median([qmc.discrepancy(xs) for xs in sets]) for sets in (theirs, random)
+    )
+    found = np.median([qmc.discrepancy(xs) for xs in ours])
+    assert found < 2.0 * halton_of_scipy
+    assert found < 0.75 * independent
+
+
+@pytest.mark.parametrize("index", [0, 1, 17, 63])
+def test_each_scrambled_point_is_uniform_over_the_keys(index):
+    xs = np.asarray(halton(jax.random.split(jax.random.key(3), 2000), 64, 3))[:, index]
+    for axis in range(3):
+        assert stats.kstest(xs[:, axis], "uniform").pvalue > 1e-3
+        assert abs(stats.spearmanr(xs[:, axis], xs[:, axis - 1]).statistic) < 0.08
+
+
+def test_large_bases_do_not_follow_each_other():
+    # Unscrambled, the first points of bases 41 and 43 lie on a line: correlation 0.99.
+    xs = np.asarray(halton(jax.random.split(jax.random.key(4), 20), 40, 14))
+    correlations = [stats.spearmanr(points[:, 12], points[:, 13]).statistic for points in xs]
+    assert abs(np.mean(correlations)) < 0.2
+    plain = qmc.Halton(14, scramble=False).random(40)
+    assert stats.spearmanr(plain[:, 12], plain[:, 13]).statistic > 0.9

@@ -1,0 +1,477 @@
+"""Bayesian linear regression against its closed form, scikit-learn, and the laws of conditioning."""
+
+import functools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+from sklearn.linear_model import BayesianRidge, Ridge
+
+from bojax.models.bayesian_linear_regression import (
+    BayesianLinearRegression,
+    log_marginal_likelihood,
+    maximise_evidence,
+)
+from bojax.models.linear_regression import LinearRegression
+from bojax.numerics.linalg import noise_floor
+from tests.reference import bayesian_linear_regression as reference
+
+PRIOR, NOISE = jnp.asarray(0.5), jnp.asarray(4.0)
+BLOCKS = (0, 4)
+fit = jax.jit(BayesianLinearRegression.fit)
+evidence = jax.jit(log_marginal_likelihood)
+best_precisions = jax.jit(maximise_evidence)
+
+
+def observations(num: int, num_features: int = 6, num_targets: tuple[int, ...] = (), seed: int = 0):
+    rng = np.random.default_rng(seed)
+    features = rng.normal(size=(num, num_features))
+    weights = rng.normal(size=(num_features, *num_targets))
+    targets = features @ weights + 0.5 * rng.normal(size=(num, *num_targets))
+    return jnp.asarray(features), jnp.asarray(targets)
+
+
+def clustered(num: int, num_features: int, spread: float, dtype, seed: int = 0):
+    """Random Fourier features of points around 8 places, and a linear function of them."""
+    rng = np.random.default_rng(seed)
+    frequencies = rng.normal(size=(num_features // 2, 3)) / 0.3
+    points = rng.uniform(-1.0, 1.0, (8, 3))[rng.integers(0, 8, num)] + spread * rng.normal(size=(num, 3))
+    angles = points @ frequencies.T
+    features = np.concatenate([np.cos(angles), np.sin(angles)], axis=1) / np.sqrt(num_features / 2)
+    return jnp.asarray(features, dtype), jnp.asarray(features @ rng.normal(size=num_features), dtype)
+
+
+@eqx.filter_jit
+def condition(model: BayesianLinearRegression, features, targets, sample_weight=None):
+    """The posterior after the observations, one after the other, flushed whenever the block is full."""
+    block = max(1, len(model.rows))
+    sample_weight = jnp.ones(len(features), features.dtype) if sample_weight is None else sample_weight
+
+    def step(model, observation):
+        features, target, weight = observation
+        return model.update(features, target, sample_weight=weight), None
+
+    def full_block(model, observations):
+        return jax.lax.scan(step, model, observations)[0].flush(), None
+
+    observations = (features, targets, sample_weight)
+    whole = len(features) // block * block
+    in_blocks = jax.tree.map(lambda a: a[:whole].reshape(-1, block, *a.shape[1:]), observations)
+    model, _ = jax.lax.scan(full_block, model, in_blocks)
+    return jax.lax.scan(step, model, jax.tree.map(lambda a: a[whole:], observations))[0]
+
+
+def prior(num_features: int = 6, block: int = 0, num_targets: int | None = None) -> BayesianLinearRegression:
+    return BayesianLinearRegression.prior(num_features, PRIOR, NOISE, num_targets=num_targets, block=block)
+
+
+def assert_same_posterior(one: BayesianLinearRegression, mean, covariance, rtol: float = 1e-12):
+    np.testing.assert_allclose(one.mean, mean, atol=rtol * (1.0 + np.abs(mean).max()), rtol=0)
+    np.testing.assert_allclose(one.covariance, covariance, atol=rtol * np.abs(covariance).max(), rtol=0)
+
+
+@pytest.mark.parametrize("num", [1, 4, 30])
+@pytest.mark.parametrize("num_targets", [(), (2,)])
+def test_a_fit_is_the_closed_form(num, num_targets):
+    features, targets = observations(num, num_targets=num_targets)
+    assert_same_posterior(
+        fit(features, targets, PRIOR, NOISE), *reference.posterior(features, targets, 0.5, 4.0)
+    )
+
+
+@pytest.mark.parametrize("num", [1, 4, 30, 31])
+@pytest.mark.parametrize("num_targets", [(), (2,)])
+@pytest.mark.parametrize("block", BLOCKS)
+def test_one_observation_at_a_time_gives_the_batch_posterior(num, num_targets, block):
+    features, targets = observations(num, num_targets=num_targets)
+    model = condition(prior(6, block, *num_targets), features, targets)
+    assert_same_posterior(model, *reference.posterior(features, targets, 0.5, 4.0))
+    np.testing.assert_array_equal(model.covariance, model.covariance.T)
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_the_order_of_observations_does_not_matter(block):
+    features, targets = observations(30)
+    order = np.random.default_rng(1).permutation(30)
+    model = condition(prior(6, block), features, targets)
+    assert_same_posterior(
+        condition(prior(6, block), features[order], targets[order]), model.mean, model.covariance
+    )
+
+
+@pytest.mark.parametrize("sizes", [(30,), (1, 29), (10, 5, 15)])
+@pytest.mark.parametrize("num_targets", [(), (2,)])
+@pytest.mark.parametrize("block", BLOCKS)
+def test_batches_of_any_size_give_the_same_posterior(sizes, num_targets, block):
+    features, targets = observations(33, num_targets=num_targets)
+    model = condition(prior(6, block, *num_targets), features[:3], targets[:3])  # leaves a block half full
+    mean, covariance = reference.posterior(features[:3], targets[:3], 0.5, 4.0)
+    start = 3
+    for size in sizes:
+        now = slice(start, start + size)
+        model = jax.jit(BayesianLinearRegression.update_batch)(model, features[now], targets[now])
+        mean, covariance = reference.updated(mean, covariance, features[now], targets[now], 4.0)
+        start += size
+    assert_same_posterior(model, mean, covariance, 1e-11)
+    assert_same_posterior(model, *reference.posterior(features, targets, 0.5, 4.0), 1e-11)
+
+
+def test_no_observation_changes_nothing():
+    features, targets = observations(0)
+    for model in (fit(features, targets, PRIOR, NOISE), prior().update_batch(features, targets)):
+        assert_same_posterior(model, np.zeros(6), np.eye(6) / 0.5, 1e-15)
+    mean, variance = prior().predict(observations(5)[0])
+    np.testing.assert_array_equal(mean, 0.0)
+    np.testing.assert_allclose(variance, np.sum(observations(5)[0] ** 2, axis=1) / 0.5, rtol=1e-15)
+
+
+def test_one_observation_of_one_feature_is_the_textbook_formula():
+    model = prior(1).update(jnp.asarray([2.0]), jnp.asarray(3.0))
+    np.testing.assert_allclose(model.mean, [4.0 * 2.0 * 3.0 / (0.5 + 4.0 * 4.0)], rtol=1e-15)
+    np.testing.assert_allclose(model.covariance, [[1.0 / (0.5 + 4.0 * 4.0)]], rtol=1e-14)
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_predictions_are_those_of_scikit_learn(block):
+    features, targets = observations(30)
+    queries = observations(10, seed=1)[0]
+    ridge = BayesianRidge(fit_intercept=False).fit(features, targets)
+    alpha, beta = jnp.asarray(ridge.lambda_), jnp.asarray(ridge.alpha_)
+    model = condition(BayesianLinearRegression.prior(6, alpha, beta, block=block), features, targets)
+    mean, std = ridge.predict(np.asarray(queries), return_std=True)
+    np.testing.assert_allclose(model.predict(queries, with_noise=True)[0], mean, rtol=1e-10)
+    np.testing.assert_allclose(model.predict(queries, with_noise=True)[1], std**2, rtol=1e-10)
+    np.testing.assert_allclose(model.predict(queries)[1], std**2 - 1.0 / ridge.alpha_, rtol=1e-9)
+    shrunk = Ridge(ridge.lambda_ / ridge.alpha_, fit_intercept=False).fit(features, targets)
+    np.testing.assert_allclose(model.mean, shrunk.coef_, rtol=1e-10)
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_several_targets_are_several_models_with_one_covariance(block):
+    features, targets = observations(10, num_targets=(3,))
+    together = condition(prior(6, block, 3), features, targets)
+    for column in range(3):
+        alone = condition(prior(6, block), features, targets[:, column])
+        np.testing.assert_allclose(together.mean[:, column], alone.mean, rtol=1e-12, atol=1e-14)
+        np.testing.assert_array_equal(together.covariance, alone.covariance)
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_the_covariance_times_many_features_is_one_product(block):
+    features, targets = observations(9)
+    model = condition(prior(6, block), features, targets)
+    queries = observations(10, seed=1)[0]
+    np.testing.assert_allclose(
+        model.covariance_times(queries), queries @ model.covariance, rtol=1e-11, atol=1e-13
+    )
+    one = model.covariance_times(queries[0])
+    np.testing.assert_allclose(one, model.covariance @ queries[0], rtol=1e-11, atol=1e-13)
+    given = model.update(queries[0], targets[0], product=one)
+    assert_same_posterior(given, *(lambda m: (m.mean, m.covariance))(model.update(queries[0], targets[0])))
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_the_row_corrects_the_variances_for_the_next_observation(block):
+    features, targets = observations(9)
+    model = condition(prior(6, block), features, targets)
+    queries = observations(10, seed=1)[0]
+    before = model.predict(queries)[1]
+    after = model.update(features[0], targets[0]).predict(queries)[1]
+    corrected = before - (queries @ model.row(features[0])) ** 2
+    np.testing.assert_allclose(corrected, after, rtol=1e-12)
+    assert np.all(after < before)
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_an_observation_without_weight_leaves_no_trace_whatever_it_holds(block):
+    features, targets = observations(9)
+    model = condition(prior(6, block), features, targets)
+    nothing = jnp.asarray(0.0)
+    for held, target in ((features[0], targets[0]), (jnp.full(6, jnp.nan), jnp.asarray(jnp.inf))):
+        after = model.update(held, target, sample_weight=nothing)
+        np.testing.assert_array_equal(after.mean, model.mean)
+        queries = observations(10, seed=1)[0]
+        np.testing.assert_array_equal(after.flush().mean, model.mean)
+        np.testing.assert_allclose(after.predict(queries)[1], model.predict(queries)[1], rtol=1e-13)
+        np.testing.assert_array_equal(model.row(held, sample_weight=nothing), 0.0)
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_weighted_observations_are_repeated_ones(block):
+    features, targets = observations(8)
+    times = np.asarray([0, 1, 2, 3, 0, 1, 1, 5])
+    expected = reference.posterior(np.repeat(features, times, 0), np.repeat(targets, times, 0), 0.5, 4.0)
+    features, targets = features.at[0].set(jnp.nan), targets.at[4].set(jnp.nan)
+    weight = jnp.asarray(times, jnp.float64)
+    assert_same_posterior(condition(prior(6, block), features, targets, weight), *expected)
+    assert_same_posterior(fit(features, targets, PRIOR, NOISE, sample_weight=weight), *expected)
+    assert_same_posterior(prior(6, block).update_batch(features, targets, sample_weight=weight), *expected)
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_an_observation_that_is_nan_is_seen_in_every_later_mean(block):
+    features, targets = observations(9)
+    model = condition(prior(6, block), features, targets.at[3].set(jnp.nan))
+    assert np.all(np.isnan(model.mean))
+    np.testing.assert_array_equal(model.covariance, condition(prior(6, block), features, targets).covariance)
+
+
+def test_what_is_updated_more_often_than_the_block_is_long_forgets_the_oldest_rows():
+    features, targets = observations(6)
+    model = prior(6, 4)
+    for phi, target in zip(features, targets, strict=True):
+        model = model.update(phi, target)
+    assert np.all(np.linalg.eigvalsh(model.covariance) > 0.0)
+    exact = reference.posterior(features, targets, 0.5, 4.0)[1]
+    assert np.all(np.linalg.eigvalsh(model.covariance - exact) > -1e-14)
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+@pytest.mark.parametrize("repeated", [False, True])
+def test_the_variance_is_never_negative_and_never_grows(block, dtype, repeated):
+    features, targets = clustered(60, 20, 0.0 if repeated else 0.3, dtype)
+    model = BayesianLinearRegression.prior(20, jnp.asarray(0.1, dtype), jnp.asarray(10.0, dtype), block=block)
+    update, predict = jax.jit(BayesianLinearRegression.update), jax.jit(BayesianLinearRegression.predict)
+    variance = predict(model, features)[1]
+    for i in range(60):
+        model = update(model, features[i], targets[i])
+        model = model.flush() if block and i % block == block - 1 else model
+        before, variance = variance, predict(model, features)[1]
+        assert np.all(variance >= 0.0)
+        assert np.all(variance <= before + 200.0 * jnp.finfo(dtype).eps)
+    assert np.all(variance < 0.1)
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+@pytest.mark.parametrize(
+    "prior_precision, noise_precision",
+    [(1e-6, 1e6), (1e-6, 1.0), (1.0, 1e6), (1e-6, 1e-6), (1e6, 1e6), (1e6, 1e-6)],
+)
+def test_extreme_precisions_keep_the_posterior(block, prior_precision, noise_precision):
+    features, targets = clustered(60, 10, 0.3, jnp.float64)
+    alpha, beta = jnp.asarray(prior_precision), jnp.asarray(noise_precision)
+    # The only bound: a noise below the floor of its prior variance counts as that; features have length 1.
+    seen = min(noise_precision, prior_precision / noise_floor(jnp.float64))
+    mean, covariance = reference.posterior(features, targets, prior_precision, seen)
+    models = {
+        "fit": fit(features, targets, alpha, beta),
+        "rows": condition(BayesianLinearRegression.prior(10, alpha, beta, block=block), features, targets),
+        "batch": BayesianLinearRegression.prior(10, alpha, beta, block=block).update_batch(features, targets),
+    }
+    for model in models.values():
+        found_mean, variance = model.predict(features)
+        expected = np.sum(features * (features @ covariance), axis=1)
+        np.testing.assert_allclose(found_mean, features @ mean, atol=1e-4)
+        # A difference from the prior variance keeps this many of its digits.
+        np.testing.assert_allclose(variance, expected, rtol=1e-9, atol=1e-13 / prior_precision)
+
+
+@pytest.mark.parametrize("block", [0, 16])
+@pytest.mark.parametrize("spread", [0.0, 1e-3, 0.3])
+def test_the_worst_precisions_in_single_precision_stay_finite(block, spread):
+    features, targets = clustered(2000, 20, spread, jnp.float32)
+    model = BayesianLinearRegression.prior(
+        20, jnp.asarray(1e-6, jnp.float32), jnp.asarray(1e6, jnp.float32), block=block
+    )
+    model = condition(model, features, targets)
+    mean, variance = model.predict(features)
+    np.testing.assert_allclose(mean, targets, atol=2e-2)
+    assert np.all(variance >= 0.0) and np.all(variance <= 2.0 * noise_floor(jnp.float32) * 1e6)
+
+
+def test_duplicate_observations_average_out_their_noise():
+    phi, values = jnp.asarray([[1.0, 0.0]] * 6), jnp.asarray([1.0, 2.0, 0.5, 1.5, 2.5, 1.5])
+    model = condition(prior(2), phi, values)
+    mean, variance = model.predict(phi[:1])
+    np.testing.assert_allclose(mean, 4.0 * values.sum() / (0.5 + 6 * 4.0), rtol=1e-14)
+    np.testing.assert_allclose(variance, 1.0 / (0.5 + 6 * 4.0), rtol=1e-13)
+    np.testing.assert_allclose(model.covariance[1], [0.0, 2.0], rtol=1e-15)
+
+
+@pytest.mark.parametrize("prior_precision, bounds", [(0.1, (2e-3, 3e-4)), (1e-3, (3e-2, 8e-3))])
+def test_a_block_keeps_more_digits_in_single_precision(prior_precision, bounds):
+    # Relative errors of the variance, measured over three data sets: at most 6e-4 without a block and 1e-4
+    # with one at the first precision, 1.1e-2 and 2.7e-3 at the second.
+    features, targets = clustered(3000, 40, 0.05, jnp.float32)
+    alpha, beta = jnp.asarray(prior_precision, jnp.float32), jnp.asarray(1.0, jnp.float32)
+    seen = np.asarray(features, np.float64)
+    precision = min(1.0, prior_precision / noise_floor(jnp.float32))
+    _, covariance = reference.posterior(seen, targets, prior_precision, precision)
+    exact = np.sum(seen @ covariance * seen, axis=1)
+    worst = []
+    for block in (0, 16):
+        model = condition(BayesianLinearRegression.prior(40, alpha, beta, block=block), features, targets)
+        variance = np.asarray(jax.jit(BayesianLinearRegression.predict)(model, features)[1])
+        worst.append(np.abs(variance / exact - 1.0).max())
+    assert worst[0] < bounds[0] and worst[1] < bounds[1]
+    assert worst[1] < 0.5 * worst[0]
+
+
+def test_a_batch_of_models_is_a_loop_with_a_shared_count_of_updates():
+    alphas, weights = jnp.asarray([0.1, 1.0, 10.0]), jnp.asarray([1.0, 0.0, 1.0])
+    data = [observations(10, seed=seed) for seed in range(3)]
+    features, targets = (jnp.stack(column) for column in zip(*data, strict=True))
+
+    def posterior(alpha, features, targets, weight):
+        model = BayesianLinearRegression.prior(6, alpha, NOISE, block=4)
+        return condition(model, features, targets, jnp.full(10, weight))
+
+    batched = jax.jit(jax.vmap(posterior))(alphas, features, targets, weights)
+    for lane in range(3):
+        alone = posterior(alphas[lane], features[lane], targets[lane], weights[lane])
+        np.testing.assert_allclose(batched.mean[lane], alone.mean, atol=1e-13)
+        np.testing.assert_allclose(batched.base[lane], alone.base, atol=1e-13)
+        np.testing.assert_allclose(batched.rows[lane], alone.rows, atol=1e-13)
+    assert not np.any(batched.mean[1])
+
+
+def test_an_update_has_no_branch():
+    model, (features, targets) = prior(6, 4), observations(1)
+    step = functools.partial(BayesianLinearRegression.update, sample_weight=jnp.asarray(1.0))
+    program = jax.jit(step).lower(model, features[0], targets[0]).as_text()
+    assert "stablehlo.case" not in program and "stablehlo.while" not in program
+
+
+@pytest.mark.parametrize("sizes", [{"num_features": 0}, {"block": -1}, {"num_targets": 0}])
+def test_sizes_out_of_range_are_refused(sizes):
+    with pytest.raises(ValueError, match=f"{next(iter(sizes))}: got .*; allowed: >= "):
+        prior(**sizes)
+
+
+@pytest.mark.parametrize("num, num_features", [(0, 3), (1, 3), (4, 7), (30, 6)])
+@pytest.mark.parametrize("precisions", [(0.5, 4.0), (10.0, 0.1), (1e-3, 1e3)])
+def test_the_evidence_is_the_density_of_the_targets(num, num_features, precisions):
+    features, targets = observations(num, num_features)
+    alpha, beta = precisions
+    found = evidence(features, targets, *map(jnp.asarray, precisions))
+    np.testing.assert_allclose(
+        found, -reference.negative_log_evidence(features, targets, alpha, beta), rtol=1e-9, atol=1e-14
+    )
+    if num:
+        covariance = np.eye(num) / beta + features @ features.T / alpha
+        expected = stats.multivariate_normal(np.zeros(num), covariance).logpdf(targets)
+        np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+def test_the_evidence_is_the_product_of_the_predictions_one_after_the_other():
+    features, targets = observations(12)
+    model, total = prior(), 0.0
+    for phi, target in zip(features, targets, strict=True):
+        mean, variance = model.predict(phi[None, :], with_noise=True)
+        total += stats.norm(mean[0], np.sqrt(variance[0])).logpdf(target)
+        model = model.update(phi, target)
+    np.testing.assert_allclose(evidence(features, targets, PRIOR, NOISE), total, rtol=1e-12)
+
+
+@pytest.mark.parametrize("num", [1, 4, 30])
+@pytest.mark.parametrize("precisions", [(0.5, 4.0), (10.0, 0.1)])
+def test_the_gradient_of_the_evidence_is_exact(num, precisions):
+    features, targets = observations(num)
+    gradient = jax.jit(jax.grad(log_marginal_likelihood, argnums=(2, 3)))
+    alpha, beta = precisions
+    found = gradient(features, targets, jnp.asarray(alpha), jnp.asarray(beta))
+    np.testing.assert_allclose(found, reference.evidence_gradient(features, targets, alpha, beta), rtol=1e-9)
+    for axis in range(2):
+        step = np.asarray(precisions) * 1e-5 * np.eye(2)[axis]
+        ahead, behind = (
+            reference.negative_log_evidence(features, targets, *(np.asarray(precisions) + sign * step))
+            for sign in (1.0, -1.0)
+        )
+        np.testing.assert_allclose(found[axis], -(ahead - behind) / (2.0 * step[axis]), rtol=1e-4)
+
+
+def test_the_evidence_can_be_differentiated_by_the_features():
+    features, targets = observations(8, 3)
+    direction = np.random.default_rng(5).normal(size=(8, 3))
+    gradient = jax.grad(log_marginal_likelihood)(features, targets, PRIOR, NOISE)
+    ahead, behind = (
+        -reference.negative_log_evidence(features + sign * 1e-6 * direction, targets, 0.5, 4.0)
+        for sign in (1.0, -1.0)
+    )
+    np.testing.assert_allclose(np.sum(gradient * direction), (ahead - behind) / 2e-6, rtol=1e-6)
+
+
+@pytest.mark.parametrize("num, num_features", [(30, 6), (20, 15), (15, 40)])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_best_precisions_are_those_of_scikit_learn(num, num_features, seed):
+    features, targets = observations(num, num_features, seed=seed)
+    alpha, beta = best_precisions(features, targets)
+    flat = {"alpha_1": 0.0, "alpha_2": 0.0, "lambda_1": 0.0, "lambda_2": 0.0}
+    ridge = BayesianRidge(max_iter=20000, tol=1e-14, fit_intercept=False, **flat).fit(features, targets)
+    ours = evidence(features, targets, alpha, beta)
+    theirs = evidence(features, targets, jnp.asarray(ridge.lambda_), jnp.asarray(ridge.alpha_))
+    assert ours >= theirs - 1e-9
+    if num > num_features:
+        np.testing.assert_allclose((alpha, beta), (ridge.lambda_, ridge.alpha_), rtol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_no_other_precisions_have_a_higher_evidence(seed):
+    features, targets = observations(25, 10, seed=seed)
+    alpha, beta = best_precisions(features, targets)
+    grid = jnp.logspace(-8.0, 8.0, 81)
+    others = jax.jit(
+        jax.vmap(lambda a: jax.vmap(lambda b: log_marginal_likelihood(features, targets, a, b))(grid))
+    )(grid)
+    assert np.max(others) <= evidence(features, targets, alpha, beta)
+    gradient = reference.evidence_gradient(features, targets, float(alpha), float(beta))
+    np.testing.assert_allclose(np.asarray(gradient) * [alpha, beta], 0.0, atol=1e-9)
+
+
+def test_the_precisions_that_made_the_data_are_found():
+    rng = np.random.default_rng(0)
+    features = rng.normal(size=(4000, 200))
+    targets = features @ rng.normal(size=200) / np.sqrt(5.0) + rng.normal(size=4000) / np.sqrt(30.0)
+    alpha, beta = best_precisions(jnp.asarray(features), jnp.asarray(targets))
+    # Relative standard errors are sqrt(2 / 200) and sqrt(2 / 3800).
+    np.testing.assert_allclose(alpha, 5.0, rtol=0.3)
+    np.testing.assert_allclose(beta, 30.0, rtol=0.07)
+
+
+def test_units_of_the_targets_only_scale_the_precisions():
+    features, targets = observations(30)
+    for unit in (1e-6, 1e6):
+        scaled = best_precisions(features, unit * targets)
+        np.testing.assert_allclose(
+            np.asarray(scaled) * unit**2, np.asarray(best_precisions(features, targets)), rtol=1e-6
+        )
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+@pytest.mark.parametrize("case", ["zeros", "no features", "one", "noiseless", "noise"])
+def test_the_best_precisions_are_finite_whatever_the_data(case, dtype):
+    features, targets = observations(12, 4)
+    features, targets = {
+        "zeros": (features, 0.0 * targets),
+        "no features": (0.0 * features, targets),
+        "one": (features[:1], targets[:1]),
+        "noiseless": (features, features @ jnp.ones(4)),
+        "noise": (features, jnp.asarray(np.random.default_rng(3).normal(size=12))),
+    }[case]
+    found = best_precisions(features.astype(dtype), targets.astype(dtype))
+    assert all(precision.dtype == dtype for precision in found)
+    assert np.all(np.isfinite(found)) and np.all(np.asarray(found) > 0.0)
+    if case == "noiseless":
+        np.testing.assert_allclose(found[1], 1.0 / (noise_floor(dtype) * np.mean(targets**2)), rtol=1e-3)
+
+
+def test_precisions_of_a_batch_are_a_loop():
+    data = [observations(20, seed=seed) for seed in range(3)]
+    features, targets = (jnp.stack(column) for column in zip(*data, strict=True))
+    batched = np.asarray(jax.jit(jax.vmap(maximise_evidence))(features, targets))
+    np.testing.assert_allclose(batched.T, [best_precisions(*pair) for pair in data], rtol=1e-9)
+
+
+def test_without_observations_there_is_no_best_precision():
+    with pytest.raises(ValueError, match="observations: got 0"):
+        maximise_evidence(*observations(0))
+
+
+def test_the_mean_is_the_map_estimate():
+    features, targets = observations(30, num_targets=(2,))
+    expected = LinearRegression.fit_map(features, targets, PRIOR, NOISE).weights
+    np.testing.assert_allclose(fit(features, targets, PRIOR, NOISE).mean, expected, rtol=1e-12)

@@ -1,0 +1,293 @@
+"""Feature maps: random Fourier features against their kernels, the others against scikit-learn."""
+
+import functools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+from sklearn.metrics.pairwise import rbf_kernel
+from sklearn.preprocessing import PolynomialFeatures
+
+from bojax.models.bayesian_linear_regression import BayesianLinearRegression
+from bojax.models.features import FourierBasis, Polynomial, RadialBasis, RandomFourier
+from bojax.models.gaussian_process import GaussianProcess
+from bojax.models.kernels import RBF, Kernel, Matern12, Matern32, Matern52, Scaled
+
+
+def number(value) -> jax.Array:
+    return jnp.asarray(value, jnp.float64)
+
+
+def kernels() -> dict[str, Kernel]:
+    one, two, each = number(0.5), number(1.0), number([0.4, 1.5])
+    return {
+        "rbf": RBF(one),
+        "rbf-each": RBF(each),
+        "matern12": Matern12(one),
+        "matern32": Matern32(one),
+        "matern52": Matern52(one),
+        "matern52-each": Matern52(each),
+        "scaled": Scaled(RBF(one), number(3.0)),
+        "sum": RBF(two) + Scaled(Matern32(one), number(0.3)),
+        "product": RBF(one) * Matern52(two),
+        "nested": Scaled((RBF(one) + Matern52(two)) * Matern32(each), number(2.0)),
+    }
+
+
+KERNELS = tuple(kernels())
+RATES = ("rbf", "matern12", "matern32", "matern52", "sum", "product")
+SAMPLINGS = ("monte-carlo", "quasi-random")
+SIZES = (32, 512)
+POINTS = jnp.asarray(np.random.default_rng(0).uniform(-1.0, 1.0, (25, 2)))
+
+
+@eqx.filter_jit
+def drawn(keys, kernel, num_features, num_dims, sampling):
+    """Features of each key."""
+    return jax.vmap(lambda key: RandomFourier.draw(key, kernel, num_features, num_dims, sampling=sampling))(
+        keys
+    )
+
+
+@eqx.filter_jit
+def error(keys, kernel, num_features, sampling):
+    """Root mean square error of phi(x)'phi(y) over pairs of points and keys."""
+    design = jax.vmap(lambda one: one.design(POINTS))(drawn(keys, kernel, num_features, 2, sampling))
+    gram = jax.vmap(lambda one: one @ one.T)(design)
+    return jnp.sqrt(jnp.mean((gram - kernel.gram(POINTS, POINTS)[None]) ** 2))
+
+
+@functools.cache
+def errors(name: str, sampling: str) -> np.ndarray:
+    """The error for each size, over 24 keys."""
+    keys = (jax.random.split(jax.random.key(size), 24) for size in SIZES)
+    return np.asarray(
+        [error(k, kernels()[name], size, sampling) for k, size in zip(keys, SIZES, strict=True)]
+    )
+
+
+def slope(name: str, sampling: str) -> float:
+    """Power of the number of features with which the error falls."""
+    return np.polyfit(np.log(SIZES), np.log(errors(name, sampling)), 1)[0]
+
+
+@pytest.mark.parametrize("name", RATES)
+def test_the_error_of_monte_carlo_falls_with_the_root_of_the_number_of_features(name):
+    # Over other keys the slope has a standard deviation of 0.05.
+    assert -0.62 < slope(name, "monte-carlo") < -0.38
+    # An average of M/2 cosines, of variance at most 1 each, for every term of unit variance.
+    kernel = kernels()[name]
+    bound = kernel(POINTS[0], POINTS[0]) / np.sqrt(np.asarray(SIZES) / 2)
+    assert np.all(errors(name, "monte-carlo") < bound)
+
+
+@pytest.mark.parametrize("name", RATES)
+def test_quasi_random_frequencies_have_a_smaller_error_that_falls_faster(name):
+    # With 512 features the error is 0.70 (Matern 1/2) to 0.23 (squared exponential) times as large.
+    assert errors(name, "quasi-random")[1] < 0.8 * errors(name, "monte-carlo")[1]
+    assert slope(name, "quasi-random") < slope(name, "monte-carlo") - 0.05
+    if name == "rbf":  # the smoothest integrand, with the fewest variables
+        assert slope(name, "quasi-random") < -0.8
+
+
+@pytest.mark.parametrize("name", KERNELS)
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_the_variance_is_exact_and_of_the_precision_of_the_kernel(name, dtype):
+    kernel = jax.tree.map(lambda leaf: leaf.astype(dtype), kernels()[name])
+    features = drawn(jax.random.split(jax.random.key(0), 2), kernel, 10, 2, "quasi-random")
+    assert features.frequencies.dtype == features.amplitudes.dtype == dtype
+    assert np.all(np.isfinite(features.frequencies))
+    design = jax.vmap(lambda one: one.design(POINTS.astype(dtype)))(features)
+    assert design.dtype == dtype
+    variance = kernels()[name](POINTS[0], POINTS[0])
+    np.testing.assert_allclose(jnp.sum(design**2, axis=2), variance, rtol=8.0 * float(jnp.finfo(dtype).eps))
+
+
+@pytest.mark.parametrize("name", sorted(set(KERNELS) - set(RATES)))
+@pytest.mark.parametrize("sampling", SAMPLINGS)
+def test_the_features_are_unbiased(name, sampling):
+    kernel = kernels()[name]
+    features = drawn(jax.random.split(jax.random.key(1), 4000), kernel, 8, 2, sampling)
+    x, y = POINTS[0], POINTS[0] + jnp.asarray([0.3, -0.2])
+    products = np.asarray(jax.vmap(lambda one: jnp.sum(one(x) * one(y)))(features))
+    standard_error = products.std() / np.sqrt(len(products))
+    assert abs(products.mean() - kernel(x, y)) < 4.0 * standard_error
+    assert standard_error < 0.02 * kernel(x, x)
+
+
+@pytest.mark.parametrize(
+    "kernel, degrees",
+    [(RBF, np.inf), (Matern12, 1), (Matern32, 3), (Matern52, 5)],
+    ids=lambda value: str(value),
+)
+@pytest.mark.parametrize("sampling", SAMPLINGS)
+def test_frequencies_follow_a_student_t_of_twice_the_smoothness(kernel, degrees, sampling):
+    lengthscale = np.asarray([0.3, 2.0])
+    features = drawn(jax.random.split(jax.random.key(2), 1500), kernel(number(lengthscale)), 8, 2, sampling)
+    first = np.asarray(features.frequencies)[:, 0] * lengthscale  # one of each set: independent
+    for axis in range(2):
+        assert stats.kstest(first[:, axis], stats.t(degrees).cdf).pvalue > 1e-3
+    # The dimensions share their denominator: |w|^2 / D has Fisher's F distribution.
+    squares = (first**2).mean(axis=1)
+    expected = stats.f(2, degrees) if np.isfinite(degrees) else stats.chi2(2, scale=0.5)
+    assert stats.kstest(squares, expected.cdf).pvalue > 1e-3
+
+
+@pytest.mark.parametrize("sampling", SAMPLINGS)
+def test_a_product_adds_frequencies_and_a_sum_shares_them_out(sampling):
+    both = RandomFourier.draw(
+        jax.random.key(3), Scaled(RBF(number(1.0)), number(4.0)) + RBF(number(1e6)), 14, 2, sampling=sampling
+    )
+    assert both.num_features == 14
+    np.testing.assert_allclose(both.amplitudes**2, [4.0 / 4] * 4 + [1.0 / 3] * 3)
+    assert np.all(np.abs(both.frequencies[4:]) < 1e-4) and np.all(
+        np.abs(both.frequencies[:4]).max(axis=1) > 1e-3
+    )
+    # exp(-r^2/2) twice is one squared exponential whose lengthscale is shorter by sqrt(2).
+    twice = drawn(
+        jax.random.split(jax.random.key(4), 2000), RBF(number(1.0)) * RBF(number(1.0)), 2, 1, sampling
+    )
+    assert stats.kstest(np.asarray(twice.frequencies)[:, 0, 0] / np.sqrt(2.0), "norm").pvalue > 1e-3
+
+
+def test_lengthscales_and_variances_can_be_differentiated():
+    # 1-D, x = 0.7: d/dl exp(-x^2 / 2 l^2) = x^2 / l^3 exp(...), with the same frequencies.
+    x, y = number([0.0]), number([0.7])
+
+    def product(lengthscale, variance):
+        kernel = Scaled(RBF(lengthscale), variance)
+        features = RandomFourier.draw(jax.random.key(0), kernel, 4000, 1)
+        return jnp.sum(features(x) * features(y))
+
+    by_lengthscale, by_variance = jax.grad(product, argnums=(0, 1))(number(0.5), number(2.0))
+    correlation = np.exp(-0.5 * (0.7 / 0.5) ** 2)
+    np.testing.assert_allclose(by_lengthscale, 2.0 * 0.7**2 / 0.5**3 * correlation, rtol=2e-3)
+    np.testing.assert_allclose(by_variance, correlation, rtol=2e-3)
+
+
+@pytest.mark.parametrize("name", ["rbf", "matern52", "sum"])
+def test_bayesian_linear_regression_on_the_features_approaches_the_gaussian_process(name):
+    rng = np.random.default_rng(4)
+    kernel, noise = kernels()[name], number(0.05)
+    x, queries = (jnp.asarray(rng.uniform(-1.0, 1.0, (num, 2))) for num in (30, 40))
+    y = jnp.sin(3.0 * x[:, 0]) + x[:, 1] ** 2 + 0.2 * jnp.asarray(rng.normal(size=30))
+    exact = GaussianProcess.prior(kernel, noise, 30, num_dims=2)
+    exact, _ = jax.lax.scan(lambda gp, xy: (gp.update(*xy), None), exact, (x, y))
+    exact_mean, exact_variance = exact.predict(queries)
+
+    @eqx.filter_jit
+    def distances(keys, size):
+        def sparse(features):
+            model = BayesianLinearRegression.prior(size, number(1.0), 1.0 / noise)
+            mean, variance = model.update_batch(features.design(x), y).predict(features.design(queries))
+            return jnp.mean((mean - exact_mean) ** 2), jnp.mean((variance - exact_variance) ** 2)
+
+        features = drawn(keys, kernel, size, 2, "quasi-random")
+        return jnp.sqrt(jnp.mean(jnp.stack(jax.vmap(sparse)(features)), axis=1))
+
+    few, many = (np.asarray(distances(jax.random.split(jax.random.key(size), 8), size)) for size in (30, 480))
+    assert np.all(many < 0.5 * few)
+
+
+def test_a_batch_of_features_is_a_loop():
+    batched = jax.vmap(lambda one: one.design(POINTS))(
+        drawn(jax.random.split(jax.random.key(5), 3), RBF(number(0.5)), 16, 2, "quasi-random")
+    )
+    assert len(np.unique(batched[:, 3, 0])) == 3
+    for lane, key in enumerate(jax.random.split(jax.random.key(5), 3)):
+        alone = RandomFourier.draw(key, RBF(number(0.5)), 16, 2)
+        np.testing.assert_allclose(batched[lane], jnp.stack([alone(x) for x in POINTS]), atol=1e-13)
+
+
+@pytest.mark.parametrize("num_features", [-2, 0, 1, 7])
+def test_odd_or_missing_random_features_are_refused(num_features):
+    with pytest.raises(ValueError, match=f"num_features: got {num_features}; allowed: even, >= 2"):
+        RandomFourier.draw(jax.random.key(0), RBF(number(0.5)), num_features, 2)
+
+
+def test_fewer_frequencies_than_terms_are_refused():
+    with pytest.raises(ValueError, match="num_features: got 6; allowed: even, >= 8"):
+        kernel = (RBF(number(1.0)) + RBF(number(2.0))) * (Matern12(number(1.0)) + Matern32(number(2.0)))
+        RandomFourier.draw(jax.random.key(0), kernel, 6, 2)
+
+
+def test_what_cannot_be_drawn_is_refused():
+    with pytest.raises(ValueError, match="num_dims: got 0"):
+        RandomFourier.draw(jax.random.key(0), RBF(number(0.5)), 4, 0)
+    with pytest.raises(ValueError, match="lengthscale: got 3; allowed: 1 or 2"):
+        RandomFourier.draw(jax.random.key(0), RBF(number([0.5, 1.0, 2.0])), 4, 2)
+
+    class Linear(Kernel):
+        def __call__(self, x, y):
+            return jnp.sum(x * y)
+
+    with pytest.raises(TypeError, match="no spectral density is known of the kernel Linear"):
+        RandomFourier.draw(jax.random.key(0), RBF(number(0.5)) + Linear(), 4, 2)
+
+
+@pytest.mark.parametrize("order, num_dims", [(0, 1), (5, 1), (3, 2), (2, 3)])
+def test_the_fourier_basis_is_all_cosines_up_to_its_order(order, num_dims):
+    features = FourierBasis(order, num_dims)
+    xs = np.random.default_rng(0).uniform(size=(9, num_dims))
+    design = features.design(jnp.asarray(xs))
+    assert design.shape == (9, features.num_features) == (9, (order + 1) ** num_dims)
+    columns = [np.cos(np.pi * xs @ np.asarray(c)) for c in np.ndindex(*[order + 1] * num_dims)]
+    np.testing.assert_allclose(design, np.stack(columns, axis=1), atol=1e-14)
+    np.testing.assert_array_equal(design[:, 0], 1.0)
+
+
+def test_the_fourier_basis_is_orthogonal_along_a_line():
+    midpoints = jnp.asarray((np.arange(64) + 0.5) / 64)
+    design = np.asarray(FourierBasis(5, 1).design(midpoints[:, None]))
+    np.testing.assert_allclose(design.T @ design / 64, np.diag([1.0] + [0.5] * 5), atol=1e-14)
+
+
+@pytest.mark.parametrize("degree, num_dims", [(1, 1), (4, 1), (2, 3), (3, 2)])
+@pytest.mark.parametrize("has_bias", [False, True])
+def test_polynomials_are_those_of_scikit_learn(degree, num_dims, has_bias):
+    features = Polynomial(degree, num_dims, has_bias)
+    xs = np.random.default_rng(0).uniform(-2.0, 2.0, (9, num_dims))
+    expected = PolynomialFeatures(degree, include_bias=has_bias).fit_transform(xs)
+    np.testing.assert_allclose(features.design(jnp.asarray(xs)), expected, rtol=1e-13)
+    assert features.num_features == expected.shape[1]
+
+
+def test_a_polynomial_of_degree_zero_is_the_bias():
+    np.testing.assert_array_equal(Polynomial(0, 3).design(jnp.ones((4, 3))), np.ones((4, 1)))
+
+
+def test_polynomials_have_finite_gradients_at_zero():
+    gradient = jax.jacobian(Polynomial(3, 2))(jnp.zeros(2))
+    np.testing.assert_array_equal(gradient[1:3], np.eye(2))
+    assert not np.any(gradient[3:])
+
+
+@pytest.mark.parametrize("width", [0.4, [0.4, 2.0]])
+@pytest.mark.parametrize("has_bias", [False, True])
+def test_radial_bumps_are_a_kernel_between_points_and_centres(width, has_bias):
+    centres = np.random.default_rng(1).uniform(-1.0, 1.0, (7, 2))
+    features = RadialBasis(jnp.asarray(centres), number(width), has_bias)
+    design = np.asarray(features.design(POINTS))
+    assert features.num_features == design.shape[1] == 7 + has_bias
+    expected = rbf_kernel(np.asarray(POINTS) / width, centres / np.asarray(width), gamma=0.5)
+    np.testing.assert_allclose(design[:, has_bias:], expected, rtol=1e-12)
+    assert not has_bias or np.all(design[:, 0] == 1.0)
+
+
+@pytest.mark.parametrize(
+    "make, message",
+    [
+        (lambda: FourierBasis(-1, 2), "order: got -1"),
+        (lambda: FourierBasis(3, 0), "num_dims: got 0"),
+        (lambda: Polynomial(0, 2, has_bias=False), "degree: got 0; allowed: >= 1"),
+        (lambda: Polynomial(-1, 2), "degree: got -1; allowed: >= 0"),
+        (lambda: Polynomial(2, 0), "num_dims: got 0"),
+        (lambda: RadialBasis(jnp.zeros((0, 2)), number(1.0)), "centres: got 0"),
+    ],
+)
+def test_maps_without_features_are_refused(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
