@@ -1,0 +1,159 @@
+"""The timings of bench_field.py, made in a process that was given its cores."""
+
+import dataclasses
+import functools
+import sys
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+from bench_field import parse
+from timing import Row, median_seconds, on_gpu, print_rows, time_runs, write_record
+
+from bojax.config.experiments import Planning
+from bojax.engine.build import build
+from bojax.models.gaussian_process import GaussianProcess
+
+NUM_OBSERVATIONS = 192
+NUM_SAMPLES = 8
+LANES = 8
+"""Runs at once on a CPU core: what they read of their factors stays in its cache."""
+
+
+def settings(objective: str) -> Planning:
+    """An experiment with room for 25 x 8 observations."""
+    return Planning.model_validate(
+        {
+            "problem": {"kind": "space-modelling", "objective": objective, "max_steps": 25},
+            "planner": {
+                "kind": "kcbts",
+                "iterations": 300,
+                "depth": 3,
+                "max_actions": 20,
+                "exploration": 10.0,
+                "motions": {"kind": "kernel", "num_samples": NUM_SAMPLES},
+            },
+        }
+    )
+
+
+class Case:
+    """Plans near the end of an episode, each with observations and a key by its run."""
+
+    def __init__(self, objective: str, seed: int):
+        experiment: Any = build(settings(objective), "float64")
+        self.planner, self.problem = experiment.planner, experiment.problem
+        self._data, self._keys = jax.random.split(jax.random.key(seed))
+
+    def belief(self, run):
+        """What a run knows: observations of points drawn from the domain, and a free pose."""
+        key_pose, key_points, key_noise = jax.random.split(jax.random.fold_in(self._data, run), 3)
+        problem = eqx.tree_at(lambda p: p.start, self.problem, None)
+        belief = problem.prior(key_noise, problem.reset(key_pose), NUM_SAMPLES)
+        low, high = problem.domain[:2], problem.domain[2:]
+        x = jax.random.uniform(key_points, (NUM_OBSERVATIONS, 2), low.dtype, low, high)
+        y = problem.field.values(x) + problem.noise * jax.random.normal(key_noise, (NUM_OBSERVATIONS,))
+        prior = belief.posterior
+        capacity = prior.y.shape[0]
+        posterior = GaussianProcess.fit(
+            prior.kernel, prior.noise_variance, x, y, mean=prior.mean, capacity=capacity
+        )
+        return eqx.tree_at(lambda b: b.posterior, belief, posterior)
+
+    def key(self, run):
+        """What a run draws from."""
+        return jax.random.fold_in(self._keys, run)
+
+    def tree(self, run, belief):
+        """The search tree of a run's plan."""
+        return self.planner.search(self.key(run), self.problem, belief)[0]
+
+    def plan(self, run, belief):
+        """What a run's plan is, and what it expects."""
+        plan = self.planner.plan(self.key(run), self.problem, belief)
+        return plan.path, plan.value
+
+
+class Eager:
+    """A reference problem whose beliefs are fitted when they arise, whether they are asked or not."""
+
+    def __init__(self, problem: Any):
+        self.problem = problem
+
+    def drive(self, *arguments):
+        """See the reference."""
+        belief, reward, is_terminal = self.problem.drive(*arguments)
+        _ = belief.gp
+        return belief, reward, is_terminal
+
+
+def main(argv: list[str]) -> int:
+    """Check that both do the same work, then time both."""
+    args = parse(argv)
+    try:
+        from tests.reference import bridge
+        from tests.reference.compare import assert_same_tree
+    except ImportError as error:
+        print(f"error: {error}: needs a clone of the repository and bojax[test]", file=sys.stderr)
+        return 2
+    jax.config.update("jax_enable_x64", True)
+    rows: list[Row] = []
+    for objective in args.objectives:
+        case = Case(objective, args.seed)
+        planner, problem = case.planner, case.problem
+        references = []
+        for run in range(args.plans):
+            belief = jax.jit(case.belief)(run)
+            memory, draws = bridge.begin(planner, case.key(run))
+            reference = bridge.reference_planner(
+                planner,
+                bridge.reference_problem(problem, planner),
+                memory,
+                draws,
+                bridge.drawn(planner, problem, case.key(run)),
+            )
+            start = bridge.reference_belief(problem, belief)
+            tree = jax.tree.map(np.asarray, eqx.filter_jit(case.tree)(run, belief))
+            assert_same_tree(tree, reference.search(start), planner.num_actions)
+            references.append((reference, start))
+        print(f"{objective}, {args.plans} plans: the trees are those of the NumPy reference")
+
+        def reference_plans(fit, references=references):
+            for reference, start in references:
+                problem = reference.problem
+                reference.problem = Eager(problem) if fit == "each belief" else problem
+                reference.search(dataclasses.replace(start))  # which forgets what was factored
+                reference.problem = problem
+
+        own = []
+        for fit in ("each belief", "on demand"):
+            seconds = median_seconds(functools.partial(reference_plans, fit), args.repeats) / args.plans
+            own.append(Row(f"{objective}: NumPy, fits {fit}", 1, seconds, planner.iterations))
+        num_devices = jax.device_count()
+        sizes = args.runs or ([200, 1000] if on_gpu() else [200])
+        for name, runs in [("one plan", 1)] + [("plans", runs) for runs in sizes]:
+            lanes = num_devices * (args.lanes or (-(-runs // num_devices) if on_gpu() else LANES))
+            row = time_runs(
+                f"{objective}: bojax, {name}",
+                case.plan,
+                runs,
+                min(runs, lanes),
+                planner.iterations,
+                args.repeats,
+                prepare=case.belief,
+            )
+            own.append(row)
+            if on_gpu():
+                peak = max(device.memory_stats()["peak_bytes_in_use"] for device in jax.devices())
+                print(f"{row.what}, {runs} runs: at most {peak / 1e9:.2f} GB of a device so far")
+        print_rows(f"kCBTS on a field, {objective}", "iterations", own, "NumPy")
+        rows += own
+    if args.json:
+        described = {objective: settings(objective).model_dump(mode="json") for objective in args.objectives}
+        write_record(args.json, "field", "iterations", rows, described)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
