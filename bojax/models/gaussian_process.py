@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from bojax.models.kernels import Kernel
 from bojax.models.means import Mean, ZeroMean
-from bojax.numerics.linalg import inverse_cholesky, matmul, noise_floor
+from bojax.numerics.linalg import guarded_inverse_cholesky, inverse_cholesky, matmul, noise_floor
 
 NO_MEAN = ZeroMean()
 
@@ -96,24 +96,23 @@ class GaussianProcess(eqx.Module):
         empty = cls.prior(kernel, noise_variance, capacity, num_dims, mean)
         count = jnp.asarray(number, jnp.int32) if count is None else jnp.clip(count, 0, number)
         is_held = jnp.arange(number, dtype=count.dtype) < count
-        x = empty.x.at[:number].set(jnp.where(is_held[:, None], x, 0.0))
-        y = empty.y.at[:number].set(jnp.where(is_held, y, 0.0))
         if noise_variances is not None:
-            noise_variances = empty.y.at[:number].set(jnp.where(is_held, noise_variances, 0.0))
-        is_held = jnp.arange(capacity, dtype=count.dtype) < count
-        both = is_held[:, None] & is_held[None, :]
-        noise = jnp.where(is_held, empty.noise(x, noise_variances), 1.0)
-        factor = jnp.linalg.cholesky(jnp.where(both, kernel.gram(x, x), 0.0) + jnp.diag(noise))
-        inverse = jax.scipy.linalg.solve_triangular(factor, jnp.eye(capacity, dtype=x.dtype), lower=True)
-        return cls(
+            noise_variances = empty.y.at[:number].set(noise_variances)
+        data = cls(
             kernel=kernel,
             noise_variance=noise_variance,
-            x=x,
-            y=y,
-            inverse_cholesky=jnp.where(both, inverse, 0.0),
+            x=empty.x.at[:number].set(jnp.where(is_held[:, None], x, 0.0)),
+            y=empty.y.at[:number].set(jnp.where(is_held, y, 0.0)),
+            inverse_cholesky=empty.inverse_cholesky,
             count=count,
             mean=mean,
         )
+        is_held = data._is_held()
+        both = is_held[:, None] & is_held[None, :]
+        noise = jnp.where(is_held, data.noise(data.x, noise_variances), 1.0)
+        covariance = jnp.where(both, kernel.gram(data.x, data.x), 0.0) + jnp.diag(noise)
+        inverse = jnp.where(both, inverse_cholesky(covariance), 0.0)
+        return eqx.tree_at(lambda gp: gp.inverse_cholesky, data, inverse)
 
     def update(
         self, x: Float[Array, "D"], y: Float[Array, ""], noise_variance: Float[Array, ""] | None = None
@@ -150,7 +149,7 @@ class GaussianProcess(eqx.Module):
         both = is_valid[:, None] & is_valid[None, :]
         complement = jnp.where(both, self.kernel.gram(xs, xs) - matmul(whitened.T, whitened), 0.0)
         complement = complement + jnp.diag(jnp.where(is_valid, noise, 1.0))
-        inverse = inverse_cholesky(complement, jnp.where(is_valid, noise, 0.0))
+        inverse = guarded_inverse_cholesky(complement, jnp.where(is_valid, noise, 0.0))
         place = self.count + jnp.cumsum(is_valid, dtype=self.count.dtype) - 1
         at = jnp.where(is_valid, place, capacity)
         own = jnp.zeros((xs.shape[0], capacity), xs.dtype).at[:, at].set(inverse, mode="drop")
@@ -273,12 +272,8 @@ class GaussianProcess(eqx.Module):
         """Logarithm of the density of the values observed (2.30)."""
         whitened = self.whitened_residuals()
         pivots = jnp.where(self._is_held(), jnp.diagonal(self.inverse_cholesky), 1.0)
-        count = self.count.astype(whitened.dtype)
-        return (
-            -0.5 * jnp.sum(whitened * whitened)
-            + jnp.sum(jnp.log(pivots))
-            - 0.5 * math.log(2.0 * math.pi) * count
-        )
+        constant = 0.5 * math.log(2.0 * math.pi) * self.count.astype(whitened.dtype)
+        return jnp.sum(jnp.log(pivots)) - 0.5 * jnp.sum(whitened * whitened) - constant
 
     def _prior_variance(self, xs: Float[Array, "M D"]) -> Float[Array, "M"]:
         return jax.vmap(lambda x: self.kernel(x, x))(xs)
