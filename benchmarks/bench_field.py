@@ -1,4 +1,4 @@
-"""kCBTS on a field beside a plain NumPy tree that refits its beliefs: the same trees, the same random numbers.
+"""kCBTS on a field beside a plain NumPy tree that refits its beliefs: the same trees and random numbers.
 
 192 observations of room for 200, depth 3, 20 actions a node, 8 samples an action, 300 iterations, float64.
 The reference (tests/reference/monitoring.py) factors the covariance of all data, real and imagined, after

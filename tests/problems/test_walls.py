@@ -1,0 +1,164 @@
+"""How far a robot comes: line pieces and rectangles against dense sampling and exact cases."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bojax.problems.walls import drive_until_blocked, is_free
+from tests.reference.monitoring import segments_touch_boxes
+
+DOMAIN = (0.0, 0.0, 4.0, 3.0)
+WALL = (1.0, 1.0, 2.0, 1.5)
+
+
+def f64(value):
+    return jnp.asarray(value, jnp.float64)
+
+
+@jax.jit
+def drive(start, poses, domain, walls):
+    return drive_until_blocked(start, poses, domain, walls)
+
+
+@jax.jit
+@jax.vmap
+def hits(begin, end, walls):
+    """Whether a line piece is stopped by one of its walls, in a domain without end."""
+    domain = jnp.asarray([-jnp.inf, -jnp.inf, jnp.inf, jnp.inf])
+    pose = jnp.concatenate([begin, jnp.zeros(1)])
+    return drive_until_blocked(pose, jnp.concatenate([end, jnp.zeros(1)])[None], domain, walls).collided
+
+
+def piece(begin, end, wall=WALL, domain=DOMAIN):
+    """One straight drive: whether it is (driven, stopped by the wall, stopped by the border)."""
+    walls = None if wall is None else f64([wall])
+    driven = drive(f64([*begin, 0.0]), f64([[*end, 0.0]]), f64(domain), walls)
+    return bool(driven.is_driven[0]), bool(driven.collided), bool(driven.exited)
+
+
+FREE, HIT, OUT = (True, False, False), (False, True, False), (False, False, True)
+
+
+def random_pieces(num=3000):
+    rng = np.random.default_rng(0)
+    begin = rng.uniform(-1.0, 1.0, (num, 2))
+    end = begin + rng.normal(size=(num, 2)) * rng.choice([0.02, 0.3, 1.0], (num, 1))
+    end[::10, 0] = begin[::10, 0]  # parallel to an axis
+    end[5::10, 1] = begin[5::10, 1]
+    corner = begin + rng.normal(scale=0.3, size=(num, 2))
+    boxes = np.concatenate([corner, corner + rng.choice([1e-3, 0.1, 0.6], (num, 2))], axis=1)
+    return begin, end, boxes
+
+
+def test_a_piece_through_a_rectangle_is_one_with_a_point_in_it():
+    begin, end, boxes = random_pieces()
+    found = np.asarray(hits(f64(begin), f64(end), f64(boxes[:, None])))
+    t = np.linspace(0.0, 1.0, 4001)[:, None, None]
+    along = begin + t * (end - begin)
+    sampled = np.any(np.all((along >= boxes[:, :2]) & (along <= boxes[:, 2:]), axis=-1), axis=0)
+    # Samples miss a corner that is cut by less than their distance.
+    assert not np.any(sampled & ~found)
+    grown = boxes + 1e-3 * np.array([-1.0, -1.0, 1.0, 1.0])
+    near = np.any(np.all((along >= grown[:, :2]) & (along <= grown[:, 2:]), axis=-1), axis=0)
+    assert not np.any(found & ~near)
+    assert 200 < found.sum() < 2800 and np.sum(found & ~sampled) < 30
+
+
+def test_it_is_the_rectangle_that_no_axis_separates():
+    begin, end, boxes = random_pieces()
+    found = hits(f64(begin), f64(end), f64(boxes[:, None]))
+    expected = np.array(
+        [
+            segments_touch_boxes(b[None], e[None], box[None])[0, 0]
+            for b, e, box in zip(begin, end, boxes, strict=True)
+        ]
+    )
+    np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize(
+    ("begin", "end", "expected"),
+    [
+        ((0.5, 1.25), (2.5, 1.25), HIT),  # through the wall, with both ends outside
+        ((1.5, 0.5), (1.5, 2.0), HIT),
+        ((0.5, 1.25), (1.0, 1.25), HIT),  # ends on its face
+        ((0.5, 1.25), (0.999, 1.25), FREE),
+        ((0.5, 1.0), (2.5, 1.0), HIT),  # slides along a face
+        ((0.5, 0.999), (2.5, 0.999), FREE),  # parallel beside it
+        ((0.0, 1.5), (0.9, 1.5), FREE),  # on the line of a face, not up to it
+        ((0.5, 2.0), (1.5, 1.0), HIT),  # through a corner's interior
+        ((0.5, 1.5), (1.5, 0.5), HIT),  # touches the corner (1, 1) alone
+        ((0.5, 1.49), (1.49, 0.5), FREE),  # just misses it
+        ((1.5, 1.25), (1.5, 1.25), HIT),  # stands in it
+        ((0.5, 0.5), (0.5, 0.5), FREE),  # stands beside it
+        ((1.0, 1.25), (0.5, 1.25), HIT),  # from a face away from the wall: touching is hitting
+    ],
+)
+def test_pieces_at_the_edges_of_a_wall(begin, end, expected):
+    assert piece(begin, end) == expected
+
+
+@pytest.mark.parametrize(
+    ("begin", "end", "expected"),
+    [
+        ((0.0, 0.0), (4.0, 3.0), FREE),  # the border belongs to the domain
+        ((0.0, 1.0), (0.0, 2.0), FREE),  # along it
+        ((0.0, 1.0), (-1e-9, 1.0), OUT),
+        ((0.0, 1.0), (1.0, 3.0), FREE),
+        ((3.0, 2.0), (4.5, 2.0), OUT),
+    ],
+)
+def test_pieces_at_the_border(begin, end, expected):
+    assert piece(begin, end, wall=None) == expected
+
+
+def test_who_hits_a_wall_on_the_way_out_collides():
+    assert piece((1.5, 2.0), (1.5, -1.0)) == HIT
+
+
+def test_a_thin_wall_between_two_samples_is_hit():
+    thin = (0.5, 0.0, 0.5 + 1e-6, 3.0)
+    path = np.stack([np.arange(1, 9) / 8.0, np.full(8, 1.0), np.zeros(8)], axis=-1)
+    driven = drive(f64([0.05, 1.0, 0.0]), f64(path), f64(DOMAIN), f64([thin]))
+    np.testing.assert_array_equal(driven.is_driven, path[:, 0] < 0.5)
+    assert driven.collided and not driven.exited
+
+
+def test_the_robot_stays_at_the_last_pose_that_it_reaches():
+    path = f64([[0.2, 1.2, 0.1], [0.6, 1.2, 0.2], [1.2, 1.2, 0.3], [2.5, 1.2, 0.4], [0.6, 1.2, 0.5]])
+    driven = drive(f64([0.1, 1.2, 0.0]), path, f64(DOMAIN), f64([WALL]))
+    np.testing.assert_array_equal(driven.is_driven, [True, True, False, False, False])
+    np.testing.assert_array_equal(driven.poses, np.asarray(path)[[0, 1, 1, 1, 1]])
+
+
+def test_the_first_obstacle_counts():
+    start, inside, outside, behind = [0.1, 1.2, 0.0], [0.5, 1.2, 0.0], [-1.0, 1.2, 0.0], [2.5, 1.2, 0.0]
+    leaves = drive(f64(start), f64([inside, outside, inside, behind]), f64(DOMAIN), f64([WALL]))
+    collides = drive(f64(start), f64([inside, behind, inside, outside]), f64(DOMAIN), f64([WALL]))
+    assert (bool(leaves.collided), bool(leaves.exited)) == (False, True)
+    assert (bool(collides.collided), bool(collides.exited)) == (True, False)
+
+
+def test_where_the_first_piece_is_blocked_the_robot_stays_at_its_start():
+    start = f64([0.5, 1.2, 0.7])
+    driven = drive(start, f64([[1.5, 1.2, 0.0], [0.5, 0.5, 0.0]]), f64(DOMAIN), f64([WALL]))
+    assert not np.any(driven.is_driven)
+    np.testing.assert_array_equal(driven.poses, np.stack([start, start]))
+
+
+def test_without_obstacles_the_path_is_driven_to_its_end():
+    rng = np.random.default_rng(0)
+    poses = f64(rng.uniform([0.0, 0.0, -3.0], [4.0, 3.0, 3.0], (6, 3)))
+    driven = drive(f64([1.0, 1.0, 0.0]), poses, f64(DOMAIN), None)
+    assert np.all(driven.is_driven) and not driven.collided and not driven.exited
+    np.testing.assert_array_equal(driven.poses, poses)
+
+
+def test_free_points_are_in_the_domain_and_in_no_wall():
+    rng = np.random.default_rng(1)
+    xs, walls = rng.uniform(-1.0, 5.0, (2000, 2)), np.array([WALL, (3.0, 0.0, 3.2, 2.0)])
+    inside = np.all((xs >= DOMAIN[:2]) & (xs <= DOMAIN[2:]), axis=-1)
+    walled = [np.all((xs >= wall[:2]) & (xs <= wall[2:]), axis=-1) for wall in walls]
+    np.testing.assert_array_equal(is_free(f64(xs), f64(DOMAIN), f64(walls)), inside & ~np.any(walled, axis=0))
+    np.testing.assert_array_equal(is_free(f64(xs), f64(DOMAIN), None), inside)
