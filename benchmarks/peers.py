@@ -28,11 +28,12 @@ def print_ratios(rows: Sequence[Row], aims: Mapping[str, float]) -> None:
         rows: Rows that are named after the peer, with a comma before what they add.
         aims: The ratio that is aimed at, for peers that have one.
     """
-    best: dict[str, float] = {}
+    best: dict[str, Row] = {}
     for row in rows:
         name = row.what.split(",")[0]
-        best[name] = max(best.get(name, 0.0), row.rate)
+        if name not in best or row.rate > best[name].rate:
+            best[name] = row
     ours = best.pop("bojax")
-    for name, rate in best.items():
+    for name, row in best.items():
         aim = f" (aim: {aims[name]:g})" if name in aims else ""
-        print(f"bojax is {ours / rate:.2f} times as fast as {name}{aim}")
+        print(f"{ours.what}: {ours.rate / row.rate:.2f} times as fast as {row.what}{aim}")
