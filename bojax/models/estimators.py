@@ -1,0 +1,348 @@
+"""Estimators in the manner of scikit-learn: NumPy in, NumPy out, everything checked on the host."""
+
+import abc
+import inspect
+import math
+from typing import Any, Literal, Self
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import PyTree
+
+from bojax.models.bayesian_linear_regression import (
+    BayesianLinearRegression,
+    log_marginal_likelihood,
+    maximise_evidence,
+)
+from bojax.models.evidence import relearn
+from bojax.models.features import Features, Polynomial
+from bojax.models.gaussian_process import GaussianProcess
+from bojax.models.kernels import RBF, Kernel, Scaled
+from bojax.models.means import Mean, ZeroMean
+
+Precision = Literal["float64", "float32"] | None
+
+
+class _Regressor(abc.ABC):
+    """What the estimators share: `get_params`, `set_params`, `score`, and the checks of their data."""
+
+    dtype: Precision
+
+    @abc.abstractmethod
+    def predict(self, X: Any, return_std: bool = False) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
+        """Predictions for the rows of X."""
+
+    def get_params(self, deep: bool = True) -> dict[str, Any]:
+        """The arguments of the constructor, as they were given."""
+        del deep
+        return {name: getattr(self, name) for name in inspect.signature(type(self)).parameters}
+
+    def set_params(self, **params: Any) -> Self:
+        """Change arguments of the constructor; takes effect with the next `fit`.
+
+        Raises:
+            ValueError: There is no such argument.
+        """
+        names = inspect.signature(type(self)).parameters
+        for name, value in params.items():
+            if name not in names:
+                raise ValueError(f"{name}: unknown; allowed: {', '.join(names)}")
+            setattr(self, name, value)
+        return self
+
+    def score(self, X: Any, y: Any) -> float:
+        """R^2, the share of the variance of `y` that the predicted means explain."""
+        mean = self.predict(X)
+        y = _vector("y", y, len(mean))
+        residual, total = np.sum((y - mean) ** 2), np.sum((y - np.mean(y)) ** 2)
+        if total == 0.0:
+            return 1.0 if residual == 0.0 else 0.0
+        return float(1.0 - residual / total)
+
+    def __sklearn_tags__(self) -> Any:
+        # Called by scikit-learn only: bojax does without it.
+        from sklearn.utils import RegressorTags, Tags, TargetTags
+
+        return Tags(
+            estimator_type="regressor",
+            target_tags=TargetTags(required=True),
+            regressor_tags=RegressorTags(),
+        )
+
+    def __repr__(self) -> str:
+        settings = ", ".join(f"{name}={value}" for name, value in self.get_params().items())
+        return f"{type(self).__name__}({settings})"
+
+    def _data(self, X: Any, y: Any) -> tuple[np.ndarray, np.ndarray]:
+        X = _matrix("X", X)
+        self.n_features_in_ = X.shape[1]
+        return X, _vector("y", y, len(X))
+
+    def _queries(self, X: Any) -> np.ndarray:
+        if not hasattr(self, "posterior_"):
+            raise ValueError(f"{type(self).__name__} has not been fitted: call fit first")
+        X = _matrix("X", X)
+        if X.shape[1] != self.n_features_in_:
+            raise ValueError(f"X: got {X.shape[1]} columns; allowed: {self.n_features_in_}, as in fit")
+        return X
+
+    def _dtype(self) -> str:
+        has_float64 = jax.dtypes.canonicalize_dtype(np.float64) == np.float64
+        if self.dtype is None:
+            return "float64" if has_float64 else "float32"
+        if self.dtype not in ("float64", "float32"):
+            raise ValueError(f'dtype: got "{self.dtype}"; allowed: "float64", "float32" or None')
+        if self.dtype == "float64" and not has_float64:
+            raise ValueError(
+                'dtype: got "float64"; JAX runs without 64-bit numbers: '
+                'call jax.config.update("jax_enable_x64", True) first, or set dtype to "float32"'
+            )
+        return self.dtype
+
+
+class GaussianProcessRegressor(_Regressor):
+    """Gaussian process regression (2.28-2.30) in the manner of scikit-learn.
+
+    After `fit`: `posterior_` (the `GaussianProcess`), `kernel_`, `noise_variance_`,
+    `log_marginal_likelihood_` and `has_converged_` (None if nothing was learned).
+
+    Args:
+        kernel: Prior covariance; `Scaled(RBF)` with a lengthscale for each column if left out. Its numbers
+            are where the search begins, or what is used if nothing is learned.
+        noise_variance: Variance of the observation noise, likewise.
+        mean: Prior mean, which is not learned; zero if left out.
+        optimise: Whether `fit` learns the kernel's numbers and the noise variance (`evidence.relearn`).
+        num_starts: Starts of the search.
+        num_steps: The most steps from each start.
+        seed: For the starts after the first.
+        dtype: Precision; that of JAX if left out.
+    """
+
+    def __init__(
+        self,
+        kernel: Kernel | None = None,
+        noise_variance: float = 0.1,
+        mean: Mean | None = None,
+        *,
+        optimise: bool = True,
+        num_starts: int = 8,
+        num_steps: int = 50,
+        seed: int = 0,
+        dtype: Precision = None,
+    ):
+        self.kernel = kernel
+        self.noise_variance = noise_variance
+        self.mean = mean
+        self.optimise = optimise
+        self.num_starts = num_starts
+        self.num_steps = num_steps
+        self.seed = seed
+        self.dtype: Precision = dtype
+
+    def fit(self, X: Any, y: Any, noise_variances: Any = None) -> Self:
+        """The posterior given the rows of X and their values; without rows, the prior.
+
+        Args:
+            X: Inputs, one row each.
+            y: Observed values.
+            noise_variances: Noise variance of each observation, in place of `noise_variance`, which is
+                then not learned.
+
+        Raises:
+            ValueError: Something is not finite, not positive or of the wrong shape; one line says what.
+        """
+        X, y = self._data(X, y)
+        dtype = self._dtype()
+        number, num_dims = X.shape
+        kernel = Scaled(RBF(jnp.ones(num_dims)), jnp.ones(())) if self.kernel is None else self.kernel
+        kernel = _cast(kernel, dtype)
+        mean = _cast(ZeroMean() if self.mean is None else self.mean, dtype)
+        _check_positive("kernel", kernel)
+        _check_finite("mean", mean)
+        _check_takes("kernel", kernel, 2, num_dims, dtype)
+        _check_takes("mean", mean, 1, num_dims, dtype)
+        noise_variance = _number("noise_variance", self.noise_variance, 0.0)
+        for name in ("num_starts", "num_steps"):
+            _number(name, getattr(self, name), 1.0)
+        if noise_variances is not None:
+            noise_variances = _vector("noise_variances", noise_variances, number)
+            if np.any(noise_variances < 0.0):
+                raise ValueError(f"noise_variances: got {noise_variances.min():g}; allowed: >= 0")
+            noise_variances = jnp.asarray(_padded(noise_variances), dtype)
+        posterior = _fit(
+            kernel,
+            jnp.asarray(noise_variance, dtype),
+            jnp.asarray(_padded(X), dtype),
+            jnp.asarray(_padded(y), dtype),
+            mean=mean,
+            count=jnp.asarray(number, jnp.int32),
+            noise_variances=noise_variances,
+        )
+        self.has_converged_ = None
+        if self.optimise:
+            posterior, optimum = _relearn(
+                posterior,
+                jax.random.key(self.seed),
+                noise_variances=noise_variances,
+                num_starts=self.num_starts,
+                num_steps=self.num_steps,
+            )
+            self.has_converged_ = bool(optimum.has_converged)
+        self.posterior_ = posterior
+        self.kernel_ = posterior.kernel
+        self.noise_variance_ = float(posterior.noise_variance)
+        self.log_marginal_likelihood_ = float(posterior.log_marginal_likelihood())
+        return self
+
+    def predict(self, X: Any, return_std: bool = False) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
+        """Posterior mean, and standard deviation of the noise-free function, at the rows of X.
+
+        Raises:
+            ValueError: There was no `fit`, or X does not fit to it.
+        """
+        X = self._queries(X)
+        mean, variance = _predict(self.posterior_, jnp.asarray(X, self.posterior_.x.dtype))
+        return (np.asarray(mean), np.sqrt(np.asarray(variance))) if return_std else np.asarray(mean)
+
+
+class BayesianLinearRegressor(_Regressor):
+    """Bayesian linear regression on features (2.14-2.18) in the manner of scikit-learn.
+
+    After `fit`: `posterior_` (the `BayesianLinearRegression`), `features_`, `prior_precision_`,
+    `noise_precision_` and `log_marginal_likelihood_` (2.23).
+
+    Args:
+        features: Features of an input; its numbers and a constant if left out.
+        prior_precision: Precision of each weight.
+        noise_precision: Precision of the observation noise.
+        optimise: Whether `fit` learns both precisions by type-II maximum likelihood; without rows, and with
+            values all zero, there is nothing to learn from.
+        dtype: Precision; that of JAX if left out.
+    """
+
+    def __init__(
+        self,
+        features: Features | None = None,
+        prior_precision: float = 1.0,
+        noise_precision: float = 1.0,
+        *,
+        optimise: bool = True,
+        dtype: Precision = None,
+    ):
+        self.features = features
+        self.prior_precision = prior_precision
+        self.noise_precision = noise_precision
+        self.optimise = optimise
+        self.dtype: Precision = dtype
+
+    def fit(self, X: Any, y: Any) -> Self:
+        """The posterior of the weights given the rows of X and their values.
+
+        Raises:
+            ValueError: Something is not finite, not positive or of the wrong shape; one line says what.
+        """
+        X, y = self._data(X, y)
+        dtype = self._dtype()
+        features = Polynomial(1, X.shape[1]) if self.features is None else _cast(self.features, dtype)
+        _check_finite("features", features)
+        _check_takes("features", features, 1, X.shape[1], dtype)
+        precisions = tuple(
+            jnp.asarray(_number(name, getattr(self, name), 0.0, is_above=True), dtype)
+            for name in ("prior_precision", "noise_precision")
+        )
+        design, y = features.design(jnp.asarray(X, dtype)), jnp.asarray(y, dtype)
+        if self.optimise and len(X):
+            precisions = _maximise_evidence(design, y)
+        self.features_ = features
+        self.posterior_ = _fit_linear(design, y, *precisions)
+        self.prior_precision_, self.noise_precision_ = map(float, precisions)
+        self.log_marginal_likelihood_ = float(log_marginal_likelihood(design, y, *precisions))
+        return self
+
+    def predict(self, X: Any, return_std: bool = False) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
+        """Posterior mean, and standard deviation of the noise-free value, at the rows of X.
+
+        Raises:
+            ValueError: There was no `fit`, or X does not fit to it.
+        """
+        X = self._queries(X)
+        design = self.features_.design(jnp.asarray(X, self.posterior_.mean.dtype))
+        mean, variance = self.posterior_.predict(design)
+        return (np.asarray(mean), np.sqrt(np.asarray(variance))) if return_std else np.asarray(mean)
+
+
+_fit = eqx.filter_jit(GaussianProcess.fit)
+_fit_linear = jax.jit(BayesianLinearRegression.fit)
+_maximise_evidence = jax.jit(maximise_evidence)
+_relearn = eqx.filter_jit(relearn)
+_predict = eqx.filter_jit(lambda posterior, xs: posterior.predict(xs))
+
+
+def _matrix(name: str, values: Any) -> np.ndarray:
+    return _finite(name, values, 2, "[rows, columns]")
+
+
+def _vector(name: str, values: Any, length: int) -> np.ndarray:
+    vector = _finite(name, values, 1, "[rows]")
+    if len(vector) != length:
+        raise ValueError(f"{name}: got {len(vector)} numbers; allowed: {length}, one for each row of X")
+    return vector
+
+
+def _finite(name: str, values: Any, num_axes: int, axes: str) -> np.ndarray:
+    try:
+        array = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name}: is no array of numbers: {' '.join(str(error).split())}") from error
+    if array.ndim != num_axes:
+        raise ValueError(f"{name}: got shape {array.shape}; allowed: {axes}")
+    bad = int(np.sum(~np.isfinite(array)))
+    if bad:
+        raise ValueError(f"{name}: {bad} of {array.size} numbers are not finite")
+    return array
+
+
+def _number(name: str, value: Any, least: float, is_above: bool = False) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name}: got {value!r}; allowed: a number") from error
+    if not math.isfinite(number) or number < least or (is_above and number == least):
+        raise ValueError(f"{name}: got {number:g}; allowed: {'>' if is_above else '>='} {least:g}")
+    return number
+
+
+def _padded(rows: np.ndarray) -> np.ndarray:
+    """At least one row, of zeros if there is none: a posterior has room for one."""
+    return rows if len(rows) else np.zeros((1, *rows.shape[1:]))
+
+
+def _cast(module: PyTree, dtype: str) -> PyTree:
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype) if eqx.is_inexact_array(leaf) else leaf, module)
+
+
+def _check_positive(name: str, module: PyTree) -> None:
+    _check_finite(name, module)
+    for path, leaf in jax.tree_util.tree_leaves_with_path(module):
+        if np.any(np.asarray(leaf) <= 0.0):
+            raise ValueError(
+                f"{name}{jax.tree_util.keystr(path)}: got {np.asarray(leaf).min():g}; allowed: > 0"
+            )
+
+
+def _check_finite(name: str, module: PyTree) -> None:
+    for path, leaf in jax.tree_util.tree_leaves_with_path(module):
+        if not np.all(np.isfinite(np.asarray(leaf))):
+            raise ValueError(f"{name}{jax.tree_util.keystr(path)}: got a number that is not finite")
+
+
+def _check_takes(name: str, function: Any, num_points: int, num_dims: int, dtype: str) -> None:
+    point = jax.ShapeDtypeStruct((num_dims,), dtype)
+    try:
+        if getattr(function, "num_dims", num_dims) != num_dims:
+            raise ValueError(f"it is made for {function.num_dims}")
+        jax.eval_shape(function, *[point] * num_points)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name}: does not take points of {num_dims} numbers, the columns of X") from error
