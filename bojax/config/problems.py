@@ -177,7 +177,7 @@ class SpaceModelling(FieldProblem, frozen=True):
         description="the field",
     )
     walls: tuple[Box, ...] | None = Field(
-        default=((2.85, 0.0, 3.15, 2.6), (2.85, 3.4, 3.15, 6.0)),
+        default=((2.9, 0.0, 3.1, 2.8), (2.9, 3.2, 3.1, 6.0)),
         strict=False,
         min_length=1,
         description="walls, a list of [x_min, y_min, x_max, y_max], m",
@@ -186,5 +186,5 @@ class SpaceModelling(FieldProblem, frozen=True):
         default=(1.0, 1.0, pi / 2), description="pose at the start, [x, y, heading], m and rad; null: random"
     )
     target_area: Box | None = Field(
-        default=(3.15, 0.0, 6.0, 6.0), description="area that has to be reached for success, m"
+        default=(3.1, 0.0, 6.0, 6.0), description="area that has to be reached for success, m"
     )

@@ -74,16 +74,29 @@ class FieldNode(eqx.Module):
     Attributes:
         pose: The robot's pose.
         level: Actions since the root.
-        points: Points of the samples, by action; the last action's are never conditioned on.
-        is_taken: Whether there is such a sample.
-        innovations: What they said, see `look_ahead`.
+        samples: Samples by action; the last action's are never conditioned on. A row is x and y, what was
+            seen there (the innovation of `look_ahead`), and 1 if the sample was taken, else 0: one array,
+            since each is one more kernel of every iteration.
     """
 
     pose: Pose
     level: Int[Array, ""]
-    points: Float[Array, "B 2"]
-    is_taken: Bool[Array, "B"]
-    innovations: Float[Array, "B"]
+    samples: Float[Array, "*N B 4"]
+
+    @property
+    def points(self) -> Float[Array, "*N B 2"]:
+        """Where the samples were taken."""
+        return self.samples[..., :2]
+
+    @property
+    def innovations(self) -> Float[Array, "*N B"]:
+        """What they said."""
+        return self.samples[..., 2]
+
+    @property
+    def is_taken(self) -> Bool[Array, "*N B"]:
+        """Whether there is such a sample."""
+        return self.samples[..., 3] > 0.0
 
 
 class FieldMonitoring(Problem):
@@ -202,14 +215,8 @@ class FieldMonitoring(Problem):
 
     def root(self, belief: FieldBelief, horizon: int) -> tuple[LookaheadRoot, FieldNode]:
         """See `Problem`: the factored posterior, and a node with room for all samples but the last path's."""
-        room, dtype = (horizon - 1) * belief.num_samples, self.domain.dtype
-        node = FieldNode(
-            pose=belief.pose,
-            level=jnp.zeros((), jnp.int32),
-            points=jnp.zeros((room, 2), dtype),
-            is_taken=jnp.zeros((room,), bool),
-            innovations=jnp.zeros((room,), dtype),
-        )
+        samples = jnp.zeros(((horizon - 1) * belief.num_samples, 4), self.domain.dtype)
+        node = FieldNode(belief.pose, jnp.zeros((), jnp.int32), samples)
         return LookaheadRoot.of(belief.posterior), node
 
     def simulate(
@@ -227,44 +234,39 @@ class FieldMonitoring(Problem):
         """
         objective = self.objective if objective is None else objective
         num_paths, size = paths.shape[:2]
-        horizon = node.points.shape[0] // size + 1
+        room = node.samples.shape[0]
+        horizon = room // size + 1
         pose, drives = node.pose, []
         for path in paths:
             drives.append(self._drive(pose, path))
             pose = self._end(drives[-1])
-        innovations = jnp.zeros((num_paths * size,), paths.dtype)
+        innovations = jnp.zeros((num_paths, size), paths.dtype)
         if self.imagined == "sample":
-            innovations = jax.random.normal(key, (num_paths * size,), paths.dtype)
-        new_points = jnp.concatenate([driven.poses[:, :2] for driven in drives])
-        new_is_taken = jnp.concatenate([driven.is_driven for driven in drives])
-
-        def behind(past, new):
-            """`new` behind the samples on the way to the node, cut at the horizon."""
-            rows = []
-            for level in range(horizon):
-                both = jnp.concatenate([past[: level * size], new])[: horizon * size]
-                fill = [(0, horizon * size - both.shape[0])] + [(0, 0)] * (both.ndim - 1)
-                rows.append(jnp.pad(both, fill))
-            return _choose(node.level, rows)
-
-        points = behind(node.points, new_points)
-        is_taken = behind(node.is_taken, new_is_taken)
-        innovations = behind(node.innovations, innovations)
-        ahead = look_ahead(root, points, is_taken, innovations, horizon, objective.needs_gradient)
+            innovations = jax.random.normal(key, (num_paths * size,), paths.dtype).reshape(num_paths, size)
+        new = [
+            jnp.column_stack([drive.poses[:, :2], seen, drive.is_driven.astype(seen.dtype)])
+            for drive, seen in zip(drives, innovations, strict=True)
+        ]
+        # By the node's level: the samples on the way to it, then the new ones, cut at the horizon.
+        nothing = [jnp.zeros((size, 4), paths.dtype)] * horizon
+        by_level = [
+            jnp.concatenate([node.samples[: level * size], *new, *nothing])[: horizon * size]
+            for level in range(horizon)
+        ]
+        all_samples = FieldNode(pose, node.level, _choose(node.level, by_level))
+        is_taken = all_samples.is_taken
+        ahead = look_ahead(
+            root, all_samples.points, is_taken, all_samples.innovations, horizon, objective.needs_gradient
+        )
         worth = jnp.where(is_taken, objective(ahead.mean, ahead.variance, ahead.gradient), 0.0)
         by_stage = jnp.pad(jnp.sum(worth.reshape(horizon, size), axis=-1), (0, num_paths))
         paid = _choose(node.level, [by_stage[level : level + num_paths] for level in range(horizon)])
-        rewards = paid + jnp.stack([self._cost(driven) for driven in drives])
+        rewards = paid + jnp.stack([self._cost(drive) for drive in drives])
 
-        room = (horizon - 1) * size
+        # The child remembers the way to the node and the first path.
         stage = jnp.arange(room, dtype=jnp.int32) // size
-        child = FieldNode(
-            pose=self._end(drives[0]),
-            level=node.level + 1,
-            points=points[:room],
-            is_taken=is_taken[:room] & (stage <= node.level),
-            innovations=innovations[:room],
-        )
+        samples = jnp.where((stage <= node.level)[:, None], all_samples.samples[:room], 0.0)
+        child = FieldNode(self._end(drives[0]), node.level + 1, samples)
         return Simulation(child, rewards, jnp.zeros((num_paths,), bool))
 
     def pose(self, world: FieldWorld) -> Pose:

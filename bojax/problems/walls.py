@@ -34,18 +34,19 @@ def drive_until_blocked(
     A piece that touches a wall or ends outside the domain is not driven, nor is anything after it. A
     piece that does both counts as a collision.
     """
-    # All loops here are over a handful of poses and walls, and unrolled: XLA makes one kernel of elementwise
-    # arithmetic, where every reduction would be one more on a GPU.
-    before = jnp.concatenate([start[None], poses[:-1]])
-    hits_wall = _touches_any(before, poses, walls)
-    is_blocked = hits_wall | ~_is_inside(poses, domain)
-    is_on, collided, stop = jnp.ones((), bool), jnp.zeros((), bool), start
+    # Unrolled over a handful of poses and walls, XLA makes it elementwise arithmetic in one kernel, where
+    # every reduction and every shifted copy would be one more on a GPU.
+    is_on, collided = jnp.ones((), bool), jnp.zeros((), bool)
+    before = stop = start
     is_driven = []
     for index in range(poses.shape[0]):
-        collided = collided | (is_on & hits_wall[index])
-        is_on = is_on & ~is_blocked[index]
-        stop = jnp.where(is_on, poses[index], stop)
+        pose = poses[index]
+        is_hit = _touches_any(before, pose, walls)
+        collided = collided | (is_on & is_hit)
+        is_on = is_on & ~is_hit & _is_inside(pose, domain)
+        stop = jnp.where(is_on, pose, stop)
         is_driven.append(is_on)
+        before = pose
     reached = jnp.stack(is_driven)
     return Drive(
         poses=jnp.where(reached[:, None], poses, stop[None]),
@@ -60,21 +61,21 @@ def is_free(points: Float[Array, "N 2"], domain: Float[Array, "4"], walls: Boxes
     return _is_inside(points, domain) & ~_touches_any(points, points, walls)
 
 
-def _is_inside(points: Float[Array, "N _"], domain: Float[Array, "4"]) -> Bool[Array, "N"]:
-    x, y = points[:, 0], points[:, 1]
+def _is_inside(points: Float[Array, "*N _"], domain: Float[Array, "4"]) -> Bool[Array, "*N"]:
+    x, y = points[..., 0], points[..., 1]
     return (x >= domain[0]) & (y >= domain[1]) & (x <= domain[2]) & (y <= domain[3])
 
 
 def _touches_any(
-    begin: Float[Array, "N _"], end: Float[Array, "N _"], walls: Boxes | None
-) -> Bool[Array, "N"]:
+    begin: Float[Array, "*N _"], end: Float[Array, "*N _"], walls: Boxes | None
+) -> Bool[Array, "*N"]:
     """Whether line pieces have a point in common with a wall, by the slab method."""
-    touches = jnp.zeros(begin.shape[:1], bool)
+    touches = jnp.zeros(begin.shape[:-1], bool)
     for wall in () if walls is None else walls:
-        first, last = jnp.zeros_like(begin[:, 0]), jnp.ones_like(begin[:, 0])
+        first, last = jnp.zeros_like(begin[..., 0]), jnp.ones_like(begin[..., 0])
         for axis in range(2):
             low, high = wall[axis], wall[axis + 2]
-            start, step = begin[:, axis], end[:, axis] - begin[:, axis]
+            start, step = begin[..., axis], end[..., axis] - begin[..., axis]
             is_parallel = step == 0.0
             inverse = 1.0 / jnp.where(is_parallel, 1.0, step)
             at_low, at_high = (low - start) * inverse, (high - start) * inverse
