@@ -10,9 +10,15 @@ from jaxtyping import Array, Bool, Float, Int, Key, Scalar
 from bojax.acquisition.functions import Acquisition
 from bojax.acquisition.maximise import best_candidate, refine
 from bojax.acquisition.scaling import standardise
+from bojax.models.evidence import relearn
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Kernel
 from bojax.numerics.quasirandom import shifted_kronecker
+
+PRIOR_SPREAD = 1.5
+"""Standard deviation of the logarithms of hyper-parameters that are relearned, around those given."""
+
+_STREAMS = ("initial", "candidates", "relearning")
 
 
 class OptimisationState(eqx.Module):
@@ -40,6 +46,10 @@ class BayesianOptimisation(eqx.Module):
     and the acquisition are in these units. The acquisition is maximised over quasi-random points drawn anew
     at every step, then by gradient steps from the best of them; the thesis names DIRECT.
 
+    With `relearn_every`, the hyper-parameters of the kernel and the noise are relearned from the standardised
+    values: those of greatest posterior density, if those given are the medians of a log-normal prior. In a
+    batch whose states are given apart (not those of `maximise`), every lane pays for that at every step.
+
     A value or a point that is not finite counts as missing and teaches the model nothing. Since the model
     would ask for nearly the same point again, the point after it is quasi-random.
 
@@ -53,6 +63,7 @@ class BayesianOptimisation(eqx.Module):
         num_candidates: Points among which the acquisition is maximised.
         num_initial: First observations, which are made at quasi-random points.
         refine_steps: Gradient steps from the best candidate; 0 for none.
+        relearn_every: Evaluations from one relearning to the next; 0 for none.
     """
 
     kernel: Kernel
@@ -64,10 +75,11 @@ class BayesianOptimisation(eqx.Module):
     num_candidates: int = eqx.field(static=True, default=512)
     num_initial: int = eqx.field(static=True, default=4)
     refine_steps: int = eqx.field(static=True, default=20)
+    relearn_every: int = eqx.field(static=True, default=0)
 
     def __check_init__(self):
-        """Everything is counted from one, gradient steps from none."""
-        least = {"capacity": 1, "num_candidates": 1, "num_initial": 1, "refine_steps": 0}
+        """Sizes are at least one; what can be left out is at least zero."""
+        least = {"capacity": 1, "num_candidates": 1, "num_initial": 1, "refine_steps": 0, "relearn_every": 0}
         for name, number in least.items():
             if getattr(self, name) < number:
                 raise ValueError(f"{name}: {getattr(self, name)}; has to be at least {number}")
@@ -84,32 +96,32 @@ class BayesianOptimisation(eqx.Module):
 
     def ask(self, state: OptimisationState) -> Float[Array, "D"]:
         """Where to evaluate next; the same state gives the same point."""
-        model = state.model
-        exists = _exists(model)
-        values = standardise(model.y, exists)
-        belief = eqx.tree_at(lambda model: model.y, model, values)
+        model = _standardised(state.model)
         # Without observations every point is as good: any finite threshold does.
-        best = jnp.where(model.count > 0, jnp.max(jnp.where(exists, values, -jnp.inf)), 0.0)
-        candidates = self._quasirandom(state, state.num_told + 1)
-        choice = best_candidate(self.acquisition, belief, best, candidates, belief.whiten(candidates))
+        best = jnp.where(model.count > 0, jnp.max(jnp.where(_exists(model), model.y, -jnp.inf)), 0.0)
+        candidates = self._quasirandom(jax.random.fold_in(_stream(state, "candidates"), state.num_told))
+        choice = best_candidate(self.acquisition, model, best, candidates, model.whiten(candidates))
         point = candidates[choice]
         if self.refine_steps > 0:
-            point = refine(self.acquisition, belief, best, point, self.refine_steps)
-        initial = self._quasirandom(state, 0)[state.num_told % self.num_candidates]
+            point = refine(self.acquisition, model, best, point, self.refine_steps)
+        initial = self._quasirandom(_stream(state, "initial"))[state.num_told % self.num_candidates]
         is_initial = (model.count < self.num_initial) | state.was_missing
         return self._from_unit(jnp.where(is_initial, initial, point))
 
     def tell(self, state: OptimisationState, x: Float[Array, "D"], y: Float[Array, ""]) -> OptimisationState:
         """The state after `y` was observed at `x`, which may be another point than the one asked for."""
         is_missing = ~(jnp.isfinite(y) & jnp.all(jnp.isfinite(x)))
-        point, value = jnp.where(is_missing, 0.0, self._to_unit(x)), jnp.where(is_missing, 0.0, y)
-        model = jax.tree.map(
-            lambda old, new: jnp.where(is_missing, old, new), state.model, state.model.update(point, value)
-        )
+        model = state.model.extend(self._to_unit(x)[None, :], y[None], ~is_missing[None])
+        num_told = state.num_told + 1
+        if self.relearn_every > 0:
+            key = jax.random.fold_in(_stream(state, "relearning"), num_told)
+            # The number told is the same in all lanes of a batch: `cond` stays one.
+            is_due = num_told % self.relearn_every == 0
+            model = jax.lax.cond(is_due, lambda: self._relearn(key, model), lambda: model)
         return OptimisationState(
             key=state.key,
             model=model,
-            num_told=state.num_told + 1,
+            num_told=num_told,
             num_missing=state.num_missing + is_missing.astype(jnp.int32),
             was_missing=is_missing,
         )
@@ -150,8 +162,17 @@ class BayesianOptimisation(eqx.Module):
         state, (xs, ys) = jax.lax.scan(step, self.init(key_search), jnp.arange(num_iterations))
         return state, xs, ys
 
-    def _quasirandom(self, state: OptimisationState, stream: int | Int[Array, ""]) -> Float[Array, "C D"]:
-        key = jax.random.fold_in(state.key, stream)
+    def _relearn(self, key: Key[Array, ""], model: GaussianProcess) -> GaussianProcess:
+        def log_prior(kernel: Kernel, noise_variance: Float[Array, ""]) -> Float[Array, ""]:
+            found = jax.tree.leaves((kernel, noise_variance))
+            given = jax.tree.leaves((self.kernel, self.noise_variance))
+            scores = [jnp.log(a / b) / PRIOR_SPREAD for a, b in zip(found, given, strict=True)]
+            return sum((-0.5 * jnp.sum(score**2) for score in scores), jnp.zeros_like(noise_variance))
+
+        learned, _ = relearn(_standardised(model), key, log_prior=log_prior, num_starts=4)
+        return eqx.tree_at(lambda gp: gp.y, learned, model.y)
+
+    def _quasirandom(self, key: Key[Array, ""]) -> Float[Array, "C D"]:
         return shifted_kronecker(key, self.num_candidates, self.low.shape[0], self.low.dtype)
 
     def _from_unit(self, point: Float[Array, "D"]) -> Float[Array, "D"]:
@@ -165,3 +186,11 @@ class BayesianOptimisation(eqx.Module):
 
 def _exists(model: GaussianProcess) -> Bool[Array, "N"]:
     return jnp.arange(model.y.shape[0], dtype=model.count.dtype) < model.count
+
+
+def _standardised(model: GaussianProcess) -> GaussianProcess:
+    return eqx.tree_at(lambda gp: gp.y, model, standardise(model.y, _exists(model)))
+
+
+def _stream(state: OptimisationState, name: str) -> Key[Array, ""]:
+    return jax.random.fold_in(state.key, _STREAMS.index(name))
