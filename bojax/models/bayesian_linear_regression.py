@@ -4,7 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import solve_triangular
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from bojax.numerics.linalg import matmul, noise_floor
 
@@ -18,8 +18,8 @@ class BayesianLinearRegression(eqx.Module):
     The covariance is `base - rows' rows`. Without a block (`rows` has none) every update rewrites `base`.
     With one, an update appends a row and only reads `base`, half the memory traffic; `flush` subtracts the
     rows at once, which rounds once where single updates would round `block` times. Whoever updates calls
-    `flush`, at least once in `block` updates: a count that is the same for every run of a batch needs no
-    branch for each of them.
+    `flush`, at least once in `block` updates, or the covariance forgets the oldest of them: a count that is
+    the same for every run of a batch needs no branch for each of them.
 
     A noise variance below `noise_floor` times the prior variance of the observed value counts as that: with
     less, a covariance kept by differences loses its sign to rounding, and the next gains blow up.
@@ -27,7 +27,7 @@ class BayesianLinearRegression(eqx.Module):
     Attributes:
         mean: Mean of the weights, a column for each target where several share the features.
         base: Covariance of the weights at the last flush.
-        rows: What was learned since then, the latest last; zero where there is nothing.
+        rows: What was learned since then; zero where there is nothing.
         prior_precision: Precision of each weight before any observation: alpha (2.11).
         noise_precision: Precision of the observation noise: beta (2.9).
     """
@@ -141,6 +141,7 @@ class BayesianLinearRegression(eqx.Module):
         *,
         sample_weight: Float[Array, ""] | None = None,
         product: Float[Array, "M"] | None = None,
+        slot: Int[Array, ""] | int | None = None,
     ) -> "BayesianLinearRegression":
         """The posterior after one more observation (2.21, 2.22 as corrected), in gain form (5.22).
 
@@ -153,15 +154,21 @@ class BayesianLinearRegression(eqx.Module):
             sample_weight: Precision of this observation, in units of `noise_precision`; 1 if left out. With
                 0 it leaves no trace, whatever is in it, but takes a row of the block all the same.
             product: `covariance_times(features)`, for whom has it already.
+            slot: The row of the block to take: a count of updates since the flush, from 0 to `block` - 1,
+                best one that is the same for every run of a batch. Left out, the rows move up by one, which
+                costs 3 to 5% of a step of several hundred features on a GPU.
         """
         row, gain = self._gain(features, sample_weight, product)
         residual = target - matmul(features, self.mean)
         if sample_weight is not None:
             residual = jnp.where(sample_weight > 0.0, residual, 0.0)
-        if len(self.rows):
-            base, rows = self.base, jnp.concatenate([self.rows[1:], row[None, :]])
+        base, rows = self.base, self.rows
+        if not len(rows):
+            base = base - row[:, None] * row[None, :]
+        elif slot is None:
+            rows = jnp.concatenate([rows[1:], row[None, :]])
         else:
-            base, rows = self.base - row[:, None] * row[None, :], self.rows
+            rows = jax.lax.dynamic_update_index_in_dim(rows, row, slot, axis=0)
         return self._with(self.mean + jax.vmap(lambda k: k * residual)(gain), base, rows)
 
     def update_batch(
