@@ -98,7 +98,7 @@ def monitoring(
     **choices,
 ):
     """Two rooms of 1.2 and 1.6 m with a gap of half a metre between them."""
-    settings = {"resolution": 9, "imagined": "sample", "after_collision": "turn", "weighting": "value"}
+    settings = {"resolution": 12, "imagined": "sample", "after_collision": "turn", "weighting": "value"}
     return FieldMonitoring(
         field=field,
         domain=f64(domain),

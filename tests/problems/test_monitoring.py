@@ -1,0 +1,331 @@
+"""Field monitoring: what the world does, what it pays, and that a planner's model of it is exact."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from bojax.fields.closed_form import Bumps, Step
+from bojax.models.kernels import Matern32, Scaled
+from bojax.models.means import ConstantMean
+from bojax.motions.base import place
+from tests.planning.samples import FIELD, OBJECTIVES, f64, field_belief, monitoring
+from tests.reference.bridge import reference_belief, reference_problem
+from tests.reference.monitoring import segments_touch_boxes
+
+NUM, SIZE = 400, 6
+WALLED, TURNED = monitoring(), "turn"
+PROBLEMS = {
+    "walls": monitoring(),
+    "walls, stays": monitoring(after_collision="stop"),
+    "no walls": monitoring(walls=None, target_area=None),
+}
+each_problem = pytest.mark.parametrize("name", PROBLEMS)
+
+
+def keys_of(seed, num=NUM):
+    return jax.random.split(jax.random.key(seed), num)
+
+
+def drives(num=NUM, seed=0):
+    """Free poses, and wild paths of a metre."""
+    rng = np.random.default_rng(seed)
+    poses = rng.uniform([0.0, 0.0, 0.0], [3.0, 2.4, 2.0 * np.pi], (3 * num, 3))
+    point = poses[:, :2]
+    is_walled = segments_touch_boxes(point, point, np.asarray(WALLED.walls)).any(axis=1)
+    poses = poses[~is_walled][:num]
+    heading = np.cumsum(rng.uniform(-0.6, 0.6, (num, SIZE)), axis=1)
+    steps = np.stack([np.cos(heading), np.sin(heading)], axis=-1) / SIZE
+    return poses, np.concatenate([np.cumsum(steps, axis=1), heading[..., None]], axis=-1)
+
+
+@jax.jit
+def execute(problem, keys, poses, paths):
+    def one(key, pose, path):
+        world = problem.reset(key)
+        world = type(world)(pose, world.collisions + 2, world.gradient + 0.5)
+        return problem.execute(jax.random.fold_in(key, 1), world, path)
+
+    return jax.vmap(one)(keys, poses, paths)
+
+
+def executed(problem, seed=0):
+    poses, paths = drives()
+    found = execute(problem, keys_of(seed), f64(poses), f64(paths))
+    return poses, np.asarray(jax.vmap(place)(f64(paths), f64(poses))), jax.tree.map(np.asarray, found)
+
+
+@each_problem
+def test_a_path_is_driven_until_walls_or_border_stop_the_robot(name):
+    problem = PROBLEMS[name]
+    reference = reference_problem(problem)
+    poses, paths, (after, samples, events) = executed(problem)
+    expected = [reference.follow(pose, path) for pose, path in zip(poses, paths, strict=True)]
+    number, collided, exited = (np.array(part) for part in zip(*expected, strict=True))
+    np.testing.assert_array_equal(events.is_driven, np.arange(SIZE) < number[:, None])
+    np.testing.assert_array_equal(after.collisions, 2 + collided)
+    np.testing.assert_array_equal(events.exited, exited)
+    np.testing.assert_allclose(events.reward, -5.0 * collided - 4.0 * exited)
+    assert not np.any(events.terminated)
+    # Where it was stopped it stays, and there it is.
+    with_start = np.concatenate([poses[:, None], paths], axis=1)
+    last = with_start[np.arange(NUM), number]
+    np.testing.assert_allclose(events.driven[:, -1], last, atol=1e-14)
+    np.testing.assert_allclose(after.pose[:, :2], last[:, :2], atol=1e-14)
+    turned = np.pi * (collided | exited) * (problem.after_collision == "turn")
+    np.testing.assert_allclose(np.exp(1j * after.pose[:, 2]), np.exp(1j * (last[:, 2] + turned)), atol=1e-12)
+    assert np.all(after.pose[:, 2] >= 0.0) and np.all(after.pose[:, 2] <= 2.0 * np.pi)
+    np.testing.assert_array_equal(samples.pose, after.pose)
+    assert exited.sum() > 50 and (name == "no walls") == (collided.sum() == 0)
+    assert len(set(number)) == SIZE + 1
+
+
+@each_problem
+def test_the_robot_never_leaves_the_free_space(name):
+    problem = PROBLEMS[name]
+    low, high = np.asarray(problem.domain).reshape(2, 2)
+    _, _, (after, _, events) = executed(problem)
+    for points in (after.pose[:, :2], *events.driven[..., :2]):
+        assert np.all((points >= low) & (points <= high))
+        if problem.walls is not None:
+            assert not np.any(segments_touch_boxes(points, points, np.asarray(problem.walls)))
+
+
+def test_samples_are_the_field_with_noise_where_the_robot_came():
+    _, _, (after, samples, events) = executed(monitoring(noise=0.1))
+    np.testing.assert_array_equal(samples.points, events.driven[..., :2])
+    np.testing.assert_array_equal(samples.is_taken, events.is_driven)
+    points = f64(samples.points.reshape(-1, 2))
+    noise = (samples.values.ravel() - FIELD.values(points))[samples.is_taken.ravel()] / 0.1
+    assert len(noise) > 1000 and stats.kstest(noise, "norm").pvalue > 1e-3
+    slope = np.linalg.norm(FIELD.gradients(points), axis=-1).reshape(NUM, SIZE)
+    np.testing.assert_allclose(after.gradient, 0.5 + np.sum(slope * samples.is_taken, axis=1), atol=1e-12)
+
+
+def test_without_noise_a_sample_is_the_field():
+    _, _, (_, samples, _) = executed(monitoring(noise=0.0))
+    np.testing.assert_allclose(samples.values.ravel(), FIELD.values(f64(samples.points.reshape(-1, 2))))
+
+
+def test_reaching_the_target_area_is_success_and_passing_through_counts():
+    _, _, (_, _, events) = executed(WALLED)
+    low, high = np.asarray(WALLED.target_area).reshape(2, 2)
+    points = events.driven[..., :2]
+    is_there = np.all((points >= low) & (points <= high), axis=-1) & events.is_driven
+    np.testing.assert_array_equal(events.success, is_there.any(axis=1))
+    assert 0 < events.success.sum() < NUM
+    # A robot that starts there and is stopped at once has reached nothing.
+    is_stuck = ~events.is_driven.any(axis=1) & np.all((points[:, 0] >= low) & (points[:, 0] <= high), axis=-1)
+    assert is_stuck.any() and not events.success[is_stuck].any()
+    assert not executed(PROBLEMS["no walls"])[2][2].success.any()
+
+
+def test_the_start_is_the_given_one():
+    world = monitoring(start=(0.5, 0.6, 7.0)).reset(jax.random.key(0))
+    np.testing.assert_array_equal(world.pose, [0.5, 0.6, 7.0])
+    assert world.collisions == 0 and world.gradient == 0.0
+
+
+def test_random_starts_are_uniform_over_the_free_space():
+    starts = np.asarray(jax.jit(jax.vmap(WALLED.reset))(keys_of(0, 8000)).pose)
+    x, y, heading = starts.T
+    walls = np.asarray(WALLED.walls)
+    assert not np.any(segments_touch_boxes(starts[:, :2], starts[:, :2], walls))
+    assert stats.kstest(heading, "uniform", (0.0, 2.0 * np.pi)).pvalue > 1e-3
+    # In each cell of a grid as many as the cell has free area.
+    edges = [0.0, 0.6, 1.2, 1.4, 2.2, 3.0], [0.0, 1.0, 1.5, 2.4]
+    counts, *_ = np.histogram2d(x, y, edges)
+    area = np.outer(np.diff(edges[0]), np.diff(edges[1]))
+    area[2, [0, 2]] = 0.0
+    assert np.all(counts[area == 0.0] == 0)
+    is_free = area > 0.0
+    expected = len(x) * area[is_free] / area[is_free].sum()
+    assert stats.chisquare(counts[is_free], expected).pvalue > 1e-3
+
+
+def test_a_start_is_found_where_little_is_free():
+    crowded = monitoring(walls=((0.0, 0.0, 3.0, 1.1), (0.0, 1.25, 3.0, 2.4)))
+    y = np.asarray(jax.jit(jax.vmap(crowded.reset))(keys_of(1, 500)).pose)[:, 1]
+    assert np.all((y > 1.1) & (y < 1.25))
+
+
+@jax.jit
+def update(problem, belief, key, keys, paths):
+    """The belief after each of some paths driven one after the other."""
+    world = problem.reset(key)
+    beliefs = []
+    for key, path in zip(keys, paths, strict=True):
+        world, samples, _ = problem.execute(key, world, path)
+        belief = problem.update(belief, path, samples)
+        beliefs.append((belief, samples))
+    return world, beliefs
+
+
+def test_the_belief_is_the_prior_conditioned_on_the_samples_taken():
+    problem = monitoring(
+        start=(0.9, 1.2, 0.0), kernel=Scaled(Matern32(f64(0.7)), f64(2.0)), mean=ConstantMean(f64(0.4))
+    )
+    _, paths = drives(4, seed=3)
+    prior = problem.prior(jax.random.key(0), problem.reset(jax.random.key(1)), SIZE)
+    assert prior.posterior.count == 0 and prior.posterior.y.shape == (problem.max_steps * SIZE,)
+    np.testing.assert_array_equal(prior.pose, [0.9, 1.2, 0.0])
+    world, beliefs = update(problem, prior, jax.random.key(2), keys_of(0, 4), f64(paths))
+    x, y = np.zeros((0, 2)), np.zeros(0)
+    queries = np.random.default_rng(0).uniform(0.0, 2.4, (30, 2))
+    for step, (belief, samples) in enumerate(beliefs):
+        x = np.concatenate([x, samples.points[samples.is_taken]])
+        y = np.concatenate([y, samples.values[samples.is_taken]])
+        assert (belief.step, belief.posterior.count) == (step + 1, len(x))
+        expected = reference_belief(problem, belief).refit(x, y)
+        mean, covariance = expected.predict(queries)
+        found = jax.jit(type(belief.posterior).predict)(belief.posterior, f64(queries))
+        np.testing.assert_allclose(found[0], mean, atol=1e-9)
+        np.testing.assert_allclose(found[1], np.diag(covariance), atol=1e-9)
+    np.testing.assert_array_equal(belief.pose, world.pose)
+    assert 0 < len(x) < problem.max_steps * SIZE  # some paths were cut short
+
+
+@jax.jit
+def pay(problem, objective, belief, keys, poses, paths):
+    """What driving each path pays, and what the simulations of the path expect of it."""
+
+    def one(key, pose, path):
+        here = type(belief)(pose, belief.posterior, belief.step, belief.num_samples)
+        world = problem.reset(key)
+        world = type(world)(pose, world.collisions, world.gradient)
+        _, _, events = problem.execute(jax.random.fold_in(key, 1), world, path)
+        root, node = problem.root(here, 3)
+        sequence = jnp.stack([path, path[::-1], path])
+        simulated = problem.simulate(jax.random.fold_in(key, 2), root, node, sequence, objective)
+        alone = problem.simulate(jax.random.fold_in(key, 3), *problem.root(here, 1), path[None], objective)
+        return problem.reward(objective, here, path, events), simulated.rewards, alone.rewards[0]
+
+    return jax.vmap(one)(keys, poses, paths)
+
+
+@pytest.mark.parametrize("objective", OBJECTIVES.values(), ids=OBJECTIVES)
+@pytest.mark.parametrize("count", [0, 17])
+def test_the_reward_is_what_the_samples_are_worth_under_the_belief_before_them(objective, count):
+    belief = field_belief(WALLED, (0.0, 0.0, 0.0), count)
+    poses, paths = drives(100)
+    paid, simulated, alone = pay(WALLED, objective, belief, keys_of(0, 100), f64(poses), f64(paths))
+    reference = reference_problem(WALLED, type("Planner", (), {"objective": objective}))
+    for index, (pose, path) in enumerate(zip(poses, paths, strict=True)):
+        start = reference_belief(WALLED, type(belief)(f64(pose), belief.posterior, belief.step, SIZE))
+        _, expected, _ = reference.drive(start, path, np.zeros(SIZE))
+        np.testing.assert_allclose(paid[index], expected, atol=1e-9)
+    # The planner knows the world's geometry: what it simulates is what is paid.
+    np.testing.assert_allclose(simulated[:, 0], paid, atol=1e-9)
+    np.testing.assert_allclose(alone, paid, atol=1e-9)
+    assert np.all(np.isfinite(simulated))
+
+
+def test_without_an_objective_of_its_own_a_planner_has_the_tasks():
+    belief = field_belief(WALLED, (0.0, 0.0, 0.0), 5)
+    drawn = [f64(part) for part in drives(20)]
+    both = [pay(WALLED, objective, belief, keys_of(0, 20), *drawn) for objective in (None, WALLED.objective)]
+    for own, given in zip(*both, strict=True):
+        np.testing.assert_array_equal(own, given)
+
+
+def test_what_is_imagined_differs_from_key_to_key_unless_it_is_the_mean():
+    belief = field_belief(WALLED, (0.0, 0.0, 0.0), 5)
+    poses, paths = (f64(np.repeat(part[3:4], 5, axis=0)) for part in drives(20))
+    for imagined, number in (("sample", 5), ("mean", 1)):
+        problem = monitoring(imagined=imagined, walls=None)
+        _, simulated, _ = pay(problem, None, belief, keys_of(0, 5), poses, paths)
+        assert len(np.unique(np.round(simulated[:, 0], 10))) == 1
+        assert len(np.unique(np.round(simulated[:, 2], 10))) == number
+
+
+FIELDS = {"bumps": FIELD, "step": Step(f64([1.5, 1.2]), f64(0.6), f64(1.0), f64(0.3))}
+
+
+@pytest.mark.parametrize("field", FIELDS.values(), ids=FIELDS)
+def test_the_weights_are_their_definitions(field):
+    grid = np.asarray(monitoring().grid())
+    values, gradients = np.asarray(field.values(f64(grid))), np.asarray(field.gradients(f64(grid)))
+    norm = np.linalg.norm(gradients, axis=1)
+    scaled = (gradients - gradients.min(axis=0)) / (gradients.max(axis=0) - gradients.min(axis=0))
+    expected = {
+        "value": (values - values.min()) / (values.max() - values.min()),
+        "gradient-norm": (norm - norm.min()) / (norm.max() - norm.min()),
+        "gradient": np.linalg.norm(scaled, axis=1),  # (3.7) as printed: signs included
+    }
+    for weighting, weights in expected.items():
+        problem = monitoring(field=field, weighting=weighting)
+        np.testing.assert_allclose(problem.weights(f64(grid)), weights, atol=1e-12)
+
+
+def test_as_printed_a_flat_area_weighs_about_07():
+    # One bump far from the border: slopes up and down are equally steep, flat is in the middle of both.
+    bump = Bumps(f64([1.0]), f64([[1.5, 1.2]]), f64([0.2]))
+    problem = monitoring(field=bump, weighting="gradient", resolution=61)
+    corner = f64([[0.0, 0.0]])
+    weights = problem.weights(jnp.concatenate([corner, problem.grid()]))
+    np.testing.assert_allclose(weights[0], 0.5**0.5, atol=0.01)
+    assert 0.6 < np.median(weights) < 0.8 and weights.max() <= 2.0**0.5
+
+
+def test_of_a_constant_field_all_weights_are_equal():
+    flat = Bumps(f64([0.0]), f64([[1.5, 1.2]]), f64([0.2]))
+    for weighting, expected in (("value", 1.0), ("gradient-norm", 1.0), ("gradient", 2.0**0.5)):
+        problem = monitoring(field=flat, weighting=weighting)
+        np.testing.assert_allclose(problem.weights(problem.grid()), expected)
+
+
+@each_problem
+@pytest.mark.parametrize("count", [0, 24])
+def test_the_scores_are_errors_over_the_open_cells_of_the_grid(name, count):
+    problem = PROBLEMS[name]
+    belief = field_belief(problem, (0.5, 0.5, 0.0), count)
+    world = problem.reset(jax.random.key(0))
+    world = type(world)(world.pose, world.collisions + 3, world.gradient + 6.0)
+    found = jax.jit(lambda problem, world, belief: problem.score(world, belief))(problem, world, belief)
+
+    grid = np.stack(np.meshgrid(np.linspace(0.0, 3.0, 12), np.linspace(0.0, 2.4, 12)), axis=-1).reshape(-1, 2)
+    np.testing.assert_allclose(problem.grid(), grid, atol=1e-15)
+    truth = np.asarray(problem.field.values(f64(grid)))
+    mean, covariance = reference_belief(problem, belief).gp.predict(grid)
+    variance = np.diag(covariance)
+    is_open = np.ones(len(grid), bool)
+    if problem.walls is not None:
+        is_open = ~segments_touch_boxes(grid, grid, np.asarray(problem.walls)).any(axis=1)
+        assert 0 < np.sum(~is_open) < len(grid)
+    squared = (mean - truth)[is_open] ** 2
+    weights = ((truth - truth.min()) / (truth.max() - truth.min()))[is_open]
+    nll = -stats.norm(mean[is_open], np.sqrt(variance[is_open])).logpdf(truth[is_open])
+    np.testing.assert_allclose(found["rmse"], np.sqrt(squared.mean()), rtol=1e-9)
+    np.testing.assert_allclose(found["wrmse"], np.sqrt((weights * squared).mean()), rtol=1e-9)
+    np.testing.assert_allclose(found["mnll"], nll.mean(), rtol=1e-9)
+    assert found["collisions"] == 3
+    np.testing.assert_allclose(found["sampled_gradient"], 6.0 / max(count, 1))
+
+
+def test_a_belief_without_uncertainty_has_a_finite_score():
+    problem = monitoring(noise_variance=0.0, noise=0.0, resolution=2)
+    belief = field_belief(problem, (0.5, 0.5, 0.0), 0)
+    corners = problem.grid()
+    posterior = belief.posterior.extend(corners, problem.field.values(corners), jnp.ones(4, bool))
+    belief = type(belief)(belief.pose, posterior, belief.step, SIZE)
+    found = problem.score(problem.reset(jax.random.key(0)), belief)
+    assert all(np.isfinite(value) for value in found.values())
+    np.testing.assert_allclose(found["rmse"], 0.0, atol=1e-9)
+
+
+def test_the_snapshot_has_field_belief_and_samples_on_the_grid():
+    problem = PROBLEMS["walls"]
+    belief = field_belief(problem, (0.5, 0.5, 0.0), 10)
+    kept = problem.snapshot(problem.reset(jax.random.key(0)), belief)["belief"]
+    kept = {name: np.asarray(values) for name, values in kept.items()}
+    x, y = np.meshgrid(kept["x"], kept["y"])  # the first axis is y
+    points = f64(np.stack([x.ravel(), y.ravel()], axis=-1))
+    assert kept["x"][-1] == 3.0 and kept["y"][-1] == 2.4
+    mean, variance = belief.posterior.predict(points)
+    np.testing.assert_allclose(kept["truth"].ravel(), FIELD.values(points), atol=1e-14)
+    np.testing.assert_allclose(kept["mean"].ravel(), mean, atol=1e-12)
+    np.testing.assert_allclose(kept["std"].ravel(), np.sqrt(variance), atol=1e-12)
+    np.testing.assert_array_equal(kept["samples"][:10, :2], belief.posterior.x[:10])
+    np.testing.assert_array_equal(kept["samples"][:10, 2], belief.posterior.y[:10])
+    assert kept["samples"].shape == (24, 3) and np.all(np.isnan(kept["samples"][10:]))
