@@ -69,20 +69,19 @@ def _is_inside(points: Float[Array, "*N _"], domain: Float[Array, "4"]) -> Bool[
 def _touches_any(
     begin: Float[Array, "*N _"], end: Float[Array, "*N _"], walls: Boxes | None
 ) -> Bool[Array, "*N"]:
-    """Whether line pieces have a point in common with a wall, by the slab method."""
+    """Whether line pieces have a point in common with a wall: no axis separates the two.
+
+    The axes are x, y and the piece's normal; `across` is twice an area, so that nothing is divided.
+    """
     touches = jnp.zeros(begin.shape[:-1], bool)
+    low_x, high_x = jnp.minimum(begin[..., 0], end[..., 0]), jnp.maximum(begin[..., 0], end[..., 0])
+    low_y, high_y = jnp.minimum(begin[..., 1], end[..., 1]), jnp.maximum(begin[..., 1], end[..., 1])
+    step_x, step_y = end[..., 0] - begin[..., 0], end[..., 1] - begin[..., 1]
     for wall in () if walls is None else walls:
-        first, last = jnp.zeros_like(begin[..., 0]), jnp.ones_like(begin[..., 0])
-        for axis in range(2):
-            low, high = wall[axis], wall[axis + 2]
-            start, step = begin[..., axis], end[..., axis] - begin[..., axis]
-            is_parallel = step == 0.0
-            inverse = 1.0 / jnp.where(is_parallel, 1.0, step)
-            at_low, at_high = (low - start) * inverse, (high - start) * inverse
-            # Along a slab the piece is within it always, or never.
-            is_within = (start >= low) & (start <= high)
-            enters = jnp.where(is_parallel, jnp.where(is_within, 0.0, jnp.inf), jnp.minimum(at_low, at_high))
-            leaves = jnp.where(is_parallel, jnp.where(is_within, 1.0, -jnp.inf), jnp.maximum(at_low, at_high))
-            first, last = jnp.maximum(first, enters), jnp.minimum(last, leaves)
-        touches = touches | (first <= last)
+        x_min, y_min, x_max, y_max = wall
+        is_apart = (high_x < x_min) | (low_x > x_max) | (high_y < y_min) | (low_y > y_max)
+        x, y = begin[..., 0] - 0.5 * (x_min + x_max), begin[..., 1] - 0.5 * (y_min + y_max)
+        across = jnp.abs(step_x * y - step_y * x)
+        widest = 0.5 * ((x_max - x_min) * jnp.abs(step_y) + (y_max - y_min) * jnp.abs(step_x))
+        touches = touches | ~(is_apart | (across > widest))
     return touches
