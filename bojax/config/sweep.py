@@ -88,6 +88,9 @@ class Report(Schema, frozen=True):
     figures: tuple[str, ...] = Field(default=(), strict=False, description="figures, in order")
     notes: str = Field(default="", description="a paragraph above the figures")
     thesis: dict[str, Any] = Field(default={}, description="the thesis's numbers, shown beside ours")
+    relative_to: str | None = Field(
+        default=None, description="variant that ratios to the thesis's numbers are taken to"
+    )
     by_step: int | None = Field(default=None, ge=1, description="step at which tables give rates as well")
 
 
@@ -290,7 +293,14 @@ def _value_at(config: Any, path: Sequence[str], written: Any) -> Any:
 
 
 def _check_claims(sweep: Sweep, file: str) -> None:
-    """Refuse claims of one id, and claims about variants that the sweep does not have."""
+    """Refuse claims of one id, and claims and ratios of variants that the sweep does not have."""
+    variants = {point.variant for point in sweep.points}
+    relative_to = sweep.report.get("relative_to")
+    if relative_to is not None and relative_to not in variants:
+        raise ConfigError(
+            f"{file}: report.relative_to: got {shown(relative_to)}; no such variant"
+            f"{one_of(relative_to, variants)}"
+        )
     seen = set()
     for index, claim in enumerate(sweep.claims):
         where = f"{file}: claims.{index}"
