@@ -229,7 +229,7 @@ TRACES: Counter[str] = Counter()
 # These programs run for milliseconds: what costs time is to compile them. Not so on a GPU, where XLA of JAX
 # 0.11.2 makes wrong programs of them without optimisation: plans whose path is not that of their action.
 _OPTIONS = {"xla_backend_optimization_level": 0} if jax.default_backend() == "cpu" else None
-_jit = partial(eqx.filter_jit, compiler_options=_OPTIONS)
+quick_jit = partial(eqx.filter_jit, compiler_options=_OPTIONS)
 
 
 @jax.jit
@@ -239,7 +239,7 @@ def _fit(problem, x, y, count):
     )
 
 
-@_jit
+@quick_jit
 def search(planner, key, problem, belief):
     """The tree, what the planner remembers, the child it recommends, and what it drew before."""
     TRACES["search"] += 1
@@ -249,20 +249,20 @@ def search(planner, key, problem, belief):
     return tree, memory, planner.recommend(tree, memory), begun
 
 
-@_jit
+@quick_jit
 def path_of(motions, params):
     """The path of one parameter vector."""
     return motions.path(params)
 
 
-@_jit
+@quick_jit
 def plan(planner, key, problem, belief):
     """One plan."""
     TRACES["plan"] += 1
     return planner.plan(key, problem, belief)
 
 
-@_jit
+@quick_jit
 def plans(planners, keys, problem, beliefs):
     """A batch of plans; every array of `planners` has a leading axis of lanes too."""
     TRACES["plans"] += 1
