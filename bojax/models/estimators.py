@@ -3,7 +3,7 @@
 import abc
 import inspect
 import math
-from typing import Any, Literal, Self
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -22,13 +22,13 @@ from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import RBF, Kernel, Scaled
 from bojax.models.means import Mean, ZeroMean
 
-Precision = Literal["float64", "float32"] | None
+Regressor = TypeVar("Regressor", bound="_Regressor")
 
 
 class _Regressor(abc.ABC):
     """What the estimators share: `get_params`, `set_params`, `score`, and the checks of their data."""
 
-    dtype: Precision
+    dtype: str | None
 
     @abc.abstractmethod
     def predict(self, X: Any, return_std: bool = False) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
@@ -39,7 +39,7 @@ class _Regressor(abc.ABC):
         del deep
         return {name: getattr(self, name) for name in inspect.signature(type(self)).parameters}
 
-    def set_params(self, **params: Any) -> Self:
+    def set_params(self: Regressor, **params: Any) -> Regressor:
         """Change arguments of the constructor; takes effect with the next `fit`.
 
         Raises:
@@ -117,7 +117,7 @@ class GaussianProcessRegressor(_Regressor):
         num_starts: Starts of the search.
         num_steps: The most steps from each start.
         seed: For the starts after the first.
-        dtype: Precision; that of JAX if left out.
+        dtype: `"float64"` or `"float32"`; that of JAX if left out.
     """
 
     def __init__(
@@ -130,7 +130,7 @@ class GaussianProcessRegressor(_Regressor):
         num_starts: int = 8,
         num_steps: int = 50,
         seed: int = 0,
-        dtype: Precision = None,
+        dtype: str | None = None,
     ):
         self.kernel = kernel
         self.noise_variance = noise_variance
@@ -139,9 +139,9 @@ class GaussianProcessRegressor(_Regressor):
         self.num_starts = num_starts
         self.num_steps = num_steps
         self.seed = seed
-        self.dtype: Precision = dtype
+        self.dtype = dtype
 
-    def fit(self, X: Any, y: Any, noise_variances: Any = None) -> Self:
+    def fit(self, X: Any, y: Any, noise_variances: Any = None) -> "GaussianProcessRegressor":
         """The posterior given the rows of X and their values; without rows, the prior.
 
         Args:
@@ -219,7 +219,7 @@ class BayesianLinearRegressor(_Regressor):
         noise_precision: Precision of the observation noise.
         optimise: Whether `fit` learns both precisions by type-II maximum likelihood; without rows, and with
             values all zero, there is nothing to learn from.
-        dtype: Precision; that of JAX if left out.
+        dtype: `"float64"` or `"float32"`; that of JAX if left out.
     """
 
     def __init__(
@@ -229,15 +229,15 @@ class BayesianLinearRegressor(_Regressor):
         noise_precision: float = 1.0,
         *,
         optimise: bool = True,
-        dtype: Precision = None,
+        dtype: str | None = None,
     ):
         self.features = features
         self.prior_precision = prior_precision
         self.noise_precision = noise_precision
         self.optimise = optimise
-        self.dtype: Precision = dtype
+        self.dtype = dtype
 
-    def fit(self, X: Any, y: Any) -> Self:
+    def fit(self, X: Any, y: Any) -> "BayesianLinearRegressor":
         """The posterior of the weights given the rows of X and their values.
 
         Raises:
@@ -305,10 +305,7 @@ def _finite(name: str, values: Any, num_axes: int, axes: str) -> np.ndarray:
 
 
 def _number(name: str, value: Any, least: float, is_above: bool = False) -> float:
-    try:
-        number = float(value)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{name}: got {value!r}; allowed: a number") from error
+    number = float(value)
     if not math.isfinite(number) or number < least or (is_above and number == least):
         raise ValueError(f"{name}: got {number:g}; allowed: {'>' if is_above else '>='} {least:g}")
     return number

@@ -30,7 +30,7 @@ class Optimum(eqx.Module):
     has_converged: Bool[Array, ""]
 
     @property
-    def is_finite(self) -> Bool[Array, ""]:
+    def is_finite(self) -> Bool[Array, "*batch"]:
         """Whether any start had a finite value."""
         return jnp.isfinite(self.value)
 
@@ -120,7 +120,7 @@ class _Place(eqx.Module):
 
     def is_stationary(self) -> Bool[Array, ""]:
         # The gradient of an evidence is as exact as its conditioning allows, not as its digits do.
-        tolerance = float(jnp.finfo(self.value.dtype).eps) ** (1.0 / 3.0) * (1.0 + jnp.abs(self.value))
+        tolerance = float(jnp.finfo(self.value.dtype).eps) ** 0.25 * (1.0 + jnp.abs(self.value))
         return jnp.max(jnp.abs(self.gradient)) <= tolerance
 
 

@@ -1,4 +1,4 @@
-"""The incremental Gaussian process against its closed form, scikit-learn, and the laws of conditioning."""
+"""The Gaussian process, batch and incremental, against closed forms, scikit-learn and its own laws."""
 
 import equinox as eqx
 import jax
@@ -9,7 +9,7 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process import kernels as sk
 
 from bojax.models.gaussian_process import GaussianProcess
-from bojax.models.kernels import RBF, Matern12, Matern32, Matern52
+from bojax.models.kernels import RBF, Matern12, Matern32, Matern52, Scaled
 from bojax.numerics.linalg import noise_floor
 
 KERNELS = {
@@ -18,6 +18,19 @@ KERNELS = {
     "matern32": (Matern32, sk.Matern(0.5, nu=1.5)),
     "matern52": (Matern52, sk.Matern(0.5, nu=2.5)),
 }
+COMPOSITES = {
+    "scaled": (Scaled(RBF(jnp.asarray([0.4, 0.9])), jnp.asarray(2.0)), 2.0 * sk.RBF([0.4, 0.9])),
+    "sum": (
+        Scaled(Matern52(jnp.asarray(0.5)), jnp.asarray(0.3)) + Matern12(jnp.asarray(2.0)),
+        0.3 * sk.Matern(0.5, nu=2.5) + sk.Matern(2.0, nu=0.5),
+    ),
+    "product": (
+        RBF(jnp.asarray(1.5)) * Matern32(jnp.asarray([0.5, 3.0])),
+        sk.RBF(1.5) * sk.Matern([0.5, 3.0], nu=1.5),
+    ),
+}
+EVERY_KERNEL = {name: (kernel(jnp.asarray(0.5)), theirs) for name, (kernel, theirs) in KERNELS.items()}
+EVERY_KERNEL |= COMPOSITES
 QUERIES = jnp.asarray(np.random.default_rng(99).uniform(-1.5, 1.5, (40, 2)))
 
 
@@ -195,3 +208,243 @@ def test_gradients_of_a_prediction_are_finite_at_an_observation(name):
     gp = condition(prior(0.01, capacity=4, kernel=KERNELS[name][0]), x, y)
     gradient = jax.jit(jax.jacobian(lambda query: jnp.stack(gp.predict(query[None]))))
     assert np.all(np.isfinite(gradient(x[2])))
+
+
+fit = eqx.filter_jit(GaussianProcess.fit)
+extend = eqx.filter_jit(GaussianProcess.extend)
+update = eqx.filter_jit(GaussianProcess.update)
+
+
+def assert_same_posterior(one: GaussianProcess, other: GaussianProcess, atol: float):
+    """Every number of two posteriors is the same up to rounding."""
+    for left, right in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        np.testing.assert_allclose(left, right, rtol=0, atol=atol)
+
+
+@pytest.mark.parametrize("name", EVERY_KERNEL)
+def test_the_batch_posterior_and_its_evidence_are_those_of_scikit_learn(name):
+    kernel, reference = EVERY_KERNEL[name]
+    x, y = observations(16)
+    gp = fit(kernel, jnp.asarray(0.05), x, y, capacity=20)
+    batch = GaussianProcessRegressor(reference, alpha=0.05, optimizer=None).fit(x, y)
+    expected_mean, expected_covariance = batch.predict(QUERIES, return_cov=True)
+    mean, covariance = gp.predict_covariance(QUERIES)
+    np.testing.assert_allclose(mean, expected_mean, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(covariance, expected_covariance, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(jnp.diagonal(covariance), gp.predict(QUERIES)[1])
+    np.testing.assert_allclose(gp.weights()[:16], batch.alpha_, atol=1e-11)
+    evidence = batch.log_marginal_likelihood(batch.kernel_.theta)
+    np.testing.assert_allclose(gp.log_marginal_likelihood(), evidence, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("num", [0, 1, 5, 9])
+def test_rows_past_the_count_do_not_exist(num):
+    # Whatever stands there: the posterior is that of the first rows alone.
+    kernel, noise = COMPOSITES["sum"][0], jnp.asarray(0.1)
+    x, y = observations(9)
+    is_held = jnp.arange(9) < num
+    spoilt = jnp.where(is_held[:, None], x, jnp.nan), jnp.where(is_held, y, jnp.nan)
+    gp = fit(kernel, noise, *spoilt, count=jnp.asarray(num, jnp.int32), capacity=12)
+    one_by_one = GaussianProcess.prior(kernel, noise, 12, num_dims=2)
+    for i in range(num):
+        one_by_one = update(one_by_one, x[i], y[i])
+    assert_same_posterior(gp, one_by_one, 1e-12)
+    evidence = one_by_one.log_marginal_likelihood()
+    np.testing.assert_allclose(gp.log_marginal_likelihood(), evidence, atol=1e-12)
+
+
+def test_a_batch_needs_room():
+    with pytest.raises(ValueError, match="capacity: got 3; allowed: >= 4, the number of observations"):
+        GaussianProcess.fit(RBF(jnp.asarray(0.5)), jnp.asarray(0.1), *observations(4), capacity=3)
+
+
+@pytest.mark.parametrize("name, capacity", [*((name, 30) for name in EVERY_KERNEL), ("sum", 11)])
+def test_a_block_of_observations_is_one_after_the_other(name, capacity):
+    # Five blocks of six points of which some are missing; the smaller capacity is exceeded inside a block.
+    kernel = EVERY_KERNEL[name][0]
+    x, y = observations(30)
+    is_valid = np.random.default_rng(3).random(30) < 0.6
+    is_valid[6:12], is_valid[18:24] = False, True
+    assert is_valid.sum() > 12
+    one_by_one = blocks = GaussianProcess.prior(kernel, jnp.asarray(0.01), capacity, num_dims=2)
+    for i in range(30):
+        if is_valid[i]:
+            one_by_one = update(one_by_one, x[i], y[i])
+        if i % 6 == 5:
+            block = slice(i - 5, i + 1)
+            seen = jnp.asarray(is_valid[block])
+            missing = jnp.where(seen[:, None], x[block], jnp.nan), jnp.where(seen, y[block], jnp.inf)
+            blocks = extend(blocks, *missing, seen)
+    assert int(blocks.count) == min(capacity, is_valid.sum())
+    assert_same_posterior(blocks, one_by_one, 1e-9)
+    np.testing.assert_allclose(predict(blocks, QUERIES), predict(one_by_one, QUERIES), rtol=0, atol=1e-12)
+    # Absent rows are zero, as promised.
+    assert not np.any(blocks.inverse_cholesky[:, int(blocks.count) :])
+
+
+def test_a_block_of_points_observed_before_is_no_news():
+    x, y = observations(5)
+    gp = GaussianProcess.prior(RBF(jnp.asarray(0.5)), jnp.asarray(0.0), 40, num_dims=2)
+    for _ in range(4):
+        gp = extend(gp, jnp.tile(x, (2, 1)), jnp.tile(y, 2), jnp.ones(10, bool))
+    mean, variance = predict(gp, x)
+    np.testing.assert_allclose(mean, y, atol=1e-6)
+    np.testing.assert_allclose(variance, 0.0, atol=1e-10)
+    once = fit(gp.kernel, gp.noise_variance, x, y)
+    np.testing.assert_allclose(predict(gp, QUERIES), predict(once, QUERIES), atol=1e-6)
+
+
+def test_every_observation_may_have_its_own_noise():
+    x, y = observations(12)
+    noise = jnp.asarray(10.0 ** np.random.default_rng(5).uniform(-3.0, 0.0, 12))
+    kernel, reference = COMPOSITES["scaled"]
+    batch = GaussianProcessRegressor(reference, alpha=np.asarray(noise), optimizer=None).fit(x, y)
+    expected_mean, expected_std = batch.predict(QUERIES, return_std=True)
+    empty = GaussianProcess.prior(kernel, jnp.asarray(7.0), 12, num_dims=2)
+    one_by_one = empty
+    for i in range(12):
+        one_by_one = update(one_by_one, x[i], y[i], noise[i])
+    order = jnp.asarray(np.random.default_rng(6).permutation(12))
+    blocks = extend(empty, x[order], y[order], jnp.ones(12, bool), noise[order])
+    at_once = fit(kernel, jnp.asarray(7.0), x, y, noise_variances=noise)
+    for gp in (one_by_one, blocks, at_once):
+        mean, variance = predict(gp, QUERIES)
+        np.testing.assert_allclose(mean, expected_mean, atol=1e-12)
+        np.testing.assert_allclose(variance, expected_std**2, atol=1e-12)
+        evidence = batch.log_marginal_likelihood(batch.kernel_.theta)
+        np.testing.assert_allclose(gp.log_marginal_likelihood(), evidence, atol=1e-10)
+
+
+@pytest.mark.parametrize("name", EVERY_KERNEL)
+def test_the_gradient_of_the_mean_is_its_slope(name):
+    gp = fit(EVERY_KERNEL[name][0], jnp.asarray(0.05), *observations(16), capacity=20)
+    step = 1e-6 * jnp.eye(2)
+    for axis in range(2):
+        above, below = (predict(gp, QUERIES + sign * step[axis][None, :])[0] for sign in (1.0, -1.0))
+        gradient = gp.predict_gradient(QUERIES)
+        np.testing.assert_allclose(gradient[:, axis], (above - below) / 2e-6, atol=1e-7)
+
+
+def test_the_gradient_of_the_mean_has_a_closed_form():
+    lengthscale = jnp.asarray([0.3, 1.2])
+    gp = fit(RBF(lengthscale), jnp.asarray(0.05), *observations(16))
+    difference = np.asarray(gp.x)[None] - np.asarray(QUERIES)[:, None]
+    covariances = np.asarray(gp.kernel.gram(QUERIES, gp.x) * gp.weights()[None, :])
+    expected = (covariances[:, :, None] * difference).sum(axis=1) / np.asarray(lengthscale) ** 2
+    np.testing.assert_allclose(gp.predict_gradient(QUERIES), expected, atol=1e-11)
+
+
+def test_the_evidence_has_the_gradient_of_scikit_learn():
+    x, y = observations(16)
+    lengthscale, variance, noise = jnp.asarray([0.4, 0.9]), jnp.asarray(2.0), jnp.asarray(0.1)
+
+    def evidence(log_variance, log_lengthscale, log_noise):
+        kernel = Scaled(RBF(jnp.exp(log_lengthscale)), jnp.exp(log_variance))
+        gp = GaussianProcess.fit(kernel, jnp.exp(log_noise), x, y, capacity=20)
+        return gp.log_marginal_likelihood()
+
+    logs = jnp.log(variance), jnp.log(lengthscale), jnp.log(noise)
+    ours = jax.jit(jax.grad(evidence, argnums=(0, 1, 2)))(*logs)
+    reference = sk.ConstantKernel(2.0) * sk.RBF([0.4, 0.9]) + sk.WhiteKernel(0.1)
+    batch = GaussianProcessRegressor(reference, alpha=0.0, optimizer=None).fit(x, y)
+    theirs = batch.log_marginal_likelihood(batch.kernel_.theta, eval_gradient=True)[1]
+    np.testing.assert_allclose(np.hstack(ours), theirs, rtol=1e-10)
+
+
+def test_samples_have_the_mean_and_covariance_of_the_posterior():
+    gp = fit(COMPOSITES["scaled"][0], jnp.asarray(0.1), *observations(4), capacity=6)
+    queries, number = QUERIES[:5], 40_000
+    mean, covariance = gp.predict_covariance(queries)
+    samples = gp.sample(jax.random.key(0), queries, number)
+    assert samples.shape == (number, 5)
+    # Six standard errors.
+    variance = jnp.diagonal(covariance)
+    np.testing.assert_array_less(jnp.abs(samples.mean(axis=0) - mean), 6.0 * jnp.sqrt(variance / number))
+    spread = jnp.sqrt((variance[:, None] * variance[None, :] + covariance**2) / number)
+    np.testing.assert_array_less(jnp.abs(jnp.cov(samples.T) - covariance), 6.0 * spread)
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_samples_of_one_function_agree_where_points_coincide(dtype):
+    # The covariance of 30 copies of 10 points, some of them observed without noise, is singular.
+    x, y = (a.astype(dtype) for a in observations(5))
+    gp = fit(RBF(jnp.asarray(2.0, dtype)), jnp.asarray(0.0, dtype), x, y)
+    points = jnp.concatenate([x, QUERIES[:5].astype(dtype)])
+    samples = gp.sample(jax.random.key(1), jnp.tile(points, (3, 1)), 50).reshape(50, 3, 10)
+    exact = jnp.sqrt(jnp.asarray(1e3 * noise_floor(dtype)))
+    np.testing.assert_allclose(samples[:, 1:], jnp.stack([samples[:, 0]] * 2, axis=1), atol=exact)
+    np.testing.assert_allclose(samples[:, 0, :5], jnp.tile(y[None], (50, 1)), atol=exact)
+
+
+@pytest.mark.parametrize("name", KERNELS)
+@pytest.mark.parametrize("noise_variance", [0.0, 0.01])
+def test_a_vanishing_lengthscale_makes_every_point_an_island(name, noise_variance):
+    x, y = observations(16)
+    gp = fit(KERNELS[name][0](jnp.asarray(1e-6)), jnp.asarray(noise_variance), x, y)
+    mean, variance = predict(gp, x)
+    np.testing.assert_allclose(mean, y / (1.0 + noise_variance), rtol=1e-11)
+    np.testing.assert_allclose(variance, 1.0 - 1.0 / (1.0 + noise_variance), atol=1e-11)
+    elsewhere, prior_variance = predict(gp, QUERIES)
+    np.testing.assert_array_equal(elsewhere, 0.0)
+    np.testing.assert_array_equal(prior_variance, 1.0)
+
+
+@pytest.mark.parametrize("name", KERNELS)
+@pytest.mark.parametrize("way", ["at once", "in blocks"])
+def test_an_endless_lengthscale_makes_the_field_constant(name, way):
+    # The posterior of one number observed 16 times.
+    x, y = observations(16)
+    kernel, noise = KERNELS[name][0](jnp.asarray(1e6)), jnp.asarray(0.25)
+    if way == "at once":
+        gp = fit(kernel, noise, x, y)
+    else:
+        gp = extend(GaussianProcess.prior(kernel, noise, 16, 2), x, y, jnp.ones(16, bool))
+    mean, variance = predict(gp, QUERIES)
+    np.testing.assert_allclose(mean, y.sum() / (16 + 0.25), atol=1e-4)
+    np.testing.assert_allclose(variance, 0.25 / (16 + 0.25), atol=1e-4)
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+@pytest.mark.parametrize("lengthscale", [1e-6, 0.5, 1e6])
+def test_factors_of_singular_matrices_are_finite(dtype, lengthscale):
+    # 60 points without noise, each of them three times.
+    x = jnp.tile(observations(20)[0], (3, 1)).astype(dtype)
+    y = jnp.sin(x[:, 0])
+    kernel, noise = RBF(jnp.asarray(lengthscale, dtype)), jnp.asarray(0.0, dtype)
+    empty = GaussianProcess.prior(kernel, noise, 60, num_dims=2)
+    is_valid = jnp.ones(30, bool)
+    blocks = extend(extend(empty, x[:30], y[:30], is_valid), x[30:], y[30:], is_valid)
+    for gp in (fit(kernel, noise, x, y), blocks):
+        for leaf in jax.tree.leaves((gp, predict(gp, QUERIES.astype(dtype)))):
+            assert np.all(np.isfinite(leaf)) and leaf.dtype in (dtype, jnp.int32)
+
+
+def test_an_observation_that_is_not_a_number_is_never_silent():
+    gp = condition(prior(0.01), *observations(3))
+    nowhere = update(gp, jnp.asarray([jnp.nan, 0.0]), jnp.asarray(1.0))
+    assert np.all(np.isnan(predict(nowhere, QUERIES)))
+    unknown = update(gp, jnp.zeros(2), jnp.asarray(jnp.nan))
+    mean, variance = predict(unknown, QUERIES)
+    assert np.all(np.isnan(mean)) and np.all(np.isfinite(variance))
+    seen = jnp.asarray([True, True])
+    block = extend(gp, jnp.zeros((2, 2)), jnp.asarray([1.0, jnp.nan]), seen)
+    assert np.all(np.isnan(predict(block, QUERIES)[0]))
+
+
+def test_blocks_for_a_batch_of_processes_are_a_loop():
+    noise = jnp.asarray([0.01, 0.1, 1.0])
+    data = [observations(8, seed) for seed in range(3)]
+    x, y = (jnp.stack(column) for column in zip(*data, strict=True))
+    is_valid = jnp.asarray(np.random.default_rng(8).random((3, 8)) < 0.5)
+
+    def posterior(noise_variance, x, y, is_valid):
+        gp = GaussianProcess.fit(RBF(jnp.asarray(0.5)), noise_variance, x[:4], y[:4], capacity=10)
+        gp = gp.extend(x, y, is_valid)
+        return (*gp.predict(QUERIES), gp.log_marginal_likelihood(), gp.predict_gradient(QUERIES))
+
+    batched = jax.jit(jax.vmap(posterior))(noise, x, y, is_valid)
+    one = jax.jit(posterior)
+    for lane in range(3):
+        alone = one(noise[lane], x[lane], y[lane], is_valid[lane])
+        for expected, found in zip(alone, batched, strict=True):
+            np.testing.assert_allclose(found[lane], expected, atol=1e-11)

@@ -1,4 +1,4 @@
-"""Kernels against those of scikit-learn, and their gradients where two points coincide."""
+"""Kernels and what is made of them against scikit-learn, and their gradients where two points coincide."""
 
 import jax
 import jax.numpy as jnp
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from sklearn.gaussian_process import kernels as sk
 
-from bojax.models.kernels import RBF, Matern12, Matern32, Matern52
+from bojax.models.kernels import RBF, Matern12, Matern32, Matern52, Product, Scaled, Sum
 
 REFERENCES = {
     RBF: sk.RBF,
@@ -67,3 +67,41 @@ def test_gradients_are_finite_where_points_coincide(kernel):
     if kernel is not Matern12:
         for leaf in jax.tree.leaves(gradients(kernel(jnp.asarray(0.5)), x, x + 1e-7)):
             assert np.all(np.abs(leaf) < 1e-5) and np.all(np.abs(leaf) > 0.0)
+
+
+@each_kernel
+def test_sums_products_and_scaling_are_those_of_scikit_learn(kernel):
+    xs, ys = points(0, 20), points(1, 30)
+    ours = Scaled(kernel(jnp.asarray([0.2, 1.0, 4.0])), jnp.asarray(2.5))
+    theirs = sk.ConstantKernel(2.5) * REFERENCES[kernel]([0.2, 1.0, 4.0])
+    other, their_other = Matern32(jnp.asarray(0.7)), sk.Matern(0.7, nu=1.5)
+    for made, reference in [
+        (ours, theirs),
+        (ours + other, theirs + their_other),
+        (ours * other, theirs * their_other),
+        ((ours + other) * other, (theirs + their_other) * their_other),
+    ]:
+        expected = reference(np.asarray(xs), np.asarray(ys))
+        np.testing.assert_allclose(gram(made, xs, ys), expected, rtol=1e-12, atol=1e-300)
+        diagonal = np.asarray([made(x, x) for x in xs[:3]])
+        np.testing.assert_allclose(diagonal, reference.diag(np.asarray(xs))[:3], rtol=1e-15)
+
+
+def test_operators_make_the_modules_that_settings_make():
+    first, second = RBF(jnp.asarray(0.3)), Matern12(jnp.asarray(0.3))
+    assert isinstance(first + second, Sum) and isinstance(first * second, Product)
+    assert (first + second).first is first and (first * second).second is second
+
+
+def test_a_batch_of_composite_kernels_is_a_loop():
+    lengthscales, variances = jnp.asarray([0.1, 1.0]), jnp.asarray([2.0, 0.5])
+    xs = points(0, 6)
+
+    def covariances(lengthscale, variance):
+        kernel = Scaled(RBF(lengthscale) * Matern52(lengthscale), variance) + Matern12(lengthscale)
+        return kernel.gram(xs, xs)
+
+    batch = jax.vmap(covariances)(lengthscales, variances)
+    for lane in range(2):
+        alone = covariances(lengthscales[lane], variances[lane])
+        np.testing.assert_allclose(batch[lane], alone, rtol=1e-14)

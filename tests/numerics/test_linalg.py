@@ -1,4 +1,4 @@
-"""Gauss-Jordan elimination against the exact solution in rational numbers and against LAPACK."""
+"""Elimination and factors against exact solutions in rational numbers, LAPACK and automatic derivatives."""
 
 from fractions import Fraction
 
@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bojax.numerics.linalg import matmul, solve_small
+from bojax.numerics.linalg import guarded_inverse_cholesky, inverse_cholesky, matmul, solve_small
 
 SIZES = (1, 2, 3, 4, 5, 6)
 solve = jax.jit(jax.vmap(solve_small))
@@ -96,3 +96,55 @@ def test_products_keep_full_precision(left, right):
     np.testing.assert_allclose(matmul(jnp.asarray(a), jnp.asarray(b)), exact, atol=1e-6)
     # A CPU has no lower precision to fall into: look at what an accelerator would be told.
     assert "HIGHEST" in jax.jit(matmul).lower(a, b).as_text()
+
+
+def covariance_matrix(n: int, seed: int = 0) -> np.ndarray:
+    root = np.random.default_rng(seed).normal(size=(n, n))
+    return root @ root.T + np.eye(n)
+
+
+@pytest.mark.parametrize("n", [1, 2, 7, 30])
+def test_inverse_factors_invert_the_factor(n):
+    a = covariance_matrix(n)
+    expected = np.linalg.inv(np.linalg.cholesky(a))
+    np.testing.assert_allclose(inverse_cholesky(jnp.asarray(a)), expected, atol=1e-13)
+    np.testing.assert_allclose(guarded_inverse_cholesky(jnp.asarray(a), jnp.ones(n)), expected, atol=1e-13)
+
+
+def test_the_inverse_factor_has_the_derivatives_of_its_parts():
+    a, direction = jnp.asarray(covariance_matrix(6)), jnp.asarray(covariance_matrix(6, seed=1))
+
+    def by_parts(a):
+        identity = jnp.eye(6)
+        return jax.scipy.linalg.solve_triangular(jnp.linalg.cholesky(a), identity, lower=True)
+
+    ours = jax.jvp(inverse_cholesky, (a,), (direction,))[1]
+    np.testing.assert_allclose(ours, jax.jvp(by_parts, (a,), (direction,))[1], atol=1e-13)
+    curvatures = [
+        jax.hessian(lambda t, f=function: jnp.sum(f(a + t * direction) ** 3))(0.1)
+        for function in (inverse_cholesky, by_parts)
+    ]
+    np.testing.assert_allclose(*curvatures, rtol=1e-11)
+    gradients = [
+        jax.grad(lambda t, f=function: jnp.sum(f(a + t * direction) ** 3))(0.1)
+        for function in (inverse_cholesky, by_parts)
+    ]
+    np.testing.assert_allclose(*gradients, rtol=1e-12)
+
+
+def test_pivots_stay_at_the_least_noise_where_rounding_makes_a_matrix_indefinite():
+    # Ones with noise 1e-12, of which rounding has taken 2e-12 from the last diagonal.
+    noise = jnp.full((3,), 1e-12)
+    a = jnp.ones((3, 3)) + jnp.diag(noise) - jnp.diag(jnp.asarray([0.0, 0.0, 2e-12]))
+    assert not np.all(np.isfinite(inverse_cholesky(a)))
+    inverse = np.asarray(guarded_inverse_cholesky(a, noise))
+    assert np.all(np.isfinite(inverse))
+    np.testing.assert_allclose(np.diag(inverse)[2], 1e6, rtol=1e-3)
+
+
+def test_a_row_apart_from_the_others_stays_apart():
+    a = np.eye(5)
+    a[np.ix_([0, 2, 4], [0, 2, 4])] = covariance_matrix(3)
+    inverse = guarded_inverse_cholesky(jnp.asarray(a), jnp.zeros(5))
+    np.testing.assert_array_equal(inverse[1], np.eye(5)[1])
+    np.testing.assert_array_equal(inverse[:, 3], np.eye(5)[3])

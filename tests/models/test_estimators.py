@@ -1,0 +1,196 @@
+"""Estimators used as scikit-learn uses its own, and what they refuse."""
+
+import subprocess
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from sklearn.base import clone, is_regressor
+from sklearn.gaussian_process import GaussianProcessRegressor as Reference
+from sklearn.gaussian_process import kernels as sk
+from sklearn.metrics import r2_score
+from sklearn.model_selection import cross_val_score
+
+from bojax.models.bayesian_linear_regression import log_marginal_likelihood
+from bojax.models.estimators import BayesianLinearRegressor, GaussianProcessRegressor
+from bojax.models.features import Polynomial
+from bojax.models.kernels import RBF, Scaled
+from bojax.models.means import ConstantMean, LinearMean
+
+rng = np.random.default_rng(0)
+X = rng.uniform(-1.0, 1.0, (20, 2))
+Y = np.sin(3.0 * X[:, 0]) + X[:, 1] + 0.05 * rng.normal(size=20)
+QUERIES = rng.uniform(-1.0, 1.0, (7, 2))
+FIXED = Scaled(RBF(jnp.asarray([0.5, 0.8])), jnp.asarray(2.0))
+ESTIMATORS = {
+    "gp": GaussianProcessRegressor(FIXED, 0.1, optimise=False),
+    "blr": BayesianLinearRegressor(Polynomial(2, 2)),
+}
+each_estimator = pytest.mark.parametrize("name", ESTIMATORS)
+
+
+def test_without_learning_it_is_the_posterior_of_scikit_learn():
+    ours = GaussianProcessRegressor(FIXED, 0.1, optimise=False).fit(X, Y)
+    reference = Reference(2.0 * sk.RBF([0.5, 0.8]), alpha=0.1, optimizer=None).fit(X, Y)
+    for found, expected in zip(
+        ours.predict(QUERIES, return_std=True), reference.predict(QUERIES, return_std=True), strict=True
+    ):
+        assert isinstance(found, np.ndarray)
+        np.testing.assert_allclose(found, expected, atol=1e-12)
+    evidence = reference.log_marginal_likelihood(reference.kernel_.theta)
+    np.testing.assert_allclose(ours.log_marginal_likelihood_, evidence, atol=1e-10)
+    assert ours.has_converged_ is None and ours.noise_variance_ == 0.1
+
+
+def test_learning_raises_the_evidence():
+    fixed = GaussianProcessRegressor(FIXED, 0.1, optimise=False).fit(X, Y)
+    learned = GaussianProcessRegressor(FIXED, 0.1).fit(X, Y)
+    assert learned.log_marginal_likelihood_ > fixed.log_marginal_likelihood_ + 1.0
+    assert learned.has_converged_ and learned.noise_variance_ < 0.05
+    assert learned.score(X, Y) > 0.98
+    by_default = GaussianProcessRegressor().fit(X, Y)
+    np.testing.assert_allclose(by_default.log_marginal_likelihood_, learned.log_marginal_likelihood_)
+
+
+def test_each_observation_may_have_its_noise():
+    noise = rng.uniform(0.01, 1.0, 20)
+    ours = GaussianProcessRegressor(FIXED, optimise=False).fit(X, Y, noise_variances=noise)
+    reference = Reference(2.0 * sk.RBF([0.5, 0.8]), alpha=noise, optimizer=None).fit(X, Y)
+    np.testing.assert_allclose(ours.predict(QUERIES), reference.predict(QUERIES), atol=1e-12)
+
+
+def test_a_linear_model_learns_both_precisions():
+    y = 2.0 * X[:, 0] - X[:, 1] + 0.5 + 0.01 * rng.normal(size=20)
+    learned = BayesianLinearRegressor().fit(X, y)
+    mean, std = learned.predict(QUERIES, return_std=True)
+    np.testing.assert_allclose(mean, 2.0 * QUERIES[:, 0] - QUERIES[:, 1] + 0.5, atol=0.03)
+    assert np.all((std > 0.0) & (std < 0.02))
+    design = Polynomial(1, 2).design(jnp.asarray(X))
+    for factor in (0.8, 1.25):
+        for precisions in ((factor, 1.0), (1.0, factor)):
+            prior, noise = np.multiply(precisions, (learned.prior_precision_, learned.noise_precision_))
+            other = log_marginal_likelihood(design, jnp.asarray(y), jnp.asarray(prior), jnp.asarray(noise))
+            assert other < learned.log_marginal_likelihood_
+
+
+@each_estimator
+def test_does_what_scikit_learn_asks_of_an_estimator(name):
+    estimator = ESTIMATORS[name]
+    assert is_regressor(estimator)
+    copy = clone(estimator)
+    assert copy is not estimator and copy.get_params().keys() == estimator.get_params().keys()
+    assert not hasattr(copy, "posterior_")
+    assert copy.set_params(optimise=False) is copy and copy.get_params()["optimise"] is False
+    scores = cross_val_score(estimator, X, Y, cv=2)
+    assert np.all(scores > 0.2)
+    fitted = clone(estimator).fit(X[:10], Y[:10])
+    predicted = fitted.predict(X[10:])
+    np.testing.assert_allclose(fitted.score(X[10:], Y[10:]), r2_score(Y[10:], predicted), rtol=1e-12)
+    with pytest.raises(ValueError, match="kernl: unknown; allowed: "):
+        copy.set_params(kernl=1)
+
+
+@each_estimator
+def test_without_rows_it_predicts_the_prior(name):
+    mean, std = ESTIMATORS[name].fit(X[:0], Y[:0]).predict(QUERIES, return_std=True)
+    np.testing.assert_array_equal(mean, 0.0)
+    expected = {"gp": np.full(7, 2.0**0.5), "blr": np.sqrt(np.sum(design_of(QUERIES) ** 2, axis=1))}
+    np.testing.assert_allclose(std, expected[name], rtol=1e-12)
+
+
+def design_of(x: np.ndarray) -> np.ndarray:
+    """All products of at most two coordinates."""
+    one, a, b = np.ones(len(x)), x[:, 0], x[:, 1]
+    return np.stack([one, a, b, a * a, a * b, b * b], axis=1)
+
+
+@each_estimator
+def test_a_constant_is_scored_as_scikit_learn_scores_it(name):
+    fitted = ESTIMATORS[name].fit(X, Y)
+    ones = np.ones(7)
+    assert fitted.score(QUERIES, ones) == r2_score(ones, fitted.predict(QUERIES)) == 0.0
+
+
+HOLES = np.where(np.arange(20) == 3, np.nan, Y)
+
+
+@each_estimator
+@pytest.mark.parametrize(
+    "x, y, message",
+    [
+        (X, HOLES, "y: 1 of 20 numbers are not finite"),
+        (np.where(X > 0.9, np.inf, X), Y, "X: .* of 40 numbers are not finite"),
+        (X, Y[:5], "y: got 5 numbers; allowed: 20, one for each row of X"),
+        (X[:, 0], Y, r"X: got shape \(20,\); allowed: \[rows, columns\]"),
+        (X, Y[:, None], r"y: got shape \(20, 1\); allowed: \[rows\]"),
+        ([["a", "b"]], [1.0], "X: is no array of numbers: "),
+    ],
+)
+def test_refuses_data_that_are_no_data(name, x, y, message):
+    with pytest.raises(ValueError, match=message) as caught:
+        clone(ESTIMATORS[name]).fit(x, y)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "settings, message",
+    [
+        ({"kernel": RBF(jnp.asarray(0.0))}, "kernel.lengthscale: got 0; allowed: > 0"),
+        (
+            {"kernel": Scaled(RBF(jnp.ones(2)), jnp.asarray(-1.0))},
+            "kernel.variance: got -1; allowed: > 0",
+        ),
+        (
+            {"kernel": RBF(jnp.asarray([1.0, jnp.nan]))},
+            "kernel.lengthscale: got a number that is not finite",
+        ),
+        ({"kernel": RBF(jnp.ones(3))}, "kernel: does not take points of 2 numbers, the columns of X"),
+        (
+            {"mean": LinearMean(jnp.ones(3), jnp.asarray(0.0))},
+            "mean: does not take points of 2 numbers, the columns of X",
+        ),
+        ({"mean": ConstantMean(jnp.asarray(jnp.inf))}, "mean.value: got a number that is not finite"),
+        ({"noise_variance": -0.1}, "noise_variance: got -0.1; allowed: >= 0"),
+        ({"noise_variance": float("nan")}, "noise_variance: got nan; allowed: >= 0"),
+        ({"num_starts": 0}, "num_starts: got 0; allowed: >= 1"),
+        ({"dtype": "float16"}, 'dtype: got "float16"; allowed: "float64", "float32" or None'),
+    ],
+)
+def test_refuses_settings_that_cannot_be(settings, message):
+    with pytest.raises(ValueError, match=message):
+        GaussianProcessRegressor(**settings).fit(X, Y)
+
+
+def test_refuses_settings_of_a_linear_model_that_cannot_be():
+    with pytest.raises(ValueError, match="prior_precision: got 0; allowed: > 0"):
+        BayesianLinearRegressor(prior_precision=0.0).fit(X, Y)
+    with pytest.raises(ValueError, match="features: does not take points of 2 numbers"):
+        BayesianLinearRegressor(Polynomial(1, 3)).fit(X, Y)
+
+
+@each_estimator
+def test_refuses_queries_that_do_not_fit(name):
+    with pytest.raises(ValueError, match="has not been fitted: call fit first"):
+        clone(ESTIMATORS[name]).predict(QUERIES)
+    with pytest.raises(ValueError, match="X: got 1 columns; allowed: 2, as in fit"):
+        clone(ESTIMATORS[name]).fit(X, Y).predict(QUERIES[:, :1])
+
+
+def test_refuses_noise_that_cannot_be():
+    with pytest.raises(ValueError, match="noise_variances: got -1; allowed: >= 0"):
+        GaussianProcessRegressor().fit(X, Y, noise_variances=-np.ones(20))
+
+
+def test_the_precision_is_asked_for():
+    for name in ("float32", "float64"):
+        fitted = GaussianProcessRegressor(FIXED, optimise=False, dtype=name).fit(X, Y)
+        assert fitted.posterior_.inverse_cholesky.dtype == name
+    with jax.enable_x64(False), pytest.raises(ValueError, match='dtype: got "float64"; JAX runs without'):
+        GaussianProcessRegressor(dtype="float64").fit(X, Y)
+
+
+def test_bojax_needs_no_scikit_learn():
+    program = "import sys, bojax.models.estimators; sys.exit('sklearn' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0

@@ -1,0 +1,186 @@
+"""Learned hyper-parameters against scikit-learn's, against those that made the data, and at the limits."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.scipy.stats import norm
+from sklearn.gaussian_process import GaussianProcessRegressor
+from sklearn.gaussian_process import kernels as sk
+
+from bojax.models.evidence import maximise, relearn
+from bojax.models.gaussian_process import GaussianProcess
+from bojax.models.kernels import RBF, Matern32, Scaled
+from bojax.models.means import ConstantMean
+
+BOUNDS = (1e-6, 1e6)
+learn = eqx.filter_jit(relearn)
+
+
+def kernel(lengthscales=(0.5, 0.5), variance=1.0, dtype=jnp.float64) -> Scaled:
+    return Scaled(RBF(jnp.asarray(lengthscales, dtype)), jnp.asarray(variance, dtype))
+
+
+def posterior(x, y, capacity=None, noise_variance=0.1, dtype=jnp.float64) -> GaussianProcess:
+    x, y = jnp.asarray(x, dtype), jnp.asarray(y, dtype)
+    return GaussianProcess.fit(
+        kernel(dtype=dtype), jnp.asarray(noise_variance, dtype), x, y, capacity=capacity
+    )
+
+
+def scikit_learn(x, y) -> GaussianProcessRegressor:
+    """Ours, with five starts."""
+    composite = sk.ConstantKernel(1.0, BOUNDS) * sk.RBF([0.5, 0.5], BOUNDS) + sk.WhiteKernel(0.1, BOUNDS)
+    return GaussianProcessRegressor(composite, alpha=0.0, n_restarts_optimizer=4, random_state=0).fit(x, y)
+
+
+def data(name: str):
+    rng = np.random.default_rng(1)
+    x = rng.uniform(-1.0, 1.0, (25, 2))
+    noise = rng.normal(size=25)
+    return x, {
+        "waves": np.sin(4.0 * x[:, 0]) + x[:, 1] ** 2 + 0.1 * noise,
+        "one column": 100.0 * np.cos(3.0 * x[:, 1]) + noise,
+        "noise": noise,
+        "steps": np.sign(x[:, 0] + x[:, 1]) + 0.01 * noise,
+    }[name]
+
+
+@pytest.mark.filterwarnings("ignore::sklearn.exceptions.ConvergenceWarning")
+@pytest.mark.parametrize("name", ["waves", "one column", "noise", "steps"])
+def test_explains_the_data_as_well_as_scikit_learn(name):
+    x, y = data(name)
+    gp, optimum = learn(posterior(x, y), jax.random.key(0))
+    reference = scikit_learn(x, y)
+    assert optimum.value > reference.log_marginal_likelihood_value_ - 1e-2
+    np.testing.assert_allclose(gp.log_marginal_likelihood(), optimum.value, rtol=1e-9)
+    # The same hyper-parameters mean the same evidence there.
+    learned = [gp.kernel.variance, *gp.kernel.kernel.lengthscale, gp.noise_variance]
+    theirs = reference.log_marginal_likelihood(np.log(np.asarray(learned)))
+    np.testing.assert_allclose(optimum.value, theirs, rtol=0, atol=1e-7)
+    assert np.all((np.asarray(learned) >= BOUNDS[0]) & (np.asarray(learned) <= BOUNDS[1]))
+
+
+def test_recovers_the_hyper_parameters_that_made_the_data():
+    # 12 draws of 25 points from one process; their joint evidence, so that chance averages out.
+    true = np.array([0.4, 2.0, 0.05])  # lengthscale, variance, noise variance
+    points = jnp.asarray(np.random.default_rng(2).uniform(-1.0, 1.0, (25, 2)))
+    prior = GaussianProcess.prior(
+        Scaled(RBF(jnp.asarray(true[0])), jnp.asarray(true[1])), jnp.asarray(0.0), 1, 2
+    )
+    values = prior.sample(jax.random.key(1), points, 12)
+    values = values + true[2] ** 0.5 * jax.random.normal(jax.random.key(2), values.shape)
+
+    def evidence(params):
+        lengthscale, variance, noise = params
+
+        def of_one(y):
+            gp = GaussianProcess.fit(Scaled(RBF(lengthscale), variance), noise, points, y)
+            return gp.log_marginal_likelihood()
+
+        return jnp.sum(jax.vmap(of_one)(values))
+
+    start = (jnp.asarray(1.0), jnp.asarray(1.0), jnp.asarray(1.0))
+    optimum = jax.jit(lambda key: maximise(evidence, start, key, num_starts=3))(jax.random.key(3))
+    assert optimum.has_converged
+    np.testing.assert_allclose(np.log(np.asarray(optimum.params)), np.log(true), atol=0.25)
+    slope = jax.grad(evidence)(optimum.params)
+    np.testing.assert_allclose(np.asarray(slope) * np.asarray(optimum.params), 0.0, atol=0.1)
+
+
+@pytest.fixture(scope="module")
+def lanes():
+    """Posteriors of 25, 8, 1 and no observations with room for 25, in a batch, before and after."""
+    gps = [posterior(*(column[:num] for column in data("waves")), capacity=25) for num in (25, 8, 1, 0)]
+    before = jax.tree.map(lambda *leaves: jnp.stack(leaves), *gps)
+    keys = jax.random.split(jax.random.key(4), 4)
+    return before, jax.jit(jax.vmap(lambda gp, key: relearn(gp, key, num_starts=6)))(before, keys)
+
+
+@pytest.mark.filterwarnings("ignore::sklearn.exceptions.ConvergenceWarning")
+def test_a_batch_learns_in_one_program(lanes):
+    before, (after, optimum) = lanes
+    was = jax.vmap(GaussianProcess.log_marginal_likelihood)(before)
+    learned = jax.vmap(GaussianProcess.log_marginal_likelihood)(after)
+    np.testing.assert_allclose(learned, optimum.value, rtol=1e-9, atol=1e-12)
+    assert np.all(learned[:3] > was[:3]) and np.all(optimum.is_finite)
+    for lane, num in enumerate((25, 8)):
+        reference = scikit_learn(*(column[:num] for column in data("waves")))
+        assert learned[lane] > reference.log_marginal_likelihood_value_ - 1e-2
+
+
+def test_without_observations_nothing_changes(lanes):
+    before, (after, _) = lanes
+    for old, new in zip(jax.tree.leaves(before), jax.tree.leaves(after), strict=True):
+        np.testing.assert_array_equal(new[3], old[3])
+
+
+def test_observations_that_are_not_numbers_leave_the_hyper_parameters():
+    x, y = data("waves")
+    y[3] = np.nan
+    gp, optimum = learn(posterior(x, y), jax.random.key(0))
+    assert not optimum.is_finite and not optimum.has_converged
+    assert eqx.tree_equal(gp.kernel, kernel()) and gp.noise_variance == 0.1
+
+
+def test_a_start_that_meets_nan_never_wins():
+    # -(log p)^2, which is not a number for p < 1/2, where many of the starts are.
+    def objective(p):
+        return jnp.where(p["p"] < 0.5, jnp.nan, -(jnp.log(p["p"]) ** 2))
+
+    def best(start):
+        return maximise(objective, {"p": start}, jax.random.key(5), num_starts=16, spread=3.0)
+
+    best = jax.jit(best)
+    for start in (0.1, 30.0):  # the first start of the first is not a number itself
+        optimum = best(jnp.asarray(start))
+        np.testing.assert_allclose(optimum.params["p"], 1.0, atol=1e-2)
+        assert optimum.has_converged
+    # From here no start reaches a number: the first is returned, and said to be worth nothing.
+    nowhere = best(jnp.asarray(1e-6))
+    assert not nowhere.is_finite and not nowhere.has_converged
+    assert nowhere.value == -jnp.inf and nowhere.params["p"] == 1e-6
+
+
+def test_parameters_stay_within_their_bounds():
+    optimum = maximise(
+        jnp.log, jnp.asarray(1.0), jax.random.key(7), num_starts=2, num_steps=10, bounds=(0.1, 5.0)
+    )
+    assert 4.5 < optimum.params <= 5.0
+
+
+def test_known_noise_and_the_mean_are_held_fixed():
+    x, y = (jnp.asarray(column) for column in data("waves"))
+    mean, noises = ConstantMean(jnp.asarray(1.0)), jnp.full((25,), 0.02)
+    gp = GaussianProcess.fit(kernel(), jnp.asarray(0.3), x, y, mean=mean, noise_variances=noises)
+    learned, optimum = learn(gp, jax.random.key(0), noise_variances=noises, num_starts=2)
+    assert learned.noise_variance == 0.3 and eqx.tree_equal(learned.mean, mean)
+    assert optimum.value > gp.log_marginal_likelihood() + 0.1
+    same = GaussianProcess.fit(learned.kernel, jnp.asarray(0.02), x, y, mean=mean)
+    np.testing.assert_allclose(same.log_marginal_likelihood(), optimum.value, rtol=1e-9)
+
+
+def test_a_prior_pulls_and_decides_where_the_data_are_silent():
+    def log_prior(kernel, noise_variance):
+        del noise_variance
+        return norm.logpdf(jnp.log(kernel.lengthscale), jnp.log(0.7), 0.3)
+
+    def learned(num):
+        x, y = (jnp.asarray(column) for column in data("steps"))
+        count = jnp.asarray(num, jnp.int32)
+        gp = GaussianProcess.fit(Matern32(jnp.asarray(0.3)), jnp.asarray(0.1), x, y, count=count)
+        gp, _ = learn(gp, jax.random.key(0), log_prior=log_prior, learn_noise=False, num_starts=3)
+        assert gp.noise_variance == 0.1
+        return gp.kernel.lengthscale
+
+    np.testing.assert_allclose(learned(0), 0.7, rtol=1e-3)
+    assert 0.01 < abs(np.log(learned(25) / 0.7)) < 1.0
+
+
+def test_float32_learns_almost_as_well():
+    x, y = data("waves")
+    exact = learn(posterior(x, y), jax.random.key(0))[1]
+    gp, optimum = learn(posterior(x, y, dtype=jnp.float32), jax.random.key(0))
+    assert optimum.value.dtype == gp.noise_variance.dtype == jnp.float32
+    np.testing.assert_allclose(optimum.value, exact.value, atol=0.05)

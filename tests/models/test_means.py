@@ -1,0 +1,66 @@
+"""Prior means: what they say, and what a Gaussian process makes of them."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bojax.models.gaussian_process import GaussianProcess
+from bojax.models.kernels import Matern52, Scaled
+from bojax.models.means import ConstantMean, LinearMean, ZeroMean
+
+MEANS = {
+    "zero": (ZeroMean(), lambda x: np.zeros(len(x))),
+    "constant": (ConstantMean(jnp.asarray(4.0)), lambda x: np.full(len(x), 4.0)),
+    "linear": (
+        LinearMean(jnp.asarray([2.0, -1.0]), jnp.asarray(0.5)),
+        lambda x: 2.0 * x[:, 0] - x[:, 1] + 0.5,
+    ),
+}
+KERNEL, NOISE = Scaled(Matern52(jnp.asarray(0.5)), jnp.asarray(3.0)), jnp.asarray(0.1)
+rng = np.random.default_rng(0)
+X, Y = jnp.asarray(rng.uniform(-1.0, 1.0, (9, 2))), jnp.asarray(rng.normal(size=9))
+QUERIES = jnp.asarray(rng.uniform(-2.0, 2.0, (20, 2)))
+each_mean = pytest.mark.parametrize("name", MEANS)
+
+
+@each_mean
+def test_takes_the_value_that_it_says(name):
+    mean, values = MEANS[name]
+    np.testing.assert_allclose(jax.vmap(mean)(QUERIES), values(QUERIES), rtol=1e-15)
+    assert jax.vmap(mean)(QUERIES).dtype == QUERIES.dtype
+
+
+@each_mean
+def test_without_observations_it_is_the_prediction(name):
+    mean, values = MEANS[name]
+    gp = GaussianProcess.prior(KERNEL, NOISE, 4, 2, mean)
+    predicted, variance = gp.predict(QUERIES)
+    np.testing.assert_allclose(predicted, values(QUERIES), rtol=1e-15)
+    np.testing.assert_array_equal(variance, 3.0)
+    np.testing.assert_array_equal(gp.residuals(), 0.0)
+    assert gp.log_marginal_likelihood() == 0.0
+
+
+@each_mean
+def test_conditioning_adds_what_the_mean_leaves(name):
+    # m(x) + the posterior of a process of mean zero on y - m(X).
+    mean, values = MEANS[name]
+    gp = GaussianProcess.fit(KERNEL, NOISE, X, Y, mean=mean, capacity=12)
+    rest = GaussianProcess.fit(KERNEL, NOISE, X, Y - jnp.asarray(values(X)))
+    (predicted, variance), (of_rest, expected_variance) = gp.predict(QUERIES), rest.predict(QUERIES)
+    np.testing.assert_allclose(predicted, values(QUERIES) + of_rest, atol=1e-13)
+    np.testing.assert_allclose(variance, expected_variance, atol=1e-13)
+    np.testing.assert_allclose(gp.log_marginal_likelihood(), rest.log_marginal_likelihood(), rtol=1e-13)
+    np.testing.assert_allclose(gp.weights()[:9], rest.weights(), atol=1e-12)
+    np.testing.assert_array_equal(gp.residuals()[9:], 0.0)
+    slope = jax.vmap(jax.grad(lambda x: mean(x)))(QUERIES)
+    np.testing.assert_allclose(
+        gp.predict_gradient(QUERIES), slope + rest.predict_gradient(QUERIES), atol=1e-12
+    )
+
+
+def test_data_on_the_mean_leave_it_alone():
+    mean, values = MEANS["linear"]
+    gp = GaussianProcess.fit(KERNEL, NOISE, X, jnp.asarray(values(X)), mean=mean)
+    np.testing.assert_allclose(gp.predict(QUERIES)[0], values(QUERIES), atol=1e-14)
