@@ -1,7 +1,7 @@
 """Bayesian optimisation of Branin's function beside bayes_opt, scikit-optimize and BoTorch.
 
 Every run starts with a few random points. bayes_opt and scikit-optimize relearn their hyper-parameters at
-every iteration, as they do by default; BoTorch and bojax keep those that they are given.
+every iteration, as they do by default; BoTorch and bojax keep those that they are given, unless it says so.
 """
 
 import argparse

@@ -95,7 +95,9 @@ def load_botorch() -> Run:
     return run
 
 
-def bojax_run(run: jax.Array, seed: jax.Array, evaluations: int, initial: int) -> tuple[jax.Array, jax.Array]:
+def bojax_run(
+    run: jax.Array, seed: jax.Array, evaluations: int, initial: int, relearn_every: int = 0
+) -> tuple[jax.Array, jax.Array]:
     """The points of a run of bojax, which maximises, and the least value found."""
     optimisation = BayesianOptimisation(
         kernel=Matern52(jnp.asarray(LENGTHSCALE)),
@@ -105,6 +107,7 @@ def bojax_run(run: jax.Array, seed: jax.Array, evaluations: int, initial: int) -
         high=jnp.asarray(HIGH),
         capacity=evaluations,
         num_initial=initial,
+        relearn_every=relearn_every,
     )
     key = jax.random.fold_in(jax.random.key(seed), run)
     _, xs, ys = optimisation.maximise(key, lambda key, x: -branin(x, jnp.cos), evaluations)
@@ -138,22 +141,27 @@ def main(argv: list[str]) -> int:
         least[name] = found
 
     batched = partial(bojax_run, evaluations=args.evaluations, initial=args.initial)
-    for runs in [1, *args.runs]:
+    learning = partial(batched, relearn_every=1)
+    cases = [("one run", batched, 1), ("one run that relearns", learning, 1)]
+    for how, function, runs in cases + [("runs", batched, runs) for runs in args.runs]:
         lanes = runs if on_gpu() else min(runs, CPU_LANES)
+        what, seed = f"bojax, {how}", jnp.asarray(args.seed)
         rows.append(
             time_runs(
-                f"bojax, {'one run' if runs == 1 else 'runs'}",
-                batched,
+                what,
+                function,
                 runs,
                 lanes,
                 args.evaluations,
                 args.repeats,
-                prepare=lambda run: jnp.asarray(args.seed),
+                prepare=lambda run, seed=seed: seed,
             )
         )
-    runs = jnp.arange(max(args.runs))
-    _, values = jax.jit(jax.vmap(batched, in_axes=(0, None)))(runs, jnp.asarray(args.seed))
+    seed = jnp.asarray(args.seed)
+    _, values = jax.jit(jax.vmap(batched, in_axes=(0, None)))(jnp.arange(max(args.runs)), seed)
     least["bojax"] = np.asarray(values).tolist()
+    learn = jax.jit(learning)
+    least["bojax that relearns"] = [float(learn(jnp.asarray(run), seed)[1]) for run in range(20)]
 
     print_rows(
         f"Bayesian optimisation of Branin's function, {args.evaluations} evaluations",
