@@ -15,6 +15,12 @@ def check(error: ConfigError, expected: str) -> None:
     assert error.exit_code == 2
 
 
+def grid(file: str, extent: str = "[0, 0, 1, 1]", kind: str = "grid") -> str:
+    """An experiment on a field given by a file."""
+    field = f"{{kind: {kind}, file: {file}, extent: {extent}}}"
+    return f"{{problem: {{kind: monitoring, field: {field}}}, planner: sbo}}"
+
+
 EXPERIMENTS = {
     "an unknown key": (
         "planner: {kind: sbo, iteratons: 3}",
@@ -95,6 +101,95 @@ EXPERIMENTS = {
         "planner: {kind: sbo, motions: kernel}",
         'x.yaml: planner.motions: got "kernel"; not possible here; allowed: splines',
     ),
+    "a start inside a wall": (
+        "{problem: {kind: space-modelling, start: [3, 1, 0]}, planner: sbo}",
+        'x.yaml: problem: got {"kind": "space-modelling", "start": [3, 1, 0]}; '
+        "start: (3, 1) lies inside walls[0]",
+    ),
+    "a start outside the domain": (
+        "{problem: {kind: diagonal, start: [3, -1, 0]}, planner: sbo}",
+        "x.yaml: problem: got {…; start: (3, -1) lies outside the domain",
+    ),
+    "a box the wrong way round": (
+        "{problem: {kind: monitoring, domain: [6, 0, 0, 6]}, planner: sbo}",
+        "x.yaml: problem.domain: got [6, 0, 0, 6]; [x_min, y_min, x_max, y_max] has to rise from minimum to "
+        "maximum",
+    ),
+    "a wall the wrong way round": (
+        "{problem: {kind: monitoring, walls: [[1, 1, 2, 2], [1, 2, 2, 1]]}, planner: sbo}",
+        "x.yaml: problem.walls: got [[1, 1, 2, 2], [1, 2, 2, 1]]; [x_min, y_min, x_max, y_max] has to rise …",
+    ),
+    "a wall of three numbers": (
+        "{problem: {kind: monitoring, walls: [[1, 1, 2]]}, planner: sbo}",
+        "x.yaml: problem.walls.0.3: missing, and it has no default…",
+    ),
+    "no walls in a list": (
+        "{problem: {kind: monitoring, walls: []}, planner: sbo}",
+        "x.yaml: problem.walls: got []; allowed: >= 1 entries",
+    ),
+    "a pit without a width": (
+        "{problem: {kind: monitoring, field: {kind: bumps, heights: [1, 2]}}, planner: sbo}",
+        "x.yaml: problem.field: got {…; heights, centres, widths: got 2, 1 and 1 of them; as many of each "
+        "are needed",
+    ),
+    "an unknown objective": (
+        "{problem: diagonal, planner: {kind: sbo, objective: gradeint}}",
+        'x.yaml: planner.objective: got "gradeint"; unknown objective; allowed: gradient, uncertainty, '
+        'value; did you mean "gradient"?',
+    ),
+    "an objective that is another part": (
+        "{problem: {kind: diagonal, objective: rbf}, planner: sbo}",
+        'x.yaml: problem.objective: got "rbf"; unknown objective; allowed: gradient, uncertainty, value',
+    ),
+    "a problem without a task": (
+        "{problem: {kind: diagonal, objective: null}, planner: sbo}",
+        "x.yaml: problem.objective: got null; unknown objective; allowed: gradient, uncertainty, value",
+    ),
+    "an objective where there is no field": (
+        "{problem: parking, planner: bo-pomdp}",
+        "x.yaml: experiment: got {…; planner.objective: bo-pomdp wants to learn a field, and parking has none: "
+        "set planner.objective to null, or choose another planner",
+    ),
+    "a field without a file": (
+        "{problem: {kind: monitoring, field: {kind: grid, extent: [0, 0, 1, 1]}}, planner: sbo}",
+        "x.yaml: problem.field.file: missing, and it has no default",
+    ),
+    "a file that is not there": (
+        grid("no.npy"),
+        "x.yaml: problem.field: got {…; no.npy: No such file or directory",
+    ),
+    "a file of another format": (
+        grid("x.yaml"),
+        "x.yaml: problem.field: got {…; x.yaml: the name has to end in .npy or .csv",
+    ),
+    "an extent the wrong way round": (
+        grid("good.csv", extent="[0, 1, 1, 0]"),
+        "x.yaml: problem.field.extent: got [0, 1, 1, 0]; [x_min, y_min, x_max, y_max] has to rise …",
+    ),
+    "a grid with NaN": (
+        grid("nan.csv"),
+        "x.yaml: problem.field: got {…; nan.csv: 1 of 4 numbers are not finite",
+    ),
+    "a grid of one row": (
+        grid("row.csv"),
+        "x.yaml: problem.field: got {…; row.csv: a grid of 1 x 3; at least 2 x 2 are needed",
+    ),
+    "a grid of words": (
+        grid("words.csv"),
+        "x.yaml: problem.field: got {…; words.csv: could not convert string …",
+    ),
+    "an empty file": (
+        grid("empty.csv"),
+        "x.yaml: problem.field: got {…; empty.csv: …",
+    ),
+    "measurements without a value": (
+        grid("good.csv", kind="scattered"),
+        "x.yaml: problem.field: got {…; good.csv: 2 columns; x, y and value are needed",
+    ),
+    "data that are not those of the results": (
+        grid("good.csv, sha256: abc"),
+        "x.yaml: problem.field: got {…; good.csv: its content is not what it was: another SHA-256",
+    ),
     "a malformed import path": (
         "problem: 'mine.fields:'",
         'x.yaml: problem: got "mine.fields:"; unknown problem; allowed: …parking…',
@@ -102,9 +197,21 @@ EXPERIMENTS = {
 }
 
 
+TABLES = {
+    "good.csv": "1,2\n3,4\n5,6",
+    "nan.csv": "1,2\nnan,4",
+    "row.csv": "1,2,3",
+    "words.csv": "a,b\nhigh,low",
+    "empty.csv": "",
+}
+"""Files that lie beside the experiment."""
+
+
 @pytest.mark.parametrize("case", EXPERIMENTS)
 def test_experiment_files(write, case):
     text, message = EXPERIMENTS[case]
+    for name, table in TABLES.items():
+        write(name, table)
     write("x.yaml", text)
     with pytest.raises(ConfigError) as raised:
         load_config("x.yaml")

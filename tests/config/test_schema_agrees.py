@@ -7,6 +7,12 @@ import pytest
 from bojax.config.catalog import ROLES, kinds
 from bojax.engine.build import build, import_target
 
+EXAMPLES = {
+    "grid": {"file": "grid.csv", "extent": (0.0, 0.0, 1.0, 1.0)},
+    "scattered": {"file": "rows.csv", "extent": (0.0, 0.0, 1.0, 1.0)},
+}
+"""Settings of the kinds that have no default for all of theirs."""
+
 COMPONENTS = [(role, kind, schema) for role in ROLES for kind, schema in kinds(role).items()]
 
 
@@ -22,5 +28,8 @@ def test_schema_and_constructor_take_the_same_settings(schema):
 
 
 @pytest.mark.parametrize("schema", [pytest.param(s, id=f"{r}-{k}") for r, k, s in COMPONENTS])
-def test_the_defaults_of_every_part_build(schema):
-    assert isinstance(build(schema()), import_target(schema.target))
+def test_the_defaults_of_every_part_build(schema, write):
+    write("grid.csv", "1,2\n3,4")
+    write("rows.csv", "x,y,value\n0,0,1\n1,0,2\n0,1,3")
+    kind = schema.model_fields["kind"].default
+    assert isinstance(build(schema(**EXAMPLES.get(kind, {}))), import_target(schema.target))

@@ -1,0 +1,88 @@
+"""Fields from files: what is read, and that results know which data they are made from."""
+
+import hashlib
+
+import numpy as np
+import pytest
+
+from bojax.config.component import Component
+from bojax.config.data import read_array
+from bojax.config.errors import ConfigError
+from bojax.config.fields import Grid, Scattered
+from bojax.config.sweep import load_config
+
+TABLE = np.array([[1.0, 2.5, -3.0], [0.25, 1e-3, 7.0]])
+EXTENT = (0.0, 0.0, 2.0, 1.0)
+
+
+def test_a_table_reads_the_same_from_both_formats(write, tmp_path):
+    np.save(tmp_path / "table.npy", TABLE)
+    rows = "\n".join(",".join(map(repr, row)) for row in TABLE.tolist())
+    write("bare.csv", rows)
+    write("named.csv", "left,middle,right\n" + rows)
+    for file in ("table.npy", "bare.csv", "named.csv"):
+        np.testing.assert_array_equal(read_array(file), TABLE)
+
+
+@pytest.mark.parametrize("dtype", [bool, np.uint8, np.int64, np.float32])
+def test_any_real_numbers_will_do(write, tmp_path, dtype):
+    np.save(tmp_path / "table.npy", np.array([[0, 1], [1, 0]], dtype))
+    table = read_array(str(tmp_path / "table.npy"))
+    assert table.dtype == np.float64
+    np.testing.assert_array_equal(table, [[0.0, 1.0], [1.0, 0.0]])
+
+
+NOT_TABLES = {
+    "a line": np.arange(3.0),
+    "a cube": np.zeros((2, 2, 2)),
+    "words": np.array([["a", "b"], ["c", "d"]]),
+    "objects": np.array([[None, 1], [2, 3]], dtype=object),
+    "infinity": np.array([[np.inf, 1.0], [0.0, 0.0]]),
+}
+
+
+@pytest.mark.parametrize("table", NOT_TABLES.values(), ids=NOT_TABLES)
+def test_what_is_no_table_of_finite_numbers_is_refused_in_one_line(table, tmp_path):
+    file = str(tmp_path / "table.npy")
+    np.save(file, table, allow_pickle=True)
+    with pytest.raises(ValueError) as raised:
+        read_array(file)
+    assert str(raised.value).startswith(file) and "\n" not in str(raised.value)
+
+
+def test_a_damaged_file_is_refused_in_one_line(tmp_path):
+    file = str(tmp_path / "table.npy")
+    np.save(file, TABLE)
+    whole = (tmp_path / "table.npy").read_bytes()
+    for damaged in (b"", whole[:20], whole[:-8], b"not a table"):
+        (tmp_path / "table.npy").write_bytes(damaged)
+        with pytest.raises(ValueError) as raised:
+            read_array(file)
+        assert str(raised.value).startswith(file) and "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("schema", [Grid, Scattered])
+def test_the_settings_name_the_content_of_the_file(write, schema: type[Component]):
+    path = write("table.csv", "0,0,1\n1,0,2\n0,1,3")
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    settings = schema(file="table.csv", extent=EXTENT)
+    assert settings.model_dump()["sha256"] == digest
+    assert schema.model_validate(settings.model_dump()) == settings
+    # Other data under the same name are other settings: results do not go on with them.
+    path.write_text("0,0,1\n1,0,2\n0,1,4")
+    assert schema(file="table.csv", extent=EXTENT) != settings
+    with pytest.raises(ValueError, match="its content is not what it was"):
+        schema.model_validate(settings.model_dump())
+
+
+def test_a_field_of_ones_own_is_ten_lines_of_yaml(write):
+    write("depth.csv", "1,2\n3,4")
+    write(
+        "x.yaml",
+        "{problem: {kind: monitoring, field: {kind: grid, file: depth.csv, extent: [0, 0, 6, 6]}, "
+        "start: [1, 1, 0]}, planner: myopic}",
+    )
+    problem = load_config("x.yaml").points[0].config.problem
+    assert (problem.field.kind, problem.field.extent) == ("grid", (0.0, 0.0, 6.0, 6.0))
+    with pytest.raises(ConfigError, match=r"good.csv: No such file or directory"):
+        load_config("x.yaml", ["problem.field.file=good.csv"])
