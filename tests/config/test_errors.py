@@ -147,8 +147,8 @@ EXPERIMENTS = {
     ),
     "an objective where there is no field": (
         "{problem: parking, planner: bo-pomdp}",
-        "x.yaml: experiment: got {…; planner.objective: bo-pomdp wants to learn a field, and parking has none: "
-        "set planner.objective to null, or choose another planner",
+        "x.yaml: experiment: got {…; planner.objective: bo-pomdp wants to learn a field, and parking has "
+        "none: set planner.objective to null, or choose another planner",
     ),
     "a field without a file": (
         "{problem: {kind: monitoring, field: {kind: grid, extent: [0, 0, 1, 1]}}, planner: sbo}",
