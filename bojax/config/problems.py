@@ -92,6 +92,14 @@ class FieldProblem(Component, frozen=True):
     exit_reward: float = Field(default=-100.0, le=0, description="paid when the border stops the robot")
     max_steps: int = Field(default=25, ge=1, description="steps after which an episode ends")
     resolution: int = Field(default=31, ge=2, description="points a side of the grid of the error measures")
+    relearn_every: int = Field(
+        default=0,
+        ge=0,
+        description="steps after which the belief learns its hyper-parameters anew; 0 for never",
+    )
+    relearn_spread: float = Field(
+        default=0.5, gt=0, description="how far it expects them from their settings: std of the logarithm"
+    )
     imagined: Literal["sample", "mean"] = Field(
         default="sample", description="whether simulated observations are drawn from the belief, or its mean"
     )

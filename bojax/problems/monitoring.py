@@ -8,11 +8,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key, Scalar
 
 from bojax.fields.base import Field
+from bojax.models.evidence import relearn
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Kernel
 from bojax.models.lookahead import LookaheadRoot, look_ahead
 from bojax.models.means import Mean
 from bojax.motions.base import Path, Pose, place
+from bojax.numerics.lanes import any_lane
 from bojax.problems.base import Events, Problem, Simulation
 from bojax.problems.objectives import FieldObjective
 from bojax.problems.walls import Boxes, Drive, drive_until_blocked, is_free
@@ -20,6 +22,9 @@ from bojax.results.schema import Column, Table
 
 START_TRIES = 256
 """Poses among which a random start is the first free one."""
+
+RELEARN_STARTS = 2
+"""Starts of learning hyper-parameters: those held, and one around them."""
 
 
 class FieldWorld(eqx.Module):
@@ -59,12 +64,14 @@ class FieldBelief(eqx.Module):
         pose: The robot's pose.
         posterior: The belief about the field.
         step: Paths driven.
+        key: What learning hyper-parameters draws its starts from.
         num_samples: Most samples of a path.
     """
 
     pose: Pose
     posterior: GaussianProcess
     step: Int[Array, ""]
+    key: Key[Array, ""]
     num_samples: int = eqx.field(static=True)
 
 
@@ -121,8 +128,10 @@ class FieldMonitoring(Problem):
         noise: Standard deviation of the observation noise.
         collision_reward: Paid when a wall stops the robot.
         exit_reward: Paid when the border stops it.
+        relearn_spread: Standard deviation of the logarithm of each hyper-parameter around its setting.
         max_steps: Actions an episode.
         resolution: Points a side of the grid on which the final belief is scored.
+        relearn_every: Steps after which the belief learns its hyper-parameters anew; 0 for never.
         imagined: Simulated observations are drawn from the belief (`"sample"`), or its `"mean"`.
         after_collision: What a robot does that was stopped.
         weighting: Weights of `wrmse`, see `weights`.
@@ -148,8 +157,10 @@ class FieldMonitoring(Problem):
     noise: Float[Array, ""]
     collision_reward: Float[Array, ""]
     exit_reward: Float[Array, ""]
+    relearn_spread: Float[Array, ""]
     max_steps: int = eqx.field(static=True)
     resolution: int = eqx.field(static=True)
+    relearn_every: int = eqx.field(static=True)
     imagined: Literal["sample", "mean"] = eqx.field(static=True)
     after_collision: Literal["stop", "turn"] = eqx.field(static=True)
     weighting: Literal["gradient", "gradient-norm", "value"] = eqx.field(static=True)
@@ -161,12 +172,12 @@ class FieldMonitoring(Problem):
 
     def prior(self, key: Key[Array, ""], world: FieldWorld, num_samples: int) -> FieldBelief:
         """The prior of the field, and the pose."""
-        del key
         capacity = self.max_steps * num_samples
         return FieldBelief(
             pose=world.pose,
             posterior=GaussianProcess.prior(self.kernel, self.noise_variance, capacity, 2, self.mean),
             step=jnp.zeros((), jnp.int32),
+            key=key,
             num_samples=num_samples,
         )
 
@@ -196,10 +207,37 @@ class FieldMonitoring(Problem):
         return after, Samples(points, values, driven.is_driven, pose), events
 
     def update(self, belief: FieldBelief, path: Path, observation: Samples) -> FieldBelief:
-        """The belief after the samples of a path."""
+        """The belief after the samples of a path, with new hyper-parameters where they are due."""
         del path
         posterior = belief.posterior.extend(observation.points, observation.values, observation.is_taken)
-        return FieldBelief(observation.pose, posterior, belief.step + 1, belief.num_samples)
+        step = belief.step + 1
+        if self.relearn_every > 0:
+            is_due = step % self.relearn_every == 0
+            key = jax.random.fold_in(belief.key, step)
+            # In a batch the lanes are at the same step: the branch is not taken where none is due.
+            learned = jax.lax.cond(
+                any_lane(is_due),
+                lambda key, old: self._relearned(key, old),
+                lambda key, old: old,
+                key,
+                posterior,
+            )
+            posterior = jax.tree.map(lambda new, old: jnp.where(is_due, new, old), learned, posterior)
+        return FieldBelief(observation.pose, posterior, step, belief.key, belief.num_samples)
+
+    def _relearned(self, key: Key[Array, ""], posterior: GaussianProcess) -> GaussianProcess:
+        """The posterior with the hyper-parameters of greatest posterior density.
+
+        Each has a log-normal prior around its setting: a few samples alone say little about a lengthscale.
+        """
+        centre = jax.tree.leaves((self.kernel, self.noise_variance))
+
+        def log_prior(kernel: Kernel, noise_variance: Float[Array, ""]) -> Float[Array, ""]:
+            leaves = jax.tree.leaves((kernel, noise_variance))
+            off = [jnp.sum(jnp.log(a / b) ** 2) for a, b in zip(leaves, centre, strict=True)]
+            return -0.5 * sum(off[1:], off[0]) / self.relearn_spread**2
+
+        return relearn(posterior, key, log_prior=log_prior, num_starts=RELEARN_STARTS)[0]
 
     def reward(
         self, objective: FieldObjective | None, belief: FieldBelief, path: Path, events: Events
@@ -371,8 +409,8 @@ class FieldMonitoring(Problem):
     def _is_reached(self, driven: Drive) -> Bool[Array, ""]:
         if self.target_area is None:
             return jnp.zeros((), bool)
-        points = driven.poses[:, :2]
-        is_there = jnp.all((points >= self.target_area[:2]) & (points <= self.target_area[2:]), axis=-1)
+        points, low, high = driven.poses[:, :2], self.target_area[None, :2], self.target_area[None, 2:]
+        is_there = jnp.all((points >= low) & (points <= high), axis=-1)
         return jnp.any(is_there & driven.is_driven)
 
 
