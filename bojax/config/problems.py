@@ -185,7 +185,7 @@ class SpaceModelling(FieldProblem, frozen=True):
         description="the field",
     )
     walls: tuple[Box, ...] | None = Field(
-        default=((2.9, 0.0, 3.1, 2.8), (2.9, 3.2, 3.1, 6.0)),
+        default=((2.9, 0.0, 3.1, 2.85), (2.9, 3.15, 3.1, 6.0)),
         strict=False,
         min_length=1,
         description="walls, a list of [x_min, y_min, x_max, y_max], m",
