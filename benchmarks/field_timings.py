@@ -48,12 +48,12 @@ class Case:
 
     def belief(self, run):
         """What a run knows: observations of points drawn from the domain, and a free pose."""
-        key_pose, key_points, key_noise = jax.random.split(jax.random.fold_in(self._data, run), 3)
+        keys = jax.random.split(jax.random.fold_in(self._data, run), 4)
         problem = eqx.tree_at(lambda p: p.start, self.problem, None)
-        belief = problem.prior(key_noise, problem.reset(key_pose), NUM_SAMPLES)
+        belief = problem.prior(keys[0], problem.reset(keys[1]), NUM_SAMPLES)
         low, high = problem.domain[:2], problem.domain[2:]
-        x = jax.random.uniform(key_points, (NUM_OBSERVATIONS, 2), low.dtype, low, high)
-        y = problem.field.values(x) + problem.noise * jax.random.normal(key_noise, (NUM_OBSERVATIONS,))
+        x = jax.random.uniform(keys[2], (NUM_OBSERVATIONS, 2), low.dtype, low, high)
+        y = problem.field.values(x) + problem.noise * jax.random.normal(keys[3], (NUM_OBSERVATIONS,))
         prior = belief.posterior
         capacity = prior.y.shape[0]
         posterior = GaussianProcess.fit(
@@ -113,7 +113,7 @@ def main(argv: list[str]) -> int:
                 draws,
                 bridge.drawn(planner, problem, case.key(run)),
             )
-            start = bridge.reference_belief(problem, belief)
+            start = bridge.reference_belief(belief)
             tree = jax.tree.map(np.asarray, eqx.filter_jit(case.tree)(run, belief))
             assert_same_tree(tree, reference.search(start), planner.num_actions)
             references.append((reference, start))

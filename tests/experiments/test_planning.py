@@ -10,9 +10,11 @@ import pytest
 
 from bojax.experiments.planning import Episode, PlanningEpisode
 from bojax.planning.base import Plan, Planner
+from bojax.planning.myopic import MyopicPlanner
 from bojax.planning.random import RandomPlanner
 from bojax.results.schema import column_names
 from tests.motions.families import cubic, kernel, splines
+from tests.planning.samples import FIELD, f64, monitoring
 from tests.problems.goal_disc import GoalDisc, goal_disc
 from tests.problems.parking_reference import Settings
 from tests.problems.test_parking import parking
@@ -36,6 +38,8 @@ EXPERIMENTS = {
     "parking-on": PlanningEpisode(parking(Settings(exit_terminates=False)), RandomPlanner(splines(5))),
     "disc": PlanningEpisode(goal_disc(), RandomPlanner(cubic())),
     "disc-straight": PlanningEpisode(goal_disc(), Straight(splines(5))),
+    "field": PlanningEpisode(monitoring("gradient"), RandomPlanner(cubic())),
+    "field-myopic": PlanningEpisode(monitoring(start=(0.6, 0.6, 0.0)), MyopicPlanner(splines(5))),
 }
 each_experiment = pytest.mark.parametrize("name", EXPERIMENTS)
 
@@ -270,7 +274,7 @@ def test_a_whole_episode_and_other_numbers_compile_nothing_more():
     assert num_traces == 1
 
 
-@each_experiment
+@pytest.mark.parametrize("name", ["parking", "parking-on", "disc", "disc-straight"])
 def test_the_paths_driven_are_kept(name):
     carries, table, _ = played(name)
     [kept] = jax.vmap(EXPERIMENTS[name].snapshot)(carries[-1]).values()
@@ -301,3 +305,37 @@ def test_the_recorded_pose_is_where_the_placed_path_ends():
     np.testing.assert_allclose(table["x"][:, 0], x + np.cos(heading), atol=1e-12)
     np.testing.assert_allclose(table["y"][:, 0], y + np.sin(heading), atol=1e-12)
     np.testing.assert_allclose(table["heading"][:, 0], np.mod(heading, 2.0 * np.pi), atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["field", "field-myopic"])
+def test_on_a_field_all_samples_are_kept_and_nothing_else(name):
+    carries, table, _ = played(name)
+    kept = jax.jit(jax.vmap(EXPERIMENTS[name].snapshot))(carries[-1])
+    assert set(kept) == {"paths", "belief"}
+    samples, paths = np.asarray(kept["belief"]["samples"]), np.asarray(kept["paths"]["paths"])
+    counts = np.asarray(carries[-1].belief.posterior.count)
+    assert len(np.unique(counts)) > 1 or name == "field-myopic"
+    for lane in range(NUM_LANES):
+        number = counts[lane]
+        assert np.all(np.isfinite(samples[lane, :number])) and np.all(np.isnan(samples[lane, number:]))
+        # A robot that was stopped repeats its pose: samples were taken at the others.
+        at = paths[lane, :, :, :2].reshape(-1, 2)
+        begins = np.linalg.norm(samples[lane, :number, None, :2] - at, axis=-1).min(axis=1)
+        np.testing.assert_allclose(begins, 0.0, atol=1e-12)
+        noise = samples[lane, :number, 2] - FIELD.values(f64(samples[lane, :number, :2]))
+        assert number == 0 or np.abs(noise).max() < 0.1 * 5.5
+
+
+@pytest.mark.parametrize("name", ["field", "field-myopic"])
+def test_on_a_field_the_paid_reward_is_the_planned_one_and_all_is_finite(name):
+    carries, table, _ = played(name)
+    # Nothing ends an episode but its last step; the row after it is nobody's.
+    assert np.all(table["valid"][:, :-1])
+    np.testing.assert_allclose(table["planned_reward"], table["reward"], rtol=1e-9, atol=1e-9)
+    summary = jax.jit(jax.vmap(EXPERIMENTS[name].summary))(carries[-1])
+    for column, values in (table | summary).items():
+        assert np.all(np.isfinite(values)), column
+    assert np.all(summary["rmse"] > 0.0) and np.all(summary["wrmse"] <= summary["rmse"])
+    if name == "field":
+        assert summary["collisions"].sum() > 0 and summary["exits"].sum() > 0
+        assert 0 < summary["success"].sum() < NUM_LANES

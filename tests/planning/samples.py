@@ -1,5 +1,6 @@
 """Small planners and problems with every setting spelled out, and a search compiled once per structure."""
 
+import dataclasses
 from collections import Counter
 from functools import partial
 
@@ -24,7 +25,7 @@ from bojax.planning.discrete import DiscreteTreeSearch
 from bojax.planning.gps_abt import PatternSearch
 from bojax.planning.myopic import MyopicPlanner
 from bojax.planning.random import RandomPlanner
-from bojax.problems.monitoring import FieldBelief, FieldMonitoring
+from bojax.problems.monitoring import FieldMonitoring
 from bojax.problems.objectives import GradientObjective, UncertaintyObjective, ValueObjective
 from bojax.problems.parking import Parking
 
@@ -98,7 +99,13 @@ def monitoring(
     **choices,
 ):
     """Two rooms of 1.2 and 1.6 m with a gap of half a metre between them."""
-    settings = {"resolution": 12, "imagined": "sample", "after_collision": "turn", "weighting": "value"}
+    settings = {
+        "resolution": 12,
+        "imagined": "sample",
+        "after_collision": "turn",
+        "weighting": "value",
+        "relearn_every": 0,
+    }
     return FieldMonitoring(
         field=field,
         domain=f64(domain),
@@ -112,6 +119,7 @@ def monitoring(
         noise=f64(noise),
         collision_reward=f64(-5.0),
         exit_reward=f64(-4.0),
+        relearn_spread=f64(0.5),
         max_steps=max_steps,
         **(settings | choices),
     )
@@ -123,9 +131,9 @@ def field_belief(problem, pose, num_observations, num_samples=6, seed=0):
     capacity = problem.max_steps * num_samples
     x = f64(rng.uniform(problem.domain[:2], problem.domain[2:], (capacity, 2)))
     y = problem.field.values(x) + problem.noise * f64(rng.normal(size=capacity))
-    return FieldBelief(
-        f64(pose), _fit(problem, x, y, num_observations), jnp.zeros((), jnp.int32), num_samples
-    )
+    prior = problem.prior(jax.random.key(seed), problem.reset(jax.random.key(seed)), num_samples)
+    posterior = _fit(problem, x, y, num_observations)
+    return dataclasses.replace(prior, pose=f64(pose), posterior=posterior)
 
 
 FIELD_POSES = {

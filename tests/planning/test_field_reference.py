@@ -2,6 +2,7 @@
 
 from collections import Counter
 
+import numpy as np
 import pytest
 
 from bojax.models.kernels import RBF, Matern12, Matern32, Matern52, Product, Scaled, Sum
@@ -66,6 +67,18 @@ def test_the_tree_is_that_of_the_reference(variant):
     planner, problem = variant
     for grown in cases(planner, problem):
         assert_same_plan(planner, grown)
+
+
+def test_a_plan_is_made_under_the_hyperparameters_of_the_belief():
+    # They are the problem's until they are learned anew.
+    planner, problem = VARIANTS["bo-pomdp"]
+    learned = monitoring(kernel=Scaled(RBF(f64(0.9)), f64(1.7)), noise_variance=0.05)
+    for name, pose in FIELD_POSES.items():
+        belief = field_belief(learned, pose, OBSERVATIONS[name])
+        grown = grow(planner, problem, 0, belief)
+        assert_same_plan(planner, grown)
+        same = grow(planner, learned, 0, belief)
+        np.testing.assert_array_equal(grown[0].total_return, same[0].total_return)
 
 
 def test_the_cases_contain_walls_borders_and_full_depth():

@@ -80,7 +80,7 @@ def test_a_plan_is_a_path_and_what_is_expected_of_it(planner, problem, beliefs):
 def test_the_expected_reward_is_that_of_the_path(planner, problem, beliefs):
     result = plan(planner, key(1), problem, beliefs[1])
     nothing_drawn = np.zeros(len(result.path))
-    belief = reference_belief(problem, beliefs[1])
+    belief = reference_belief(beliefs[1])
     _, reward, _ = reference_problem(problem).drive(belief, np.asarray(result.path), nothing_drawn)
     np.testing.assert_allclose(result.reward, reward, rtol=1e-9)
 

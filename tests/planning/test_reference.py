@@ -34,7 +34,7 @@ def grow(planner, problem, seed, belief):
     tree, memory, recommended, begun = jax.tree.map(np.asarray, grown)
     draws = drawn(planner, problem, jax.random.key(seed))
     reference = reference_planner(planner, reference_problem(problem, planner), *begun, draws)
-    root = reference.search(reference_belief(problem, belief))
+    root = reference.search(reference_belief(belief))
     return tree, memory, recommended, reference, root
 
 

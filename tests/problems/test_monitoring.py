@@ -1,5 +1,7 @@
 """Field monitoring: what the world does, what it pays, and that a planner's model of it is exact."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,6 +9,7 @@ import pytest
 from scipy import stats
 
 from bojax.fields.closed_form import Bumps, Step
+from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Matern32, Scaled
 from bojax.models.means import ConstantMean
 from bojax.motions.base import place
@@ -177,7 +180,7 @@ def test_the_belief_is_the_prior_conditioned_on_the_samples_taken():
         x = np.concatenate([x, samples.points[samples.is_taken]])
         y = np.concatenate([y, samples.values[samples.is_taken]])
         assert (belief.step, belief.posterior.count) == (step + 1, len(x))
-        expected = reference_belief(problem, belief).refit(x, y)
+        expected = reference_belief(belief).refit(x, y)
         mean, covariance = expected.predict(queries)
         found = jax.jit(type(belief.posterior).predict)(belief.posterior, f64(queries))
         np.testing.assert_allclose(found[0], mean, atol=1e-9)
@@ -186,12 +189,35 @@ def test_the_belief_is_the_prior_conditioned_on_the_samples_taken():
     assert 0 < len(x) < problem.max_steps * SIZE  # some paths were cut short
 
 
+def test_hyperparameters_are_learned_when_they_are_due_and_not_before():
+    problem = monitoring(start=(0.5, 1.2, 0.0), walls=None, relearn_every=2, noise=0.02)
+    belief = problem.prior(jax.random.key(0), problem.reset(jax.random.key(1)), SIZE)
+    _, paths = drives(3, seed=5)
+    _, beliefs = update(problem, belief, jax.random.key(2), keys_of(0, 3), f64(paths))
+    first, second, third = (after.posterior for after, _ in beliefs)
+    assert_same = lambda one, other: jax.tree.map(np.testing.assert_array_equal, one, other)  # noqa: E731
+    assert_same((first.kernel, first.noise_variance), (problem.kernel, problem.noise_variance))
+    assert_same((third.kernel, third.noise_variance), (second.kernel, second.noise_variance))
+    assert second.kernel.kernel.lengthscale != problem.kernel.kernel.lengthscale
+    # What is held is the posterior of all samples under what was learned, and more likely than before.
+    both = jnp.concatenate([samples.points for _, samples in beliefs[:2]])
+    values = jnp.concatenate([samples.values for _, samples in beliefs[:2]])
+    taken = jnp.concatenate([samples.is_taken for _, samples in beliefs[:2]])
+    fit = jax.jit(
+        lambda kernel, noise: GaussianProcess.prior(kernel, noise, 24, 2).extend(both, values, taken)
+    )
+    again = fit(second.kernel, second.noise_variance)
+    np.testing.assert_allclose(again.inverse_cholesky, second.inverse_cholesky, atol=1e-9)
+    before = fit(problem.kernel, problem.noise_variance)
+    assert second.log_marginal_likelihood() > before.log_marginal_likelihood()
+
+
 @jax.jit
 def pay(problem, objective, belief, keys, poses, paths):
     """What driving each path pays, and what the simulations of the path expect of it."""
 
     def one(key, pose, path):
-        here = type(belief)(pose, belief.posterior, belief.step, belief.num_samples)
+        here = dataclasses.replace(belief, pose=pose)
         world = problem.reset(key)
         world = type(world)(pose, world.collisions, world.gradient)
         _, _, events = problem.execute(jax.random.fold_in(key, 1), world, path)
@@ -212,7 +238,7 @@ def test_the_reward_is_what_the_samples_are_worth_under_the_belief_before_them(o
     paid, simulated, alone = pay(WALLED, objective, belief, keys_of(0, 100), f64(poses), f64(paths))
     reference = reference_problem(WALLED, type("Planner", (), {"objective": objective}))
     for index, (pose, path) in enumerate(zip(poses, paths, strict=True)):
-        start = reference_belief(WALLED, type(belief)(f64(pose), belief.posterior, belief.step, SIZE))
+        start = reference_belief(dataclasses.replace(belief, pose=f64(pose)))
         _, expected, _ = reference.drive(start, path, np.zeros(SIZE))
         np.testing.assert_allclose(paid[index], expected, atol=1e-9)
     # The planner knows the world's geometry: what it simulates is what is paid.
@@ -287,7 +313,7 @@ def test_the_scores_are_errors_over_the_open_cells_of_the_grid(name, count):
     grid = np.stack(np.meshgrid(np.linspace(0.0, 3.0, 12), np.linspace(0.0, 2.4, 12)), axis=-1).reshape(-1, 2)
     np.testing.assert_allclose(problem.grid(), grid, atol=1e-15)
     truth = np.asarray(problem.field.values(f64(grid)))
-    mean, covariance = reference_belief(problem, belief).gp.predict(grid)
+    mean, covariance = reference_belief(belief).gp.predict(grid)
     variance = np.diag(covariance)
     is_open = np.ones(len(grid), bool)
     if problem.walls is not None:
@@ -308,7 +334,7 @@ def test_a_belief_without_uncertainty_has_a_finite_score():
     belief = field_belief(problem, (0.5, 0.5, 0.0), 0)
     corners = problem.grid()
     posterior = belief.posterior.extend(corners, problem.field.values(corners), jnp.ones(4, bool))
-    belief = type(belief)(belief.pose, posterior, belief.step, SIZE)
+    belief = dataclasses.replace(belief, posterior=posterior)
     found = problem.score(problem.reset(jax.random.key(0)), belief)
     assert all(np.isfinite(value) for value in found.values())
     np.testing.assert_allclose(found["rmse"], 0.0, atol=1e-9)

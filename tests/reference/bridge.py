@@ -42,7 +42,6 @@ def reference_problem(problem, planner=None):
         objective = getattr(planner, "objective", None) or problem.objective
         return monitoring.Monitoring(
             objective=reference_objective(objective),
-            noise_variance=_noise_variance(problem),
             domain=np.asarray(problem.domain),
             walls=np.zeros((0, 4)) if problem.walls is None else np.asarray(problem.walls),
             collision_reward=float(problem.collision_reward),
@@ -53,17 +52,18 @@ def reference_problem(problem, planner=None):
     return parking.Parking(**{name: _plain(getattr(problem, name)) for name in names})
 
 
-def reference_belief(problem, belief):
+def reference_belief(belief):
     """The reference of a belief: what was observed, to be fitted anew, or a pose."""
     if not isinstance(belief, FieldBelief):
         return np.asarray(belief)
-    kernel, mean = reference_field_kernel(problem.kernel), reference_mean(problem.mean)
-    noise_variance, count = _noise_variance(problem), int(belief.posterior.count)
+    posterior, count = belief.posterior, int(belief.posterior.count)
+    kernel, mean = reference_field_kernel(posterior.kernel), reference_mean(posterior.mean)
+    noise_variance = _noise_variance(posterior.kernel, posterior.noise_variance)
 
     def refit(x, y):
         return field_gp.GP(kernel, mean, noise_variance, x, y)
 
-    x, y = (np.asarray(values)[:count] for values in (belief.posterior.x, belief.posterior.y))
+    x, y = (np.asarray(values)[:count] for values in (posterior.x, posterior.y))
     return monitoring.Belief(np.asarray(belief.pose), x, y, refit)
 
 
@@ -185,12 +185,10 @@ def reference_acquisition(function):
     raise TypeError(f"no reference of {type(function).__name__}")
 
 
-def _noise_variance(problem: FieldMonitoring) -> float:
+def _noise_variance(kernel, noise_variance) -> float:
     """The noise as it enters a factor: at least the floor, of a stationary prior."""
-    origin = jnp.zeros_like(problem.domain[:2])
-    return max(
-        float(problem.noise_variance), noise_floor(origin.dtype) * float(problem.kernel(origin, origin))
-    )
+    origin = jnp.zeros((2,), noise_variance.dtype)
+    return max(float(noise_variance), noise_floor(origin.dtype) * float(kernel(origin, origin)))
 
 
 def _plain(value):

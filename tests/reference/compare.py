@@ -47,7 +47,8 @@ def _pose(belief):
 
 def _assert_same_samples(belief, node, num_observations, where):
     """A node of a field's tree has imagined samples at the places of the reference's."""
-    points, imagined = belief.points[belief.is_taken], node.belief.x[num_observations:]
+    x, y, _, is_taken = belief.samples.T
+    points, imagined = np.stack([x, y], axis=-1)[is_taken > 0.0], node.belief.x[num_observations:]
     if node.children:  # at the horizon the last samples are not kept: nothing follows them
         assert len(points) == len(imagined), where
     np.testing.assert_allclose(points, imagined[: len(points)], atol=TOLERANCE, err_msg=where)

@@ -94,6 +94,7 @@ class GP:
     def __init__(self, kernel, mean, noise_variance, x, y):
         self.kernel = kernel
         self.mean = mean
+        self.noise_variance = noise_variance
         self.x = x
         # K + noise I = L L'
         self.cholesky = np.linalg.cholesky(kernel(x, x) + noise_variance * np.eye(len(x)))

@@ -60,12 +60,10 @@ class Monitoring:
     """The problem as a planner knows it.
 
     Attributes:
-        noise_variance: Variance of the noise of an imagined observation.
         walls: [W, 4]; no rows if there are none.
     """
 
     objective: Objective
-    noise_variance: float
     domain: np.ndarray
     walls: np.ndarray
     collision_reward: float
@@ -86,7 +84,7 @@ class Monitoring:
         if number > 0:
             mean, covariance = belief.gp.predict(points)
             reward += self.objective(belief.gp, points, mean, np.maximum(np.diag(covariance), 0.0))
-            joint = np.linalg.cholesky(covariance + self.noise_variance * np.eye(number))
+            joint = np.linalg.cholesky(covariance + belief.gp.noise_variance * np.eye(number))
             y = np.concatenate([y, mean + joint @ innovations[:number]])
         pose = np.array(path[number - 1] if number > 0 else belief.pose)
         if (collided or exited) and self.after_collision == "turn":
