@@ -3,7 +3,7 @@
 import math
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, PlainValidator
+from pydantic import Field, PlainSerializer, PlainValidator
 
 from bojax.config.component import Component, Slot
 
@@ -17,10 +17,17 @@ def _positive(value: Any) -> float | tuple[float, ...]:
     return tuple(map(float, numbers)) if isinstance(value, list | tuple) else float(value)
 
 
+# Serialised by its value: pydantic's serialiser of the union warns of every tuple that it makes a list.
+PositiveNumbers = Annotated[
+    float | tuple[float, ...], PlainValidator(_positive), PlainSerializer(lambda value: value)
+]
+"""A positive number, or a list of them."""
+
+
 class _Stationary(Component, frozen=True):
     role: ClassVar[str] = "kernel"
 
-    lengthscale: Annotated[float | tuple[float, ...], PlainValidator(_positive)] = Field(
+    lengthscale: PositiveNumbers = Field(
         default=0.5, description="lengthscale, in units of the input: one number, or one a dimension; > 0"
     )
 

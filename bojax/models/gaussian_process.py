@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from bojax.models.kernels import Kernel
 from bojax.models.means import Mean, ZeroMean
-from bojax.numerics.linalg import guarded_inverse_cholesky, inverse_cholesky, matmul, noise_floor
+from bojax.numerics.linalg import eigh, guarded_inverse_cholesky, inverse_cholesky, matmul, noise_floor
 
 NO_MEAN = ZeroMean()
 
@@ -264,7 +264,7 @@ class GaussianProcess(eqx.Module):
         points are near each other; they count as 0. A Cholesky factor would need a jitter for that.
         """
         mean, covariance = self.predict_covariance(xs)
-        values, vectors = jnp.linalg.eigh(covariance)
+        values, vectors = eigh(covariance)
         normal = jax.random.normal(key, (num, xs.shape[0]), xs.dtype)
         return mean[None, :] + matmul(normal * jnp.sqrt(jnp.maximum(values, 0.0))[None, :], vectors.T)
 

@@ -1,5 +1,8 @@
 """Small dense linear algebra with one policy for precision: float products never run in TF32."""
 
+from collections.abc import Callable
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jax.lax import Precision
@@ -25,16 +28,34 @@ def noise_floor(dtype) -> float:
     return 1e4 * float(jnp.finfo(dtype).eps)
 
 
+def one_by_one_on_cpu(function: Callable[[Array], Any]) -> Callable[[Array], Any]:
+    """A function of a matrix that calls LAPACK, which in a batch goes from matrix to matrix on a CPU.
+
+    Given a whole batch, jaxlib (0.10) spreads it over its threads and blocks one of them until that is done;
+    as many calls at once as there are cores, and none is left to do the work: the program stands still.
+    """
+    in_turn = jax.custom_batching.sequential_vmap(function)
+
+    def call(a: Array) -> Any:
+        return jax.lax.platform_dependent(a, cpu=in_turn, default=function)
+
+    return call
+
+
+@one_by_one_on_cpu
+def _inverse_factor(a: Float[Array, "N N"]) -> Float[Array, "N N"]:
+    identity = jnp.eye(a.shape[0], dtype=a.dtype)
+    return solve_triangular(jnp.linalg.cholesky(a, symmetrize_input=False), identity, lower=True)
+
+
 @jax.custom_jvp
 def inverse_cholesky(a: Float[Array, "N N"]) -> Float[Array, "N N"]:
     """L^-1 of a symmetric positive definite matrix `a = L L'`; NaN where it is not positive definite.
 
     Its derivative d(L^-1) = -Phi(L^-1 da L^-T) L^-1, with Phi the lower triangle and half the diagonal, takes
-    products alone. Besides the speed: two LAPACK calls on batches that do not wait for each other can lock
-    up JAX's threads on a CPU of two cores (jaxlib 0.10), and this leaves one after the other.
+    products alone: three times faster than the derivatives of a factor and of a triangular solve.
     """
-    identity = jnp.eye(a.shape[0], dtype=a.dtype)
-    return solve_triangular(jnp.linalg.cholesky(a, symmetrize_input=False), identity, lower=True)
+    return _inverse_factor(a)
 
 
 @inverse_cholesky.defjvp
@@ -63,6 +84,13 @@ def guarded_inverse_cholesky(a: Float[Array, "N N"], least: Float[Array, "N"]) -
 
     rows = jnp.concatenate([a, jnp.eye(n, dtype=a.dtype)], axis=1)
     return jax.lax.fori_loop(0, n, eliminate, rows)[:, n:]
+
+
+@one_by_one_on_cpu
+def eigh(a: Float[Array, "N N"]) -> tuple[Float[Array, "N"], Float[Array, "N N"]]:
+    """Eigenvalues of a symmetric matrix, rising, and its eigenvectors in columns."""
+    values, vectors = jnp.linalg.eigh(a)
+    return values, vectors
 
 
 def solve_small(a: Float[Array, "N N"], b: Float[Array, "N K"]) -> Float[Array, "N K"]:

@@ -1,5 +1,7 @@
 """Elimination and factors against exact solutions in rational numbers, LAPACK and automatic derivatives."""
 
+import subprocess
+import sys
 from fractions import Fraction
 
 import jax
@@ -7,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bojax.numerics.linalg import guarded_inverse_cholesky, inverse_cholesky, matmul, solve_small
+from bojax.numerics.linalg import eigh, guarded_inverse_cholesky, inverse_cholesky, matmul, solve_small
 
 SIZES = (1, 2, 3, 4, 5, 6)
 solve = jax.jit(jax.vmap(solve_small))
@@ -118,18 +120,16 @@ def test_the_inverse_factor_has_the_derivatives_of_its_parts():
         identity = jnp.eye(6)
         return jax.scipy.linalg.solve_triangular(jnp.linalg.cholesky(a), identity, lower=True)
 
-    ours = jax.jvp(inverse_cholesky, (a,), (direction,))[1]
-    np.testing.assert_allclose(ours, jax.jvp(by_parts, (a,), (direction,))[1], atol=1e-13)
-    curvatures = [
-        jax.hessian(lambda t, f=function: jnp.sum(f(a + t * direction) ** 3))(0.1)
-        for function in (inverse_cholesky, by_parts)
-    ]
-    np.testing.assert_allclose(*curvatures, rtol=1e-11)
-    gradients = [
-        jax.grad(lambda t, f=function: jnp.sum(f(a + t * direction) ** 3))(0.1)
-        for function in (inverse_cholesky, by_parts)
-    ]
-    np.testing.assert_allclose(*gradients, rtol=1e-12)
+    def derivatives(function):
+        def along(t):
+            return jnp.sum(function(a + t * direction) ** 3)
+
+        tangent = jax.jvp(function, (a,), (direction,))[1]
+        return tangent, jax.grad(along)(0.1), jax.grad(jax.grad(along))(0.1)
+
+    ours, theirs = (jax.jit(lambda f=f: derivatives(f))() for f in (inverse_cholesky, by_parts))
+    for one, other in zip(ours, theirs, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-13)
 
 
 def test_pivots_stay_at_the_least_noise_where_rounding_makes_a_matrix_indefinite():
@@ -148,3 +148,36 @@ def test_a_row_apart_from_the_others_stays_apart():
     inverse = guarded_inverse_cholesky(jnp.asarray(a), jnp.zeros(5))
     np.testing.assert_array_equal(inverse[1], np.eye(5)[1])
     np.testing.assert_array_equal(inverse[:, 3], np.eye(5)[3])
+
+
+def test_eigenvectors_put_the_matrix_together_again():
+    a = np.stack([covariance_matrix(4, seed) for seed in range(3)])
+    values, vectors = jax.jit(jax.vmap(eigh))(jnp.asarray(a))
+    assert np.all(np.diff(values, axis=1) > 0.0)
+    again = np.einsum("bij,bj,bkj->bik", vectors, values, vectors)
+    np.testing.assert_allclose(again, a, atol=1e-12)
+
+
+def test_a_batch_of_factors_is_a_loop():
+    a = jnp.stack([jnp.asarray(covariance_matrix(5, seed)) for seed in range(4)])
+    gradient = jax.grad(lambda a: jnp.sum(inverse_cholesky(a) ** 2))
+    for function in (inverse_cholesky, gradient):
+        batch = jax.jit(jax.vmap(function))(a)
+        np.testing.assert_allclose(batch, jnp.stack([function(one) for one in a]), rtol=1e-12, atol=1e-14)
+
+
+STANDSTILL = """
+import jax
+import jax.numpy as jnp
+from bojax.numerics.linalg import inverse_cholesky
+
+a = jnp.eye(24) + jnp.ones((4, 1000, 24, 24))
+factors = jax.jit(lambda *a: [jax.vmap(inverse_cholesky)(one) for one in a])
+for _ in range(30):
+    jax.block_until_ready(factors(*a))
+"""
+
+
+def test_batches_at_once_do_not_bring_the_threads_to_a_standstill():
+    # With LAPACK called on whole batches, this never ends on a CPU of two cores.
+    subprocess.run([sys.executable, "-c", STANDSTILL], check=True, timeout=300)
