@@ -104,8 +104,8 @@ def test_a_batch_is_a_loop_and_its_lanes_differ(planner, problem, beliefs):
         jax.tree.map(lambda leaf, lane=lane: leaf * (1.0 - 0.1 * lane), planner) for lane in range(LANES)
     ]
     batch = jax.tree.map(lambda *leaves: jnp.stack(leaves), *planners)
-    together = jax.tree.map(lambda *leaves: jnp.stack(leaves), *beliefs)
     with jax.debug_key_reuse(False):  # JAX's check takes any scan over a batch of keys for a reuse
+        together = jax.tree.map(lambda *leaves: jnp.stack(leaves), *beliefs)
         lanes = plans(batch, keys(), problem, together)
     for lane in range(LANES):
         alone = plan(planners[lane], key(lane), problem, beliefs[lane])
