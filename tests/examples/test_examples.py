@@ -1,10 +1,13 @@
 """The examples run: the very commands of the pages, with tiny budgets."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 
+import numpy as np
 import pytest
 
 from bojax.results.store import read_manifest, read_table
@@ -18,6 +21,16 @@ def _uses_example(words: list[str]) -> bool:
     return any(path.name in word or f"={path.stem}:" in word for word in words for path in FILES)
 
 
+CHECKS: dict[str, Callable[[dict[str, list[float]]], bool]] = {
+    "bayesian_optimisation.py": lambda of: min(of["best"][0], of["best of 100 runs, median"][0]) > -1.0,
+    "estimators.py": lambda of: of["score of the process"][0] > 0.9 > of["score of the line"][0],
+    "fit_a_gp.py": lambda of: of["log marginal likelihood"][0] < of["log marginal likelihood"][1],
+    "linear_models.py": lambda of: np.allclose(of["one by one"], of["batch"], rtol=1e-5),
+    "my_field.py": lambda of: max(of["RMSE"]) < 0.4,
+    "plan_once.py": lambda of: len(of[""]) == 31,
+}
+"""What has to be true of the numbers that an example prints, by the words before them."""
+
 COMMANDS = [words for page in PAGES for words in commands(page) if _uses_example(words)]
 
 
@@ -28,11 +41,13 @@ def test_a_command_of_the_pages_runs(words, tmp_path):
         command = [sys.executable, "-m", *words, *_tiny(words), "--out", "out"]
     else:
         command = [sys.executable, *words[1:]]
-    environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
+    cache = {"JAX_COMPILATION_CACHE_DIR": os.environ["BOJAX_CACHE"]}
+    environment = {**os.environ, **cache, "PYTHONDONTWRITEBYTECODE": "1"}
     ran = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300)
     assert ran.returncode == 0, ran.stderr
     if words[0] == "python":
-        assert len(ran.stdout.splitlines()) == 11
+        assert "nan" not in ran.stdout
+        assert CHECKS[words[1]](_numbers(ran.stdout)), ran.stdout
         return
     manifest = read_manifest(tmp_path / "out")
     runs = read_table(tmp_path / "out" / "runs.parquet")
@@ -44,3 +59,11 @@ def test_a_command_of_the_pages_runs(words, tmp_path):
 def _tiny(words: list[str]) -> tuple[str, ...]:
     """Budgets for a command: a planner that does not search has no depth."""
     return TINY[1:] if any("my_planner" in word for word in words) else TINY
+
+
+def _numbers(text: str) -> dict[str, list[float]]:
+    """The numbers of each line that begins with words and a colon, and of the lines that follow it."""
+    parts = re.split(r"^([A-Za-z][^:\n]*):", "\n" + text, flags=re.MULTILINE)
+    names, values = ["", *parts[1::2]], parts[0::2]
+    found = [re.findall(r"-?\d[\d.]*(?:e[-+]?\d+)?", value) for value in values]
+    return dict(zip(names, [[float(word) for word in words] for words in found], strict=True))

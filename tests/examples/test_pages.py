@@ -1,6 +1,7 @@
 """The pages say what is true: their files exist, their commands are understood, their tables are complete."""
 
 import re
+from functools import reduce
 from operator import attrgetter
 
 import pytest
@@ -74,20 +75,22 @@ def test_the_configuration_page_names_every_key():
 
 
 def test_the_configuration_page_shows_files_that_load(tmp_path):
-    experiment, axes, claims = (
+    experiment, kernel, axes, claims = (
         yaml.safe_load(c) for k, c, _ in blocks(DOCS / "configuration.md") if k == "yaml"
     )
     path = tmp_path / "shown.yaml"
     path.write_text(yaml.safe_dump(experiment))
     assert load_config(str(path)).points[0].config.planner.motions.turn_angle == 1.0
+    path.write_text(yaml.safe_dump(kernel))
+    assert load_config(str(path)).points[0].config.problem.kernel.first.kernel.lengthscale == (1.0, 2.0)
     path.write_text(yaml.safe_dump({"base": "parking"} | axes | claims))
     sweep = load_sweep(str(path))
     assert [point.variant for point in sweep.points[::2]] == ["kcbts", "patient", "sbo-17"]
 
 
 def test_the_results_page_names_every_column():
-    tables = build(load_config("parking").points[0].config).tables
-    columns = {column.name for table in tables.values() for column in table}
+    experiments = [build(load_config(name).points[0].config) for name in ("parking", "two-pits")]
+    columns = {column.name for made in experiments for table in made.tables.values() for column in table}
     assert columns | set(timings([]).column_names) <= names_in(DOCS / "results.md")
 
 
@@ -96,23 +99,55 @@ def test_settings_named_beside_symbols_exist():
         name for name in names_in(DOCS / "notation.md") if re.fullmatch(r"(planner|problem)(\.\w+)+", name)
     ]
     assert len(found) > 10
-    assert [path for path in found if look_up({"kind": "planning"}, path.split(".")) is None] == []
+    problems = [{"kind": "planning"}, {"kind": "planning", "problem": {"kind": "monitoring"}}]
+    missing = [path for path in found if all(look_up(p, path.split(".")) is None for p in problems)]
+    assert missing == []
 
 
-def test_the_notes_on_the_thesis_tell_the_defaults():
-    text = (DOCS / "thesis-notes.md").read_text()
+def test_the_monitoring_page_tells_the_problems():
+    text = (DOCS / "monitoring.md").read_text()
+    table = re.search(r"^\| setting \| (.+) \|\n\|[-|]+\n((?:\|.+\n)+)", text, re.MULTILINE)
+    assert table
+    problems = [Planning.model_validate({"problem": name.strip(" `")}) for name in table[1].split("|")]
+    rows = [[cell.strip(" `") for cell in row.strip("|").split("|")] for row in table[2].splitlines()]
+    assert len(rows) > 10
+    for path, *told in rows:
+        assert told == [_cell(reduce(_attribute, path.split("."), problem)) for problem in problems], path
+
+
+def _attribute(part, name):
+    return getattr(part, name, "-")
+
+
+def _cell(value) -> str:
+    """A default as the page writes it."""
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_cell, value))}]"
+    return "null" if value is None else value if isinstance(value, str) else f"{value:g}"
+
+
+@pytest.mark.parametrize(
+    ("part", "least", "experiment"),
+    [
+        ("Planning and parking", 15, {}),
+        ("Monitoring", 8, {"problem": "space-modelling"}),
+    ],
+)
+def test_the_notes_on_the_thesis_tell_the_defaults(part, least, experiment):
+    text = (DOCS / "thesis-notes.md").read_text().partition(f"### {part}\n")[2].partition("\n#")[0]
     rows = re.findall(r"^\| [^|]+ \| (`(?:planner|problem)\.[^|]+) \| ([^|]+) \|$", text, re.MULTILINE)
-    assert len(rows) > 15
+    assert len(rows) > least
+    defaults = Planning.model_validate(experiment)
     for settings, told in rows:
         path = ""
         for name in re.findall(r"`([^`]+)`", settings):
             path = path.rpartition(".")[0] + name if name.startswith(".") else name
-            default = attrgetter(path)(Planning())
+            default = attrgetter(path)(defaults)
             words = {True: "yes", False: "no"}.get(default) if isinstance(default, bool) else None
             words = (
                 words
                 or getattr(default, "kind", None)
                 or (default if isinstance(default, str) else f"{default:g}")
             )
-            expected = {"0": r"\b(0|no)\b", "1e-05": "1e-5"}.get(words, rf"\b{re.escape(words)}\b")
+            expected = {"0": r"\b(0|no)\b", "1e-05": "1e-5"}.get(words, rf"(?<![\w.]){re.escape(words)}\b")
             assert re.search(expected, told), f"{path} is {default}, but the page says: {told}"

@@ -1,0 +1,41 @@
+"""Maximise a function that is costly to evaluate: ask and tell, and 100 whole optimisations at once."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from bojax.acquisition.bayesian_optimisation import BayesianOptimisation
+from bojax.acquisition.functions import LogExpectedImprovement
+from bojax.models.kernels import Matern52
+
+jax.config.update("jax_enable_x64", True)
+search = BayesianOptimisation(
+    kernel=Matern52(jnp.asarray(0.5)),  # of values standardised, over a box mapped to [-1, 1]^D
+    acquisition=LogExpectedImprovement(xi=jnp.asarray(0.0)),
+    noise_variance=jnp.asarray(1e-4),
+    low=jnp.asarray([-5.0, 0.0]),
+    high=jnp.asarray([10.0, 15.0]),
+    capacity=30,
+)
+
+
+def branin(key, x):
+    """Branin's function with its sign turned: its three maxima are -0.398."""
+    del key  # no noise
+    bowl = x[1] - 5.1 / (4.0 * jnp.pi**2) * x[0] ** 2 + 5.0 / jnp.pi * x[0] - 6.0
+    return -(bowl**2 + 10.0 * (1.0 - 1.0 / (8.0 * jnp.pi)) * jnp.cos(x[0]) + 10.0)
+
+
+# Ask and tell: for an experiment outside of JAX.
+ask, tell = eqx.filter_jit(search.ask), eqx.filter_jit(search.tell)
+state = search.init(jax.random.key(0))
+for _ in range(30):
+    x = ask(state)
+    state = tell(state, x, branin(None, x))
+x, value = search.best(state)
+print("best:", value, "at", x)
+
+# One compiled loop, and 100 of them in a batch.
+keys = jax.random.split(jax.random.key(1), 100)
+states, points, values = jax.jit(jax.vmap(lambda key: search.maximise(key, branin, 30)))(keys)
+print("best of 100 runs, median:", jnp.median(jnp.max(values, axis=1)))

@@ -1,0 +1,35 @@
+"""A Gaussian process: fit it, let it grow, learn its hyper-parameters, ask it for everything it knows."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from bojax.models.evidence import relearn
+from bojax.models.gaussian_process import GaussianProcess
+from bojax.models.kernels import RBF, Scaled
+
+jax.config.update("jax_enable_x64", True)
+key_x, key_noise, key_starts, key_sample = jax.random.split(jax.random.key(0), 4)
+x = jax.random.uniform(key_x, (30, 2), minval=-2.0, maxval=2.0)
+y = jnp.sin(2.0 * x[:, 0]) + 0.1 * jax.random.normal(key_noise, (30,))
+
+kernel = Scaled(RBF(lengthscale=jnp.ones(2)), variance=jnp.asarray(1.0))
+noise_variance = jnp.asarray(0.05)
+gp = GaussianProcess.fit(kernel, noise_variance, x[:20], y[:20], capacity=40)  # all at once
+gp = gp.update(x[20], y[20])  # one more
+gp = gp.extend(x[21:], y[21:], is_valid=jnp.ones(9, bool))  # several more
+
+learned, optimum = eqx.filter_jit(relearn)(gp, key_starts)
+print("log marginal likelihood:", gp.log_marginal_likelihood(), "->", learned.log_marginal_likelihood())
+print("lengthscales:", learned.kernel.kernel.lengthscale, "noise variance:", learned.noise_variance)
+
+queries = jnp.asarray([[0.0, 0.0], [1.0, 1.0]])
+mean, variance = learned.predict(queries)  # of the noise-free function
+print("mean:", mean, "standard deviation:", jnp.sqrt(variance))
+print("gradient of the mean:", learned.predict_gradient(queries).ravel())
+print("two draws:", learned.sample(key_sample, queries, 2).ravel())
+
+# Noise of its own for every observation: the right half was measured with a worse sensor.
+own_noise = jnp.where(x[:, 0] < 0.0, 0.01, 0.25)
+uneven = GaussianProcess.fit(learned.kernel, noise_variance, x, y, noise_variances=own_noise)
+print("mean with uneven noise:", uneven.predict(queries)[0])

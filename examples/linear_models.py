@@ -1,0 +1,44 @@
+"""Bayesian linear regression on random Fourier features: a sparse Gaussian process."""
+
+import jax
+import jax.numpy as jnp
+
+from bojax.models.bayesian_linear_regression import BayesianLinearRegression, maximise_evidence
+from bojax.models.features import Polynomial, RandomFourier
+from bojax.models.kernels import RBF
+from bojax.models.linear_regression import LinearRegression
+
+jax.config.update("jax_enable_x64", True)
+key_x, key_noise, key_features = jax.random.split(jax.random.key(0), 3)
+x = jax.random.uniform(key_x, (500, 1), minval=-3.0, maxval=3.0)
+y = jnp.sin(2.0 * x[:, 0]) + 0.1 * jax.random.normal(key_noise, (500,))
+queries = jnp.asarray([[0.0], [0.8]])
+
+# Least squares (2.8) and its maximum a posteriori estimate (2.14), on polynomials.
+cubic = Polynomial(degree=3, num_dims=1)
+design = cubic.design(x)
+print("least squares:", LinearRegression.fit(design, y).predict(cubic.design(queries)))
+one = jnp.asarray(1.0)
+ridge = LinearRegression.fit_map(design, y, prior_precision=one, noise_precision=4.0 * one)
+print("most probable:", ridge.predict(cubic.design(queries)))
+
+# The posterior of the weights (2.13), on features whose inner product approximates a kernel.
+fourier = RandomFourier.draw(key_features, RBF(jnp.asarray(1.0)), num_features=64, num_dims=1)
+design = fourier.design(x)
+alpha, beta = maximise_evidence(design, y)  # both precisions, by type-II maximum likelihood
+print("noise:", 1.0 / jnp.sqrt(beta))
+
+batch = BayesianLinearRegression.fit(design, y, alpha, beta)  # (2.14, 2.15)
+print("batch:", *batch.predict(fourier.design(queries)))
+
+
+def learn(model, block):
+    """Ten observations one by one (5.22), with one pass over the covariance at the end."""
+    for slot, (phi, target) in enumerate(zip(*block, strict=True)):
+        model = model.update(phi, target, slot=slot)
+    return model.flush(), None
+
+
+prior = BayesianLinearRegression.prior(64, alpha, beta, block=10)
+sequential, _ = jax.lax.scan(learn, prior, (design.reshape(50, 10, 64), y.reshape(50, 10)))
+print("one by one:", *sequential.predict(fourier.design(queries)))

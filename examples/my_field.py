@@ -1,0 +1,38 @@
+"""Monitor a field of my own: how well kCBTS comes to know a ridge, in 8 runs at once."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Scalar
+
+from bojax.config.planners import KCBTS
+from bojax.config.problems import Monitoring
+from bojax.engine.build import build
+from bojax.experiments.planning import PlanningEpisode
+from bojax.fields.base import Field
+
+
+class Ridge(Field):
+    """A ridge along the diagonal, of this width in metres."""
+
+    width: Float[Array, ""]
+
+    def __call__(self, x: Float[Array, "2"]) -> Scalar:
+        """Value at a point, in metres."""
+        return jnp.exp(-(((x[0] - x[1]) / self.width) ** 2))
+
+
+if __name__ == "__main__":
+    jax.config.update("jax_enable_x64", True)
+    problem = build(Monitoring(max_steps=20))
+    problem = eqx.tree_at(lambda p: p.field, problem, Ridge(jnp.asarray(1.0)))
+    episode = PlanningEpisode(problem, build(KCBTS(iterations=50, exploration=100.0)))
+
+    def run(key):
+        """One episode: the row that a sweep would write of it."""
+        end, _ = jax.lax.scan(lambda carry, _: episode.advance(carry), episode.init(key), length=20)
+        return episode.summary(end)
+
+    scores = jax.jit(jax.vmap(run))(jax.random.split(jax.random.key(0), 8))
+    print("return:", scores["return"])
+    print("RMSE:", scores["rmse"])
