@@ -14,6 +14,7 @@ from bojax.config.component import registry
 from bojax.config.describe import settings_of
 from bojax.config.experiments import Planning
 from bojax.config.places import look_up
+from bojax.config.problems import FieldProblem
 from bojax.config.settings import EngineConfig, Settings
 from bojax.config.sweep import Report, SweepFile, load_config, load_sweep
 from bojax.engine.build import build
@@ -113,6 +114,14 @@ def test_the_monitoring_page_tells_the_problems():
     assert len(rows) > 10
     for path, *told in rows:
         assert told == [_cell(reduce(_attribute, path.split("."), problem)) for problem in problems], path
+
+
+def test_the_monitoring_page_names_every_setting():
+    text = (DOCS / "monitoring.md").read_text()
+    named = set(re.findall(r"problem\.(\w+)", text))
+    assert {setting.name for setting in settings_of(FieldProblem)} <= named
+    kinds = {kind for role in ("field", "objective", "planner") for kind in catalog.kinds(role)}
+    assert kinds - {"toy"} <= names_in(DOCS / "monitoring.md")
 
 
 def _attribute(part, name):
