@@ -31,7 +31,7 @@ def settings(objective: str) -> Planning:
                 "iterations": 300,
                 "depth": 3,
                 "max_actions": 20,
-                "exploration": 10.0,
+                "exploration": 150.0,
                 "motions": {"kind": "kernel", "num_samples": NUM_SAMPLES},
             },
         }

@@ -5,6 +5,7 @@ from pathlib import Path
 
 if os.environ.setdefault("JAX_PLATFORMS", "cpu") == "cuda":
     os.environ["JAX_PLATFORMS"] = "cuda,cpu"  # what takes several devices is tested on the CPU there too
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("BOJAX_CACHE", str(Path(__file__).parents[1] / ".pytest_cache" / "jax"))
 
 import jax  # noqa: E402
@@ -17,7 +18,17 @@ STRICT = {
     "jax_debug_key_reuse": True,
     "jax_num_cpu_devices": 2,
 }
-CHECKED = ("numerics", "models", "acquisition", "motions", "problems", "planning", "experiments", "engine")
+CHECKED = (
+    "numerics",
+    "models",
+    "acquisition",
+    "motions",
+    "fields",
+    "problems",
+    "planning",
+    "experiments",
+    "engine",
+)
 """Packages whose annotations, shapes included, are checked at every call."""
 
 for flag, value in STRICT.items():

@@ -123,6 +123,19 @@ class FieldProblem(Component, frozen=True):
         return walls if walls is None else tuple(map(proper_box, walls))
 
     @pydantic.model_validator(mode="after")
+    def _target_in_domain(self) -> Self:
+        if self.target_area is not None:
+            low_x, low_y, high_x, high_y = self.target_area
+            if (
+                low_x > self.domain[2]
+                or low_y > self.domain[3]
+                or high_x < self.domain[0]
+                or high_y < self.domain[1]
+            ):
+                raise ValueError("target_area: lies outside the domain")
+        return self
+
+    @pydantic.model_validator(mode="after")
     def _free_start(self) -> Self:
         if self.start is None:
             return self
@@ -145,6 +158,9 @@ class Monitoring(FieldProblem, frozen=True):
 class _Gradients(FieldProblem, frozen=True):
     objective: Annotated[Component, Slot("objective")] = Field(
         default=Gradient(kappa=5.0), description="what a sample is worth, for the task"
+    )
+    exit_reward: float = Field(
+        default=0.0, le=0, description="paid when the border stops the robot; Chapter 3 names no such cost"
     )
     weighting: Literal["gradient", "gradient-norm", "value"] = Field(
         default="gradient",

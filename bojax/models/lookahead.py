@@ -74,38 +74,63 @@ def look_ahead(
         with_gradient: Whether to compute gradients.
     """
     posterior, number = root.posterior, points.shape[0]
-    kernel, dtype = posterior.kernel, points.dtype
+    kernel = posterior.kernel
     stage = jnp.arange(number, dtype=jnp.int32) // (number // num_stages)
     is_before = stage[None, :] < stage[:, None]
     both = is_observed[:, None] & is_observed[None, :]
-    eye = jnp.eye(number, dtype=dtype)
 
     whitened = posterior.whiten(points)  # V, [N, B]
     covariance = kernel.gram(points, points) - matmul(whitened.T, whitened)
     noise = posterior.noise(points)
     # A point that is not observed is made independent of all others.
-    joint = jnp.where(both, covariance, 0.0) + eye * jnp.where(is_observed, noise, 1.0)[:, None]
-    factor = jax.lax.linalg.cholesky(joint, symmetrize_input=False)
-    explained = jnp.where(is_before, factor, 0.0)
-    innovations = jnp.where(is_observed, innovations, 0.0)
+    own = jnp.where(is_observed, noise, 1.0)
+    joint = jnp.where(both, covariance, 0.0) + jnp.diag(own)
+    # Nothing is conditioned on the last stage: its columns are not needed.
+    num_given = number - number // num_stages
+    factor, inverse = _guarded_factor(joint, jnp.where(is_observed, noise, 0.0), num_given)
+    explained = jnp.where(is_before[:, :num_given], factor, 0.0)
+    innovations = jnp.where(is_observed, innovations, 0.0)[:num_given]
 
     mean = jax.vmap(posterior.mean)(points) + matmul(root.whitened, whitened)
     mean = mean + matmul(explained, innovations)
     variance = jnp.diagonal(covariance) - jnp.sum(explained * explained, axis=-1)
     gradient = None
     if with_gradient:
-        # A back-substitution with zeros at its end solves the leading block: one solve for all stages.
+        # Innovations of a stage and later ones count as 0: one product for all stages.
         stages = jnp.arange(num_stages, dtype=jnp.int32)
-        targets = jnp.where(stage[:, None] < stages[None, :], innovations[:, None], 0.0)
-        imagined = jax.scipy.linalg.solve_triangular(factor.T, targets, lower=False)  # [B, stages]
+        given = jnp.where(stage[:num_given, None] < stages[None, :], innovations[:, None], 0.0)
+        imagined = matmul(inverse.T, given)  # [num_given, stages]
         # A product with L^-1 from the left, as its rows lie, takes a third of the time of one with L^-T.
-        explained_away = matmul(matmul(imagined.T, whitened.T), posterior.inverse_cholesky)
+        explained_away = matmul(matmul(imagined.T, whitened[:, :num_given].T), posterior.inverse_cholesky)
         real = root.weights[None, :] - explained_away  # [stages, N]
 
         def mean_of(x, weights_real, weights_imagined):
             at_data = jax.vmap(lambda z: kernel(x, z))(posterior.x)
-            at_points = jax.vmap(lambda z: kernel(x, z))(points)
+            at_points = jax.vmap(lambda z: kernel(x, z))(points[:num_given])
             return posterior.mean(x) + jnp.sum(at_data * weights_real) + jnp.sum(at_points * weights_imagined)
 
         gradient = jax.vmap(jax.grad(mean_of))(points, real[stage], imagined.T[stage])
     return Lookahead(mean, jnp.maximum(variance, 0.0), gradient)
+
+
+def _guarded_factor(
+    a: Float[Array, "N N"], least: Float[Array, "N"], num: int
+) -> tuple[Float[Array, "N num"], Float[Array, "num num"]]:
+    """The first columns of a Cholesky factor, and the inverse of its leading block.
+
+    Squared pivots are kept at `least`, the noise, below which none is in exact arithmetic. Unrolled rank-1
+    updates of what is left: elementwise arithmetic, where a library's factor of two dozen rows takes no less
+    time, is NaN where rounding makes the matrix indefinite, and may stop a CPU (see `numerics.linalg`).
+    """
+    columns, rows = [], []
+    below = jnp.eye(num, dtype=a.dtype)
+    for k in range(num):
+        pivot = jnp.sqrt(jnp.maximum(a[0, 0], least[k]))
+        column = jnp.concatenate([pivot[None], a[1:, 0] / pivot])
+        columns.append(jnp.pad(column, (k, 0)))
+        a = a[1:, 1:] - column[1:, None] * column[None, 1:]
+        rows.append(below[0] / pivot)
+        below = below[1:] - column[1 : num - k, None] * rows[-1][None, :]
+    if not columns:
+        return jnp.zeros((a.shape[0], 0), a.dtype), below
+    return jnp.stack(columns, axis=1), jnp.stack(rows)

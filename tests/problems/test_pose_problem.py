@@ -64,7 +64,7 @@ def test_the_heading_of_the_world_is_wrapped(name):
 def test_readings_have_the_stated_standard_deviations():
     problem = parking(position_noise=0.02, heading_noise=0.3)
     worlds, paths = drives()
-    first = jax.jit(jax.vmap(problem.prior))(keys_of(0), worlds) - worlds
+    first = jax.jit(jax.vmap(lambda key, world: problem.prior(key, world, 10)))(keys_of(0), worlds) - worlds
     ends, readings, _ = execute(problem, keys_of(1), worlds, paths)
     for noise in (first, readings - ends):
         scaled = np.asarray(noise) / [0.02, 0.02, 0.3]
