@@ -21,7 +21,9 @@ def read_array(file: str) -> "np.ndarray":
         if path.suffix == ".npy":
             table = np.load(path, allow_pickle=False)
         elif path.suffix == ".csv":
-            first = path.read_text().partition("\n")[0]
+            first, _, rest = path.read_text().partition("\n")
+            if not (rest if not _is_numbers(first) else first).strip():
+                raise ValueError(f"{file}: holds no numbers")
             table = np.loadtxt(path, delimiter=",", ndmin=2, skiprows=0 if _is_numbers(first) else 1)
         else:
             raise ValueError(f"{file}: the name has to end in .npy or .csv")

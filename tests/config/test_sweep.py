@@ -27,8 +27,8 @@ def test_every_config_loads(name):
 def test_every_sweep_expands(name):
     sweep = load_sweep(name)
     assert sweep.name == name
-    variants = [(point.variant, *point.swept.values()) for point in sweep.points]
-    assert len(set(variants)) == len(variants)
+    settings = [(point.variant, *map(str, point.swept.values())) for point in sweep.points]
+    assert len(set(settings)) == len(settings)
 
 
 def test_the_parking_sweep_is_figure_4_6():
