@@ -99,9 +99,15 @@ class Results:
         return next((point for point in self.points if name in (point.name, point.variant)), None)
 
     def thesis(self, point: Point, column: str) -> Any:
-        """What `report.thesis` says of a column, for a name, a variant or a label; None where nothing."""
+        """What `report.thesis` says of a column, for a name, a variant or a label; None where nothing.
+
+        A label stands for all its variants, unless one of them has its name.
+        """
         values = _mapping(self.settings.get("thesis"))
-        for name in (point.name, point.variant, point.label):
+        names = [point.name, point.variant]
+        if all(other.variant != point.label for other in self.points):
+            names.append(point.label)
+        for name in names:
             if (value := _mapping(values.get(name)).get(column)) is not None:
                 return value
         return None

@@ -1,6 +1,7 @@
 """What a report shows of a sweep that learns a field: maps, paths into walls, errors beside the thesis's."""
 
 from html import unescape
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from bojax.report.figures.beliefs import _maps, _norms
 from bojax.report.figures.domains import DOMAINS
 from bojax.report.figures.maps import beliefs, draw_map
 from bojax.report.figures.paths import stops
-from bojax.report.source import load
+from bojax.report.source import Point, Results, load
 from bojax.report.tables import outcomes, ratios, thesis_gaps
 from tests.report.synthetic import SPACE, edit_manifest, write_monitoring
 
@@ -173,3 +174,11 @@ def test_steps_do_not_tell_when_a_run_succeeded_that_goes_on(folder, tmp_path):
         drawing(load(folder), "success")
     unaimed = load(write_monitoring(tmp_path / "unaimed", target_area=None))
     assert "success" not in outcomes(unaimed).headings
+
+
+def test_a_number_of_the_thesis_belongs_to_the_variant_of_its_name_where_there_is_one():
+    names = [("kcbts", "kcbts"), ("kcbts", "kcbts-wide"), ("sbo", "sbo-5")]
+    points = tuple(Point(i, label, variant, variant, {}, {}) for i, (label, variant) in enumerate(names))
+    thesis = {"kcbts": {"rmse": 1.0}, "sbo": {"rmse": 2.0}}
+    results = Results(Path(), {"report": {"thesis": thesis}}, points)
+    assert [results.thesis(point, "rmse") for point in points] == [1.0, None, 2.0]
