@@ -450,3 +450,22 @@ def test_blocks_for_a_batch_of_processes_are_a_loop():
         alone = one(noise[lane], x[lane], y[lane], is_valid[lane])
         for expected, found in zip(alone, batched, strict=True):
             np.testing.assert_allclose(found[lane], expected, atol=1e-11)
+
+
+@pytest.mark.parametrize("spread", [0.7, 1e-7])
+@pytest.mark.parametrize("seed", range(3))
+def test_without_noise_points_that_nearly_coincide_leave_a_finite_factor(seed, spread):
+    # Built block by block, the factor of 200 such points exploded with a floor of 10^4 rounding errors.
+    rng = np.random.default_rng(seed)
+    points = jnp.asarray(spread * rng.random((25, 8, 2)))
+    values = jnp.sin(points[..., 0]) + jnp.cos(points[..., 1])
+    prior = GaussianProcess.prior(RBF(jnp.asarray(1.0)), jnp.asarray(0.0), 200, 2)
+
+    def add(gp, block):
+        return gp.extend(*block, jnp.ones(8, bool)), None
+
+    gp, _ = jax.jit(lambda gp, blocks: jax.lax.scan(add, gp, blocks))(prior, (points, values))
+    mean, variance = predict(gp, points.reshape(-1, 2))
+    assert np.abs(gp.inverse_cholesky).max() < 1.01 / np.sqrt(noise_floor(jnp.float64))
+    np.testing.assert_allclose(mean, values.ravel(), atol=1e-3)
+    assert np.all((variance >= 0.0) & (variance < 1e-6))
