@@ -21,13 +21,11 @@ def matmul(a: Float[Array, "*a"], b: Float[Array, "*b"]) -> Float[Array, "*c"]:
 def noise_floor(dtype) -> float:
     """Least noise variance, relative to the prior variance, with which a kernel matrix is factored.
 
-    The jitter of every Gaussian process: 10^4 times the rounding error, and at least 2e-10. In the worst
-    case, a few points observed again and again without noise, an inverse Cholesky factor built row by row
-    needs 10^3 times the rounding error for 100 observations to be a factor at all (residual of
-    L^-1 (K + noise I) L^-T: 0.25; with 10^4: 0.02); 200 points that nearly coincide made it explode in
-    float64 at 3e-11, and never at 1e-10.
+    The jitter of every Gaussian process: 10^4 times the rounding error. In the worst case, a few points
+    observed again and again without noise, an inverse Cholesky factor built row by row needs 10^3 for 100
+    observations to be a factor at all (residual of L^-1 (K + noise I) L^-T: 0.25; with 10^4: 0.02).
     """
-    return max(1e4 * float(jnp.finfo(dtype).eps), 2e-10)
+    return 1e4 * float(jnp.finfo(dtype).eps)
 
 
 def one_by_one_on_cpu(function: Callable[[Array], Any]) -> Callable[[Array], Any]:

@@ -455,7 +455,7 @@ def test_blocks_for_a_batch_of_processes_are_a_loop():
 @pytest.mark.parametrize("spread", [0.7, 1e-7])
 @pytest.mark.parametrize("seed", range(3))
 def test_without_noise_points_that_nearly_coincide_leave_a_finite_factor(seed, spread):
-    # Built block by block, the factor of 200 such points exploded with a floor of 10^4 rounding errors.
+    # Rounding makes the covariance of such points indefinite: what keeps the factor finite are its pivots.
     rng = np.random.default_rng(seed)
     points = jnp.asarray(spread * rng.random((25, 8, 2)))
     values = jnp.sin(points[..., 0]) + jnp.cos(points[..., 1])
