@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int, Key, Scalar
 from bojax.acquisition.functions import Acquisition
 from bojax.acquisition.maximise import best_candidate, refine
 from bojax.acquisition.scaling import standardise
-from bojax.models.evidence import relearn
+from bojax.models.evidence import log_normal_prior, relearn
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Kernel
 from bojax.numerics.quasirandom import shifted_kronecker
@@ -98,7 +98,7 @@ class BayesianOptimisation(eqx.Module):
         """Where to evaluate next; the same state gives the same point."""
         model = _standardised(state.model)
         # Without observations every point is as good: any finite threshold does.
-        best = jnp.where(model.count > 0, jnp.max(jnp.where(_exists(model), model.y, -jnp.inf)), 0.0)
+        best = jnp.where(model.count > 0, jnp.max(jnp.where(model.is_held(), model.y, -jnp.inf)), 0.0)
         candidates = self._quasirandom(jax.random.fold_in(_stream(state, "candidates"), state.num_told))
         choice = best_candidate(self.acquisition, model, best, candidates, model.whiten(candidates))
         point = candidates[choice]
@@ -128,7 +128,7 @@ class BayesianOptimisation(eqx.Module):
 
     def best(self, state: OptimisationState) -> tuple[Float[Array, "D"], Float[Array, ""]]:
         """The point of the highest value observed, and that value; before any, the centre and -infinity."""
-        values = jnp.where(_exists(state.model), state.model.y, -jnp.inf)
+        values = jnp.where(state.model.is_held(), state.model.y, -jnp.inf)
         return self._from_unit(state.model.x[jnp.argmax(values)]), jnp.max(values)
 
     def maximise(
@@ -163,12 +163,7 @@ class BayesianOptimisation(eqx.Module):
         return state, xs, ys
 
     def _relearn(self, key: Key[Array, ""], model: GaussianProcess) -> GaussianProcess:
-        def log_prior(kernel: Kernel, noise_variance: Float[Array, ""]) -> Float[Array, ""]:
-            found = jax.tree.leaves((kernel, noise_variance))
-            given = jax.tree.leaves((self.kernel, self.noise_variance))
-            scores = [jnp.log(a / b) / PRIOR_SPREAD for a, b in zip(found, given, strict=True)]
-            return sum((-0.5 * jnp.sum(score**2) for score in scores), jnp.zeros_like(noise_variance))
-
+        log_prior = log_normal_prior(self.kernel, self.noise_variance, PRIOR_SPREAD)
         learned, _ = relearn(_standardised(model), key, log_prior=log_prior, num_starts=4)
         return eqx.tree_at(lambda gp: gp.y, learned, model.y)
 
@@ -184,12 +179,8 @@ class BayesianOptimisation(eqx.Module):
         return 2.0 * (x - self.low) / (self.high - self.low) - 1.0
 
 
-def _exists(model: GaussianProcess) -> Bool[Array, "N"]:
-    return jnp.arange(model.y.shape[0], dtype=model.count.dtype) < model.count
-
-
 def _standardised(model: GaussianProcess) -> GaussianProcess:
-    return eqx.tree_at(lambda gp: gp.y, model, standardise(model.y, _exists(model)))
+    return eqx.tree_at(lambda gp: gp.y, model, standardise(model.y, model.is_held()))
 
 
 def _stream(state: OptimisationState, name: str) -> Key[Array, ""]:

@@ -1,5 +1,6 @@
 """Settings of the fields that are monitored."""
 
+import abc
 import math
 from typing import Annotated, Any, ClassVar, Literal, Self
 
@@ -89,8 +90,9 @@ class _Measured(Component, frozen=True):
             raise ValueError(f"{self.file}: its content is not what it was: another SHA-256")
         return self
 
+    @abc.abstractmethod
     def _check(self, shape: tuple[int, ...]) -> None:
-        raise NotImplementedError
+        """Refuse a table of a shape that does not fit."""
 
 
 class Grid(_Measured, frozen=True):

@@ -16,6 +16,26 @@ LogPrior = Callable[[Kernel, Float[Array, ""]], Float[Array, ""]]
 """Logarithm of a density over a kernel and a noise variance, up to a constant."""
 
 
+def log_normal_prior(
+    kernel: Kernel, noise_variance: Float[Array, ""], spread: Float[Array, ""] | float
+) -> LogPrior:
+    """Log-normal densities of a kernel's numbers and of a noise variance, each with the one given as median.
+
+    Args:
+        kernel: Medians of the kernel's numbers.
+        noise_variance: Median of the noise variance.
+        spread: Standard deviation of the logarithms.
+    """
+    medians = jax.tree.leaves((kernel, noise_variance))
+
+    def log_prior(kernel: Kernel, noise_variance: Float[Array, ""]) -> Float[Array, ""]:
+        found = jax.tree.leaves((kernel, noise_variance))
+        scores = [jnp.log(a / b) / spread for a, b in zip(found, medians, strict=True)]
+        return sum((-0.5 * jnp.sum(score**2) for score in scores), jnp.zeros_like(noise_variance))
+
+    return log_prior
+
+
 class Optimum(eqx.Module):
     """The best of what all starts came to.
 

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from bojax.models.kernels import Kernel
 from bojax.models.means import Mean, ZeroMean
-from bojax.numerics.linalg import eigh, guarded_inverse_cholesky, inverse_cholesky, matmul, noise_floor
+from bojax.numerics.linalg import eigh, guarded_cholesky, inverse_cholesky, matmul, noise_floor
 
 NO_MEAN = ZeroMean()
 
@@ -107,7 +107,7 @@ class GaussianProcess(eqx.Module):
             count=count,
             mean=mean,
         )
-        is_held = data._is_held()
+        is_held = data.is_held()
         both = is_held[:, None] & is_held[None, :]
         noise = jnp.where(is_held, data.noise(data.x, noise_variances), 1.0)
         covariance = jnp.where(both, kernel.gram(data.x, data.x), 0.0) + jnp.diag(noise)
@@ -149,7 +149,7 @@ class GaussianProcess(eqx.Module):
         both = is_valid[:, None] & is_valid[None, :]
         complement = jnp.where(both, self.kernel.gram(xs, xs) - matmul(whitened.T, whitened), 0.0)
         complement = complement + jnp.diag(jnp.where(is_valid, noise, 1.0))
-        inverse = guarded_inverse_cholesky(complement, jnp.where(is_valid, noise, 0.0))
+        _, inverse = guarded_cholesky(complement, jnp.where(is_valid, noise, 0.0))
         place = self.count + jnp.cumsum(is_valid, dtype=self.count.dtype) - 1
         at = jnp.where(is_valid, place, capacity)
         own = jnp.zeros((xs.shape[0], capacity), xs.dtype).at[:, at].set(inverse, mode="drop")
@@ -217,7 +217,7 @@ class GaussianProcess(eqx.Module):
 
     def residuals(self) -> Float[Array, "N"]:
         """What the prior mean leaves of the observed values, y - m(X); 0 past `count`."""
-        return self.y - jnp.where(self._is_held(), jax.vmap(self.mean)(self.x), 0.0)
+        return self.y - jnp.where(self.is_held(), jax.vmap(self.mean)(self.x), 0.0)
 
     def whitened_residuals(self) -> Float[Array, "N"]:
         """L^-1 (y - m(X)): of variance 1 and independent if the model is right; 0 past `count`."""
@@ -271,14 +271,15 @@ class GaussianProcess(eqx.Module):
     def log_marginal_likelihood(self) -> Float[Array, ""]:
         """Logarithm of the density of the values observed (2.30)."""
         whitened = self.whitened_residuals()
-        pivots = jnp.where(self._is_held(), jnp.diagonal(self.inverse_cholesky), 1.0)
+        pivots = jnp.where(self.is_held(), jnp.diagonal(self.inverse_cholesky), 1.0)
         constant = 0.5 * math.log(2.0 * math.pi) * self.count.astype(whitened.dtype)
         return jnp.sum(jnp.log(pivots)) - 0.5 * jnp.sum(whitened * whitened) - constant
 
     def _prior_variance(self, xs: Float[Array, "M D"]) -> Float[Array, "M"]:
         return jax.vmap(lambda x: self.kernel(x, x))(xs)
 
-    def _is_held(self) -> Bool[Array, "N"]:
+    def is_held(self) -> Bool[Array, "N"]:
+        """Which rows hold an observation."""
         return jnp.arange(self.y.shape[0], dtype=self.count.dtype) < self.count
 
     def _is_next(self) -> Bool[Array, "N"]:

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from bojax.models.gaussian_process import GaussianProcess
-from bojax.numerics.linalg import matmul
+from bojax.numerics.linalg import guarded_cholesky, matmul
 
 
 class LookaheadRoot(eqx.Module):
@@ -33,8 +33,7 @@ class LookaheadRoot(eqx.Module):
     @classmethod
     def of(cls, posterior: GaussianProcess) -> "LookaheadRoot":
         """The root of a plan from a posterior."""
-        whitened = matmul(posterior.inverse_cholesky, posterior.residuals())
-        return cls(posterior, whitened, matmul(whitened, posterior.inverse_cholesky))
+        return cls(posterior, posterior.whitened_residuals(), posterior.weights())
 
 
 class Lookahead(eqx.Module):
@@ -87,7 +86,7 @@ def look_ahead(
     joint = jnp.where(both, covariance, 0.0) + jnp.diag(own)
     # Nothing is conditioned on the last stage: its columns are not needed.
     num_given = number - number // num_stages
-    factor, inverse = _guarded_factor(joint, jnp.where(is_observed, noise, 0.0), num_given)
+    factor, inverse = guarded_cholesky(joint, jnp.where(is_observed, noise, 0.0), num_given)
     explained = jnp.where(is_before[:, :num_given], factor, 0.0)
     innovations = jnp.where(is_observed, innovations, 0.0)[:num_given]
 
@@ -111,26 +110,3 @@ def look_ahead(
 
         gradient = jax.vmap(jax.grad(mean_of))(points, real[stage], imagined.T[stage])
     return Lookahead(mean, jnp.maximum(variance, 0.0), gradient)
-
-
-def _guarded_factor(
-    a: Float[Array, "N N"], least: Float[Array, "N"], num: int
-) -> tuple[Float[Array, "N num"], Float[Array, "num num"]]:
-    """The first columns of a Cholesky factor, and the inverse of its leading block.
-
-    Squared pivots are kept at `least`, the noise, below which none is in exact arithmetic. Unrolled rank-1
-    updates of what is left: elementwise arithmetic, where a library's factor of two dozen rows takes no less
-    time, is NaN where rounding makes the matrix indefinite, and may stop a CPU (see `numerics.linalg`).
-    """
-    columns, rows = [], []
-    below = jnp.eye(num, dtype=a.dtype)
-    for k in range(num):
-        pivot = jnp.sqrt(jnp.maximum(a[0, 0], least[k]))
-        column = jnp.concatenate([pivot[None], a[1:, 0] / pivot])
-        columns.append(jnp.pad(column, (k, 0)))
-        a = a[1:, 1:] - column[1:, None] * column[None, 1:]
-        rows.append(below[0] / pivot)
-        below = below[1:] - column[1 : num - k, None] * rows[-1][None, :]
-    if not columns:
-        return jnp.zeros((a.shape[0], 0), a.dtype), below
-    return jnp.stack(columns, axis=1), jnp.stack(rows)

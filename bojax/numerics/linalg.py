@@ -80,24 +80,43 @@ def _inverse_cholesky_jvp(primals, tangents):
     return inverse, -matmul(half, inverse)
 
 
-def guarded_inverse_cholesky(a: Float[Array, "N N"], least: Float[Array, "N"]) -> Float[Array, "N N"]:
-    """L^-1 of a covariance matrix `a = L L'`, whose squared pivots are kept at `least` against rounding.
+def guarded_cholesky(
+    a: Float[Array, "N N"], least: Float[Array, "N"], num: int | None = None
+) -> tuple[Float[Array, "N num"], Float[Array, "num num"]]:
+    """The first columns of a covariance matrix's Cholesky factor, and the inverse of its leading block.
 
-    Of a matrix with noise `least` on its diagonal no squared pivot is below it in exact arithmetic; but a
+    Squared pivots are kept at `least`, the noise on the diagonal, below which none is in exact arithmetic: a
     library's factor of the difference of two nearly equal matrices is NaN where rounding makes it indefinite.
-    For N up to about fifty: N rank-1 updates of [a | I], each elementwise arithmetic, no library call.
+    Rank-1 updates of [a | I], elementwise arithmetic without a library call; up to 32 of them unrolled.
+
+    Args:
+        a: The matrix.
+        least: Noise of each row.
+        num: Number of columns; all if left out.
     """
     n = a.shape[0]
+    num = n if num is None else num
     index = jnp.arange(n)
 
-    def eliminate(k, rows):
-        pivot = jnp.sqrt(jnp.maximum(rows[k, k], least[k]))
-        row = rows[k] / pivot
-        below = jnp.where(index > k, rows[:, k] / pivot, 0.0)
-        return jnp.where((index == k)[:, None], row[None, :], rows - below[:, None] * row[None, :])
+    def eliminate(k, carry):
+        left, right = carry
+        pivot = jnp.sqrt(jnp.maximum(left[k, k], least[k]))
+        row, inverse_row = jnp.where(index == k, pivot, left[k] / pivot), right[k] / pivot
+        below = jnp.where(index > k, left[:, k] / pivot, 0.0)[:, None]
+        is_k = (index == k)[:, None]
+        return (
+            jnp.where(is_k, row[None, :], left - below * row[None, :]),
+            jnp.where(is_k, inverse_row[None, :], right - below * inverse_row[None, :]),
+        )
 
-    rows = jnp.concatenate([a, jnp.eye(n, dtype=a.dtype)], axis=1)
-    return jax.lax.fori_loop(0, n, eliminate, rows)[:, n:]
+    start = a, jnp.eye(n, num, dtype=a.dtype)
+    if num <= 32:
+        left, right = start
+        for k in range(num):
+            left, right = eliminate(k, (left, right))
+    else:
+        left, right = jax.lax.fori_loop(0, num, eliminate, start)
+    return jnp.tril(left[:num].T), right[:num]
 
 
 @one_by_one_on_cpu

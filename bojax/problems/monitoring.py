@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key, Scalar
 
 from bojax.fields.base import Field
-from bojax.models.evidence import relearn
+from bojax.models.evidence import log_normal_prior, relearn
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Kernel
 from bojax.models.lookahead import LookaheadRoot, look_ahead
@@ -230,13 +230,7 @@ class FieldMonitoring(Problem):
 
         Each has a log-normal prior around its setting: a few samples alone say little about a lengthscale.
         """
-        centre = jax.tree.leaves((self.kernel, self.noise_variance))
-
-        def log_prior(kernel: Kernel, noise_variance: Float[Array, ""]) -> Float[Array, ""]:
-            leaves = jax.tree.leaves((kernel, noise_variance))
-            off = [jnp.sum(jnp.log(a / b) ** 2) for a, b in zip(leaves, centre, strict=True)]
-            return -0.5 * sum(off[1:], off[0]) / self.relearn_spread**2
-
+        log_prior = log_normal_prior(self.kernel, self.noise_variance, self.relearn_spread)
         return relearn(posterior, key, log_prior=log_prior, num_starts=RELEARN_STARTS)[0]
 
     def reward(
@@ -358,7 +352,6 @@ class FieldMonitoring(Problem):
         mean, variance = self._predict(belief, grid)
         posterior = belief.posterior
         samples = jnp.concatenate([posterior.x, posterior.y[:, None]], axis=-1)
-        is_taken = jnp.arange(samples.shape[0], dtype=posterior.count.dtype) < posterior.count
         shape = (self.resolution, self.resolution)
         return {
             "belief": {
@@ -367,7 +360,7 @@ class FieldMonitoring(Problem):
                 "truth": self.field.values(grid).reshape(shape),
                 "mean": mean.reshape(shape),
                 "std": jnp.sqrt(variance).reshape(shape),
-                "samples": jnp.where(is_taken[:, None], samples, jnp.nan),
+                "samples": jnp.where(posterior.is_held()[:, None], samples, jnp.nan),
             }
         }
 

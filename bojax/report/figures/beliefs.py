@@ -53,7 +53,7 @@ def draw(results: Results) -> Drawing:
         bar = figure.colorbar(
             image, ax=list(grid[:, columns].flat), location="bottom", aspect=9 * len(columns)
         )
-        bar.outline.set_visible(False)  # type: ignore[operator]
+        bar.ax.spines["outline"].set_visible(False)
         bar.ax.xaxis.set_major_locator(MaxNLocator(nbins=2 + len(columns)))
         bar.ax.tick_params(length=2, labelsize=8.5)
     runs = sorted({run for run, _ in chosen})

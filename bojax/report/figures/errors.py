@@ -31,7 +31,7 @@ def draw(results: Results) -> Drawing:
     names = [style.wrapped(point.name, 16) for point in points]
     height = max(0.24, 0.06 + 0.17 * max(name.count("\n") + 1 for name in names))
     figure, grid = style.figure(rows * (0.75 + height * len(points)) + 0.15 * (rows > 1), rows, len(columns))
-    figure.get_layout_engine().set(wspace=0.1)  # type: ignore[union-attr]
+    figure.set_layout_engine("constrained", wspace=0.1)
     told = []
     for place, column in enumerate(columns):
         means = [statistics.mean_interval(results.runs_of(point)[column]) for point in points]
