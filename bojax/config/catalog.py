@@ -1,20 +1,37 @@
 """Every built-in schema class: importing this module registers them all."""
 
-from bojax.config import claims, experiments, fields, models, motions, objectives, planners, problems
+from bojax.config import (
+    claims,
+    envs,
+    experiments,
+    fields,
+    learners,
+    models,
+    motions,
+    objectives,
+    planners,
+    problems,
+    schedules,
+    tabular,
+)
 from bojax.config.component import Component, registry
 
 __all__ = [
     "PROTOCOLS",
     "ROLES",
     "claims",
+    "envs",
     "experiments",
     "fields",
     "kinds",
+    "learners",
     "models",
     "motions",
     "objectives",
     "planners",
     "problems",
+    "schedules",
+    "tabular",
 ]
 
 ROLES = {
@@ -23,6 +40,8 @@ ROLES = {
     "env": "environments",
     "planner": "planners",
     "learner": "learners",
+    "schedule": "schedules of exploration",
+    "features": "features of states and actions",
     "motions": "families of trajectories",
     "field": "fields",
     "objective": "worths of a sample of a field",
@@ -36,6 +55,9 @@ PROTOCOLS = {
     "experiment": "bojax.experiments.base:Experiment",
     "problem": "bojax.problems.base:Problem",
     "planner": "bojax.planning.base:Planner",
+    "env": "bojax.envs.base:Env",
+    "learner": "bojax.learning.base:Learner",
+    "schedule": "bojax.learning.schedules:Schedule",
     "field": "bojax.fields.base:Field",
     "objective": "bojax.problems.objectives:FieldObjective",
     "kernel": "bojax.models.kernels:Kernel",

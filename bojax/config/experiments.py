@@ -9,6 +9,7 @@ from bojax.config.component import Component, External, Slot
 from bojax.config.motions import KernelTrajectories
 from bojax.config.planners import KCBTS
 from bojax.config.problems import FieldProblem, Parking
+from bojax.config.schedules import Constant, Exploit, UntilTarget
 
 
 class _Experiment(Component, frozen=True):
@@ -42,6 +43,51 @@ class Planning(_Experiment, frozen=True):
     def label(self) -> str:
         """The planner's name."""
         return self.planner.label
+
+
+class Learning(_Experiment, frozen=True):
+    """Episodes of a learner in an environment, with test episodes in between (thesis, Algorithm 5)."""
+
+    target: ClassVar[str] = "bojax.experiments.learning:LearningRun"
+
+    kind: Literal["learning"] = "learning"
+    dtype: Literal["float64", "float32"] = Field(default="float32", description="precision of every number")
+    env: Annotated[Component, Slot("env")] = Field(description="what is learned on")
+    learner: Annotated[Component, Slot("learner")] = Field(description="who learns")
+    schedule: Annotated[Component, Slot("schedule")] = Field(
+        default=Constant(), description="how exploration changes over the episodes"
+    )
+    episodes: int = Field(default=100, ge=1, description="training episodes")
+    stop: Literal["never", "first-success", "target"] = Field(
+        default="never", description="when a run may end before that"
+    )
+    tests: int = Field(
+        default=0, ge=0, description="test episodes, which exploit and learn nothing, after each episode"
+    )
+    target_return: float | None = Field(
+        default=None, description="return that each of these tests has to exceed; null for no target"
+    )
+    map_episodes: tuple[Annotated[int, Field(ge=1)], ...] = Field(
+        default=(), strict=False, description="episodes after which maps of Q and U are kept"
+    )
+    map_resolution: int = Field(default=48, ge=2, description="cells of a map along a dimension")
+    saved: str | None = Field(default=None, description="folder of a saved learner to begin with")
+
+    @pydantic.model_validator(mode="after")
+    def _target_is_tested(self) -> Self:
+        needs = self.stop == "target" or isinstance(self.schedule, UntilTarget)
+        if needs and self.target_return is None:
+            raise ValueError("target_return: a number is needed: something waits until it is reached")
+        if self.target_return is not None and not self.tests:
+            raise ValueError("tests: at least 1 is needed, since target_return is what they have to exceed")
+        if self.saved is not None and not isinstance(self.schedule, Exploit):
+            raise ValueError("schedule: a saved learner is evaluated, not trained: exploit is what it takes")
+        return self
+
+    @property
+    def label(self) -> str:
+        """The learner's name."""
+        return self.learner.label
 
 
 class Trajectories(_Experiment, frozen=True):

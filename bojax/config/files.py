@@ -6,6 +6,9 @@ from pathlib import Path
 from bojax.config.errors import ConfigError, did_you_mean
 
 SUFFIXES = (".yaml", ".yml")
+EXPERIMENT = "experiment.yaml"
+"""The config in the folder of a saved learner."""
+
 _PACKAGE = Path(__file__).resolve().parent.parent
 
 
@@ -39,6 +42,8 @@ def find(source: str, folder: str, beside: Sequence[Path] = ()) -> Path:
                 candidate = place / f"{source}{suffix}"
                 if candidate.is_file():
                     return candidate
+    if (path / EXPERIMENT).is_file():  # a saved learner
+        return path / EXPERIMENT
     if path.is_dir():
         raise ConfigError(f"{source}: is a folder; a YAML file, or a name in {folder}/, is expected")
     if path.is_file():

@@ -12,6 +12,7 @@ class Record(Schema, frozen=True):
     """Which runs leave more than their tables."""
 
     runs: int = Field(default=8, ge=0, description="arrays are kept of runs with an index below this")
+    learners: bool = Field(default=False, description="whether what those runs learned is kept too")
 
 
 class EngineConfig(Schema, frozen=True):

@@ -151,7 +151,11 @@ def load_config(
     if {"base", "axes", "alias"} & mapping.keys():
         raise ConfigError(f"{file}: is a sweep, not an experiment; start it by: bojax sweep {source}")
     changes = _changes(overrides, runs, seed)
-    settings, experiment = _override(*split(mapping), changes)
+    settings, experiment = split(mapping)
+    saved = experiment.get("saved")
+    if isinstance(saved, str) and (path.parent / saved).exists():  # relative to the file that names it
+        experiment["saved"] = str(path.parent / saved)
+    settings, experiment = _override(settings, experiment, changes)
     origin = Origin(
         base=lambda location: f"{file}: {dotted(location)}",
         file=file,

@@ -27,9 +27,3 @@ def out_of_memory(error: BaseException, lanes_per_device: int) -> EngineError | 
         f"try engine.lanes_per_device={smaller} and a new --out",
         FAILURE,
     )
-
-
-def one_line(error: BaseException) -> str:
-    """The type of an exception and the first line of its message."""
-    text = str(error).strip().splitlines()
-    return f"{type(error).__name__}: {text[0]}" if text else type(error).__name__

@@ -26,7 +26,7 @@ def make_plan(
         {
             "runs": sweep.runs,
             "seed": sweep.seed,
-            "record": {"runs": sweep.record.runs},
+            "record": sweep.record.model_dump(),
             "config": sweep.base,
             "points": [
                 {

@@ -64,9 +64,9 @@ def check_summary(experiment: Experiment, summary: Mapping[str, Array]) -> None:
 def _check_columns(experiment: Experiment, where: str, columns: Mapping[str, Array], table: Table) -> None:
     _compare_names(experiment, where, columns, column_names(table))
     for column in table:
-        dtype = columns[column.name].dtype
-        if column.dtype == "string" or not np.can_cast(dtype, np.dtype(column.dtype), "same_kind"):
-            raise _error(experiment, f"{where}: {column.name!r} is {dtype}, but `tables` says {column.dtype}")
+        dtype, declared = columns[column.name].dtype, "int32" if column.words else column.dtype
+        if declared == "string" or not np.can_cast(dtype, np.dtype(declared), "same_kind"):
+            raise _error(experiment, f"{where}: {column.name!r} is {dtype}, but `tables` says {declared}")
 
 
 def _compare_names(experiment: Experiment, where: str, found: Iterable[str], declared: Iterable[str]) -> None:

@@ -10,8 +10,8 @@ from bojax.config.errors import ConfigError
 from bojax.engine.batch import Compiled
 from bojax.engine.build import build
 from bojax.engine.chunks import Chunk, cut
-from bojax.engine.devices import choose_lanes, find_devices, make_mesh, prepare
-from bojax.engine.errors import FAILURE, EngineError, one_line, out_of_memory
+from bojax.engine.devices import LANES_ON_ACCELERATOR, choose_lanes, find_devices, make_mesh, prepare
+from bojax.engine.errors import FAILURE, EngineError, out_of_memory
 from bojax.engine.groups import StaticGroup, static_groups
 from bojax.engine.latency import measure_latency
 from bojax.engine.manifest import describe_chunk, describe_group, describe_sweep, timings
@@ -23,7 +23,7 @@ from bojax.engine.signals import StopRequest
 from bojax.results.folder import RunFolder, check_finished, choose_folder, is_unfinished
 from bojax.results.merge import RUNS, PointInfo, merge
 from bojax.results.parts import ChunkFolder
-from bojax.results.store import MANIFEST, ResultsError, write_atomically, write_json, write_table
+from bojax.results.store import MANIFEST, ResultsError, one_line, write_atomically, write_json, write_table
 
 if TYPE_CHECKING:
     from bojax.config.sweep import Sweep
@@ -109,7 +109,10 @@ class SweepRun:
 
     def _choose_lanes(self, group: StaticGroup) -> int:
         num_lanes, given = len(group.points) * self._sweep.runs, self._sweep.engine.lanes_per_device
-        return choose_lanes(self._device["platform"], num_lanes, len(self._devices), given)
+        limit = LANES_ON_ACCELERATOR
+        if self._device["platform"] == "cpu":
+            limit = self._modules[group.points[0]].lanes_on_cpu
+        return choose_lanes(num_lanes, len(self._devices), limit, given)
 
     def _cut(self) -> list[Chunk]:
         configs = [point["config"] for point in self.plan["points"]]
@@ -174,7 +177,10 @@ class SweepRun:
         return ChunkRunner(
             program=program,
             tables=self._modules[group.points[0]].tables,
+            recorded_tables=self._modules[group.points[0]].recorded_tables,
             recorded_runs=recorded,
+            saves_learners=self._sweep.record.learners,
+            configs=[point["config"] for point in self.plan["points"]],
             segment_seconds=engine.segment_seconds,
             checkpoint_seconds=engine.checkpoint_seconds,
             progress=progress,

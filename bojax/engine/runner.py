@@ -1,13 +1,15 @@
 """Runs one chunk: segments of advances, a part for each, checkpoints now and then, a summary at the end."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import numpy as np
+import yaml
 
-from bojax.engine import checkpoint
+from bojax.config.files import EXPERIMENT
 from bojax.engine.batch import Compiled, Lanes
 from bojax.engine.chunks import Chunk
 from bojax.engine.errors import FAILURE, EngineError
@@ -15,12 +17,27 @@ from bojax.engine.progress import SweepProgress
 from bojax.engine.segments import Segment, fetch_rows, run_segment
 from bojax.engine.signals import StopRequest
 from bojax.experiments.base import Carry
+from bojax.numerics import checkpoint
 from bojax.results.parts import ChunkFolder
 from bojax.results.schema import Table
+from bojax.results.store import write_atomically
 from bojax.results.tables import KEYS, to_arrow
 
 AT_END = "end"
 """When a finished run's snapshot was taken."""
+
+LEARNED = "learned"
+"""Name of a saved learner's arrays, beside the config that evaluates it."""
+
+EVALUATION_EPISODES = 20
+"""Episodes of an evaluation, unless `episodes=` says otherwise."""
+
+
+def evaluation(config: Mapping[str, Any]) -> dict[str, Any]:
+    """The experiment that evaluates what the experiment of this config has learned."""
+    kept = {name: value for name, value in config.items() if name not in ("kind", "target_return", "tests")}
+    changed = {"saved": LEARNED, "schedule": "exploit", "episodes": EVALUATION_EPISODES, "stop": "never"}
+    return {"experiment": config["kind"], **kept, **changed, "map_episodes": []}
 
 
 @dataclass(frozen=True)
@@ -30,7 +47,10 @@ class ChunkRunner:
     Attributes:
         program: The compiled group.
         tables: Schemas of the experiment's tables.
-        recorded_runs: Snapshots are kept for run indices below this.
+        recorded_tables: Tables of which only the recorded runs' rows are kept.
+        recorded_runs: Run indices below this are recorded: they leave snapshots, and learners if asked for.
+        saves_learners: Whether they do.
+        configs: Resolved config of each point.
         segment_seconds: Wall time of a segment.
         checkpoint_seconds: Least time between two checkpoints.
         progress: Told of every segment.
@@ -39,7 +59,10 @@ class ChunkRunner:
 
     program: Compiled
     tables: Mapping[str, Table]
+    recorded_tables: frozenset[str]
     recorded_runs: int
+    saves_learners: bool
+    configs: Sequence[Mapping[str, Any]]
     segment_seconds: float
     checkpoint_seconds: float
     progress: SweepProgress
@@ -73,7 +96,7 @@ class ChunkRunner:
         if left <= 0:
             raise EngineError(f"{state.remaining} runs are not done after {state.advances} advances", FAILURE)
         segment = run_segment(program, carry, lanes, state.remaining, self.segment_seconds, left, self.stop)
-        rows = fetch_rows(segment.records, self.tables, chunk.points, chunk.runs)
+        rows = fetch_rows(segment.records, self.tables, chunk.points, chunk.runs, self._kept(chunk))
         tables = {name: to_arrow(KEYS + self.tables[name], columns) for name, columns in rows.items()}
         files.write_part(tables)
         state.advances += segment.advances
@@ -94,12 +117,32 @@ class ChunkRunner:
         columns = {name: values[: chunk.num_lanes] for name, values in summary.items()}
         table = to_arrow(KEYS + self.tables["runs"], {"point": chunk.points, "run": chunk.runs} | columns)
         files.write_part({"runs": table})
-        recorded = np.nonzero(chunk.runs < self.recorded_runs)[0]
+        recorded = self._recorded(chunk)
         if recorded.size:
             for name, arrays in jax.device_get(self.program.snapshot(carry, lanes)).items():
                 for lane in recorded:
                     kept = {key: values[lane] for key, values in arrays.items()}
                     files.write_snapshot(int(chunk.points[lane]), int(chunk.runs[lane]), name, AT_END, kept)
+        if recorded.size and self.saves_learners:
+            self._save_learners(chunk, carry, lanes, files, recorded)
         files.state.is_done, files.state.checkpoint = True, None
         files.commit()
         self.progress.end_chunk()
+
+    def _save_learners(
+        self, chunk: Chunk, carry: Carry, lanes: Lanes, files: ChunkFolder, recorded: np.ndarray
+    ) -> None:
+        learned = self.program.keepsake(carry, lanes)
+        for lane in recorded if jax.tree.leaves(learned) else ():
+            point, run = int(chunk.points[lane]), int(chunk.runs[lane])
+            folder = files.learner_folder(point, run)
+            text = yaml.safe_dump(evaluation(self.configs[point]), sort_keys=False)
+            write_atomically(folder / EXPERIMENT, lambda temporary, text=text: temporary.write_text(text))
+            checkpoint.save(folder / LEARNED, jax.tree.map(lambda leaf, lane=lane: leaf[lane], learned))
+
+    def _recorded(self, chunk: Chunk) -> np.ndarray:
+        """The lanes of recorded runs."""
+        return np.nonzero(chunk.runs < self.recorded_runs)[0]
+
+    def _kept(self, chunk: Chunk) -> dict[str, np.ndarray]:
+        return dict.fromkeys(self.recorded_tables, self._recorded(chunk))

@@ -8,6 +8,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from jaxtyping import Array
 
 from bojax.engine.batch import Compiled, Lanes, Status
 from bojax.engine.protocol import VALID
@@ -108,7 +109,11 @@ def run_segment(
 
 
 def fetch_rows(
-    records: Sequence[Any], tables: Mapping[str, Table], points: np.ndarray, runs: np.ndarray
+    records: Sequence[Any],
+    tables: Mapping[str, Table],
+    points: np.ndarray,
+    runs: np.ndarray,
+    kept: Mapping[str, np.ndarray],
 ) -> dict[str, Rows]:
     """The valid rows of a segment's records, `{table: {column: [rows]}}`, with their points and runs.
 
@@ -117,12 +122,15 @@ def fetch_rows(
         tables: Schemas of the tables.
         points: Point of each real lane; the lanes after them have no valid rows.
         runs: Run of each real lane.
+        kept: Lanes whose rows are wanted, of the tables where that is not all of them.
     """
-    fetched = jax.device_get(records)
+    fetched = jax.device_get([_lanes_of(advance, kept) for advance in records])
     rows: dict[str, Rows] = {}
     for name in fetched[0] if fetched else ():
         found = [np.nonzero(advance[name][VALID]) for advance in fetched]
         lanes = np.concatenate([lane for lane, _ in found])
+        if name in kept:
+            lanes = kept[name][lanes]
         rows[name] = {"point": points[lanes], "run": runs[lanes]} | {
             column.name: np.concatenate(
                 [advance[name][column.name][where] for advance, where in zip(fetched, found, strict=True)]
@@ -130,3 +138,11 @@ def fetch_rows(
             for column in tables[name]
         }
     return rows
+
+
+def _lanes_of(tables: Mapping[str, Mapping[str, Array]], kept: Mapping[str, np.ndarray]) -> Any:
+    """The tables, with the rows of the wanted lanes alone: the others never leave the device."""
+    return {
+        name: {key: column[kept[name]] for key, column in columns.items()} if name in kept else columns
+        for name, columns in tables.items()
+    }

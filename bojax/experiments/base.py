@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
-from jaxtyping import Array, Bool, Int, Key, Scalar
+from jaxtyping import Array, Bool, Int, Key, PyTree, Scalar
 
 from bojax.results.schema import Table
 
@@ -41,6 +41,20 @@ class Experiment(eqx.Module):
         """Columns of every table: `"runs"` are those of `summary`, all others those of `Records`."""
 
     @property
+    def recorded_tables(self) -> frozenset[str]:
+        """Tables of which only the recorded runs' rows are kept (`record.runs`)."""
+        return frozenset()
+
+    @property
+    def lanes_on_cpu(self) -> int:
+        """Most lanes per device of a CPU where the config says nothing.
+
+        Measured on one core with 200 runs of SBO on the parking problem: 2,400 steps/s at 50 lanes, 1,500
+        to 1,800 at 100 and 200, 1,600 at 4. Many lanes leave the cache, and wait longer for the slowest.
+        """
+        return 64
+
+    @property
     @abc.abstractmethod
     def max_advances(self) -> int:
         """Number of advances after which every lane is done."""
@@ -65,3 +79,8 @@ class Experiment(eqx.Module):
         """Arrays worth keeping for the recorded runs: `{name: {array name: array}}`."""
         del carry
         return {}
+
+    def keepsake(self, carry: Carry) -> PyTree:
+        """What of a finished run can be loaded and used again: a tree of arrays, None where there is none."""
+        del carry
+        return None

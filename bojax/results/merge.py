@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 
 from bojax.results.parts import ChunkFolder
-from bojax.results.store import ARRAYS, explained, write_table
+from bojax.results.store import ARRAYS, LEARNERS, explained, write_table
 from bojax.results.tables import count_nans, sort_rows
 
 RUNS = "runs"
@@ -50,6 +50,12 @@ def merge(
             (folder / ARRAYS).mkdir(exist_ok=True)
             for path in arrays:
                 os.replace(path, folder / ARRAYS / path.name)
+    learners = [path for chunk in chunks for path in chunk.learners()]
+    if learners:
+        with explained(folder / LEARNERS):
+            (folder / LEARNERS).mkdir(exist_ok=True)
+            for path in learners:
+                os.replace(path, folder / LEARNERS / path.name)
     return nans
 
 

@@ -11,6 +11,7 @@ import pyarrow.parquet as pq
 
 from bojax.results.store import (
     ARRAYS,
+    LEARNERS,
     ResultsError,
     array_file,
     explained,
@@ -83,6 +84,17 @@ class ChunkFolder:
     ) -> None:
         """Keep named arrays of one run."""
         write_arrays(self.path / ARRAYS / array_file(point, run, name, when), arrays)
+
+    def learner_folder(self, point: int, run: int) -> Path:
+        """A folder for what a run has learned."""
+        folder = self.path / LEARNERS / f"{point}-{run}"
+        with explained(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+        return folder
+
+    def learners(self) -> Iterator[Path]:
+        """Folders of the saved learners."""
+        return (self.path / LEARNERS).glob("*-*")
 
     def checkpoint_path(self) -> Path:
         """Where the checkpoint of the present number of advances goes."""

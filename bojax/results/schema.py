@@ -16,7 +16,9 @@ class Column:
         dtype: Type of its values.
         unit: Unit of its values ("m", "rad", "s"); empty where there is none.
         doc: One sentence on its meaning.
-        nullable: Compiled code has no null: there, a nullable integer says -1, which is stored as null.
+        nullable: Compiled code has no null: there, a nullable integer says -1 and a nullable number NaN,
+            which are stored as null.
+        words: Compiled code has no text: there, a column of text says the place of its word in this list.
     """
 
     name: str
@@ -24,10 +26,13 @@ class Column:
     unit: str = ""
     doc: str = ""
     nullable: bool = False
+    words: tuple[str, ...] = ()
 
     def __post_init__(self):
-        if self.nullable and self.dtype not in ("int32", "int64"):
-            raise ValueError(f"column {self.name}: only integer columns can be nullable, not {self.dtype}")
+        if self.nullable and self.dtype in ("bool", "string"):
+            raise ValueError(f"column {self.name}: only columns of numbers can be nullable, not {self.dtype}")
+        if self.words and self.dtype != "string":
+            raise ValueError(f"column {self.name}: only columns of text have words, not {self.dtype}")
 
 
 Table: TypeAlias = tuple[Column, ...]

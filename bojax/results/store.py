@@ -14,6 +14,7 @@ import pyarrow.parquet as pq
 
 MANIFEST = "manifest.json"
 ARRAYS = "arrays"
+LEARNERS = "learners"
 WORK = ".work"
 """Hidden subfolder of parts and checkpoints: a results folder that has one is unfinished."""
 
@@ -31,6 +32,12 @@ class ResultsError(Exception):
     def __init__(self, message: str, exit_code: int = 2):
         super().__init__(message)
         self.exit_code = exit_code
+
+
+def one_line(error: BaseException) -> str:
+    """The type of an exception and the first line of its message."""
+    text = str(error).strip().splitlines()
+    return f"{type(error).__name__}: {text[0]}" if text else type(error).__name__
 
 
 @contextmanager

@@ -33,13 +33,16 @@ def arrow_schema(table: Table) -> pa.Schema:
 
 
 def to_arrow(table: Table, columns: Mapping[str, np.ndarray]) -> pa.Table:
-    """Columns as an Arrow table; -1 in a nullable column is null."""
+    """Columns as an Arrow table; -1 or NaN in a nullable column is null, and a place becomes its word."""
     schema = arrow_schema(table)
     arrays = []
     for column, field in zip(table, schema, strict=True):
         values = np.asarray(columns[column.name])
-        mask = values == -1 if column.nullable else None
-        arrays.append(pa.array(values, mask=mask).cast(field.type))
+        if column.words:
+            arrays.append(pa.array(column.words, field.type).take(pa.array(values)))
+            continue
+        null = np.isnan(values) if values.dtype.kind == "f" else values == -1
+        arrays.append(pa.array(values, mask=null if column.nullable else None).cast(field.type))
     return pa.Table.from_arrays(arrays, schema=schema)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bojax.engine.chunks import cut
-from bojax.engine.devices import DEFAULT_LANES, choose_lanes
+from bojax.engine.devices import choose_lanes
 from bojax.engine.groups import static_groups
 from tests.toy import toy
 
@@ -56,13 +56,12 @@ def test_identity_is_of_all_that_rows_depend_on():
         (3, 8, None, 1),
     ],
 )
-def test_lanes_per_device(monkeypatch, num_lanes, num_devices, given, expected):
-    monkeypatch.setitem(DEFAULT_LANES, "cpu", 256)
-    assert choose_lanes("cpu", num_lanes, num_devices, given) == expected
+def test_lanes_per_device(num_lanes, num_devices, given, expected):
+    assert choose_lanes(num_lanes, num_devices, 256, given) == expected
 
 
 def test_defaults_waste_few_lanes():
     for num_lanes in np.arange(1, 3000, 37).tolist():
-        lanes = choose_lanes("cpu", num_lanes, 4, None)
+        lanes = choose_lanes(num_lanes, 4, 64, None)
         chunks = -(-num_lanes // (4 * lanes))
         assert chunks * 4 * lanes - num_lanes < 4 * chunks

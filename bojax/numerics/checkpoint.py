@@ -1,4 +1,4 @@
-"""Checkpoints of a carry: Orbax's v1 API, typed keys as their data, restored to a target and shardings."""
+"""Trees of arrays on disk: Orbax's v1 API, typed keys as their data, restored to a target and shardings."""
 
 import contextlib
 import logging
@@ -9,19 +9,17 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, PyTree
 
-from bojax.engine.errors import one_line
-from bojax.experiments.base import Carry
-from bojax.results.store import ResultsError
+from bojax.results.store import ResultsError, one_line
 
 
-def save(path: Path, carry: Carry) -> None:
-    """Write a checkpoint; Orbax renames it into place when it is whole.
+def save(path: Path, tree: PyTree[Array]) -> None:
+    """Write a tree; Orbax renames it into place when it is whole.
 
     Raises:
         ResultsError: it could not be written.
     """
     ocp = _orbax()
-    leaves = {_name(i): _plain(leaf) for i, leaf in enumerate(jax.tree.leaves(carry))}
+    leaves = {_name(i): _plain(leaf) for i, leaf in enumerate(jax.tree.leaves(tree))}
     try:
         with _quiet():
             ocp.save(str(path.resolve()), leaves, overwrite=True)
@@ -33,8 +31,8 @@ def save(path: Path, carry: Carry) -> None:
         raise ResultsError(f"{path}: the checkpoint cannot be written ({one_line(error)})", 1) from error
 
 
-def restore(path: Path, structure: PyTree[jax.ShapeDtypeStruct]) -> Carry:
-    """Read a checkpoint into the given structure, each leaf with its sharding.
+def restore(path: Path, structure: PyTree[jax.ShapeDtypeStruct]) -> PyTree[Array]:
+    """Read a tree into the given structure, each leaf with its sharding where it has one.
 
     Raises:
         ResultsError: it is missing, truncated, or of another structure.

@@ -5,10 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bojax.engine import checkpoint
 from bojax.engine.batch import Compiled
 from bojax.engine.devices import make_mesh
 from bojax.engine.groups import static_groups
+from bojax.numerics import checkpoint
 from bojax.results.store import ResultsError
 from tests.toy import toy
 

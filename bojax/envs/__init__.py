@@ -1,0 +1,1 @@
+"""What is learned on: environments with declared bounds, written for one lane."""

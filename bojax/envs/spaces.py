@@ -1,0 +1,54 @@
+"""The spaces of observations and actions: a box of numbers, or some of a kind."""
+
+from typing import TypeAlias
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+
+class Box(eqx.Module):
+    """Vectors between two bounds; what lies outside them is no error, and is not clipped here.
+
+    Attributes:
+        low: Lower bound of each dimension, in its unit.
+        high: Upper bound.
+    """
+
+    low: Float[Array, "D"]
+    high: Float[Array, "D"]
+
+    @property
+    def num_dims(self) -> int:
+        """Number of dimensions."""
+        return self.low.shape[0]
+
+    def to_unit(self, x: Float[Array, "*N D"]) -> Float[Array, "*N D"]:
+        """Map the bounds to 0 and 1."""
+        return (x - self.low) / (self.high - self.low)
+
+    def from_unit(self, u: Float[Array, "*N D"]) -> Float[Array, "*N D"]:
+        """Map 0 and 1 to the bounds."""
+        return self.low + u * (self.high - self.low)
+
+
+class Discrete(eqx.Module):
+    """The integers 0, ..., num - 1.
+
+    Attributes:
+        num: How many there are.
+    """
+
+    num: int = eqx.field(static=True)
+
+    @property
+    def num_dims(self) -> int:
+        """Number of dimensions of what `to_unit` gives."""
+        return 1
+
+    def to_unit(self, x: Int[Array, "*N"]) -> Float[Array, "*N 1"]:
+        """Map the first one to 0 and the last one to 1."""
+        return (x / max(self.num - 1, 1)).astype(jnp.result_type(float))[..., None]
+
+
+Space: TypeAlias = Box | Discrete

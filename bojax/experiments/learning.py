@@ -1,0 +1,532 @@
+"""A learning run: episodes of a learner in an environment, with test episodes in between."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, Key, Scalar
+
+from bojax.envs.base import Action, Env, EnvState, Observation, Transition
+from bojax.envs.spaces import Box
+from bojax.experiments.base import Experiment, Records
+from bojax.learning.base import Balance, Episode, Experience, Learner, LearnerState
+from bojax.learning.schedules import Schedule
+from bojax.numerics.checkpoint import restore
+from bojax.numerics.lanes import any_lane
+from bojax.results.schema import Column, Table
+
+PHASES = ("train", "test")
+"""What an episode is for; the column `phase` holds the place in this list until it is stored."""
+
+
+class Trial(eqx.Module):
+    """One episode on its way.
+
+    Attributes:
+        env: State of the environment.
+        observation: What was seen last.
+        learner: What has been learned up to now.
+        is_active: The episode goes on.
+        total: Sum of the rewards so far.
+        length: Steps made.
+        terminated: It ended in an absorbing state.
+        truncated: It was cut off.
+        success: The goal was reached.
+        failed: The environment returned a number that is none.
+        steps: Every step, `[T, ...]`.
+        expected: Return that the learner expected of each action, `[T]`.
+    """
+
+    env: EnvState
+    observation: Observation
+    learner: LearnerState
+    is_active: Bool[Array, ""]
+    total: Float[Array, ""]
+    length: Int[Array, ""]
+    terminated: Bool[Array, ""]
+    truncated: Bool[Array, ""]
+    success: Bool[Array, ""]
+    failed: Bool[Array, ""]
+    steps: Experience
+    expected: Float[Array, "T"]
+
+
+class Run(eqx.Module):
+    """The state of a run.
+
+    Attributes:
+        key: Key of everything that the run draws.
+        learner: What has been learned.
+        episode: Training episodes done.
+        steps: Training steps made.
+        is_done: The run is over.
+        last_return: Return of the last training episode.
+        episodes_to_goal: Training episodes up to the first with success, that one included; -1 before.
+        steps_to_goal: Training steps up to that success; -1 before.
+        episodes_to_target: Training episodes after which the test episodes reached the target; -1 before.
+        tests_after: Number of test episodes after that.
+        return_after: Sum of their returns.
+        maps: Q and U over the observations, after each of `map_episodes`; NaN before.
+    """
+
+    key: Key[Array, ""]
+    learner: LearnerState
+    episode: Int[Array, ""]
+    steps: Int[Array, ""]
+    is_done: Bool[Array, ""]
+    last_return: Float[Array, ""]
+    episodes_to_goal: Int[Array, ""]
+    steps_to_goal: Int[Array, ""]
+    episodes_to_target: Int[Array, ""]
+    tests_after: Int[Array, ""]
+    return_after: Float[Array, ""]
+    maps: Float[Array, "K 2 *grid"]
+
+
+class LearningRun(Experiment):
+    """Episodes of a learner in an environment (Algorithm 5); an advance is one of them, with its tests.
+
+    Attributes:
+        env: The environment.
+        learner: Who learns.
+        schedule: How exploration changes from episode to episode.
+        target_return: Return that every test episode of a round has to exceed; None for no target.
+        episodes: Training episodes.
+        stop: When a run may end early: at its first success, or once the target is reached.
+        tests: Test episodes after each training episode: exploitation alone, without learning.
+        map_episodes: Training episodes after which Q and U are kept over the first two observations.
+        map_resolution: Cells of such a map along a dimension.
+        saved: Folder of a saved learner to begin with.
+    """
+
+    env: Env
+    learner: Learner
+    schedule: Schedule
+    target_return: Float[Array, ""] | None
+    episodes: int = eqx.field(static=True)
+    stop: Literal["never", "first-success", "target"] = eqx.field(static=True)
+    tests: int = eqx.field(static=True)
+    map_episodes: tuple[int, ...] = eqx.field(static=True)
+    map_resolution: int = eqx.field(static=True)
+    saved: str | None = eqx.field(static=True)
+    learned: LearnerState = eqx.field(init=False)
+
+    def __post_init__(self):
+        """Read the saved learner.
+
+        Raises:
+            ResultsError: It cannot be read, or is of another structure.
+        """
+        self.learned = None
+        if self.saved is not None:
+            structure = jax.eval_shape(self._fresh, jax.random.key(0))
+            self.learned = restore(Path(self.saved), structure)
+
+    @property
+    def tables(self) -> Mapping[str, Table]:
+        """See `Experiment`."""
+        return {
+            "runs": _RUN_COLUMNS + (_TARGET_COLUMNS if self.target_return is not None else ()),
+            "episodes": _EPISODE_COLUMNS,
+            "steps": _STEP_COLUMNS + self._vector_columns(),
+        }
+
+    @property
+    def recorded_tables(self) -> frozenset[str]:
+        """See `Experiment`: all steps of all runs would be gigabytes."""
+        return frozenset({"steps"})
+
+    @property
+    def lanes_on_cpu(self) -> int:
+        """See `Experiment`."""
+        return self.learner.lanes_on_cpu
+
+    @property
+    def max_advances(self) -> int:
+        """See `Experiment`."""
+        return self.episodes
+
+    def init(self, key: Key[Array, ""]) -> Run:
+        """See `Experiment`."""
+        learner = self._fresh(jax.random.fold_in(key, 0)) if self.learned is None else self.learned
+        zero, never = jnp.zeros((), jnp.int32), jnp.full((), -1, jnp.int32)
+        number = jnp.zeros((), self._dtype)
+        grid = jax.eval_shape(self._map, learner).shape
+        return Run(
+            key=key,
+            learner=learner,
+            episode=zero,
+            steps=zero,
+            is_done=jnp.zeros((), bool),
+            last_return=number,
+            episodes_to_goal=never,
+            steps_to_goal=never,
+            episodes_to_target=never,
+            tests_after=zero,
+            return_after=number,
+            maps=jnp.full((len(self.map_episodes), *grid), jnp.nan, self._dtype),
+        )
+
+    def advance(self, carry: Run) -> tuple[Run, Records]:
+        """See `Experiment`."""
+        balance = self.balance(carry)
+        trial = self.begin(carry)
+
+        def go_on(loop):
+            start, trial = loop
+            trial = jax.lax.fori_loop(
+                0, self.learner.block, lambda i, trial: self._step(carry, trial, balance, start + i, i), trial
+            )
+            return start + self.learner.block, self.consolidate(trial)
+
+        _, trial = jax.lax.while_loop(
+            lambda loop: any_lane(loop[1].is_active), go_on, (jnp.zeros((), jnp.int32), trial)
+        )
+        learner = self.end_episode(carry, trial, balance)
+        tests = None
+        if self.tests:
+            _, tests = jax.lax.scan(
+                lambda _, number: (None, self._test(carry, learner, number)), None, jnp.arange(self.tests)
+            )
+        return self.close(carry, trial, learner, tests)
+
+    def is_done(self, carry: Run) -> Bool[Array, ""]:
+        """See `Experiment`."""
+        return carry.is_done
+
+    def summary(self, carry: Run) -> dict[str, Scalar]:
+        """See `Experiment`."""
+        summary = {
+            "return": carry.last_return,
+            "success": carry.episodes_to_goal >= 0,
+            "episodes": carry.episode,
+            "steps": carry.steps,
+            "episodes_to_goal": carry.episodes_to_goal,
+            "steps_to_goal": carry.steps_to_goal,
+        }
+        if self.target_return is not None:
+            summary["reached"] = carry.episodes_to_target >= 0
+            summary["episodes_to_target"] = carry.episodes_to_target
+            summary["return_after_target"] = carry.return_after / carry.tests_after
+        return summary
+
+    def snapshot(self, carry: Run) -> dict[str, dict[str, Array]]:
+        """The maps of Q and U, where some are asked for."""
+        if not self.map_episodes:
+            return {}
+        return {"values": {"maps": carry.maps, "episodes": jnp.asarray(self.map_episodes, jnp.int32)}}
+
+    def keepsake(self, carry: Run) -> LearnerState:
+        """See `Experiment`: what has been learned, without the memory of how."""
+        return self.learner.without_memory(carry.learner)
+
+    # The pieces of an advance, for whoever steps an environment by other means.
+
+    def balance(self, carry: Run) -> Balance:
+        """The balance of the next training episode; a finished run learns nothing more."""
+        balance = self.schedule(carry.episode, carry.episodes_to_target >= 0)
+        return Balance(balance.exploration.astype(self._dtype), balance.is_learning & ~carry.is_done)
+
+    def begin(self, carry: Run, number: Int[Array, ""] | int = 0) -> Trial:
+        """A new episode of the run: 0 is the training episode, 1 the first test after it, and so on."""
+        env = self.env.reset(jax.random.fold_in(self._key(carry, number), 0))
+        observation, false = self.env.observe(env), jnp.zeros((), bool)
+        action = jax.eval_shape(
+            lambda: self.learner.act(carry.key, carry.learner, observation, self._exploiting)[0]
+        )
+        length = -(-self.env.max_steps // self.learner.block) * self.learner.block
+        step = Experience(observation, action, jnp.zeros((), self._dtype), observation, false)
+        return Trial(
+            env=env,
+            observation=observation,
+            learner=carry.learner,
+            is_active=~carry.is_done,
+            total=jnp.zeros((), self._dtype),
+            length=jnp.zeros((), jnp.int32),
+            terminated=false,
+            truncated=false,
+            success=false,
+            failed=false,
+            steps=jax.tree.map(lambda x: jnp.zeros((length, *x.shape), x.dtype), step),
+            expected=jnp.zeros((length,), self._dtype),
+        )
+
+    def choose(
+        self,
+        carry: Run,
+        trial: Trial,
+        balance: Balance,
+        step: Int[Array, ""],
+        number: Int[Array, ""] | int = 0,
+    ) -> tuple[Action, Float[Array, ""]]:
+        """The action of a step, and what is expected of it."""
+        key = jax.random.fold_in(self._key(carry, number), 3 * step + 1)
+        return self.learner.act(key, trial.learner, trial.observation, balance)
+
+    def take(
+        self,
+        trial: Trial,
+        transition: Transition,
+        env: EnvState,
+    ) -> tuple[Trial, Bool[Array, ""]]:
+        """What a transition means for an episode, and whether it counts and is a number."""
+        numbers = jnp.append(jnp.ravel(transition.observation).astype(self._dtype), transition.reward)
+        is_sound = jnp.all(jnp.isfinite(numbers))
+        counts = trial.is_active & is_sound
+        fails = trial.is_active & ~is_sound
+        length = trial.length + counts
+        terminated = counts & transition.terminated
+        truncated = counts & ~transition.terminated & (transition.truncated | (length >= self.env.max_steps))
+        keep = lambda after, before: jax.tree.map(  # noqa: E731
+            lambda a, b: a if a is b else jnp.where(counts, a, b), after, before
+        )
+        after = Trial(
+            env=keep(env, trial.env),
+            observation=keep(transition.observation, trial.observation),
+            learner=trial.learner,
+            is_active=counts & ~terminated & ~truncated,
+            total=trial.total + jnp.where(counts, transition.reward, jnp.where(fails, jnp.nan, 0.0)),
+            length=length,
+            terminated=trial.terminated | terminated,
+            truncated=trial.truncated | truncated,
+            success=trial.success | (counts & transition.success),
+            failed=trial.failed | fails,
+            steps=trial.steps,
+            expected=trial.expected,
+        )
+        return after, counts
+
+    def learn(
+        self,
+        carry: Run,
+        trial: Trial,
+        experience: Experience,
+        expected: Float[Array, ""],
+        balance: Balance,
+        step: Int[Array, ""],
+        slot: Int[Array, ""],
+        counts: Bool[Array, ""],
+    ) -> Trial:
+        """Keep a step of a training episode, and learn from it where it counts."""
+        key = jax.random.fold_in(self._key(carry, 0), 3 * step + 3)
+        experience = jax.tree.map(
+            lambda x: jnp.where(counts, x, jnp.zeros((), x.dtype)), experience
+        )  # what is no number teaches nothing, and leaves no trace
+        taught = Balance(balance.exploration, balance.is_learning & counts)
+        learner = self.learner.observe(key, trial.learner, experience, taught, slot)
+        steps = jax.tree.map(
+            lambda all_steps, x: jax.lax.dynamic_update_index_in_dim(all_steps, x, step, 0),
+            trial.steps,
+            experience,
+        )
+        expected = jax.lax.dynamic_update_index_in_dim(trial.expected, expected, step, 0)
+        return eqx.tree_at(lambda t: (t.learner, t.steps, t.expected), trial, (learner, steps, expected))
+
+    def consolidate(self, trial: Trial) -> Trial:
+        """After every block of steps."""
+        return eqx.tree_at(lambda t: t.learner, trial, self.learner.consolidate(trial.learner))
+
+    def end_episode(self, carry: Run, trial: Trial, balance: Balance) -> LearnerState:
+        """What the learner makes of a whole training episode."""
+        key = jax.random.fold_in(self._key(carry, 0), -1)
+        balance = Balance(balance.exploration, balance.is_learning & (trial.length > 0))
+        return self.learner.end_episode(key, trial.learner, Episode(trial.steps, trial.length), balance)
+
+    def close(
+        self, carry: Run, trial: Trial, learner: LearnerState, tests: Mapping[str, Array] | None
+    ) -> tuple[Run, Records]:
+        """The run after an episode, and what is reported of it."""
+        active = ~carry.is_done
+        episode, steps = carry.episode + active, carry.steps + trial.length
+        is_first = trial.success & (carry.episodes_to_goal < 0)
+        episodes_to_goal = jnp.where(is_first, episode, carry.episodes_to_goal)
+        done = trial.failed | (episode >= self.episodes)
+        if self.stop == "first-success":
+            done = done | (episodes_to_goal >= 0)
+
+        number = jnp.arange(1)
+        rows = {
+            name: value[None] for name, value in self._row(trial, episode, self.balance(carry)).items()
+        } | {"phase": jnp.zeros_like(number), "valid": active[None]}
+        episodes_to_target, tests_after, return_after = (
+            carry.episodes_to_target,
+            carry.tests_after,
+            carry.return_after,
+        )
+        num_steps = trial.length
+        if tests is not None:
+            num_steps = num_steps + jnp.sum(tests["length"])
+            phase, valid = jnp.ones((self.tests,), rows["phase"].dtype), jnp.full((self.tests,), active)
+            other = {**tests, "phase": phase, "valid": valid}
+            if self.target_return is not None:
+                is_reached = jnp.all(tests["return"] > self.target_return)
+                was_reached = carry.episodes_to_target >= 0
+                episodes_to_target = jnp.where(
+                    active & is_reached & ~was_reached, episode, carry.episodes_to_target
+                )
+                counted = active & was_reached
+                tests_after = tests_after + jnp.where(counted, self.tests, 0)
+                return_after = return_after + jnp.where(counted, jnp.sum(tests["return"]), 0.0)
+                if self.stop == "target":
+                    done = done | (episodes_to_target >= 0)
+            rows = {name: jnp.concatenate([rows[name], other[name]]) for name in rows}
+        maps = carry.maps
+        if self.map_episodes:
+            now = (episode == jnp.asarray(self.map_episodes)) & active
+            now = now.reshape(-1, *[1] * (maps.ndim - 1))
+            maps = jnp.where(now, self._map(learner)[None], maps)
+        after = Run(
+            key=carry.key,
+            learner=learner,
+            episode=episode,
+            steps=steps,
+            is_done=carry.is_done | done,
+            last_return=jnp.where(active, trial.total, carry.last_return),
+            episodes_to_goal=episodes_to_goal,
+            steps_to_goal=jnp.where(is_first, steps, carry.steps_to_goal),
+            episodes_to_target=episodes_to_target,
+            tests_after=tests_after,
+            return_after=return_after,
+            maps=maps,
+        )
+        tables = {"episodes": rows, "steps": self._step_rows(trial, episode)}
+        return after, Records(tables=tables, active_steps=num_steps)
+
+    def _fresh(self, key: Key[Array, ""]) -> LearnerState:
+        capacity = 0 if self.saved else self.episodes * self.env.max_steps
+        return self.learner.init(key, self.env.observation_space, self.env.action_space, capacity)
+
+    def _step(self, carry: Run, trial: Trial, balance: Balance, step, slot) -> Trial:
+        action, expected = self.choose(carry, trial, balance, step)
+        before = trial.observation
+        env, transition = self._env_step(carry, trial, action, step, 0)
+        trial, counts = self.take(trial, transition, env)
+        experience = Experience(
+            before, action, transition.reward, transition.observation, transition.terminated
+        )
+        return self.learn(carry, trial, experience, expected, balance, step, slot, counts)
+
+    def _test(self, carry: Run, learner: LearnerState, number) -> dict[str, Array]:
+        carry = eqx.tree_at(lambda c: c.learner, carry, learner)
+        trial = eqx.tree_at(lambda t: (t.steps, t.expected), self.begin(carry, number + 1), (None, None))
+
+        def go_on(loop):
+            step, trial = loop
+            action, _ = self.choose(carry, trial, self._exploiting, step, number + 1)
+            env, transition = self._env_step(carry, trial, action, step, number + 1)
+            return step + 1, self.take(trial, transition, env)[0]
+
+        start = jnp.zeros((), jnp.int32), trial
+        _, trial = jax.lax.while_loop(lambda loop: any_lane(loop[1].is_active), go_on, start)
+        return self._row(trial, carry.episode + 1, self._exploiting)
+
+    def _env_step(self, carry: Run, trial: Trial, action: Action, step, number):
+        key = jax.random.fold_in(self._key(carry, number), 3 * step + 2)
+        return self.env.step(key, trial.env, action)
+
+    def _row(self, trial: Trial, episode: Int[Array, ""], balance: Balance) -> dict[str, Array]:
+        return {
+            "episode": episode,
+            "return": trial.total,
+            "length": trial.length,
+            "success": trial.success,
+            "terminated": trial.terminated,
+            "truncated": trial.truncated,
+            "kappa": balance.exploration * self.learner.exploration_weight,
+        }
+
+    def _step_rows(self, trial: Trial, episode: Int[Array, ""]) -> dict[str, Array]:
+        steps, number = trial.steps, jnp.arange(len(trial.expected), dtype=jnp.int32) + 1
+        columns = {
+            "episode": jnp.broadcast_to(episode, number.shape),
+            "step": number,
+            "reward": steps.reward,
+            "planned_reward": trial.expected,
+            "accumulated_reward": jnp.cumsum(steps.reward),
+            "done": number == trial.length,
+            "valid": number <= trial.length,
+        }
+        for name, values in (("observation", steps.observation), ("action", steps.action)):
+            flat = values.reshape(len(number), -1).astype(self._dtype)
+            columns |= {f"{name}_{i}": flat[:, i] for i in range(flat.shape[1])}
+        return columns
+
+    def _vector_columns(self) -> Table:
+        spaces = (("observation", self.env.observation_space), ("action", self.env.action_space))
+        return tuple(
+            Column(f"{name}_{i}", "float32", "", f"{name}, component {i}, in which the step was taken")
+            for name, space in spaces
+            for i in range(space.num_dims)
+        )
+
+    def _map(self, learner: LearnerState) -> Float[Array, "2 *grid"]:
+        """Q and U at the middle action: of every state, or over the first two observations."""
+        space, actions = self.env.observation_space, self.env.action_space
+        if isinstance(actions, Box):
+            action = 0.5 * (actions.low + actions.high)
+        else:
+            action = jnp.asarray(actions.num // 2, jnp.int32)
+        if not isinstance(space, Box):
+            states = jnp.arange(space.num, dtype=jnp.int32)
+            values = jax.vmap(lambda s: self.learner.values(learner, s, action))(states)
+            return jnp.stack(values)
+        axis = (jnp.arange(self.map_resolution, dtype=self._dtype) + 0.5) / self.map_resolution
+        first, second = jnp.meshgrid(axis, axis, indexing="ij")
+        unit = jnp.full((self.map_resolution, self.map_resolution, space.num_dims), 0.5, self._dtype)
+        unit = unit.at[..., 0].set(first)
+        unit = unit.at[..., 1].set(second) if space.num_dims > 1 else unit
+        observations = space.from_unit(unit)
+        of_row = jax.vmap(lambda o: self.learner.values(learner, o, action))
+        return jnp.stack(jax.lax.map(of_row, observations))
+
+    def _key(self, carry: Run, number: Int[Array, ""] | int) -> Key[Array, ""]:
+        """Key of an episode: of training, or of a test after it. Counter 0 of the run made the learner."""
+        key = jax.random.fold_in(carry.key, carry.episode + 1)
+        return jax.random.fold_in(key, number)
+
+    @property
+    def _exploiting(self) -> Balance:
+        return Balance(jnp.zeros((), self._dtype), jnp.zeros((), bool))
+
+    @property
+    def _dtype(self) -> jnp.dtype:
+        return self.learner.exploration_weight.dtype
+
+
+_RUN_COLUMNS: Table = (
+    Column("return", "float64", "", "sum of the rewards of the last training episode"),
+    Column("success", "bool", "", "the goal was reached in a training episode"),
+    Column("episodes", "int32", "", "training episodes"),
+    Column("steps", "int32", "", "steps of all training episodes"),
+    Column("episodes_to_goal", "int32", "", "training episodes up to the first success", nullable=True),
+    Column("steps_to_goal", "int32", "", "training steps up to the first success", nullable=True),
+)
+
+_TARGET_COLUMNS: Table = (
+    Column("reached", "bool", "", "all test episodes after some training episode exceeded the target"),
+    Column("episodes_to_target", "int32", "", "training episodes up to that", nullable=True),
+    Column("return_after_target", "float64", "", "mean return of the test episodes after it", nullable=True),
+)
+
+_EPISODE_COLUMNS: Table = (
+    Column("episode", "int32", "", "number of the training episode, from 1; of a test, the one before it"),
+    Column("phase", "string", "", "training, or a test that exploits and learns nothing", words=PHASES),
+    Column("return", "float64", "", "sum of the rewards"),
+    Column("length", "int32", "", "steps"),
+    Column("success", "bool", "", "the goal was reached"),
+    Column("terminated", "bool", "", "it ended in an absorbing state"),
+    Column("truncated", "bool", "", "it was cut off"),
+    Column("kappa", "float64", "", "weight of exploration: kappa, xi or epsilon"),
+)
+
+_STEP_COLUMNS: Table = (
+    Column("episode", "int32", "", "number of the training episode, from 1"),
+    Column("step", "int32", "", "number of the step in it, from 1"),
+    Column("reward", "float64", "", "reward"),
+    Column("planned_reward", "float64", "", "return Q that the learner expected of the action"),
+    Column("accumulated_reward", "float64", "", "sum of the episode's rewards so far"),
+    Column("done", "bool", "", "the episode ended with this step"),
+)

@@ -1,0 +1,1 @@
+"""Who learns: learners, the balance of exploration and exploitation, and its schedules."""
