@@ -133,8 +133,11 @@ class FourierBasis(Features):
 
     def __call__(self, x: Float[Array, "D"]) -> Float[Array, "M"]:
         """See `Features`."""
-        coefficients = np.indices((self.order + 1,) * self.num_dims).reshape(self.num_dims, -1).T
-        return jnp.cos(jnp.pi * matmul(jnp.asarray(coefficients, x.dtype), x))
+        return jnp.cos(matmul(jnp.asarray(self.frequencies(), x.dtype), x))
+
+    def frequencies(self) -> np.ndarray:
+        """Angular frequency of each feature along each dimension, `[M, D]`."""
+        return np.pi * np.indices((self.order + 1,) * self.num_dims).reshape(self.num_dims, -1).T
 
 
 class Polynomial(Features):

@@ -27,9 +27,23 @@ def test_minus_one_is_null_where_a_column_can_be():
     assert table.to_pydict() == {"episodes": [3, None], "count": [3, -1]}
 
 
-def test_only_integers_can_be_null():
+def test_nan_is_null_where_a_column_can_be():
+    columns = {"after": np.array([np.nan, -1.0]), "x": np.array([np.nan, -1.0])}
+    table = to_arrow((Column("after", "float64", nullable=True), Column("x", "float64")), columns)
+    assert table["after"].to_pylist() == [None, -1.0]
+    assert table["x"].null_count == 0
+
+
+def test_only_numbers_can_be_null():
     with pytest.raises(ValueError, match="nullable"):
-        Column("x", "float64", nullable=True)
+        Column("x", "bool", nullable=True)
+
+
+def test_a_place_becomes_its_word():
+    table = to_arrow((Column("phase", "string", words=("train", "test")),), {"phase": np.array([1, 0])})
+    assert table["phase"].to_pylist() == ["test", "train"]
+    with pytest.raises(ValueError, match="words"):
+        Column("x", "int32", words=("a",))
 
 
 def test_types_and_units_are_those_of_the_schema():

@@ -1,0 +1,260 @@
+"""Features of states and actions: products of features of the state and features of the action.
+
+All maps here are bilinear, phi(s, a) = join(x(s), y(a)). So a linear value of all actions at a state is a
+product with x(s) alone: w'phi(s, a) = x(s)'split(w, y(a)), and a mean over actions of a quadratic form in
+phi is a quadratic form in x(s). `FeatureSpec.draw` makes a map for the spaces of an environment.
+"""
+
+import abc
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Key
+
+from bojax.envs.base import Action, Observation
+from bojax.envs.spaces import Box, Discrete, Space
+from bojax.models.features import FourierBasis, RandomFourier, Sampling
+from bojax.models.kernels import RBF, Matern12, Matern32, Matern52
+from bojax.numerics.linalg import matmul
+
+
+class StateActionFeatures(eqx.Module):
+    """A map phi from a state and an action to M features; P and R are the sizes of x and y."""
+
+    @property
+    @abc.abstractmethod
+    def num_features(self) -> int:
+        """M."""
+
+    @abc.abstractmethod
+    def state(self, observation: Observation) -> Float[Array, "P"]:
+        """x(s)."""
+
+    @abc.abstractmethod
+    def action(self, action: Action) -> Float[Array, "R"]:
+        """y(a)."""
+
+    @abc.abstractmethod
+    def join(self, x: Float[Array, "P"], y: Float[Array, "R"]) -> Float[Array, "M"]:
+        """phi(s, a)."""
+
+    @abc.abstractmethod
+    def split(self, weights: Float[Array, "M"], y: Float[Array, "R"]) -> Float[Array, "P"]:
+        """The adjoint of `join` in x: weights'join(x, y) = x'split(weights, y)."""
+
+    def __call__(self, observation: Observation, action: Action) -> Float[Array, "M"]:
+        """phi(s, a)."""
+        return self.join(self.state(observation), self.action(action))
+
+    def split_both(self, matrix: Float[Array, "M M"], y: Float[Array, "R"]) -> Float[Array, "P P"]:
+        """The form of x that equals phi'matrix phi at this action."""
+        columns = jax.vmap(self.split, (1, None), 1)
+        return columns(columns(matrix, y).T, y).T
+
+
+class Waves(StateActionFeatures):
+    """Cosines, or cosines and sines, of linear functions of state and action mapped to the unit cube.
+
+    Attributes:
+        observations: Bounds of observations.
+        actions: Space of actions.
+        state_frequencies: Angular frequency along each observation, in radians per range of it.
+        action_frequencies: The same of actions.
+        phases: Phase of each frequency, in radians.
+        amplitude: Amplitude of every feature.
+        has_sines: Whether the sines are there too, after the cosines.
+    """
+
+    observations: Space
+    actions: Space
+    state_frequencies: Float[Array, "F D"]
+    action_frequencies: Float[Array, "F A"]
+    phases: Float[Array, "F"]
+    amplitude: Float[Array, ""]
+    has_sines: bool = eqx.field(static=True)
+
+    @property
+    def num_features(self) -> int:
+        """See `StateActionFeatures`."""
+        return len(self.phases) * (1 + self.has_sines)
+
+    def state(self, observation: Observation) -> Float[Array, "P"]:
+        """See `StateActionFeatures`: cosines and sines of the state's share of the angles."""
+        unit = self.observations.to_unit(observation).astype(self.phases.dtype)
+        angles = matmul(self.state_frequencies, unit) + self.phases
+        return self.amplitude * jnp.concatenate([jnp.cos(angles), jnp.sin(angles)])
+
+    def action(self, action: Action) -> Float[Array, "R"]:
+        """See `StateActionFeatures`: the same of the action's share."""
+        unit = self.actions.to_unit(action).astype(self.phases.dtype)
+        angles = matmul(self.action_frequencies, unit)
+        return jnp.concatenate([jnp.cos(angles), jnp.sin(angles)])
+
+    def join(self, x: Float[Array, "P"], y: Float[Array, "R"]) -> Float[Array, "M"]:
+        """See `StateActionFeatures`: the cosine (and the sine) of a sum."""
+        (cx, sx), (cy, sy) = jnp.split(x, 2), jnp.split(y, 2)
+        cosines = cx * cy - sx * sy
+        return jnp.concatenate([cosines, sx * cy + cx * sy]) if self.has_sines else cosines
+
+    def split(self, weights: Float[Array, "M"], y: Float[Array, "R"]) -> Float[Array, "P"]:
+        """See `StateActionFeatures`."""
+        cy, sy = jnp.split(y, 2)
+        if not self.has_sines:
+            return jnp.concatenate([weights * cy, -weights * sy])
+        wc, ws = jnp.split(weights, 2)
+        return jnp.concatenate([wc * cy + ws * sy, ws * cy - wc * sy])
+
+
+class Indicators(StateActionFeatures):
+    """One feature for each pair of a numbered state and a numbered action: 1 there, 0 elsewhere.
+
+    Attributes:
+        num_states: Number of states.
+        num_actions: Number of actions.
+        one: The number 1, in the precision of the features.
+    """
+
+    num_states: int = eqx.field(static=True)
+    num_actions: int = eqx.field(static=True)
+    one: Float[Array, ""]
+
+    @property
+    def num_features(self) -> int:
+        """See `StateActionFeatures`."""
+        return self.num_states * self.num_actions
+
+    def state(self, observation: Observation) -> Float[Array, "P"]:
+        """See `StateActionFeatures`."""
+        return jax.nn.one_hot(observation, self.num_states, dtype=self.one.dtype)
+
+    def action(self, action: Action) -> Float[Array, "R"]:
+        """See `StateActionFeatures`."""
+        return jax.nn.one_hot(action, self.num_actions, dtype=self.one.dtype)
+
+    def join(self, x: Float[Array, "P"], y: Float[Array, "R"]) -> Float[Array, "M"]:
+        """See `StateActionFeatures`."""
+        return (x[:, None] * y[None, :]).ravel()
+
+    def split(self, weights: Float[Array, "M"], y: Float[Array, "R"]) -> Float[Array, "P"]:
+        """See `StateActionFeatures`."""
+        return matmul(weights.reshape(self.num_states, self.num_actions), y)
+
+
+class FeatureSpec(eqx.Module):
+    """Which features a learner uses; the map itself is drawn for a run."""
+
+    @abc.abstractmethod
+    def draw(
+        self, key: Key[Array, ""], observation_space: Space, action_space: Space, dtype: jnp.dtype
+    ) -> StateActionFeatures:
+        """A map for these spaces.
+
+        Raises:
+            ValueError: It does not fit them.
+        """
+
+
+class RandomFourierSpec(FeatureSpec):
+    """Random Fourier features of a stationary kernel (2.33), on bounds mapped to [0, 1].
+
+    Attributes:
+        state_lengthscale: Lengthscale along each observation, in units of its range (Table 5.2).
+        action_lengthscale: The same of actions.
+        num_features: M; even.
+        kernel: Kernel that they approximate.
+        sampling: How frequencies are drawn.
+        form: Cosines and sines of M/2 frequencies, with phi'phi = 1; or `phase`, cosines of M frequencies
+            with random phases times sqrt(1/M), which the author's published code computes by a slip.
+    """
+
+    state_lengthscale: Float[Array, ""]
+    action_lengthscale: Float[Array, ""]
+    num_features: int = eqx.field(static=True)
+    kernel: Literal["rbf", "matern12", "matern32", "matern52"] = eqx.field(static=True)
+    sampling: Sampling = eqx.field(static=True)
+    form: Literal["cos-sin", "phase"] = eqx.field(static=True)
+
+    def draw(
+        self, key: Key[Array, ""], observation_space: Space, action_space: Space, dtype: jnp.dtype
+    ) -> Waves:
+        """See `FeatureSpec`."""
+        num_observations, num_actions = observation_space.num_dims, action_space.num_dims
+        key_frequencies, key_phases = jax.random.split(key)
+        lengthscale = jnp.concatenate(
+            [
+                jnp.full((num_observations,), self.state_lengthscale, dtype),
+                jnp.full((num_actions,), self.action_lengthscale, dtype),
+            ]
+        )
+        has_sines = self.form == "cos-sin"
+        features = RandomFourier.draw(
+            key_frequencies,
+            _KERNELS[self.kernel](lengthscale),
+            self.num_features if has_sines else 2 * self.num_features,
+            num_observations + num_actions,
+            sampling=self.sampling,
+        )
+        number = len(features.frequencies)
+        phases = jnp.zeros((number,), dtype)
+        if not has_sines:
+            phases = jax.random.uniform(key_phases, (number,), dtype, maxval=2.0 * jnp.pi)
+        return Waves(
+            observations=observation_space,
+            actions=action_space,
+            state_frequencies=features.frequencies[:, :num_observations],
+            action_frequencies=features.frequencies[:, num_observations:],
+            phases=phases,
+            amplitude=jnp.asarray(number**-0.5, dtype),
+            has_sines=has_sines,
+        )
+
+
+class FourierBasisSpec(FeatureSpec):
+    """The Fourier basis (5.23) of state and action, on bounds mapped to [0, 1].
+
+    Attributes:
+        order: Highest number of half periods along a dimension: (order + 1)^D features.
+    """
+
+    order: int = eqx.field(static=True)
+
+    def draw(
+        self, key: Key[Array, ""], observation_space: Space, action_space: Space, dtype: jnp.dtype
+    ) -> Waves:
+        """See `FeatureSpec`; nothing is random."""
+        del key
+        num_observations = observation_space.num_dims
+        basis = FourierBasis(self.order, num_observations + action_space.num_dims)
+        frequencies = jnp.asarray(basis.frequencies(), dtype)
+        return Waves(
+            observations=observation_space,
+            actions=action_space,
+            state_frequencies=frequencies[:, :num_observations],
+            action_frequencies=frequencies[:, num_observations:],
+            phases=jnp.zeros((len(frequencies),), dtype),
+            amplitude=jnp.ones((), dtype),
+            has_sines=False,
+        )
+
+
+class IndicatorSpec(FeatureSpec):
+    """A feature for each pair of state and action: a table, as linear features."""
+
+    def draw(
+        self, key: Key[Array, ""], observation_space: Space, action_space: Space, dtype: jnp.dtype
+    ) -> Indicators:
+        """See `FeatureSpec`; nothing is random."""
+        del key
+        if isinstance(observation_space, Box) or isinstance(action_space, Box):
+            raise ValueError("features: got indicators; allowed only where states and actions are numbered")
+        return Indicators(observation_space.num, action_space.num, jnp.ones((), dtype))
+
+
+_KERNELS = {"rbf": RBF, "matern12": Matern12, "matern32": Matern32, "matern52": Matern52}
+
+
+def all_actions(space: Discrete) -> Action:
+    """Every action of a discrete space."""
+    return jnp.arange(space.num, dtype=jnp.int32)
