@@ -1,6 +1,6 @@
 """Settings of the environments with continuous states."""
 
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
@@ -13,3 +13,90 @@ class Environment(Component, frozen=True):
     role: ClassVar[str] = "env"
 
     max_steps: int = Field(default=500, ge=1, description="steps after which an episode is cut off")
+
+
+class ControlTask(Environment, frozen=True):
+    """What the domains of Section 5.7.2 can be told."""
+
+    reward: Literal["goal-only", "classic"] = Field(
+        default="goal-only", description="1 at the goal, -1 at a failure, 0 else; or what Gym pays"
+    )
+
+
+class SinglePendulum(ControlTask, frozen=True):
+    """Swing a pendulum up with a weak motor (thesis, p. 107; Gym's Pendulum)."""
+
+    target: ClassVar[str] = "bojax.envs.single_pendulum:SinglePendulum"
+
+    kind: Literal["single-pendulum"] = "single-pendulum"
+    goal_angle: float = Field(default=0.05, gt=0, description="largest angle from upright at the goal, rad")
+    classic_ends_at_goal: bool = Field(
+        default=True,
+        description="whether the goal ends an episode with the classic reward; in Gym it does not",
+    )
+    gravity: float = Field(default=10.0, ge=0, description="gravity, m/s^2")
+    mass: float = Field(default=1.0, gt=0, description="mass of the rod, kg")
+    length: float = Field(default=1.0, gt=0, description="length of the rod, m")
+    max_torque: float = Field(default=2.0, gt=0, description="bound on the torque, N m")
+    max_speed: float = Field(default=8.0, gt=0, description="bound on the angular velocity, rad/s")
+    time_step: float = Field(default=0.05, gt=0, description="time step, s")
+
+
+class MountainCar(ControlTask, frozen=True):
+    """Drive a weak car up a hill by building momentum (thesis, p. 106; Gym's MountainCar)."""
+
+    target: ClassVar[str] = "bojax.envs.mountain_car:MountainCar"
+
+    kind: Literal["mountain-car"] = "mountain-car"
+    goal_position: float = Field(
+        default=0.5, gt=-1.2, le=0.6, description="least position at the goal; 0.42 in Fig. 5.7"
+    )
+    actions: Literal["continuous", "thresholded"] = Field(
+        default="continuous", description="whether an action is a force, or picks left, coast or right"
+    )
+    threshold: float = Field(
+        default=0.33, ge=0, le=1, description="least |action| that drives, where actions are thresholded"
+    )
+    power: float = Field(default=0.001, gt=0, description="velocity gained by an action of 1, per step")
+    gravity: float = Field(
+        default=0.0025, ge=0, description="velocity gained on the steepest slope, per step"
+    )
+
+
+class DoublePendulum(ControlTask, frozen=True):
+    """Swing a two-link pendulum up with one weak motor (thesis, p. 107; Gym's Acrobot)."""
+
+    target: ClassVar[str] = "bojax.envs.double_pendulum:DoublePendulum"
+
+    kind: Literal["double-pendulum"] = "double-pendulum"
+    actuated: Literal["base", "elbow"] = Field(
+        default="base", description="the driven joint; in Gym it is the elbow"
+    )
+    goal: Literal["distance", "height"] = Field(
+        default="distance", description="whether the goal is a distance to the highest point, or a height"
+    )
+    goal_distance: float = Field(
+        default=1.0, gt=0, description="largest distance to the highest point, or largest depth below it, m"
+    )
+    actions: Literal["continuous", "sign"] = Field(
+        default="continuous", description="whether the torque is the action, or the largest with its sign"
+    )
+    max_torque: float = Field(default=1.0, gt=0, description="bound on the torque, N m")
+    time_step: float = Field(default=0.2, gt=0, description="time step, s")
+
+
+class CartpoleSwingUp(ControlTask, frozen=True):
+    """Swing a pole up by moving its cart (thesis, p. 107; Gym's CartPole, started hanging)."""
+
+    target: ClassVar[str] = "bojax.envs.cartpole_swing_up:CartpoleSwingUp"
+
+    kind: Literal["cartpole-swing-up"] = "cartpole-swing-up"
+    goal_cosine: float = Field(
+        default=0.8, ge=-1, lt=1, description="bound on the cosine of the angle at the goal"
+    )
+    limit: float = Field(default=2.4, gt=0, description="largest |position| on the track, m")
+    actions: Literal["continuous", "sign"] = Field(
+        default="continuous", description="whether the force is the action, or the largest with its sign"
+    )
+    max_force: float = Field(default=10.0, gt=0, description="bound on the force, N")
+    time_step: float = Field(default=0.02, gt=0, description="time step, s")

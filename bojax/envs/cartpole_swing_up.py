@@ -1,0 +1,99 @@
+"""Swing a pole up by moving the cart it hangs from (thesis, p. 107): Gym's CartPole, started hanging."""
+
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Key
+
+from bojax.envs.control import ControlTask, sign, symmetric
+from bojax.envs.spaces import Box
+
+_GRAVITY, _CART, _POLE, _HALF_LENGTH = 9.8, 1.0, 0.1, 0.5
+
+
+class CartpoleSwingUp(ControlTask):
+    """A pole on a cart on a track; its state is the observation.
+
+    The cart weighs 1 kg, the pole 0.1 kg over a length of 1 m; both move by the equations of Gym's CartPole
+    (Barto, Sutton and Anderson, 1983, without friction) and its explicit Euler step. The angle counts from
+    upright and is not wrapped.
+
+    The goal is a cosine of the angle above `goal_cosine`, at whatever speed; the failure is to leave the
+    track, |x| > `limit`. The classic reward is that of the author's code: cosine - 1 a step, 0 at the goal
+    and -100 at the failure, both of which end it.
+
+    It begins hanging: all four numbers uniform in [-0.05, 0.05], around an angle of pi.
+
+    Attributes:
+        goal_cosine: Bound on the cosine of the angle at the goal.
+        limit: Half the length of the track, in metres; 3 in the author's code.
+        max_force: Bound on the action, in N.
+        time_step: In seconds.
+        max_steps: See `Env`.
+        reward: See `ControlTask`.
+        actions: Whether the force is the action, or the largest one with its sign.
+    """
+
+    goal_cosine: Float[Array, ""]
+    limit: Float[Array, ""]
+    max_force: Float[Array, ""]
+    time_step: Float[Array, ""]
+    max_steps: int = eqx.field(static=True)
+    reward: Literal["goal-only", "classic"] = eqx.field(static=True)
+    actions: Literal["continuous", "sign"] = eqx.field(static=True)
+
+    @property
+    def observation_space(self) -> Box:
+        """Position in metres and velocity of the cart, angle in radians and velocity of the pole."""
+        dtype = self.limit.dtype
+        low = jnp.asarray([-3.4, -8.0, -5.4, -8.7], dtype)
+        return Box(low, jnp.asarray([3.4, 8.3, 6.35, 8.1], dtype))
+
+    @property
+    def action_space(self) -> Box:
+        """The force on the cart, in N."""
+        return symmetric(self.max_force)
+
+    def reset(self, key: Key[Array, ""]) -> Float[Array, "4"]:
+        """See `Env`."""
+        state = jax.random.uniform(key, (4,), self.limit.dtype, -0.05, 0.05)
+        return state.at[2].add(jnp.pi)
+
+    def observe(self, state: Float[Array, "4"]) -> Float[Array, "4"]:
+        """See `observation_space`."""
+        return state
+
+    def advance(self, state: Float[Array, "4"], action: Float[Array, ""]) -> Float[Array, "4"]:
+        """One explicit Euler step."""
+        if self.actions == "sign":
+            action = self.max_force * sign(action)
+        _, velocity, angle, speed = state
+        cosine, sine = jnp.cos(angle), jnp.sin(angle)
+        push = (action + _POLE * _HALF_LENGTH * speed**2 * sine) / (_CART + _POLE)
+        inertia = _HALF_LENGTH * (4.0 / 3.0 - _POLE * cosine**2 / (_CART + _POLE))
+        turn = (_GRAVITY * sine - cosine * push) / inertia
+        acceleration = push - _POLE * _HALF_LENGTH * turn * cosine / (_CART + _POLE)
+        return state + self.time_step * jnp.stack([velocity, acceleration, speed, turn])
+
+    def is_goal(self, state: Float[Array, "4"]) -> Bool[Array, ""]:
+        """See the class."""
+        return jnp.cos(state[2]) > self.goal_cosine
+
+    def is_failure(self, state: Float[Array, "4"]) -> Bool[Array, ""]:
+        """See the class."""
+        return jnp.abs(state[0]) > self.limit
+
+    def classic(
+        self,
+        state: Float[Array, "4"],
+        action: Float[Array, ""],
+        success: Bool[Array, ""],
+        failure: Bool[Array, ""],
+        after: Float[Array, "4"],
+    ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
+        """See the class."""
+        del state, action
+        paid = jnp.where(success, jnp.zeros_like(after[2]), jnp.cos(after[2]) - 1.0)
+        return jnp.where(failure, jnp.full_like(paid, -100.0), paid), success | failure

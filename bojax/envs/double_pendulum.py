@@ -1,0 +1,125 @@
+"""Swing a two-link pendulum up with one weak motor (thesis, p. 107): Gym's Acrobot, driven at its base."""
+
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Key
+
+from bojax.envs.control import ControlTask, sign, symmetric, wrapped
+from bojax.envs.spaces import Box
+
+_GRAVITY = 9.8
+
+
+class DoublePendulum(ControlTask):
+    """Two rods on two joints, one of them driven.
+
+    Its state is the angle of the first rod from hanging down, that of the second from the first, in
+    radians, and their velocities. Rods are 1 m long and weigh 1 kg, with the centre of mass in the middle
+    and a moment of inertia of 1 kg m^2 about it; they swing by the equations of Sutton and Barto
+    (Reinforcement Learning, 1st edition, Section 11.3), with a torque at either joint, integrated
+    by one Runge-Kutta step of fourth order per time step.
+
+    The goal is to bring the tip near the highest point that it can reach, 2 m above the base: with `goal`
+    `"distance"` to a distance below `goal_distance` (p. 107), with `"height"` to a height above
+    2 m - `goal_distance` (Gym, and the author's code). The classic reward is -1 a step and 0 at the goal,
+    which ends it.
+
+    It begins as in Gym: all four numbers uniform in [-0.1, 0.1].
+
+    Attributes:
+        goal_distance: How far below or beside the highest point the goal extends, in metres.
+        max_torque: Bound on the action, in N m.
+        time_step: In seconds.
+        max_steps: See `Env`.
+        reward: See `ControlTask`.
+        actuated: The driven joint: the base (p. 107), or the elbow (Gym, and the author's code).
+        goal: What is measured at the goal.
+        actions: Whether the torque is the action, or the largest one with its sign.
+    """
+
+    goal_distance: Float[Array, ""]
+    max_torque: Float[Array, ""]
+    time_step: Float[Array, ""]
+    max_steps: int = eqx.field(static=True)
+    reward: Literal["goal-only", "classic"] = eqx.field(static=True)
+    actuated: Literal["base", "elbow"] = eqx.field(static=True)
+    goal: Literal["distance", "height"] = eqx.field(static=True)
+    actions: Literal["continuous", "sign"] = eqx.field(static=True)
+
+    @property
+    def observation_space(self) -> Box:
+        """Cosine and sine of both angles, and both velocities in rad/s."""
+        one = jnp.ones_like(self.time_step)
+        return symmetric(one, one, one, one, 4.0 * jnp.pi * one, 9.0 * jnp.pi * one)
+
+    @property
+    def action_space(self) -> Box:
+        """The torque, in N m."""
+        return symmetric(self.max_torque)
+
+    def reset(self, key: Key[Array, ""]) -> Float[Array, "4"]:
+        """See `Env`."""
+        return jax.random.uniform(key, (4,), self.time_step.dtype, -0.1, 0.1)
+
+    def observe(self, state: Float[Array, "4"]) -> Float[Array, "6"]:
+        """See `observation_space`."""
+        first, second, *speeds = state
+        return jnp.stack([jnp.cos(first), jnp.sin(first), jnp.cos(second), jnp.sin(second), *speeds])
+
+    def advance(self, state: Float[Array, "4"], action: Float[Array, ""]) -> Float[Array, "4"]:
+        """One Runge-Kutta step; then angles are wrapped, and velocities clipped to their bounds."""
+        if self.actions == "sign":
+            action = self.max_torque * sign(action)
+        h = self.time_step
+        k1 = self.velocity(state, action)
+        k2 = self.velocity(state + 0.5 * h * k1, action)
+        k3 = self.velocity(state + 0.5 * h * k2, action)
+        k4 = self.velocity(state + h * k3, action)
+        state = state + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+        fastest = self.observation_space.high[4:]
+        return jnp.concatenate([wrapped(state[:2]), jnp.clip(state[2:], -fastest, fastest)])
+
+    def velocity(self, state: Float[Array, "4"], torque: Float[Array, ""]) -> Float[Array, "4"]:
+        """Time derivative of the state: M(q) q'' + c(q, q') = torque, solved for q''."""
+        first, second, speed1, speed2 = state
+        coupling = 0.5 * jnp.cos(second)
+        inertia11 = 0.25 + (1.25 + 2.0 * coupling) + 2.0
+        inertia12 = 0.25 + coupling + 1.0
+        inertia22 = 1.25
+        weight2 = 0.5 * _GRAVITY * jnp.sin(first + second)
+        weight1 = 1.5 * _GRAVITY * jnp.sin(first) + weight2
+        twist = 0.5 * jnp.sin(second)
+        rest1 = weight1 - twist * speed2 * (speed2 + 2.0 * speed1)
+        rest2 = weight2 + twist * speed1**2
+        force1, force2 = -rest1, -rest2
+        if self.actuated == "base":
+            force1 = torque + force1
+        else:
+            force2 = torque + force2
+        ratio = inertia12 / inertia11
+        acceleration2 = (force2 - ratio * force1) / (inertia22 - ratio * inertia12)
+        acceleration1 = (force1 - inertia12 * acceleration2) / inertia11
+        return jnp.stack([speed1, speed2, acceleration1, acceleration2])
+
+    def is_goal(self, state: Float[Array, "4"]) -> Bool[Array, ""]:
+        """See the class."""
+        x = jnp.sin(state[0]) + jnp.sin(state[0] + state[1])
+        below = 2.0 + jnp.cos(state[0]) + jnp.cos(state[0] + state[1])
+        if self.goal == "height":
+            return below < self.goal_distance
+        return x**2 + below**2 < self.goal_distance**2
+
+    def classic(
+        self,
+        state: Float[Array, "4"],
+        action: Float[Array, ""],
+        success: Bool[Array, ""],
+        failure: Bool[Array, ""],
+        after: Float[Array, "4"],
+    ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
+        """See the class."""
+        del state, action, failure
+        return jnp.where(success, jnp.zeros_like(after[0]), -jnp.ones_like(after[0])), success

@@ -1,0 +1,91 @@
+"""Drive a weak car up a hill by building momentum (thesis, p. 106): Gym's MountainCar."""
+
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Key
+
+from bojax.envs.control import ControlTask
+from bojax.envs.spaces import Box
+
+
+class MountainCar(ControlTask):
+    """A car in a valley of height sin(3 x); its state is the position x and the velocity per step.
+
+    The goal is a position, 0.5 as in Gym; Fig. 5.7 says 0.9 of the way from the left wall to the right,
+    which is 0.42. The classic reward is -1 a step, the one that reaches the goal included, and the goal
+    ends it. A wall at the left stops the car.
+
+    The thesis wants a continuous action, torque and direction. The author's code knows three:
+    `actions: thresholded` coasts where |action| is below `threshold`, and drives with full force otherwise.
+    With `power` 0.0015 and `goal_position` 0.45 the dynamics are those of Gym's MountainCarContinuous.
+
+    It begins at rest, uniformly in [-0.6, -0.4].
+
+    Attributes:
+        goal_position: Least position at the goal.
+        power: Change of the velocity by an action of 1, per step.
+        gravity: Change of the velocity by the steepest slope, per step.
+        threshold: Least |action| that drives, where actions are thresholded.
+        max_steps: See `Env`.
+        reward: See `ControlTask`.
+        actions: Whether an action between -1 and 1 is a force, or picks one of three.
+    """
+
+    goal_position: Float[Array, ""]
+    power: Float[Array, ""]
+    gravity: Float[Array, ""]
+    threshold: Float[Array, ""]
+    max_steps: int = eqx.field(static=True)
+    reward: Literal["goal-only", "classic"] = eqx.field(static=True)
+    actions: Literal["continuous", "thresholded"] = eqx.field(static=True)
+
+    @property
+    def observation_space(self) -> Box:
+        """Position and velocity, which are the bounds of the motion too."""
+        dtype = self.power.dtype
+        return Box(jnp.asarray([-1.2, -0.07], dtype), jnp.asarray([0.6, 0.07], dtype))
+
+    @property
+    def action_space(self) -> Box:
+        """The share of the force, positive to the right."""
+        one = jnp.ones((1,), self.power.dtype)
+        return Box(-one, one)
+
+    def reset(self, key: Key[Array, ""]) -> Float[Array, "2"]:
+        """See `Env`."""
+        position = jax.random.uniform(key, (), self.power.dtype, -0.6, -0.4)
+        return jnp.stack([position, jnp.zeros_like(position)])
+
+    def observe(self, state: Float[Array, "2"]) -> Float[Array, "2"]:
+        """See `observation_space`."""
+        return state
+
+    def advance(self, state: Float[Array, "2"], action: Float[Array, ""]) -> Float[Array, "2"]:
+        """The velocity changes first, then the position; the left wall takes the velocity away."""
+        low, high = self.observation_space.low, self.observation_space.high
+        if self.actions == "thresholded":
+            action = jnp.where(jnp.abs(action) < self.threshold, jnp.zeros_like(action), jnp.sign(action))
+        velocity = state[1] + (action * self.power - self.gravity * jnp.cos(3.0 * state[0]))
+        velocity = jnp.clip(velocity, low[1], high[1])
+        position = jnp.clip(state[0] + velocity, low[0], high[0])
+        at_the_wall = (position == low[0]) & (velocity < 0.0)
+        return jnp.stack([position, jnp.where(at_the_wall, jnp.zeros_like(velocity), velocity)])
+
+    def is_goal(self, state: Float[Array, "2"]) -> Bool[Array, ""]:
+        """See the class."""
+        return state[0] >= self.goal_position
+
+    def classic(
+        self,
+        state: Float[Array, "2"],
+        action: Float[Array, ""],
+        success: Bool[Array, ""],
+        failure: Bool[Array, ""],
+        after: Float[Array, "2"],
+    ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
+        """See the class."""
+        del action, failure, after
+        return -jnp.ones_like(state[0]), success
