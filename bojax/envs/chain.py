@@ -1,0 +1,81 @@
+"""The chain that is hard to explore (Osband et al. 2014; thesis, Section 5.7.1 and Fig. 5.6a)."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, Key
+
+from bojax.envs.base import Transition
+from bojax.envs.spaces import Discrete
+from bojax.envs.tabular import TabularEnv
+
+LEFT, RIGHT = 0, 1
+
+
+class Chain(TabularEnv):
+    """Walk a chain of N states to its end.
+
+    Action left moves left; action right moves right with probability 1 - 1/N, else left. In the first state
+    a move to the left stays. The last state is the goal: it pays 1, and nothing comes after it. Every other
+    state pays -1 with probability 1 - p whenever a step ends there, drawn anew each time. (The text of the
+    thesis says that p = 0 gives goal-only rewards; its probability says that it is p = 1.)
+
+    The length is a number of the run, so that chains of all lengths are one compiled program; only
+    `max_length` is built into it. States are numbered from 0, and those from N on are never seen. So a
+    learner with a table keeps rows that stay as they are, and a learner that scales observations by their
+    declared bounds finds neighbours at the same distance, 1 / (`max_length` - 1), in every chain.
+
+    Attributes:
+        length: N, at least 2 and at most `max_length`.
+        sparsity: p, the share of steps without the additional -1.
+        start: State that an episode starts in; 0 is the S_1 of the thesis.
+        max_length: Number of observations that are declared.
+        max_steps: See `Env`.
+    """
+
+    length: Float[Array, ""]
+    sparsity: Float[Array, ""]
+    start: Float[Array, ""]
+    max_length: int = eqx.field(static=True)
+    max_steps: int = eqx.field(static=True)
+
+    @property
+    def observation_space(self) -> Discrete:
+        """See `Env`."""
+        return Discrete(self.max_length)
+
+    @property
+    def action_space(self) -> Discrete:
+        """See `Env`."""
+        return Discrete(2)
+
+    @property
+    def num_branches(self) -> int:
+        """See `TabularEnv`."""
+        return 4
+
+    def reset(self, key: Key[Array, ""]) -> Int[Array, ""]:
+        """See `Env`: always the same start."""
+        del key
+        return self.start.astype(jnp.int32)
+
+    def probabilities(self, state: Int[Array, ""], action: Int[Array, ""]) -> Float[Array, "4"]:
+        """See `TabularEnv`: as meant and as not meant, without and with the additional -1 each."""
+        del state
+        slip = jnp.where(action == RIGHT, 1.0 / self.length, 0.0)
+        free, paid = self.sparsity, 1.0 - self.sparsity
+        return jnp.stack([(1.0 - slip) * free, (1.0 - slip) * paid, slip * free, slip * paid])
+
+    def outcome(self, state: Int[Array, ""], action: Int[Array, ""], branch: Int[Array, ""]) -> Transition:
+        """See `TabularEnv`."""
+        goal = self.length.astype(jnp.int32) - 1
+        is_right = (action == RIGHT) & (branch < 2)
+        after = jnp.clip(jnp.where(is_right, state + 1, state - 1), 0, goal)
+        is_goal = after == goal
+        penalty = ((branch == 1) | (branch == 3)).astype(self.length.dtype)
+        return Transition(
+            observation=after,
+            reward=jnp.where(is_goal, 1.0, -penalty),
+            terminated=is_goal,
+            truncated=jnp.zeros((), bool),
+            success=is_goal,
+        )

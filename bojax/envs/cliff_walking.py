@@ -1,0 +1,83 @@
+"""Cliff walking (Sutton & Barto, Example 6.6), goal-only as in Section 5.5 of the thesis, p. 119."""
+
+from typing import Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, Key
+
+from bojax.envs.base import Transition
+from bojax.envs.spaces import Discrete
+from bojax.envs.tabular import TabularEnv
+
+ROWS, COLUMNS = 4, 12
+START, GOAL = 36, 47
+
+ROW_STEPS = (-1, 0, 1, 0)
+COLUMN_STEPS = (0, 1, 0, -1)
+
+
+class CliffWalking(TabularEnv):
+    """Walk along a cliff from the lower left to the lower right corner of a 4 x 12 grid.
+
+    States are numbered row by row from the upper left, actions are up, right, down, left, both as in
+    Gymnasium's `CliffWalking-v1`. The cells between start and goal are the cliff: who falls is back at the
+    start, and the episode goes on. A step off the grid stays where it is.
+
+    Attributes:
+        slip: Probability that the direction is drawn anew, uniformly from all four.
+        reward_scale: Factor of every reward (100 in Fig. 5.2d).
+        reward: `"goal-only"`: 1 for the goal, -1 for a fall, 0 else; `"classic"`: -100 for a fall, -1 for any
+            other step, as Gymnasium has it.
+        max_steps: See `Env`.
+    """
+
+    slip: Float[Array, ""]
+    reward_scale: Float[Array, ""]
+    reward: Literal["goal-only", "classic"] = eqx.field(static=True)
+    max_steps: int = eqx.field(static=True)
+
+    @property
+    def observation_space(self) -> Discrete:
+        """See `Env`."""
+        return Discrete(ROWS * COLUMNS)
+
+    @property
+    def action_space(self) -> Discrete:
+        """See `Env`."""
+        return Discrete(4)
+
+    @property
+    def num_branches(self) -> int:
+        """See `TabularEnv`."""
+        return 5
+
+    def reset(self, key: Key[Array, ""]) -> Int[Array, ""]:
+        """See `Env`: always the same start."""
+        del key
+        return jnp.full((), START, jnp.int32)
+
+    def probabilities(self, state: Int[Array, ""], action: Int[Array, ""]) -> Float[Array, "5"]:
+        """See `TabularEnv`: the direction that was meant, then each of the four drawn by a slip."""
+        del state, action
+        return jnp.append(1.0 - self.slip, jnp.broadcast_to(self.slip / 4.0, (4,)))
+
+    def outcome(self, state: Int[Array, ""], action: Int[Array, ""], branch: Int[Array, ""]) -> Transition:
+        """See `TabularEnv`."""
+        direction = jnp.where(branch == 0, action, branch - 1)
+        row = jnp.clip(state // COLUMNS + jnp.asarray(ROW_STEPS, jnp.int32)[direction], 0, ROWS - 1)
+        column = jnp.clip(state % COLUMNS + jnp.asarray(COLUMN_STEPS, jnp.int32)[direction], 0, COLUMNS - 1)
+        cell = row * COLUMNS + column
+        falls = (cell > START) & (cell < GOAL)
+        is_goal = cell == GOAL
+        if self.reward == "classic":
+            reward = jnp.where(falls, -100.0, -1.0).astype(self.reward_scale.dtype)
+        else:
+            reward = is_goal.astype(self.reward_scale.dtype) - falls.astype(self.reward_scale.dtype)
+        return Transition(
+            observation=jnp.where(falls, START, cell),
+            reward=self.reward_scale * reward,
+            terminated=is_goal,
+            truncated=jnp.zeros((), bool),
+            success=is_goal,
+        )

@@ -1,0 +1,70 @@
+"""Environments with numbered states and actions whose every transition can be enumerated."""
+
+import abc
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, Key
+
+from bojax.envs.base import Env, Transition
+from bojax.envs.spaces import Discrete
+
+
+class TabularEnv(Env):
+    """A finite Markov decision process: an action leads into one of a few branches, each with a probability.
+
+    A subclass says how likely the branches are and where each leads; steps draw one of them, and
+    `transitions` lists them all, for exact solutions by dynamic programming. A state is its own observation.
+    """
+
+    @property
+    @abc.abstractmethod
+    def observation_space(self) -> Discrete:
+        """The states, numbered from 0."""
+
+    @property
+    @abc.abstractmethod
+    def action_space(self) -> Discrete:
+        """The actions, numbered from 0."""
+
+    @property
+    @abc.abstractmethod
+    def num_branches(self) -> int:
+        """Number of branches of every action, K."""
+
+    @abc.abstractmethod
+    def probabilities(self, state: Int[Array, ""], action: Int[Array, ""]) -> Float[Array, "K"]:
+        """Probability of each branch; they sum to 1."""
+
+    @abc.abstractmethod
+    def outcome(self, state: Int[Array, ""], action: Int[Array, ""], branch: Int[Array, ""]) -> Transition:
+        """Where a branch leads."""
+
+    def observe(self, state: Int[Array, ""]) -> Int[Array, ""]:
+        """See `Env`: the state is seen as it is."""
+        return state
+
+    def step(
+        self, key: Key[Array, ""], state: Int[Array, ""], action: Int[Array, ""]
+    ) -> tuple[Int[Array, ""], Transition]:
+        """See `Env`; an environment with one branch draws nothing."""
+        action = jnp.clip(action, 0, self.action_space.num - 1)
+        branch = jnp.zeros((), jnp.int32)
+        if self.num_branches > 1:
+            probabilities = self.probabilities(state, action)
+            lot = jax.random.uniform(key, (), probabilities.dtype)
+            # The last bound is left out: rounding may put it below a lot.
+            branch = jnp.sum(lot >= jnp.cumsum(probabilities)[:-1], dtype=jnp.int32)
+        transition = self.outcome(state, action, branch)
+        return transition.observation, transition
+
+    def transitions(self) -> tuple[Float[Array, "S A K"], Transition]:
+        """Probability and outcome of every branch of every action in every state, `[S, A, K]`."""
+        nums = self.observation_space.num, self.action_space.num, self.num_branches
+        states, actions, branches = (jnp.arange(num, dtype=jnp.int32) for num in nums)
+
+        def of_pair(state, action):
+            outcomes = jax.vmap(lambda branch: self.outcome(state, action, branch))(branches)
+            return self.probabilities(state, action), outcomes
+
+        return jax.vmap(lambda state: jax.vmap(lambda action: of_pair(state, action))(actions))(states)
