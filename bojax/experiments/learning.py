@@ -263,7 +263,7 @@ class LearningRun(Experiment):
         number: Int[Array, ""] | int = 0,
     ) -> tuple[Action, Float[Array, ""]]:
         """The action of a step, and what is expected of it."""
-        key = jax.random.fold_in(self._key(carry, number), 3 * step + 1)
+        key = jax.random.fold_in(self._key(carry, number), 3 * step + 2)
         return self.learner.act(key, trial.learner, trial.observation, balance)
 
     def take(
@@ -311,7 +311,7 @@ class LearningRun(Experiment):
         counts: Bool[Array, ""],
     ) -> Trial:
         """Keep a step of a training episode, and learn from it where it counts."""
-        key = jax.random.fold_in(self._key(carry, 0), 3 * step + 3)
+        key = jax.random.fold_in(self._key(carry, 0), 3 * step + 4)
         experience = jax.tree.map(
             lambda x: jnp.where(counts, x, jnp.zeros((), x.dtype)), experience
         )  # what is no number teaches nothing, and leaves no trace
@@ -331,7 +331,7 @@ class LearningRun(Experiment):
 
     def end_episode(self, carry: Run, trial: Trial, balance: Balance) -> LearnerState:
         """What the learner makes of a whole training episode."""
-        key = jax.random.fold_in(self._key(carry, 0), -1)
+        key = jax.random.fold_in(self._key(carry, 0), 1)
         balance = Balance(balance.exploration, balance.is_learning & (trial.length > 0))
         return self.learner.end_episode(key, trial.learner, Episode(trial.steps, trial.length), balance)
 
@@ -424,7 +424,7 @@ class LearningRun(Experiment):
         return self._row(trial, carry.episode + 1, self._exploiting)
 
     def _env_step(self, carry: Run, trial: Trial, action: Action, step, number):
-        key = jax.random.fold_in(self._key(carry, number), 3 * step + 2)
+        key = jax.random.fold_in(self._key(carry, number), 3 * step + 3)
         return self.env.step(key, trial.env, action)
 
     def _row(self, trial: Trial, episode: Int[Array, ""], balance: Balance) -> dict[str, Array]:
