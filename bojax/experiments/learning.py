@@ -69,7 +69,8 @@ class Run(eqx.Module):
         episodes_to_target: Training episodes after which the test episodes reached the target; -1 before.
         tests_after: Number of test episodes after that.
         return_after: Sum of their returns.
-        maps: Q and U over the observations, after each of `map_episodes`; NaN before.
+        maps: Q and U over the observations, after each of `map_episodes`; NaN before, None where none are
+            asked for.
     """
 
     key: Key[Array, ""]
@@ -83,7 +84,7 @@ class Run(eqx.Module):
     episodes_to_target: Int[Array, ""]
     tests_after: Int[Array, ""]
     return_after: Float[Array, ""]
-    maps: Float[Array, "K 2 *grid"]
+    maps: Float[Array, "K 2 *grid"] | None
 
 
 class LearningRun(Experiment):
@@ -154,7 +155,10 @@ class LearningRun(Experiment):
         learner = self._fresh(jax.random.fold_in(key, 0)) if self.learned is None else self.learned
         zero, never = jnp.zeros((), jnp.int32), jnp.full((), -1, jnp.int32)
         number = jnp.zeros((), self._dtype)
-        grid = jax.eval_shape(self._map, learner).shape
+        maps = None
+        if self.map_episodes:  # else an array without a number, which cannot be spread over devices
+            grid = jax.eval_shape(self._map, learner).shape
+            maps = jnp.full((len(self.map_episodes), *grid), jnp.nan, self._dtype)
         return Run(
             key=key,
             learner=learner,
@@ -167,7 +171,7 @@ class LearningRun(Experiment):
             episodes_to_target=never,
             tests_after=zero,
             return_after=number,
-            maps=jnp.full((len(self.map_episodes), *grid), jnp.nan, self._dtype),
+            maps=maps,
         )
 
     def advance(self, carry: Run) -> tuple[Run, Records]:
@@ -215,7 +219,7 @@ class LearningRun(Experiment):
 
     def snapshot(self, carry: Run) -> dict[str, dict[str, Array]]:
         """The maps of Q and U, where some are asked for."""
-        if not self.map_episodes:
+        if carry.maps is None:
             return {}
         return {"values": {"maps": carry.maps, "episodes": jnp.asarray(self.map_episodes, jnp.int32)}}
 
@@ -374,7 +378,7 @@ class LearningRun(Experiment):
                     done = done | (episodes_to_target >= 0)
             rows = {name: jnp.concatenate([rows[name], other[name]]) for name in rows}
         maps = carry.maps
-        if self.map_episodes:
+        if maps is not None:
             now = (episode == jnp.asarray(self.map_episodes)) & active
             now = now.reshape(-1, *[1] * (maps.ndim - 1))
             maps = jnp.where(now, self._map(learner)[None], maps)
