@@ -21,7 +21,13 @@ from bojax.numerics.linalg import matmul
 
 
 class StateActionFeatures(eqx.Module):
-    """A map phi from a state and an action to M features; P and R are the sizes of x and y."""
+    """A map phi from a state and an action to M features; P and R are the sizes of x and y.
+
+    Attributes:
+        actions: Space of actions.
+    """
+
+    actions: eqx.AbstractVar[Space]
 
     @property
     @abc.abstractmethod
@@ -111,27 +117,27 @@ class Indicators(StateActionFeatures):
     """One feature for each pair of a numbered state and a numbered action: 1 there, 0 elsewhere.
 
     Attributes:
-        num_states: Number of states.
-        num_actions: Number of actions.
+        observations: The numbered states.
+        actions: The numbered actions.
         one: The number 1, in the precision of the features.
     """
 
-    num_states: int = eqx.field(static=True)
-    num_actions: int = eqx.field(static=True)
+    observations: Discrete
+    actions: Space
     one: Float[Array, ""]
 
     @property
     def num_features(self) -> int:
         """See `StateActionFeatures`."""
-        return self.num_states * self.num_actions
+        return self.observations.num * self._num_actions
 
     def state(self, observation: Observation) -> Float[Array, "P"]:
         """See `StateActionFeatures`."""
-        return jax.nn.one_hot(observation, self.num_states, dtype=self.one.dtype)
+        return jax.nn.one_hot(observation, self.observations.num, dtype=self.one.dtype)
 
     def action(self, action: Action) -> Float[Array, "R"]:
         """See `StateActionFeatures`."""
-        return jax.nn.one_hot(action, self.num_actions, dtype=self.one.dtype)
+        return jax.nn.one_hot(action, self._num_actions, dtype=self.one.dtype)
 
     def join(self, x: Float[Array, "P"], y: Float[Array, "R"]) -> Float[Array, "M"]:
         """See `StateActionFeatures`."""
@@ -139,7 +145,12 @@ class Indicators(StateActionFeatures):
 
     def split(self, weights: Float[Array, "M"], y: Float[Array, "R"]) -> Float[Array, "P"]:
         """See `StateActionFeatures`."""
-        return matmul(weights.reshape(self.num_states, self.num_actions), y)
+        return matmul(weights.reshape(self.observations.num, self._num_actions), y)
+
+    @property
+    def _num_actions(self) -> int:
+        assert isinstance(self.actions, Discrete)
+        return self.actions.num
 
 
 class FeatureSpec(eqx.Module):
@@ -249,12 +260,7 @@ class IndicatorSpec(FeatureSpec):
         del key
         if isinstance(observation_space, Box) or isinstance(action_space, Box):
             raise ValueError("features: got indicators; allowed only where states and actions are numbered")
-        return Indicators(observation_space.num, action_space.num, jnp.ones((), dtype))
+        return Indicators(observation_space, action_space, jnp.ones((), dtype))
 
 
 _KERNELS = {"rbf": RBF, "matern12": Matern12, "matern32": Matern32, "matern52": Matern52}
-
-
-def all_actions(space: Discrete) -> Action:
-    """Every action of a discrete space."""
-    return jnp.arange(space.num, dtype=jnp.int32)

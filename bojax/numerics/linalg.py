@@ -146,3 +146,14 @@ def solve_small(a: Float[Array, "N N"], b: Float[Array, "N K"]) -> Float[Array, 
             (index == k)[:, None], pivot_row[None, :], rows - rows[:, k : k + 1] * pivot_row[None, :]
         )
     return rows[:, n:]
+
+
+def solve(a: Float[Array, "N N"], b: Float[Array, "N K"]) -> Float[Array, "N K"]:
+    """The solution of a x = b, by a library's LU factors; for any size."""
+    return _solve_joined(jnp.concatenate([a, b], axis=1))
+
+
+@one_by_one_on_cpu
+def _solve_joined(joined: Float[Array, "N L"]) -> Float[Array, "N K"]:
+    n = joined.shape[0]
+    return jnp.linalg.solve(joined[:, :n], joined[:, n:])

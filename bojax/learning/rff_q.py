@@ -1,0 +1,119 @@
+"""Q-learning on linear features with an epsilon-greedy policy (thesis, Sections 5.6.4 and 5.7)."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, Key
+
+from bojax.envs.base import Action, Observation
+from bojax.envs.spaces import Space
+from bojax.learning.actions import even_actions, fresh_actions
+from bojax.learning.balance import best_action
+from bojax.learning.base import Balance, Experience, Learner
+from bojax.learning.features import FeatureSpec, StateActionFeatures
+from bojax.numerics.linalg import matmul
+
+
+class RFFQState(eqx.Module):
+    """What the learner knows.
+
+    Attributes:
+        features: The map phi of this run.
+        weights: Weights of Q.
+        candidates: As many actions as the argmax looks at, `[J, ...]`.
+    """
+
+    features: StateActionFeatures
+    weights: Float[Array, "M"]
+    candidates: Action
+
+
+class RFFQ(Learner):
+    """Semi-gradient Q-learning: w += rate (r + gamma max_a' w'phi(s', a') - w'phi(s, a)) phi(s, a).
+
+    The maximum is over fresh uniform draws, or over all actions of a discrete space.
+
+    Attributes:
+        features: Which features.
+        discount: Discount of rewards per step, gamma.
+        learning_rate: Rate.
+        epsilon: Probability of a random action.
+        initial_weight: Standard deviation of the weights at the start; with 0, nothing is known.
+        num_actions: Actions that the maximum is taken over, where they are continuous.
+        normalise: Whether the rate is divided by phi'phi: random Fourier features have 1, a Fourier basis
+            half its number, with which the same rate would diverge.
+        block: Steps between two looks at whether an episode is over.
+    """
+
+    features: FeatureSpec
+    discount: Float[Array, ""]
+    learning_rate: Float[Array, ""]
+    epsilon: Float[Array, ""]
+    initial_weight: Float[Array, ""]
+    num_actions: int = eqx.field(static=True)
+    normalise: bool = eqx.field(static=True)
+    block: int = eqx.field(static=True)
+
+    @property
+    def exploration_weight(self) -> Float[Array, ""]:
+        """See `Learner`: epsilon."""
+        return self.epsilon
+
+    @property
+    def lanes_on_cpu(self) -> int:
+        """See `Learner`."""
+        return 32
+
+    def init(
+        self, key: Key[Array, ""], observation_space: Space, action_space: Space, capacity: int
+    ) -> RFFQState:
+        """See `Learner`."""
+        del capacity
+        key_features, key_weights, key_actions = jax.random.split(key, 3)
+        dtype = self.discount.dtype
+        features = self.features.draw(key_features, observation_space, action_space, dtype)
+        weights = self.initial_weight * jax.random.normal(key_weights, (features.num_features,), dtype)
+        return RFFQState(features, weights, even_actions(key_actions, self.num_actions, action_space))
+
+    def act(
+        self, key: Key[Array, ""], state: RFFQState, observation: Observation, balance: Balance
+    ) -> tuple[Action, Float[Array, ""]]:
+        """See `Learner`: a random candidate with probability epsilon, else the best."""
+        keys = jax.random.split(key, 4)
+        candidates = fresh_actions(keys[0], state.candidates, state.features.actions)
+        q = self._values(state, observation, candidates)
+        best = best_action(keys[1], q, jnp.zeros_like(q), self.epsilon)
+        is_random = jax.random.uniform(keys[2], (), q.dtype) < balance.exploration * self.epsilon
+        place = jnp.where(is_random, jax.random.randint(keys[3], (), 0, len(candidates)), best)
+        return candidates[place], q[place]
+
+    def observe(
+        self,
+        key: Key[Array, ""],
+        state: RFFQState,
+        experience: Experience,
+        balance: Balance,
+        slot: Int[Array, ""],
+    ) -> RFFQState:
+        """See `Learner`."""
+        del slot
+        candidates = fresh_actions(key, state.candidates, state.features.actions)
+        best = jnp.max(self._values(state, experience.next_observation, candidates))
+        target = experience.reward + self.discount * jnp.where(experience.terminated, 0.0, best)
+        phi = state.features(experience.observation, experience.action)
+        rate = self.learning_rate / jnp.sum(phi * phi) if self.normalise else self.learning_rate
+        step = rate * (target - matmul(phi, state.weights))
+        weights = state.weights + jnp.where(balance.is_learning, step, 0.0) * phi
+        return eqx.tree_at(lambda s: s.weights, state, weights)
+
+    def values(
+        self, state: RFFQState, observation: Observation, action: Action
+    ) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """See `Learner`."""
+        q = self._values(state, observation, action[None])[0]
+        return q, jnp.zeros_like(q)
+
+    def _values(self, state: RFFQState, observation: Observation, actions: Action) -> Float[Array, "J"]:
+        features = state.features
+        x = features.state(observation)
+        return jax.vmap(lambda a: matmul(features.join(x, features.action(a)), state.weights))(actions)
