@@ -53,14 +53,22 @@ class Point:
         return _mapping(self.config.get("problem"))
 
     @property
+    def is_learning(self) -> bool:
+        """Whether a run is many episodes of a learner."""
+        return "env" in self.config and "learner" in self.config
+
+    @property
     def has_success(self) -> bool:
         """Whether its runs can succeed: monitoring without a target area has nothing to reach."""
         return self.problem.get("target_area", True) is not None
 
     @property
     def ends_at_success(self) -> bool:
-        """Whether a run is over once it has succeeded; where there is an area to reach, it goes on."""
-        return "target_area" not in self.problem
+        """Whether a run is over once it has succeeded.
+
+        Where there is an area to reach, it goes on; and `steps` of a learner are those of all episodes.
+        """
+        return "target_area" not in self.problem and not self.is_learning
 
 
 @dataclass(frozen=True)
@@ -130,6 +138,38 @@ class Results:
         """`steps.parquet`; empty where the experiment has no steps."""
         path = self.folder / "steps.parquet"
         return _read_columns(path, ("point", "run", "step")) if path.exists() else {}
+
+    @cached_property
+    def episodes(self) -> Columns:
+        """`episodes.parquet`; empty where the experiment has no episodes."""
+        path = self.folder / "episodes.parquet"
+        return _read_columns(path, ("point", "run", "episode", "phase")) if path.exists() else {}
+
+    def by_episode(self, point: Point, column: str, phase: str = "train") -> NDArray[np.float64]:
+        """A column of `episodes.parquet` by run and episode, `[runs, episodes]`, the first episode first.
+
+        Of several tests after one episode, the mean. NaN where a run had no such episode. As many columns
+        as the longest run of any point has; its rows are those of `runs_of`.
+        """
+        key = (point.index, column, phase)
+        if key not in self._by_episode:
+            is_phase = self.episodes["phase"] == phase
+            last = int(self.episodes["episode"][is_phase].max(initial=0))
+            rows = is_phase & (self.episodes["point"] == point.index)
+            runs = self.runs_of(point)["run"]
+            rows &= np.isin(self.episodes["run"], runs)
+            cell = np.searchsorted(runs, self.episodes["run"][rows]) * last
+            cell += self.episodes["episode"][rows] - 1
+            values = self.episodes[column][rows].astype(np.float64)
+            count = np.bincount(cell, minlength=runs.size * last)
+            total = np.bincount(cell, values, minlength=runs.size * last)
+            means = np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
+            self._by_episode[key] = means.reshape(runs.size, last)
+        return self._by_episode[key]
+
+    @cached_property
+    def _by_episode(self) -> dict[tuple[int, str, str], NDArray[np.float64]]:
+        return {}
 
     @cached_property
     def num_steps(self) -> int:

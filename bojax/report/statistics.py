@@ -1,4 +1,4 @@
-"""The statistics of a report: bootstrap and Wilson intervals, Holm's procedure, carrying values forward.
+"""The statistics of a report: bootstrap, Wilson and Welch intervals, Holm's procedure, carrying forward.
 
 Every random choice is made from one fixed seed: the same table gives the same report.
 """
@@ -8,6 +8,7 @@ from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import special
 
 Floats = NDArray[np.float64]
 
@@ -113,6 +114,39 @@ def share_interval(flags: ArrayLike, *, level: float = LEVEL) -> Interval:
     hits = np.asarray(flags, dtype=bool)
     low, high = wilson(hits.sum(), hits.size, level=level)
     return Interval(float(hits.mean()) if hits.size else float("nan"), float(low), float(high))
+
+
+def share_difference(
+    successes: int, trials: int, other_successes: float, other_trials: int, *, level: float = LEVEL
+) -> Interval:
+    """Difference of two independent shares with the hybrid score interval (Newcombe 1998, method 10)."""
+    first, second = successes / trials, other_successes / other_trials
+    (low, high), (other_low, other_high) = (
+        wilson(successes, trials, level=level),
+        wilson(other_successes, other_trials, level=level),
+    )
+    below = np.hypot(first - low, other_high - second)
+    above = np.hypot(high - first, second - other_low)
+    return Interval(first - second, float(first - second - below), float(first - second + above))
+
+
+def welch_difference(
+    first: tuple[float, float, int], second: tuple[float, float, int], *, level: float = LEVEL
+) -> Interval:
+    """Difference of two independent means with Welch's t interval.
+
+    Args:
+        first: Mean, standard deviation (of n - 1) and number of values.
+        second: The same of what is subtracted.
+        level: Coverage.
+    """
+    variances = np.array([first[1] ** 2 / first[2], second[1] ** 2 / second[2]])
+    difference, variance = first[0] - second[0], float(variances.sum())
+    if variance == 0:
+        return Interval(difference, difference, difference)
+    freedom = variance**2 / float((variances**2 / np.array([first[2] - 1, second[2] - 1])).sum())
+    half = float(special.stdtrit(freedom, 0.5 + level / 2)) * np.sqrt(variance)
+    return Interval(difference, float(difference - half), float(difference + half))
 
 
 def holm_levels(p_values: ArrayLike, alpha: float) -> Floats:

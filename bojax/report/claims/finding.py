@@ -1,0 +1,54 @@
+"""What a test finds, and how an interval decides."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from bojax.report import statistics
+
+Verdict = Literal["reproduced", "not reproduced", "inconclusive"]
+
+TAIL = (1 - statistics.LEVEL) / 2
+"""What a 95% interval leaves out on either side."""
+
+BOOTSTRAP = f"percentile bootstrap, {statistics.RESAMPLES:,} resamples of whole runs"
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One statement that a claim rests on, with its estimate and interval."""
+
+    of: str
+    interval: statistics.Interval
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What a test found.
+
+    Attributes:
+        ours: The counterpart of the claim's `thesis`: a number or a text.
+        verdict: Decided by the comparisons.
+        comparisons: Every statement tested.
+        decisive: The comparison that stands for the claim in `claims.json`.
+        runs: Runs per setting.
+        method: The test in words.
+        chosen: Variant that stood for each label with several.
+    """
+
+    ours: float | str
+    verdict: Verdict
+    comparisons: list[Comparison]
+    decisive: Comparison
+    runs: int
+    method: str
+    chosen: Mapping[str, str] = field(default_factory=dict)
+
+
+def within(interval: statistics.Interval, low: float = -float("inf"), high: float = float("inf")) -> Verdict:
+    """Whether what an interval is of lies between two numbers: all of the interval does, or none of it."""
+    if low < interval.low and interval.high < high:
+        return "reproduced"
+    if interval.high < low or interval.low > high:
+        return "not reproduced"
+    return "inconclusive"

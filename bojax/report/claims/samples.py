@@ -1,0 +1,170 @@
+"""What a test reads: which points stand for its names, and one number per run of each."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bojax.report import statistics
+from bojax.report.source import Columns, Point, Results
+from bojax.report.text import counted
+
+MIN_RUNS = 20
+"""Fewer runs than this decide nothing: a percentile bootstrap is too narrow for small samples."""
+
+Window = Mapping[str, Any]
+"""Episodes `from` to `to` of a `phase`."""
+
+
+class Undecidable(Exception):
+    """Why a test cannot be made on these data."""
+
+
+@dataclass(frozen=True)
+class Measure:
+    """One number per run.
+
+    Attributes:
+        column: Of `runs.parquet`, unless a place is given.
+        place: A step, for the column of `steps.parquet` there (a run that has ended keeps its last value),
+            or a window, for the mean of the column of `episodes.parquet` in it.
+        since: A window whose mean is subtracted.
+    """
+
+    column: str
+    place: int | Window | None = None
+    since: Window | None = None
+
+    @classmethod
+    def of(cls, test: Mapping[str, Any]) -> "Measure":
+        """What a test's `column`, `window` and `since` say."""
+        return cls(test["column"], test.get("window"), test.get("since"))
+
+    def __str__(self) -> str:
+        """Its name in a sentence."""
+        if self.place is None:
+            return self.column
+        if isinstance(self.place, int):
+            return f"{self.column} at step {self.place}"
+        since = "" if self.since is None else f", less that of {episodes_in(self.since)}"
+        return f"mean {self.column} of {episodes_in(self.place)}{since}"
+
+    def values(self, results: Results, point: Point, runs: NDArray[Any]) -> NDArray[Any]:
+        """Its value in the runs of these indices; NaN where a run has none."""
+        if self.place is None:
+            table = results.runs_of(point)
+            return column(table, self.column)[np.searchsorted(table["run"], runs)]
+        if isinstance(self.place, int):
+            return self._at_step(results, point, runs, self.place)
+        values = by_episode(results, point, self.column, self.place, runs).mean(axis=1)
+        if self.since is not None:
+            values = values - by_episode(results, point, self.column, self.since, runs).mean(axis=1)
+        return values
+
+    def _at_step(self, results: Results, point: Point, runs: NDArray[Any], step: int) -> NDArray[Any]:
+        if results.num_steps < step:
+            longest = results.num_steps
+            raise Undecidable(f"no run lasted {counted(step, 'step')}: the longest took {longest}")
+        rows = results.steps_of(point)
+        values = column(rows, self.column)
+        return statistics.carry_forward(runs, rows["run"], rows["step"], values, step)[:, step]
+
+
+def stand_ins(
+    results: Results, test: Mapping[str, Any], names: Sequence[str], measure: Measure, sign: float = 1.0
+) -> tuple[list[Point], dict[str, str]]:
+    """The points that stand for names; of several of one label the best mean, and which those are."""
+    found, chosen = [], {}
+    for name in names:
+        points = named(results, test, name)
+        if len(points) > 1:
+            means = [
+                sign * float(np.mean(measure.values(results, point, results.runs_of(point)["run"])))
+                for point in points
+            ]
+            points = [points[int(np.argmax(np.nan_to_num(means, nan=-np.inf)))]]
+            chosen[name] = points[0].name
+        found.append(points[0])
+    return found, chosen
+
+
+def named(results: Results, test: Mapping[str, Any], name: str) -> list[Point]:
+    """The points of a label, or of a variant where the test is by variant, that have runs."""
+    by_variant = test.get("by") == "variant"
+    points = [point for point in results.points if (point.variant if by_variant else point.label) == name]
+    points = [point for point in points if results.runs_of(point)["run"].size]
+    if not points:
+        raise Undecidable(f"no runs of {name}")
+    return points
+
+
+def score(results: Results, measure: Measure) -> Measure:
+    """What picks the variant that stands for a label: the return of a run where it has one.
+
+    Where episodes are tested, the tested number itself: a run then has many returns.
+    """
+    is_run = "return" in results.runs and not isinstance(measure.place, Mapping)
+    return Measure("return") if is_run else measure
+
+
+def paired(results: Results, names: Sequence[str], points: Sequence[Point], measure: Measure) -> NDArray[Any]:
+    """A measure in the runs that all points have, `[runs, points]`, every value finite."""
+    for name, point in zip(names, points, strict=True):
+        finite(measure.values(results, point, results.runs_of(point)["run"]), name, str(measure))
+    shared = results.shared_runs(points)
+    enough(len(shared), "paired run" if len(points) > 1 else "run")
+    return np.stack([measure.values(results, point, shared) for point in points], axis=1)
+
+
+def by_episode(
+    results: Results, point: Point, name: str, window: Window, runs: NDArray[Any]
+) -> statistics.Floats:
+    """A column of `episodes.parquet` in a window, `[runs, episodes]`; NaN where a run had no such episode."""
+    phase, first, last = window.get("phase", "train"), int(window["from"]), int(window["to"])
+    if not results.episodes:
+        raise Undecidable("the results have no episodes")
+    column(results.episodes, name)
+    table = results.by_episode(point, name, phase)
+    if table.shape[1] < last:
+        kind = "test after training " if phase == "test" else ""
+        raise Undecidable(f"no run has a {kind}episode {last}: the last one is {table.shape[1]}")
+    return table[np.searchsorted(results.runs_of(point)["run"], runs), first - 1 : last]
+
+
+def most_present(values: NDArray[Any], name: str, column: str, missing: float) -> NDArray[np.bool_]:
+    """Where there is a number, if it lacks in no more than a share of the runs."""
+    is_there = np.isfinite(np.asarray(values, dtype=np.float64))
+    lacking = int((~is_there).sum())
+    if lacking > missing * is_there.size:
+        limit = f"more than {missing:.0%}" if missing else "and a mean over the rest is another quantity"
+        raise Undecidable(f"{lacking} of {counted(is_there.size, 'run')} of {name} have no {column}, {limit}")
+    return is_there
+
+
+def column(table: Columns, name: str) -> NDArray[Any]:
+    """A column of a table."""
+    if name not in table:
+        raise Undecidable(f"the results have no column {name}")
+    return table[name]
+
+
+def finite(values: NDArray[Any], name: str, column: str) -> None:
+    """Refuse values that are no numbers."""
+    bad = int((~np.isfinite(np.asarray(values, dtype=np.float64))).sum())
+    if bad:
+        raise Undecidable(f"{counted(bad, 'run')} of {name} without a finite {column}")
+
+
+def enough(count: int, noun: str) -> None:
+    """Refuse fewer runs than decide anything."""
+    if count < MIN_RUNS:
+        raise Undecidable(f"{counted(count, noun)}: at least {MIN_RUNS} are needed for a verdict")
+
+
+def episodes_in(window: Window) -> str:
+    """A window in words."""
+    tests = "the tests after " if window.get("phase") == "test" else ""
+    first, last = int(window["from"]), int(window["to"])
+    return f"{tests}episode {first}" if first == last else f"{tests}episodes {first} to {last}"

@@ -1,0 +1,104 @@
+"""Test of how a mean grows with a swept number: linearly, quadratically or exponentially."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from bojax.report import growth as laws
+from bojax.report import statistics
+from bojax.report.claims.finding import BOOTSTRAP, TAIL, Comparison, Finding, Verdict
+from bojax.report.claims.samples import Undecidable, column, enough, most_present, named
+from bojax.report.source import Point, Results
+from bojax.report.text import counted, percent
+
+MIN_NUMBERS = 4
+"""Two coefficients fit two means exactly, and three nearly."""
+
+
+def growth(results: Results, test: Mapping[str, Any]) -> Finding:
+    """Which of the laws of `bojax.report.growth` lies nearest to the means, and how surely.
+
+    Whole runs are resampled, the same ones of every number; it is decided where one law is the nearest in
+    95% of the resamples.
+    """
+    label, name, over, expected = (test[key] for key in ("label", "column", "over", "expected"))
+    points = numbers_of(named(results, test, label), label, over)
+    x = np.array([number for number, _ in points])
+    values = _samples(results, points, label, name, float(test.get("missing", 0.05)))
+    is_there = np.isfinite(values)
+    # Two bootstraps of one seed draw the same runs: a resample's mean is over those with a number.
+    means = statistics.bootstrap_means(np.where(is_there, values, 0.0))
+    means = means / statistics.bootstrap_means(is_there)
+    low, high = np.quantile(means[:, -1] - means[:, 0], [TAIL, 1 - TAIL])
+    if not low > 0:
+        raise Undecidable(
+            f"the mean {name} of {label} does not clearly grow: from {over} {x[0]:g} to {x[-1]:g} it "
+            f"changes by between {low:g} and {high:g}"
+        )
+    ours, errors = np.nanmean(values, axis=0), laws.errors_of(values)
+    fits = {law: laws.fit(law, x, ours, errors) for law in laws.LAWS}
+    resampled = {law: laws.fit(law, x, means, errors).misfit for law in laws.LAWS}
+    wins = np.bincount(np.argmin(list(resampled.values()), axis=0), minlength=len(laws.LAWS)) / len(means)
+    shares = dict(zip(laws.LAWS, wins, strict=True))
+    comparisons = [
+        Comparison(
+            f"misfit of {law} / misfit of {expected}",
+            _ratio(fits[law].misfit, fits[expected].misfit, resampled[law], resampled[expected]),
+        )
+        for law in laws.LAWS
+        if law != expected
+    ]
+    best = max(shares, key=lambda law: shares[law])
+    verdict: Verdict = "inconclusive"
+    if shares[best] >= statistics.LEVEL:
+        verdict = "reproduced" if best == expected else "not reproduced"
+    off = float(np.sqrt(np.mean((fits[best](x) / ours - 1) ** 2)))
+    told = ", ".join(f"{fit.law} {fit} in {percent(shares[fit.law])}" for fit in fits.values())
+    lacking = int((~is_there).sum())
+    left_out = f"; {counted(lacking, 'run')} without a number left out" if lacking else ""
+    return Finding(
+        ours=f"{best}: {fits[best]}",
+        verdict=verdict,
+        comparisons=comparisons,
+        decisive=min(comparisons, key=lambda comparison: comparison.interval.estimate),
+        runs=len(values),
+        method=f"mean {name} over {over} x of {', '.join(f'{number:g}' for number in x)}, each with its "
+        f"standard error and {laws.FLOOR:.0%} of it, fitted by weighted least squares; nearest of all laws "
+        f"in a share of resamples: {told} (95% decide); the nearest is off by {percent(off)} (root mean "
+        f"square){left_out}; {BOOTSTRAP}",
+    )
+
+
+def numbers_of(points: list[Point], label: str, over: str) -> list[tuple[float, Point]]:
+    """Points by the swept number, from the least on."""
+    swept = [(point.swept.get(over), point) for point in points]
+    if not all(isinstance(number, int | float) for number, _ in swept):
+        raise Undecidable(f"{over} is not a swept number of {label}")
+    numbers = sorted(((float(number), point) for number, point in swept), key=lambda pair: pair[0])  # type: ignore[arg-type]
+    distinct = {number for number, _ in numbers}
+    if len(distinct) < len(numbers):
+        raise Undecidable(f"several settings of {label} have the same {over}: test them by variant")
+    if len(distinct) < MIN_NUMBERS:
+        raise Undecidable(f"{counted(len(distinct), 'value')} of {over}: at least {MIN_NUMBERS} are needed")
+    return numbers
+
+
+def _samples(
+    results: Results, points: list[tuple[float, Point]], label: str, name: str, missing: float
+) -> statistics.Floats:
+    column(results.runs, name)
+    table = results.paired([point for _, point in points], name).astype(np.float64)
+    enough(len(table), "paired run")
+    for (number, _), values in zip(points, table.T, strict=True):
+        present = most_present(values, f"{label} at {number:g}", name, missing)
+        enough(int(present.sum()), "successful run")
+    if not (np.nanmean(table, axis=0) > 0).all():
+        raise Undecidable(f"the means of {name} are not positive: no law of growth holds")
+    return table
+
+
+def _ratio(above: Any, below: Any, many_above: Any, many_below: Any) -> statistics.Interval:
+    tiny = np.finfo(np.float64).tiny
+    low, high = np.quantile(many_above / np.maximum(many_below, tiny), [TAIL, 1 - TAIL])
+    return statistics.Interval(float(above / max(below, tiny)), float(low), float(high))

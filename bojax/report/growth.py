@@ -1,0 +1,106 @@
+"""How means grow with a number: laws of two coefficients, fitted by weighted least squares."""
+
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from bojax.report.statistics import Floats
+from bojax.report.text import number
+
+Law: TypeAlias = Literal["linear", "quadratic", "exponential"]
+
+LAWS: dict[Law, str] = {"linear": "a + b x", "quadratic": "a + b x²", "exponential": "a exp(b x)"}
+"""The laws compared. All have two coefficients, so that none fits better by its freedom alone."""
+
+FLOOR = 0.05
+"""Share of a mean added to its standard error: no count follows a law exactly, least of all for small
+numbers, whose means are known best and would otherwise decide alone."""
+
+_RATES = 2001
+_BLOCK = 500
+
+
+@dataclass(frozen=True)
+class Fit:
+    """One law fitted to means, or to each resample of them.
+
+    Attributes:
+        law: Which one.
+        a: First coefficient, `[]` or `[resamples]`.
+        b: Second coefficient.
+        misfit: Root mean square of the residuals, each over its error.
+    """
+
+    law: Law
+    a: Floats
+    b: Floats
+    misfit: Floats
+
+    def __call__(self, x: Floats) -> Floats:
+        """The law at numbers `[n]`, of a single fit."""
+        if self.law == "exponential":
+            return self.a * np.exp(self.b * x)
+        return self.a + self.b * (x if self.law == "linear" else x**2)
+
+    def __str__(self) -> str:
+        """The law with its coefficients, of a single fit."""
+        a, b = number(float(self.a)), number(abs(float(self.b)))
+        sign = "-" if self.b < 0 else "+"
+        if self.law == "exponential":
+            return f"{a} exp({'-' if self.b < 0 else ''}{b} x)"
+        return f"{a} {sign} {b} x{'' if self.law == 'linear' else '²'}"
+
+
+def errors_of(values: Floats) -> Floats:
+    """Error of the mean of each column of `[runs, n]`, a NaN being no value: standard error and floor."""
+    count = np.isfinite(values).sum(axis=0)
+    variance = np.nanvar(values, axis=0, ddof=1) / count
+    return np.sqrt(variance + (FLOOR * np.nanmean(values, axis=0)) ** 2)
+
+
+def fit(law: Law, x: Floats, means: Floats, errors: Floats) -> Fit:
+    """The law nearest to means by weighted least squares.
+
+    Args:
+        law: Which law.
+        x: `[n]` numbers.
+        means: `[..., n]` means at these numbers.
+        errors: `[n]` error of each mean; its inverse square is its weight.
+    """
+    flat = np.atleast_2d(np.asarray(means, dtype=np.float64))
+    a, b, squares = (_exponential if law == "exponential" else _polynomial)(law, x, flat, errors**-2)
+    shape = np.shape(means)[:-1]
+    misfit = np.sqrt(np.maximum(squares, 0.0) / len(x))
+    return Fit(law, a.reshape(shape), b.reshape(shape), misfit.reshape(shape))
+
+
+def _polynomial(law: Law, x: Floats, means: Floats, weights: Floats) -> tuple[Floats, Floats, Floats]:
+    powers = x if law == "linear" else x**2
+    total = weights.sum()
+    centre, middle = weights @ powers / total, means @ weights / total
+    slope = (means - middle[:, None]) @ (weights * (powers - centre)) / (weights @ (powers - centre) ** 2)
+    a = middle - slope * centre
+    residuals = means - a[:, None] - slope[:, None] * powers
+    return a, slope, residuals**2 @ weights
+
+
+def _exponential(law: Law, x: Floats, means: Floats, weights: Floats) -> tuple[Floats, Floats, Floats]:
+    """For each rate b of a fine grid the best a is known: the best pair is that of the least squares."""
+    del law
+    reach = 2.0 * np.log(means.max() / max(means.min(), 1e-9 * means.max())) + 1.0
+    rates = np.linspace(-reach, reach, _RATES) / np.ptp(x)
+    # Curves are 1 in the middle of x, so that no rate overflows.
+    middle = (x.min() + x.max()) / 2
+    curves = np.exp(rates[:, None] * (x - middle))
+    norms = curves**2 @ weights
+    found = []
+    for start in range(0, len(means), _BLOCK):
+        block = means[start : start + _BLOCK]
+        along = (block * weights) @ curves.T
+        best = np.argmax(np.where(along > 0, along, 0.0) ** 2 / norms, axis=1)
+        height = along[np.arange(len(block)), best] / norms[best]
+        squares = (block - height[:, None] * curves[best]) ** 2 @ weights
+        found.append((height * np.exp(-rates[best] * middle), rates[best], squares))
+    a, b, squares = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return a, b, squares
