@@ -6,33 +6,48 @@ from typing import Literal
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Float, Int, Key
 
 from bojax.envs.spaces import Discrete, Space
 from bojax.learning.balance import Ties, best_action
 from bojax.learning.base import Balance, Experience, Learner
 from bojax.learning.exploration_rewards import ExplorationReward
 
+Q, U = 0, 1
+"""Columns of a table's values."""
+
 
 class Tables(eqx.Module):
-    """What a tabular learner knows, a row for each state.
+    """What a tabular learner knows; one array, since one write a step is faster than three.
 
     Attributes:
-        q: Expected return Q of each action.
-        u: Expected exploration return U; None where a learner has none.
-        counts: Visits of each pair; None where a learner needs none.
+        columns: For each state and action: the expected return Q; the expected exploration return U, where a
+            learner has one; and, in the last column, the number of visits.
     """
 
-    q: Float[Array, "S A"]
-    u: Float[Array, "S A"] | None
-    counts: Float[Array, "S A"] | None
+    columns: Float[Array, "S A C"]
+
+    @property
+    def q(self) -> Float[Array, "S A"]:
+        """Expected return of each action."""
+        return self.columns[..., Q]
+
+    @property
+    def u(self) -> Float[Array, "S A"]:
+        """Expected exploration return of each action; 0 where the learner has none."""
+        return self.columns[..., U] if self.columns.shape[-1] > 2 else jnp.zeros_like(self.q)
+
+    @property
+    def visits(self) -> Float[Array, "S A"]:
+        """Number of visits of each pair while learning."""
+        return self.columns[..., -1]
 
 
 class TabularLearner(Learner):
-    """Q-learning on a table: Q(s, a) += rate (target - Q(s, a)) after each step (2.43).
+    """Q-learning on a table: each value goes `learning_rate` of the way to its target after a step (2.43).
 
-    An absorbing state is worth 0: nothing is added to its reward. A time limit is none: the target is
-    continued past it.
+    The target of a value is its reward plus the discounted value of what follows. An absorbing state is worth
+    0; a time limit is no absorbing state, and the target is continued past it.
 
     Attributes:
         discount: Discount of rewards, per step.
@@ -48,6 +63,30 @@ class TabularLearner(Learner):
     ties: Ties = eqx.field(static=True)
     block: int = eqx.field(static=True)
 
+    @property
+    @abc.abstractmethod
+    def initial_values(self) -> Float[Array, "V"]:
+        """Q, and U where there is one, of what was never tried."""
+
+    @abc.abstractmethod
+    def lesson(
+        self,
+        key: Key[Array, ""],
+        experience: Experience,
+        balance: Balance,
+        visits: Float[Array, ""],
+        next_row: Float[Array, "A C"],
+    ) -> tuple[Float[Array, "V"], Float[Array, "V"]]:
+        """What each value learns from a step: its reward, and the value of the state that follows.
+
+        Args:
+            key: Randomness.
+            experience: The step.
+            balance: How much is explored.
+            visits: Visits of the state and action before.
+            next_row: Row of the table of the state that follows.
+        """
+
     def init(
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, capacity: int
     ) -> Tables:
@@ -57,61 +96,54 @@ class TabularLearner(Learner):
             ValueError: A space is not discrete.
         """
         del key, capacity
-        for name, space in (("observation_space", observation_space), ("action_space", action_space)):
-            if not isinstance(space, Discrete):
-                raise ValueError(
-                    f"{name}: a tabular learner needs a Discrete space, not a {type(space).__name__}"
-                )
-        assert isinstance(observation_space, Discrete) and isinstance(action_space, Discrete)
-        return self._empty(observation_space.num, action_space.num)
-
-    @abc.abstractmethod
-    def _empty(self, num_states: int, num_actions: int) -> Tables:
-        """Tables before the first step."""
-
-    def _table(self, value: Float[Array, ""], num_states: int, num_actions: int) -> Float[Array, "S A"]:
-        return jnp.broadcast_to(value, (num_states, num_actions))
+        num_states = _num(observation_space, "observation_space")
+        num_actions = _num(action_space, "action_space")
+        entry = jnp.append(self.initial_values, 0.0)
+        return Tables(jnp.broadcast_to(entry, (num_states, num_actions, *entry.shape)))
 
     def act(
         self, key: Key[Array, ""], state: Tables, observation: Int[Array, ""], balance: Balance
     ) -> tuple[Int[Array, ""], Float[Array, ""]]:
-        """See `Learner`: the best action by Q alone, unless a learner explores otherwise."""
+        """See `Learner`: the best action by Q alone, unless a learner explores by its choice of actions."""
         del balance
-        q = _row(state.q, observation)
+        q = _row(state, observation)[:, Q]
         action = best_action(key, q, jnp.zeros_like(q), jnp.zeros_like(self.discount), self.ties)
         return action, q[action]
+
+    def observe(
+        self,
+        key: Key[Array, ""],
+        state: Tables,
+        experience: Experience,
+        balance: Balance,
+        slot: Int[Array, ""],
+    ) -> Tables:
+        """See `Learner`: the one update of all tabular learners."""
+        del slot
+        pair = experience.observation, experience.action
+        entry = _row(state, experience.observation)[experience.action]
+        next_row = _row(state, experience.next_observation)
+        reward, next_value = self.lesson(key, experience, balance, entry[-1], next_row)
+        change = self.learning_rate * (reward + self.discount * next_value - entry[:-1])
+        change = jnp.where(balance.is_learning, jnp.append(change, 1.0), 0.0)
+        # One entry is written, nothing is selected: a select would copy the table in every step.
+        return Tables(state.columns.at[pair].add(change, mode="drop"))
 
     def values(
         self, state: Tables, observation: Int[Array, ""], action: Int[Array, ""]
     ) -> tuple[Float[Array, ""], Float[Array, ""]]:
         """See `Learner`."""
-        q = _row(state.q, observation)[action]
-        return q, jnp.zeros_like(q) if state.u is None else _row(state.u, observation)[action]
-
-    def _toward(
-        self,
-        table: Float[Array, "S A"] | None,
-        experience: Experience,
-        reward: Float[Array, ""],
-        next_value: Float[Array, ""],
-        balance: Balance,
-    ) -> Float[Array, "S A"]:
-        """The one update of all values: a step towards reward + discount * next value."""
-        target = reward + self.discount * next_value
-        change = self.learning_rate * (target - _row(table, experience.observation)[experience.action])
-        return _add(table, experience, change, balance)
-
-    def _masked(self, next_value: Float[Array, ""], terminated: Bool[Array, ""]) -> Float[Array, ""]:
-        return jnp.where(terminated, 0.0, next_value)
+        entry = _row(state, observation)[action]
+        return entry[Q], entry[U] if entry.shape[0] > 2 else jnp.zeros_like(entry[Q])
 
     @property
     def lanes_on_cpu(self) -> int:
         """See `Learner`."""
-        return 128
+        return 64
 
 
 class ExplorationValues(TabularLearner):
-    """Two tables, Q of rewards and U of exploration rewards; acts by argmax Q + kappa U (Algorithm 5).
+    """Two values, Q of rewards and U of exploration rewards; acts by argmax Q + kappa U (Algorithm 5).
 
     Attributes:
         kappa: Weight of U in the choice of actions.
@@ -119,10 +151,10 @@ class ExplorationValues(TabularLearner):
         exploration_reward: What exploring a transition is worth.
         bootstrap: What follows a state: `"max"`: the greatest Q and the greatest U of its actions, as
             Q-learning has it; `"policy"`: Q and U of the action that argmax Q + kappa U takes there (5.7).
-        terminal_u: U of an absorbing state: `"masked"`: 0, as of Q; `"bootstrap"`: that of its row of the
-            table, which is never learned and stays `initial_u`. At the default `initial_u` of 0 both are
-            the same. Masking is the default since no exploration is left in a state without a next step;
-            it favours no episode's end here as long as that is only the goal.
+        terminal_u: U of an absorbing state: `"masked"`: 0, as of Q; `"bootstrap"`: what its row of the table
+            says, which is never learned and stays `initial_u`. Masking is the default since nothing is left
+            to explore after the end of an episode. It makes an early end the best exploration; in the
+            domains of Section 5.5 only the goal ends an episode. At an `initial_u` of 0 both are the same.
     """
 
     kappa: Float[Array, ""]
@@ -136,50 +168,44 @@ class ExplorationValues(TabularLearner):
         """See `Learner`: kappa."""
         return self.kappa
 
-    def _empty(self, num_states: int, num_actions: int) -> Tables:
-        q, u, counts = (
-            self._table(value, num_states, num_actions)
-            for value in (self.initial_q, self.initial_u, jnp.zeros_like(self.initial_q))
-        )
-        return Tables(q, u, counts)
+    @property
+    def initial_values(self) -> Float[Array, "2"]:
+        """See `TabularLearner`."""
+        return jnp.stack([self.initial_q, self.initial_u])
 
     def act(
         self, key: Key[Array, ""], state: Tables, observation: Int[Array, ""], balance: Balance
     ) -> tuple[Int[Array, ""], Float[Array, ""]]:
         """See `Learner`."""
-        q, u = _row(state.q, observation), _row(state.u, observation)
-        action = best_action(key, q, u, self.kappa * balance.exploration, self.ties)
-        return action, q[action]
+        row = _row(state, observation)
+        action = self._best(key, row, balance)
+        return action, row[action, Q]
 
-    def observe(
+    def lesson(
         self,
         key: Key[Array, ""],
-        state: Tables,
         experience: Experience,
         balance: Balance,
-        slot: Int[Array, ""],
-    ) -> Tables:
-        """See `Learner`."""
-        del slot
-        bonus = _bonus(self.exploration_reward, state.counts, experience)
-        q, u = _row(state.q, experience.next_observation), _row(state.u, experience.next_observation)
+        visits: Float[Array, ""],
+        next_row: Float[Array, "A 3"],
+    ) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
+        """See `TabularLearner`."""
+        bonus = self.exploration_reward(visits, next_row[:, -1])
         if self.bootstrap == "policy":
-            action = best_action(key, q, u, self.kappa * balance.exploration, self.ties)
-            next_q, next_u = q[action], u[action]
+            next_value = next_row[self._best(key, next_row, balance), :-1]
         else:
-            next_q, next_u = jnp.max(q), jnp.max(u)
-        next_q = self._masked(next_q, experience.terminated)
-        if self.terminal_u == "masked":
-            next_u = self._masked(next_u, experience.terminated)
-        return Tables(
-            q=self._toward(state.q, experience, experience.reward, next_q, balance),
-            u=self._toward(state.u, experience, bonus, next_u, balance),
-            counts=_add(state.counts, experience, jnp.ones_like(bonus), balance),
+            next_value = jnp.max(next_row[:, :-1], axis=0)
+        is_worthless = jnp.stack(
+            [experience.terminated, experience.terminated & (self.terminal_u == "masked")]
         )
+        return jnp.stack([experience.reward, bonus]), jnp.where(is_worthless, 0.0, next_value)
+
+    def _best(self, key: Key[Array, ""], row: Float[Array, "A 3"], balance: Balance) -> Int[Array, ""]:
+        return best_action(key, row[:, Q], row[:, U], self.kappa * balance.exploration, self.ties)
 
 
 class AdditiveRewards(TabularLearner):
-    """One table Q of r + xi r_e (5.1); acts by argmax Q.
+    """One value Q, of r + xi r_e (5.1); acts by argmax Q.
 
     The balance of exploration multiplies xi when a step is learned from: what was learned before stays in Q.
 
@@ -196,35 +222,28 @@ class AdditiveRewards(TabularLearner):
         """See `Learner`: xi."""
         return self.xi
 
-    def _empty(self, num_states: int, num_actions: int) -> Tables:
-        q, counts = (
-            self._table(value, num_states, num_actions)
-            for value in (self.initial_q, jnp.zeros_like(self.initial_q))
-        )
-        return Tables(q, None, counts)
+    @property
+    def initial_values(self) -> Float[Array, "1"]:
+        """See `TabularLearner`."""
+        return self.initial_q[None]
 
-    def observe(
+    def lesson(
         self,
         key: Key[Array, ""],
-        state: Tables,
         experience: Experience,
         balance: Balance,
-        slot: Int[Array, ""],
-    ) -> Tables:
-        """See `Learner`."""
-        del key, slot
-        bonus = _bonus(self.exploration_reward, state.counts, experience)
+        visits: Float[Array, ""],
+        next_row: Float[Array, "A 2"],
+    ) -> tuple[Float[Array, "1"], Float[Array, "1"]]:
+        """See `TabularLearner`."""
+        del key
+        bonus = self.exploration_reward(visits, next_row[:, -1])
         reward = experience.reward + self.xi * balance.exploration * bonus
-        next_q = self._masked(jnp.max(_row(state.q, experience.next_observation)), experience.terminated)
-        return Tables(
-            q=self._toward(state.q, experience, reward, next_q, balance),
-            u=None,
-            counts=_add(state.counts, experience, jnp.ones_like(bonus), balance),
-        )
+        return reward[None], _greedy_value(experience, next_row)
 
 
 class EpsilonGreedy(TabularLearner):
-    """One table Q of rewards; acts by argmax Q, but uniformly with probability epsilon.
+    """One value Q of rewards; acts by argmax Q, but uniformly with probability epsilon.
 
     Attributes:
         epsilon: That probability.
@@ -237,59 +256,48 @@ class EpsilonGreedy(TabularLearner):
         """See `Learner`: epsilon."""
         return self.epsilon
 
-    def _empty(self, num_states: int, num_actions: int) -> Tables:
-        return Tables(self._table(self.initial_q, num_states, num_actions), None, None)
+    @property
+    def initial_values(self) -> Float[Array, "1"]:
+        """See `TabularLearner`."""
+        return self.initial_q[None]
 
     def act(
         self, key: Key[Array, ""], state: Tables, observation: Int[Array, ""], balance: Balance
     ) -> tuple[Int[Array, ""], Float[Array, ""]]:
         """See `Learner`."""
-        key_greedy, key_random = jax.random.split(key)
-        best, _ = super().act(key_greedy, state, observation, balance)
-        q = _row(state.q, observation)
-        # One lot for both: below epsilon it is uniform there, and says which action.
-        lot = jax.random.uniform(key_random, (), q.dtype)
-        threshold = self.epsilon * balance.exploration
-        explores = lot < threshold
-        share = jnp.where(explores, lot / jnp.where(threshold > 0.0, threshold, 1.0), 0.0)
-        drawn = jnp.minimum((share * q.shape[0]).astype(jnp.int32), q.shape[0] - 1)
-        action = jnp.where(explores, drawn, best)
-        return action, q[action]
+        row = _row(state, observation)
+        explore, choose = jax.random.split(key)
+        is_random = jax.random.uniform(explore, (), row.dtype) < self.epsilon * balance.exploration
+        none, zero = jnp.zeros_like(row[:, Q]), jnp.zeros_like(self.epsilon)
+        # Any action is the best one where all are worth the same.
+        action = best_action(choose, jnp.where(is_random, none, row[:, Q]), none, zero, "random")
+        if self.ties == "first":
+            action = jnp.where(is_random, action, best_action(choose, row[:, Q], none, zero, "first"))
+        return action, row[action, Q]
 
-    def observe(
+    def lesson(
         self,
         key: Key[Array, ""],
-        state: Tables,
         experience: Experience,
         balance: Balance,
-        slot: Int[Array, ""],
-    ) -> Tables:
-        """See `Learner`."""
-        del key, slot
-        next_q = self._masked(jnp.max(_row(state.q, experience.next_observation)), experience.terminated)
-        return Tables(self._toward(state.q, experience, experience.reward, next_q, balance), None, None)
+        visits: Float[Array, ""],
+        next_row: Float[Array, "A 2"],
+    ) -> tuple[Float[Array, "1"], Float[Array, "1"]]:
+        """See `TabularLearner`."""
+        del key, balance, visits
+        return experience.reward[None], _greedy_value(experience, next_row)
 
 
-def _row(table: Float[Array, "S A"] | None, state: Int[Array, ""]) -> Float[Array, "A"]:
+def _num(space: Space, name: str) -> int:
+    if not isinstance(space, Discrete):
+        raise ValueError(f"{name}: a tabular learner needs a Discrete space, got a {type(space).__name__}")
+    return space.num
+
+
+def _row(state: Tables, observation: Int[Array, ""]) -> Float[Array, "A C"]:
     """The row of a state; of the nearest one for a number outside."""
-    assert table is not None
-    return table.at[state].get(mode="clip")
+    return state.columns.at[observation].get(mode="clip")
 
 
-def _add(
-    table: Float[Array, "S A"] | None,
-    experience: Experience,
-    change: Float[Array, ""],
-    balance: Balance,
-) -> Float[Array, "S A"]:
-    """Add to the entry of the step's pair, if the learner learns: a write of one number, not of a table."""
-    assert table is not None
-    change = jnp.where(balance.is_learning, change, 0.0)
-    return table.at[experience.observation, experience.action].add(change, mode="drop")
-
-
-def _bonus(
-    exploration_reward: ExplorationReward, counts: Float[Array, "S A"] | None, experience: Experience
-) -> Float[Array, ""]:
-    count = _row(counts, experience.observation)[experience.action]
-    return exploration_reward(count, _row(counts, experience.next_observation))
+def _greedy_value(experience: Experience, next_row: Float[Array, "A 2"]) -> Float[Array, "1"]:
+    return jnp.where(experience.terminated, 0.0, jnp.max(next_row[:, Q]))[None]
