@@ -269,10 +269,26 @@ def in_memory(
     steps: dict[str, np.ndarray] | None = None,
     problem: dict | None = None,
     claims: list[dict] | None = None,
+    episodes: dict[str, np.ndarray] | None = None,
+    tests: dict[str, np.ndarray] | None = None,
+    swept: dict[str, dict] | None = None,
 ) -> Results:
-    """Results of made-up columns: by name, columns of runs, and `[runs, steps]` of the column `value`."""
+    """Results of made-up columns.
+
+    Args:
+        runs: By name, columns of runs.
+        steps: By name, `[runs, steps]` of the column `value`.
+        problem: The problem of every point.
+        claims: Claims of the sweep.
+        episodes: By name, `[runs, episodes]` of the column `value` in training; NaN where there is no row.
+        tests: By name, `[runs, episodes, tests]` of it in the tests after each episode.
+        swept: By name, label and swept numbers of the point.
+    """
     names = list(runs)
-    points = tuple(Point(i, name, name, name, {}, {"problem": problem or {}}) for i, name in enumerate(names))
+    keys = {name: dict((swept or {}).get(name, {})) for name in names}
+    labels = {name: keys[name].pop("label", name) for name in names}
+    config = {"problem": problem or {}} if episodes is None else {"env": {}, "learner": {}}
+    points = tuple(Point(i, labels[name], name, name, keys[name], config) for i, name in enumerate(names))
     results = Results(Path("nowhere"), {"claims": claims or []}, points)
     sizes = [len(next(iter(columns.values()))) for columns in runs.values()]
     table = {
@@ -283,7 +299,25 @@ def in_memory(
     table |= {column: np.concatenate([runs[name][column] for name in names]) for column in columns}
     results.__dict__["runs"] = table
     results.__dict__["steps"] = {} if steps is None else _long(steps, names)
+    results.__dict__["episodes"] = {}
+    if episodes is not None:
+        phases = [_episode_rows(episodes, names, "train")]
+        if tests is not None:
+            phases += [
+                _episode_rows({name: values[..., test] for name, values in tests.items()}, names, "test")
+                for test in range(tests[names[0]].shape[-1])
+            ]
+        results.__dict__["episodes"] = {
+            key: np.concatenate([phase[key] for phase in phases]) for key in phases[0]
+        }
     return results
+
+
+def _episode_rows(values: dict[str, np.ndarray], names: list[str], phase: str) -> dict[str, np.ndarray]:
+    rows = _long(values, names)
+    rows["episode"] = rows.pop("step")
+    rows["phase"] = np.full(rows["run"].shape, phase, dtype=object)
+    return {key: column[np.isfinite(rows["value"])] for key, column in rows.items()}
 
 
 def _long(steps: dict[str, np.ndarray], names: list[str]) -> dict[str, np.ndarray]:

@@ -80,6 +80,37 @@ def test_wilson_agrees_with_scipy(successes, trials):
     assert float(high) == pytest.approx(theirs.high, abs=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("counts", "bounds"),
+    [
+        # Newcombe (1998), Table II, method 10.
+        ((56, 70, 48, 80), (0.0524, 0.3339)),
+        ((9, 10, 3, 10), (0.1705, 0.8090)),
+        ((5, 56, 0, 29), (-0.0381, 0.1926)),
+        ((0, 10, 0, 20), (-0.1611, 0.2775)),
+        ((10, 10, 0, 10), (0.6075, 1.0000)),
+    ],
+)
+def test_differences_of_shares_are_those_that_newcombe_printed(counts, bounds):
+    interval = statistics.share_difference(*counts)
+    assert (interval.low, interval.high) == pytest.approx(bounds, abs=6e-5)
+    assert interval.estimate == counts[0] / counts[1] - counts[2] / counts[3]
+
+
+@pytest.mark.parametrize("second", [(2.95, 0.38, 20), (1.0, 5.0, 2), (3.0, 0.0, 20)])
+def test_differences_of_means_agree_with_scipys_welch_test(second):
+    first = (3.1, 0.6, 200)
+    ours = statistics.welch_difference(first, second)
+    theirs = scipy.stats.ttest_ind_from_stats(*first, *second, equal_var=False)
+    # The t-test says how far 0 is from the difference; its interval ends where that is the quantile.
+    error = (first[0] - second[0]) / theirs.statistic
+    freedom = error**4 / sum((s**2 / n) ** 2 / (n - 1) for _, s, n in (first, second))
+    half = scipy.stats.t.ppf(0.975, freedom) * error
+    assert (ours.low, ours.high) == pytest.approx((ours.estimate - half, ours.estimate + half))
+    is_significant = not ours.low <= 0 <= ours.high
+    assert is_significant == (theirs.pvalue < 0.05)
+
+
 def test_holm_tests_the_smallest_at_the_strictest_level_and_stops_at_the_first_kept():
     np.testing.assert_allclose(statistics.holm_levels([0.03, 0.001, 0.02], 0.06), [0.06, 0.02, 0.03])
     # 0.03 > 0.025 is kept, and so is 0.04 although 0.04 < 0.05.

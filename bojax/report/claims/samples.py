@@ -128,8 +128,8 @@ def by_episode(
     column(results.episodes, name)
     table = results.by_episode(point, name, phase)
     if table.shape[1] < last:
-        kind = "test after training " if phase == "test" else ""
-        raise Undecidable(f"no run has a {kind}episode {last}: the last one is {table.shape[1]}")
+        what = "a test after" if phase == "test" else "an"
+        raise Undecidable(f"no run has {what} episode {last}: the last one is {table.shape[1]}")
     return table[np.searchsorted(results.runs_of(point)["run"], runs), first - 1 : last]
 
 

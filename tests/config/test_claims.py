@@ -1,0 +1,116 @@
+"""What the tests of claims take, and what they refuse."""
+
+import pydantic
+import pytest
+
+from bojax.config.claims import Claim
+
+WINDOW = {"from": 31, "to": 100}
+
+
+def validated(test):
+    return Claim.model_validate({"id": "a", "source": "s", "claim": "c", "test": test}).test
+
+
+@pytest.mark.parametrize(
+    "test",
+    [
+        {"kind": "order", "column": "return", "window": WINDOW, "greater": ["a", "b"]},
+        {"kind": "order", "column": "return", "window": WINDOW, "since": WINDOW, "less": ["a", "b"]},
+        {
+            "kind": "ratio",
+            "column": "r",
+            "label": "a",
+            "to": "b",
+            "expected": 2,
+            "tolerance": 1,
+            "window": WINDOW,
+        },
+        {"kind": "similar", "labels": ["a", "b"], "column": "r", "step": 3, "margin": 1, "spread_at": 4},
+        {
+            "kind": "similar",
+            "labels": ["a", "b"],
+            "column": "r",
+            "window": WINDOW,
+            "margin": 1,
+            "spread_at": WINDOW,
+        },
+        {"kind": "similar", "labels": ["a", "b"], "column": "r", "margin": 1},
+        {"kind": "share", "label": "a", "column": "success", "window": WINDOW, "below": 0.1},
+        {"kind": "mean", "label": "a", "column": "r", "above": 0, "below": 1},
+        {"kind": "trend", "label": "a", "column": "r", "from": 1, "to": 2, "direction": "rises"},
+        {"kind": "trend", "label": "a", "column": "r", "from": WINDOW, "to": WINDOW, "direction": "falls"},
+        {"kind": "agrees", "label": "a", "column": "r", "mean": 2.95, "sd": 0.38, "runs": 20},
+        {"kind": "agrees", "label": "a", "column": "r", "share": 0.9, "runs": 20},
+        {"kind": "growth", "label": "a", "column": "r", "over": "env.length", "expected": "linear"},
+    ],
+    ids=lambda test: test["kind"],
+)
+def test_a_test_reads_as_it_was_written(test):
+    written = validated(test).model_dump(mode="json")
+    assert validated({key: value for key, value in written.items() if value is not None}) == validated(test)
+    for key, value in test.items():
+        assert written[key] == ({"phase": "train", **value} if isinstance(value, dict) else value)
+
+
+@pytest.mark.parametrize(
+    ("test", "reason"),
+    [
+        (
+            {"kind": "order", "column": "r", "since": WINDOW, "greater": ["a", "b"]},
+            "since goes with a window",
+        ),
+        ({"kind": "mean", "label": "a", "column": "r"}, "a mean takes above, below, or both"),
+        ({"kind": "mean", "label": "a", "column": "r", "above": 1, "below": 1}, "below must exceed above"),
+        (
+            {"kind": "mean", "label": "a", "column": "r", "above": 1, "window": {"from": 9, "to": 8}},
+            "to must not lie before from, which is 9",
+        ),
+        (
+            {
+                "kind": "similar",
+                "labels": ["a", "b"],
+                "column": "r",
+                "margin": 1,
+                "step": 1,
+                "window": WINDOW,
+            },
+            "one of step and window",
+        ),
+        (
+            {
+                "kind": "similar",
+                "labels": ["a", "b"],
+                "column": "r",
+                "margin": 1,
+                "window": WINDOW,
+                "spread_at": 3,
+            },
+            "spread_at is a step where step is given",
+        ),
+        (
+            {
+                "kind": "share",
+                "label": "a",
+                "column": "r",
+                "within": 1,
+                "window": WINDOW,
+                "above": 0.5,
+            },
+            "one of within and window",
+        ),
+        (
+            {"kind": "trend", "label": "a", "column": "r", "from": 1, "to": WINDOW, "direction": "rises"},
+            "both steps, or both episodes",
+        ),
+        ({"kind": "agrees", "label": "a", "column": "r", "runs": 20}, "one of mean and share"),
+        ({"kind": "agrees", "label": "a", "column": "r", "mean": 1, "runs": 20}, "mean and sd go together"),
+        (
+            {"kind": "agrees", "label": "a", "column": "r", "mean": 1, "sd": 0, "runs": 20},
+            "tolerance: a number is needed where sd is 0",
+        ),
+    ],
+)
+def test_what_makes_no_sense_is_refused(test, reason):
+    with pytest.raises(pydantic.ValidationError, match=reason):
+        validated(test)

@@ -1,0 +1,362 @@
+"""Verdicts of the tests on episodes, on printed numbers and on growth, on data whose truth is known."""
+
+import numpy as np
+import pytest
+
+from bojax.report import statistics
+from bojax.report.claims import MIN_RUNS, TESTS, Undecidable, evaluate
+from tests.report.synthetic import in_memory
+from tests.report.test_verdicts import judge, rates
+
+FIRST, LAST = {"from": 1, "to": 10}, {"from": 21, "to": 30}
+
+
+def learners(ends, runs=200, noise=1.0, seed=0, **more):
+    """Thirty episodes that rise from 0 to these ends; what a run owes to chance lasts over all episodes."""
+    random = np.random.default_rng(seed)
+    rise = np.clip((np.arange(1, 31) - 10) / 10, 0, 1)
+    episodes = {
+        name: end * rise + random.normal(size=(runs, 1)) + noise * random.normal(size=(runs, 30))
+        for name, end in ends.items()
+    }
+    return in_memory({name: {"value": np.full(runs, 7.0)} for name in ends}, episodes=episodes, **more)
+
+
+def numbers(values):
+    """One point with a column `value`."""
+    return in_memory({"a": {"value": np.asarray(values)}})
+
+
+class TestWindow:
+    def test_a_runs_value_is_its_mean_over_the_episodes(self):
+        results = learners({"a": 5.0, "b": 3.0})
+        test = {"kind": "order", "column": "value", "window": LAST, "greater": ["a", "b"]}
+        finding = judge(results, test)
+        a, b = (results.by_episode(point, "value")[:, 20:30].mean(axis=1) for point in results.points)
+        assert finding.verdict == "reproduced"
+        assert finding.decisive.interval.estimate == pytest.approx((a - b).mean())
+        assert "mean value of episodes 21 to 30" in finding.method
+        assert judge(results, {**test, "greater": ["b", "a"]}).verdict == "not reproduced"
+
+    def test_where_they_do_not_differ_nothing_is_said(self):
+        results = learners({"a": 5.0, "b": 3.0})
+        test = {"kind": "order", "column": "value", "window": FIRST, "greater": ["a", "b"]}
+        assert judge(results, test).verdict == "inconclusive"
+
+    def test_without_a_window_it_is_the_column_of_the_run(self):
+        test = {"kind": "mean", "label": "a", "column": "value", "above": 6.0}
+        assert judge(learners({"a": 5.0}), test).ours == 7.0
+
+    def test_tests_after_an_episode_are_averaged_and_kept_apart_from_training(self):
+        runs = 30
+        tests = {"a": np.stack([np.full((runs, 30), level) for level in (1.0, 2.0, 6.0)], axis=-1)}
+        results = learners({"a": 0.0}, runs=runs, tests=tests)
+        test = {"kind": "mean", "label": "a", "column": "value", "above": 2.0}
+        assert judge(results, {**test, "window": {**LAST, "phase": "test"}}).ours == pytest.approx(3.0)
+        assert judge(results, {**test, "window": {**LAST, "phase": "train"}}).verdict == "not reproduced"
+
+    def test_what_has_changed_since_can_be_compared(self):
+        results = learners({"a": 5.0, "b": 5.0, "c": 3.0})
+        changed = {"column": "value", "window": LAST, "since": FIRST}
+        alike = {"kind": "similar", "labels": ["a", "b"], "margin": 0.5, **changed}
+        assert judge(results, alike).verdict == "reproduced"
+        assert judge(results, {**alike, "labels": ["a", "c"]}).verdict == "not reproduced"
+        risen = judge(results, {"kind": "mean", "label": "c", "above": 0.0, **changed})
+        assert risen.verdict == "reproduced" and risen.ours == pytest.approx(3.0, abs=0.2)
+
+    def test_a_ratio_of_means_over_episodes(self):
+        test = {"kind": "ratio", "column": "value", "label": "a", "to": "b", "tolerance": 0.2, "window": LAST}
+        results = learners({"a": 50.0, "b": 25.0})
+        assert judge(results, {**test, "expected": 2.0}).verdict == "reproduced"
+        assert judge(results, {**test, "expected": 1.0}).verdict == "not reproduced"
+
+    def test_similar_over_episodes_may_be_a_share_of_a_spread(self):
+        test = {"kind": "similar", "column": "value", "labels": ["a", "b", "c"], "window": FIRST}
+        results = learners({"a": 0.0, "b": 5.0, "c": 20.0})
+        assert judge(results, {**test, "margin": 0.05, "spread_at": LAST}).verdict == "reproduced"
+        assert judge(results, {**test, "margin": 0.01, "spread_at": LAST}).verdict == "inconclusive"
+        assert judge(results, {**test, "window": LAST, "margin": 0.5}).verdict == "not reproduced"
+
+    def test_the_best_variant_of_a_label_is_the_best_in_these_episodes(self):
+        swept = {"early": {"label": "a"}, "late": {"label": "a"}}
+        results = learners({"early": 0.0, "late": 5.0, "b": 2.0}, swept=swept)
+        test = {"kind": "order", "column": "value", "greater": ["a", "b"], "window": LAST}
+        assert judge(results, test).chosen == {"a": "late"}
+
+    @pytest.mark.parametrize(
+        ("window", "reason"),
+        [
+            ({"from": 1, "to": 31}, "no run has an episode 31: the last one is 30"),
+            ({"from": 1, "to": 2, "phase": "test"}, "the last one is 0"),
+        ],
+    )
+    def test_episodes_that_nobody_had_are_a_reason(self, window, reason):
+        with pytest.raises(Undecidable, match=reason):
+            judge(learners({"a": 1.0}), {"kind": "mean", "label": "a", "column": "value", "window": window})
+
+    def test_runs_that_ended_before_are_a_reason_not_left_out(self):
+        results = learners({"a": 1.0})
+        values = results.episodes["value"]
+        values[(results.episodes["run"] == 3) & (results.episodes["episode"] == 25)] = np.nan
+        with pytest.raises(Undecidable, match="1 run of a without a finite mean value of episodes 21 to 30"):
+            judge(results, {"kind": "mean", "label": "a", "column": "value", "window": LAST, "above": 0.0})
+
+    def test_planning_has_no_episodes(self):
+        with pytest.raises(Undecidable, match="no episodes"):
+            judge(
+                numbers(np.ones(30)),
+                {"kind": "mean", "label": "a", "column": "value", "window": LAST, "above": 0.0},
+            )
+
+
+class TestShareOfRunsInAWindow:
+    def flags(self, at, runs=40, last=10):
+        """A run for each entry of `at`: the episode where the flag is true, 0 for never."""
+        at = np.resize(at, runs)
+        episodes = (np.arange(1, last + 1)[None, :] == at[:, None]).astype(float)
+        return in_memory({"a": {"success": at > 0}}, episodes={"a": episodes})
+
+    def test_a_run_counts_if_it_holds_in_any_of_the_episodes(self):
+        test = {"kind": "share", "label": "a", "column": "value", "window": {"from": 1, "to": 3}}
+        finding = judge(self.flags([1, 3, 4, 0]), {**test, "above": 0.2})
+        assert finding.ours == 0.5 and finding.verdict == "reproduced"
+        assert judge(self.flags([1, 3, 4, 0]), {**test, "above": 0.8}).verdict == "not reproduced"
+
+    def test_a_run_may_end_at_its_success_but_not_before(self):
+        results = self.flags([1, 2])
+        episodes = results.episodes
+        is_kept = episodes["episode"] <= np.where(episodes["run"] % 2 == 0, 1, 2)
+        ended = {key: column[is_kept] for key, column in episodes.items()}
+        results.__dict__["episodes"] = ended
+        test = {"kind": "share", "label": "a", "column": "value", "window": {"from": 1, "to": 2}}
+        assert judge(results, {**test, "above": 0.5}).ours == 1.0
+        ended["value"][0] = 0.0
+        results.__dict__.pop("_by_episode")
+        with pytest.raises(Undecidable, match="1 run of a without"):
+            judge(results, {**test, "above": 0.5})
+
+    def test_steps_of_learning_do_not_tell_when_it_succeeded(self):
+        test = {"kind": "share", "label": "a", "column": "success", "within": 6, "above": 0.5}
+        with pytest.raises(Undecidable, match="goes on after its success"):
+            judge(self.flags([1, 2]), test)
+
+
+class TestMean:
+    @pytest.mark.parametrize(
+        ("bounds", "verdict"),
+        [
+            ({"above": 4.0}, "reproduced"),
+            ({"above": 5.0}, "inconclusive"),
+            ({"above": 6.0}, "not reproduced"),
+            ({"below": 6.0}, "reproduced"),
+            ({"below": 4.0}, "not reproduced"),
+            ({"above": 4.0, "below": 6.0}, "reproduced"),
+            ({"above": 5.0, "below": 6.0}, "inconclusive"),
+            ({"above": 1.0, "below": 4.0}, "not reproduced"),
+        ],
+    )
+    def test_it_lies_between_thresholds(self, bounds, verdict):
+        test = {"kind": "mean", "label": "a", "column": "value", "window": LAST, **bounds}
+        assert judge(learners({"a": 5.1}), test).verdict == verdict
+
+    def test_a_mean_on_its_threshold_is_seldom_decided(self, monkeypatch):
+        def make(seed):
+            return numbers(np.random.default_rng(seed).normal(3.0, 1.0, size=60))
+
+        found = rates(make, {"kind": "mean", "label": "a", "column": "value", "above": 3.0}, monkeypatch)
+        assert found["reproduced"] < 0.07 and found["not reproduced"] < 0.07
+
+
+class TestTrendOverEpisodes:
+    TEST = {"kind": "trend", "label": "a", "column": "value", "from": FIRST, "to": LAST}
+
+    @pytest.mark.parametrize(
+        ("end", "verdict"), [(5.0, "reproduced"), (0.0, "inconclusive"), (-5.0, "not reproduced")]
+    )
+    def test_a_mean_rises_or_falls_between_windows(self, end, verdict):
+        results = learners({"a": end})
+        assert judge(results, {**self.TEST, "direction": "rises"}).verdict == verdict
+        back = {"from": LAST, "to": FIRST, "direction": "falls"}
+        assert judge(results, {**self.TEST, **back}).verdict == verdict
+
+    def test_the_change_is_paired_within_a_run(self):
+        finding = judge(learners({"a": 1.0}, noise=0.1), {**self.TEST, "direction": "rises"})
+        assert finding.decisive.of == "change of a from episodes 1 to 10 to episodes 21 to 30"
+        assert finding.decisive.interval.high - finding.decisive.interval.low < 0.05
+
+
+class TestAgrees:
+    MEAN = {"kind": "agrees", "label": "a", "column": "value", "mean": 2.95, "sd": 0.38, "runs": 20}
+    SHARE = {"kind": "agrees", "label": "a", "column": "value", "share": 0.9, "runs": 20}
+
+    @pytest.mark.parametrize(
+        ("mean", "sd", "verdict"),
+        [
+            (2.95, 0.5, "reproduced"),
+            (3.5, 0.5, "not reproduced"),
+            (2.0, 0.5, "not reproduced"),
+            (2.95, 3.0, "inconclusive"),  # the interval is wider than the printed deviation
+        ],
+    )
+    def test_of_a_mean(self, mean, sd, verdict):
+        values = np.random.default_rng(1).normal(size=200)
+        values = mean + sd * (values - values.mean()) / values.std()
+        finding = judge(numbers(values), self.MEAN)
+        assert finding.verdict == verdict
+        assert finding.ours == pytest.approx(mean)
+
+    def test_the_tolerance_can_be_stated(self):
+        values = np.random.default_rng(1).normal(2.95, 0.5, size=200)
+        assert judge(numbers(values), {**self.MEAN, "tolerance": 0.1}).verdict == "inconclusive"
+
+    def test_a_mean_over_successes_alone_is_not_compared_unless_allowed(self):
+        values = np.random.default_rng(1).normal(2.95, 0.5, size=200)
+        values[:4] = np.nan
+        with pytest.raises(Undecidable, match="4 of 200 runs of a have no value, and a mean over the rest"):
+            judge(numbers(values), self.MEAN)
+        with pytest.raises(Undecidable, match="more than 1%"):
+            judge(numbers(values), {**self.MEAN, "missing": 0.01})
+        finding = judge(numbers(values), {**self.MEAN, "missing": 0.02})
+        assert finding.runs == 196 and finding.ours == pytest.approx(values[4:].mean())
+
+    def test_what_never_varies_agrees_exactly_or_not(self):
+        test = {**self.MEAN, "mean": 1.0, "sd": 0.0, "tolerance": 0.1}
+        assert judge(numbers(np.ones(50)), test).verdict == "reproduced"
+        assert judge(numbers(np.full(50, 2.0)), test).verdict == "not reproduced"
+
+    @pytest.mark.parametrize(
+        ("hits", "verdict"), [(180, "reproduced"), (200, "not reproduced"), (80, "not reproduced")]
+    )
+    def test_of_a_share(self, hits, verdict):
+        # 18 of 20 printed: their own interval is 70% to 97%.
+        finding = judge(numbers(np.arange(200) < hits), self.SHARE)
+        assert finding.verdict == verdict and finding.ours == hits / 200
+
+    def test_ten_printed_runs_say_little_about_a_share(self):
+        assert judge(numbers(np.arange(200) < 180), {**self.SHARE, "runs": 10}).verdict == "inconclusive"
+
+    def test_all_of_all_agree(self):
+        finding = judge(numbers(np.ones(200, dtype=bool)), {**self.SHARE, "share": 1.0})
+        assert finding.verdict == "reproduced" and finding.decisive.interval.estimate == 0.0
+
+    def test_equal_means_are_seldom_said_to_differ(self, monkeypatch):
+        def make(seed):
+            return numbers(np.random.default_rng(seed).gamma(4.0, size=50))
+
+        # The printed mean is itself a draw: that of a sample of 20.
+        verdicts = []
+        for seed in range(200):
+            printed = np.random.default_rng(1000 + seed).gamma(4.0, size=20)
+            test = {**self.MEAN, "mean": printed.mean(), "sd": printed.std(ddof=1)}
+            verdicts.append(judge(make(seed), test).verdict)
+        assert verdicts.count("not reproduced") / 200 < 0.09
+        assert verdicts.count("reproduced") / 200 > 0.8
+
+
+class TestGrowth:
+    X = (2, 5, 8, 11, 14, 17, 20)
+    LAWS = {
+        "linear": lambda x: 4 + 3 * x,
+        "quadratic": lambda x: 2.1 * x**2 - x,
+        "exponential": lambda x: 3 * np.exp(0.3 * x),
+    }
+    TEST = {"kind": "growth", "label": "a", "column": "value", "over": "env.length", "expected": "linear"}
+
+    def chains(self, law, runs=200, seed=0, spread: float | None = 0.5, x=X):
+        """Waiting times with these means and this relative spread; None for that of a random walk."""
+        random = np.random.default_rng(seed)
+        names = {f"a{n}": {"label": "a", "env.length": n} for n in x}
+        runs_of = {}
+        for name, swept in names.items():
+            mean = law(float(swept["env.length"]))
+            draw = random.exponential(size=runs) if spread is None else 1 + spread * random.normal(size=runs)
+            runs_of[name] = {"value": mean * draw}
+        return in_memory(runs_of, swept=names)
+
+    @pytest.mark.parametrize("expected", LAWS)
+    @pytest.mark.parametrize("truth", LAWS)
+    def test_the_true_law_is_found(self, truth, expected):
+        results = self.chains(self.LAWS[truth], spread=0.5 if truth == "linear" else None)
+        finding = judge(results, {**self.TEST, "expected": expected})
+        assert finding.verdict == ("reproduced" if truth == expected else "not reproduced")
+        assert str(finding.ours).startswith(f"{truth}: ")
+
+    def test_coefficients_are_told(self):
+        finding = judge(self.chains(lambda x: 4 + 3 * x, spread=0.01), self.TEST)
+        a, b = str(finding.ours).removeprefix("linear: ").removesuffix(" x").split(" + ")
+        assert (float(a), float(b)) == pytest.approx((4, 3), rel=0.02)
+
+    def test_between_two_laws_nothing_is_decided(self):
+        # x to the 1.5 is as far from a line as from a parabola.
+        verdicts = [judge(self.chains(lambda x: x**1.45, seed=seed), self.TEST).verdict for seed in range(10)]
+        assert verdicts.count("inconclusive") >= 5
+
+    def test_few_noisy_runs_decide_nothing(self):
+        flat = self.chains(lambda x: 100 + 3 * x, runs=MIN_RUNS, spread=0.2, x=(2, 8, 14, 20))
+        assert judge(flat, self.TEST).verdict == "inconclusive"
+
+    @pytest.mark.parametrize("law", [lambda x: 50.0 + 0 * x, lambda x: 50.0 - x])
+    def test_what_does_not_grow_has_no_law(self, law):
+        with pytest.raises(Undecidable, match="does not clearly grow"):
+            judge(self.chains(law, spread=0.1), self.TEST)
+
+    def test_few_runs_that_never_arrive_are_left_out_and_said(self):
+        results = self.chains(self.LAWS["linear"])
+        results.runs["value"][:8] = np.nan  # 4% of the runs of the shortest chain
+        finding = judge(results, self.TEST)
+        assert finding.verdict == "reproduced" and "8 runs without a number left out" in finding.method
+
+    def test_many_that_never_arrive_are_a_reason(self):
+        results = self.chains(self.LAWS["linear"])
+        results.runs["value"][-20:] = np.nan
+        with pytest.raises(Undecidable, match="20 of 200 runs of a at 20 have no value, more than 5%"):
+            judge(results, self.TEST)
+
+    @pytest.mark.parametrize(
+        ("x", "over", "reason"),
+        [
+            ((2, 5, 8), "env.length", "3 values of env.length: at least 4"),
+            ((2, 5, 8, 9), "env.width", "env.width is not a swept number of a"),
+        ],
+    )
+    def test_too_few_numbers_are_a_reason(self, x, over, reason):
+        with pytest.raises(Undecidable, match=reason):
+            judge(self.chains(self.LAWS["linear"], x=x), {**self.TEST, "over": over})
+
+    def test_settings_that_share_a_number_have_to_be_told_apart(self):
+        random = np.random.default_rng(0)
+        swept = {f"a{i}": {"label": "a", "env.length": n} for i, n in enumerate((2, 2, 5, 8, 9))}
+        results = in_memory({name: {"value": random.random(30)} for name in swept}, swept=swept)
+        with pytest.raises(Undecidable, match="several settings of a have the same env.length"):
+            judge(results, self.TEST)
+
+
+@pytest.mark.parametrize(
+    "test",
+    [
+        {"kind": "mean", "above": 0.0},
+        {"kind": "agrees", "mean": 1.0, "sd": 1.0, "runs": 20},
+        {"kind": "agrees", "share": 1.0, "runs": 20},
+    ],
+)
+def test_too_few_runs_and_missing_columns_say_so(test):
+    with pytest.raises(Undecidable, match=f"at least {MIN_RUNS}"):
+        judge(numbers(np.ones(MIN_RUNS - 1)), {"label": "a", "column": "value", **test})
+    with pytest.raises(Undecidable, match="no column speed"):
+        judge(numbers(np.ones(30)), {"label": "a", "column": "speed", **test})
+
+
+def test_entries_of_claims_hold_plain_numbers():
+    claims = [
+        {"id": "x", "test": {"kind": "agrees", "label": "a", "column": "value", **printed, "runs": 20}}
+        for printed in ({"mean": 1.0, "sd": 0.5}, {"share": 1.0})
+    ]
+    values = 1 + 0.1 * np.random.default_rng(0).normal(size=40)
+    entries = evaluate(in_memory({"a": {"value": values}}, claims=claims))
+    assert [entry["verdict"] for entry in entries] == ["reproduced", "reproduced"]
+    assert all(isinstance(bound, float) for entry in entries for bound in entry["interval"])
+
+
+def test_every_kind_is_one_function():
+    assert len(set(TESTS.values())) == len(TESTS)
+    assert statistics.LEVEL == 0.95
