@@ -21,6 +21,7 @@ def best_action(
     scores = q + kappa * u
     if ties == "first":
         return jnp.argmax(scores).astype(jnp.int32)
-    # Only the best ones take part: a uniform draw among them, exact ties alone.
-    lots = jax.random.uniform(key, scores.shape, scores.dtype)
-    return jnp.argmax(jnp.where(scores == jnp.max(scores), lots, -1.0)).astype(jnp.int32)
+    # One lot says which of those that are exactly the best: drawing one for each would take longer.
+    rank = jnp.cumsum(scores == jnp.max(scores), dtype=jnp.int32)
+    chosen = (jax.random.uniform(key, (), scores.dtype) * rank[-1].astype(scores.dtype)).astype(jnp.int32)
+    return jnp.argmax(rank > chosen).astype(jnp.int32)
