@@ -25,11 +25,13 @@ class Box(eqx.Module):
 
     def to_unit(self, x: Float[Array, "*N D"]) -> Float[Array, "*N D"]:
         """Map the bounds to 0 and 1."""
-        return (x - self.low) / (self.high - self.low)
+        low, high = (jnp.broadcast_to(bound, x.shape) for bound in (self.low, self.high))
+        return (x - low) / (high - low)
 
     def from_unit(self, u: Float[Array, "*N D"]) -> Float[Array, "*N D"]:
         """Map 0 and 1 to the bounds."""
-        return self.low + u * (self.high - self.low)
+        low, high = (jnp.broadcast_to(bound, u.shape) for bound in (self.low, self.high))
+        return low + u * (high - low)
 
 
 class Discrete(eqx.Module):

@@ -143,7 +143,8 @@ def _mean_variance(variances: Float[Array, "C K"], count: Int[Array, ""]) -> Flo
     capacity, number = variances.shape
     if number == 1:
         return variances[:, 0]
-    place = jnp.arange(capacity)[:, None] + jnp.arange(number)[None, :] * count
+    index, action = jnp.arange(capacity, dtype=jnp.int32), jnp.arange(number, dtype=jnp.int32)
+    place = index[:, None] + action[None, :] * count
     return jnp.mean(variances.ravel().at[place].get(mode="fill", fill_value=0.0), axis=1)
 
 

@@ -1,0 +1,235 @@
+"""EMU-Q: Algorithm 6 and the author's code in NumPy, the direct refit, and what the settings mean."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bojax.config.learners import EMUQ, EMUQPublished, FourierBasisFeatures, RandomFourierFeatures
+from bojax.engine.build import build
+from bojax.envs.spaces import Box, Discrete
+from bojax.learning.base import Balance, Episode, Experience
+from tests.reference.emu_q import Algorithm6, PublishedCode
+
+NUM_STEPS = 40
+OBSERVATIONS = Box(jnp.asarray([-1.0, -2.0]), jnp.asarray([1.0, 2.0]))
+ACTIONS = Box(jnp.asarray([-3.0]), jnp.asarray([3.0]))
+EXPLORING = Balance(jnp.asarray(1.0), jnp.asarray(True))
+
+
+def transitions(seed: int = 0, num: int = NUM_STEPS) -> Experience:
+    """A walk through the box, with two rewards and an absorbing state at its end."""
+    rng = np.random.default_rng(seed)
+    walk = np.clip(np.cumsum(rng.normal(size=(num + 1, 2)) * 0.3, axis=0), -1.2, 1.2)
+    rewards = np.where(np.isin(np.arange(num), [num // 2, num - 1]), 1.0, 0.0)
+    return Experience(
+        jnp.asarray(walk[:-1]),
+        jnp.asarray(rng.uniform(-3.0, 3.0, size=(num, 1))),
+        jnp.asarray(rewards),
+        jnp.asarray(walk[1:]),
+        jnp.asarray(np.arange(num) == num - 1),
+    )
+
+
+def make(schema=EMUQ, **settings):
+    features = settings.pop("features", {"num_features": 30})
+    kind = "phase" if schema is EMUQPublished else "cos-sin"
+    settings = {"draw_actions": "once", "num_actions": 5, "num_samples": 4, "block": 8, **settings}
+    learner = build(schema(features=RandomFourierFeatures(**{"form": kind, **features}), **settings))
+    return learner, learner.init(jax.random.key(1), OBSERVATIONS, ACTIONS, 4 * NUM_STEPS)
+
+
+def learn(learner, state, steps: Experience, balance=EXPLORING):
+    """Observe all steps, then end the episode: the state before and after that."""
+
+    def one(i, state):
+        step = jax.tree.map(lambda x: x[i], steps)
+        state = learner.observe(
+            jax.random.fold_in(jax.random.key(7), i), state, step, balance, i % learner.block
+        )
+        flushed = learner.consolidate(state)
+        is_full = i % learner.block == learner.block - 1
+        return jax.tree.map(lambda a, b: jnp.where(is_full, a, b), flushed, state)
+
+    online = jax.jit(lambda state: jax.lax.fori_loop(0, len(steps.reward), one, state))(state)
+    online = learner.consolidate(online)
+    episode = Episode(steps, jnp.asarray(len(steps.reward), jnp.int32))
+    after = eqx.filter_jit(learner.end_episode)(jax.random.key(9), online, episode, balance)
+    return online, after
+
+
+def follow(reference, steps: Experience, after_step=None):
+    rows = [np.asarray(leaf) for leaf in jax.tree.leaves(steps)]
+    for i in range(len(rows[0])):
+        reference.step(*(row[i] for row in rows))
+    if after_step is not None:
+        after_step(reference)
+    reference.end_episode(*rows)
+
+
+def numpy_features(state):
+    phi = eqx.filter_jit(jax.vmap(state.features))
+    return lambda states, actions: np.asarray(phi(jnp.asarray(states), jnp.asarray(actions)))
+
+
+def reference_of(cls, learner, state, **settings):
+    return cls(
+        numpy_features(state),
+        state.features.num_features,
+        lambda: np.asarray(state.candidates),
+        lambda: np.asarray(state.samples),
+        alpha=float(learner.prior_precision),
+        tolerance=float(learner.tolerance),
+        max_sweeps=learner.max_sweeps,
+        **settings,
+    )
+
+
+@pytest.mark.parametrize("alpha", [0.1, 0.001])
+@pytest.mark.parametrize(
+    ("schema", "cls", "settings"),
+    [(EMUQ, Algorithm6, {}), (EMUQPublished, PublishedCode, {"lengthscale": 0.3})],
+    ids=["thesis", "published"],
+)
+def test_is_the_numpy_version(schema, cls, settings, alpha):
+    learner, state = make(schema, prior_precision=alpha)
+    steps = transitions()
+    reference = reference_of(cls, learner, state, **settings)
+    online, after = learn(learner, state, steps)
+    seen = {}
+    follow(reference, steps, lambda r: seen.update(s=r.s, m_q=r.m_q, m_u=r.m_u))
+    size = np.abs(seen["m_u"]).max()
+    np.testing.assert_allclose(online.posterior.base, seen["s"], atol=1e-9 / alpha)
+    np.testing.assert_allclose(online.posterior.mean[:, 0], seen["m_q"], atol=1e-9)
+    np.testing.assert_allclose(online.posterior.mean[:, 1], seen["m_u"], atol=1e-9 * size)
+    np.testing.assert_allclose(after.posterior.mean[:, 0], reference.m_q, atol=1e-9)
+    np.testing.assert_allclose(
+        after.posterior.mean[:, 1], reference.m_u, atol=1e-9 * np.abs(reference.m_u).max()
+    )
+    assert np.abs(after.posterior.mean - online.posterior.mean).max() > 1e-3  # the refit changes something
+
+
+def test_a_second_episode_is_the_numpy_version_too():
+    learner, state = make()
+    reference = reference_of(Algorithm6, learner, state)
+    first, second = transitions(0), transitions(1)
+    _, after = learn(learner, state, first)
+    _, after = learn(learner, after, second)
+    follow(reference, first)
+    rows = [np.asarray(leaf) for leaf in jax.tree.leaves(second)]
+    for i in range(NUM_STEPS):
+        reference.step(*(row[i] for row in rows))
+    both = [np.concatenate([np.asarray(a), b]) for a, b in zip(jax.tree.leaves(first), rows, strict=True)]
+    reference.end_episode(*both)
+    assert int(after.memory.count) == 2 * NUM_STEPS
+    np.testing.assert_allclose(after.posterior.mean[:, 0], reference.m_q, atol=1e-9)
+    np.testing.assert_allclose(
+        after.posterior.mean[:, 1], reference.m_u, atol=1e-9 * np.abs(reference.m_u).max()
+    )
+
+
+@pytest.mark.parametrize("terminal_u", ["absorbing", "bootstrap", "zero"])
+def test_sweeps_converge_to_the_direct_solution(terminal_u):
+    # One candidate: the policy is given. With several, sweeps may go back and forth between policies.
+    settings = {"terminal_u": terminal_u, "num_actions": 1, "discount": 0.9, "tolerance": 1e-10}
+    steps = transitions()
+    means = {}
+    for refit in ("sweeps", "direct"):
+        learner, state = make(refit=refit, max_sweeps=2000 if refit == "sweeps" else 50, **settings)
+        means[refit] = learn(learner, state, steps)[1].posterior.mean
+    np.testing.assert_allclose(means["sweeps"], means["direct"], atol=1e-7 * np.abs(means["direct"]).max())
+
+
+def test_blocks_of_a_refit_do_not_matter():
+    steps = transitions()
+    means = []
+    for refit_block in (7, NUM_STEPS, 512):
+        learner, state = make(refit_block=refit_block)
+        means.append(learn(learner, state, steps)[1].posterior.mean)
+    np.testing.assert_allclose(means[0], means[1], atol=1e-9)
+    np.testing.assert_allclose(means[0], means[2], atol=1e-9)
+
+
+@pytest.mark.parametrize("schema", [EMUQ, EMUQPublished])
+def test_without_learning_nothing_changes(schema):
+    learner, state = make(schema)
+    _, state = learn(learner, state, transitions())
+    online, after = learn(learner, state, transitions(1), Balance(jnp.asarray(1.0), jnp.asarray(False)))
+    for before, now in zip(jax.tree.leaves(state), jax.tree.leaves(after), strict=True):
+        np.testing.assert_array_equal(before, now)
+    assert int(online.memory.count) == NUM_STEPS
+
+
+def test_the_exploration_reward_is_never_positive_and_highest_where_nothing_was_seen():
+    learner, state = make()
+    _, after = learn(learner, state, transitions())
+    seen, unseen = (
+        OBSERVATIONS.from_unit(jnp.asarray([0.5, 0.5])),
+        OBSERVATIONS.from_unit(jnp.asarray([3.0, -3.0])),
+    )
+    rows = {}
+    for name, where in (("seen", seen), ("unseen", unseen)):
+        phi = jax.vmap(lambda a, where=where: after.features(where, a))(after.samples)
+        rows[name] = learner.bonus(jnp.mean(after.posterior.predict(phi)[1]))
+    assert rows["seen"] < rows["unseen"] <= 0.0
+
+
+def test_features_are_bilinear():
+    specs = (
+        (RandomFourierFeatures(num_features=10), OBSERVATIONS, ACTIONS),
+        (RandomFourierFeatures(num_features=10, form="phase"), OBSERVATIONS, ACTIONS),
+        (FourierBasisFeatures(order=2), OBSERVATIONS, ACTIONS),
+    )
+    for schema, observations, actions in specs:
+        features = build(schema).draw(jax.random.key(3), observations, actions, jnp.dtype(jnp.float64))
+        s, a = jnp.asarray([0.3, -1.1]), jnp.asarray([1.7])
+        unit = jnp.concatenate([observations.to_unit(s), actions.to_unit(a)])
+        frequencies = jnp.concatenate([features.state_frequencies, features.action_frequencies], axis=1)
+        angles = frequencies @ unit + features.phases
+        waves = [jnp.cos(angles), jnp.sin(angles)] if features.has_sines else [jnp.cos(angles)]
+        phi = features(s, a)
+        np.testing.assert_allclose(phi, features.amplitude * jnp.concatenate(waves), atol=1e-12)
+        rng = np.random.default_rng(0)
+        weights = jnp.asarray(rng.normal(size=len(phi)))
+        matrix = jnp.asarray(rng.normal(size=(len(phi), len(phi))))
+        x, y = features.state(s), features.action(a)
+        np.testing.assert_allclose(weights @ phi, x @ features.split(weights, y), atol=1e-12)
+        np.testing.assert_allclose(phi @ matrix @ phi, x @ features.split_both(matrix, y) @ x, atol=1e-12)
+
+
+def test_random_fourier_features_have_unit_norm_and_the_slip_about_half():
+    norms = {}
+    for form in ("cos-sin", "phase"):
+        spec = build(RandomFourierFeatures(num_features=200, form=form))
+        features = spec.draw(jax.random.key(0), OBSERVATIONS, ACTIONS, jnp.dtype(jnp.float64))
+        norms[form] = float(jnp.sum(features(jnp.asarray([0.1, 0.2]), jnp.asarray([0.5])) ** 2))
+    assert norms["cos-sin"] == pytest.approx(1.0, abs=1e-12)
+    assert norms["phase"] == pytest.approx(0.5, abs=0.1)
+
+
+def test_indicators_are_a_table():
+    spec = build(EMUQ(features={"kind": "indicators"})).features
+    features = spec.draw(jax.random.key(0), Discrete(4), Discrete(3), jnp.dtype(jnp.float64))
+    phi = features(jnp.asarray(2), jnp.asarray(1))
+    np.testing.assert_array_equal(np.nonzero(phi)[0], [2 * 3 + 1])
+    with pytest.raises(ValueError, match="numbered"):
+        spec.draw(jax.random.key(0), OBSERVATIONS, Discrete(3), jnp.dtype(jnp.float64))
+
+
+def test_refinement_never_makes_the_action_worse():
+    learner, state = make(num_actions=3)
+    _, after = learn(learner, state, transitions())
+    refined = eqx.tree_at(
+        lambda x: x.prior_precision, make(num_actions=3, refine_steps=12)[0], learner.prior_precision
+    )
+    kappa = learner.exploration_weight
+    for seed in range(5):
+        where = OBSERVATIONS.from_unit(jax.random.uniform(jax.random.key(seed), (2,)))
+        scores = []
+        for one in (learner, refined):
+            action, _ = one.act(jax.random.key(seed), after, where, EXPLORING)
+            q, u = one.values(after, where, action)
+            assert -3.0 <= float(action[0]) <= 3.0
+            scores.append(float(q + kappa * u))
+        assert scores[1] >= scores[0] - 1e-12

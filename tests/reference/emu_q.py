@@ -1,0 +1,139 @@
+"""EMU-Q in plain NumPy, line by line: Algorithm 6 as corrected, and what the author's published code does.
+
+Both take their features and the actions that they look at from outside, so that they can be given the same.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+Array = np.ndarray
+
+
+class Algorithm6:
+    """EMU-Q as the thesis has it, with a' = pi(s') in the targets and no value past an absorbing state.
+
+    Attributes:
+        phi: The features of states and actions, `phi(states [N, D], actions [N, A]) -> [N, M]`.
+        candidates: Gives the actions of an argmax, `[J, A]`.
+        samples: Gives the actions of the mean in the exploration reward, `[K, A]`.
+    """
+
+    def __init__(
+        self,
+        phi: Callable[[Array, Array], Array],
+        num_features: int,
+        candidates: Callable[[], Array],
+        samples: Callable[[], Array],
+        alpha: float = 0.1,
+        beta: float = 1.0,
+        gamma: float = 0.99,
+        kappa: float = 1.0,
+        max_sweeps: int = 30,
+        tolerance: float = 0.1,
+    ):
+        self.phi, self.candidates, self.samples = phi, candidates, samples
+        self.alpha, self.beta, self.gamma, self.kappa = alpha, beta, gamma, kappa * alpha
+        self.max_sweeps, self.tolerance = max_sweeps, tolerance
+        self.s = np.eye(num_features) / alpha
+        self.t_q, self.t_u = np.zeros(num_features), np.zeros(num_features)
+        self.m_q, self.m_u = np.zeros(num_features), np.zeros(num_features)
+
+    def q(self, phi: Array) -> Array:
+        return phi @ self.m_q
+
+    def u(self, phi: Array) -> Array:
+        return phi @ self.m_u
+
+    def policy(self, states: Array) -> Array:
+        actions = self.candidates()
+        scores = np.stack(
+            [
+                self.q(phi) + self.kappa * self.u(phi)
+                for phi in (self.phi(states, np.repeat(a[None], len(states), 0)) for a in actions)
+            ],
+            axis=1,
+        )
+        return actions[np.argmax(scores, axis=1)]
+
+    def variances(self, states: Array) -> Array:
+        """phi'S phi of every state with every sampled action, `[N, K]`."""
+        phis = [self.phi(states, np.repeat(a[None], len(states), 0)) for a in self.samples()]
+        return np.stack([np.sum((phi @ self.s) * phi, axis=1) for phi in phis], axis=1)
+
+    def exploration_reward(self, states: Array) -> Array:
+        return self.variances(states).mean(axis=1) - 1.0 / self.alpha
+
+    def step(self, s: Array, a: Array, r: float, s_next: Array, is_absorbing: bool) -> None:
+        s, a, s_next = s[None], a[None], s_next[None]
+        a_next = self.policy(s_next)
+        r_e = self.exploration_reward(s_next)[0]
+        phi, phi_next = self.phi(s, a)[0], self.phi(s_next, a_next)[0]
+        y_q = r + self.gamma * (0.0 if is_absorbing else self.q(phi_next))
+        y_u = r_e + self.gamma * self.u(phi_next)
+        self.learn(phi, y_q, y_u)
+
+    def learn(self, phi: Array, y_q: float, y_u: float) -> None:
+        self.s = self.downdated(phi)
+        self.t_q = self.t_q + self.beta * phi * y_q
+        self.t_u = self.t_u + self.beta * phi * y_u
+        self.m_q, self.m_u = self.s @ self.t_q, self.s @ self.t_u
+
+    def downdated(self, phi: Array) -> Array:
+        sphi = self.s @ phi
+        return self.s - self.beta * np.outer(sphi, sphi) / (1.0 + self.beta * phi @ sphi)
+
+    def end_episode(self, s: Array, a: Array, r: Array, s_next: Array, is_absorbing: Array) -> None:
+        phi = self.phi(s, a)
+        for _ in range(self.max_sweeps):
+            phi_next = self.phi(s_next, self.policy(s_next))
+            self.t_q = self.beta * phi.T @ (r + self.gamma * np.where(is_absorbing, 0.0, self.q(phi_next)))
+            before, self.m_q = self.m_q, self.s @ self.t_q
+            if np.linalg.norm(self.m_q - before) <= self.tolerance:
+                break
+        phi_next = self.phi(s_next, self.policy(s_next))
+        r_e = self.exploration_reward(s_next)
+        for _ in range(self.max_sweeps):
+            self.t_u = self.beta * phi.T @ (r_e + self.gamma * self.u(phi_next))
+            before, self.m_u = self.m_u, self.s @ self.t_u
+            if np.linalg.norm(self.m_u - before) <= self.tolerance:
+                break
+
+
+class PublishedCode(Algorithm6):
+    """What the published code does: SPEC of its quirks in one place.
+
+    The variance holds the noise; U goes to 0 where nothing was seen; Q is updated before the exploration
+    reward is computed, U with the trust of before; absorbing states bootstrap; the exploration rewards of an
+    episode's end are averaged over the wrong axis. Its features have half the norm (given from outside).
+    """
+
+    def __init__(self, *args, lengthscale: float, **settings):
+        super().__init__(*args, **settings)
+        self.least = 1.0 / (lengthscale * (8.0 * self.beta + self.alpha))
+
+    def u(self, phi: Array) -> Array:
+        variance = np.sum((phi @ self.s) * phi, axis=-1)
+        rho = np.maximum((variance - self.least) / (1.0 / self.alpha - self.least), 0.0)
+        return (phi @ self.m_u) * (1.0 - rho)
+
+    def variances(self, states: Array) -> Array:
+        return super().variances(states) + 1.0 / self.beta
+
+    def exploration_reward(self, states: Array) -> Array:
+        variances = self.variances(states)
+        mixed = variances.ravel().reshape(-1, len(states))  # meant as [K, N], but it is [N, K]
+        return mixed.mean(axis=0) - 1.0 / self.alpha
+
+    def step(self, s: Array, a: Array, r: float, s_next: Array, is_absorbing: bool) -> None:
+        s, a, s_next = s[None], a[None], s_next[None]
+        a_next = self.policy(s_next)
+        phi, phi_next = self.phi(s, a)[0], self.phi(s_next, a_next)[0]
+        y_q, u_next = r + self.gamma * self.q(phi_next), self.u(phi_next)
+        before, self.s = self.s, self.downdated(phi)
+        r_e = self.exploration_reward(s_next)[0]  # of one state, nothing is mixed
+        self.s = before
+        self.learn(phi, y_q, r_e + self.gamma * u_next)
+
+    def end_episode(self, s: Array, a: Array, r: Array, s_next: Array, is_absorbing: Array) -> None:
+        super().end_episode(s, a, r, s_next, np.zeros(len(r), dtype=bool))
