@@ -1,7 +1,9 @@
 """Settings of the environments with continuous states."""
 
-from typing import ClassVar, Literal
+import json
+from typing import Annotated, Any, ClassVar, Literal, Self
 
+import pydantic
 from pydantic import Field
 
 from bojax.config.component import Component
@@ -100,3 +102,62 @@ class CartpoleSwingUp(ControlTask, frozen=True):
     )
     max_force: float = Field(default=10.0, gt=0, description="bound on the force, N")
     time_step: float = Field(default=0.02, gt=0, description="time step, s")
+
+
+Bounds = float | Annotated[tuple[float, ...], Field(strict=False, min_length=1)]
+"""One number, or one for each component."""
+
+
+class Brax(Environment, frozen=True):
+    """An environment of Brax, compiled (extra `brax`)."""
+
+    target: ClassVar[str] = "bojax.envs.brax:BraxEnv"
+
+    kind: Literal["brax"] = "brax"
+    name: str = Field(min_length=1, description="its name in Brax, such as reacher")
+    backend: Literal["mjx", "generalized", "positional", "spring"] = Field(
+        default="mjx", description="the physics"
+    )
+    low: Bounds = Field(default=-10.0, description="lower bound of observations, one number or one for each")
+    high: Bounds = Field(default=10.0, description="upper bound of observations")
+    success_reward: float | None = Field(
+        default=None, description="least reward of a step that is a success; null: there is none"
+    )
+
+
+class Gymnasium(Component, frozen=True):
+    """An environment of Gymnasium, stepped on the host while the learner is compiled (extra `gym`)."""
+
+    role: ClassVar[str] = "env"
+    target: ClassVar[str] = "bojax.envs.gymnasium:HostEnv"
+
+    kind: Literal["gymnasium"] = "gymnasium"
+    id: str = Field(
+        min_length=1, description="its id, such as MountainCar-v0; module:Name-v0 imports the module first"
+    )
+    kwargs: dict[str, Any] = Field(default={}, description="arguments of its constructor")
+    low: Bounds | None = Field(
+        default=None,
+        description="lower bound of observations; null: the declared one, which has to be finite",
+    )
+    high: Bounds | None = Field(
+        default=None, description="upper bound of observations; null: the declared one"
+    )
+    max_steps: int | None = Field(
+        default=None, ge=1, description="steps after which an episode is cut off; null: as registered"
+    )
+    success: Literal["never", "terminated", "reward"] = Field(
+        default="never",
+        description="a success is: nothing; an absorbing state; a step with success_reward at least",
+    )
+    success_reward: float = Field(
+        default=1.0, description="least reward of a success, where success is reward"
+    )
+
+    @pydantic.model_validator(mode="after")
+    def _json(self) -> Self:
+        try:
+            json.dumps(self.kwargs)
+        except TypeError as error:
+            raise ValueError(f"kwargs: {error}") from error
+        return self

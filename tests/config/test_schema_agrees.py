@@ -10,6 +10,8 @@ from bojax.engine.build import build, import_target
 EXAMPLES = {
     "grid": {"file": "grid.csv", "extent": (0.0, 0.0, 1.0, 1.0)},
     "scattered": {"file": "rows.csv", "extent": (0.0, 0.0, 1.0, 1.0)},
+    "gymnasium": {"id": "MountainCar-v0"},
+    "brax": {"name": "fast"},
 }
 """Settings of the kinds that have no default for all of theirs."""
 

@@ -1,0 +1,182 @@
+"""Brax, both ways: its environments as ours, compiled; and ours as Brax environments, for `brax.training`."""
+
+import functools
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Key
+
+from bojax.envs.base import Env, Transition
+from bojax.envs.spaces import Box
+from bojax.numerics.third_party import MissingExtra, plain_jax, silenced, standard_jax
+
+try:
+    with silenced():
+        import brax.envs as brax_envs
+except ImportError as error:
+    raise MissingExtra("brax", "brax") from error
+
+
+class BraxEnv(Env):
+    """An environment of Brax by its name; its state is Brax's, in 32-bit numbers whatever the precision.
+
+    What Brax calls done is absorbing; its time limit is not used. Actions go from -1 to 1, as Brax has it.
+    A name that was added by `brax.envs.register_environment` will do too.
+
+    Attributes:
+        low: Lower bound of observations, one number or one for each; Brax declares none.
+        high: Upper bound.
+        success_reward: Least reward of a step that is a success; None where none is.
+        name: Name in Brax's registry.
+        backend: Physics: mjx, generalized, positional or spring.
+        max_steps: See `Env`.
+        observation_size: Numbers in an observation.
+        action_size: Numbers in an action.
+    """
+
+    low: Float[Array, "..."]
+    high: Float[Array, "..."]
+    success_reward: Float[Array, ""] | None
+    name: str = eqx.field(static=True)
+    backend: str = eqx.field(static=True)
+    max_steps: int = eqx.field(static=True)
+    observation_size: int = eqx.field(static=True, init=False)
+    action_size: int = eqx.field(static=True, init=False)
+
+    def __post_init__(self):
+        """Create the environment and look at what it returns.
+
+        Raises:
+            ValueError: There is none of this name or backend; its observations are no vector; bounds are of
+                another size.
+        """
+        if self.name not in brax_envs._envs:
+            raise ValueError(
+                f'name: got "{self.name}"; Brax has no such environment; it has: '
+                + ", ".join(sorted(brax_envs._envs))
+            )
+        observation, self.action_size = _sizes(self.name, self.backend)
+        if not hasattr(observation, "shape") or len(observation.shape) != 1:
+            raise ValueError(f'name: got "{self.name}"; its observations are no vector of numbers')
+        (self.observation_size,) = observation.shape
+        for name, bound in (("low", self.low), ("high", self.high)):
+            if bound.ndim and bound.shape != (self.observation_size,):
+                raise ValueError(
+                    f"{name}: got {bound.size} numbers; {self.name} has {self.observation_size} observations"
+                )
+
+    @property
+    def observation_space(self) -> Box:
+        """The bounds that were declared."""
+        shape = (self.observation_size,)
+        return Box(jnp.broadcast_to(self.low, shape), jnp.broadcast_to(self.high, shape))
+
+    @property
+    def action_space(self) -> Box:
+        """-1 to 1 for every actuator."""
+        one = jnp.ones((self.action_size,), self.low.dtype)
+        return Box(-one, one)
+
+    def reset(self, key: Key[Array, ""]) -> Any:
+        """See `Env`."""
+        return standard_jax(_created(self.name, self.backend).reset)(key)
+
+    def observe(self, state: Any) -> Float[Array, "D"]:
+        """See `Env`."""
+        return state.obs.astype(self.low.dtype)
+
+    def step(self, key: Key[Array, ""], state: Any, action: Float[Array, "A"]) -> tuple[Any, Transition]:
+        """See `Env`; Brax keeps its own keys."""
+        del key
+        action = jnp.clip(action, -jnp.ones_like(action), jnp.ones_like(action))
+        state = standard_jax(_created(self.name, self.backend).step)(state, action)
+        reward = state.reward.astype(self.low.dtype)
+        done = state.done > 0.5
+        never = jnp.zeros_like(done)
+        success = never if self.success_reward is None else reward >= self.success_reward
+        return state, Transition(self.observe(state), reward, done, never, success)
+
+
+class BojaxEnv(brax_envs.Env):
+    """One of our environments as an environment of Brax.
+
+    Actions go from -1 to 1, which are mapped to the bounds. Brax knows one `done`: it is set where ours
+    terminates or truncates; the time limit is for Brax to set (`episode_length`). The metric `success`
+    tells whether the goal was reached.
+
+    Attributes:
+        env: The environment; its observations and actions have to be vectors.
+    """
+
+    def __init__(self, env: Env):
+        """Wrap an environment.
+
+        Raises:
+            ValueError: Its observations or actions are numbered, not vectors.
+        """
+        observations, actions = env.observation_space, env.action_space
+        if not (isinstance(observations, Box) and isinstance(actions, Box)):
+            raise ValueError(f"{type(env).__name__}: Brax takes vectors as observations and actions")
+        self.env = env
+        self._num_observations, self._actions = observations.num_dims, actions
+
+    def reset(self, rng: jax.Array) -> brax_envs.State:
+        """An initial state."""
+        own, later = jax.random.split(_typed(rng))
+        state = self.env.reset(own)
+        observation = self.env.observe(state)
+        zero = jnp.zeros((), observation.dtype)
+        info = {"key": jax.random.key_data(later)}
+        return brax_envs.State(state, observation, zero, zero, {"success": zero}, info)
+
+    def step(self, state: brax_envs.State, action: jax.Array) -> brax_envs.State:
+        """One step of the environment."""
+        own, later = jax.random.split(_typed(state.info["key"]))
+        action = self._actions.from_unit(0.5 * (jnp.clip(action, -1.0, 1.0) + 1.0))
+        after, transition = self.env.step(own, state.pipeline_state, action)
+        dtype = transition.reward.dtype
+        return brax_envs.State(
+            pipeline_state=after,
+            obs=transition.observation,
+            reward=transition.reward,
+            done=(transition.terminated | transition.truncated).astype(dtype),
+            metrics={**state.metrics, "success": transition.success.astype(dtype)},
+            info={**state.info, "key": jax.random.key_data(later)},
+        )
+
+    @property
+    def observation_size(self) -> int:
+        """Numbers in an observation."""
+        return self._num_observations
+
+    @property
+    def action_size(self) -> int:
+        """Numbers in an action."""
+        return self._actions.num_dims
+
+    @property
+    def backend(self) -> str:
+        """The name of the physics: ours have none of Brax's."""
+        return "bojax"
+
+
+@functools.cache
+def _created(name: str, backend: str) -> brax_envs.Env:
+    """The environment; made once, outside of any trace."""
+    with silenced(), plain_jax(), jax.ensure_compile_time_eval():
+        return brax_envs.get_environment(name, backend=backend)
+
+
+@functools.cache
+def _sizes(name: str, backend: str) -> tuple[Any, int]:
+    """Shape of what it shows, and numbers in an action; `observation_size` of Brax would run it slowly."""
+    env = _created(name, backend)
+    with plain_jax():
+        state = jax.eval_shape(env.reset, jax.random.PRNGKey(0))
+        return state.obs, env.action_size
+
+
+def _typed(rng: jax.Array) -> Key[Array, ""]:
+    return rng if jnp.issubdtype(rng.dtype, jax.dtypes.prng_key) else jax.random.wrap_key_data(rng)

@@ -1,0 +1,322 @@
+"""Gymnasium, both ways: its environments as ours, stepped on the host; and ours as Gymnasium environments."""
+
+import json
+import math
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from bojax.envs.base import Env
+from bojax.envs.spaces import Box, Discrete, Space
+from bojax.numerics.third_party import MissingExtra
+
+try:
+    import gymnasium
+    from gymnasium import spaces
+except ImportError as error:
+    raise MissingExtra("gymnasium", "gym") from error
+
+
+_INFINITE = 1e30
+"""What is as good as infinite: some declare the largest 32-bit number."""
+
+
+class GymnasiumEnv(gymnasium.Env):
+    """One of our environments as an environment of Gymnasium, compiled.
+
+    An episode is truncated after `max_steps` of the environment. Everything random follows from the seed of
+    `reset`. Observations are 32-bit numbers.
+
+    Attributes:
+        env: The environment.
+    """
+
+    metadata = {"render_modes": []}
+
+    def __init__(self, env: Env):
+        self.env = env
+        self.observation_space = _to_gymnasium(env.observation_space)
+        self.action_space = _to_gymnasium(env.action_space)
+        self._episode = self._state = None
+        self._num_steps = 0
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
+        """See Gymnasium; there are no options."""
+        super().reset(seed=seed, options=options)
+        self._episode = jax.random.key(int(self.np_random.integers(2**31)))
+        self._num_steps = 0
+        self._state, observation = _begin(self.env, self._episode)
+        return self._shown(observation), {}
+
+    def step(self, action: Any):
+        """See Gymnasium; `info["success"]` tells whether the goal was reached."""
+        if self._episode is None:
+            raise gymnasium.error.ResetNeeded("reset() comes before step()")
+        self._num_steps += 1
+        bounds = self.env.action_space
+        action = jnp.asarray(action, bounds.low.dtype if isinstance(bounds, Box) else jnp.int32)
+        step = jnp.asarray(self._num_steps, jnp.int32)
+        self._state, transition = _go_on(self.env, self._episode, step, self._state, action)
+        terminated = bool(transition.terminated)
+        is_last = self._num_steps >= self.env.max_steps and not terminated
+        return (
+            self._shown(transition.observation),
+            float(transition.reward),
+            terminated,
+            bool(transition.truncated) or is_last,
+            {"success": bool(transition.success)},
+        )
+
+    def _shown(self, observation: Array) -> Any:
+        if isinstance(self.observation_space, spaces.Discrete):
+            return int(observation)
+        return np.asarray(observation, np.float32)
+
+
+class HostEnv(Env):
+    """An environment of Gymnasium: it steps on the host, one Python object a lane, and cannot be compiled.
+
+    Observations of several axes are flattened, and discrete spaces count from 0. The time limit is
+    `max_steps`, here as for every other environment: Gymnasium's own is taken off, so that what it still
+    truncates is the environment's doing.
+
+    Attributes:
+        low: Lower bound of observations instead of the declared one, one number or one for each; or None.
+        high: Upper bound.
+        success_reward: Least reward of a step that is a success, where `success` is `"reward"`.
+        id: Gymnasium's name for it, `module:Name-v0` for one that a module registers.
+        kwargs: Arguments of its constructor, as JSON.
+        max_steps: See `Env`.
+        success: What counts as success: nothing, the end in an absorbing state (a failure may be one too),
+            or a reward.
+        observations: Space of observations.
+        actions: Space of actions.
+    """
+
+    low: Float[Array, "..."] | None
+    high: Float[Array, "..."] | None
+    success_reward: Float[Array, ""]
+    id: str = eqx.field(static=True)
+    kwargs: str = eqx.field(static=True)
+    max_steps: int = eqx.field(static=True)
+    success: Literal["never", "terminated", "reward"] = eqx.field(static=True)
+    observations: Space
+    actions: Space
+
+    def __init__(
+        self,
+        low: Float[Array, "..."] | None,
+        high: Float[Array, "..."] | None,
+        success_reward: Float[Array, ""],
+        id: str,
+        kwargs: Mapping[str, Any],
+        max_steps: int | None,
+        success: Literal["never", "terminated", "reward"],
+    ):
+        """Make one, and see whether it does what it declares.
+
+        Raises:
+            ValueError: There is none of this name, or it cannot be made; a space is neither box nor discrete,
+                or has infinite bounds and none were given; what it returns does not fit its spaces; it has
+                no time limit and none was given.
+        """
+        self.low, self.high, self.success_reward = low, high, success_reward
+        self.id, self.kwargs, self.success = id, json.dumps(dict(kwargs), sort_keys=True), success
+        try:
+            made = self._made()
+            limit = max_steps or gymnasium.spec(id).max_episode_steps
+        except Exception as error:
+            raise ValueError(f'id: got "{id}"; {_one_line(error)}') from error
+        dtype = success_reward.dtype
+        self.observations = from_gymnasium(made.observation_space, "observation", dtype, low, high)
+        self.actions = from_gymnasium(made.action_space, "action", dtype)
+        if limit is None:
+            raise ValueError(f"max_steps: {id} has no time limit of its own: a number is needed")
+        self.max_steps = limit
+        _probe(made, id)
+        made.close()
+
+    @property
+    def observation_space(self) -> Space:
+        """As Gymnasium declares it, or with the bounds that were given."""
+        return self.observations
+
+    @property
+    def action_space(self) -> Space:
+        """As Gymnasium declares it."""
+        return self.actions
+
+    def make(self) -> gymnasium.Env:
+        """One such environment, as `Idling` wraps it."""
+        return Idling(self._made(), self.observations, self.actions)
+
+    def make_vector(self, num: int) -> gymnasium.vector.SyncVectorEnv:
+        """Several, stepped together: each waits at the end of its episode until it is reset by a seed."""
+        return gymnasium.vector.SyncVectorEnv([self.make] * num)
+
+    def is_success(self, reward: Float[Array, "*N"], terminated: Bool[Array, "*N"]) -> Bool[Array, "*N"]:
+        """Whether steps with these rewards, with which episodes ended or not, are successes."""
+        if self.success == "terminated":
+            return terminated
+        if self.success == "reward":
+            return reward >= self.success_reward.astype(reward.dtype)
+        return jnp.zeros_like(terminated)
+
+    def reset(self, key):
+        """Refused: see `make_vector`.
+
+        Raises:
+            TypeError: Always.
+        """
+        raise TypeError(f"{self.id} is stepped on the host, not compiled: make_vector makes it")
+
+    def observe(self, state):
+        """Refused, as `reset` is."""
+        return self.reset(state)
+
+    def step(self, key, state, action):
+        """Refused, as `reset` is."""
+        return self.reset(key)
+
+    def _made(self) -> gymnasium.Env:
+        if ":" in self.id and str(Path.cwd()) not in sys.path:  # an installed command does not have it
+            sys.path.insert(0, str(Path.cwd()))
+        kwargs = json.loads(self.kwargs)
+        return gymnasium.make(self.id, max_episode_steps=-1, disable_env_checker=True, **kwargs)
+
+
+class Idling(gymnasium.Wrapper):
+    """Plain observations and actions; and after its end an episode stays where it is, whatever is done.
+
+    A reset without a seed does not wake it: a vector environment resets whatever has ended, and whoever
+    drives it does not want the next episode before the other lanes have ended theirs.
+    """
+
+    def __init__(self, env: gymnasium.Env, observations: Space, actions: Space):
+        super().__init__(env)
+        self._inner_observation: Any = env.observation_space
+        self._inner_action: Any = env.action_space
+        self.observation_space = _to_gymnasium(observations)
+        self.action_space = _to_gymnasium(actions)
+        self._last: Any = None
+        self._has_ended = False
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
+        """Begin an episode; where one has ended, only with a seed."""
+        if self._has_ended and seed is None:
+            return self._last, {}
+        observation, info = self.env.reset(seed=seed, options=options)
+        self._has_ended, self._last = False, self._plain(observation)
+        return self._last, info
+
+    def step(self, action: Any):
+        """A step; none after the end."""
+        if self._has_ended:
+            return self._last, 0.0, False, False, {}
+        observation, reward, terminated, truncated, _ = self.env.step(self._theirs(action))
+        self._last, self._has_ended = self._plain(observation), bool(terminated or truncated)
+        return self._last, float(reward), bool(terminated), bool(truncated), {}
+
+    def _plain(self, observation: Any) -> Any:
+        if isinstance(self._inner_observation, spaces.Discrete):
+            return int(observation - self._inner_observation.start)
+        return np.asarray(observation, np.float32).ravel()
+
+    def _theirs(self, action: Any) -> Any:
+        space = self._inner_action
+        if isinstance(space, spaces.Discrete):
+            return space.dtype.type(np.clip(action, 0, space.n - 1) + space.start)
+        action = np.asarray(action, space.dtype).reshape(space.shape)
+        return np.clip(action, space.low, space.high)
+
+
+def from_gymnasium(
+    space: gymnasium.Space,
+    what: str,
+    dtype: Any,
+    low: Float[Array, "..."] | None = None,
+    high: Float[Array, "..."] | None = None,
+) -> Space:
+    """A space of Gymnasium as one of ours; a box of several axes becomes a vector.
+
+    Args:
+        space: The space.
+        what: What it is the space of, for messages.
+        dtype: Precision of the bounds.
+        low: Lower bound instead of the declared one.
+        high: Upper bound.
+
+    Raises:
+        ValueError: It is neither a box nor discrete; a bound is infinite, or not below the other; there are
+            more or fewer bounds than numbers.
+    """
+    if isinstance(space, spaces.Discrete):
+        return Discrete(int(space.n))
+    if not isinstance(space, spaces.Box):
+        raise ValueError(f"{what} space {_one_line(space)} is neither box nor discrete")
+    size = math.prod(space.shape)
+    bounds = []
+    for name, declared, given in (("low", space.low, low), ("high", space.high, high)):
+        if given is None:
+            bound = np.asarray(declared, np.float64).ravel()
+        elif given.shape not in ((), (size,)):
+            raise ValueError(f"{name}: got {given.size} numbers; there are {size} in an {what}")
+        else:
+            bound = np.broadcast_to(np.asarray(given, np.float64), (size,))
+        bounds.append(bound)
+    wide = ~(np.abs(bounds) < _INFINITE).all(axis=0)
+    if wide.any():
+        where = ", ".join(map(str, np.flatnonzero(wide)))
+        remedy = "set low and high" if what == "observation" else "an action needs finite ones"
+        raise ValueError(f"{what} space has infinite bounds (component {where}): {remedy}")
+    if not np.all(bounds[0] < bounds[1]):
+        where = ", ".join(map(str, np.flatnonzero(~(bounds[0] < bounds[1]))))
+        raise ValueError(f"{what} space: low is not below high (component {where})")
+    return Box(jnp.asarray(bounds[0], dtype), jnp.asarray(bounds[1], dtype))
+
+
+def _to_gymnasium(space: Space) -> gymnasium.Space:
+    if isinstance(space, Discrete):
+        return spaces.Discrete(space.num)
+    return spaces.Box(np.asarray(space.low, np.float32), np.asarray(space.high, np.float32))
+
+
+def _probe(env: gymnasium.Env, id: str) -> None:
+    """One reset and one step, and whether they return what they should."""
+    try:
+        env.action_space.seed(0)
+        first, _ = env.reset(seed=0)
+        after, reward, *_ = env.step(env.action_space.sample())
+        reward = np.asarray(reward, np.float64)
+    except Exception as error:
+        raise ValueError(f"{id} fails in its first step: {_one_line(error)}") from error
+    shape = env.observation_space.shape
+    for when, observation in (("reset", first), ("step", after)):
+        if np.shape(observation) != shape:
+            raise ValueError(
+                f"{id}: {when} returns an observation of shape {np.shape(observation)}, not {shape}"
+            )
+    if reward.shape != ():
+        raise ValueError(f"{id}: step returns a reward of shape {reward.shape}, not one number")
+
+
+def _one_line(thing: Any) -> str:
+    return " ".join(str(thing).split())
+
+
+@eqx.filter_jit
+def _begin(env: Env, episode: Array) -> tuple[Any, Array]:
+    state = env.reset(jax.random.fold_in(episode, 0))
+    return state, env.observe(state)
+
+
+@eqx.filter_jit
+def _go_on(env: Env, episode: Array, step: Array, state: Any, action: Array):
+    return env.step(jax.random.fold_in(episode, step), state, action)

@@ -1,0 +1,261 @@
+"""Our environments in Gymnasium's hands, and Gymnasium's in ours."""
+
+import gymnasium
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from gymnasium import spaces
+from gymnasium.utils.env_checker import check_env
+
+from bojax.config import envs
+from bojax.config.errors import ConfigError
+from bojax.engine.build import build
+from bojax.envs.base import Env, Transition
+from bojax.envs.gymnasium import GymnasiumEnv, Idling
+from bojax.envs.spaces import Box, Discrete
+
+
+class Toy(gymnasium.Env):
+    """Pays what it is told, counts its resets and steps, and ends when it is told."""
+
+    def __init__(self, observations=None, actions=None, shape=None, reward=1.0, ends_after=3, fails=False):
+        self.observation_space = observations or spaces.Box(-1.0, 1.0, (2, 3))
+        self.action_space = actions or spaces.Discrete(2, start=5)
+        self.shape = shape or self.observation_space.shape
+        self.reward, self.ends_after, self.fails = reward, ends_after, fails
+        self.num_resets = self.num_steps = 0
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.num_resets, self.num_steps = self.num_resets + 1, 0
+        return np.zeros(self.shape), {}
+
+    def step(self, action):
+        if self.fails:
+            raise RuntimeError("out of\nfuel")
+        assert self.action_space.contains(action), action
+        self.num_steps += 1
+        return (
+            np.full(self.shape, 0.1 * self.num_steps),
+            self.reward,
+            self.num_steps == self.ends_after,
+            False,
+            {},
+        )
+
+
+class Walk(Env):
+    """A walk on five numbers from 2; the last one is the goal."""
+
+    max_steps: int = 6
+
+    @property
+    def observation_space(self):
+        return Discrete(5)
+
+    @property
+    def action_space(self):
+        return Discrete(2)
+
+    def reset(self, key):
+        return jnp.asarray(2, jnp.int32)
+
+    def observe(self, state):
+        return state
+
+    def step(self, key, state, action):
+        state = jnp.clip(state + 2 * action - 1, 0, 4)
+        at_goal = state == 4
+        return state, Transition(state, at_goal.astype(jnp.float32), at_goal, jnp.zeros((), bool), at_goal)
+
+
+@pytest.fixture
+def toy():
+    """Register the toy under a name; its constructor takes what it is given."""
+    gymnasium.register("Toy-v0", Toy, max_episode_steps=40)
+    gymnasium.register("Endless-v0", Toy)
+    yield lambda **settings: build(envs.Gymnasium(**{"id": "Toy-v0"} | settings), "float32")
+    for name in ("Toy-v0", "Endless-v0"):
+        del gymnasium.registry[name]
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")  # on its advice for action spaces
+@pytest.mark.parametrize("schema", [envs.SinglePendulum, envs.CartpoleSwingUp])
+def test_ours_pass_gymnasiums_checks(schema):
+    check_env(GymnasiumEnv(build(schema(), "float32")))
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_ours_with_numbers_for_states_pass_them_too():
+    env = GymnasiumEnv(Walk())
+    check_env(env)
+    env.reset(seed=0)
+    steps = [env.step(action) for action in (0, 1, 1, 1)]
+    assert [step[:4] for step in steps] == [
+        (1, 0.0, False, False),
+        (2, 0.0, False, False),
+        (3, 0.0, False, False),
+        (4, 1.0, True, False),
+    ]
+    assert steps[-1][4] == {"success": True}
+
+
+def test_in_gymnasium_it_takes_the_same_steps():
+    ours = build(envs.MountainCar(reward="classic", actions="thresholded"))
+    env, theirs = GymnasiumEnv(ours), gymnasium.make("MountainCar-v0").unwrapped
+    rng = np.random.default_rng(0)
+    theirs.reset(seed=0)
+    theirs.state = np.asarray(env.reset(seed=3)[0], np.float64)
+    for _ in range(60):
+        action = rng.integers(3)
+        observation, reward, *_ = env.step(np.array([action - 1.0], np.float32))
+        expected, paid, *_ = theirs.step(action)
+        np.testing.assert_allclose(observation, expected, atol=1e-5)
+        assert reward == paid
+
+
+def test_an_episode_is_truncated_at_the_limit_and_repeats_with_its_seed():
+    env = GymnasiumEnv(build(envs.SinglePendulum(max_steps=5, goal_angle=1e-9), "float32"))
+
+    def episode(seed):
+        first, _ = env.reset(seed=seed)
+        steps = [env.step(np.array([2.0], np.float32)) for _ in range(5)]
+        assert [step[3] for step in steps] == [False] * 4 + [True]
+        assert not any(step[2] for step in steps)
+        return np.stack([first, *(step[0] for step in steps)])
+
+    np.testing.assert_array_equal(episode(1), episode(1))
+    assert np.abs(episode(1) - episode(2)).max() > 0.01
+    again = [env.reset()[0] for _ in range(2)]
+    assert np.abs(again[0] - again[1]).max() > 0.01  # without a seed, episodes differ
+
+
+def test_stepping_comes_after_a_reset():
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        GymnasiumEnv(Walk()).step(0)
+
+
+def test_spaces_are_read():
+    env = build(envs.Gymnasium(id="MountainCar-v0"), "float32")
+    assert isinstance(env.observation_space, Box) and env.observation_space.low.dtype == jnp.float32
+    np.testing.assert_allclose(env.observation_space.low, [-1.2, -0.07])
+    np.testing.assert_allclose(env.observation_space.high, [0.6, 0.07])
+    assert isinstance(env.action_space, Discrete) and env.action_space.num == 3
+    assert env.max_steps == 200
+    assert build(envs.Gymnasium(id="MountainCar-v0", max_steps=9), "float32").max_steps == 9
+    given = build(envs.Gymnasium(id="CartPole-v1", low=-3.0, high=[1.0, 2.0, 3.0, 4.0]))
+    np.testing.assert_array_equal(given.observation_space.low, [-3.0] * 4)
+    np.testing.assert_array_equal(given.observation_space.high, [1.0, 2.0, 3.0, 4.0])
+
+
+def test_observations_are_flattened_and_actions_count_from_0(toy):
+    env = toy()
+    assert env.observation_space.num_dims == 6 and env.action_space.num == 2
+    vector = env.make_vector(2)
+    observation, _ = vector.reset(seed=[0, 1])
+    assert observation.shape == (2, 6) and observation.dtype == np.float32
+    vector.step(np.array([0, 1]))  # the toy takes 5 and 6 only
+    numbers = toy(kwargs={"observations": None, "ends_after": 2})
+    assert numbers.kwargs == '{"ends_after": 2, "observations": null}'
+
+
+def test_a_box_of_actions_is_clipped_and_shaped():
+    seen = []
+
+    class Recorder(Toy):
+        def step(self, action):
+            seen.append(np.array(action))
+            return super().step(action)
+
+    actions = spaces.Box(-2.0, 2.0, (2, 2))
+    env = Idling(Recorder(actions=actions), Box(-jnp.ones(6), jnp.ones(6)), Box(-jnp.ones(4), jnp.ones(4)))
+    env.reset(seed=0)
+    env.step(jnp.asarray([0.5, -0.5, 7.0, -7.0]))
+    np.testing.assert_array_equal(seen[0], [[0.5, -0.5], [2.0, -2.0]])
+
+
+def test_lanes_wait_at_the_end_of_their_episodes_until_they_are_seeded(toy):
+    env = toy(kwargs={"ends_after": 2})
+    vector = env.make_vector(2)
+    vector.reset(seed=[0, 1])
+    vector.envs[1].unwrapped.ends_after = 4
+    steps = [vector.step(np.array([0, 0])) for _ in range(6)]
+    np.testing.assert_array_equal(
+        [step[2] for step in steps],  # each end is told once
+        [[False, False], [True, False], [False, False], [False, True], [False, False], [False, False]],
+    )
+    np.testing.assert_array_equal([step[1][0] for step in steps], [1, 1, 0, 0, 0, 0])
+    np.testing.assert_allclose([step[0][0, 0] for step in steps], [0.1, 0.2, 0.2, 0.2, 0.2, 0.2], rtol=1e-6)
+    assert [part.unwrapped.num_resets for part in vector.envs] == [1, 1]
+    vector.reset(seed=[2, 3])
+    assert [part.unwrapped.num_resets for part in vector.envs] == [2, 2]
+    assert vector.step(np.array([0, 0]))[1].tolist() == [1.0, 1.0]
+
+
+def test_the_time_limit_of_gymnasium_is_off(toy):
+    vector = toy(kwargs={"ends_after": -1}).make_vector(1)
+    vector.reset(seed=[0])
+    assert not any(vector.step(np.array([0]))[3][0] for _ in range(45))
+
+
+def test_what_counts_as_success():
+    rewards, ends = jnp.asarray([0.0, 1.0, 2.0, 2.0]), jnp.asarray([True, False, False, True])
+    for settings, expected in (
+        ({}, [False, False, False, False]),
+        ({"success": "terminated"}, [True, False, False, True]),
+        ({"success": "reward", "success_reward": 2.0}, [False, False, True, True]),
+    ):
+        env = build(envs.Gymnasium(id="MountainCar-v0", **settings), "float32")
+        np.testing.assert_array_equal(env.is_success(rewards, ends), expected)
+
+
+def test_it_cannot_be_compiled():
+    env = build(envs.Gymnasium(id="MountainCar-v0"), "float32")
+    with pytest.raises(TypeError, match="MountainCar-v0 is stepped on the host"):
+        jax.jit(lambda key: env.reset(key))(jax.random.key(0))
+
+
+BAD = {
+    "unknown": ({"id": "MountainCart-v0"}, 'id: got "MountainCart-v0"; .*doesn\'t exist.*MountainCar'),
+    "no module": ({"id": "no_such:Env-v0"}, "No module named 'no_such'"),
+    "argument": ({"kwargs": {"wheels": 4}}, "unexpected keyword argument 'wheels'"),
+    "infinite": ({"id": "CartPole-v1"}, r"infinite bounds \(component 1, 3\): set low and high"),
+    "half": ({"id": "CartPole-v1", "low": -1.0}, r"infinite bounds \(component 1, 3\)"),
+    "size": ({"low": [0.0, 1.0]}, "low: got 2 numbers; there are 6 in an observation"),
+    "order": ({"low": 1.0}, r"observation space: low is not below high \(component 0, 1, 2, 3, 4, 5\)"),
+    "endless": (
+        {"id": "Endless-v0"},
+        "max_steps: Endless-v0 has no time limit of its own: a number is needed",
+    ),
+    "fails": ({"kwargs": {"fails": True}}, "Toy-v0 fails in its first step: out of fuel"),
+    "shape": (
+        {"kwargs": {"shape": [2]}},
+        r"Toy-v0: reset returns an observation of shape \(2,\), not \(2, 3\)",
+    ),
+    "reward": ({"kwargs": {"reward": [1.0, 2.0]}}, r"Toy-v0: step returns a reward of shape \(2,\)"),
+}
+
+
+@pytest.mark.parametrize(("settings", "message"), BAD.values(), ids=BAD)
+def test_what_cannot_be_learned_on_is_refused_in_a_line(toy, settings, message):
+    with pytest.raises(ConfigError, match=message) as caught:
+        toy(**settings)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        ({"actions": spaces.MultiBinary(3)}, r"action space MultiBinary\(3\) is neither box nor discrete"),
+        ({"observations": spaces.Tuple([spaces.Discrete(2)])}, r"observation space Tuple.* is neither box"),
+        ({"actions": spaces.Box(-np.inf, 1.0, (1,))}, "action space has infinite bounds .* finite ones"),
+    ],
+)
+def test_other_spaces_are_refused(toy, parts, message):
+    gymnasium.register("Odd-v0", lambda **_: Toy(**parts), max_episode_steps=10)
+    try:
+        with pytest.raises(ConfigError, match=message):
+            toy(id="Odd-v0")
+    finally:
+        del gymnasium.registry["Odd-v0"]
