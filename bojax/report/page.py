@@ -63,6 +63,7 @@ def render(
         ratios=tables.ratios(results),
         has_thesis=bool(results.settings.get("thesis")),
         speeds=tables.speeds(results),
+        is_learning=any(point.is_learning for point in results.points),
         common=tables.common_settings(results),
         own=tables.own_settings(results),
         notes=[*_paragraphs(results.settings.get("notes")), *notes],
@@ -82,8 +83,10 @@ def summary(results: Results) -> str:
     if noun != "setting" and len(labels) < len(names):
         what = f"{counted(len(names), 'setting')} of {counted(len(labels), noun)}"
     listed = f" ({joined(names)})" if len(names) <= 12 else ""
-    kinds = sorted({_kind(config.get("problem", config.get("env"))) for config in configs} - {""})
-    where = f" on the problem {joined(kinds)}" if kinds else ""
+    where = ""
+    for role, phrase in (("problem", "on the problem"), ("env", "in the environment")):
+        kinds = sorted({_kind(config.get(role)) for config in configs} - {""})
+        where += f" {phrase} {joined(kinds)}" if kinds else ""
     numbers = sorted({int(results.runs_of(point)["run"].size) for point in results.points})
     runs = (
         counted(numbers[-1], "run")
@@ -91,7 +94,8 @@ def summary(results: Results) -> str:
         else f"{numbers[0]:,} to {counted(numbers[-1], 'run')}"
     )
     each = " each" if len(names) > 1 else ""
-    steps = f" of up to {counted(results.num_steps, 'step')}" if results.num_steps else ""
+    length = (results.num_episodes, "episode") if results.episodes else (results.num_steps, "step")
+    steps = f" of up to {counted(*length)}" if length[0] else ""
     groups = results.manifest.get("groups") or []
     run = sum(group.get("run_seconds") or 0 for group in groups)
     build = sum(group.get("compile_seconds") or 0 for group in groups)
@@ -119,7 +123,8 @@ def provenance(results: Results) -> list[tuple[str, str]]:
 def _claim(claim: Mapping[str, Any]) -> dict[str, Any]:
     test = claim["test"]
     comparisons = test.get("comparisons") or []
-    bounds = _share_bounds if test.get("kind") == "share" else with_bounds
+    is_share = test.get("kind") == "share" or test.get("share") is not None
+    bounds = _share_bounds if is_share else with_bounds
     ours = claim["ours"]
     if isinstance(ours, float):
         ours = bounds(ours, *claim["interval"])[0]
@@ -127,7 +132,8 @@ def _claim(claim: Mapping[str, Any]) -> dict[str, Any]:
         (c["of"].replace(" - ", " \N{MINUS SIGN} "), *bounds(c["estimate"], *c["interval"]))
         for c in comparisons
     ]
-    is_single = len(listed) == 1 and not isinstance(claim["ours"], str)
+    # One comparison is written beside our number if it is of that number, not of a difference.
+    is_single = len(listed) == 1 and comparisons[0]["estimate"] == claim["ours"]
     return {
         **claim,
         "mark": _MARKS[claim["verdict"]],

@@ -172,6 +172,11 @@ class Results:
         return {}
 
     @cached_property
+    def num_episodes(self) -> int:
+        """The most training episodes of any run."""
+        return int(self.episodes["episode"].max(initial=0)) if self.episodes else 0
+
+    @cached_property
     def num_steps(self) -> int:
         """The longest episode of any run, in steps."""
         return int(self.steps["step"].max()) if self.steps and self.steps["step"].size else 0

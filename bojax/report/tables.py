@@ -161,9 +161,25 @@ def flatten(config: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]
 
 
 def _measures(results: Results) -> list[_Measure]:
-    runs = results.runs
-    known = {"point", "label", "variant", "run", "seed", "nans", "return", "success", "steps", "exits"}
-    measures = []
+    """What is said of every point, from the columns that `runs.parquet` has."""
+    if any(point.is_learning for point in results.points):
+        measures, known = _learning_measures(results.runs)
+    else:
+        measures, known = _planning_measures(results)
+    known |= {"point", "label", "variant", "run", "seed", "nans"}
+    known |= {key for point in results.points for key in point.swept}
+    for column, values in results.runs.items():
+        if column in known or values.dtype.kind not in "bfiu":
+            continue
+        draw = share_cell if values.dtype.kind == "b" else mean_cell
+        measures.append(
+            _Measure(_heading(column), column, lambda table, column=column, draw=draw: draw(table[column]))
+        )
+    return measures
+
+
+def _planning_measures(results: Results) -> tuple[list[_Measure], set[str]]:
+    runs, measures = results.runs, []
     if "return" in runs:
         measures.append(_Measure("final return", "return", lambda table: mean_cell(table["return"])))
     has_success = all(point.has_success for point in results.points)
@@ -191,15 +207,49 @@ def _measures(results: Results) -> list[_Measure]:
         )
     if "exits" in runs:
         measures.append(_Measure("runs with an exit", "exits", lambda table: share_cell(table["exits"] > 0)))
-    swept = {key for point in results.points for key in point.swept}
-    for column, values in runs.items():
-        if column in known or column in swept or values.dtype.kind not in "bfiu":
+    return measures, {"return", "success", "steps", "exits"}
+
+
+_GOALS = {
+    "success": ("success", {"episodes_to_goal": "episodes", "steps_to_goal": "steps"}),
+    "reached": ("target reached", {"episodes_to_target": "episodes"}),
+}
+"""What a learner may reach: heading, and the columns that say when, with the column of where a run ended."""
+
+
+def _learning_measures(runs: Columns) -> tuple[list[_Measure], set[str]]:
+    measures, known = [], {"return", "episodes", "steps", "return_after_target"}
+    if "return" in runs:
+        measures.append(_Measure("last training return", "return", lambda table: mean_cell(table["return"])))
+    for flag, (heading, times) in _GOALS.items():
+        known |= {flag, *times}
+        if flag not in runs:
             continue
-        draw = share_cell if values.dtype.kind == "b" else mean_cell
+        measures.append(_Measure(heading, flag, lambda table, flag=flag: share_cell(table[flag])))
+        for column, end in times.items():
+            if column not in runs:
+                continue
+            measures += [
+                _Measure(
+                    f"{_heading(column)}, of runs that got there",
+                    column,
+                    lambda table, column=column: among_cell(table[column]),
+                ),
+                _Measure(
+                    f"{_heading(column)}, of all runs",
+                    f"{column}_of_all",
+                    lambda table, column=column, end=end: censored_cell(table[column], table[end]),
+                ),
+            ]
+    if "return_after_target" in runs:
         measures.append(
-            _Measure(_heading(column), column, lambda table, column=column, draw=draw: draw(table[column]))
+            _Measure(
+                "return after target",
+                "return_after_target",
+                lambda table: among_cell(table["return_after_target"]),
+            )
         )
-    return measures
+    return measures, known
 
 
 def mean_cell(values: np.ndarray, *, empty: str = MISSING) -> Cell:
@@ -213,6 +263,28 @@ def mean_cell(values: np.ndarray, *, empty: str = MISSING) -> Cell:
     if values.size == 1:
         return Cell(f"{interval.estimate:,.6g}")
     return Cell(*with_bounds(interval.estimate, interval.low, interval.high))
+
+
+def among_cell(values: np.ndarray) -> Cell:
+    """Mean with its standard deviation over the runs that have a value, and how many those are."""
+    there = values[np.isfinite(values)]
+    among = "" if there.size == values.size else f"{there.size:,} of {values.size:,}"
+    if not there.size:
+        return Cell("never", among)
+    interval = statistics.mean_interval(there)
+    text, bounds = with_bounds(interval.estimate, interval.low, interval.high)
+    if there.size == 1:
+        return Cell(text, among)
+    spread = number(float(there.std(ddof=1)))
+    return Cell(f"{text} ({spread})", f"{bounds}, {among}" if among else bounds)
+
+
+def censored_cell(values: np.ndarray, ends: np.ndarray) -> Cell:
+    """Mean over all runs, one that never got there counted up to its end: a bound from below."""
+    is_there = np.isfinite(values)
+    interval = statistics.mean_interval(np.where(is_there, values, ends))
+    text, bounds = with_bounds(interval.estimate, interval.low, interval.high)
+    return Cell(text if is_there.all() else f"\N{GREATER-THAN OR EQUAL TO} {text}", bounds)
 
 
 def share_cell(flags: np.ndarray) -> Cell:
