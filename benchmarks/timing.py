@@ -15,6 +15,8 @@ from jax.sharding import AxisType, NamedSharding, PartitionSpec
 from rich.console import Console
 from rich.table import Table
 
+from bojax.numerics.lanes import LANES
+
 
 @dataclass(frozen=True)
 class Row:
@@ -75,7 +77,7 @@ def time_runs(
     index = np.arange(num_batches * lanes, dtype=np.int32).reshape(num_batches, lanes)
 
     def sharded(function: Callable) -> Any:
-        lanes = jax.vmap(function)
+        lanes = jax.vmap(function, axis_name=LANES)
         return jax.jit(jax.shard_map(lanes, mesh=mesh, in_specs=by_lane, out_specs=by_lane, check_vma=False))
 
     batches = [(jax.device_put(lane, NamedSharding(mesh, by_lane)),) for lane in index]

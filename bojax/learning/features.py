@@ -104,6 +104,15 @@ class Waves(StateActionFeatures):
         cosines = cx * cy - sx * sy
         return jnp.concatenate([cosines, sx * cy + cx * sy]) if self.has_sines else cosines
 
+    def __call__(self, observation: Observation, action: Action) -> Float[Array, "M"]:
+        """See `StateActionFeatures`: from the whole angles, half the cosines and sines."""
+        dtype = self.phases.dtype
+        state = self.observations.to_unit(observation).astype(dtype)
+        angles = matmul(self.state_frequencies, state) + self.phases
+        angles = angles + matmul(self.action_frequencies, self.actions.to_unit(action).astype(dtype))
+        waves = [jnp.cos(angles), jnp.sin(angles)] if self.has_sines else [jnp.cos(angles)]
+        return self.amplitude * jnp.concatenate(waves)
+
     def split(self, weights: Float[Array, "M"], y: Float[Array, "R"]) -> Float[Array, "P"]:
         """See `StateActionFeatures`."""
         cy, sy = jnp.split(y, 2)

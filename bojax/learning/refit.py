@@ -169,28 +169,21 @@ def _fit_u(learner, state, policy: _Policy, candidates, u, is_active) -> Float[A
         reward, weight, y = parts(rows, index, is_there)
         return _accumulate(state, total, rows, y, weight, reward)
 
-    def sweep(u):
-        def add(total, rows, index, is_there):
-            reward, weight, y = parts(rows, index, is_there)
-            value = matmul(_next_features(state, rows, y), u)
-            return total + matmul(reward + weight * value, _features(state, rows))
-
-        return matmul(gain, memory.fold(add, jnp.zeros_like(u), learner.refit_block))
-
+    matrix, vector = memory.fold(equations, _nothing(u), learner.refit_block)
     if learner.refit == "direct":
-        after = _solved(gain, memory.fold(equations, _nothing(u), learner.refit_block))
-        return jnp.where(is_active, after, u)
+        return jnp.where(is_active, _solved(gain, (matrix, vector)), u)
+    # With a' fixed, a sweep is an affine map of the weights: one pass over the transitions is enough.
+    matrix, vector = matmul(gain, matrix), matmul(gain, vector)
 
-    def improve(loop):
+    def sweep(loop):
         number, u, going = loop
-
-        after = sweep(u)
+        after = vector + matmul(matrix, u)
         number = number + 1
         is_far = (jnp.linalg.norm(after - u) > learner.tolerance) & (number < learner.max_sweeps)
         return number, jnp.where(going, after, u), going & is_far
 
     start = jnp.zeros((), jnp.int32), u, is_active
-    return jax.lax.while_loop(lambda loop: any_lane(loop[2]), improve, start)[1]
+    return jax.lax.while_loop(lambda loop: any_lane(loop[2]), sweep, start)[1]
 
 
 def _looker(learner, state, ys: Float[Array, "J R"], mean: Float[Array, "M 2"]):

@@ -43,7 +43,7 @@ class Decay(Schedule):
     def __call__(self, episode: Int[Array, ""], has_reached: Bool[Array, ""]) -> Balance:
         """See `Schedule`."""
         del has_reached
-        return Balance(1.0 / (1.0 + self.rate * episode), episode >= 0)
+        return Balance(1.0 / (1.0 + self.rate * episode.astype(self.rate.dtype)), episode >= 0)
 
 
 class Budget(Schedule):
@@ -62,6 +62,7 @@ class Budget(Schedule):
     def __call__(self, episode: Int[Array, ""], has_reached: Bool[Array, ""]) -> Balance:
         """See `Schedule`."""
         del has_reached
+        episode = episode.astype(self.episodes.dtype)
         explores = episode < self.episodes
         if self.resume_after is not None:
             explores = explores | (episode >= self.episodes + self.resume_after)

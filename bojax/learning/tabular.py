@@ -149,8 +149,10 @@ class ExplorationValues(TabularLearner):
         kappa: Weight of U in the choice of actions.
         initial_u: U of what was never tried; exploration rewards are at most 0, so 0 is optimism.
         exploration_reward: What exploring a transition is worth.
-        bootstrap: What follows a state: `"max"`: the greatest Q and the greatest U of its actions, as
-            Q-learning has it; `"policy"`: Q and U of the action that argmax Q + kappa U takes there (5.7).
+        bootstrap: What follows a state: `"policy"`: Q and U of the action that argmax Q + kappa U takes there
+            (5.7); `"max"`: the greatest Q and the greatest U of its actions. The second never leaves the
+            start of a cliff: one fall keeps Q of an action low and its U high, so that the action is not
+            taken again, and yet its U stays the greatest and makes staying look like exploring.
         terminal_u: U of an absorbing state: `"masked"`: 0, as of Q; `"bootstrap"`: what its row of the table
             says, which is never learned and stays `initial_u`. Masking is the default since nothing is left
             to explore after the end of an episode. It makes an early end the best exploration; in the
@@ -160,7 +162,7 @@ class ExplorationValues(TabularLearner):
     kappa: Float[Array, ""]
     initial_u: Float[Array, ""]
     exploration_reward: ExplorationReward
-    bootstrap: Literal["max", "policy"] = eqx.field(static=True)
+    bootstrap: Literal["policy", "max", "mixed"] = eqx.field(static=True)
     terminal_u: Literal["masked", "bootstrap"] = eqx.field(static=True)
 
     @property
@@ -191,10 +193,14 @@ class ExplorationValues(TabularLearner):
     ) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
         """See `TabularLearner`."""
         bonus = self.exploration_reward(visits, next_row[:, -1])
+        followed = next_row[self._best(key, next_row, balance), :-1]
+        greatest = jnp.max(next_row[:, :-1], axis=0)
         if self.bootstrap == "policy":
-            next_value = next_row[self._best(key, next_row, balance), :-1]
+            next_value = followed
+        elif self.bootstrap == "max":
+            next_value = greatest
         else:
-            next_value = jnp.max(next_row[:, :-1], axis=0)
+            next_value = jnp.stack([greatest[Q], followed[U]])
         is_worthless = jnp.stack(
             [experience.terminated, experience.terminated & (self.terminal_u == "masked")]
         )

@@ -45,21 +45,20 @@ class Algorithm6:
     def u(self, phi: Array) -> Array:
         return phi @ self.m_u
 
+    def pairs(self, states: Array, actions: Array) -> Array:
+        """Features of every state with every action, state by state."""
+        return self.phi(np.repeat(states, len(actions), axis=0), np.tile(actions, (len(states), 1)))
+
     def policy(self, states: Array) -> Array:
         actions = self.candidates()
-        scores = np.stack(
-            [
-                self.q(phi) + self.kappa * self.u(phi)
-                for phi in (self.phi(states, np.repeat(a[None], len(states), 0)) for a in actions)
-            ],
-            axis=1,
-        )
+        phi = self.pairs(states, actions)
+        scores = (self.q(phi) + self.kappa * self.u(phi)).reshape(len(states), len(actions))
         return actions[np.argmax(scores, axis=1)]
 
     def variances(self, states: Array) -> Array:
         """phi'S phi of every state with every sampled action, `[N, K]`."""
-        phis = [self.phi(states, np.repeat(a[None], len(states), 0)) for a in self.samples()]
-        return np.stack([np.sum((phi @ self.s) * phi, axis=1) for phi in phis], axis=1)
+        phi = self.pairs(states, self.samples())
+        return np.sum((phi @ self.s) * phi, axis=1).reshape(len(states), -1)
 
     def exploration_reward(self, states: Array) -> Array:
         return self.variances(states).mean(axis=1) - 1.0 / self.alpha

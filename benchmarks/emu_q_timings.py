@@ -1,0 +1,152 @@
+"""The timings of bench_emu_q.py, made in a process that was given its cores."""
+
+import sys
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from bench_emu_q import parse
+from timing import Row, median_seconds, on_gpu, print_rows, time_runs, write_record
+
+from bojax.config.envs import MountainCar
+from bojax.config.experiments import Learning
+from bojax.config.learners import EMUQ, RandomFourierFeatures
+from bojax.engine.build import build
+from bojax.learning.refit import refit
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+from tests.reference.emu_q import PublishedCode  # noqa: E402
+
+
+def make_run(args, fit: str):
+    """An episode of full length: the car is too weak to leave the valley."""
+    return build(
+        Learning(
+            dtype=args.dtype,
+            env=MountainCar(max_steps=args.steps, power=1e-5),
+            learner=EMUQ(
+                features=RandomFourierFeatures(action_lengthscale=10.0, num_features=args.features),
+                refit=fit,
+                max_sweeps=args.sweeps,
+                tolerance=0.0,
+            ),
+            episodes=1,
+        ),
+        args.dtype,
+    )
+
+
+def steps_row(args, lanes: int) -> Row:
+    """Online steps, the environment's among them."""
+    run = make_run(args, "none")
+
+    def episode(index, carry):
+        carry, records = run.advance(carry)
+        return carry.learner.posterior.mean[:8], records.tables["steps"]["observation_0"][-8:]
+
+    return time_runs(
+        f"bojax, {lanes} at once",
+        episode,
+        args.runs if on_gpu() else lanes,
+        lanes,
+        args.steps,
+        args.repeats,
+        prepare=lambda index: run.init(jax.random.fold_in(jax.random.key(args.seed), index)),
+    )
+
+
+def refit_row(args, lanes: int, how: str) -> Row:
+    """The end of an episode, at given transitions."""
+    run = make_run(args, how)
+    learner, capacity = run.learner, args.transitions
+    space = run.env.observation_space
+
+    def prepare(index):
+        key = jax.random.fold_in(jax.random.key(args.seed), index)
+        state = learner.init(key, space, run.env.action_space, capacity)
+        walk = space.from_unit(jax.random.uniform(jax.random.fold_in(key, 1), (capacity + 1, 2), args.dtype))
+        memory = state.memory
+        memory = type(memory)(
+            observations=walk[:-1],
+            actions=jax.random.uniform(jax.random.fold_in(key, 2), (capacity, 1), args.dtype, -1.0, 1.0),
+            rewards=(jnp.arange(capacity) % 100 == 99).astype(args.dtype),
+            next_observations=walk[1:],
+            terminated=jnp.arange(capacity) % 100 == 99,
+            count=jnp.asarray(capacity, jnp.int32),
+        )
+        # Any covariance takes as long as that of these transitions.
+        base = state.posterior.base / (1.0 + capacity / args.features)
+        return eqx.tree_at(lambda s: (s.memory, s.posterior.base), state, (memory, base))
+
+    def end(index, state):
+        key = jax.random.fold_in(jax.random.key(args.seed), index)
+        return refit(learner, key, state, learner.exploration_weight, jnp.asarray(True))
+
+    what = f"bojax, {how}, {lanes} at once"
+    return time_runs(
+        what, end, args.runs if on_gpu() else lanes, lanes, args.transitions, args.repeats, prepare=prepare
+    )
+
+
+def numpy_peer(args) -> tuple[Row, Row]:
+    """The published code's online steps and its end of an episode, one run."""
+    rng = np.random.default_rng(args.seed)
+    frequencies = rng.normal(size=(args.features // 2, 3)) / np.asarray([0.3, 0.3, 10.0])
+    scale = np.sqrt(2.0 / args.features)
+
+    def phi(states, actions):
+        angles = np.hstack([states, actions]) @ frequencies.T
+        return scale * np.hstack([np.cos(angles), np.sin(angles)])
+
+    agent = PublishedCode(
+        phi,
+        args.features,
+        lambda: rng.uniform(size=(15, 1)),
+        lambda: rng.uniform(size=(10, 1)),
+        lengthscale=0.3,
+        max_sweeps=args.sweeps,
+        tolerance=0.0,
+    )
+    rng_steps = np.random.default_rng(1)
+    walk = rng_steps.uniform(size=(args.transitions + 1, 2))
+    number = min(args.steps, args.transitions)
+
+    def online():
+        for i in range(number):
+            action = agent.policy(walk[i : i + 1])[0]
+            agent.step(walk[i], action, 0.0, walk[i + 1], False)
+
+    seconds = median_seconds(online, 3)
+    rows = [Row("NumPy, as published", 1, seconds, number)]
+    rewards = (np.arange(args.transitions) % 100 == 99).astype(float)
+    actions = rng_steps.uniform(size=(args.transitions, 1))
+    nothing = np.zeros(args.transitions, dtype=bool)
+    seconds = median_seconds(
+        lambda: agent.end_episode(walk[:-1], actions, rewards, walk[1:], nothing), min(args.repeats, 3)
+    )
+    rows.append(Row("NumPy, as published", 1, seconds, args.transitions))
+    return rows[0], rows[1]
+
+
+def main(argv: list[str]) -> int:
+    """Time all of it."""
+    args = parse(argv)
+    jax.config.update("jax_enable_x64", True)
+    lanes = args.runs if on_gpu() else args.lanes
+    peer = None if args.no_peer else numpy_peer(args)
+    steps = ([peer[0]] if peer else []) + [steps_row(args, lanes)]
+    print_rows(f"Online steps at {args.features} features, {args.dtype}", "steps", steps, steps[0].what)
+    refits = ([peer[1]] if peer else []) + [refit_row(args, lanes, how) for how in ("sweeps", "direct")]
+    title = f"Refit of {args.transitions} transitions, {args.sweeps} sweeps, {args.features} features"
+    print_rows(title, "transitions", refits, refits[0].what)
+    if args.json:
+        names = ("features", "runs", "lanes", "steps", "transitions", "sweeps", "dtype", "seed", "repeats")
+        settings = {name: getattr(args, name) for name in names}
+        write_record(args.json, "emu-q", "steps", [*steps, *refits], settings)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
