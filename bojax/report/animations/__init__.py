@@ -1,0 +1,17 @@
+"""Animations of recorded episodes: one scene a domain, drawn from the files of a results folder."""
+
+from collections.abc import Mapping
+
+from bojax.report.animations.base import Scene
+from bojax.report.animations.cartpole_swing_up import CartpoleSwingUp
+from bojax.report.animations.double_pendulum import DoublePendulum
+from bojax.report.animations.mountain_car import MountainCar
+from bojax.report.animations.single_pendulum import SinglePendulum
+
+SCENES: Mapping[str, type[Scene]] = {
+    "single-pendulum": SinglePendulum,
+    "mountain-car": MountainCar,
+    "double-pendulum": DoublePendulum,
+    "cartpole-swing-up": CartpoleSwingUp,
+}
+"""The scene of every environment that can be drawn, by identifier."""

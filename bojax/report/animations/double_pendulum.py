@@ -1,0 +1,40 @@
+"""The two-link pendulum: observations are cosine and sine of both angles, and the velocities."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Circle, Rectangle
+from numpy.typing import NDArray
+
+from bojax.report.animations.base import GOAL, METAL, Scene, Settings, Trail, joint, rod, stage
+
+_REACH = 2.0
+
+
+class DoublePendulum(Scene):
+    """Two rods of 1 m; the first angle is that from hanging down, the second that from the first rod."""
+
+    keys = ("goal", "goal_distance")
+
+    def __init__(self, axes: Axes, env: Settings):
+        edge = 1.1 * _REACH
+        stage(axes, (-edge, edge), (-edge, edge))
+        depth = float(env["goal_distance"])
+        if env["goal"] == "distance":
+            goal = Circle((0.0, _REACH), depth, color=GOAL, zorder=0)
+        else:
+            goal = Rectangle((-edge, _REACH - depth), 2.0 * edge, depth + edge, color=GOAL, zorder=0)
+        axes.add_patch(goal)
+        self._trail = Trail(axes)
+        self._first, self._second = rod(axes, METAL), rod(axes, "#8296A6")
+        joint(axes)
+        self._elbow = joint(axes)
+
+    def move(self, observation: NDArray[np.float64]) -> None:
+        """See `Scene`."""
+        cos1, sin1, cos2, sin2 = observation[:4]
+        x, y = sin1, -cos1
+        tip_x, tip_y = x + sin1 * cos2 + cos1 * sin2, y - (cos1 * cos2 - sin1 * sin2)
+        self._trail.add(tip_x, tip_y)
+        self._first.set_data([0.0, x], [0.0, y])
+        self._second.set_data([x, tip_x], [y, tip_y])
+        self._elbow.set_data([x], [y])

@@ -1,0 +1,121 @@
+"""Which episode of a results folder is shown, and what is recorded of it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bojax.report.source import Columns, Point, Results
+from bojax.results.store import ResultsError
+
+
+@dataclass(frozen=True)
+class Episode:
+    """The steps of one training episode.
+
+    Attributes:
+        point: The point of the sweep.
+        run: Index of the run.
+        number: Number of the episode, from 1.
+        observations: What was seen when each step was taken, `[T, D]`.
+        actions: What was done then, `[T, A]`.
+        accumulated: Sum of the rewards up to each step, that step included, `[T]`.
+        outcome: How it ended, in words; empty where the results do not say.
+    """
+
+    point: Point
+    run: int
+    number: int
+    observations: NDArray[np.float64]
+    actions: NDArray[np.float64]
+    accumulated: NDArray[np.float64]
+    outcome: str
+
+
+def choose(
+    results: Results, point: int | None = None, run: int | None = None, episode: int | None = None
+) -> Episode:
+    """One recorded episode.
+
+    Args:
+        results: The results folder.
+        point: Number of the point; by default the first of which steps were recorded.
+        run: Index of the run; by default the first that was recorded.
+        episode: Number of the episode; by default the run's first success, or else its last.
+
+    Raises:
+        ResultsError: There is no such recorded episode, or none at all.
+    """
+    steps = results.steps
+    if not steps or not steps["step"].size:
+        raise ResultsError(f"{results.folder}: no steps were recorded (record.runs in the config: 1 or more)")
+    if "episode" not in steps or "observation_0" not in steps:
+        raise ResultsError(
+            f"{results.folder}: no episodes of a learner: nothing known how to draw these steps"
+        )
+    index = _pick(results, "point", point, steps["point"])
+    chosen = next(part for part in results.points if part.index == index)
+    steps = _where(steps, "point", index)
+    run = _pick(results, "run", run, steps["run"])
+    steps = _where(steps, "run", run)
+    outcomes = _outcomes(results, index, run)
+    if episode is None:
+        recorded = sorted(set(steps["episode"].tolist()))
+        successes = [number for number in recorded if outcomes.get(number) == _SUCCESS]
+        episode = [*successes, recorded[-1]][0]
+    number = _pick(results, "episode", episode, steps["episode"])
+    steps = _where(steps, "episode", number)
+    order = np.argsort(steps["step"], kind="stable")
+    return Episode(
+        point=chosen,
+        run=run,
+        number=number,
+        observations=_vectors(steps, "observation")[order],
+        actions=_vectors(steps, "action")[order],
+        accumulated=np.asarray(steps["accumulated_reward"], np.float64)[order],
+        outcome=outcomes.get(number, ""),
+    )
+
+
+_SUCCESS = "goal reached"
+
+
+def _outcomes(results: Results, point: int, run: int) -> dict[int, str]:
+    """How every training episode of a run ended."""
+    if not results.episodes:
+        return {}
+    episodes = _where(_where(results.episodes, "point", point), "run", run)
+    episodes = _where(episodes, "phase", "train")
+    rows = zip(episodes["episode"], episodes["success"], episodes["terminated"], strict=True)
+    return {
+        int(number): _SUCCESS if success else "failed" if terminated else "cut off"
+        for number, success, terminated in rows
+    }
+
+
+def _pick(results: Results, name: str, asked: int | None, values: NDArray[Any]) -> int:
+    recorded = sorted(set(values.tolist()))
+    if asked is None:
+        return recorded[0]
+    if asked not in recorded:
+        raise ResultsError(f"{results.folder}: no steps of {name} {asked}; recorded: {_ranges(recorded)}")
+    return asked
+
+
+def _ranges(numbers: Sequence[int]) -> str:
+    """`0, 2 to 5`."""
+    gaps = [i for i in range(1, len(numbers)) if numbers[i] != numbers[i - 1] + 1]
+    parts = [numbers[i:j] for i, j in zip([0, *gaps], [*gaps, len(numbers)], strict=True)]
+    return ", ".join(f"{part[0]} to {part[-1]}" if len(part) > 1 else str(part[0]) for part in parts)
+
+
+def _where(columns: Columns, name: str, value: Any) -> Columns:
+    kept = columns[name] == value
+    return {key: column[kept] for key, column in columns.items()}
+
+
+def _vectors(steps: Columns, name: str) -> NDArray[np.float64]:
+    num = sum(key.startswith(f"{name}_") for key in steps)
+    return np.stack([np.asarray(steps[f"{name}_{i}"], np.float64) for i in range(num)], axis=-1)

@@ -1,0 +1,31 @@
+"""The pendulum: observations are the cosine and the sine of the angle from upright, and the velocity."""
+
+from math import degrees
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Wedge
+from numpy.typing import NDArray
+
+from bojax.report.animations.base import GOAL, METAL, Scene, Settings, Trail, joint, rod, stage
+
+
+class SinglePendulum(Scene):
+    """A rod about the origin; positive angles lean to the left."""
+
+    keys = ("length", "goal_angle")
+
+    def __init__(self, axes: Axes, env: Settings):
+        self._length = float(env["length"])
+        reach = 1.15 * self._length
+        stage(axes, (-reach, reach), (-reach, reach))
+        half = degrees(float(env["goal_angle"]))
+        axes.add_patch(Wedge((0.0, 0.0), reach, 90.0 - half, 90.0 + half, color=GOAL, zorder=0))
+        self._trail, self._rod = Trail(axes), rod(axes, METAL)
+        joint(axes)
+
+    def move(self, observation: NDArray[np.float64]) -> None:
+        """See `Scene`."""
+        x, y = -self._length * observation[1], self._length * observation[0]
+        self._trail.add(x, y)
+        self._rod.set_data([0.0, x], [0.0, y])
