@@ -22,7 +22,7 @@ SLOWEST, FASTEST = 0.1, 0.04
 """Seconds that a frame is shown, at most and at least; between them the film is as fast as the world."""
 
 LAST_SECONDS = 2.0
-NUM_COLOURS = 48
+NUM_COLOURS = 64
 _SIZE, _DPI = (4.0, 4.0), 100
 
 
@@ -102,7 +102,7 @@ def _images(episode: Episode, env: Settings, indices: NDArray[np.int64]) -> Iter
         for step in range(position, index + 1):
             scene.move(episode.observations[step])
         position = index + 1
-        seconds = f"{index * float(env['time_step']):6.2f} s, " if "time_step" in env else ""
+        seconds = f"{index * float(env['time_step']):.2f} s, " if "time_step" in env else ""
         reward = f"reward {episode.accumulated[index]:.4g}"
         status.set_text(f"{seconds}step {index + 1} of {len(episode.observations)}, {reward}")
         for bar, width in zip(drawn, episode.actions[index] / largest, strict=True):
@@ -115,13 +115,25 @@ def _images(episode: Episode, env: Settings, indices: NDArray[np.int64]) -> Iter
 
 def _write_gif(path: Path, images: list[Image.Image], seconds: float) -> None:
     # One palette for all frames, of the first, the middle and the last: pixels that stay need no bytes.
-    samples = [np.asarray(images[i]) for i in (0, len(images) // 2, -1)]
-    palette = Image.fromarray(np.concatenate(samples)).quantize(NUM_COLOURS, dither=Image.Dither.NONE)
-    frames = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
+    samples = np.concatenate([np.asarray(images[i]).reshape(-1, 3) for i in (0, len(images) // 2, -1)])
+    colours, counts = np.unique(samples, axis=0, return_counts=True)
+    palette = colours[np.argsort(-counts, kind="stable")[:NUM_COLOURS]]
+    frames = [_indexed(np.asarray(image), palette) for image in images]
     durations = [round(1000 * seconds)] * (len(frames) - 1) + [round(1000 * LAST_SECONDS)]
     frames[0].save(
         path, "GIF", save_all=True, append_images=frames[1:], duration=durations, loop=0, optimize=False
     )
+
+
+def _indexed(image: NDArray[np.uint8], palette: NDArray[np.uint8]) -> Image.Image:
+    """The image in the nearest colours of a palette; Pillow's own search rounds, and white turns grey."""
+    packed = image.astype(np.int32) @ np.array([1 << 16, 1 << 8, 1], np.int32)
+    values, places = np.unique(packed, return_inverse=True)
+    colours = np.stack([values >> 16, values >> 8 & 255, values & 255], axis=-1)
+    nearest = np.argmin(np.sum((colours[:, None] - palette.astype(np.int32)) ** 2, axis=-1), axis=-1)
+    indexed = Image.fromarray(nearest[places].reshape(packed.shape).astype(np.uint8), "P")
+    indexed.putpalette(palette.astype(np.uint8).tobytes())
+    return indexed
 
 
 def _write_mp4(path: Path, images: list[Image.Image], seconds: float) -> None:
