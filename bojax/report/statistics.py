@@ -68,6 +68,20 @@ def bootstrap_means(
     return means
 
 
+def bootstrap_present(values: ArrayLike) -> Floats:
+    """Means of resampled rows, as `bootstrap_means`, of the numbers that are there: a NaN is none.
+
+    A resample in which a column has no number gives NaN.
+    """
+    table = np.asarray(values, dtype=np.float64)
+    is_there = np.isfinite(table)
+    if is_there.all():
+        return bootstrap_means(table)
+    # Two bootstraps of one seed draw the same rows.
+    sums, shares = bootstrap_means(np.where(is_there, table, 0.0)), bootstrap_means(is_there)
+    return np.divide(sums, shares, out=np.full(sums.shape, np.nan), where=shares > 0)
+
+
 def mean_interval(values: ArrayLike, strata: ArrayLike | None = None, *, level: float = LEVEL) -> Interval:
     """Mean of `[n]` values with its percentile bootstrap interval; NaN for no value or a NaN among them."""
     table = np.asarray(values, dtype=np.float64)
@@ -90,10 +104,21 @@ def ratio_interval(numerator: ArrayLike, denominator: ArrayLike, *, level: float
 
 
 def mean_band(values: ArrayLike, *, level: float = LEVEL) -> tuple[Floats, Floats, Floats]:
-    """Mean, lower and upper bound of every column of `[n, columns]`: a pointwise bootstrap band."""
+    """Mean, lower and upper bound of every column of `[n, columns]`: a pointwise bootstrap band.
+
+    A NaN is no value; a column with less than two has a mean and no band.
+    """
     table = np.asarray(values, dtype=np.float64)
-    low, high = _central(bootstrap_means(table), level)
-    return table.mean(axis=0), low, high
+    is_there = np.isfinite(table)
+    count = is_there.sum(axis=0)
+    total = np.where(is_there, table, 0.0).sum(axis=0)
+    mean = np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0)
+    low, high = (np.full(count.shape, np.nan) for _ in range(2))
+    if (known := count > 1).any():
+        tail = (1 - level) / 2
+        samples = bootstrap_present(table[:, known])
+        low[known], high[known] = np.nanquantile(samples, [tail, 1 - tail], axis=0)
+    return mean, low, high
 
 
 def wilson(successes: ArrayLike, trials: int, *, level: float = LEVEL) -> tuple[Floats, Floats]:

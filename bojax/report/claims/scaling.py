@@ -27,9 +27,7 @@ def growth(results: Results, test: Mapping[str, Any]) -> Finding:
     x = np.array([number for number, _ in points])
     values = _samples(results, points, label, name, float(test.get("missing", 0.05)))
     is_there = np.isfinite(values)
-    # Two bootstraps of one seed draw the same runs: a resample's mean is over those with a number.
-    means = statistics.bootstrap_means(np.where(is_there, values, 0.0))
-    means = means / statistics.bootstrap_means(is_there)
+    means = statistics.bootstrap_present(values)
     low, high = np.quantile(means[:, -1] - means[:, 0], [TAIL, 1 - TAIL])
     if not low > 0:
         raise Undecidable(

@@ -6,17 +6,27 @@ from bojax.report.figures import (
     accumulated_reward,
     beliefs,
     errors,
+    learning_curves,
     paths,
     returns,
     settings,
+    steps_to_goal,
     success,
+    sweep_curve,
     trajectories,
+    value_maps,
 )
 from bojax.report.figures.base import Draw
 
 FIGURES: Mapping[str, Draw] = {
     "accumulated-reward": accumulated_reward.draw,
     "success": success.draw,
+    "learning-curves": learning_curves.draw,
+    "success-episodes": success.draw_episodes,
+    "steps-to-goal": steps_to_goal.draw,
+    "value-maps": value_maps.draw,
+    "growth": sweep_curve.draw_growth,
+    "sweep-curve": sweep_curve.draw,
     "returns": returns.draw,
     "errors": errors.draw,
     "paths": paths.draw,

@@ -14,6 +14,8 @@ def draw(results: Results) -> Drawing:
     steps = results.steps
     if "accumulated_reward" not in steps or not results.num_steps:
         raise Undrawable("steps.parquet has no accumulated_reward")
+    if any(point.is_learning for point in results.points):
+        raise Undrawable("a run of a learner has many episodes: learning-curves shows them")
     points, note = drawn_points(results)
     curves, left_out, most = {}, 0, 0
     for point in points:

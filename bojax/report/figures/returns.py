@@ -44,15 +44,18 @@ def draw(results: Results) -> Drawing:
     axes.spines["left"].set_visible(False)
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.10g}".replace("-", "\N{MINUS SIGN}"))
     axes.xaxis.set_major_locator(MaxNLocator(nbins=5))
-    axes.set_xlabel("final return of a run")
+    what = "final return of every run"
+    if any(point.is_learning for point in points):
+        what = "return of every run's last training episode"
+    axes.set_xlabel(what)
     style.quiet_grid(axes, "x")
     axes.tick_params(axis="y", length=0)
     return Drawing(
         figure=figure,
         title="Distribution of returns",
-        caption="Final return of every run (dots, stacked where they coincide) and the mean with its 95% "
+        caption=f"{what.capitalize()} (dots, stacked where they coincide) and the mean with its 95% "
         f"bootstrap interval (diamond and bar).{note}",
-        alt=f"Dot plot of the final returns of all runs. Means: {', '.join(means)}.",
+        alt=f"Dot plot of the {what}. Means: {', '.join(means)}.",
     )
 
 
