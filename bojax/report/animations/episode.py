@@ -51,10 +51,9 @@ def choose(
     steps = results.steps
     if not steps or not steps["step"].size:
         raise ResultsError(f"{results.folder}: no steps were recorded (record.runs in the config: 1 or more)")
-    if "episode" not in steps or "observation_0" not in steps:
-        raise ResultsError(
-            f"{results.folder}: no episodes of a learner: nothing known how to draw these steps"
-        )
+    if "observation_0" not in steps or not results.points[0].is_learning:
+        kind = results.points[0].problem.get("kind", "these steps")
+        raise ResultsError(f"{results.folder}: nothing known how to draw {kind}: only learners are animated")
     index = _pick(results, "point", point, steps["point"])
     chosen = next(part for part in results.points if part.index == index)
     steps = _where(steps, "point", index)

@@ -1,0 +1,225 @@
+"""Animations are made from the files of a results folder alone; what cannot be shown is told in a line."""
+
+import json
+import shutil
+import subprocess
+import sys
+from math import cos, sin
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from matplotlib.figure import Figure
+from PIL import Image
+
+from bojax.cli.main import main
+from bojax.config import envs
+from bojax.config.component import registry
+from bojax.report.animations import SCENES
+from bojax.report.animations.episode import choose
+from bojax.report.animations.film import MAX_FRAMES, frames_of, render
+from bojax.report.source import load
+from bojax.results.store import ResultsError
+from tests.report.synthetic import write_results
+
+
+def observations(kind, num_steps):
+    """A made-up motion that stays on the stage."""
+    t = np.linspace(0.0, 3.0, num_steps)
+    zero = np.zeros_like(t)
+    columns = {
+        "single-pendulum": (np.cos(t), np.sin(t), zero),
+        "mountain-car": (-0.5 + 0.4 * np.sin(t), zero),
+        "double-pendulum": (np.cos(t), np.sin(t), np.cos(2 * t), np.sin(2 * t), zero, zero),
+        "cartpole-swing-up": (np.sin(t), zero, 3.1 - t, zero),
+    }
+    return np.stack(columns.get(kind, (zero,)), axis=-1)
+
+
+def learning_results(folder, kind="mountain-car", *, lengths=(30, 20, 25), goals=(False, True, True), **env):
+    """Two points, of each runs 0, 1 and 3 with one episode of every length; run 3 never succeeds."""
+    folder.mkdir()
+    steps, episodes, points = [], [], []
+    schema = registry["env"].get(kind)
+    settings = schema(**env).model_dump(mode="json") if schema else {"kind": kind}
+    for point in range(2):
+        config = {"kind": "learning", "env": settings, "learner": {"kind": "emu-q"}}
+        entry = {"index": point, "label": "emu-q", "variant": "emu q/1", "swept": {"learner.kappa": point}}
+        points.append(entry | {"config": config})
+        for run in (0, 1, 3):
+            for number, (length, goal) in enumerate(zip(lengths, goals, strict=True), start=1):
+                seen = observations(kind, length)
+                common = {"point": point, "label": "emu-q", "run": run, "episode": number}
+                success = goal and run != 3
+                end = {"phase": "train", "success": success, "terminated": goal}
+                test = {"phase": "test", "success": True, "terminated": True}
+                episodes += [common | end, common | test]
+                for i in reversed(range(length)):  # an order of its own: the reader sorts
+                    row = common | {"step": i + 1, "reward": 0.5, "accumulated_reward": 0.5 * (i + 1)}
+                    row |= {f"observation_{j}": x for j, x in enumerate(seen[i])}
+                    steps.append(row | {"action_0": sin(i) + run})
+    pq.write_table(pa.Table.from_pylist(steps), folder / "steps.parquet")
+    pq.write_table(pa.Table.from_pylist(episodes), folder / "episodes.parquet")
+    manifest = {"name": "made-up", "status": "finished", "points": points}
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return learning_results(tmp_path_factory.mktemp("animations") / "results")
+
+
+def frames(path):
+    with Image.open(path) as image:
+        for i in range(image.n_frames):
+            image.seek(i)
+            yield np.asarray(image.convert("RGB")), image.info["duration"]
+
+
+@pytest.mark.parametrize("kind", SCENES)
+def test_every_scene_is_drawn_and_moves(tmp_path, kind):
+    folder = learning_results(tmp_path / "results", kind, lengths=(12,), goals=(True,))
+    counted = []
+    paths = render(choose(load(folder)), folder / "animations", lambda: counted.append(1))
+    assert paths[0].name == "emu-q-1-kappa-0-run0-episode1.gif"
+    assert len(counted) == 12
+    images, durations = zip(*frames(paths[0]), strict=True)
+    assert images[0].shape == (400, 400, 3) and len(images) == 12
+    stage = [image[70:330] for image in images]  # without the words above and the action below
+    assert all(np.any(a != b) for a, b in zip(stage, stage[1:], strict=False))
+    assert np.mean(np.all(images[0] == 255, axis=-1)) > 0.4  # the background stays white
+    assert durations[-1] == 2000 and set(durations[:-1]) <= {40, 50, 100}
+    assert paths[0].stat().st_size < 200_000
+    assert (len(paths) == 2) == (shutil.which("ffmpeg") is not None)
+
+
+def scene(kind, observation, **env):
+    schema = registry["env"][kind]
+    axes = Figure().add_subplot()
+    drawn = SCENES[kind](axes, schema(**env).model_dump())
+    drawn.move(np.asarray(observation))
+    return axes
+
+
+def tips(axes):
+    """Ends of the lines, which are the links and where they have been."""
+    return [tuple(np.round(line.get_xydata()[-1], 9)) for line in axes.lines]
+
+
+def test_links_are_where_the_observation_has_them():
+    """Angles as the environments have them: left of upright, from hanging, right of upright."""
+    single = scene("single-pendulum", [cos(0.5), sin(0.5), 0.0], length=2.0)
+    assert (round(-2 * sin(0.5), 9), round(2 * cos(0.5), 9)) in tips(single)
+    double = scene("double-pendulum", [cos(0.7), sin(0.7), cos(0.4), sin(0.4), 0.0, 0.0])
+    assert (round(sin(0.7) + sin(1.1), 9), round(-cos(0.7) - cos(1.1), 9)) in tips(double)
+    cart = scene("cartpole-swing-up", [0.3, 0.0, 0.5, 0.0])
+    assert (round(0.3 + sin(0.5), 9), round(cos(0.5), 9)) in tips(cart)
+
+
+def test_the_stage_shows_the_settings():
+    def goal_box(**env):
+        return scene("double-pendulum", [1.0, 0.0, 1.0, 0.0, 0.0, 0.0], **env).patches[0].get_extents().bounds
+
+    assert goal_box(goal_distance=0.5) != goal_box(goal_distance=1.0) != goal_box(goal="height")
+    assert scene("cartpole-swing-up", [0.0] * 4, limit=3.0).get_xlim()[1] > 3.0
+    flag = [scene("mountain-car", [0.0, 0.0], goal_position=x).patches[0].get_xy()[0][0] for x in (0.42, 0.5)]
+    assert flag == [0.42, 0.5]
+
+
+def test_the_default_is_the_first_success_of_the_first_run(folder):
+    episode = choose(load(folder))
+    assert (episode.point.index, episode.run, episode.number, episode.outcome) == (0, 0, 2, "goal reached")
+    np.testing.assert_allclose(episode.accumulated, 0.5 * np.arange(1, 21))
+    np.testing.assert_allclose(episode.observations, observations("mountain-car", 20))
+    np.testing.assert_allclose(episode.actions[:, 0], np.sin(np.arange(20)))
+
+
+def test_without_success_it_is_the_last_episode(folder):
+    episode = choose(load(folder), run=3)
+    assert (episode.run, episode.number, episode.outcome) == (3, 3, "failed")
+    assert len(episode.observations) == 25
+
+
+def test_any_recorded_episode_can_be_chosen(folder):
+    episode = choose(load(folder), point=1, run=1, episode=1)
+    assert (episode.point.index, episode.run, episode.number, episode.outcome) == (1, 1, 1, "cut off")
+    assert episode.actions[0, 0] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        ({"run": 2}, "no steps of run 2; recorded: 0 to 1, 3"),
+        ({"episode": 4}, "no steps of episode 4; recorded: 1 to 3"),
+        ({"point": 7}, "no steps of point 7; recorded: 0 to 1"),
+    ],
+)
+def test_what_was_not_recorded_is_told_with_what_was(folder, asked, message):
+    with pytest.raises(ResultsError, match=message):
+        choose(load(folder), **asked)
+
+
+def test_a_long_episode_is_shown_in_parts():
+    assert frames_of(1).tolist() == [0]
+    assert frames_of(30).tolist() == list(range(30))
+    shown = frames_of(500)
+    assert len(shown) == MAX_FRAMES and shown[0] == 0 and shown[-1] == 499
+    assert set(np.diff(shown)) == {2, 3}
+
+
+def test_the_command(folder, capsys):
+    assert main(["render", str(folder), "--run", "1", "--episode", "1"]) == 0
+    written = folder / "animations" / "emu-q-1-kappa-0-run1-episode1.gif"
+    assert capsys.readouterr().out.splitlines()[0] == str(written)
+    assert len(list(frames(written))) == 30
+
+
+def remove_steps(folder):
+    (folder / "steps.parquet").unlink()
+
+
+def forget_the_goal(folder):
+    manifest = json.loads((folder / "manifest.json").read_text())
+    for point in manifest["points"]:
+        del point["config"]["env"]["goal_position"]
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+
+
+@pytest.mark.parametrize(
+    ("kind", "damage", "message"),
+    [
+        ("mountain-car", remove_steps, "no steps were recorded"),
+        ("mountain-car", forget_the_goal, "env: no goal_position, which drawing mountain-car needs"),
+        ("ice-rink", lambda folder: None, "nothing known how to draw ice-rink; known: single-pendulum"),
+    ],
+)
+def test_what_cannot_be_drawn_is_told_in_a_line(tmp_path, capsys, kind, damage, message):
+    folder = learning_results(tmp_path / "results", kind, lengths=(5,), goals=(True,))
+    damage(folder)
+    assert main(["render", str(folder)]) == 2
+    error = capsys.readouterr().err.strip()
+    assert message in error and "\n" not in error
+    assert not (folder / "animations").exists()
+
+
+def test_planning_is_not_animated(tmp_path, capsys):
+    assert main(["render", str(write_results(tmp_path / "results", runs=2))]) == 2
+    assert "nothing known how to draw parking" in capsys.readouterr().err
+    assert main(["render", str(tmp_path / "nowhere")]) == 2
+    assert "no such results folder" in capsys.readouterr().err
+
+
+def test_all_environments_with_a_scene_have_the_settings_that_it_needs():
+    for kind, drawn in SCENES.items():
+        assert set(drawn.keys) <= set(registry["env"][kind].model_fields)
+    assert envs.SinglePendulum.model_fields["kind"].default in SCENES
+
+
+def test_it_needs_no_jax(folder):
+    code = (
+        "import sys; from bojax.cli.main import main; "
+        f"assert main(['render', {str(folder)!r}]) == 0; assert 'jax' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
