@@ -111,9 +111,10 @@ class ExplorationValues(_Tabular, frozen=True):
     exploration_reward: _ExploresBy = Field(
         default=FirstVisit(), description="what exploring a transition is worth"
     )
-    bootstrap: Literal["max", "policy"] = Field(
-        default="max",
-        description="what follows a state: the greatest Q and U, or those of argmax Q + kappa U (5.7)",
+    bootstrap: Literal["greedy-q", "policy", "max"] = Field(
+        default="greedy-q",
+        description="what follows a state: its greatest Q and U of argmax Q + kappa U, both of that action "
+        "(5.7), or the greatest of each",
     )
     terminal_u: Literal["masked", "bootstrap"] = Field(
         default="masked", description="U of an absorbing state: 0, or what stands in the table"

@@ -214,7 +214,7 @@ class LearningRun(Experiment):
         if self.target_return is not None:
             summary["reached"] = carry.episodes_to_target >= 0
             summary["episodes_to_target"] = carry.episodes_to_target
-            summary["return_after_target"] = carry.return_after / carry.tests_after
+            summary["return_after_target"] = carry.return_after / carry.tests_after.astype(self._dtype)
         return summary
 
     def snapshot(self, carry: Run) -> dict[str, dict[str, Array]]:
@@ -281,7 +281,7 @@ class LearningRun(Experiment):
         is_sound = jnp.all(jnp.isfinite(numbers))
         counts = trial.is_active & is_sound
         fails = trial.is_active & ~is_sound
-        length = trial.length + counts
+        length = trial.length + counts.astype(jnp.int32)
         terminated = counts & transition.terminated
         truncated = counts & ~transition.terminated & (transition.truncated | (length >= self.env.max_steps))
         keep = lambda after, before: jax.tree.map(  # noqa: E731
@@ -344,7 +344,7 @@ class LearningRun(Experiment):
     ) -> tuple[Run, Records]:
         """The run after an episode, and what is reported of it."""
         active = ~carry.is_done
-        episode, steps = carry.episode + active, carry.steps + trial.length
+        episode, steps = carry.episode + active.astype(jnp.int32), carry.steps + trial.length
         is_first = trial.success & (carry.episodes_to_goal < 0)
         episodes_to_goal = jnp.where(is_first, episode, carry.episodes_to_goal)
         done = trial.failed | (episode >= self.episodes)

@@ -149,10 +149,13 @@ class ExplorationValues(TabularLearner):
         kappa: Weight of U in the choice of actions.
         initial_u: U of what was never tried; exploration rewards are at most 0, so 0 is optimism.
         exploration_reward: What exploring a transition is worth.
-        bootstrap: What follows a state: `"policy"`: Q and U of the action that argmax Q + kappa U takes there
-            (5.7); `"max"`: the greatest Q and the greatest U of its actions. The second never leaves the
-            start of a cliff: one fall keeps Q of an action low and its U high, so that the action is not
-            taken again, and yet its U stays the greatest and makes staying look like exploring.
+        bootstrap: What follows a state. `"policy"`: Q and U of the action that argmax Q + kappa U takes there
+            (5.7); then Q + kappa U is the Q of `AdditiveRewards`, number by number, and Q is worth what the
+            exploring policy gets. `"greedy-q"`, the default: the greatest Q, as Q-learning has it, and U of
+            that action; then Q says what exploitation would get, and exploration can stop at any time.
+            `"max"`: the greatest Q and the greatest U of the actions. The last can stay where it is for ever:
+            an action that was punished is not taken again, so that its U stays high and goes on promising
+            that there is something to explore.
         terminal_u: U of an absorbing state: `"masked"`: 0, as of Q; `"bootstrap"`: what its row of the table
             says, which is never learned and stays `initial_u`. Masking is the default since nothing is left
             to explore after the end of an episode. It makes an early end the best exploration; in the
@@ -162,7 +165,7 @@ class ExplorationValues(TabularLearner):
     kappa: Float[Array, ""]
     initial_u: Float[Array, ""]
     exploration_reward: ExplorationReward
-    bootstrap: Literal["policy", "max", "mixed"] = eqx.field(static=True)
+    bootstrap: Literal["greedy-q", "policy", "max"] = eqx.field(static=True)
     terminal_u: Literal["masked", "bootstrap"] = eqx.field(static=True)
 
     @property
@@ -193,14 +196,13 @@ class ExplorationValues(TabularLearner):
     ) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
         """See `TabularLearner`."""
         bonus = self.exploration_reward(visits, next_row[:, -1])
-        followed = next_row[self._best(key, next_row, balance), :-1]
         greatest = jnp.max(next_row[:, :-1], axis=0)
-        if self.bootstrap == "policy":
-            next_value = followed
-        elif self.bootstrap == "max":
+        if self.bootstrap == "max":
             next_value = greatest
         else:
-            next_value = jnp.stack([greatest[Q], followed[U]])
+            next_value = next_row[self._best(key, next_row, balance), :-1]
+            if self.bootstrap == "greedy-q":
+                next_value = next_value.at[Q].set(greatest[Q])
         is_worthless = jnp.stack(
             [experience.terminated, experience.terminated & (self.terminal_u == "masked")]
         )

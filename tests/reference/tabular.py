@@ -18,7 +18,7 @@ class QLearning:
     initial_q: float = 0.0
     initial_u: float = 0.0
     reward_kind: str = "first-visit"
-    bootstrap: str = "max"
+    bootstrap: str = "greedy-q"
     terminal_u: str = "masked"
     q: np.ndarray = field(init=False)
     u: np.ndarray = field(init=False)
@@ -38,9 +38,11 @@ class QLearning:
     def observe(self, s, a, r, s2, terminated, exploration=1.0):
         bonus = self.exploration_reward(s, a, s2)
         next_q, next_u = self.q[s2].max(), self.u[s2].max()
-        if self.kind == "exploration-values" and self.bootstrap == "policy":
+        if self.kind == "exploration-values" and self.bootstrap != "max":
             best = np.argmax(self.q[s2] + self.weight * exploration * self.u[s2])
-            next_q, next_u = self.q[s2, best], self.u[s2, best]
+            next_u = self.u[s2, best]
+            if self.bootstrap == "policy":
+                next_q = self.q[s2, best]
         if terminated:
             next_q = 0.0
             if self.terminal_u == "masked":

@@ -1,0 +1,41 @@
+"""argmax Q + kappa U, and its ties."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bojax.learning.balance import best_action
+
+
+def choices(q, u, kappa, ties, draws=3000):
+    q, u = jnp.asarray(q, jnp.float64), jnp.asarray(u, jnp.float64)
+    keys = jax.random.split(jax.random.key(0), draws)
+    actions = jax.vmap(lambda key: best_action(key, q, u, jnp.asarray(kappa, jnp.float64), ties))(keys)
+    return np.bincount(np.asarray(actions), minlength=len(q)) / draws
+
+
+@pytest.mark.parametrize("ties", ["random", "first"])
+@pytest.mark.parametrize("kappa, best", [(0.0, 2), (1.0, 0), (20.0, 1)])
+def test_kappa_weighs_exploration_against_exploitation(ties, kappa, best):
+    shares = choices([1.0, 0.0, 2.0], [-1.0, -0.9, -3.0], kappa, ties)
+    assert shares[best] == 1.0
+
+
+def test_the_first_of_several_best_actions_is_taken_where_that_is_asked_for():
+    assert choices([0.0, 1.0, 1.0, 1.0], [0.0] * 4, 1.0, "first")[1] == 1.0
+
+
+def test_all_best_actions_are_equally_likely_and_no_other_is_taken():
+    shares = choices([1.0, 0.0, 1.0, 1.0], [0.0] * 4, 1.0, "random")
+    assert shares[1] == 0.0
+    assert shares[[0, 2, 3]] == pytest.approx([1 / 3] * 3, abs=0.04)
+
+
+@pytest.mark.parametrize("num", [1, 2, 3, 6, 17, 1000])
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_the_greatest_lot_takes_the_last_of_the_best_actions(monkeypatch, num, dtype):
+    greatest = jnp.nextafter(jnp.ones((), dtype), jnp.zeros((), dtype))
+    monkeypatch.setattr(jax.random, "uniform", lambda key, shape, dtype: greatest)
+    zeros = jnp.zeros(num, dtype)
+    assert int(best_action(jax.random.key(0), zeros, zeros, jnp.ones((), dtype))) == num - 1
