@@ -264,6 +264,88 @@ def _belief(paths: np.ndarray, error: float) -> dict[str, np.ndarray]:
     }
 
 
+LEARNERS = {"emu-q": 3, "rff-q": 12, "epsilon-greedy": None}
+"""The episode in which a learner reaches the goal first, in a run of even index; None for never."""
+
+
+def write_learning(
+    folder: Path,
+    *,
+    runs: int = 30,
+    episodes: int = 20,
+    tests: int = 2,
+    recorded: int = 2,
+    lengths: tuple[int, ...] = (),
+    report: dict | None = None,
+    claims: list[dict] | None = None,
+) -> Path:
+    """Learners that reach the goal from some episode on: one later in runs of odd index, RFF-Q not in run 1.
+
+    Their return is then 1, else -1; with `lengths`, steps to the goal are the episode times the length.
+    """
+    (folder / "arrays").mkdir(parents=True)
+    run_rows, episode_rows, step_rows, points = [], [], [], []
+    for learner, first in LEARNERS.items():
+        for length in lengths or (0,):
+            index = len(points)
+            swept = {"learner": learner} | ({"env.length": length} if length else {})
+            config = {"kind": "learning", "env": {"kind": "mountain-car"}, "learner": {"kind": learner}}
+            points.append(
+                {"index": index, "label": learner, "variant": learner, "swept": swept, "config": config}
+            )
+            for run in range(runs):
+                when = None if first is None or (run, learner) == (1, "rff-q") else first + run % 2
+                at = when and when * (length or 10)
+                reached = when if learner == "emu-q" else None
+                after = None if reached is None else 0.5
+                scores = (1.0 if when else -1.0, when is not None, episodes, 10 * episodes, when, at)
+                row = (index, learner, learner, *swept.values(), run, 0, *scores, reached is not None)
+                run_rows.append((*row, reached, after, 0))
+                for episode in range(1, episodes + 1):
+                    is_there = when is not None and episode >= when
+                    value = 1.0 if is_there else -1.0
+                    row = (value, 100 - episode, is_there, is_there, not is_there, 0.1)
+                    episode_rows.append((index, learner, run, episode, "train", *row))
+                    episode_rows += [(index, learner, run, episode, "test", *row)] * tests
+                    if run < recorded and episode <= 3:
+                        step_rows += _swing(index, learner, run, episode, is_there)
+                if run < recorded:
+                    np.savez(folder / "arrays" / f"{index}-{run}-values-end.npz", **_value_maps())  # pyright: ignore
+    keys = ["learner"] + (["env.length"] if lengths else [])
+    scores = ["return", "success", "episodes", "steps", "episodes_to_goal", "steps_to_goal"]
+    target = ["reached", "episodes_to_target", "return_after_target", "nans"]
+    _table(
+        folder / "runs.parquet",
+        ["point", "label", "variant", *keys, "run", "seed", *scores, *target],
+        run_rows,
+    )
+    columns = ["return", "length", "success", "terminated", "truncated", "kappa"]
+    _table(folder / "episodes.parquet", ["point", "label", "run", "episode", "phase", *columns], episode_rows)
+    columns = ["reward", "accumulated_reward", "observation_0", "observation_1"]
+    _table(folder / "steps.parquet", ["point", "label", "run", "episode", "step", *columns], step_rows)
+    manifest = {"name": "car", "status": "finished", "runs": runs, "seed": 0, "points": points}
+    manifest |= {"report": report or {}, "claims": claims or []}
+    group = {"group": 0, "points": [0], "run_seconds": 2.0, "active_steps": 5000}
+    (folder / "manifest.json").write_text(json.dumps({**manifest, "groups": [group]}))
+    return folder
+
+
+def _swing(index: int, learner: str, run: int, episode: int, is_there: bool) -> list[tuple]:
+    angle = np.linspace(0, 4 * np.pi, 60)
+    x, v = -0.5 + 0.3 * episode * np.sin(angle) * angle / 13, 0.02 * episode * np.cos(angle) * angle / 13
+    rewards = np.where(np.arange(60) < 59, 0.0, float(is_there))
+    rows = zip(rewards, np.cumsum(rewards), x, v, strict=True)
+    return [(index, learner, run, episode, step + 1, *row) for step, row in enumerate(rows)]
+
+
+def _value_maps() -> dict[str, np.ndarray]:
+    axis = (np.arange(12) + 0.5) / 12
+    far = np.hypot(axis[:, None] - 0.4, axis[None, :] - 0.5)
+    maps = np.stack([np.stack([0 * far, far / episode - episode]) for episode in (1, 2, 3)])
+    bounds = {"low": np.array([-1.2, -0.07]), "high": np.array([0.6, 0.07])}
+    return {"maps": maps, "episodes": np.array([1, 2, 3]), **bounds}
+
+
 def in_memory(
     runs: dict[str, dict[str, np.ndarray]],
     steps: dict[str, np.ndarray] | None = None,

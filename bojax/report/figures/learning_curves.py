@@ -12,7 +12,7 @@ from bojax.report.source import Point, Results
 from bojax.report.text import counted, number
 
 _PANELS = {"train": "return", "test": "return of tests"}
-_TAIL = 0.03
+_TAIL = 0.05
 """Share of the means at either end that need not be on the axis where they would flatten the rest."""
 
 
@@ -36,6 +36,8 @@ def draw(results: Results) -> Drawing:
         }
         for phase in phases
     }
+    if not any(np.isfinite(mean).sum() > 1 for mean, _, _ in curves[phases[0]].values()):
+        raise Undrawable("no run had more than one episode")
     best = results.settings.get("best_return")
     figure, grid = curve_figure(points, len(phases))
     is_cut = False
@@ -74,7 +76,8 @@ def limit(axes: Axes, curves: Mapping[int, Band], lines: Sequence[float]) -> boo
     means = np.concatenate([mean[np.isfinite(mean)] for mean, _, _ in curves.values()])
     if not means.size:
         return False
-    low, high = np.quantile(means, [_TAIL, 1 - _TAIL])
+    low = float(np.quantile(means, _TAIL, method="higher"))
+    high = float(np.quantile(means, 1 - _TAIL, method="lower"))
     low, high = min([low, *lines]), max([high, *lines])
     ends = [bound[np.isfinite(bound)] for band in curves.values() for bound in band]
     least, most = (np.concatenate(ends).min(), np.concatenate(ends).max()) if ends else (low, high)

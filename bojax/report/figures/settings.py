@@ -17,6 +17,8 @@ def draw(results: Results) -> Drawing:
     """One panel for each swept list of values; a pair of curves for each label."""
     if "return" not in results.runs:
         raise Undrawable("runs.parquet has no return")
+    if any(point.is_learning for point in results.points):
+        raise Undrawable("a run of a learner has many returns: sweep-curve draws a mean over a swept number")
     points = [point for point in results.points if results.runs_of(point)["run"].size]
     keys = [key for key in _keys(points) if len(values_of(points, key)) > 1][:MAX_PANELS]
     if not keys:

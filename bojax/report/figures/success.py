@@ -34,7 +34,11 @@ def draw_episodes(results: Results) -> Drawing:
     if "episodes_to_goal" not in results.runs or not results.num_episodes:
         raise Undrawable("runs.parquet has no episodes_to_goal")
     points, note = drawn_points(results)
-    curves = _curves(results, points, results.num_episodes, _first_successes)
+    latest = max(_first_successes(results.runs_of(point)).max(initial=1) for point in points)
+    last = min(results.num_episodes, max(10, int(1.2 * latest)))
+    curves = _curves(results, points, last, _first_successes)
+    if last < results.num_episodes:
+        note = f" Nothing changes from episode {int(latest)} to the last, {results.num_episodes}.{note}"
     return Drawing(
         figure=draw_curves(
             points, curves, "runs that have reached the goal (%)", xlabel="episode", is_share=True
@@ -42,8 +46,8 @@ def draw_episodes(results: Results) -> Drawing:
         title="Success by episode",
         caption="Share of runs that have reached the goal in one of the training episodes so far, with "
         f"pointwise 95% Wilson bands.{note}",
-        alt="Line chart of the share of runs that have reached the goal by training episode. After the last "
-        f"one: {_ends(points, curves)}.",
+        alt="Line chart of the share of runs that have reached the goal by training episode. At the end: "
+        f"{_ends(points, curves)}.",
     )
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 
 from bojax.report import growth, statistics, style
 from bojax.report.figures.base import Drawing, Undrawable
@@ -37,9 +38,10 @@ class Curve:
     @property
     def law(self) -> growth.Fit | None:
         """The nearest law of growth, where there are means enough to tell."""
-        errors = growth.errors_of(self.values)
-        means = np.nanmean(self.values, axis=0)
-        if len(self.x) < 4 or not (np.isfinite(errors).all() and (means > 0).all()):
+        if len(self.x) < 4 or (np.isfinite(self.values).sum(axis=0) < 2).any():
+            return None
+        means, errors = np.nanmean(self.values, axis=0), growth.errors_of(self.values)
+        if not (means > 0).all():
             return None
         return min((growth.fit(law, self.x, means, errors) for law in growth.LAWS), key=lambda f: f.misfit)
 
@@ -164,6 +166,11 @@ def _draw(axes: Axes, curves: Sequence[Curve]) -> None:
                 edgecolors=look["color"],
                 zorder=3,
             )
+    numbers = np.unique(np.concatenate([curve.x for curve in curves]))
+    if len(numbers) <= 10 and np.ptp(numbers) <= 20 * np.diff(numbers).min():
+        axes.set_xticks(numbers, [f"{value:g}" for value in numbers])
+    else:
+        axes.xaxis.set_major_locator(MaxNLocator(nbins=8))
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:,.10g}".replace("-", "\N{MINUS SIGN}"))
     style.quiet_grid(axes)
 

@@ -43,7 +43,7 @@ def draw(results: Results) -> Drawing:
     """One row per recorded run, one panel per kept episode, with the trajectory of that episode on it."""
     rows = _rows(results)
     columns = max(len(row.episodes) for row in rows)
-    figure, grid = style.figure(0.95 + 1.62 * len(rows), len(rows), columns, sharex=True, sharey=True)
+    figure, grid = style.figure(1.35 + 1.45 * len(rows), len(rows), columns, sharex=True, sharey=True)
     values = np.concatenate([row.values.ravel() for row in rows])
     norm = Normalize(float(values.min()), float(values.max()))
     image = None
@@ -62,7 +62,7 @@ def draw(results: Results) -> Drawing:
             _draw_trajectory(axes, steps, episode)
             axes.set_xlim(row.low[0], row.high[0])
             axes.set_ylim(row.low[1], row.high[1])
-            axes.xaxis.set_major_locator(MaxNLocator(nbins=3))
+            axes.xaxis.set_major_locator(MaxNLocator(nbins=4 if columns < 3 else 2))
             axes.yaxis.set_major_locator(MaxNLocator(nbins=4))
             axes.tick_params(length=3, labelsize=8.5)
         for axes in axes_row[len(row.episodes) :]:
@@ -70,14 +70,14 @@ def draw(results: Results) -> Drawing:
     for axes, episode in zip(grid[0], rows[0].episodes, strict=False):
         axes.set_title(f"episode {episode}", pad=4)
     first, second = _axis_names(rows)
-    figure.supxlabel(first, fontsize=10.5)
     figure.supylabel(second, fontsize=10.5)
+    grid[-1, columns // 2].set_xlabel(first)
     if len(rows) > 1:
         for axes_row, row in zip(grid, rows, strict=True):
             axes_row[-1].set_ylabel(_row_name(rows, row), rotation=270, labelpad=11, fontsize=9)
             axes_row[-1].yaxis.set_label_position("right")
     if image is not None:
-        bar = figure.colorbar(image, ax=list(grid.flat), aspect=14 * len(rows), pad=0.02)
+        bar = figure.colorbar(image, ax=list(grid.flat), location="bottom", aspect=32)
         bar.set_label("exploration value U")
         bar.ax.spines["outline"].set_visible(False)
         bar.ax.tick_params(length=2, labelsize=8.5)
@@ -86,8 +86,8 @@ def draw(results: Results) -> Drawing:
         figure=figure,
         title="Exploration values and trajectories",
         caption=f"U at the middle action over {first} and {second}, after the training episodes named, on "
-        "one scale: bright where little was seen. Lines: the trajectory of that episode, from the circle to the "
-        f"cross, or to the star where it was rewarded. The first recorded: {named}.",
+        "one scale: bright where little was seen. Lines: the trajectory of that episode, from the circle to "
+        f"the cross, or to the star where it was rewarded. The first recorded: {named}.",
         alt=f"Maps of the exploration value over {first} and {second} after {_told(rows[0])}, with the "
         f"trajectories of those episodes: {named}.",
     )

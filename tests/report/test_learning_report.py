@@ -1,0 +1,206 @@
+"""The report of a learning sweep: tables that never hide a failure, figures over episodes and numbers."""
+
+import numpy as np
+import pytest
+
+from bojax.report import tables
+from bojax.report.build import build_report
+from bojax.report.figures import FIGURES
+from bojax.report.figures.base import Undrawable
+from bojax.report.figures.learning_curves import rolling_mean
+from bojax.report.figures.sweep_curve import curves_over
+from bojax.report.source import load
+from bojax.report.style import settings
+from tests.report.synthetic import edit_manifest, write_learning, write_results
+from tests.report.test_report import Page
+
+LEARNING = ["learning-curves", "success-episodes", "steps-to-goal", "value-maps"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    report = {
+        "thesis": {"emu-q": {"success": "100%", "episodes_to_goal": "2.95 (0.38)"}},
+        "best_return": 1.0,
+    }
+    folder = write_learning(tmp_path_factory.mktemp("learning") / "results", report=report)
+    build_report([folder])
+    return folder
+
+
+@pytest.fixture(scope="module")
+def chains(tmp_path_factory):
+    return load(
+        write_learning(tmp_path_factory.mktemp("chains") / "results", lengths=(2, 5, 10, 20), tests=0)
+    )
+
+
+def drawn(name, results):
+    with settings():
+        return FIGURES[name](results)
+
+
+def heights(axes, place=0):
+    """Values of a curve of a panel."""
+    return np.asarray(axes.get_lines()[place].get_ydata(), dtype=np.float64)
+
+
+class TestTable:
+    @pytest.fixture
+    def cells(self, folder):
+        table = tables.outcomes(load(folder))
+        return {name: dict(zip(table.headings, cells, strict=True)) for name, cells in table.rows}
+
+    def test_means_are_of_the_runs_that_got_there_with_their_deviation(self, cells):
+        cell = cells["emu-q"]["episodes to goal, of runs that got there"]
+        assert cell.text == "3.50 (0.509)" and cell.thesis == "2.95 (0.38)"
+        cell = cells["rff-q"]["episodes to goal, of runs that got there"]
+        assert cell.text.startswith("12.48 (") and cell.interval.endswith("], 29 of 30")
+
+    def test_those_that_never_did_are_counted_to_their_end_in_a_bound(self, cells):
+        assert cells["emu-q"]["episodes to goal, of all runs"].text == "3.50"
+        cell = cells["rff-q"]["episodes to goal, of all runs"]
+        assert cell.text.startswith("≥ 12.7")  # (29 runs of 12 or 13 and one of 20) / 30
+
+    def test_what_nobody_reached_is_no_number(self, cells):
+        cell = cells["epsilon-greedy"]["episodes to goal, of runs that got there"]
+        assert (cell.text, cell.interval) == ("never", "0 of 30")
+        cell = cells["epsilon-greedy"]["episodes to target, of runs that got there"]
+        assert (cell.text, cell.interval) == ("never", "0 of 30")
+        assert cells["epsilon-greedy"]["episodes to target, of all runs"].text == "≥ 20"
+        assert cells["epsilon-greedy"]["target reached"].text == "0.0%"
+        assert cells["epsilon-greedy"]["return after target"].text == "never"
+
+    def test_measures_of_planning_are_not_there(self, cells):
+        assert not [heading for heading in cells["emu-q"] if "step 6" in heading or "exit" in heading]
+
+
+class TestPage:
+    def test_it_draws_what_learning_has_and_nothing_of_planning(self, folder):
+        names = {path.stem for path in (folder / "figures").iterdir()}
+        assert names == {*LEARNING, "returns"}
+
+    def test_it_says_what_its_numbers_are(self, folder):
+        text = Page((folder / "report.html").read_text()).text
+        assert "3 learners (emu-q, rff-q and epsilon-greedy) in the environment mountain-car" in text
+        assert "30 runs each of up to 20 episodes" in text
+        assert "environment steps per second" in text and "search iterations" not in text
+        assert "2,500" in text  # 5,000 steps in 2 s
+        assert "Return of every run's last training episode" in text
+        assert "thesis 2.95 (0.38)" in text
+
+    def test_every_figure_tells_what_it_shows(self, folder):
+        images = Page((folder / "report.html").read_text()).all("img")
+        assert len(images) == len(LEARNING) + 1
+        assert all(len(image["alt"]) > 60 for image in images)
+
+    def test_claims_on_episodes_are_judged_and_shown(self, tmp_path):
+        window = {"from": 11, "to": 20, "phase": "test"}
+        test = {"kind": "order", "column": "return", "window": window, "greater": ["emu-q", "epsilon-greedy"]}
+        printed = {"kind": "agrees", "label": "emu-q", "column": "episodes_to_goal", "runs": 20}
+        claims = [
+            {"id": "a", "source": "s", "claim": "higher", "thesis": None, "test": test},
+            {
+                "id": "b",
+                "source": "s",
+                "claim": "as printed",
+                "thesis": "3.5 (0.5)",
+                "test": {**printed, "mean": 3.5, "sd": 0.5},
+            },
+        ]
+        folder = write_learning(tmp_path / "results", claims=claims)
+        build_report([folder])
+        text = Page((folder / "report.html").read_text()).text
+        assert text.count("✓ reproduced") == 2
+        # The interval is that of the difference, and does not stand beside our mean.
+        assert "episodes_to_goal of emu-q − thesis's" in text
+
+
+class TestCurves:
+    def test_a_curve_is_the_mean_over_runs_of_each_episode(self, folder):
+        results = load(folder)
+        axes, tests = drawn("learning-curves", results).figure.axes
+        np.testing.assert_array_equal(np.asarray(axes.get_lines()[0].get_xdata()), np.arange(1, 21))
+        # All runs fail in episodes 1 and 2, half succeed in episode 3.
+        np.testing.assert_allclose(heights(axes)[:5], [-1, -1, 0, 1, 1])
+        assert tests.get_ylabel() == "return of tests"
+
+    def test_a_rolling_mean_is_drawn_only_if_asked_for_and_said(self, tmp_path):
+        folder = write_learning(tmp_path / "results", tests=0, report={"rolling": 2})
+        drawing = drawn("learning-curves", load(folder))
+        np.testing.assert_allclose(heights(drawing.figure.axes[0])[:5], [-1, -1, -0.5, 0.5, 1])
+        assert "the mean over the last 2 episodes" in drawing.caption
+        edit_manifest(folder, lambda manifest: manifest.update(report={}))
+        assert "over the last" not in drawn("learning-curves", load(folder)).caption
+
+    def test_a_rolling_mean_is_of_the_episodes_that_are_there(self):
+        values = np.array([[1.0, 3.0, 5.0, np.nan]])
+        np.testing.assert_array_equal(rolling_mean(values, 2), [[1.0, 2.0, 4.0, np.nan]])
+
+    def test_an_early_disaster_does_not_flatten_the_rest(self, folder):
+        results = load(folder)
+        bad = (results.episodes["episode"] == 1) & (results.episodes["phase"] == "train")
+        results.episodes["return"] = np.where(bad, -1000.0, results.episodes["return"])
+        drawing = drawn("learning-curves", results)
+        assert drawing.figure.axes[0].get_ylim()[0] > -10
+        assert "What lies beyond the axis is cut off." in drawing.caption
+
+    def test_steps_to_the_goal_are_those_of_successful_episodes(self, folder):
+        above, below = drawn("steps-to-goal", load(folder)).figure.axes
+        steps, shares = heights(above), heights(below)
+        np.testing.assert_allclose(steps[:5], [np.nan, np.nan, 97, 96, 95])
+        np.testing.assert_allclose(shares[:5], [0, 0, 0.5, 1, 1])
+
+    def test_success_is_that_of_the_first_episode_at_the_goal(self, folder):
+        (axes,) = drawn("success-episodes", load(folder)).figure.axes
+        np.testing.assert_allclose(heights(axes)[:5], [0, 0, 0, 0.5, 1])
+        np.testing.assert_allclose(heights(axes, 2), 0)
+
+    def test_maps_show_u_with_the_first_observation_to_the_right(self, folder):
+        drawing = drawn("value-maps", load(folder))
+        panels = [axes for axes in drawing.figure.axes if axes.images]
+        assert [axes.get_title() for axes in panels[:3]] == ["episode 1", "episode 2", "episode 3"]
+        image = np.asarray(panels[0].images[0].get_array())
+        # U is least at 0.4 of the first axis and in the middle of the second.
+        row, column = np.unravel_index(image.argmin(), image.shape)
+        assert column == 4 and row in (5, 6)
+        assert tuple(panels[0].images[0].get_extent()) == (-1.2, 0.6, -0.07, 0.07)
+        assert len({axes.images[0].get_clim() for axes in panels}) == 1
+
+
+class TestSweptNumber:
+    def test_a_curve_is_one_setting_over_the_number(self, chains):
+        curves = curves_over(chains, "env.length", "steps_to_goal")
+        assert [curve.point.name for curve in curves] == ["emu-q", "rff-q", "epsilon-greedy"]
+        np.testing.assert_array_equal(curves[0].x, [2, 5, 10, 20])
+        np.testing.assert_allclose(curves[0].values.mean(axis=0), 3.5 * np.array([2, 5, 10, 20]))
+        assert not curves[0].is_partial.any() and curves[1].is_partial.all()
+
+    def test_the_nearest_law_is_drawn_and_told(self, chains):
+        drawing = drawn("growth", chains)
+        law = curves_over(chains, "env.length", "steps_to_goal")[0].law
+        assert law is not None and law.law == "linear" and float(law.b) == pytest.approx(3.5, rel=1e-6)
+        assert "emu-q linear" in drawing.caption and "Hollow" in drawing.caption
+
+    def test_any_column_can_be_drawn(self, chains):
+        chains.settings["column"] = "episodes_to_goal"
+        try:
+            assert drawn("sweep-curve", chains).figure.axes[0].get_ylabel() == "mean episodes to goal"
+        finally:
+            chains.settings.clear()
+
+    def test_without_a_number_there_is_no_such_figure(self, folder):
+        with pytest.raises(Undrawable, match="no number to draw over"):
+            FIGURES["sweep-curve"](load(folder))
+
+
+@pytest.mark.parametrize("name", ["accumulated-reward", "success", "paths", "errors", "beliefs", "settings"])
+def test_figures_of_planning_are_not_drawn_of_learners(name, chains):
+    with pytest.raises(Undrawable):
+        FIGURES[name](chains)
+
+
+@pytest.mark.parametrize("name", [*LEARNING, "growth", "sweep-curve"])
+def test_figures_of_learning_are_not_drawn_of_planners(name, tmp_path):
+    with pytest.raises(Undrawable):
+        FIGURES[name](load(write_results(tmp_path / "results", runs=3)))
