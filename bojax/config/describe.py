@@ -3,7 +3,7 @@
 import inspect
 import types
 from dataclasses import dataclass
-from typing import Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import pydantic
 from pydantic.fields import FieldInfo
@@ -64,6 +64,8 @@ def _type(field: FieldInfo) -> str:
 
 def _words(annotation: Any) -> str:
     origin, parts = get_origin(annotation), get_args(annotation)
+    if origin is Annotated:
+        return _words(parts[0])
     if origin is Literal:
         return " | ".join(str(part) for part in parts)
     if origin in (Union, types.UnionType):

@@ -164,23 +164,5 @@ def test_brax_takes_vectors_only():
         BojaxEnv(Walk())
 
 
-def test_brax_trains_on_ours():
-    """One iteration of Brax's augmented random search; that it runs is what is tested."""
-    from brax.training.agents.ars import train as ars
-
-    own = build(envs.SinglePendulum(reward="classic"), "float32")
-    with plain_jax():
-        *_, metrics = ars.train(
-            BojaxEnv(own),
-            num_timesteps=400,
-            episode_length=20,
-            number_of_directions=4,
-            top_directions=2,
-            num_evals=2,
-            num_eval_envs=4,
-        )
-    assert np.isfinite(metrics["eval/episode_reward"]) and metrics["eval/episode_reward"] < 0
-
-
 def test_the_class_is_what_the_config_names():
     assert isinstance(build(envs.Brax(name="fast"), "float32"), BraxEnv)

@@ -22,9 +22,13 @@ def _uses_example(words: list[str]) -> bool:
 
 
 CHECKS: dict[str, Callable[[dict[str, list[float]]], bool]] = {
+    "brax_training.py": lambda of: -1000.0 < of["mean return of 16 episodes"][0] < 0.0,
     "bayesian_optimisation.py": lambda of: min(of["best"][0], of["best of 100 runs, median"][0]) > -1.0,
     "estimators.py": lambda of: of["score of the process"][0] > 0.9 > of["score of the line"][0],
     "fit_a_gp.py": lambda of: of["log marginal likelihood"][0] < of["log marginal likelihood"][1],
+    "gymnasium_loop.py": lambda of: (
+        of["steps to the goal"][0] < 150 and of["reward of the last one"][0] == 1.0
+    ),
     "linear_models.py": lambda of: np.allclose(of["one by one"], of["batch"], rtol=1e-5),
     "my_field.py": lambda of: max(of["RMSE"]) < 0.4,
     "plan_once.py": lambda of: len(of[""]) == 31,
@@ -58,7 +62,9 @@ def test_a_command_of_the_pages_runs(words, tmp_path):
 
 
 def _tiny(words: list[str]) -> tuple[str, ...]:
-    """Budgets for a command: a planner that does not search has no depth."""
+    """Budgets for a command: a planner that does not search has no depth, and a learner no planner."""
+    if any("my_env" in word for word in words):
+        return ("episodes=2", "env.max_steps=40", *TINY[2:])
     return TINY[1:] if any("my_planner" in word for word in words) else TINY
 
 

@@ -54,6 +54,7 @@ def test_a_command_is_understood(page, words, monkeypatch, capsys):
     asked = []
     monkeypatch.setattr("bojax.cli.running._run", lambda sweeps, *_: asked.extend(sweeps) or 0)
     monkeypatch.setattr("bojax.cli.reporting.main", lambda *_: 0)
+    monkeypatch.setattr("bojax.cli.rendering.main", lambda *_: 0)
     monkeypatch.setattr("bojax.cli.doctor.main", lambda *_: 0)
     monkeypatch.chdir(ROOT / "examples" if any("my_" in word for word in words) else ROOT)
     assert cli.main(words[1:]) == 0, capsys.readouterr().err
