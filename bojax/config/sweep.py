@@ -92,6 +92,12 @@ class Report(Schema, frozen=True):
         default=None, description="variant that ratios to the thesis's numbers are taken to"
     )
     by_step: int | None = Field(default=None, ge=1, description="step at which tables give rates as well")
+    best_return: float | None = Field(default=None, description="a line in learning curves")
+    rolling: int | None = Field(
+        default=None, ge=1, description="episodes over which learning curves average each run"
+    )
+    over: str | None = Field(default=None, description="the swept number of growth and sweep-curve")
+    column: str | None = Field(default=None, description="the column of runs.parquet that these draw")
 
 
 class SweepFile(Schema, frozen=True):
