@@ -22,7 +22,8 @@ def here(tmp_path, monkeypatch):
 MISTAKES = {
     "an unknown command": (
         ["swep"],
-        'unknown command swep; allowed: bench, doctor, list, report, run, sweep; did you mean "sweep"?',
+        "unknown command swep; allowed: bench, doctor, list, render, report, run, sweep; "
+        'did you mean "sweep"?',
     ),
     "an unknown option before the command": (["--runs"], "unknown option --runs; allowed: bench"),
     "an unknown option": (

@@ -20,13 +20,23 @@ BUILT_IN = [
 ]
 
 
+NEEDED = {
+    "file": "field.csv",
+    "extent": (0.0, 0.0, 1.0, 1.0),
+    "env": "mountain-car",
+    "learner": "emu-q",
+    "id": "MountainCar-v0",
+    "name": "reacher",
+}
+"""What has no default: the data of a measured field, what is learned on and by whom, a name elsewhere."""
+
+
 @pytest.fixture
 def part(schema, write):
-    """A part with its defaults; a measured field needs a file."""
+    """A part with its defaults."""
     write("field.csv", "x,y,value\n0,0,1\n1,0,2\n0,1,3")
-    needed = {name for name, field in schema.model_fields.items() if field.is_required()}
-    assert needed in (set(), {"file", "extent"})
-    return schema(file="field.csv", extent=(0.0, 0.0, 1.0, 1.0)) if needed else schema()
+    needed = [name for name, field in schema.model_fields.items() if field.is_required()]
+    return schema(**{name: NEEDED[name] for name in needed})
 
 
 @pytest.mark.parametrize("schema", BUILT_IN)

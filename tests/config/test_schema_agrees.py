@@ -12,6 +12,7 @@ EXAMPLES = {
     "scattered": {"file": "rows.csv", "extent": (0.0, 0.0, 1.0, 1.0)},
     "gymnasium": {"id": "MountainCar-v0"},
     "brax": {"name": "fast"},
+    "learning": {"env": "mountain-car", "learner": "emu-q"},
 }
 """Settings of the kinds that have no default for all of theirs."""
 
