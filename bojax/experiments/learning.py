@@ -36,7 +36,7 @@ class Trial(eqx.Module):
         truncated: It was cut off.
         success: The goal was reached.
         failed: The environment returned a number that is none.
-        steps: Every step, `[T, ...]`.
+        steps: Every step, `[T, ...]`; T is 0 in a test.
         expected: Return that the learner expected of each action, `[T]`.
     """
 
@@ -218,10 +218,13 @@ class LearningRun(Experiment):
         return summary
 
     def snapshot(self, carry: Run) -> dict[str, dict[str, Array]]:
-        """The maps of Q and U, where some are asked for."""
+        """The maps of Q and U, where some are asked for, and the bounds of the observations they are over."""
         if carry.maps is None:
             return {}
-        return {"values": {"maps": carry.maps, "episodes": jnp.asarray(self.map_episodes, jnp.int32)}}
+        values = {"maps": carry.maps, "episodes": jnp.asarray(self.map_episodes, jnp.int32)}
+        if isinstance(space := self.env.observation_space, Box):
+            values |= {"low": space.low, "high": space.high}
+        return {"values": values}
 
     def keepsake(self, carry: Run) -> LearnerState:
         """See `Experiment`: what has been learned, without the memory of how."""
@@ -362,7 +365,7 @@ class LearningRun(Experiment):
         )
         num_steps = trial.length
         if tests is not None:
-            num_steps = num_steps + jnp.sum(tests["length"])
+            num_steps = num_steps + jnp.sum(tests["length"], dtype=jnp.int32)
             phase, valid = jnp.ones((self.tests,), rows["phase"].dtype), jnp.full((self.tests,), active)
             other = {**tests, "phase": phase, "valid": valid}
             if self.target_return is not None:
@@ -379,7 +382,7 @@ class LearningRun(Experiment):
             rows = {name: jnp.concatenate([rows[name], other[name]]) for name in rows}
         maps = carry.maps
         if maps is not None:
-            now = (episode == jnp.asarray(self.map_episodes)) & active
+            now = (episode == jnp.asarray(self.map_episodes, jnp.int32)) & active
             now = now.reshape(-1, *[1] * (maps.ndim - 1))
             maps = jnp.where(now, self._map(learner)[None], maps)
         after = Run(
@@ -415,7 +418,9 @@ class LearningRun(Experiment):
 
     def _test(self, carry: Run, learner: LearnerState, number) -> dict[str, Array]:
         carry = eqx.tree_at(lambda c: c.learner, carry, learner)
-        trial = eqx.tree_at(lambda t: (t.steps, t.expected), self.begin(carry, number + 1), (None, None))
+        trial = self.begin(carry, number + 1)
+        nothing = jax.tree.map(lambda x: x[:0], (trial.steps, trial.expected))
+        trial = eqx.tree_at(lambda t: (t.steps, t.expected), trial, nothing)
 
         def go_on(loop):
             step, trial = loop
