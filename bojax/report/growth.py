@@ -75,6 +75,17 @@ def fit(law: Law, x: Floats, means: Floats, errors: Floats) -> Fit:
     return Fit(law, a.reshape(shape), b.reshape(shape), misfit.reshape(shape))
 
 
+def exponents(x: Floats, means: Floats, errors: Floats) -> Floats:
+    """Exponent k of the power law c x^k nearest to positive means, on logarithmic axes.
+
+    Args:
+        x: `[n]` positive numbers.
+        means: `[..., n]` means at these numbers.
+        errors: `[n]` relative error of each mean.
+    """
+    return fit("linear", np.log(x), np.log(means), errors).b
+
+
 def _polynomial(law: Law, x: Floats, means: Floats, weights: Floats) -> tuple[Floats, Floats, Floats]:
     powers = x if law == "linear" else x**2
     total = weights.sum()

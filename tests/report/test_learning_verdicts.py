@@ -285,6 +285,7 @@ class TestGrowth:
         finding = judge(self.chains(lambda x: 4 + 3 * x, spread=0.01), self.TEST)
         a, b = str(finding.ours).removeprefix("linear: ").removesuffix(" x").split(" + ")
         assert (float(a), float(b)) == pytest.approx((4, 3), rel=0.02)
+        assert "a power of x would have the exponent 0.8" in finding.method
 
     def test_between_two_laws_nothing_is_decided(self):
         # x to the 1.5 is as far from a line as from a parabola.

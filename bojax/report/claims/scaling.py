@@ -54,6 +54,11 @@ def growth(results: Results, test: Mapping[str, Any]) -> Finding:
     off = float(np.sqrt(np.mean((fits[best](x) / ours - 1) ** 2)))
     told = ", ".join(f"{fit.law} {fit} in {percent(shares[fit.law])}" for fit in fits.values())
     lacking = int((~is_there).sum())
+    power = ""
+    if x[0] > 0 and means.min() > 0:
+        exponent, *many = laws.exponents(x, np.vstack([ours, means]), errors / ours)
+        low, high = np.quantile(many, [TAIL, 1 - TAIL])
+        power = f"; a power of x would have the exponent {exponent:.2f} [{low:.2f}, {high:.2f}]"
     left_out = f"; {counted(lacking, 'run')} without a number left out" if lacking else ""
     return Finding(
         ours=f"{best}: {fits[best]}",
@@ -64,7 +69,7 @@ def growth(results: Results, test: Mapping[str, Any]) -> Finding:
         method=f"mean {name} over {over} x of {', '.join(f'{number:g}' for number in x)}, each with its "
         f"standard error and {laws.FLOOR:.0%} of it, fitted by weighted least squares; nearest of all laws "
         f"in a share of resamples: {told} (95% decide); the nearest is off by {percent(off)} (root mean "
-        f"square){left_out}; {BOOTSTRAP}",
+        f"square){power}{left_out}; {BOOTSTRAP}",
     )
 
 
