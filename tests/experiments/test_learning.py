@@ -1,0 +1,470 @@
+"""What a learning run promises: episodes, tests, targets, stops, keys and what is reported of them."""
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxtyping import Array, Float
+
+import bojax.config.catalog  # noqa: F401 (registers every kind)
+from bojax.config.experiments import Learning
+from bojax.engine.build import build
+from bojax.envs.base import Transition
+from bojax.envs.spaces import Box, Discrete
+from bojax.envs.tabular import TabularEnv
+from bojax.experiments.learning import PHASES, LearningRun
+from bojax.learning.base import Balance, Learner
+from bojax.numerics.lanes import LANES
+
+CLIFF = {"kind": "cliff-walking", "max_steps": 60}
+CHAIN = {"kind": "chain", "length": 4, "max_length": 6, "max_steps": 12}
+
+
+def run_of(env=None, dtype="float64", **settings) -> LearningRun:
+    """A run on cliff walking, or on an environment that is already built."""
+    settings = {"learner": "exploration-values", "episodes": 6} | settings
+    given = env if isinstance(env, dict | str) else CLIFF
+    run = build(Learning(env=given, dtype=dtype, **settings), dtype)
+    return run if env is given or env is None else eqx.tree_at(lambda r: r.env, run, env)
+
+
+QUICKLY = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
+"""The programs here run for milliseconds and are compiled for seconds."""
+
+_start = jax.jit(lambda run, keys: jax.vmap(run.init, axis_name=LANES)(keys), compiler_options=QUICKLY)
+_advance = jax.jit(
+    lambda run, carry: jax.vmap(run.advance, axis_name=LANES)(carry), compiler_options=QUICKLY
+)
+
+
+class History:
+    """Everything that the advances of some lanes report."""
+
+    def __init__(self, run: LearningRun, lanes=3, seed=0, more_advances=0):
+        carry = _start(run, jax.random.split(jax.random.key(seed), lanes))
+        self.run, self.carries, records = run, [carry], []
+        for _ in range(run.max_advances + more_advances):
+            carry, record = _advance(run, carry)
+            self.carries.append(carry)
+            records.append(record)
+        self.active_steps = np.stack([np.asarray(r.active_steps) for r in records])
+        self._tables = [jax.tree.map(np.asarray, r.tables) for r in records]
+
+    @property
+    def carry(self):
+        return self.carries[-1]
+
+    def rows(self, table="episodes", lane=0, phase=None) -> dict[str, np.ndarray]:
+        """The valid rows of a lane, in order."""
+        parts = []
+        for advance in self._tables:
+            columns = {name: values[lane] for name, values in advance[table].items()}
+            keep = columns["valid"].astype(bool)
+            if phase is not None:
+                keep = keep & (columns["phase"] == PHASES.index(phase))
+            parts.append({name: values[keep] for name, values in columns.items()})
+        return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+    def summary(self, lane=0) -> dict:
+        summaries = jax.vmap(self.run.summary)(self.carry)
+        return {name: np.asarray(values)[lane].item() for name, values in summaries.items()}
+
+
+def lane_of(tree, lane):
+    """One lane of a batched tree."""
+    return jax.tree.map(lambda leaf: leaf[lane], tree)
+
+
+class Corridor(TabularEnv):
+    """Cells in a row, one action: forward. The last cell is the goal; one of them can be poisoned.
+
+    Attributes:
+        reward: Reward of a step.
+        poisoned: Cell whose entering gives NaN; none where it is negative.
+        cells: Number of cells; the goal is never reached within fewer steps.
+    """
+
+    reward: Float[Array, ""]
+    poisoned: Float[Array, ""]
+    cells: int = eqx.field(static=True)
+    max_steps: int = eqx.field(static=True)
+    num_branches: ClassVar[int] = 1
+
+    @property
+    def observation_space(self):
+        return Discrete(self.cells)
+
+    @property
+    def action_space(self):
+        return Discrete(1)
+
+    def reset(self, key):
+        return jnp.int32(0)
+
+    def probabilities(self, state, action):
+        return jnp.ones((1,), self.reward.dtype)
+
+    def outcome(self, state, action, branch):
+        after = state + 1
+        is_goal = after == self.cells - 1
+        is_poisoned = after.astype(self.poisoned.dtype) == self.poisoned
+        reward = jnp.where(is_poisoned, jnp.nan, self.reward)
+        return Transition(after, reward, is_goal, jnp.zeros((), bool), is_goal)
+
+
+def corridor(cells=5, max_steps=10, reward=1.0, poisoned=-1.0):
+    return Corridor(jnp.asarray(reward), jnp.asarray(poisoned), cells, max_steps)
+
+
+# Episodes and steps.
+
+
+def test_an_episode_row_says_what_its_steps_add_up_to():
+    history = History(run_of(episodes=5))
+    for lane in range(3):
+        episodes, steps = history.rows(lane=lane), history.rows("steps", lane=lane)
+        assert episodes["episode"].tolist() == [1, 2, 3, 4, 5]
+        for i, number in enumerate(episodes["episode"]):
+            own = steps["episode"] == number
+            assert np.sum(own) == episodes["length"][i]
+            assert steps["step"][own].tolist() == list(range(1, episodes["length"][i] + 1))
+            assert np.sum(steps["reward"][own]) == pytest.approx(episodes["return"][i])
+            assert np.cumsum(steps["reward"][own]) == pytest.approx(steps["accumulated_reward"][own])
+            assert steps["done"][own].tolist() == [False] * (np.sum(own) - 1) + [True]
+        ends = episodes["terminated"].astype(int) + episodes["truncated"].astype(int)
+        assert np.all(ends == 1)
+        assert np.all(episodes["terminated"] == episodes["success"])
+        assert np.all(episodes["length"][episodes["truncated"]] == 60)
+        assert history.active_steps[:, lane].tolist() == episodes["length"].tolist()
+
+
+def test_steps_say_where_they_were_taken_and_follow_each_other():
+    run = run_of(env={"kind": "cliff-walking", "slip": 0.0, "max_steps": 40}, episodes=2)
+    steps = History(run).rows("steps")
+    first = steps["step"] == 1
+    assert np.all(steps["observation_0"][first] == 36)
+    moves = np.asarray([-12, 1, 12, -1])
+    for i in np.flatnonzero(~steps["done"]):
+        before, action = int(steps["observation_0"][i]), int(steps["action_0"][i])
+        after = int(steps["observation_0"][i + 1])
+        assert after in (36, before, before + moves[action])
+
+
+def test_a_time_limit_cuts_an_episode_off_and_an_end_terminates_it():
+    late = History(run_of(corridor(cells=6, max_steps=4), learner="epsilon-greedy", episodes=2), lanes=1)
+    assert late.rows()["length"].tolist() == [4, 4]
+    assert late.rows()["truncated"].all() and not late.rows()["terminated"].any()
+    assert late.summary()["success"] is False and late.summary()["episodes_to_goal"] == -1
+    just = History(run_of(corridor(cells=5, max_steps=4), learner="epsilon-greedy", episodes=2), lanes=1)
+    assert just.rows()["terminated"].all() and not just.rows()["truncated"].any()
+
+
+@pytest.mark.parametrize("block", [1, 3, 16])
+@pytest.mark.parametrize("max_steps", [1, 4])
+def test_no_step_is_made_past_the_limit_whatever_the_block(block, max_steps):
+    learner = {"kind": "epsilon-greedy", "block": block}
+    history = History(run_of(corridor(cells=9, max_steps=max_steps), learner=learner, episodes=3), lanes=2)
+    assert history.rows(lane=1)["length"].tolist() == [max_steps] * 3
+    assert len(history.rows("steps", lane=1)["step"]) == 3 * max_steps
+    assert np.asarray(history.carry.learner.visits)[1].sum() == 3 * max_steps
+    assert history.summary(1)["steps"] == 3 * max_steps
+
+
+def test_an_episode_of_one_step():
+    history = History(run_of(corridor(cells=2), learner="epsilon-greedy", episodes=3), lanes=1)
+    assert history.rows()["length"].tolist() == [1, 1, 1]
+    summary = history.summary()
+    assert (summary["episodes_to_goal"], summary["steps_to_goal"], summary["return"]) == (1, 1, 1.0)
+
+
+def test_the_numbers_of_a_run_are_those_of_its_rows():
+    history = History(run_of(episodes=8, env={"kind": "cliff-walking", "max_steps": 200}))
+    for lane in range(3):
+        rows, summary = history.rows(lane=lane), history.summary(lane)
+        assert summary["return"] == rows["return"][-1]
+        assert summary["episodes"] == 8 and summary["steps"] == rows["length"].sum()
+        first = int(np.argmax(rows["success"]))
+        assert rows["success"][first]
+        assert summary["episodes_to_goal"] == first + 1
+        assert summary["steps_to_goal"] == rows["length"][: first + 1].sum()
+
+
+# Schedules.
+
+
+@pytest.mark.parametrize(
+    "schedule, expected",
+    [
+        ("constant", [2, 2, 2, 2, 2, 2]),
+        ({"kind": "decay", "rate": 1.0}, [2, 1, 2 / 3, 0.5, 0.4, 1 / 3]),
+        ({"kind": "budget", "episodes": 2}, [2, 2, 0, 0, 0, 0]),
+        ({"kind": "budget", "episodes": 1, "resume_after": 2}, [2, 0, 0, 2, 2, 2]),
+        ("exploit", [0, 0, 0, 0, 0, 0]),
+    ],
+)
+def test_kappa_is_reported_as_the_schedule_has_it(schedule, expected):
+    learner = {"kind": "exploration-values", "kappa": 2.0}
+    history = History(run_of(schedule=schedule, learner=learner, tests=1), lanes=1)
+    assert history.rows(phase="train")["kappa"] == pytest.approx(expected)
+    assert np.all(history.rows(phase="test")["kappa"] == 0.0)
+
+
+def test_nothing_is_learned_while_the_schedule_says_so():
+    history = History(run_of(schedule={"kind": "budget", "episodes": 2, "resume_after": 3}))
+    tables = [np.asarray(carry.learner.columns) for carry in history.carries]
+    for before, after, learns in zip(tables[:-1], tables[1:], [1, 1, 0, 0, 0, 1], strict=True):
+        assert np.array_equal(before, after) == (not learns)
+
+
+# Tests and targets.
+
+
+@pytest.mark.parametrize("learner", ["exploration-values", "additive", "epsilon-greedy"])
+def test_tests_leave_the_learner_untouched(learner):
+    alone, tested = History(run_of(learner=learner)), History(run_of(learner=learner, tests=3))
+    for mine, theirs in zip(alone.carries, tested.carries, strict=True):
+        assert np.array_equal(mine.learner.columns, theirs.learner.columns)
+    for name, values in alone.rows(phase="train", lane=1).items():
+        assert np.array_equal(values, tested.rows(phase="train", lane=1)[name])
+    rows = tested.rows(phase="test")
+    assert rows["episode"].tolist() == np.repeat(np.arange(1, 7), 3).tolist()
+    total = tested.rows()["length"].sum()
+    assert tested.active_steps[:, 0].sum() == total
+
+
+def test_tests_exploit():
+    # One arm pays after a test of both; a test takes it every time, however large epsilon is.
+    env = {"kind": "chain", "length": 3, "max_length": 3, "max_steps": 400}
+    run = run_of(
+        env=env, learner={"kind": "epsilon-greedy", "epsilon": 1.0, "discount": 0.9}, episodes=30, tests=2
+    )
+    history = History(run, lanes=4)
+    late = [
+        np.mean(history.rows(phase=phase, lane=lane)["length"][-20:])
+        for phase in ("train", "test")
+        for lane in range(4)
+    ]
+    assert np.mean(late[4:]) < 5.0 < np.mean(late[:4])  # 4 and 10.5 steps in the mean
+
+
+def test_a_target_is_reached_once_all_tests_of_a_round_exceed_it():
+    run = run_of(
+        env=CHAIN | {"length": 5},
+        learner={"kind": "epsilon-greedy", "epsilon": 1.0, "discount": 0.9},
+        episodes=12,
+        tests=3,
+        target_return=0.5,
+        schedule="until-target",
+    )
+    history = History(run, lanes=8)
+    assert any(history.summary(lane)["reached"] for lane in range(8))
+    for lane in range(8):
+        summary = history.summary(lane)
+        returns = history.rows(phase="test", lane=lane)["return"].reshape(12, 3)
+        reached = np.all(returns > 0.5, axis=1)
+        assert summary["reached"] == reached.any()
+        kappas = history.rows(phase="train", lane=lane)["kappa"]
+        if not reached.any():
+            assert summary["episodes_to_target"] == -1
+            assert np.isnan(summary["return_after_target"])
+            assert np.all(kappas > 0.0)
+            continue
+        first = int(np.argmax(reached))
+        assert summary["episodes_to_target"] == first + 1
+        assert np.all(kappas[: first + 1] > 0.0) and np.all(kappas[first + 1 :] == 0.0)
+        after = returns[first + 1 :]
+        assert summary["return_after_target"] == pytest.approx(after.mean(), nan_ok=not after.size)
+
+
+def test_a_return_equal_to_the_target_does_not_exceed_it():
+    for target, reached in ((4.0, False), (3.9, True)):
+        run = run_of(corridor(cells=5), learner="epsilon-greedy", episodes=2, tests=2, target_return=target)
+        assert History(run, lanes=1).summary()["reached"] == reached
+
+
+def test_a_run_can_stop_at_its_target():
+    run = run_of(
+        corridor(cells=5), learner="epsilon-greedy", episodes=4, tests=2, target_return=3.0, stop="target"
+    )
+    history = History(run, lanes=2)
+    assert history.summary()["episodes"] == 1
+    assert history.rows()["episode"].tolist() == [1, 1, 1]
+    assert history.active_steps[:, 0].tolist() == [12, 0, 0, 0]
+
+
+def test_a_run_can_stop_at_its_first_success():
+    run = run_of(env=CHAIN, learner="epsilon-greedy", episodes=20, stop="first-success")
+    history = History(run, lanes=6)
+    for lane in range(6):
+        rows, summary = history.rows(lane=lane), history.summary(lane)
+        assert rows["success"][:-1].sum() == 0 and rows["success"][-1]
+        assert summary["episodes_to_goal"] == summary["episodes"] == len(rows["episode"])
+    assert np.all(np.asarray(jax.vmap(run.is_done)(history.carry)))
+
+
+def test_a_finished_run_changes_nothing_and_reports_nothing():
+    history = History(run_of(episodes=2, tests=1), more_advances=2)
+    for mine, theirs in zip(jax.tree.leaves(history.carries[2]), jax.tree.leaves(history.carry), strict=True):
+        if not jnp.issubdtype(mine.dtype, jax.dtypes.prng_key):
+            assert np.array_equal(mine, theirs)
+    assert history.rows()["episode"].tolist() == [1, 1, 2, 2]
+    assert np.all(history.active_steps[2:] == 0)
+
+
+# Lanes, keys and parameters.
+
+
+@pytest.mark.parametrize("settings", [{}, {"tests": 2}, {"stop": "first-success", "episodes": 12}])
+def test_a_lane_does_not_depend_on_the_others(settings):
+    run = run_of(**settings)
+    keys = jax.random.split(jax.random.key(5), 4)
+    carry, alone = _start(run, keys), _start(run, keys[2:3])
+    for _ in range(run.max_advances):
+        (carry, records), (alone, own) = _advance(run, carry), _advance(run, alone)
+        for mine, theirs in zip(jax.tree.leaves(own.tables), jax.tree.leaves(records.tables), strict=True):
+            assert np.array_equal(mine[0], theirs[2], equal_nan=True)
+    assert np.array_equal(alone.learner.columns[0], carry.learner.columns[2])
+
+
+def test_lanes_and_episodes_differ():
+    history = History(run_of(env={"kind": "taxi", "max_steps": 40}, episodes=4, tests=2))
+    starts = [tuple(history.rows("steps", lane=lane)["observation_0"][::40]) for lane in range(3)]
+    assert len(set(starts)) == 3
+    assert all(len(set(lane)) > 1 for lane in starts)
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_a_run_computes_in_its_precision(dtype):
+    run = run_of(dtype=dtype, tests=1, target_return=0.0)
+    carry = _start(run, jax.random.split(jax.random.key(0), 1))
+    after, records = _advance(run, carry)
+    floats = {
+        leaf.dtype for leaf in jax.tree.leaves((after, records)) if jnp.issubdtype(leaf.dtype, jnp.floating)
+    }
+    assert floats == {jnp.dtype(dtype)}
+    same = jax.tree.map(lambda a, b: (a.shape, a.dtype) == (b.shape, b.dtype), carry, after)
+    assert all(jax.tree.leaves(same))
+
+
+def test_another_value_of_a_hyper_parameter_compiles_nothing():
+    traced = []
+
+    @eqx.filter_jit
+    def advance(run, carry):
+        traced.append(run)
+        return run.advance(carry)
+
+    for kappa, slip, rate in ((1.0, 0.1, 0.5), (0.3, 0.0, 3.0)):
+        run = run_of(
+            env={"kind": "cliff-walking", "max_steps": 60, "slip": slip},
+            learner={"kind": "exploration-values", "kappa": kappa, "discount": 1.0 - slip},
+            schedule={"kind": "decay", "rate": rate},
+        )
+        advance(run, run.init(jax.random.key(0)))
+    assert len(traced) == 1
+
+
+# What goes wrong.
+
+
+def test_a_number_that_is_none_ends_the_run_and_is_counted():
+    run = run_of(corridor(cells=6, poisoned=3.0), learner="epsilon-greedy", episodes=4)
+    history = History(run, lanes=2)
+    rows = history.rows()
+    assert rows["episode"].tolist() == [1] and np.isnan(rows["return"][0])
+    assert rows["length"].tolist() == [2]
+    assert not (rows["success"][0] or rows["terminated"][0] or rows["truncated"][0])
+    assert np.isnan(history.summary()["return"])
+    assert bool(jax.vmap(run.is_done)(history.carry).all())
+    assert np.all(np.isfinite(history.carry.learner.columns))
+    assert np.asarray(history.carry.learner.visits)[0].sum() == 2
+    assert len(history.rows("steps")["step"]) == 2
+
+
+def test_a_number_that_is_none_in_one_lane_leaves_the_others_alone():
+    sound, broken = (run_of(corridor(poisoned=p), learner="epsilon-greedy") for p in (-1.0, 2.0))
+    keys = jax.random.split(jax.random.key(0), 2)
+    poisoned = jnp.asarray([-1.0, 2.0])
+
+    def one(poison, key):
+        run = eqx.tree_at(lambda r: r.env.poisoned, sound, poison)
+        return run.advance(run.init(key))[1].tables["episodes"]["return"]
+
+    returns = jax.jit(jax.vmap(one, axis_name=LANES))(poisoned, keys)
+    assert float(returns[0, 0]) == 4.0 and np.isnan(returns[1, 0])
+    assert np.isnan(History(broken, lanes=1).summary()["return"])
+
+
+# Maps, and what is saved.
+
+
+def test_maps_are_those_of_their_episodes():
+    history = History(run_of(map_episodes=(2, 5)), lanes=2)
+    for lane in range(2):
+        snapshot = history.run.snapshot(lane_of(history.carry, lane))["values"]
+        assert snapshot["episodes"].tolist() == [2, 5]
+        for maps, episode in zip(snapshot["maps"], (2, 5), strict=True):
+            learned, middle = lane_of(history.carries[episode].learner, lane), 2
+            assert np.array_equal(maps[0], learned.q[:, middle])
+            assert np.array_equal(maps[1], learned.u[:, middle])
+    maps = np.asarray(history.run.snapshot(lane_of(history.carries[3], 0))["values"]["maps"])
+    assert np.all(np.isfinite(maps[0])) and np.all(np.isnan(maps[1]))
+
+
+def test_without_maps_nothing_is_kept():
+    assert History(run_of(episodes=1), lanes=1).carry.maps is None
+
+
+class Plane(Learner):
+    """Q and U of a place are its coordinates: a learner whose maps are known."""
+
+    block: int = eqx.field(static=True, default=1)
+
+    @property
+    def exploration_weight(self):
+        return jnp.asarray(1.0)
+
+    def init(self, key, observation_space, action_space, capacity):
+        return jnp.zeros(())
+
+    def act(self, key, state, observation, balance: Balance):
+        return jnp.zeros(1), jnp.zeros(())
+
+    def observe(self, key, state, experience, balance, slot):
+        return state
+
+    def values(self, state, observation, action):
+        return observation[0], observation[1] + action[0]
+
+
+class Square(Corridor):
+    """The same corridor, seen as a point of a plane."""
+
+    @property
+    def observation_space(self):
+        return Box(jnp.asarray([0.0, -1.0, 0.0]), jnp.asarray([4.0, 3.0, 1.0]))
+
+    @property
+    def action_space(self):
+        return Box(jnp.asarray([-1.0]), jnp.asarray([3.0]))
+
+    def observe(self, state):
+        return jnp.zeros(3)
+
+    def step(self, key, state, action):
+        transition = self.outcome(state, jnp.int32(0), jnp.int32(0))
+        return state + 1, eqx.tree_at(lambda t: t.observation, transition, jnp.zeros(3))
+
+
+def test_a_map_of_a_box_spans_its_first_two_dimensions_at_the_middle_action():
+    run = run_of(episodes=1, map_episodes=(1,), map_resolution=4)
+    env = Square(jnp.asarray(1.0), jnp.asarray(-1.0), 5, 10)
+    run = eqx.tree_at(lambda r: (r.env, r.learner), run, (env, Plane()))
+    carry, _ = _advance(run, _start(run, jax.random.split(jax.random.key(0), 1)))
+    q, u = np.asarray(carry.maps[0, 0])
+    assert q.shape == (4, 4)
+    assert np.array_equal(q, np.tile([[0.5], [1.5], [2.5], [3.5]], (1, 4)))
+    assert np.array_equal(u, np.tile([-0.5, 0.5, 1.5, 2.5], (4, 1)) + 1.0)
