@@ -9,8 +9,8 @@ from jaxtyping import Array, Float, Int, Key
 
 from bojax.envs.base import Action, Observation
 from bojax.envs.spaces import Box, Discrete, Space
-from bojax.learning.actions import even_actions, fresh_actions
-from bojax.learning.balance import best_action
+from bojax.learning.actions import even_actions
+from bojax.learning.balance import Ties, best_action
 from bojax.learning.base import Balance, Episode, Experience, Learner
 from bojax.learning.features import FeatureSpec, StateActionFeatures
 from bojax.learning.memory import Memory
@@ -137,13 +137,12 @@ class EMUQ(Learner):
     ) -> tuple[Action, Float[Array, ""]]:
         """See `Learner`: argmax Q + kappa U over the candidates (5.10)."""
         key_draw, key_ties = jax.random.split(key)
-        candidates = self.drawn(key_draw, state, state.candidates)
+        candidates, _ = self.draw(key_draw, state)
         x = state.features.state(observation)
         phi = self._joined(state, x, candidates)
         values = self._values(state, phi)
-        best = best_action(
-            key_ties, values[:, Q], values[:, U], balance.exploration * self.exploration_weight
-        )
+        kappa = balance.exploration * self.exploration_weight
+        best = best_action(key_ties, values[:, Q], values[:, U], kappa, self._ties(state))
         action, expected = candidates[best], values[best, Q]
         if self.refine_steps and isinstance(state.features.actions, Box):
             action = self._refined(state, x, candidates, action, balance)
@@ -159,30 +158,23 @@ class EMUQ(Learner):
         slot: Int[Array, ""],
     ) -> EMUQState:
         """See `Learner`: lines 8 to 12 of Algorithm 6, from one product with the covariance."""
-        keys = jax.random.split(key, 3)
-        candidates = self.drawn(keys[0], state, state.candidates)
-        samples = self.drawn(keys[1], state, state.samples)
+        candidates, samples = self.draw(key, state)
         posterior = state.posterior
         phi = state.features(experience.observation, experience.action)
         x = state.features.state(experience.next_observation)
-        phi_samples = self._joined(state, x, samples)
-        phi_next = self._joined(state, x, candidates)
-        rows = [phi[None], phi_samples] + ([phi_next] if self.optimistic_u else [])
-        rows = jnp.concatenate(rows)
+        num_samples = len(samples)
+        phi_both = self._joined(state, x, jnp.concatenate([samples, candidates]))
+        phi_next = phi_both[num_samples:]
+        rows = jnp.concatenate([phi[None], phi_both if self.optimistic_u else phi_both[:num_samples]])
         products = posterior.covariance_times(rows)
         variances = jnp.sum(rows * products, axis=1)
         weight = balance.is_learning.astype(variances.dtype)
 
-        num_samples = len(phi_samples)
         next_values = matmul(phi_next, posterior.mean)
         if self.optimistic_u:
             next_values = next_values.at[:, U].multiply(self.trust(variances[1 + num_samples :]))
-        best = best_action(
-            keys[2],
-            next_values[:, Q],
-            next_values[:, U],
-            balance.exploration * self.exploration_weight,
-        )
+        kappa = balance.exploration * self.exploration_weight
+        best = jnp.argmax(next_values[:, Q] + kappa * next_values[:, U])
         if self.reward_order == "after":
             row = posterior.row(phi, sample_weight=weight, product=products[0])
             variances = variances - matmul(rows, row) ** 2
@@ -220,11 +212,19 @@ class EMUQ(Learner):
 
     # Actions.
 
-    def drawn(self, key: Key[Array, ""], state: EMUQState, actions: Action) -> Action:
-        """The actions of a run, or fresh ones in their place."""
-        if self.draw_actions == "once":
-            return actions
-        return fresh_actions(key, actions, state.features.actions)
+    def draw(self, key: Key[Array, ""], state: EMUQState) -> tuple[Action, Action]:
+        """Candidates and samples: those of the run, or fresh ones."""
+        if self.draw_actions == "once" or not isinstance(state.features.actions, Box):
+            return state.candidates, state.samples
+        number = len(state.candidates)
+        shape = (number + len(state.samples), *state.candidates.shape[1:])
+        drawn = state.features.actions.from_unit(jax.random.uniform(key, shape, state.candidates.dtype))
+        return drawn[:number], drawn[number:]
+
+    def _ties(self, state: EMUQState) -> Ties:
+        """Fresh candidates are in no order: then the first of the best is as random as any."""
+        is_fresh = self.draw_actions == "always" and isinstance(state.features.actions, Box)
+        return "first" if is_fresh else "random"
 
     def _refined(self, state, x, candidates, action, balance) -> Action:
         """Coordinate by coordinate, halving the step from the spacing of the candidates on."""

@@ -44,11 +44,10 @@ def refit(
     First Q, with a' chosen anew by Q + kappa U for every sweep or every solution; then the exploration
     rewards by (5.12) and, with a' chosen once, U.
     """
-    key_q, key_candidates, key_samples = jax.random.split(key, 3)
+    key_q, key_policy = jax.random.split(key)
     q = _fit_q(learner, key_q, state, kappa, is_active)
     mean = state.posterior.mean.at[:, Q].set(q)
-    candidates = learner.drawn(key_candidates, state, state.candidates)
-    samples = learner.drawn(key_samples, state, state.samples)
+    candidates, samples = learner.draw(key_policy, state)
     policy = _fix_policy(learner, state, mean, kappa, candidates, samples)
     return mean.at[:, U].set(_fit_u(learner, state, policy, candidates, mean[:, U], is_active))
 
@@ -61,7 +60,7 @@ def _fit_q(learner, key, state, kappa, is_active) -> Float[Array, "M"]:
 
     def improve(loop):
         number, q, going = loop
-        candidates = learner.drawn(jax.random.fold_in(key, number), state, state.candidates)
+        candidates, _ = learner.draw(jax.random.fold_in(key, number), state)
         ys = jax.vmap(state.features.action)(candidates)
         look = _looker(learner, state, ys, jnp.stack([q, u], axis=1))
 
