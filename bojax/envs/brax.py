@@ -6,6 +6,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Key
 
 from bojax.envs.base import Env, Transition
@@ -50,7 +51,7 @@ class BraxEnv(Env):
 
         Raises:
             ValueError: There is none of this name or backend; its observations are no vector; bounds are of
-                another size.
+                another size, or not in order.
         """
         if self.name not in brax_envs._envs:
             raise ValueError(
@@ -66,6 +67,8 @@ class BraxEnv(Env):
                 raise ValueError(
                     f"{name}: got {bound.size} numbers; {self.name} has {self.observation_size} observations"
                 )
+        if not np.all(np.asarray(self.low) < np.asarray(self.high)):
+            raise ValueError("low: it has to be below high")
 
     @property
     def observation_space(self) -> Box:

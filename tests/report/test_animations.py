@@ -95,6 +95,44 @@ def test_every_scene_is_drawn_and_moves(tmp_path, kind):
     assert (len(paths) == 2) == (shutil.which("ffmpeg") is not None)
 
 
+FFMPEG = """#!{python}
+import sys
+size = len(sys.stdin.buffer.read())
+open(sys.argv[-1], "w").write(str(size))
+sys.exit({code})
+"""
+
+
+@pytest.fixture
+def ffmpeg(tmp_path, monkeypatch):
+    """An ffmpeg that writes down how many bytes it was given."""
+
+    def install(code=0):
+        program = tmp_path / "bin" / "ffmpeg"
+        program.parent.mkdir()
+        program.write_text(FFMPEG.format(python=sys.executable, code=code))
+        program.chmod(0o755)
+        monkeypatch.setenv("PATH", str(program.parent))
+
+    return install
+
+
+def test_where_there_is_ffmpeg_it_gets_the_same_frames(tmp_path, ffmpeg):
+    ffmpeg()
+    folder = learning_results(tmp_path / "results", lengths=(6,), goals=(True,))
+    gif, film = render(choose(load(folder)), folder / "animations")
+    assert film == gif.with_suffix(".mp4")
+    assert int(film.read_text()) == (6 + 50) * 400 * 400 * 4  # the last frame for 2 s of 25 frames
+
+
+def test_an_ffmpeg_that_fails_is_told_in_a_line(tmp_path, ffmpeg):
+    ffmpeg(code=1)
+    folder = learning_results(tmp_path / "results", lengths=(6,), goals=(True,))
+    with pytest.raises(ResultsError, match="the GIF is written, but ffmpeg failed"):
+        render(choose(load(folder)), folder / "animations")
+    assert [path.suffix for path in (folder / "animations").iterdir()] == [".gif"]
+
+
 def scene(kind, observation, **env):
     schema = registry["env"][kind]
     axes = Figure().add_subplot()

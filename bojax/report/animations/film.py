@@ -1,6 +1,7 @@
 """A film of one episode: a scene, the time, the reward and the action, as GIF, and as MP4 where ffmpeg is."""
 
 import re
+import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -141,10 +142,15 @@ def _write_mp4(path: Path, images: list[Image.Image], seconds: float) -> None:
     FigureCanvasAgg(figure)
     shown = figure.figimage(np.asarray(images[0]))
     writer = FFMpegWriter(fps=round(1 / seconds), extra_args=["-f", "mp4", "-pix_fmt", "yuv420p"])
-    with writer.saving(figure, str(path), _DPI):
-        for image in [*images, *[images[-1]] * round(LAST_SECONDS / seconds)]:
-            shown.set_data(np.asarray(image))
-            writer.grab_frame()
+    try:
+        with writer.saving(figure, str(path), _DPI):
+            for image in [*images, *[images[-1]] * round(LAST_SECONDS / seconds)]:
+                shown.set_data(np.asarray(image))
+                writer.grab_frame()
+    except (subprocess.CalledProcessError, BrokenPipeError) as error:
+        raise ResultsError(
+            "the GIF is written, but ffmpeg failed to make an MP4 of it", exit_code=1
+        ) from error
 
 
 def _slug(name: str) -> str:
