@@ -81,8 +81,8 @@ def limit(axes: Axes, curves: Mapping[int, Band], lines: Sequence[float]) -> boo
     low, high = min([low, *lines]), max([high, *lines])
     ends = [bound[np.isfinite(bound)] for band in curves.values() for bound in band]
     least, most = (np.concatenate(ends).min(), np.concatenate(ends).max()) if ends else (low, high)
-    # All of it, unless the extremes would take more than a third of the axis from the rest.
-    if most - least > 1.5 * (high - low) > 0:
+    # All of it, unless the extremes would take more than three fifths of the axis from the rest.
+    if most - least > 2.5 * (high - low) > 0:
         least, most = max(least, low - 0.25 * (high - low)), min(most, high + 0.25 * (high - low))
     least, most = min([least, *lines]), max([most, *lines])
     pad = 0.04 * (most - least) or 0.5
