@@ -82,6 +82,8 @@ def draw(results: Results) -> Drawing:
         bar.ax.spines["outline"].set_visible(False)
         bar.ax.tick_params(length=2, labelsize=8.5)
     named = joined([f"{row.point.name}, run {row.run}" for row in rows])
+    if len({row.point.index for row in rows}) == 1 < len(rows):
+        named = f"{rows[0].point.name}, runs {joined([str(row.run) for row in rows])}"
     return Drawing(
         figure=figure,
         title="Exploration values and trajectories",
