@@ -9,7 +9,7 @@ import yaml
 
 from bojax.cli import main as cli
 from bojax.config import catalog
-from bojax.config.claims import Order, Ratio, Share, Similar, Trend
+from bojax.config.claims import Agrees, Growth, Mean, Order, Ratio, Share, Similar, Trend, Window
 from bojax.config.component import registry
 from bojax.config.describe import settings_of
 from bojax.config.experiments import Planning
@@ -68,10 +68,11 @@ def test_make_targets_exist():
 
 
 def test_the_configuration_page_names_every_key():
-    schemas = (Settings, EngineConfig, SweepFile, Report, Order, Ratio, Share, Similar, Trend)
+    claims = (Order, Ratio, Share, Similar, Mean, Trend, Agrees, Growth)
+    schemas = (Settings, EngineConfig, SweepFile, Report, Window, *claims)
     keys = {setting.name for schema in schemas for setting in settings_of(schema)}
     kinds = {kind for role in catalog.ROLES for kind in registry.get(role, {})}
-    tests = {test.model_fields["kind"].default for test in (Order, Ratio, Share, Similar, Trend)}
+    tests = {test.model_fields["kind"].default for test in claims}
     known = {"by", "label"}  # said in a sentence: `by: variant`
     assert keys - known | kinds - {"toy"} | tests | set(FIGURES) <= names_in(DOCS / "configuration.md")
 
