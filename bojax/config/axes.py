@@ -59,9 +59,13 @@ def read_axes(axes: Mapping[str, Any], combine: str, source: str) -> list[Combin
     """The combinations of choices, in the order of the file; one empty combination without axes.
 
     Raises:
-        ConfigError: An axis is empty, holds a value twice, or has another length than its partner in a zip.
+        ConfigError: An axis is empty, holds a value twice although no partner in a zip tells them apart, or
+            has another length than its partner.
     """
-    columns = [_read_axis(name, values, f"{source}: axes.{name}") for name, values in axes.items()]
+    are_partners = combine == "zip" and len(axes) > 1
+    columns = [
+        _read_axis(name, values, f"{source}: axes.{name}", are_partners) for name, values in axes.items()
+    ]
     _refuse_overlap([column[0].axis for column in columns], source)
     if combine == "zip":
         lengths = {name: len(column) for name, column in zip(axes, columns, strict=True)}
@@ -70,7 +74,14 @@ def read_axes(axes: Mapping[str, Any], combine: str, source: str) -> list[Combin
             raise ConfigError(
                 f"{source}: axes: got axes of different lengths ({listed}); a zip needs equal ones"
             )
-        return list(zip(*columns, strict=True)) if columns else [()]
+        combinations = list(zip(*columns, strict=True)) if columns else [()]
+        for index, combination in enumerate(combinations):
+            if combination in combinations[:index]:
+                first = combinations.index(combination)
+                raise ConfigError(
+                    f"{source}: axes: points {first} and {index} are the same; all differ in a zip"
+                )
+        return combinations
     return list(itertools.product(*columns))
 
 
@@ -122,7 +133,7 @@ def split_overrides(
     return base, below
 
 
-def _read_axis(name: str, values: Any, where: str) -> list[Choice]:
+def _read_axis(name: str, values: Any, where: str, may_repeat: bool) -> list[Choice]:
     axis = tuple(name.split("."))
     if not all(axis):
         raise ConfigError(f"{where}: a dotted path such as planner.depth is expected")
@@ -143,7 +154,7 @@ def _read_axis(name: str, values: Any, where: str) -> list[Choice]:
             raise ConfigError(
                 f"{where}: got {shown(value)}; a subtree needs a name: `{name}: {{NAME: {{...}}}}`"
             )
-        if (type(value), value) in seen:
+        if (type(value), value) in seen and not may_repeat:
             raise ConfigError(f"{where}: got {shown(value)} twice; the values of an axis differ")
         seen.append((type(value), value))
     return [Choice(axis, None, value) for value in values]

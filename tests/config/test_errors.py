@@ -325,6 +325,10 @@ SWEEPS = {
         "{base: {}, axes: {planner.depth: [1, 1]}}",
         "s.yaml: axes.planner.depth: got 1 twice; the values of an axis differ",
     ),
+    "a point twice in a zip": (
+        "{base: {}, combine: zip, axes: {planner.depth: [1, 1, 1], planner.iterations: [5, 6, 5]}}",
+        "s.yaml: axes: points 0 and 2 are the same; all differ in a zip",
+    ),
     "an empty list": (
         "{base: {}, axes: {planner.depth: []}}",
         "s.yaml: axes.planner.depth: is empty; at least one value is expected",
