@@ -7,7 +7,8 @@ from typing import Literal
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, Key, Scalar
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int, Key, Scalar, UInt32
 
 from bojax.envs.base import Action, Env, EnvState, Observation, Transition
 from bojax.envs.spaces import Box
@@ -36,8 +37,8 @@ class Trial(eqx.Module):
         truncated: It was cut off.
         success: The goal was reached.
         failed: The environment returned a number that is none.
-        steps: Every step, `[T, ...]`; T is 0 in a test.
-        expected: Return that the learner expected of each action, `[T]`.
+        steps: Every step, a row of numbers for each (see `_pack`): one write a step, where an array for each
+            part would be six. T is 0 in a test.
     """
 
     env: EnvState
@@ -50,8 +51,7 @@ class Trial(eqx.Module):
     truncated: Bool[Array, ""]
     success: Bool[Array, ""]
     failed: Bool[Array, ""]
-    steps: Experience
-    expected: Float[Array, "T"]
+    steps: Float[Array, "T R"]
 
 
 class Run(eqx.Module):
@@ -177,18 +177,20 @@ class LearningRun(Experiment):
     def advance(self, carry: Run) -> tuple[Run, Records]:
         """See `Experiment`."""
         balance = self.balance(carry)
-        trial = self.begin(carry)
+        trial = self.begin(carry, *self._reset(carry, 0))
 
-        def go_on(loop):
+        def block(loop):
             start, trial = loop
-            trial = jax.lax.fori_loop(
-                0, self.learner.block, lambda i, trial: self._step(carry, trial, balance, start + i, i), trial
-            )
+
+            def step(trial, at):
+                keys, slot = jax.random.wrap_key_data(at[0]), at[1]
+                return self._step(keys, trial, balance, start + slot, slot), None
+
+            trial, _ = jax.lax.scan(step, trial, (self.keys(carry, start), self._slots))
             return start + self.learner.block, self.consolidate(trial)
 
-        _, trial = jax.lax.while_loop(
-            lambda loop: any_lane(loop[1].is_active), go_on, (jnp.zeros((), jnp.int32), trial)
-        )
+        start = jnp.zeros((), jnp.int32), trial
+        _, trial = jax.lax.while_loop(lambda loop: any_lane(loop[1].is_active), block, start)
         learner = self.end_episode(carry, trial, balance)
         tests = None
         if self.tests:
@@ -237,15 +239,11 @@ class LearningRun(Experiment):
         balance = self.schedule(carry.episode, carry.episodes_to_target >= 0)
         return Balance(balance.exploration.astype(self._dtype), balance.is_learning & ~carry.is_done)
 
-    def begin(self, carry: Run, number: Int[Array, ""] | int = 0) -> Trial:
-        """A new episode of the run: 0 is the training episode, 1 the first test after it, and so on."""
-        env = self.env.reset(jax.random.fold_in(self._key(carry, number), 0))
-        observation, false = self.env.observe(env), jnp.zeros((), bool)
-        action = jax.eval_shape(
-            lambda: self.learner.act(carry.key, carry.learner, observation, self._exploiting)[0]
-        )
+    def begin(self, carry: Run, env: EnvState, observation: Observation, *, is_test: bool = False) -> Trial:
+        """A new episode of the run, from a state of the environment and what is seen of it."""
         length = -(-self.env.max_steps // self.learner.block) * self.learner.block
-        step = Experience(observation, action, jnp.zeros((), self._dtype), observation, false)
+        width = 2 * self.env.observation_space.num_dims + self.env.action_space.num_dims + 3
+        false = jnp.zeros((), bool)
         return Trial(
             env=env,
             observation=observation,
@@ -257,21 +255,21 @@ class LearningRun(Experiment):
             truncated=false,
             success=false,
             failed=false,
-            steps=jax.tree.map(lambda x: jnp.zeros((length, *x.shape), x.dtype), step),
-            expected=jnp.zeros((length,), self._dtype),
+            steps=jnp.zeros((0 if is_test else length, width), self._dtype),
         )
 
-    def choose(
-        self,
-        carry: Run,
-        trial: Trial,
-        balance: Balance,
-        step: Int[Array, ""],
-        number: Int[Array, ""] | int = 0,
-    ) -> tuple[Action, Float[Array, ""]]:
-        """The action of a step, and what is expected of it."""
-        key = jax.random.fold_in(self._key(carry, number), 3 * step + 2)
-        return self.learner.act(key, trial.learner, trial.observation, balance)
+    def keys(
+        self, carry: Run, start: Int[Array, ""], number: Int[Array, ""] | int = 0
+    ) -> UInt32[Array, "B 3 W"]:
+        """Data of the keys of a block of steps: to act, to step the environment, to learn.
+
+        As data, since JAX's check of key reuse takes a batched scan over keys for a reuse. `number` is 0
+        for the training episode, 1 for the first test after it, and so on.
+        """
+        counters = 3 * start + jnp.arange(1, 3 * self.learner.block + 1, dtype=jnp.int32)
+        key = self._key(carry, number)
+        keys = jax.vmap(lambda counter: jax.random.fold_in(key, counter))(counters)
+        return jax.random.key_data(keys.reshape(-1, 3))
 
     def take(
         self,
@@ -302,35 +300,32 @@ class LearningRun(Experiment):
             success=trial.success | (counts & transition.success),
             failed=trial.failed | fails,
             steps=trial.steps,
-            expected=trial.expected,
         )
         return after, counts
 
-    def learn(
+    def go_on(
         self,
-        carry: Run,
+        key: Key[Array, ""],
         trial: Trial,
-        experience: Experience,
-        expected: Float[Array, ""],
         balance: Balance,
+        chosen: tuple[Action, Float[Array, ""]],
+        led_to: tuple[EnvState, Transition],
         step: Int[Array, ""],
         slot: Int[Array, ""],
-        counts: Bool[Array, ""],
     ) -> Trial:
-        """Keep a step of a training episode, and learn from it where it counts."""
-        key = jax.random.fold_in(self._key(carry, 0), 3 * step + 4)
-        experience = jax.tree.map(
-            lambda x: jnp.where(counts, x, jnp.zeros((), x.dtype)), experience
-        )  # what is no number teaches nothing, and leaves no trace
+        """A step of a training episode, once it is known what the action led to: keep it, learn from it."""
+        (action, expected), (env, transition) = chosen, led_to
+        experience = Experience(
+            trial.observation, action, transition.reward, transition.observation, transition.terminated
+        )
+        trial, counts = self.take(trial, transition, env)
+        # What is no number teaches nothing, and leaves no trace.
+        experience = jax.tree.map(lambda x: jnp.where(counts, x, jnp.zeros((), x.dtype)), experience)
         taught = Balance(balance.exploration, balance.is_learning & counts)
         learner = self.learner.observe(key, trial.learner, experience, taught, slot)
-        steps = jax.tree.map(
-            lambda all_steps, x: jax.lax.dynamic_update_index_in_dim(all_steps, x, step, 0),
-            trial.steps,
-            experience,
-        )
-        expected = jax.lax.dynamic_update_index_in_dim(trial.expected, expected, step, 0)
-        return eqx.tree_at(lambda t: (t.learner, t.steps, t.expected), trial, (learner, steps, expected))
+        row = self._pack(experience, expected)
+        steps = jax.lax.dynamic_update_index_in_dim(trial.steps, row, step, 0)
+        return eqx.tree_at(lambda t: (t.learner, t.steps), trial, (learner, steps))
 
     def consolidate(self, trial: Trial) -> Trial:
         """After every block of steps."""
@@ -340,7 +335,8 @@ class LearningRun(Experiment):
         """What the learner makes of a whole training episode."""
         key = jax.random.fold_in(self._key(carry, 0), 1)
         balance = Balance(balance.exploration, balance.is_learning & (trial.length > 0))
-        return self.learner.end_episode(key, trial.learner, Episode(trial.steps, trial.length), balance)
+        episode = Episode(self._unpack(trial.steps)[0], trial.length)
+        return self.learner.end_episode(key, trial.learner, episode, balance)
 
     def close(
         self, carry: Run, trial: Trial, learner: LearnerState, tests: Mapping[str, Array] | None
@@ -406,35 +402,53 @@ class LearningRun(Experiment):
         capacity = 0 if self.saved else self.episodes * self.env.max_steps
         return self.learner.init(key, self.env.observation_space, self.env.action_space, capacity)
 
-    def _step(self, carry: Run, trial: Trial, balance: Balance, step, slot) -> Trial:
-        action, expected = self.choose(carry, trial, balance, step)
-        before = trial.observation
-        env, transition = self._env_step(carry, trial, action, step, 0)
-        trial, counts = self.take(trial, transition, env)
-        experience = Experience(
-            before, action, transition.reward, transition.observation, transition.terminated
-        )
-        return self.learn(carry, trial, experience, expected, balance, step, slot, counts)
+    def test_row(self, carry: Run, trial: Trial) -> dict[str, Array]:
+        """What is reported of a test episode."""
+        return self._row(trial, carry.episode + 1, self.exploiting)
+
+    def _step(self, keys: Key[Array, "3"], trial: Trial, balance: Balance, step, slot) -> Trial:
+        chosen = self.learner.act(keys[0], trial.learner, trial.observation, balance)
+        led_to = self.env.step(keys[1], trial.env, chosen[0])
+        return self.go_on(keys[2], trial, balance, chosen, led_to, step, slot)
 
     def _test(self, carry: Run, learner: LearnerState, number) -> dict[str, Array]:
-        carry = eqx.tree_at(lambda c: c.learner, carry, learner)
-        trial = self.begin(carry, number + 1)
-        nothing = jax.tree.map(lambda x: x[:0], (trial.steps, trial.expected))
-        trial = eqx.tree_at(lambda t: (t.steps, t.expected), trial, nothing)
+        trial = self.begin(carry, *self._reset(carry, number + 1), is_test=True)
 
-        def go_on(loop):
-            step, trial = loop
-            action, _ = self.choose(carry, trial, self._exploiting, step, number + 1)
-            env, transition = self._env_step(carry, trial, action, step, number + 1)
-            return step + 1, self.take(trial, transition, env)[0]
+        def block(loop):
+            start, trial = loop
+
+            def step(trial, at):
+                keys = jax.random.wrap_key_data(at)
+                action, _ = self.learner.act(keys[0], learner, trial.observation, self.exploiting)
+                env, transition = self.env.step(keys[1], trial.env, action)
+                return self.take(trial, transition, env)[0], None
+
+            trial, _ = jax.lax.scan(step, trial, self.keys(carry, start, number + 1))
+            return start + self.learner.block, trial
 
         start = jnp.zeros((), jnp.int32), trial
-        _, trial = jax.lax.while_loop(lambda loop: any_lane(loop[1].is_active), go_on, start)
-        return self._row(trial, carry.episode + 1, self._exploiting)
+        _, trial = jax.lax.while_loop(lambda loop: any_lane(loop[1].is_active), block, start)
+        return self.test_row(carry, trial)
 
-    def _env_step(self, carry: Run, trial: Trial, action: Action, step, number):
-        key = jax.random.fold_in(self._key(carry, number), 3 * step + 3)
-        return self.env.step(key, trial.env, action)
+    def _reset(self, carry: Run, number: Int[Array, ""] | int) -> tuple[EnvState, Observation]:
+        env = self.env.reset(jax.random.fold_in(self._key(carry, number), 0))
+        return env, self.env.observe(env)
+
+    def _pack(self, step: Experience, expected: Float[Array, ""]) -> Float[Array, "R"]:
+        """A step as a row of numbers; whole numbers below 2^24 stay exact."""
+        parts = (step.observation, step.action, step.next_observation, step.reward, step.terminated, expected)
+        return jnp.concatenate([jnp.ravel(part).astype(self._dtype) for part in parts])
+
+    def _unpack(self, rows: Float[Array, "T R"]) -> tuple[Experience, Float[Array, "T"]]:
+        """Steps and what was expected of them."""
+        seen, done = self.env.observation_space, self.env.action_space
+        ends = np.cumsum([seen.num_dims, done.num_dims, seen.num_dims]).tolist()
+        *vectors, rest = jnp.split(rows, ends, axis=1)
+        observation, action, after = (
+            part if isinstance(space, Box) else part[:, 0].astype(jnp.int32)
+            for part, space in zip(vectors, (seen, done, seen), strict=True)
+        )
+        return Experience(observation, action, rest[:, 0], after, rest[:, 1] > 0.5), rest[:, 2]
 
     def _row(self, trial: Trial, episode: Int[Array, ""], balance: Balance) -> dict[str, Array]:
         return {
@@ -448,12 +462,13 @@ class LearningRun(Experiment):
         }
 
     def _step_rows(self, trial: Trial, episode: Int[Array, ""]) -> dict[str, Array]:
-        steps, number = trial.steps, jnp.arange(len(trial.expected), dtype=jnp.int32) + 1
+        steps, expected = self._unpack(trial.steps)
+        number = jnp.arange(len(expected), dtype=jnp.int32) + 1
         columns = {
             "episode": jnp.broadcast_to(episode, number.shape),
             "step": number,
             "reward": steps.reward,
-            "planned_reward": trial.expected,
+            "planned_reward": expected,
             "accumulated_reward": jnp.cumsum(steps.reward),
             "done": number == trial.length,
             "valid": number <= trial.length,
@@ -497,7 +512,12 @@ class LearningRun(Experiment):
         return jax.random.fold_in(key, number)
 
     @property
-    def _exploiting(self) -> Balance:
+    def _slots(self) -> Int[Array, "B"]:
+        return jnp.arange(self.learner.block, dtype=jnp.int32)
+
+    @property
+    def exploiting(self) -> Balance:
+        """The balance of a test."""
         return Balance(jnp.zeros((), self._dtype), jnp.zeros((), bool))
 
     @property
