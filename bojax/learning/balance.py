@@ -21,7 +21,14 @@ def best_action(
     scores = q + kappa * u
     if ties == "first":
         return jnp.argmax(scores).astype(jnp.int32)
-    # One lot says which of those that are exactly the best: drawing one for each would take longer.
+    return one_of_the_best(jax.random.uniform(key, (), scores.dtype), scores)
+
+
+def one_of_the_best(lot: Float[Array, ""], scores: Float[Array, "A"]) -> Int[Array, ""]:
+    """Index of one of those scores that are exactly the greatest: which one is up to a lot in [0, 1).
+
+    A lot of 0 takes the first, and a uniform lot each of them alike.
+    """
     rank = jnp.cumsum(scores == jnp.max(scores), dtype=jnp.int32)
-    chosen = (jax.random.uniform(key, (), scores.dtype) * rank[-1].astype(scores.dtype)).astype(jnp.int32)
-    return jnp.argmax(rank > chosen).astype(jnp.int32)
+    chosen = (lot * rank[-1].astype(lot.dtype)).astype(jnp.int32)
+    return jnp.argmax(rank > jnp.minimum(chosen, rank[-1] - 1)).astype(jnp.int32)

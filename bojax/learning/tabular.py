@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
 from bojax.envs.spaces import Discrete, Space
-from bojax.learning.balance import Ties, best_action
+from bojax.learning.balance import Ties, best_action, one_of_the_best
 from bojax.learning.base import Balance, Experience, Learner
 from bojax.learning.exploration_rewards import ExplorationReward
 
@@ -139,7 +139,7 @@ class TabularLearner(Learner):
     @property
     def lanes_on_cpu(self) -> int:
         """See `Learner`."""
-        return 64
+        return 128
 
 
 class ExplorationValues(TabularLearner):
@@ -274,13 +274,16 @@ class EpsilonGreedy(TabularLearner):
     ) -> tuple[Int[Array, ""], Float[Array, ""]]:
         """See `Learner`."""
         row = _row(state, observation)
-        explore, choose = jax.random.split(key)
-        is_random = jax.random.uniform(explore, (), row.dtype) < self.epsilon * balance.exploration
-        none, zero = jnp.zeros_like(row[:, Q]), jnp.zeros_like(self.epsilon)
-        # Any action is the best one where all are worth the same.
-        action = best_action(choose, jnp.where(is_random, none, row[:, Q]), none, zero, "random")
-        if self.ties == "first":
-            action = jnp.where(is_random, action, best_action(choose, row[:, Q], none, zero, "first"))
+        # One lot does for both: whether to explore, and which action is taken.
+        lot = jax.random.uniform(key, (), row.dtype)
+        share = self.epsilon * balance.exploration
+        is_random = lot < share
+        # What is left of the lot is uniform again; a share of 0 or 1 leaves one of the cases alone.
+        of_random = lot / jnp.where(share > 0.0, share, 1.0)
+        of_best = (lot - share) / jnp.where(share < 1.0, 1.0 - share, 1.0)
+        of_best = jnp.zeros_like(lot) if self.ties == "first" else of_best
+        scores = jnp.where(is_random, 0.0, row[:, Q])  # any action is the best one of equals
+        action = one_of_the_best(jnp.where(is_random, of_random, of_best), scores)
         return action, row[action, Q]
 
     def lesson(

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bojax.learning.balance import best_action
+from bojax.learning.balance import best_action, one_of_the_best
 
 
 def choices(q, u, kappa, ties, draws=3000):
@@ -34,8 +34,8 @@ def test_all_best_actions_are_equally_likely_and_no_other_is_taken():
 
 @pytest.mark.parametrize("num", [1, 2, 3, 6, 17, 1000])
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
-def test_the_greatest_lot_takes_the_last_of_the_best_actions(monkeypatch, num, dtype):
-    greatest = jnp.nextafter(jnp.ones((), dtype), jnp.zeros((), dtype))
-    monkeypatch.setattr(jax.random, "uniform", lambda key, shape, dtype: greatest)
-    zeros = jnp.zeros(num, dtype)
-    assert int(best_action(jax.random.key(0), zeros, zeros, jnp.ones((), dtype))) == num - 1
+def test_lots_span_the_best_actions_from_first_to_last(num, dtype):
+    scores = jnp.zeros(2 * num, dtype).at[::2].set(-1.0)  # every second one is a best one
+    least, greatest = jnp.zeros((), dtype), jnp.nextafter(jnp.ones((), dtype), jnp.zeros((), dtype))
+    assert int(one_of_the_best(least, scores)) == 1
+    assert int(one_of_the_best(greatest, scores)) == 2 * num - 1
