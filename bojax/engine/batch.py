@@ -18,11 +18,14 @@ from jaxtyping import Array, Bool, Int, Key, PyTree
 from bojax.engine.devices import DEVICES
 from bojax.engine.groups import StaticGroup
 from bojax.engine.protocol import VALID, check_advance, check_init, check_records, check_summary
-from bojax.experiments.base import Carry
+from bojax.experiments.base import Carry, Experiment, Records
 from bojax.numerics.lanes import LANES
 
 compile_counts: Counter[str] = Counter()
 """Number of XLA compilations of the engine in this process, by program."""
+
+BY_LANE, SAME = PartitionSpec(DEVICES), PartitionSpec()
+"""How arrays lie on the devices: cut along the lanes, or whole on each."""
 
 
 class Lanes(NamedTuple):
@@ -59,24 +62,23 @@ class Compiled:
         start = time.perf_counter()
         self.num_lanes = lanes_per_device * mesh.size
         self._group = group
-        self._by_lane = NamedSharding(mesh, PartitionSpec(DEVICES))
-        everywhere = NamedSharding(mesh, PartitionSpec())
+        self._by_lane = NamedSharding(mesh, BY_LANE)
+        everywhere = NamedSharding(mesh, SAME)
         self._key = jax.device_put(jax.random.key(seed), everywhere)
         self._shared = jax.device_put(group.shared, everywhere)
         one_point = np.zeros(self.num_lanes, dtype=np.int32)
         lanes = self.place(one_point, one_point, np.ones(self.num_lanes, dtype=bool))
 
-        by_lane, same = PartitionSpec(DEVICES), PartitionSpec()
         compiled = partial(_compile, mesh=mesh)
         init = partial(_init, group)
         carry = jax.eval_shape(init, self._key, lanes, self._shared)
         self.carry_structure = jax.tree.map(
             lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=self._by_lane), carry
         )
-        self._init = compiled(init, (same, by_lane, same), self._key, lanes, self._shared)
+        self._init = compiled(init, (SAME, BY_LANE, SAME), self._key, lanes, self._shared)
         inputs = (self.carry_structure, lanes, self._shared)
-        specs = (by_lane, by_lane, same)
-        self._advance = compiled(partial(_advance, group), specs, *inputs, donate=True)
+        specs = (BY_LANE, BY_LANE, SAME)
+        self._advance = self._compile_advance(compiled, specs, *inputs)
         self._summary = compiled(partial(_summary, group), specs, *inputs)
         snapshot = partial(_snapshot, group)
         has_snapshot = snapshots and bool(jax.tree.leaves(jax.eval_shape(snapshot, *inputs)))
@@ -84,6 +86,9 @@ class Compiled:
 
         self.max_advances = group.experiment(lanes.swept, self._shared).max_advances
         self.compile_seconds = time.perf_counter() - start
+
+    def _compile_advance(self, compiled: Callable, specs: tuple, *inputs: Any) -> Any:
+        return compiled(partial(_advance, self._group), specs, *inputs, donate=True)
 
     def place(self, positions: np.ndarray, runs: np.ndarray, is_real: np.ndarray) -> Lanes:
         """Put the inputs of `num_lanes` lanes on the devices; `positions` are those of their points."""
@@ -136,20 +141,28 @@ def _init(group: StaticGroup, key: Key[Array, ""], lanes: Lanes, shared: PyTree)
 def _advance(group: StaticGroup, carry: Carry, lanes: Lanes, shared: PyTree):
     def one(carry, is_real, swept):
         experiment = group.experiment(swept, shared)
-        after, records = experiment.advance(carry)
-        check_advance(experiment, carry, after)
-        check_records(experiment, records.tables)
-        tables = {
-            name: {**columns, VALID: columns[VALID] & is_real} for name, columns in records.tables.items()
-        }
-        return after, tables, experiment.is_done(after), records.active_steps
+        return outcome(experiment, carry, *experiment.advance(carry), is_real)
 
     carry, tables, is_done, active_steps = jax.vmap(one, axis_name=LANES)(carry, lanes.is_real, lanes.swept)
-    status = Status(
-        remaining=jnp.sum(~is_done & lanes.is_real, keepdims=True),
-        active_steps=jnp.sum(jnp.where(lanes.is_real, active_steps, 0), keepdims=True),
+    return carry, tables, total(is_done, active_steps, lanes.is_real)
+
+
+def outcome(experiment: Experiment, before: Carry, after: Carry, records: Records, is_real: Bool[Array, ""]):
+    """What an advance of one lane led to, checked: carry, tables, whether it is done, steps made."""
+    check_advance(experiment, before, after)
+    check_records(experiment, records.tables)
+    tables = {name: {**columns, VALID: columns[VALID] & is_real} for name, columns in records.tables.items()}
+    return after, tables, experiment.is_done(after), records.active_steps
+
+
+def total(
+    is_done: Bool[Array, " lanes"], active_steps: Int[Array, " lanes"], is_real: Bool[Array, " lanes"]
+) -> Status:
+    """The status of some lanes."""
+    return Status(
+        remaining=jnp.sum(~is_done & is_real, keepdims=True),
+        active_steps=jnp.sum(jnp.where(is_real, active_steps, 0), keepdims=True),
     )
-    return carry, tables, status
 
 
 def _summary(group: StaticGroup, carry: Carry, lanes: Lanes, shared: PyTree) -> dict[str, Array]:
@@ -173,9 +186,7 @@ def _compile(function: Callable, in_specs: tuple, *inputs: Any, mesh: Mesh, dona
     """Compile for inputs of exactly these shapes and shardings: any other input raises when called."""
     # A replicated constant and a lane's value may meet in an experiment's loop carry: no need to tell
     # them apart, since nothing is communicated.
-    sharded = jax.shard_map(
-        function, mesh=mesh, in_specs=in_specs, out_specs=PartitionSpec(DEVICES), check_vma=False
-    )
+    sharded = jax.shard_map(function, mesh=mesh, in_specs=in_specs, out_specs=BY_LANE, check_vma=False)
     program = jax.jit(sharded, donate_argnums=0 if donate else ()).lower(*inputs).compile()
     compile_counts[function.func.__name__.lstrip("_")] += 1  # type: ignore[attr-defined]
     return program

@@ -13,6 +13,7 @@ from bojax.engine.chunks import Chunk, cut
 from bojax.engine.devices import LANES_ON_ACCELERATOR, choose_lanes, find_devices, make_mesh, prepare
 from bojax.engine.errors import FAILURE, EngineError, out_of_memory
 from bojax.engine.groups import StaticGroup, static_groups
+from bojax.engine.hosted import Hosted
 from bojax.engine.latency import measure_latency
 from bojax.engine.manifest import describe_chunk, describe_group, describe_sweep, timings
 from bojax.engine.plan import make_plan
@@ -170,7 +171,8 @@ class SweepRun:
         engine, recorded = self._sweep.engine, self._sweep.record.runs
         progress.compiling(self._name(group))
         mesh, lanes = make_mesh(self._devices), self._lanes[group.index]
-        program = Compiled(group, mesh, lanes, self._sweep.seed, snapshots=recorded > 0)
+        make = Hosted if self._modules[group.points[0]].is_hosted else Compiled
+        program = make(group, mesh, lanes, self._sweep.seed, snapshots=recorded > 0)
         progress.compiled(self._name(group), program.compile_seconds)
         self._facts[group.index]["compile_seconds"] += program.compile_seconds
         self._folder.note("groups", self._facts)
@@ -209,7 +211,7 @@ class SweepRun:
         firsts = {(point.label, point.variant): point.index for point in reversed(self._sweep.points)}
         for group in self.groups:
             points = sorted(set(group.points) & set(firsts.values()))
-            if not points or self._stop:
+            if not points or self._stop or self._modules[points[0]].is_hosted:
                 continue
             progress.timing(self._name(group))
             try:

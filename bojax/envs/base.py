@@ -1,7 +1,7 @@
 """The protocol of an environment: what a learner acts in."""
 
 import abc
-from typing import Any, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 import equinox as eqx
 from jaxtyping import Array, Bool, Float, Key
@@ -42,7 +42,10 @@ class Env(eqx.Module):
 
     Attributes:
         max_steps: Steps after which an episode is cut off; a time limit, no absorbing state.
+        is_hosted: Whether it steps on the host, one object for each lane, and cannot be compiled.
     """
+
+    is_hosted: ClassVar[bool] = False
 
     max_steps: eqx.AbstractVar[int]
 

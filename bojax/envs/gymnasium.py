@@ -5,7 +5,7 @@ import math
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import equinox as eqx
 import jax
@@ -99,6 +99,8 @@ class HostEnv(Env):
         observations: Space of observations.
         actions: Space of actions.
     """
+
+    is_hosted: ClassVar[bool] = True
 
     low: Float[Array, "..."] | None
     high: Float[Array, "..."] | None

@@ -46,6 +46,11 @@ class Experiment(eqx.Module):
         return frozenset()
 
     @property
+    def is_hosted(self) -> bool:
+        """Whether something of it steps on the host: then it cannot be compiled whole."""
+        return False
+
+    @property
     def lanes_on_cpu(self) -> int:
         """Most lanes per device of a CPU where the config says nothing.
 

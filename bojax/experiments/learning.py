@@ -22,6 +22,9 @@ from bojax.results.schema import Column, Table
 PHASES = ("train", "test")
 """What an episode is for; the column `phase` holds the place in this list until it is stored."""
 
+_SLACK = 1e-4
+"""How far beyond its bounds an observation counts as outside, in units of their range: more than rounding."""
+
 
 class Trial(eqx.Module):
     """One episode on its way.
@@ -37,6 +40,7 @@ class Trial(eqx.Module):
         truncated: It was cut off.
         success: The goal was reached.
         failed: The environment returned a number that is none.
+        outside: Steps that led to an observation outside the declared bounds.
         steps: Every step, a row of numbers for each (see `_pack`): one write a step, where an array for each
             part would be six. T is 0 in a test.
     """
@@ -51,6 +55,7 @@ class Trial(eqx.Module):
     truncated: Bool[Array, ""]
     success: Bool[Array, ""]
     failed: Bool[Array, ""]
+    outside: Int[Array, ""]
     steps: Float[Array, "T R"]
 
 
@@ -62,6 +67,7 @@ class Run(eqx.Module):
         learner: What has been learned.
         episode: Training episodes done.
         steps: Training steps made.
+        outside: Of these, the ones that led to an observation outside the declared bounds.
         is_done: The run is over.
         last_return: Return of the last training episode.
         episodes_to_goal: Training episodes up to the first with success, that one included; -1 before.
@@ -77,6 +83,7 @@ class Run(eqx.Module):
     learner: LearnerState
     episode: Int[Array, ""]
     steps: Int[Array, ""]
+    outside: Int[Array, ""]
     is_done: Bool[Array, ""]
     last_return: Float[Array, ""]
     episodes_to_goal: Int[Array, ""]
@@ -141,6 +148,11 @@ class LearningRun(Experiment):
         return frozenset({"steps"})
 
     @property
+    def is_hosted(self) -> bool:
+        """See `Experiment`."""
+        return self.env.is_hosted
+
+    @property
     def lanes_on_cpu(self) -> int:
         """See `Experiment`."""
         return self.learner.lanes_on_cpu
@@ -164,6 +176,7 @@ class LearningRun(Experiment):
             learner=learner,
             episode=zero,
             steps=zero,
+            outside=zero,
             is_done=jnp.zeros((), bool),
             last_return=number,
             episodes_to_goal=never,
@@ -210,6 +223,7 @@ class LearningRun(Experiment):
             "success": carry.episodes_to_goal >= 0,
             "episodes": carry.episode,
             "steps": carry.steps,
+            "outside": carry.outside,
             "episodes_to_goal": carry.episodes_to_goal,
             "steps_to_goal": carry.steps_to_goal,
         }
@@ -255,6 +269,7 @@ class LearningRun(Experiment):
             truncated=false,
             success=false,
             failed=false,
+            outside=jnp.zeros((), jnp.int32),
             steps=jnp.zeros((0 if is_test else length, width), self._dtype),
         )
 
@@ -271,12 +286,11 @@ class LearningRun(Experiment):
         keys = jax.vmap(lambda counter: jax.random.fold_in(key, counter))(counters)
         return jax.random.key_data(keys.reshape(-1, 3))
 
-    def take(
-        self,
-        trial: Trial,
-        transition: Transition,
-        env: EnvState,
-    ) -> tuple[Trial, Bool[Array, ""]]:
+    def reset_key(self, carry: Run, number: Int[Array, ""] | int) -> Key[Array, ""]:
+        """Key of the state from which an episode starts."""
+        return jax.random.fold_in(self._key(carry, number), 0)
+
+    def take(self, trial: Trial, transition: Transition, env: EnvState) -> tuple[Trial, Bool[Array, ""]]:
         """What a transition means for an episode, and whether it counts and is a number."""
         numbers = jnp.append(jnp.ravel(transition.observation).astype(self._dtype), transition.reward)
         is_sound = jnp.all(jnp.isfinite(numbers))
@@ -299,6 +313,7 @@ class LearningRun(Experiment):
             truncated=trial.truncated | truncated,
             success=trial.success | (counts & transition.success),
             failed=trial.failed | fails,
+            outside=trial.outside + (counts & self._is_outside(transition.observation)).astype(jnp.int32),
             steps=trial.steps,
         )
         return after, counts
@@ -333,7 +348,7 @@ class LearningRun(Experiment):
 
     def end_episode(self, carry: Run, trial: Trial, balance: Balance) -> LearnerState:
         """What the learner makes of a whole training episode."""
-        key = jax.random.fold_in(self._key(carry, 0), 1)
+        key = self._key(carry, self.tests + 1)  # after those of the tests
         balance = Balance(balance.exploration, balance.is_learning & (trial.length > 0))
         episode = Episode(self._unpack(trial.steps)[0], trial.length)
         return self.learner.end_episode(key, trial.learner, episode, balance)
@@ -386,6 +401,7 @@ class LearningRun(Experiment):
             learner=learner,
             episode=episode,
             steps=steps,
+            outside=carry.outside + trial.outside,
             is_done=carry.is_done | done,
             last_return=jnp.where(active, trial.total, carry.last_return),
             episodes_to_goal=episodes_to_goal,
@@ -431,8 +447,15 @@ class LearningRun(Experiment):
         return self.test_row(carry, trial)
 
     def _reset(self, carry: Run, number: Int[Array, ""] | int) -> tuple[EnvState, Observation]:
-        env = self.env.reset(jax.random.fold_in(self._key(carry, number), 0))
+        env = self.env.reset(self.reset_key(carry, number))
         return env, self.env.observe(env)
+
+    def _is_outside(self, observation: Observation) -> Bool[Array, ""]:
+        space = self.env.observation_space
+        if not isinstance(space, Box):
+            return (observation < 0) | (observation >= space.num)
+        unit = space.to_unit(observation)
+        return jnp.any((unit < -_SLACK) | (unit > 1.0 + _SLACK))
 
     def _pack(self, step: Experience, expected: Float[Array, ""]) -> Float[Array, "R"]:
         """A step as a row of numbers; whole numbers below 2^24 stay exact."""
@@ -530,6 +553,7 @@ _RUN_COLUMNS: Table = (
     Column("success", "bool", "", "the goal was reached in a training episode"),
     Column("episodes", "int32", "", "training episodes"),
     Column("steps", "int32", "", "steps of all training episodes"),
+    Column("outside", "int32", "", "training steps to an observation outside the declared bounds"),
     Column("episodes_to_goal", "int32", "", "training episodes up to the first success", nullable=True),
     Column("steps_to_goal", "int32", "", "training steps up to the first success", nullable=True),
 )
