@@ -138,7 +138,7 @@ class TabularLearner(Learner):
 
     @property
     def lanes_on_cpu(self) -> int:
-        """See `Learner`: all 200 runs of a point on two cores go together, and none waits for another point."""
+        """See `Learner`: 200 runs of a point fill two cores, and none waits for another point."""
         return 100
 
 
