@@ -19,7 +19,8 @@ def save(path: Path, tree: PyTree[Array]) -> None:
         ResultsError: it could not be written.
     """
     ocp = _orbax()
-    leaves = {_name(i): _plain(leaf) for i, leaf in enumerate(jax.tree.leaves(tree))}
+    # Orbax refuses arrays without a number; there is nothing in them to keep.
+    leaves = {_name(i): _plain(leaf) for i, leaf in enumerate(jax.tree.leaves(tree)) if leaf.size}
     try:
         with _quiet():
             ocp.save(str(path.resolve()), leaves, overwrite=True)
@@ -39,10 +40,10 @@ def restore(path: Path, structure: PyTree[jax.ShapeDtypeStruct]) -> PyTree[Array
     """
     ocp = _orbax()
     target, treedef = jax.tree.flatten(structure)
-    plain = {_name(i): jax.eval_shape(_plain, leaf) for i, leaf in enumerate(target)}
+    plain = {i: jax.eval_shape(_plain, leaf) for i, leaf in enumerate(target) if leaf.size}
     plain = {
-        name: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=target[i].sharding)
-        for i, (name, leaf) in enumerate(plain.items())
+        _name(i): jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=target[i].sharding)
+        for i, leaf in plain.items()
     }
     try:
         with _quiet():
@@ -52,7 +53,12 @@ def restore(path: Path, structure: PyTree[jax.ShapeDtypeStruct]) -> PyTree[Array
             f"{path}: the checkpoint cannot be read ({one_line(error)}): delete the folder {path.parent} "
             "and resume to compute this chunk again"
         ) from error
-    restored = [_typed(leaves[_name(i)], leaf) for i, leaf in enumerate(target)]
+    restored = [
+        _typed(leaves[_name(i)], leaf)
+        if leaf.size
+        else jnp.empty(leaf.shape, leaf.dtype, device=leaf.sharding)
+        for i, leaf in enumerate(target)
+    ]
     return jax.tree.unflatten(treedef, restored)
 
 

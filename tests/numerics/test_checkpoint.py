@@ -50,6 +50,19 @@ def test_a_restored_carry_goes_on(tmp_path, program, carry):
     assert bits(found.position) == bits(expected.position)
 
 
+def test_an_array_without_a_number_comes_back(tmp_path):
+    tree = {"none": jnp.zeros((0, 3)), "keys": jax.random.split(jax.random.key(0), 0), "some": jnp.arange(2)}
+    checkpoint.save(tmp_path / "one", tree)
+    structure = jax.tree.map(
+        lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=leaf.sharding), tree
+    )
+    restored = checkpoint.restore(tmp_path / "one", structure)
+    assert {name: (leaf.shape, leaf.dtype) for name, leaf in restored.items()} == {
+        name: (leaf.shape, leaf.dtype) for name, leaf in tree.items()
+    }
+    assert bits(restored["some"]) == bits(tree["some"])
+
+
 def test_missing(tmp_path, program):
     with pytest.raises(ResultsError, match="cannot be read") as error:
         checkpoint.restore(tmp_path / "none", program.carry_structure)
