@@ -1,0 +1,90 @@
+"""Training from Python gives what a sweep writes, and a policy that does what was learned."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bojax.config.envs import MountainCar
+from bojax.config.errors import ConfigError
+from bojax.config.learners import EMUQ, RandomFourierFeatures
+from bojax.config.schedules import Budget
+from bojax.config.sweep import load_config
+from bojax.config.tabular import AdditiveRewards, Chain
+from bojax.engine.build import build
+from bojax.engine.run import run_sweep
+from bojax.engine.training import train
+from bojax.results.store import read_table
+from tests.learning.probes import Bandit
+
+CHAIN = {"kind": "chain", "length": 4, "max_length": 4, "max_steps": 40}
+HOW = {"episodes": 3, "seed": 5, "tests": 1, "dtype": "float64"}
+
+
+@pytest.fixture(scope="module")
+def trained():
+    return train(CHAIN, "additive", runs=3, schedule={"kind": "budget", "episodes": 2}, **HOW)
+
+
+def test_it_is_the_run_of_a_config(trained, tmp_path):
+    config = tmp_path / "config.yaml"
+    config.write_text(
+        "{experiment: learning, env: {kind: chain, length: 4, max_length: 4, max_steps: 40}, "
+        "learner: additive, episodes: 3, tests: 1, runs: 3, seed: 5, dtype: float64, schedule: {kind: budget, episodes: 2}, "
+        "engine: {latency: false}}"
+    )
+    assert run_sweep(load_config(str(config)), tmp_path / "out", False, ["bojax"]) == 0
+    for name, table in (("runs", trained.runs), ("episodes", trained.episodes)):
+        written = read_table(tmp_path / "out" / f"{name}.parquet", table.column_names)
+        assert table.num_rows == {"runs": 3, "episodes": 18}[name]
+        assert written.cast(table.schema).equals(table)
+
+
+def test_parts_are_modules_or_settings_and_a_run_does_not_depend_on_the_others(trained):
+    env = build(Chain(length=4, max_length=4, max_steps=40))
+    alone = train(env, build(AdditiveRewards()), schedule=Budget(episodes=2), **HOW)
+    assert alone.episodes.num_rows == 6
+    assert alone.episodes.equals(trained.episodes.slice(0, 6))
+    np.testing.assert_allclose(alone.learned.columns[0], trained.learned.columns[0], atol=1e-12)
+
+
+def test_it_stops_at_the_first_success():
+    trained = train(CHAIN, "epsilon-greedy", episodes=50, runs=4, stop="first-success")
+    assert trained.runs["episodes"].equals(trained.runs["episodes_to_goal"])
+    assert trained.runs["success"].to_pylist() == [True] * 4
+
+
+def test_the_policy_exploits():
+    bandit = Bandit(jnp.asarray([-1.0, 1.0], jnp.float32))
+    trained = train(bandit, {"kind": "epsilon-greedy", "epsilon": 1.0}, episodes=20, runs=2)
+    for run in range(2):
+        policy = trained.policy(run)
+        assert [int(policy(0)) for _ in range(10)] == [1] * 10
+
+
+def test_the_policy_of_a_box_takes_plain_numbers():
+    learner = EMUQ(features=RandomFourierFeatures(num_features=16))
+    trained = train(MountainCar(max_steps=20), learner, episodes=1)
+    policy, again = trained.policy(), trained.policy()
+    actions = [policy([-0.5, 0.0]) for _ in range(3)]
+    assert all(action.shape == (1,) and abs(action[0]) <= 1.0 for action in actions)
+    assert np.array_equal(actions[0], again(np.array([-0.5, 0.0], np.float64)))
+    assert not np.array_equal(actions[0], actions[1])  # the candidates are drawn anew
+    state = jax.tree.map(lambda leaf: leaf[0], trained.learned)
+    assert len(state.memory.rewards) == 0
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "message"),
+    [
+        ({"episodes": 0}, ValueError, "episodes: got 0"),
+        ({"runs": 0}, ValueError, "runs: got 0"),
+        ({"env": "mountain"}, ConfigError, "env: .*mountain"),
+        ({"learner": {"kind": "additive", "zeta": 1}}, ConfigError, "learner.zeta: unknown key"),
+        ({"learner": "additive", "env": "mountain-car"}, ValueError, "Discrete"),
+        ({"env": "my_env:Puck"}, ConfigError, "env"),
+    ],
+)
+def test_mistakes_are_refused(given, error, message):
+    with pytest.raises(error, match=message):
+        train(**{"env": "chain", "learner": "additive", "episodes": 1} | given)
