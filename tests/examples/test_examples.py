@@ -31,6 +31,9 @@ CHECKS: dict[str, Callable[[dict[str, list[float]]], bool]] = {
     ),
     "linear_models.py": lambda of: np.allclose(of["one by one"], of["batch"], rtol=1e-5),
     "my_field.py": lambda of: max(of["RMSE"]) < 0.4,
+    "train_emu_q.py": lambda of: (
+        max(of["episodes to the goal"]) <= 5 and of["steps of what run 0 has learned"][0] < 300
+    ),
     "plan_once.py": lambda of: len(of[""]) == 31,
 }
 """What has to be true of the numbers that an example prints, by the words before them."""
@@ -50,6 +53,8 @@ def test_a_command_of_the_pages_runs(words, tmp_path):
     environment = {**os.environ, **cache, "PYTHONDONTWRITEBYTECODE": "1"}
     ran = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300)
     assert ran.returncode == 0, ran.stderr
+    if (tmp_path / "out" / "learners").exists():
+        _evaluate(tmp_path, environment)
     if words[0] == "python":
         assert "nan" not in ran.stdout
         assert CHECKS[words[1]](_numbers(ran.stdout)), ran.stdout
@@ -61,9 +66,18 @@ def test_a_command_of_the_pages_runs(words, tmp_path):
     assert (tmp_path / "out" / "report.html").exists()
 
 
+def _evaluate(folder, environment) -> None:
+    """What was learned runs like any other config, and explores no more."""
+    command = [sys.executable, "-m", "bojax", "run", "out/learners/0-0", "episodes=3", "--out", "again"]
+    ran = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300)
+    assert ran.returncode == 0, ran.stderr
+    episodes = read_table(folder / "again" / "episodes.parquet")
+    assert episodes["kappa"].to_pylist() == [0.0] * 3
+
+
 def _tiny(words: list[str]) -> tuple[str, ...]:
     """Budgets for a command: a planner that does not search has no depth, and a learner no planner."""
-    if any("my_env" in word for word in words):
+    if any(name in word for word in words for name in ("my_env", "my_learner", "my_gym_env")):
         return ("episodes=2", "env.max_steps=40", *TINY[2:])
     return TINY[1:] if any("my_planner" in word for word in words) else TINY
 

@@ -3,6 +3,7 @@
 import re
 from functools import reduce
 from operator import attrgetter
+from pathlib import Path
 
 import pytest
 import yaml
@@ -12,13 +13,15 @@ from bojax.config import catalog
 from bojax.config.claims import Agrees, Growth, Mean, Order, Ratio, Share, Similar, Trend, Window
 from bojax.config.component import registry
 from bojax.config.describe import settings_of
-from bojax.config.experiments import Planning
+from bojax.config.experiments import Learning, Planning
+from bojax.config.files import EXPERIMENT
 from bojax.config.places import look_up
 from bojax.config.problems import FieldProblem
 from bojax.config.settings import EngineConfig, Settings
 from bojax.config.sweep import Report, SweepFile, load_config, load_sweep
 from bojax.engine.build import build
 from bojax.engine.manifest import timings
+from bojax.engine.runner import evaluation
 from bojax.report.figures import FIGURES
 from tests.examples.pages import PAGES, ROOT, blocks, commands, links
 
@@ -49,14 +52,20 @@ def test_links_lead_somewhere(page):
 
 
 @pytest.mark.parametrize(("page", "words"), COMMANDS, ids=[" ".join(words) for _, words in COMMANDS])
-def test_a_command_is_understood(page, words, monkeypatch, capsys):
-    """Up to the point where a sweep would be run."""
+def test_a_command_is_understood(page, words, monkeypatch, capsys, tmp_path):
+    """Up to the point where a sweep would be run; the learner that is evaluated is one of mountain car."""
     asked = []
     monkeypatch.setattr("bojax.cli.running._run", lambda sweeps, *_: asked.extend(sweeps) or 0)
     monkeypatch.setattr("bojax.cli.reporting.main", lambda *_: 0)
     monkeypatch.setattr("bojax.cli.rendering.main", lambda *_: 0)
     monkeypatch.setattr("bojax.cli.doctor.main", lambda *_: 0)
     monkeypatch.chdir(ROOT / "examples" if any("my_" in word for word in words) else ROOT)
+    for word in words:
+        if "/learners/" in word:
+            monkeypatch.chdir(tmp_path)
+            Path(word).mkdir(parents=True)
+            config = load_config("mountain-car").points[0].config.model_dump(mode="json")
+            Path(word, EXPERIMENT).write_text(yaml.safe_dump(evaluation(config)))
     assert cli.main(words[1:]) == 0, capsys.readouterr().err
     assert asked or words[1] not in ("run", "sweep")
 
@@ -78,7 +87,7 @@ def test_the_configuration_page_names_every_key():
 
 
 def test_the_configuration_page_shows_files_that_load(tmp_path):
-    experiment, kernel, axes, claims = (
+    experiment, kernel, learning, axes, claims = (
         yaml.safe_load(c) for k, c, _ in blocks(DOCS / "configuration.md") if k == "yaml"
     )
     path = tmp_path / "shown.yaml"
@@ -86,9 +95,32 @@ def test_the_configuration_page_shows_files_that_load(tmp_path):
     assert load_config(str(path)).points[0].config.planner.motions.turn_angle == 1.0
     path.write_text(yaml.safe_dump(kernel))
     assert load_config(str(path)).points[0].config.problem.kernel.first.kernel.lengthscale == (1.0, 2.0)
+    path.write_text(yaml.safe_dump(learning))
+    shown = load_config(str(path))
+    assert shown.record.learners and shown.points[0].config.schedule.episodes == 30
     path.write_text(yaml.safe_dump({"base": "parking"} | axes | claims))
     sweep = load_sweep(str(path))
     assert [point.variant for point in sweep.points[::2]] == ["kcbts", "patient", "sbo-17"]
+
+
+def test_the_configuration_page_tells_the_settings_of_learning():
+    """Those of the experiment, of schedules and of tabular environments, with their defaults."""
+    text = (DOCS / "configuration.md").read_text().partition("### Learning\n")[2].partition("\n### ")[0]
+    told = {}
+    for cells in (row.split("|")[1:-1] for row in re.findall(r"^\| `.+$", text, re.MULTILINE)):
+        name, *kinds = re.findall(r"`([^`]+)`", " ".join(cells[:-2]))
+        if "all three" in cells[1]:
+            kinds = ["cliff-walking", "taxi", "chain"]
+        told |= {(kind, name): cells[-2].strip(" `") for kind in kinds or ["learning"]}
+    schemas = {"learning": Learning} | catalog.kinds("schedule")
+    schemas |= {kind: schema for kind, schema in catalog.kinds("env").items() if kind in ("taxi", "chain")}
+    schemas["cliff-walking"] = catalog.kinds("env")["cliff-walking"]
+    assert told == {
+        (kind, name): "required" if field.is_required() else _cell(field.default)
+        for kind, schema in schemas.items()
+        for name, field in schema.model_fields.items()
+        if name != "kind"
+    }
 
 
 def test_the_results_page_names_every_column():
@@ -134,6 +166,9 @@ def _cell(value) -> str:
     """A default as the page writes it."""
     if isinstance(value, tuple):
         return f"[{', '.join(map(_cell, value))}]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    value = getattr(value, "kind", value)  # a part
     return "null" if value is None else value if isinstance(value, str) else f"{value:g}"
 
 
