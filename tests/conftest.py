@@ -18,7 +18,18 @@ STRICT = {
     "jax_debug_key_reuse": True,
     "jax_num_cpu_devices": 2,
 }
-CHECKED = ("numerics", "models", "acquisition", "motions", "problems", "planning", "experiments", "engine")
+CHECKED = (
+    "numerics",
+    "models",
+    "acquisition",
+    "motions",
+    "problems",
+    "planning",
+    "envs",
+    "learning",
+    "experiments",
+    "engine",
+)
 """Packages whose annotations, shapes included, are checked at every call."""
 
 for flag, value in STRICT.items():

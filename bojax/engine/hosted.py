@@ -29,9 +29,13 @@ class Hosted(Compiled):
         super().__init__(group, mesh, lanes_per_device, seed, snapshots=snapshots)
         run = group.experiment(group.swept_at(np.asarray(0)), group.shared)
         assert isinstance(run, LearningRun)
-        self._env: Any = run.env
-        self._vector = self._env.make_vector(self.num_lanes)
         self._num_tests, self._block = run.tests, run.learner.block
+        self._open(run)
+
+    def _open(self, run: LearningRun) -> None:
+        self._env: Any = run.env
+        self._dtype = run.learner.exploration_weight.dtype
+        self._vector = self._env.make_vector(self.num_lanes)
 
     def advance(self, carry: Carry, lanes: Lanes) -> tuple[Carry, dict[str, dict[str, Array]], Status]:
         """One episode of every lane, with its tests."""
@@ -116,7 +120,7 @@ class Hosted(Compiled):
         """Something of every lane, on the devices, in the precision of the learner."""
         values = np.asarray(values)
         if values.dtype.kind == "f":
-            values = values.astype(self._env.success_reward.dtype)
+            values = values.astype(self._dtype)
         elif values.dtype.kind in "iu":
             values = values.astype(np.int32)
         return jax.device_put(values, self._by_lane)

@@ -1,0 +1,171 @@
+"""Environments that step on the host: the same learning run, driven from outside."""
+
+import json
+
+import jax
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from bojax.config.envs import Gymnasium
+from bojax.config.experiments import Learning
+from bojax.config.settings import EngineConfig, Record
+from bojax.config.sweep import Point, Sweep
+from bojax.config.tabular import EpsilonGreedy
+from bojax.engine.batch import Compiled
+from bojax.engine.build import build
+from bojax.engine.devices import make_mesh
+from bojax.engine.groups import static_groups
+from bojax.engine.hosted import Hosted
+from bojax.engine.run import run_sweep
+
+GRID = Gymnasium(id="tests.engine.test_hosted:Corridor-v0", success="terminated", max_steps=12)
+
+gymnasium = pytest.importorskip("gymnasium")
+
+
+class Corridor(gymnasium.Env):
+    """Five places in a row; the last one ends the episode. What it draws follows from the seed of a reset."""
+
+    def __init__(self, breaks: str = ""):
+        self.observation_space = gymnasium.spaces.Discrete(5)
+        self.action_space = gymnasium.spaces.Discrete(2)
+        self._breaks = breaks
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self._place = int(self.np_random.integers(2))
+        return self._place, {}
+
+    def step(self, action):
+        slips = self.np_random.uniform() < 0.1
+        self._place = max(0, self._place + (1 if (action == 1) != slips else -1))
+        is_end = self._place == 4
+        reward = float("nan") if self._breaks == "reward" and self._place == 3 else float(is_end)
+        if self._breaks == "step" and self._place == 3:
+            raise RuntimeError("the motor broke")
+        return self._place, reward, is_end, False, {}
+
+
+gymnasium.register("Corridor-v0", Corridor, max_episode_steps=50)
+
+
+def sweep(runs: int = 6, **settings) -> Sweep:
+    kwargs = settings.pop("kwargs", {})
+    learner = EpsilonGreedy(epsilon=0.3, block=4)
+    env = GRID.model_copy(update={"kwargs": kwargs})
+    config = Learning(env=env, learner=learner, episodes=5, tests=2, **settings)
+    return Sweep(
+        name="corridor",
+        title="corridor",
+        points=(Point(0, config.label, config.label, {}, config),),
+        runs=runs,
+        seed=3,
+        record=Record(),
+        engine=EngineConfig(device="cpu", lanes_per_device=3),
+        report={},
+        claims=(),
+        base={},
+        source="here",
+    )
+
+
+def table(folder, name):
+    return pq.read_table(folder / f"{name}.parquet")
+
+
+def test_runs_to_the_end_and_reports_every_episode(tmp_path):
+    assert run_sweep(sweep(), tmp_path / "a", False, ["bojax"]) == 0
+    runs, episodes, steps = (table(tmp_path / "a", name) for name in ("runs", "episodes", "steps"))
+    assert runs.num_rows == 6
+    phases = episodes["phase"].to_pylist()
+    assert (phases.count("train"), phases.count("test")) == (30, 60)
+    lengths = np.asarray(episodes["length"])
+    assert lengths.min() >= 3 and lengths.max() <= 12
+    ended = np.asarray(episodes["terminated"])
+    np.testing.assert_array_equal(np.asarray(episodes["return"]) == 1.0, ended)
+    np.testing.assert_array_equal(np.asarray(episodes["truncated"]), ~ended)
+    np.testing.assert_array_equal(np.asarray(episodes["success"]), ended)
+    is_training = np.asarray([phase == "train" for phase in phases])
+    assert steps.num_rows == lengths[is_training].sum()
+    assert len(set(runs["steps"].to_pylist())) > 1  # lanes differ
+    kappa = np.asarray(episodes["kappa"])
+    np.testing.assert_allclose(kappa[is_training], 0.3, atol=1e-6)
+    np.testing.assert_array_equal(kappa[~is_training], 0.0)
+
+
+def test_the_same_seed_gives_the_same_tables(tmp_path):
+    for name in ("a", "b"):
+        assert run_sweep(sweep(), tmp_path / name, False, ["bojax"]) == 0
+    for name in ("runs", "episodes", "steps"):
+        assert table(tmp_path / "a", name).equals(table(tmp_path / "b", name))
+
+
+def test_a_number_that_is_none_ends_the_run_alone(tmp_path):
+    assert run_sweep(sweep(kwargs={"breaks": "reward"}), tmp_path / "a", False, ["bojax"]) == 0
+    runs = table(tmp_path / "a", "runs")
+    broken = np.isnan(np.asarray(runs["return"]))
+    assert broken.any()
+    np.testing.assert_array_equal(np.asarray(runs["nans"]) > 0, broken)
+
+
+def test_an_environment_that_raises_fails_its_chunk_in_one_line(tmp_path, capsys):
+    assert run_sweep(sweep(kwargs={"breaks": "step"}), tmp_path / "a", False, ["bojax"]) == 1
+    assert "the motor broke" in capsys.readouterr().err
+    chunks = json.loads((tmp_path / "a" / "manifest.json").read_text())["chunks"]
+    assert all("the motor broke" in chunk["error"] for chunk in chunks)
+
+
+def test_is_what_the_compiled_run_does():
+    """One of our environments, stepped on the host, ends in the tables of its compiled run."""
+    from bojax.config.tabular import Chain
+
+    compiled_run = build(
+        Learning(env=Chain(), learner=EpsilonGreedy(epsilon=0.3, block=4), episodes=3, tests=1), "float32"
+    )
+    mesh = make_mesh(jax.devices("cpu")[:1])
+    group = static_groups([compiled_run])[0]
+    positions, runs, is_real = np.zeros(3, np.int32), np.arange(3, dtype=np.int32), np.ones(3, bool)
+    programs = (
+        Compiled(group, mesh, 3, 0, snapshots=False),
+        OurHosted(group, mesh, 3, 0, snapshots=False),
+    )
+    ends = []
+    for program in programs:
+        lanes = program.place(positions, runs, is_real)
+        carry = program.init(lanes)
+        for _ in range(3):
+            carry, _, _ = program.advance(carry, lanes)
+        ends.append(program.summary(carry, lanes))
+    for name in ends[0]:
+        np.testing.assert_array_equal(ends[0][name], ends[1][name])
+    assert np.unique(ends[0]["steps"]).size > 1
+
+
+class OurHosted(Hosted):
+    """Steps one of our environments with the keys of the compiled run, in place of a vector environment."""
+
+    def _open(self, run):
+        self._dtype = run.learner.exploration_weight.dtype
+        self._our_reset = self._piece(lambda run, carry, number: run._reset(carry, number))
+        self._our_step = self._piece(our_step)
+
+    def _reset(self, lanes, carry, number):
+        self._now = (lanes, carry, number)
+        self._count = 0
+        self._state, observation = self._our_reset(lanes, carry, self._all(number))
+        return (observation,)
+
+    def _step(self, action):
+        lanes, carry, number = self._now
+        self._state, transition = self._our_step(
+            lanes, carry, self._state, action, self._all(self._count), self._all(number)
+        )
+        self._count += 1
+        return transition
+
+
+def our_step(run, carry, state, action, step, number):
+    slot = step % run.learner.block
+    key = jax.random.wrap_key_data(run.keys(carry, step - slot, number)[slot])[1]
+    return run.env.step(key, state, action)
