@@ -131,7 +131,8 @@ class LearningRun(Experiment):
         self.learned = None
         if self.saved is not None:
             structure = jax.eval_shape(self._fresh, jax.random.key(0))
-            self.learned = restore(Path(self.saved), structure)
+            advice = "a saved learner keeps its kind, its features and the spaces of its environment"
+            self.learned = restore(Path(self.saved), structure, advice)
 
     @property
     def tables(self) -> Mapping[str, Table]:

@@ -2,8 +2,9 @@
 
 import contextlib
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -32,34 +33,47 @@ def save(path: Path, tree: PyTree[Array]) -> None:
         raise ResultsError(f"{path}: the checkpoint cannot be written ({one_line(error)})", 1) from error
 
 
-def restore(path: Path, structure: PyTree[jax.ShapeDtypeStruct]) -> PyTree[Array]:
-    """Read a tree into the given structure, each leaf with its sharding where it has one.
+def restore(path: Path, structure: PyTree[jax.ShapeDtypeStruct], advice: str | None = None) -> PyTree[Array]:
+    """Read a tree into the given structure, each leaf with its sharding, or else on the first device.
+
+    Args:
+        path: What `save` wrote.
+        structure: Shapes, types and shardings of the leaves.
+        advice: What to do where it cannot be read, for the message; if left out, how to resume without it.
 
     Raises:
         ResultsError: it is missing, truncated, or of another structure.
     """
     ocp = _orbax()
     target, treedef = jax.tree.flatten(structure)
+    anywhere = jax.sharding.SingleDeviceSharding(jax.devices()[0])
     plain = {i: jax.eval_shape(_plain, leaf) for i, leaf in enumerate(target) if leaf.size}
     plain = {
-        _name(i): jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=target[i].sharding)
+        _name(i): jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=target[i].sharding or anywhere)
         for i, leaf in plain.items()
     }
     try:
         with _quiet():
+            _check_shapes(ocp.metadata(str(path.resolve())).metadata, plain)
             leaves = ocp.load(str(path.resolve()), plain)
     except Exception as error:
         raise ResultsError(
-            f"{path}: the checkpoint cannot be read ({one_line(error)}): delete the folder {path.parent} "
-            "and resume to compute this chunk again"
+            f"{path}: the checkpoint cannot be read ({one_line(error)}): "
+            + (advice or f"delete the folder {path.parent} and resume to compute this chunk again")
         ) from error
     restored = [
-        _typed(leaves[_name(i)], leaf)
-        if leaf.size
-        else jnp.empty(leaf.shape, leaf.dtype, device=leaf.sharding)
-        for i, leaf in enumerate(target)
+        _typed(leaves[_name(i)], leaf) if leaf.size else jnp.empty_like(leaf) for i, leaf in enumerate(target)
     ]
     return jax.tree.unflatten(treedef, restored)
+
+
+def _check_shapes(saved: Mapping[str, Any], wanted: Mapping[str, jax.ShapeDtypeStruct]) -> None:
+    """Orbax would notice as well, at a hundred lines for every leaf."""
+    if saved.keys() != wanted.keys():
+        raise ValueError(f"it has {len(saved)} arrays, not {len(wanted)}")
+    for name, leaf in wanted.items():
+        if tuple(saved[name].shape) != leaf.shape:
+            raise ValueError(f"{name} has shape {tuple(saved[name].shape)}, not {leaf.shape}")
 
 
 def _plain(leaf: Array) -> Array:

@@ -63,6 +63,16 @@ def test_an_array_without_a_number_comes_back(tmp_path):
     assert bits(restored["some"]) == bits(tree["some"])
 
 
+@pytest.mark.parametrize("shapes", [((3,), (2, 2)), ((3,),)])
+def test_another_structure_is_refused_in_a_line(tmp_path, capfd, shapes):
+    checkpoint.save(tmp_path / "one", [jnp.zeros(3), jnp.zeros((2, 3))])
+    structure = [jax.ShapeDtypeStruct(shape, jnp.float32) for shape in shapes]
+    with pytest.raises(ResultsError, match="(shape|arrays).*: choose another") as error:
+        checkpoint.restore(tmp_path / "one", structure, advice="choose another")
+    assert "\n" not in str(error.value)
+    assert capfd.readouterr() == ("", "")
+
+
 def test_missing(tmp_path, program):
     with pytest.raises(ResultsError, match="cannot be read") as error:
         checkpoint.restore(tmp_path / "none", program.carry_structure)
