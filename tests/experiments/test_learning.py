@@ -1,5 +1,6 @@
 """What a learning run promises: episodes, tests, targets, stops, keys and what is reported of them."""
 
+from functools import cache
 from typing import ClassVar
 
 import equinox as eqx
@@ -25,7 +26,7 @@ CHAIN = {"kind": "chain", "length": 4, "max_length": 6, "max_steps": 12}
 
 def run_of(env=None, dtype="float64", **settings) -> LearningRun:
     """A run on cliff walking, or on an environment that is already built."""
-    settings = {"learner": "exploration-values", "episodes": 6} | settings
+    settings = {"learner": "exploration-values", "episodes": 6, "tests": 2} | settings
     given = env if isinstance(env, dict | str) else CLIFF
     run = build(Learning(env=given, dtype=dtype, **settings), dtype)
     return run if env is given or env is None else eqx.tree_at(lambda r: r.env, run, env)
@@ -35,9 +36,7 @@ QUICKLY = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_pass
 """The programs here run for milliseconds and are compiled for seconds."""
 
 _start = jax.jit(lambda run, keys: jax.vmap(run.init, axis_name=LANES)(keys), compiler_options=QUICKLY)
-_advance = jax.jit(
-    lambda run, carry: jax.vmap(run.advance, axis_name=LANES)(carry), compiler_options=QUICKLY
-)
+_advance = jax.jit(lambda run, carry: jax.vmap(run.advance, axis_name=LANES)(carry), compiler_options=QUICKLY)
 
 
 class History:
@@ -71,6 +70,12 @@ class History:
     def summary(self, lane=0) -> dict:
         summaries = jax.vmap(self.run.summary)(self.carry)
         return {name: np.asarray(values)[lane].item() for name, values in summaries.items()}
+
+
+@cache
+def default_history() -> History:
+    """Three lanes of the run that most tests look at."""
+    return History(run_of())
 
 
 def lane_of(tree, lane):
@@ -123,10 +128,10 @@ def corridor(cells=5, max_steps=10, reward=1.0, poisoned=-1.0):
 
 
 def test_an_episode_row_says_what_its_steps_add_up_to():
-    history = History(run_of(episodes=5))
+    history = default_history()
     for lane in range(3):
-        episodes, steps = history.rows(lane=lane), history.rows("steps", lane=lane)
-        assert episodes["episode"].tolist() == [1, 2, 3, 4, 5]
+        episodes, steps = history.rows(lane=lane, phase="train"), history.rows("steps", lane=lane)
+        assert episodes["episode"].tolist() == [1, 2, 3, 4, 5, 6]
         for i, number in enumerate(episodes["episode"]):
             own = steps["episode"] == number
             assert np.sum(own) == episodes["length"][i]
@@ -138,12 +143,12 @@ def test_an_episode_row_says_what_its_steps_add_up_to():
         assert np.all(ends == 1)
         assert np.all(episodes["terminated"] == episodes["success"])
         assert np.all(episodes["length"][episodes["truncated"]] == 60)
-        assert history.active_steps[:, lane].tolist() == episodes["length"].tolist()
+        lengths = history.rows(lane=lane)["length"].reshape(6, 3)  # of an episode and its two tests
+        assert history.active_steps[:, lane].tolist() == lengths.sum(axis=1).tolist()
 
 
 def test_steps_say_where_they_were_taken_and_follow_each_other():
-    run = run_of(env={"kind": "cliff-walking", "slip": 0.0, "max_steps": 40}, episodes=2)
-    steps = History(run).rows("steps")
+    steps = History(run_of(env=CLIFF | {"slip": 0.0})).rows("steps")
     first = steps["step"] == 1
     assert np.all(steps["observation_0"][first] == 36)
     moves = np.asarray([-12, 1, 12, -1])
@@ -154,19 +159,24 @@ def test_steps_say_where_they_were_taken_and_follow_each_other():
 
 
 def test_a_time_limit_cuts_an_episode_off_and_an_end_terminates_it():
-    late = History(run_of(corridor(cells=6, max_steps=4), learner="epsilon-greedy", episodes=2), lanes=1)
+    late = History(
+        run_of(corridor(cells=6, max_steps=4), learner="epsilon-greedy", episodes=2, tests=0), lanes=1
+    )
     assert late.rows()["length"].tolist() == [4, 4]
     assert late.rows()["truncated"].all() and not late.rows()["terminated"].any()
     assert late.summary()["success"] is False and late.summary()["episodes_to_goal"] == -1
-    just = History(run_of(corridor(cells=5, max_steps=4), learner="epsilon-greedy", episodes=2), lanes=1)
+    just = History(
+        run_of(corridor(cells=5, max_steps=4), learner="epsilon-greedy", episodes=2, tests=0), lanes=1
+    )
     assert just.rows()["terminated"].all() and not just.rows()["truncated"].any()
 
 
-@pytest.mark.parametrize("block", [1, 3, 16])
-@pytest.mark.parametrize("max_steps", [1, 4])
+@pytest.mark.parametrize("block, max_steps", [(1, 4), (3, 4), (16, 1)])
 def test_no_step_is_made_past_the_limit_whatever_the_block(block, max_steps):
     learner = {"kind": "epsilon-greedy", "block": block}
-    history = History(run_of(corridor(cells=9, max_steps=max_steps), learner=learner, episodes=3), lanes=2)
+    history = History(
+        run_of(corridor(cells=9, max_steps=max_steps), learner=learner, episodes=3, tests=0), lanes=2
+    )
     assert history.rows(lane=1)["length"].tolist() == [max_steps] * 3
     assert len(history.rows("steps", lane=1)["step"]) == 3 * max_steps
     assert np.asarray(history.carry.learner.visits)[1].sum() == 3 * max_steps
@@ -174,22 +184,28 @@ def test_no_step_is_made_past_the_limit_whatever_the_block(block, max_steps):
 
 
 def test_an_episode_of_one_step():
-    history = History(run_of(corridor(cells=2), learner="epsilon-greedy", episodes=3), lanes=1)
+    history = History(run_of(corridor(cells=2), learner="epsilon-greedy", episodes=3, tests=0), lanes=1)
     assert history.rows()["length"].tolist() == [1, 1, 1]
     summary = history.summary()
     assert (summary["episodes_to_goal"], summary["steps_to_goal"], summary["return"]) == (1, 1, 1.0)
 
 
 def test_the_numbers_of_a_run_are_those_of_its_rows():
-    history = History(run_of(episodes=8, env={"kind": "cliff-walking", "max_steps": 200}))
-    for lane in range(3):
-        rows, summary = history.rows(lane=lane), history.summary(lane)
+    history = History(run_of(env=CHAIN, learner="epsilon-greedy"), lanes=8)
+    firsts = set()
+    for lane in range(8):
+        rows, summary = history.rows(lane=lane, phase="train"), history.summary(lane)
         assert summary["return"] == rows["return"][-1]
-        assert summary["episodes"] == 8 and summary["steps"] == rows["length"].sum()
+        assert summary["episodes"] == 6 and summary["steps"] == rows["length"].sum()
+        assert summary["success"] == rows["success"].any()
+        if not summary["success"]:
+            assert summary["episodes_to_goal"] == summary["steps_to_goal"] == -1
+            continue
         first = int(np.argmax(rows["success"]))
-        assert rows["success"][first]
+        firsts.add(first)
         assert summary["episodes_to_goal"] == first + 1
         assert summary["steps_to_goal"] == rows["length"][: first + 1].sum()
+    assert len(firsts) > 1
 
 
 # Schedules.
@@ -207,13 +223,14 @@ def test_the_numbers_of_a_run_are_those_of_its_rows():
 )
 def test_kappa_is_reported_as_the_schedule_has_it(schedule, expected):
     learner = {"kind": "exploration-values", "kappa": 2.0}
-    history = History(run_of(schedule=schedule, learner=learner, tests=1), lanes=1)
+    history = History(run_of(corridor(cells=2), schedule=schedule, learner=learner), lanes=1)
     assert history.rows(phase="train")["kappa"] == pytest.approx(expected)
     assert np.all(history.rows(phase="test")["kappa"] == 0.0)
 
 
 def test_nothing_is_learned_while_the_schedule_says_so():
-    history = History(run_of(schedule={"kind": "budget", "episodes": 2, "resume_after": 3}))
+    schedule = {"kind": "budget", "episodes": 2, "resume_after": 3}
+    history = History(run_of(corridor(), schedule=schedule), lanes=1)
     tables = [np.asarray(carry.learner.columns) for carry in history.carries]
     for before, after, learns in zip(tables[:-1], tables[1:], [1, 1, 0, 0, 0, 1], strict=True):
         assert np.array_equal(before, after) == (not learns)
@@ -224,7 +241,7 @@ def test_nothing_is_learned_while_the_schedule_says_so():
 
 @pytest.mark.parametrize("learner", ["exploration-values", "additive", "epsilon-greedy"])
 def test_tests_leave_the_learner_untouched(learner):
-    alone, tested = History(run_of(learner=learner)), History(run_of(learner=learner, tests=3))
+    alone, tested = (History(run_of(env=CHAIN, learner=learner, tests=number)) for number in (0, 3))
     for mine, theirs in zip(alone.carries, tested.carries, strict=True):
         assert np.array_equal(mine.learner.columns, theirs.learner.columns)
     for name, values in alone.rows(phase="train", lane=1).items():
@@ -238,9 +255,7 @@ def test_tests_leave_the_learner_untouched(learner):
 def test_tests_exploit():
     # One arm pays after a test of both; a test takes it every time, however large epsilon is.
     env = {"kind": "chain", "length": 3, "max_length": 3, "max_steps": 400}
-    run = run_of(
-        env=env, learner={"kind": "epsilon-greedy", "epsilon": 1.0, "discount": 0.9}, episodes=30, tests=2
-    )
+    run = run_of(env=env, learner={"kind": "epsilon-greedy", "epsilon": 1.0, "discount": 0.9}, episodes=30)
     history = History(run, lanes=4)
     late = [
         np.mean(history.rows(phase=phase, lane=lane)["length"][-20:])
@@ -296,7 +311,7 @@ def test_a_run_can_stop_at_its_target():
 
 
 def test_a_run_can_stop_at_its_first_success():
-    run = run_of(env=CHAIN, learner="epsilon-greedy", episodes=20, stop="first-success")
+    run = run_of(env=CHAIN, learner="epsilon-greedy", episodes=20, tests=0, stop="first-success")
     history = History(run, lanes=6)
     for lane in range(6):
         rows, summary = history.rows(lane=lane), history.summary(lane)
@@ -306,31 +321,32 @@ def test_a_run_can_stop_at_its_first_success():
 
 
 def test_a_finished_run_changes_nothing_and_reports_nothing():
-    history = History(run_of(episodes=2, tests=1), more_advances=2)
-    for mine, theirs in zip(jax.tree.leaves(history.carries[2]), jax.tree.leaves(history.carry), strict=True):
+    history = History(run_of(), more_advances=2)
+    for mine, theirs in zip(jax.tree.leaves(history.carries[6]), jax.tree.leaves(history.carry), strict=True):
         if not jnp.issubdtype(mine.dtype, jax.dtypes.prng_key):
             assert np.array_equal(mine, theirs)
-    assert history.rows()["episode"].tolist() == [1, 1, 2, 2]
-    assert np.all(history.active_steps[2:] == 0)
+    assert history.rows()["episode"].tolist() == np.repeat(np.arange(1, 7), 3).tolist()
+    assert np.all(history.active_steps[6:] == 0)
 
 
 # Lanes, keys and parameters.
 
 
-@pytest.mark.parametrize("settings", [{}, {"tests": 2}, {"stop": "first-success", "episodes": 12}])
+@pytest.mark.parametrize("settings", [{}, {"env": CHAIN, "stop": "first-success", "episodes": 12}])
 def test_a_lane_does_not_depend_on_the_others(settings):
     run = run_of(**settings)
-    keys = jax.random.split(jax.random.key(5), 4)
-    carry, alone = _start(run, keys), _start(run, keys[2:3])
+    keys, others = (jax.random.split(jax.random.key(seed), 3) for seed in (5, 6))
+    carry, same = _start(run, keys), _start(run, others.at[2].set(keys[1]))
     for _ in range(run.max_advances):
-        (carry, records), (alone, own) = _advance(run, carry), _advance(run, alone)
+        (carry, records), (same, own) = _advance(run, carry), _advance(run, same)
         for mine, theirs in zip(jax.tree.leaves(own.tables), jax.tree.leaves(records.tables), strict=True):
-            assert np.array_equal(mine[0], theirs[2], equal_nan=True)
-    assert np.array_equal(alone.learner.columns[0], carry.learner.columns[2])
+            assert np.array_equal(mine[2], theirs[1], equal_nan=True)
+    assert np.array_equal(same.learner.columns[2], carry.learner.columns[1])
+    assert not np.array_equal(same.learner.columns[0], carry.learner.columns[0])
 
 
 def test_lanes_and_episodes_differ():
-    history = History(run_of(env={"kind": "taxi", "max_steps": 40}, episodes=4, tests=2))
+    history = History(run_of(env={"kind": "taxi", "max_steps": 40}, episodes=4, tests=0))
     starts = [tuple(history.rows("steps", lane=lane)["observation_0"][::40]) for lane in range(3)]
     assert len(set(starts)) == 3
     assert all(len(set(lane)) > 1 for lane in starts)
@@ -338,7 +354,7 @@ def test_lanes_and_episodes_differ():
 
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 def test_a_run_computes_in_its_precision(dtype):
-    run = run_of(dtype=dtype, tests=1, target_return=0.0)
+    run = run_of(env=CHAIN, dtype=dtype, target_return=0.0)
     carry = _start(run, jax.random.split(jax.random.key(0), 1))
     after, records = _advance(run, carry)
     floats = {
@@ -359,7 +375,7 @@ def test_another_value_of_a_hyper_parameter_compiles_nothing():
 
     for kappa, slip, rate in ((1.0, 0.1, 0.5), (0.3, 0.0, 3.0)):
         run = run_of(
-            env={"kind": "cliff-walking", "max_steps": 60, "slip": slip},
+            env=CLIFF | {"slip": slip},
             learner={"kind": "exploration-values", "kappa": kappa, "discount": 1.0 - slip},
             schedule={"kind": "decay", "rate": rate},
         )
@@ -371,7 +387,7 @@ def test_another_value_of_a_hyper_parameter_compiles_nothing():
 
 
 def test_a_number_that_is_none_ends_the_run_and_is_counted():
-    run = run_of(corridor(cells=6, poisoned=3.0), learner="epsilon-greedy", episodes=4)
+    run = run_of(corridor(cells=6, poisoned=3.0), learner="epsilon-greedy", episodes=4, tests=0)
     history = History(run, lanes=2)
     rows = history.rows()
     assert rows["episode"].tolist() == [1] and np.isnan(rows["return"][0])
@@ -385,7 +401,7 @@ def test_a_number_that_is_none_ends_the_run_and_is_counted():
 
 
 def test_a_number_that_is_none_in_one_lane_leaves_the_others_alone():
-    sound, broken = (run_of(corridor(poisoned=p), learner="epsilon-greedy") for p in (-1.0, 2.0))
+    sound, broken = (run_of(corridor(poisoned=p), learner="epsilon-greedy", tests=0) for p in (-1.0, 2.0))
     keys = jax.random.split(jax.random.key(0), 2)
     poisoned = jnp.asarray([-1.0, 2.0])
 
@@ -402,12 +418,12 @@ def test_a_number_that_is_none_in_one_lane_leaves_the_others_alone():
 
 
 def test_maps_are_those_of_their_episodes():
-    history = History(run_of(map_episodes=(2, 5)), lanes=2)
+    history = History(run_of(env=CHAIN, map_episodes=(2, 5), tests=0), lanes=2)
     for lane in range(2):
         snapshot = history.run.snapshot(lane_of(history.carry, lane))["values"]
         assert snapshot["episodes"].tolist() == [2, 5]
         for maps, episode in zip(snapshot["maps"], (2, 5), strict=True):
-            learned, middle = lane_of(history.carries[episode].learner, lane), 2
+            learned, middle = lane_of(history.carries[episode].learner, lane), 1
             assert np.array_equal(maps[0], learned.q[:, middle])
             assert np.array_equal(maps[1], learned.u[:, middle])
     maps = np.asarray(history.run.snapshot(lane_of(history.carries[3], 0))["values"]["maps"])
@@ -415,7 +431,8 @@ def test_maps_are_those_of_their_episodes():
 
 
 def test_without_maps_nothing_is_kept():
-    assert History(run_of(episodes=1), lanes=1).carry.maps is None
+    assert default_history().carry.maps is None
+    assert default_history().run.snapshot(lane_of(default_history().carry, 0)) == {}
 
 
 class Plane(Learner):
@@ -460,7 +477,7 @@ class Square(Corridor):
 
 
 def test_a_map_of_a_box_spans_its_first_two_dimensions_at_the_middle_action():
-    run = run_of(episodes=1, map_episodes=(1,), map_resolution=4)
+    run = run_of(episodes=1, tests=0, map_episodes=(1,), map_resolution=4)
     env = Square(jnp.asarray(1.0), jnp.asarray(-1.0), 5, 10)
     run = eqx.tree_at(lambda r: (r.env, r.learner), run, (env, Plane()))
     carry, _ = _advance(run, _start(run, jax.random.split(jax.random.key(0), 1)))
