@@ -124,17 +124,23 @@ def test_the_configuration_page_tells_the_settings_of_learning():
 
 
 def test_the_results_page_names_every_column():
-    experiments = [build(load_config(name).points[0].config) for name in ("parking", "two-pits")]
-    columns = {column.name for made in experiments for table in made.tables.values() for column in table}
+    configs = [load_config(name).points[0].config for name in ("parking", "two-pits", "mountain-car")]
+    configs.append(load_sweep("table-5.1").points[0].config)
+    tables = [table for config in configs for table in build(config).tables.values()]
+    columns = {re.sub(r"^(observation|action)_\d+$", r"\1_0", column.name) for t in tables for column in t}
     assert columns | set(timings([]).column_names) <= names_in(DOCS / "results.md")
 
 
 def test_settings_named_beside_symbols_exist():
     found = [
-        name for name in names_in(DOCS / "notation.md") if re.fullmatch(r"(planner|problem)(\.\w+)+", name)
+        name
+        for name in names_in(DOCS / "notation.md")
+        if re.fullmatch(r"(planner|problem|env|learner|schedule)(\.\w+)+", name)
     ]
-    assert len(found) > 10
+    assert len(found) > 20
     problems = [{"kind": "planning"}, {"kind": "planning", "problem": {"kind": "monitoring"}}]
+    learning = {"kind": "learning", "env": "chain", "schedule": "decay"}
+    problems += [{**learning, "learner": name} for name in catalog.kinds("learner")]
     missing = [path for path in found if all(look_up(p, path.split(".")) is None for p in problems)]
     assert missing == []
 
