@@ -56,8 +56,8 @@ class EMUQ(Learner):
         num_samples: Actions of the mean in the exploration reward, where they are continuous.
         draw_actions: Candidates and samples drawn `once` for a run (evenly, by a scrambled Halton sequence),
             or `always` anew (uniformly, as the published code does).
-        refine_steps: Steps that refine the best candidate; each tries a move up and down every dimension, half
-            as long as the step before.
+        refine_steps: Steps that refine the best candidate; each tries a move up and down every dimension,
+            half as long as the step before.
         reward_order: Exploration reward `before` the covariance has seen the transition (Algorithm 6), or
             `after` it (published code).
         terminal_q: Q of an absorbing state: `zero`, or what the model says (`bootstrap`, published code).
@@ -228,7 +228,7 @@ class EMUQ(Learner):
         return "first" if is_fresh else "random"
 
     def _refined(self, state, x, candidates, action, balance) -> Action:
-        """The best of a move along each coordinate, halving the moves from the spacing of the candidates on."""
+        """The best move along a coordinate, each half as long as the last; first the candidates' spacing."""
         kappa = balance.exploration * self.exploration_weight
         space = state.features.actions
         width = (space.high - space.low) / len(candidates) ** (1.0 / space.num_dims)
