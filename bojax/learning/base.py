@@ -27,7 +27,7 @@ class Balance(eqx.Module):
 
 
 class Experience(eqx.Module):
-    """One step, as the learner sees it.
+    """One step, as the learner sees it; or several, `[N, ...]`.
 
     Attributes:
         observation: What it saw.
@@ -39,9 +39,9 @@ class Experience(eqx.Module):
 
     observation: Observation
     action: Action
-    reward: Float[Array, ""]
+    reward: Float[Array, "*N"]
     next_observation: Observation
-    terminated: Bool[Array, ""]
+    terminated: Bool[Array, "*N"]
 
 
 class Episode(eqx.Module):

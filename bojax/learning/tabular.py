@@ -28,17 +28,17 @@ class Tables(eqx.Module):
     columns: Float[Array, "S A C"]
 
     @property
-    def q(self) -> Float[Array, "S A"]:
+    def q(self) -> Float[Array, "*N S A"]:
         """Expected return of each action."""
         return self.columns[..., Q]
 
     @property
-    def u(self) -> Float[Array, "S A"]:
+    def u(self) -> Float[Array, "*N S A"]:
         """Expected exploration return of each action; 0 where the learner has none."""
         return self.columns[..., U] if self.columns.shape[-1] > 2 else jnp.zeros_like(self.q)
 
     @property
-    def visits(self) -> Float[Array, "S A"]:
+    def visits(self) -> Float[Array, "*N S A"]:
         """Number of visits of each pair while learning."""
         return self.columns[..., -1]
 
