@@ -81,7 +81,7 @@ class _EMUQ(LearnerSettings, frozen=True):
         default="zero", description="Q of an absorbing state: zero, or what the model says"
     )
     terminal_u: Literal["absorbing", "bootstrap", "zero"] = Field(
-        default="bootstrap", description="U of an absorbing state: r_e for ever, what the model says, or zero"
+        default="absorbing", description="U of an absorbing state: r_e for ever, what the model says, or zero"
     )
     optimistic_u: bool = Field(default=False, description="whether U is 0 where nothing was seen")
     has_noise: bool = Field(default=False, description="whether 1/beta is part of the variance")
@@ -115,6 +115,9 @@ class EMUQPublished(_EMUQ, frozen=True):
     )
     terminal_q: Literal["zero", "bootstrap"] = Field(
         default="bootstrap", description="Q of an absorbing state: zero, or what the model says"
+    )
+    terminal_u: Literal["absorbing", "bootstrap", "zero"] = Field(
+        default="bootstrap", description="U of an absorbing state: r_e for ever, what the model says, or zero"
     )
     optimistic_u: bool = Field(default=True, description="whether U is 0 where nothing was seen")
     has_noise: bool = Field(default=True, description="whether 1/beta is part of the variance")

@@ -119,6 +119,8 @@ class EMUQ(Learner):
             observation = jnp.zeros((), jnp.int32)
         else:
             observation = jnp.zeros_like(observation_space.low)
+        # At least one row: an array without a number cannot be spread over devices.
+        room = max(1, 0 if self.refit == "none" else capacity)
         return EMUQState(
             features=features,
             posterior=BayesianLinearRegression.prior(
@@ -128,7 +130,7 @@ class EMUQ(Learner):
                 num_targets=2,
                 block=self.block,
             ),
-            memory=Memory.empty(0 if self.refit == "none" else capacity, observation, candidates[0], dtype),
+            memory=Memory.empty(room, observation, candidates[0], dtype),
             candidates=candidates,
             samples=even_actions(key_samples, self.num_samples, action_space),
         )
@@ -208,7 +210,7 @@ class EMUQ(Learner):
 
     def without_memory(self, state: EMUQState) -> EMUQState:
         """See `Learner`."""
-        memory = jax.tree.map(lambda rows: rows[:0] if rows.ndim else jnp.zeros_like(rows), state.memory)
+        memory = jax.tree.map(lambda rows: jnp.zeros_like(rows[:1] if rows.ndim else rows), state.memory)
         return eqx.tree_at(lambda s: s.memory, state, memory)
 
     # Actions.

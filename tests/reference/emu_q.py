@@ -13,6 +13,8 @@ Array = np.ndarray
 class Algorithm6:
     """EMU-Q as the thesis has it, with a' = pi(s') in the targets and no value past an absorbing state.
 
+    There, Q is 0, and U as if the state went on paying its exploration reward for ever.
+
     Attributes:
         phi: The features of states and actions, `phi(states [N, D], actions [N, A]) -> [N, M]`.
         candidates: Gives the actions of an argmax, `[J, A]`.
@@ -69,7 +71,7 @@ class Algorithm6:
         r_e = self.exploration_reward(s_next)[0]
         phi, phi_next = self.phi(s, a)[0], self.phi(s_next, a_next)[0]
         y_q = r + self.gamma * (0.0 if is_absorbing else self.q(phi_next))
-        y_u = r_e + self.gamma * self.u(phi_next)
+        y_u = r_e + self.gamma * (r_e / (1.0 - self.gamma) if is_absorbing else self.u(phi_next))
         self.learn(phi, y_q, y_u)
 
     def learn(self, phi: Array, y_q: float, y_u: float) -> None:
@@ -93,7 +95,8 @@ class Algorithm6:
         phi_next = self.phi(s_next, self.policy(s_next))
         r_e = self.exploration_reward(s_next)
         for _ in range(self.max_sweeps):
-            self.t_u = self.beta * phi.T @ (r_e + self.gamma * self.u(phi_next))
+            u_next = np.where(is_absorbing, r_e / (1.0 - self.gamma), self.u(phi_next))
+            self.t_u = self.beta * phi.T @ (r_e + self.gamma * u_next)
             before, self.m_u = self.m_u, self.s @ self.t_u
             if np.linalg.norm(self.m_u - before) <= self.tolerance:
                 break
