@@ -27,7 +27,7 @@ class Hosted(Compiled):
     def __init__(self, group: StaticGroup, mesh: Mesh, lanes_per_device: int, seed: int, *, snapshots: bool):
         self._mesh = mesh
         super().__init__(group, mesh, lanes_per_device, seed, snapshots=snapshots)
-        run = group.experiment(group.swept_at(np.asarray(0)), group.shared)
+        run = group.experiment(jax.tree.map(jnp.asarray, group.swept_at(np.asarray(0))), self._shared)
         assert isinstance(run, LearningRun)
         self._num_tests, self._block = run.tests, run.learner.block
         self._open(run)
@@ -107,13 +107,13 @@ class Hosted(Compiled):
 
     def _step(self, action: Array) -> Transition:
         observation, reward, terminated, truncated, _ = self._vector.step(np.asarray(action))
-        reward, terminated = np.asarray(reward), np.asarray(terminated)
+        reward, terminated = self._put(reward), self._put(terminated)
         return Transition(
             observation=self._put(observation),
-            reward=self._put(reward),
-            terminated=self._put(terminated),
-            truncated=self._put(np.asarray(truncated)),
-            success=self._put(np.asarray(self._env.is_success(reward, terminated))),
+            reward=reward,
+            terminated=terminated,
+            truncated=self._put(truncated),
+            success=self._env.is_success(reward, terminated),
         )
 
     def _put(self, values: Any) -> Array:

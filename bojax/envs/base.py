@@ -19,7 +19,7 @@ Action: TypeAlias = Array
 
 
 class Transition(eqx.Module):
-    """What a step leads to.
+    """What a step leads to; or several, `[N, ...]`.
 
     Attributes:
         observation: Observation of the state that follows.
@@ -31,10 +31,10 @@ class Transition(eqx.Module):
     """
 
     observation: Observation
-    reward: Float[Array, ""]
-    terminated: Bool[Array, ""]
-    truncated: Bool[Array, ""]
-    success: Bool[Array, ""]
+    reward: Float[Array, "*N"]
+    terminated: Bool[Array, "*N"]
+    truncated: Bool[Array, "*N"]
+    success: Bool[Array, "*N"]
 
 
 class Env(eqx.Module):
