@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from typing import Literal
 
 import equinox as eqx
 import jax
@@ -20,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from tests.reference.emu_q import PublishedCode  # noqa: E402
 
 
-def make_run(args, fit: str):
+def make_run(args, fit: Literal["sweeps", "direct", "none"]):
     """An episode of full length: the car is too weak to leave the valley."""
     return build(
         Learning(
@@ -57,7 +58,7 @@ def steps_row(args, lanes: int) -> Row:
     )
 
 
-def refit_row(args, lanes: int, how: str) -> Row:
+def refit_row(args, lanes: int, how: Literal["sweeps", "direct"]) -> Row:
     """The end of an episode, at given transitions."""
     run = make_run(args, how)
     learner, capacity = run.learner, args.transitions
@@ -138,7 +139,10 @@ def main(argv: list[str]) -> int:
     peer = None if args.no_peer else numpy_peer(args)
     steps = ([peer[0]] if peer else []) + [steps_row(args, lanes)]
     print_rows(f"Online steps at {args.features} features, {args.dtype}", "steps", steps, steps[0].what)
-    refits = ([peer[1]] if peer else []) + [refit_row(args, lanes, how) for how in ("sweeps", "direct")]
+    refits = ([peer[1]] if peer else []) + [
+        refit_row(args, lanes, "sweeps"),
+        refit_row(args, lanes, "direct"),
+    ]
     title = f"Refit of {args.transitions} transitions, {args.sweeps} sweeps, {args.features} features"
     print_rows(title, "transitions", refits, refits[0].what)
     if args.json:

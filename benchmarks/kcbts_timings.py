@@ -12,7 +12,9 @@ from timing import Row, median_seconds, on_gpu, print_rows, time_runs, write_rec
 
 from bojax.config.experiments import Planning
 from bojax.engine.build import build
-from bojax.engine.devices import DEFAULT_LANES
+
+LANES_ON_CPU = 64
+"""What the engine takes for parking on a CPU (`Experiment.lanes_on_cpu`)."""
 
 
 class Case:
@@ -82,7 +84,7 @@ def main(argv: list[str]) -> int:
     rows.append(time_runs("bojax, one plan", case.plan, 1, 1, planner.iterations, args.repeats))
     num_devices = jax.device_count()
     for runs in args.runs or ([200, 1000] if on_gpu() else [200]):
-        lanes = num_devices * (args.lanes or (-(-runs // num_devices) if on_gpu() else DEFAULT_LANES["cpu"]))
+        lanes = num_devices * (args.lanes or (-(-runs // num_devices) if on_gpu() else LANES_ON_CPU))
         rows.append(time_runs("bojax, plans", case.plan, runs, lanes, planner.iterations, args.repeats))
         if args.episodes or on_gpu():
             iterations = planner.iterations * case.experiment.max_advances
