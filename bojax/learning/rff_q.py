@@ -61,8 +61,8 @@ class RFFQ(Learner):
 
     @property
     def lanes_on_cpu(self) -> int:
-        """See `Learner`."""
-        return 32
+        """See `Learner`: 18,000 steps/s on a core with 8 runs, 15,000 with 32 (300 features)."""
+        return 8
 
     def init(
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, capacity: int
