@@ -1,18 +1,18 @@
 """A learning run: episodes of a learner in an environment, with test episodes in between."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Literal
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key, Scalar, UInt32
 
 from bojax.envs.base import Action, Env, EnvState, Observation, Transition
 from bojax.envs.spaces import Box
 from bojax.experiments.base import Experiment, Records
+from bojax.experiments.trial import StepRows, Trial, is_outside
 from bojax.learning.base import Balance, Episode, Experience, Learner, LearnerState
 from bojax.learning.schedules import Schedule
 from bojax.numerics.checkpoint import restore
@@ -22,41 +22,40 @@ from bojax.results.schema import Column, Table
 PHASES = ("train", "test")
 """What an episode is for; the column `phase` holds the place in this list until it is stored."""
 
-_SLACK = 1e-4
-"""How far beyond its bounds an observation counts as outside, in units of their range: more than rounding."""
 
-
-class Trial(eqx.Module):
-    """One episode on its way.
+class Target(eqx.Module):
+    """How the test episodes of a run stand to the return that they are to reach.
 
     Attributes:
-        env: State of the environment.
-        observation: What was seen last.
-        learner: What has been learned up to now.
-        is_active: The episode goes on.
-        total: Sum of the rewards so far.
-        length: Steps made.
-        terminated: It ended in an absorbing state.
-        truncated: It was cut off.
-        success: The goal was reached.
-        failed: The environment returned a number that is none.
-        outside: Steps that led to an observation outside the declared bounds.
-        steps: Every step, a row of numbers for each (see `_pack`): one write a step, where an array for each
-            part would be six. T is 0 in a test.
+        episodes: Training episodes after which all tests of a round exceeded it; -1 before.
+        tests_after: Number of test episodes after that.
+        return_after: Sum of their returns.
     """
 
-    env: EnvState
-    observation: Observation
-    learner: LearnerState
-    is_active: Bool[Array, ""]
-    total: Float[Array, ""]
-    length: Int[Array, ""]
-    terminated: Bool[Array, ""]
-    truncated: Bool[Array, ""]
-    success: Bool[Array, ""]
-    failed: Bool[Array, ""]
-    outside: Int[Array, ""]
-    steps: Float[Array, "T R"]
+    episodes: Int[Array, ""]
+    tests_after: Int[Array, ""]
+    return_after: Float[Array, ""]
+
+    @property
+    def is_reached(self) -> Bool[Array, ""]:
+        """Whether they have."""
+        return self.episodes >= 0
+
+    def tested(
+        self,
+        returns: Float[Array, "N"],
+        target: Float[Array, ""],
+        episode: Int[Array, ""],
+        counts: Bool[Array, ""],
+    ) -> "Target":
+        """After a round of tests, if it counts."""
+        is_new = counts & ~self.is_reached & jnp.all(returns > target)
+        is_after = counts & self.is_reached
+        return Target(
+            episodes=jnp.where(is_new, episode, self.episodes),
+            tests_after=self.tests_after + jnp.where(is_after, len(returns), 0),
+            return_after=self.return_after + jnp.where(is_after, jnp.sum(returns), 0.0),
+        )
 
 
 class Run(eqx.Module):
@@ -72,9 +71,7 @@ class Run(eqx.Module):
         last_return: Return of the last training episode.
         episodes_to_goal: Training episodes up to the first with success, that one included; -1 before.
         steps_to_goal: Training steps up to that success; -1 before.
-        episodes_to_target: Training episodes after which the test episodes reached the target; -1 before.
-        tests_after: Number of test episodes after that.
-        return_after: Sum of their returns.
+        target: How the test episodes stand to their target.
         maps: Q and U over the observations, after each of `map_episodes`; NaN before, None where none are
             asked for.
     """
@@ -88,9 +85,7 @@ class Run(eqx.Module):
     last_return: Float[Array, ""]
     episodes_to_goal: Int[Array, ""]
     steps_to_goal: Int[Array, ""]
-    episodes_to_target: Int[Array, ""]
-    tests_after: Int[Array, ""]
-    return_after: Float[Array, ""]
+    target: Target
     maps: Float[Array, "K 2 *grid"] | None
 
 
@@ -140,7 +135,7 @@ class LearningRun(Experiment):
         return {
             "runs": _RUN_COLUMNS + (_TARGET_COLUMNS if self.target_return is not None else ()),
             "episodes": _EPISODE_COLUMNS,
-            "steps": _STEP_COLUMNS + self._vector_columns(),
+            "steps": self._rows.columns,
         }
 
     @property
@@ -182,35 +177,26 @@ class LearningRun(Experiment):
             last_return=number,
             episodes_to_goal=never,
             steps_to_goal=never,
-            episodes_to_target=never,
-            tests_after=zero,
-            return_after=number,
+            target=Target(never, zero, number),
             maps=maps,
         )
 
     def advance(self, carry: Run) -> tuple[Run, Records]:
         """See `Experiment`."""
         balance = self.balance(carry)
+
+        def step(keys, trial, number, slot):
+            chosen = self.learner.act(keys[0], trial.learner, trial.observation, balance)
+            led_to = self.env.step(keys[1], trial.env, chosen[0])
+            return self.go_on(keys[2], trial, balance, chosen, led_to, number, slot)
+
         trial = self.begin(carry, *self._reset(carry, 0))
-
-        def block(loop):
-            start, trial = loop
-
-            def step(trial, at):
-                keys, slot = jax.random.wrap_key_data(at[0]), at[1]
-                return self._step(keys, trial, balance, start + slot, slot), None
-
-            trial, _ = jax.lax.scan(step, trial, (self.keys(carry, start), self._slots))
-            return start + self.learner.block, self.consolidate(trial)
-
-        start = jnp.zeros((), jnp.int32), trial
-        _, trial = jax.lax.while_loop(lambda loop: any_lane(loop[1].is_active), block, start)
+        trial = self._until_over(carry, 0, trial, step, self.consolidate)
         learner = self.end_episode(carry, trial, balance)
         tests = None
         if self.tests:
-            _, tests = jax.lax.scan(
-                lambda _, number: (None, self._test(carry, learner, number)), None, jnp.arange(self.tests)
-            )
+            numbers = jnp.arange(1, self.tests + 1)
+            _, tests = jax.lax.scan(lambda _, n: (None, self._test(carry, learner, n)), None, numbers)
         return self.close(carry, trial, learner, tests)
 
     def is_done(self, carry: Run) -> Bool[Array, ""]:
@@ -229,9 +215,10 @@ class LearningRun(Experiment):
             "steps_to_goal": carry.steps_to_goal,
         }
         if self.target_return is not None:
-            summary["reached"] = carry.episodes_to_target >= 0
-            summary["episodes_to_target"] = carry.episodes_to_target
-            summary["return_after_target"] = carry.return_after / carry.tests_after.astype(self._dtype)
+            target = carry.target
+            summary["reached"] = target.is_reached
+            summary["episodes_to_target"] = target.episodes
+            summary["return_after_target"] = target.return_after / target.tests_after.astype(self._dtype)
         return summary
 
     def snapshot(self, carry: Run) -> dict[str, dict[str, Array]]:
@@ -251,13 +238,12 @@ class LearningRun(Experiment):
 
     def balance(self, carry: Run) -> Balance:
         """The balance of the next training episode; a finished run learns nothing more."""
-        balance = self.schedule(carry.episode, carry.episodes_to_target >= 0)
+        balance = self.schedule(carry.episode, carry.target.is_reached)
         return Balance(balance.exploration.astype(self._dtype), balance.is_learning & ~carry.is_done)
 
     def begin(self, carry: Run, env: EnvState, observation: Observation, *, is_test: bool = False) -> Trial:
         """A new episode of the run, from a state of the environment and what is seen of it."""
         length = -(-self.env.max_steps // self.learner.block) * self.learner.block
-        width = 2 * self.env.observation_space.num_dims + self.env.action_space.num_dims + 3
         false = jnp.zeros((), bool)
         return Trial(
             env=env,
@@ -271,7 +257,7 @@ class LearningRun(Experiment):
             success=false,
             failed=false,
             outside=jnp.zeros((), jnp.int32),
-            steps=jnp.zeros((0 if is_test else length, width), self._dtype),
+            steps=jnp.zeros((0 if is_test else length, self._rows.width), self._dtype),
         )
 
     def keys(
@@ -314,7 +300,8 @@ class LearningRun(Experiment):
             truncated=trial.truncated | truncated,
             success=trial.success | (counts & transition.success),
             failed=trial.failed | fails,
-            outside=trial.outside + (counts & self._is_outside(transition.observation)).astype(jnp.int32),
+            outside=trial.outside
+            + (counts & is_outside(self.env.observation_space, transition.observation)).astype(jnp.int32),
             steps=trial.steps,
         )
         return after, counts
@@ -339,7 +326,7 @@ class LearningRun(Experiment):
         experience = jax.tree.map(lambda x: jnp.where(counts, x, jnp.zeros((), x.dtype)), experience)
         taught = Balance(balance.exploration, balance.is_learning & counts)
         learner = self.learner.observe(key, trial.learner, experience, taught, slot)
-        row = self._pack(experience, expected)
+        row = self._rows.pack(experience, expected)
         steps = jax.lax.dynamic_update_index_in_dim(trial.steps, row, step, 0)
         return eqx.tree_at(lambda t: (t.learner, t.steps), trial, (learner, steps))
 
@@ -351,7 +338,7 @@ class LearningRun(Experiment):
         """What the learner makes of a whole training episode."""
         key = self._key(carry, self.tests + 1)  # after those of the tests
         balance = Balance(balance.exploration, balance.is_learning & (trial.length > 0))
-        episode = Episode(self._unpack(trial.steps)[0], trial.length)
+        episode = Episode(self._rows.unpack(trial.steps)[0], trial.length)
         return self.learner.end_episode(key, trial.learner, episode, balance)
 
     def close(
@@ -366,32 +353,18 @@ class LearningRun(Experiment):
         if self.stop == "first-success":
             done = done | (episodes_to_goal >= 0)
 
-        number = jnp.arange(1)
-        rows = {
-            name: value[None] for name, value in self._row(trial, episode, self.balance(carry)).items()
-        } | {"phase": jnp.zeros_like(number), "valid": active[None]}
-        episodes_to_target, tests_after, return_after = (
-            carry.episodes_to_target,
-            carry.tests_after,
-            carry.return_after,
-        )
-        num_steps = trial.length
+        rows = self._row(trial, episode, self.balance(carry))
+        rows = {name: value[None] for name, value in rows.items()}
+        target, num_steps = carry.target, trial.length
         if tests is not None:
+            rows = {name: jnp.concatenate([rows[name], tests[name]]) for name in rows}
             num_steps = num_steps + jnp.sum(tests["length"], dtype=jnp.int32)
-            phase, valid = jnp.ones((self.tests,), rows["phase"].dtype), jnp.full((self.tests,), active)
-            other = {**tests, "phase": phase, "valid": valid}
             if self.target_return is not None:
-                is_reached = jnp.all(tests["return"] > self.target_return)
-                was_reached = carry.episodes_to_target >= 0
-                episodes_to_target = jnp.where(
-                    active & is_reached & ~was_reached, episode, carry.episodes_to_target
-                )
-                counted = active & was_reached
-                tests_after = tests_after + jnp.where(counted, self.tests, 0)
-                return_after = return_after + jnp.where(counted, jnp.sum(tests["return"]), 0.0)
-                if self.stop == "target":
-                    done = done | (episodes_to_target >= 0)
-            rows = {name: jnp.concatenate([rows[name], other[name]]) for name in rows}
+                target = target.tested(tests["return"], self.target_return, episode, active)
+        if self.stop == "target":
+            done = done | target.is_reached
+        rows["phase"] = (jnp.arange(1 + self.tests) > 0).astype(jnp.int32)
+        rows["valid"] = jnp.broadcast_to(active, rows["phase"].shape)
         maps = carry.maps
         if maps is not None:
             now = (episode == jnp.asarray(self.map_episodes, jnp.int32)) & active
@@ -407,12 +380,10 @@ class LearningRun(Experiment):
             last_return=jnp.where(active, trial.total, carry.last_return),
             episodes_to_goal=episodes_to_goal,
             steps_to_goal=jnp.where(is_first, steps, carry.steps_to_goal),
-            episodes_to_target=episodes_to_target,
-            tests_after=tests_after,
-            return_after=return_after,
+            target=target,
             maps=maps,
         )
-        tables = {"episodes": rows, "steps": self._step_rows(trial, episode)}
+        tables = {"episodes": rows, "steps": self._rows.table(trial.steps, trial.length, episode)}
         return after, Records(tables=tables, active_steps=num_steps)
 
     def _fresh(self, key: Key[Array, ""]) -> LearnerState:
@@ -423,56 +394,49 @@ class LearningRun(Experiment):
         """What is reported of a test episode."""
         return self._row(trial, carry.episode + 1, self.exploiting)
 
-    def _step(self, keys: Key[Array, "3"], trial: Trial, balance: Balance, step, slot) -> Trial:
-        chosen = self.learner.act(keys[0], trial.learner, trial.observation, balance)
-        led_to = self.env.step(keys[1], trial.env, chosen[0])
-        return self.go_on(keys[2], trial, balance, chosen, led_to, step, slot)
+    def _test(self, carry: Run, learner: LearnerState, number: Int[Array, ""]) -> dict[str, Array]:
+        def step(keys, trial, *_):
+            action, _ = self.learner.act(keys[0], learner, trial.observation, self.exploiting)
+            env, transition = self.env.step(keys[1], trial.env, action)
+            return self.take(trial, transition, env)[0]
 
-    def _test(self, carry: Run, learner: LearnerState, number) -> dict[str, Array]:
-        trial = self.begin(carry, *self._reset(carry, number + 1), is_test=True)
+        trial = self.begin(carry, *self._reset(carry, number), is_test=True)
+        return self.test_row(carry, self._until_over(carry, number, trial, step, lambda trial: trial))
+
+    def _until_over(
+        self,
+        carry: Run,
+        number: Int[Array, ""] | int,
+        trial: Trial,
+        step: Callable[..., Trial],
+        after_block: Callable[[Trial], Trial],
+    ) -> Trial:
+        """Steps, `block` at a time, until no lane is in its episode any more.
+
+        Args:
+            carry: The run.
+            number: Which of its present episodes, see `keys`.
+            trial: The episode at its beginning.
+            step: A step of it, from its keys, the episode, and its number in the episode and in the block.
+            after_block: What follows a block.
+        """
+        slots = jnp.arange(self.learner.block, dtype=jnp.int32)
 
         def block(loop):
             start, trial = loop
 
-            def step(trial, at):
-                keys = jax.random.wrap_key_data(at)
-                action, _ = self.learner.act(keys[0], learner, trial.observation, self.exploiting)
-                env, transition = self.env.step(keys[1], trial.env, action)
-                return self.take(trial, transition, env)[0], None
+            def one(trial, at):
+                return step(jax.random.wrap_key_data(at[0]), trial, start + at[1], at[1]), None
 
-            trial, _ = jax.lax.scan(step, trial, self.keys(carry, start, number + 1))
-            return start + self.learner.block, trial
+            trial, _ = jax.lax.scan(one, trial, (self.keys(carry, start, number), slots))
+            return start + self.learner.block, after_block(trial)
 
         start = jnp.zeros((), jnp.int32), trial
-        _, trial = jax.lax.while_loop(lambda loop: any_lane(loop[1].is_active), block, start)
-        return self.test_row(carry, trial)
+        return jax.lax.while_loop(lambda loop: any_lane(loop[1].is_active), block, start)[1]
 
     def _reset(self, carry: Run, number: Int[Array, ""] | int) -> tuple[EnvState, Observation]:
         env = self.env.reset(self.reset_key(carry, number))
         return env, self.env.observe(env)
-
-    def _is_outside(self, observation: Observation) -> Bool[Array, ""]:
-        space = self.env.observation_space
-        if not isinstance(space, Box):
-            return (observation < 0) | (observation >= space.num)
-        unit = space.to_unit(observation)
-        return jnp.any((unit < -_SLACK) | (unit > 1.0 + _SLACK))
-
-    def _pack(self, step: Experience, expected: Float[Array, ""]) -> Float[Array, "R"]:
-        """A step as a row of numbers; whole numbers below 2^24 stay exact."""
-        parts = (step.observation, step.action, step.next_observation, step.reward, step.terminated, expected)
-        return jnp.concatenate([jnp.ravel(part).astype(self._dtype) for part in parts])
-
-    def _unpack(self, rows: Float[Array, "T R"]) -> tuple[Experience, Float[Array, "T"]]:
-        """Steps and what was expected of them."""
-        seen, done = self.env.observation_space, self.env.action_space
-        ends = np.cumsum([seen.num_dims, done.num_dims, seen.num_dims]).tolist()
-        *vectors, rest = jnp.split(rows, ends, axis=1)
-        observation, action, after = (
-            part if isinstance(space, Box) else part[:, 0].astype(jnp.int32)
-            for part, space in zip(vectors, (seen, done, seen), strict=True)
-        )
-        return Experience(observation, action, rest[:, 0], after, rest[:, 1] > 0.5), rest[:, 2]
 
     def _row(self, trial: Trial, episode: Int[Array, ""], balance: Balance) -> dict[str, Array]:
         return {
@@ -484,31 +448,6 @@ class LearningRun(Experiment):
             "truncated": trial.truncated,
             "kappa": balance.exploration * self.learner.exploration_weight,
         }
-
-    def _step_rows(self, trial: Trial, episode: Int[Array, ""]) -> dict[str, Array]:
-        steps, expected = self._unpack(trial.steps)
-        number = jnp.arange(len(expected), dtype=jnp.int32) + 1
-        columns = {
-            "episode": jnp.broadcast_to(episode, number.shape),
-            "step": number,
-            "reward": steps.reward,
-            "planned_reward": expected,
-            "accumulated_reward": jnp.cumsum(steps.reward),
-            "done": number == trial.length,
-            "valid": number <= trial.length,
-        }
-        for name, values in (("observation", steps.observation), ("action", steps.action)):
-            flat = values.reshape(len(number), -1).astype(self._dtype)
-            columns |= {f"{name}_{i}": flat[:, i] for i in range(flat.shape[1])}
-        return columns
-
-    def _vector_columns(self) -> Table:
-        spaces = (("observation", self.env.observation_space), ("action", self.env.action_space))
-        return tuple(
-            Column(f"{name}_{i}", "float32", "", f"{name}, component {i}, in which the step was taken")
-            for name, space in spaces
-            for i in range(space.num_dims)
-        )
 
     def _map(self, learner: LearnerState) -> Float[Array, "2 *grid"]:
         """Q and U at the middle action: of every state, or over the first two observations."""
@@ -536,8 +475,8 @@ class LearningRun(Experiment):
         return jax.random.fold_in(key, number)
 
     @property
-    def _slots(self) -> Int[Array, "B"]:
-        return jnp.arange(self.learner.block, dtype=jnp.int32)
+    def _rows(self) -> StepRows:
+        return StepRows(self.env.observation_space, self.env.action_space, self._dtype)
 
     @property
     def exploiting(self) -> Balance:
@@ -574,13 +513,4 @@ _EPISODE_COLUMNS: Table = (
     Column("terminated", "bool", "", "it ended in an absorbing state"),
     Column("truncated", "bool", "", "it was cut off"),
     Column("kappa", "float64", "", "weight of exploration: kappa, xi or epsilon"),
-)
-
-_STEP_COLUMNS: Table = (
-    Column("episode", "int32", "", "number of the training episode, from 1"),
-    Column("step", "int32", "", "number of the step in it, from 1"),
-    Column("reward", "float64", "", "reward"),
-    Column("planned_reward", "float64", "", "return Q that the learner expected of the action"),
-    Column("accumulated_reward", "float64", "", "sum of the episode's rewards so far"),
-    Column("done", "bool", "", "the episode ended with this step"),
 )
