@@ -9,6 +9,7 @@ from bojax.config import (
     models,
     motions,
     objectives,
+    physics,
     planners,
     problems,
     schedules,
@@ -28,6 +29,7 @@ __all__ = [
     "models",
     "motions",
     "objectives",
+    "physics",
     "planners",
     "problems",
     "schedules",
@@ -49,6 +51,7 @@ ROLES = {
     "kernel": "kernels",
     "mean": "prior means",
     "acquisition": "acquisition functions",
+    "physics": "engines of physics",
 }
 """The roles that a user can fill, with their plurals, in the order of lists."""
 

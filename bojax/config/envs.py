@@ -6,7 +6,8 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 import pydantic
 from pydantic import Field
 
-from bojax.config.component import Component
+from bojax.config.component import Component, Slot
+from bojax.config.physics import MJX
 
 
 class Environment(Component, frozen=True):
@@ -102,6 +103,27 @@ class CartpoleSwingUp(ControlTask, frozen=True):
     )
     max_force: float = Field(default=10.0, gt=0, description="bound on the force, N")
     time_step: float = Field(default=0.02, gt=0, description="time step, s")
+
+
+class Robot(ControlTask, frozen=True):
+    """What the robots that MJX steps can be told."""
+
+    physics: Annotated[Component, Slot("physics")] = Field(default=MJX(), description="how MJX computes")
+    substeps: int = Field(default=1, ge=1, description="steps of the physics for one action")
+
+
+class Hopper(Robot, frozen=True):
+    """Jump with a leg of three segments (thesis, p. 107; Gym's Hopper)."""
+
+    target: ClassVar[str] = "bojax.envs.robots.hopper:Hopper"
+
+    kind: Literal["hopper"] = "hopper"
+    goal_height: float = Field(default=1.3, gt=1.26, description="height of the torso to be exceeded, m")
+    failure_angle: float = Field(default=0.2, gt=0, description="largest |angle| of the torso, rad")
+    failure_height: float = Field(
+        default=0.0, ge=0, lt=1.24, description="least height of the torso, m; 0.7 in the author's code"
+    )
+    substeps: int = Field(default=4, ge=1, description="steps of the physics, of 2 ms, for one action")
 
 
 Bounds = float | Annotated[tuple[float, ...], Field(strict=False, min_length=1)]

@@ -67,6 +67,11 @@ class Env(eqx.Module):
     def observe(self, state: EnvState) -> Observation:
         """What is seen of a state."""
 
+    def frame(self, state: EnvState) -> Float[Array, "Q"] | None:
+        """What an animation needs of a state, where observations do not tell it; recorded with the steps."""
+        del state
+        return None
+
     @abc.abstractmethod
     def step(self, key: Key[Array, ""], state: EnvState, action: Action) -> tuple[EnvState, Transition]:
         """The state that an action leads to, and what that means."""

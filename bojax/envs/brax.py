@@ -9,9 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
+from bojax.config.extras import MissingExtra
 from bojax.envs.base import Env, Transition
 from bojax.envs.spaces import Box
-from bojax.numerics.third_party import MissingExtra, plain_jax, silenced, standard_jax
+from bojax.numerics.third_party import plain_jax, silenced, standard_jax
 
 try:
     with silenced():

@@ -65,13 +65,14 @@ class CartpoleSwingUp(ControlTask):
         """See `observation_space`."""
         return state
 
-    def advance(self, state: Float[Array, "4"], action: Float[Array, ""]) -> Float[Array, "4"]:
+    def advance(self, state: Float[Array, "4"], action: Float[Array, "1"]) -> Float[Array, "4"]:
         """One explicit Euler step."""
+        (force,) = action
         if self.actions == "sign":
-            action = self.max_force * sign(action)
+            force = self.max_force * sign(force)
         _, velocity, angle, speed = state
         cosine, sine = jnp.cos(angle), jnp.sin(angle)
-        push = (action + _POLE * _HALF_LENGTH * speed**2 * sine) / (_CART + _POLE)
+        push = (force + _POLE * _HALF_LENGTH * speed**2 * sine) / (_CART + _POLE)
         inertia = _HALF_LENGTH * (4.0 / 3.0 - _POLE * cosine**2 / (_CART + _POLE))
         turn = (_GRAVITY * sine - cosine * push) / inertia
         acceleration = push - _POLE * _HALF_LENGTH * turn * cosine / (_CART + _POLE)
@@ -88,7 +89,7 @@ class CartpoleSwingUp(ControlTask):
     def classic(
         self,
         state: Float[Array, "4"],
-        action: Float[Array, ""],
+        action: Float[Array, "1"],
         success: Bool[Array, ""],
         failure: Bool[Array, ""],
         after: Float[Array, "4"],

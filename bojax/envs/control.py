@@ -1,4 +1,4 @@
-"""What the continuous domains share (thesis, Section 5.7.2): one action, a goal, and two ways to be paid."""
+"""What the continuous domains share (thesis, Section 5.7.2): a goal, and two ways to be paid."""
 
 import abc
 from typing import Literal
@@ -7,17 +7,17 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 
-from bojax.envs.base import Env, Transition
+from bojax.envs.base import Env, EnvState, Transition
 from bojax.envs.spaces import Box
 
 
 class ControlTask(Env):
-    """A deterministic system of one input, which has to be brought to a goal.
+    """A deterministic system that has to be brought to a goal.
 
     With `reward` `"goal-only"` an episode pays 1 at the goal and -1 at a failure, both absorbing, and 0
     otherwise (p. 106). With `"classic"` it pays what the domain pays in Gym, and each domain says what ends
     it then. A step is a success where it reaches the goal, whatever it pays; where goal and failure meet,
-    it is a failure.
+    it is a failure. A step to a state that no body can be in (`has_diverged`) pays NaN.
 
     Attributes:
         reward: What is paid.
@@ -36,47 +36,55 @@ class ControlTask(Env):
         """See `Env`."""
 
     @abc.abstractmethod
-    def observe(self, state: Float[Array, "S"]) -> Float[Array, "D"]:
+    def observe(self, state: EnvState) -> Float[Array, "D"]:
         """See `Env`."""
 
     @abc.abstractmethod
-    def advance(self, state: Float[Array, "S"], action: Float[Array, ""]) -> Float[Array, "S"]:
+    def advance(self, state: EnvState, action: Float[Array, "A"]) -> EnvState:
         """The state one time step later, under an action within its bounds."""
 
     @abc.abstractmethod
-    def is_goal(self, state: Float[Array, "S"]) -> Bool[Array, ""]:
+    def is_goal(self, state: EnvState) -> Bool[Array, ""]:
         """Whether the goal is reached in a state."""
 
-    def is_failure(self, state: Float[Array, "S"]) -> Bool[Array, ""]:
+    def is_failure(self, state: EnvState) -> Bool[Array, ""]:
         """Whether a state is a failure; most domains know none."""
-        return jnp.zeros_like(state[0], bool)
+        del state
+        return jnp.zeros((), bool)
+
+    def has_diverged(self, state: EnvState) -> Bool[Array, ""]:
+        """Whether the simulation has left what is physical; closed equations do not."""
+        del state
+        return jnp.zeros((), bool)
 
     @abc.abstractmethod
     def classic(
         self,
-        state: Float[Array, "S"],
-        action: Float[Array, ""],
+        state: EnvState,
+        action: Float[Array, "A"],
         success: Bool[Array, ""],
         failure: Bool[Array, ""],
-        after: Float[Array, "S"],
+        after: EnvState,
     ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
         """Classic reward of a step from `state` to `after`, and whether it ends the episode."""
 
     def step(
-        self, key: Key[Array, ""], state: Float[Array, "S"], action: Float[Array, "1"]
-    ) -> tuple[Float[Array, "S"], Transition]:
+        self, key: Key[Array, ""], state: EnvState, action: Float[Array, "A"]
+    ) -> tuple[EnvState, Transition]:
         """See `Env`; nothing is random."""
         del key
         bounds = self.action_space
-        clipped = jnp.clip(action.astype(state.dtype), bounds.low, bounds.high)[0]
+        dtype = bounds.low.dtype
+        clipped = jnp.clip(action.astype(dtype), bounds.low, bounds.high)
         after = self.advance(state, clipped)
         failure = self.is_failure(after)
         success = self.is_goal(after) & ~failure
         if self.reward == "goal-only":
-            reward = success.astype(state.dtype) - failure.astype(state.dtype)
+            reward = success.astype(dtype) - failure.astype(dtype)
             terminated = success | failure
         else:
             reward, terminated = self.classic(state, clipped, success, failure, after)
+        reward = jnp.where(self.has_diverged(after), jnp.nan, reward)
         never = jnp.zeros_like(terminated)
         return after, Transition(self.observe(after), reward, terminated, never, success)
 

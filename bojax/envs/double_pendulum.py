@@ -69,15 +69,16 @@ class DoublePendulum(ControlTask):
         first, second, *speeds = state
         return jnp.stack([jnp.cos(first), jnp.sin(first), jnp.cos(second), jnp.sin(second), *speeds])
 
-    def advance(self, state: Float[Array, "4"], action: Float[Array, ""]) -> Float[Array, "4"]:
+    def advance(self, state: Float[Array, "4"], action: Float[Array, "1"]) -> Float[Array, "4"]:
         """One Runge-Kutta step; then angles are wrapped, and velocities clipped to their bounds."""
+        (torque,) = action
         if self.actions == "sign":
-            action = self.max_torque * sign(action)
+            torque = self.max_torque * sign(torque)
         h = self.time_step
-        k1 = self.velocity(state, action)
-        k2 = self.velocity(state + 0.5 * h * k1, action)
-        k3 = self.velocity(state + 0.5 * h * k2, action)
-        k4 = self.velocity(state + h * k3, action)
+        k1 = self.velocity(state, torque)
+        k2 = self.velocity(state + 0.5 * h * k1, torque)
+        k3 = self.velocity(state + 0.5 * h * k2, torque)
+        k4 = self.velocity(state + h * k3, torque)
         state = state + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
         fastest = self.observation_space.high[4:]
         return jnp.concatenate([wrapped(state[:2]), jnp.clip(state[2:], -fastest, fastest)])
@@ -115,7 +116,7 @@ class DoublePendulum(ControlTask):
     def classic(
         self,
         state: Float[Array, "4"],
-        action: Float[Array, ""],
+        action: Float[Array, "1"],
         success: Bool[Array, ""],
         failure: Bool[Array, ""],
         after: Float[Array, "4"],

@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from bojax.config.extras import MissingExtra
 from bojax.envs.base import Env
 from bojax.envs.spaces import Box, Discrete, Space
-from bojax.numerics.third_party import MissingExtra
 
 try:
     import gymnasium

@@ -63,12 +63,13 @@ class MountainCar(ControlTask):
         """See `observation_space`."""
         return state
 
-    def advance(self, state: Float[Array, "2"], action: Float[Array, ""]) -> Float[Array, "2"]:
+    def advance(self, state: Float[Array, "2"], action: Float[Array, "1"]) -> Float[Array, "2"]:
         """The velocity changes first, then the position; the left wall takes the velocity away."""
         low, high = self.observation_space.low, self.observation_space.high
+        (force,) = action
         if self.actions == "thresholded":
-            action = jnp.where(jnp.abs(action) < self.threshold, jnp.zeros_like(action), jnp.sign(action))
-        velocity = state[1] + (action * self.power - self.gravity * jnp.cos(3.0 * state[0]))
+            force = jnp.where(jnp.abs(force) < self.threshold, jnp.zeros_like(force), jnp.sign(force))
+        velocity = state[1] + (force * self.power - self.gravity * jnp.cos(3.0 * state[0]))
         velocity = jnp.clip(velocity, low[1], high[1])
         position = jnp.clip(state[0] + velocity, low[0], high[0])
         at_the_wall = (position == low[0]) & (velocity < 0.0)
@@ -81,7 +82,7 @@ class MountainCar(ControlTask):
     def classic(
         self,
         state: Float[Array, "2"],
-        action: Float[Array, ""],
+        action: Float[Array, "1"],
         success: Bool[Array, ""],
         failure: Bool[Array, ""],
         after: Float[Array, "2"],

@@ -66,11 +66,12 @@ class SinglePendulum(ControlTask):
         """See `observation_space`."""
         return jnp.stack([jnp.cos(state[0]), jnp.sin(state[0]), state[1]])
 
-    def advance(self, state: Float[Array, "2"], action: Float[Array, ""]) -> Float[Array, "2"]:
+    def advance(self, state: Float[Array, "2"], action: Float[Array, "1"]) -> Float[Array, "2"]:
         """One semi-implicit Euler step, as Gym makes it."""
         angle, speed = state
+        (torque,) = action
         weight = 1.5 * self.gravity / self.length * jnp.sin(angle)
-        speed = speed + (weight + 3.0 / (self.mass * self.length**2) * action) * self.time_step
+        speed = speed + (weight + 3.0 / (self.mass * self.length**2) * torque) * self.time_step
         speed = jnp.clip(speed, -self.max_speed, self.max_speed)
         return jnp.stack([wrapped(angle + speed * self.time_step), speed])
 
@@ -81,14 +82,14 @@ class SinglePendulum(ControlTask):
     def classic(
         self,
         state: Float[Array, "2"],
-        action: Float[Array, ""],
+        action: Float[Array, "1"],
         success: Bool[Array, ""],
         failure: Bool[Array, ""],
         after: Float[Array, "2"],
     ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
         """See the class."""
         del failure, after
-        cost = wrapped(state[0]) ** 2 + 0.1 * state[1] ** 2 + 0.001 * action**2
+        cost = wrapped(state[0]) ** 2 + 0.1 * state[1] ** 2 + 0.001 * action[0] ** 2
         if not self.classic_ends_at_goal:
             return -cost, jnp.zeros_like(success)
         return jnp.where(success, jnp.zeros_like(cost), -cost), success

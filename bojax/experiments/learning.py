@@ -321,12 +321,13 @@ class LearningRun(Experiment):
         experience = Experience(
             trial.observation, action, transition.reward, transition.observation, transition.terminated
         )
+        frame = self.env.frame(trial.env)
         trial, counts = self.take(trial, transition, env)
         # What is no number teaches nothing, and leaves no trace.
         experience = jax.tree.map(lambda x: jnp.where(counts, x, jnp.zeros((), x.dtype)), experience)
         taught = Balance(balance.exploration, balance.is_learning & counts)
         learner = self.learner.observe(key, trial.learner, experience, taught, slot)
-        row = self._rows.pack(experience, expected)
+        row = self._rows.pack(experience, expected, frame)
         steps = jax.lax.dynamic_update_index_in_dim(trial.steps, row, step, 0)
         return eqx.tree_at(lambda t: (t.learner, t.steps), trial, (learner, steps))
 
@@ -476,7 +477,14 @@ class LearningRun(Experiment):
 
     @property
     def _rows(self) -> StepRows:
-        return StepRows(self.env.observation_space, self.env.action_space, self._dtype)
+        return StepRows(self.env.observation_space, self.env.action_space, self._frame_size, self._dtype)
+
+    @property
+    def _frame_size(self) -> int:
+        if self.env.is_hosted:
+            return 0
+        frame = jax.eval_shape(lambda key: self.env.frame(self.env.reset(key)), jax.random.key(0))
+        return 0 if frame is None else frame.size
 
     @property
     def exploiting(self) -> Balance:

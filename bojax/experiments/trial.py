@@ -49,25 +49,30 @@ class StepRows(eqx.Module):
     Attributes:
         observations: Space of observations.
         actions: Space of actions.
+        frame_size: Numbers that an animation needs of a state, see `Env.frame`; 0 for none.
         dtype: Precision of the rows; whole numbers below 2^24 stay exact.
     """
 
     observations: Space
     actions: Space
+    frame_size: int = eqx.field(static=True)
     dtype: jnp.dtype = eqx.field(static=True)
 
     @property
     def width(self) -> int:
         """Numbers of a row, R."""
-        return 2 * self.observations.num_dims + self.actions.num_dims + 3
+        return 2 * self.observations.num_dims + self.actions.num_dims + 3 + self.frame_size
 
-    def pack(self, step: Experience, expected: Float[Array, ""]) -> Float[Array, "R"]:
-        """A step and what was expected of it."""
-        parts = (step.observation, step.action, step.next_observation, step.reward, step.terminated, expected)
+    def pack(
+        self, step: Experience, expected: Float[Array, ""], frame: Float[Array, "Q"] | None
+    ) -> Float[Array, "R"]:
+        """A step, what was expected of it, and the frame of the state in which it was taken."""
+        parts = [step.observation, step.action, step.next_observation, step.reward, step.terminated, expected]
+        parts += [] if frame is None else [frame]
         return jnp.concatenate([jnp.ravel(part).astype(self.dtype) for part in parts])
 
-    def unpack(self, rows: Float[Array, "T R"]) -> tuple[Experience, Float[Array, "T"]]:
-        """The steps, and what was expected of them."""
+    def unpack(self, rows: Float[Array, "T R"]) -> tuple[Experience, Float[Array, "T"], Float[Array, "T Q"]]:
+        """The steps, what was expected of them, and their frames."""
         spaces = self.observations, self.actions, self.observations
         ends = np.cumsum([space.num_dims for space in spaces]).tolist()
         *vectors, rest = jnp.split(rows, ends, axis=1)
@@ -75,13 +80,13 @@ class StepRows(eqx.Module):
             part if isinstance(space, Box) else part[:, 0].astype(jnp.int32)
             for part, space in zip(vectors, spaces, strict=True)
         )
-        return Experience(observation, action, rest[:, 0], after, rest[:, 1] > 0.5), rest[:, 2]
+        return Experience(observation, action, rest[:, 0], after, rest[:, 1] > 0.5), rest[:, 2], rest[:, 3:]
 
     def table(
         self, rows: Float[Array, "T R"], length: Int[Array, ""], episode: Int[Array, ""]
     ) -> dict[str, Array]:
         """The rows of `steps.parquet` of an episode."""
-        steps, expected = self.unpack(rows)
+        steps, expected, frames = self.unpack(rows)
         number = jnp.arange(len(expected), dtype=jnp.int32) + 1
         columns = {
             "episode": jnp.broadcast_to(episode, number.shape),
@@ -92,7 +97,8 @@ class StepRows(eqx.Module):
             "done": number == length,
             "valid": number <= length,
         }
-        for name, values in (("observation", steps.observation), ("action", steps.action)):
+        vectors = {"observation": steps.observation, "action": steps.action, "qpos": frames}
+        for name, values in vectors.items():
             flat = values.reshape(len(number), -1).astype(self.dtype)
             columns |= {f"{name}_{i}": flat[:, i] for i in range(flat.shape[1])}
         return columns
@@ -100,10 +106,15 @@ class StepRows(eqx.Module):
     @property
     def columns(self) -> Table:
         """What `table` holds."""
+        sizes = {
+            "observation": self.observations.num_dims,
+            "action": self.actions.num_dims,
+            "qpos": self.frame_size,
+        }
         return _STEP_COLUMNS + tuple(
             Column(f"{name}_{i}", "float32", "", f"{name}, component {i}, in which the step was taken")
-            for name, space in (("observation", self.observations), ("action", self.actions))
-            for i in range(space.num_dims)
+            for name, size in sizes.items()
+            for i in range(size)
         )
 
 

@@ -1,4 +1,4 @@
-"""Where code of others is imported and traced: optional packages, and packages that know plain JAX only.
+"""Where code of others is imported and traced: packages that know plain JAX only.
 
 The engine runs with 64-bit numbers, and tests with strict promotion of types and ranks; MJX and Brax are
 written for neither. What they trace inside `standard_jax` is a 32-bit program beside the 64-bit one.
@@ -16,19 +16,6 @@ import jax.numpy as jnp
 
 P = ParamSpec("P")
 R = TypeVar("R")
-
-
-class MissingExtra(ImportError):
-    """An optional package that is not installed.
-
-    Attributes:
-        exit_code: What the command line exits with.
-    """
-
-    exit_code = 2
-
-    def __init__(self, package: str, extra: str):
-        super().__init__(f'{package} is not installed: pip install "bojax[{extra}]"')
 
 
 @contextlib.contextmanager

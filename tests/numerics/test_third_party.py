@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bojax.numerics.third_party import MissingExtra, silenced, standard_jax
+from bojax.config.extras import MissingExtra
+from bojax.numerics.third_party import silenced, standard_jax
 
 
 def theirs(key, x, n):

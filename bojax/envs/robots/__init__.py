@@ -1,0 +1,1 @@
+"""Robots simulated by MJX that a learner acts in."""

@@ -1,0 +1,64 @@
+"""What the robots that are learned on share."""
+
+import abc
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from bojax.envs.control import ControlTask
+from bojax.envs.spaces import Box
+from bojax.robots.models import RobotModel
+from bojax.robots.simulator import Physics, RobotState, Simulator
+
+
+class RobotTask(ControlTask):
+    """A control task of a robot that MJX steps; a subclass says where it starts and what is seen and paid.
+
+    Actions are the model's controls, within its ranges. A state that the simulation cannot have reached
+    soundly pays NaN, which ends the run as failed.
+
+    Attributes:
+        physics: How MJX computes.
+        substeps: Steps of the physics for one action.
+    """
+
+    physics: eqx.AbstractVar[Physics]
+    substeps: eqx.AbstractVar[int]
+
+    def __check_init__(self):
+        """See `Simulator`: what it refuses is told before anything runs."""
+        _ = self.simulator
+
+    @property
+    @abc.abstractmethod
+    def model(self) -> RobotModel:
+        """The robot and its world."""
+
+    @property
+    def simulator(self) -> Simulator:
+        """The physics."""
+        return Simulator(self.physics, self.model, self.substeps)
+
+    @property
+    def action_space(self) -> Box:
+        """The controls of the model, in its order."""
+        ranges = jnp.asarray(self.simulator.mujoco_model.actuator_ctrlrange, self.dtype)
+        return Box(ranges[:, 0], ranges[:, 1])
+
+    @property
+    def dtype(self) -> jnp.dtype:
+        """Precision of observations and rewards; the physics itself has 32 bits."""
+        return self.physics.max_speed.dtype
+
+    def advance(self, state: RobotState, action: Float[Array, "A"]) -> RobotState:
+        """See `ControlTask`."""
+        return self.simulator.advance(state, action)
+
+    def has_diverged(self, state: RobotState) -> Bool[Array, ""]:
+        """See `ControlTask`."""
+        return self.simulator.has_diverged(state)
+
+    def frame(self, state: RobotState) -> Float[Array, "Q"]:
+        """See `Env`."""
+        return state.qpos

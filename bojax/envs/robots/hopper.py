@@ -1,0 +1,96 @@
+"""A leg that has to jump (thesis, p. 107): Gym's Hopper with a goal."""
+
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Key
+
+from bojax.envs.robots.base import RobotTask
+from bojax.envs.spaces import Box
+from bojax.robots.models import RobotModel, packaged
+from bojax.robots.simulator import Physics, RobotState
+
+_FASTEST, _UNHEALTHY = 10.0, 100.0
+
+
+class Hopper(RobotTask):
+    """A torso on a leg of three segments, in a vertical plane; actions are the torques of its joints.
+
+    The goal is a height of the torso above `goal_height`, the failure an angle of the torso beyond
+    `failure_angle`, to either side (p. 107). The author's code also fails below a height of 0.7 m
+    (`failure_height`). The classic reward is that of Gym's Hopper-v5: forward velocity + 1 - 0.001 times the
+    sum of the squared actions, without the 1 once unhealthy, which ends it: a height below 0.7 m, an angle
+    beyond 0.2 rad, or any other number of the state beyond 100.
+
+    It begins as in Gym: standing, with noise uniform in [-0.005, 0.005] on every position and velocity.
+
+    Attributes:
+        goal_height: Height of the torso to be exceeded, in metres; it stands at 1.25.
+        failure_angle: Largest |angle| of the torso, in radians.
+        failure_height: Least height of the torso, in metres.
+        physics: See `RobotTask`.
+        substeps: See `RobotTask`; a step of the physics is 2 ms.
+        max_steps: See `Env`.
+        reward: See `ControlTask`.
+    """
+
+    goal_height: Float[Array, ""]
+    failure_angle: Float[Array, ""]
+    failure_height: Float[Array, ""]
+    physics: Physics
+    substeps: int = eqx.field(static=True)
+    max_steps: int = eqx.field(static=True)
+    reward: Literal["goal-only", "classic"] = eqx.field(static=True)
+
+    @property
+    def model(self) -> RobotModel:
+        """See `RobotTask`."""
+        return packaged("hopper")
+
+    @property
+    def observation_space(self) -> Box:
+        """Height and angle of the torso, angles of the three joints, and the velocities of all six, clipped.
+
+        The bounds are those of the author's code, in m and rad, m/s and rad/s.
+        """
+        low = jnp.asarray([-0.1, -0.25, -0.4, -0.4, -0.32] + 6 * [-7.0], self.dtype)
+        return Box(low, jnp.asarray([1.3, 0.02, 0.025, 0.03, 0.7] + 6 * [7.0], self.dtype))
+
+    def reset(self, key: Key[Array, ""]) -> RobotState:
+        """See `Env`."""
+        noise = jax.random.uniform(key, (2, 6), jnp.float32, -5e-3, 5e-3)
+        standing = jnp.asarray(self.simulator.mujoco_model.qpos0, jnp.float32)
+        return self.simulator.state(standing + noise[0], noise[1])
+
+    def observe(self, state: RobotState) -> Float[Array, "11"]:
+        """See `observation_space`."""
+        velocities = jnp.clip(state.qvel, -_FASTEST, _FASTEST)
+        return jnp.concatenate([state.qpos[1:], velocities]).astype(self.dtype)
+
+    def is_goal(self, state: RobotState) -> Bool[Array, ""]:
+        """See the class."""
+        return state.qpos[1].astype(self.dtype) > self.goal_height
+
+    def is_failure(self, state: RobotState) -> Bool[Array, ""]:
+        """See the class."""
+        height, angle = state.qpos[1:3].astype(self.dtype)
+        return (jnp.abs(angle) > self.failure_angle) | (height < self.failure_height)
+
+    def classic(
+        self,
+        state: RobotState,
+        action: Float[Array, "3"],
+        success: Bool[Array, ""],
+        failure: Bool[Array, ""],
+        after: RobotState,
+    ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
+        """See the class."""
+        del success, failure
+        rest = jnp.concatenate([after.qpos[2:], after.qvel])
+        is_healthy = jnp.all(jnp.abs(rest) < _UNHEALTHY)
+        is_healthy = is_healthy & (after.qpos[1] > 0.7) & (jnp.abs(after.qpos[2]) < 0.2)
+        forward = ((after.qpos[0] - state.qpos[0]) / self.simulator.time_step).astype(self.dtype)
+        paid = forward + is_healthy.astype(self.dtype) - 1e-3 * jnp.sum(action * action)
+        return paid, ~is_healthy

@@ -1,0 +1,1 @@
+"""Robots in MuJoCo: models, their simulation by MJX, sensors and controllers."""

@@ -1,0 +1,167 @@
+"""Physics of one robot on an accelerator: MuJoCo's MJX, with a state that is small between steps."""
+
+import functools
+from typing import Any, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from bojax.config.extras import MissingExtra
+from bojax.numerics.third_party import plain_jax, silenced, standard_jax
+from bojax.robots.models import MjModel, RobotModel, mujoco
+
+try:
+    with silenced():
+        from mujoco import mjx
+except ImportError as error:
+    raise MissingExtra("mujoco-mjx", "robots") from error
+
+_INTEGRATORS = {
+    "euler": mujoco.mjtIntegrator.mjINT_EULER,
+    "rk4": mujoco.mjtIntegrator.mjINT_RK4,
+    "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
+}
+
+
+class RobotState(eqx.Module):
+    """What has to be kept between steps; MJX's own data are a hundred times as large.
+
+    Attributes:
+        qpos: Generalised positions, in m and rad; quaternions have four numbers.
+        qvel: Generalised velocities, in m/s and rad/s.
+        qacc_warmstart: Accelerations from which the solver of contacts starts, in m/s^2 and rad/s^2.
+    """
+
+    qpos: Float[Array, "Q"]
+    qvel: Float[Array, "V"]
+    qacc_warmstart: Float[Array, "V"]
+
+
+class Physics(eqx.Module):
+    """How MJX computes; what is None is as the model has it.
+
+    Attributes:
+        max_speed: Generalised velocity beyond which a simulation counts as diverged, in m/s or rad/s.
+        iterations: Most iterations of the solver of contacts and limits.
+        ls_iterations: Most iterations of its line search.
+        integrator: How time goes on.
+        impl: Which of MJX's implementations.
+    """
+
+    max_speed: Float[Array, ""]
+    iterations: int | None = eqx.field(static=True)
+    ls_iterations: int | None = eqx.field(static=True)
+    integrator: Literal["euler", "rk4", "implicitfast"] | None = eqx.field(static=True)
+    impl: Literal["jax", "warp"] = eqx.field(static=True)
+
+
+class Simulator(eqx.Module):
+    """A robot, stepped by MJX in 32-bit numbers whatever the precision of the rest.
+
+    The model is part of the compiled program, its state a handful of numbers a lane. A lane that diverges
+    has no influence on the others.
+
+    Attributes:
+        physics: How MJX computes.
+        model: The robot and its world.
+        substeps: Steps of the physics for one of ours.
+    """
+
+    physics: Physics
+    model: RobotModel = eqx.field(static=True)
+    substeps: int = eqx.field(static=True)
+
+    def __check_init__(self):
+        """Let MJX look at the model.
+
+        Raises:
+            ValueError: MuJoCo or MJX refuse it.
+        """
+        _ = self._compiled
+
+    @property
+    def mujoco_model(self) -> MjModel:
+        """The model as C MuJoCo steps it, with the same settings."""
+        return self._compiled[0]
+
+    @property
+    def time_step(self) -> float:
+        """Seconds of one of our steps."""
+        return self.substeps * float(self.mujoco_model.opt.timestep)
+
+    def state(self, qpos: Float[Array, "Q"], qvel: Float[Array, "V"]) -> RobotState:
+        """A state with these positions and velocities."""
+        qpos, qvel = qpos.astype(jnp.float32), qvel.astype(jnp.float32)
+        return RobotState(qpos, qvel, jnp.zeros_like(qvel))
+
+    def advance(self, state: RobotState, control: Float[Array, "U"]) -> RobotState:
+        """The state `substeps` later, under constant controls, which MuJoCo clips to their ranges."""
+        return self._advance(state, control)
+
+    def sites(self, state: RobotState) -> Float[Array, "N 3"]:
+        """Positions of the model's sites, in metres."""
+        return self._sites(state)
+
+    def has_diverged(self, state: RobotState) -> Bool[Array, ""]:
+        """Whether something is no number, or faster than any body."""
+        numbers = jnp.concatenate([state.qpos, state.qvel, state.qacc_warmstart])
+        fastest = jnp.max(jnp.abs(state.qvel)).astype(self.physics.max_speed.dtype)
+        return ~jnp.all(jnp.isfinite(numbers)) | (fastest > self.physics.max_speed)
+
+    @property
+    def _advance(self) -> Any:
+        model, data = self._compiled[1:]
+        substeps = self.substeps
+
+        @standard_jax
+        def advance(state: RobotState, control: jax.Array) -> RobotState:
+            def small_step(_: Any, state: RobotState) -> RobotState:
+                before = data.replace(
+                    qpos=state.qpos, qvel=state.qvel, qacc_warmstart=state.qacc_warmstart, ctrl=control
+                )
+                after = mjx.step(model, before)
+                return RobotState(after.qpos, after.qvel, after.qacc_warmstart)
+
+            # One call of `step` in the program, whatever the number of substeps: it takes long to compile.
+            return jax.lax.fori_loop(0, substeps, small_step, state)
+
+        return advance
+
+    @property
+    def _sites(self) -> Any:
+        model, data = self._compiled[1:]
+
+        @standard_jax
+        def sites(state: RobotState) -> jax.Array:
+            return mjx.kinematics(model, data.replace(qpos=state.qpos)).site_xpos
+
+        return sites
+
+    @property
+    def _compiled(self) -> tuple[MjModel, Any, Any]:
+        physics = self.physics
+        settings = (physics.iterations, physics.ls_iterations, physics.integrator, physics.impl)
+        return _compiled(self.model, *settings)
+
+
+@functools.cache
+def _compiled(
+    model: RobotModel, iterations: int | None, ls_iterations: int | None, integrator: str | None, impl: str
+) -> tuple[MjModel, Any, Any]:
+    """The model for C MuJoCo and for MJX, and MJX's data of it; made once, outside of any trace."""
+    spec = model.spec()
+    if iterations is not None:
+        spec.option.iterations = iterations
+    if ls_iterations is not None:
+        spec.option.ls_iterations = ls_iterations
+    if integrator is not None:
+        spec.option.integrator = _INTEGRATORS[integrator]
+    try:
+        compiled = spec.compile()
+        with silenced(), plain_jax(), jax.ensure_compile_time_eval():
+            put = mjx.put_model(compiled, impl=impl)
+            return compiled, put, mjx.make_data(compiled, impl=impl)
+    except (ValueError, NotImplementedError, RuntimeError, ImportError) as error:
+        raise ValueError(f"MJX refuses the model: {' '.join(str(error).split())}") from error
