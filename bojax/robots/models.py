@@ -55,7 +55,7 @@ class RobotModel:
 
 def packaged(name: str) -> RobotModel:
     """A model that comes with bojax, such as `hopper`."""
-    return RobotModel(resources.files(__package__).joinpath("mjcf", f"{name}.xml").read_text("utf-8"))
+    return RobotModel(resources.files("bojax.robots").joinpath("mjcf", f"{name}.xml").read_text("utf-8"))
 
 
 def from_file(path: str | Path) -> RobotModel:
