@@ -21,7 +21,7 @@ class Dock(PoseProblem):
     heading_noise: Float[Array, ""]  # rad
     max_steps: int = eqx.field(static=True, default=10)
 
-    def reset(self, key: Key[Array, ""]) -> Pose:
+    def start(self, key: Key[Array, ""]) -> Pose:
         """A start 3 m to the left, at a random height, facing the pillar and the dock behind it."""
         y = jax.random.uniform(key, (), self.pillar.dtype, -1.0, 1.0)
         return jnp.stack([jnp.full_like(y, -3.0), y, jnp.zeros_like(y)])

@@ -14,6 +14,7 @@ from bojax.config import (
     problems,
     schedules,
     tabular,
+    vehicles,
 )
 from bojax.config.component import Component, registry
 
@@ -34,6 +35,7 @@ __all__ = [
     "problems",
     "schedules",
     "tabular",
+    "vehicles",
 ]
 
 ROLES = {
@@ -51,6 +53,8 @@ ROLES = {
     "kernel": "kernels",
     "mean": "prior means",
     "acquisition": "acquisition functions",
+    "vehicle": "robots that drive planned paths",
+    "sensor": "sensors",
     "physics": "engines of physics",
 }
 """The roles that a user can fill, with their plurals, in the order of lists."""
@@ -68,6 +72,8 @@ PROTOCOLS = {
     "kernel": "bojax.models.kernels:Kernel",
     "mean": "bojax.models.means:Mean",
     "acquisition": "bojax.acquisition.functions:Acquisition",
+    "vehicle": "bojax.problems.vehicles.base:Vehicle",
+    "sensor": "bojax.problems.sensors:Sensor",
 }
 """Base class of each role, whose abstract methods a user's class has to provide."""
 

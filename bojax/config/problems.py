@@ -10,6 +10,7 @@ from bojax.config.component import Component, Slot
 from bojax.config.fields import Box, Bumps, Step, proper_box
 from bojax.config.models import RBF, Scaled, ZeroMean
 from bojax.config.objectives import Gradient, Value
+from bojax.config.vehicles import Exact, Point
 
 
 class Parking(Component, frozen=True):
@@ -48,9 +49,14 @@ class Parking(Component, frozen=True):
     park_along_path: bool = Field(
         default=True, description="whether passing through the goal region counts as parking"
     )
+    vehicle: Annotated[Component, Slot("vehicle")] = Field(
+        default=Exact(), description="who drives the paths"
+    )
 
 
 Pose = Annotated[tuple[float, float, float], Field(strict=False)]
+_Spread = Annotated[float, Field(ge=0)]
+PoseNoise = Annotated[tuple[_Spread, _Spread], Field(strict=False)]
 
 
 class FieldProblem(Component, frozen=True):
@@ -88,6 +94,16 @@ class FieldProblem(Component, frozen=True):
     )
     noise_variance: float = Field(default=0.01, ge=0, description="noise variance that the belief assumes")
     noise: float = Field(default=0.1, ge=0, description="standard deviation of the observation noise")
+    pose_noise: PoseNoise | None = Field(
+        default=None,
+        description="standard deviations of a reading of the pose, [m, rad]; null: it is known exactly",
+    )
+    vehicle: Annotated[Component, Slot("vehicle")] = Field(
+        default=Exact(), description="who drives the paths"
+    )
+    sensor: Annotated[Component, Slot("sensor")] = Field(
+        default=Point(), description="how the field is measured"
+    )
     collision_reward: float = Field(default=-100.0, le=0, description="paid when a wall stops the robot")
     exit_reward: float = Field(default=-100.0, le=0, description="paid when the border stops the robot")
     max_steps: int = Field(default=25, ge=1, description="steps after which an episode ends")

@@ -1,6 +1,7 @@
 """A planning episode: plan, drive, observe, until the task ends."""
 
 from collections.abc import Mapping
+from typing import TypeVar
 
 import equinox as eqx
 import jax
@@ -8,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key, Scalar
 
 from bojax.experiments.base import Experiment, Records
+from bojax.motions.base import tightest_radius
 from bojax.planning.base import Planner
 from bojax.problems.base import POSE_COLUMNS, Belief, Problem, World
 from bojax.results.schema import Column, Table
@@ -27,8 +29,11 @@ class Episode(eqx.Module):
         success: The task was solved.
         exited: Number of times that the robot left the domain.
         is_done: The episode is over.
+        failed: The simulation of the world has diverged.
         start: Pose at the start.
         paths: Paths driven, in the world's frame; NaN where there is none.
+        plans: What was planned in their place, in the robot's frame.
+        frames: What an animation shows of the ways, see `Problem.frame_shape`.
     """
 
     key_world: Key[Array, ""]
@@ -40,8 +45,11 @@ class Episode(eqx.Module):
     success: Bool[Array, ""]
     exited: Int[Array, ""]
     is_done: Bool[Array, ""]
+    failed: Bool[Array, ""]
     start: Float[Array, "3"]
     paths: Float[Array, "T S 3"]
+    plans: Float[Array, "T S 3"]
+    frames: Float[Array, "T F Q"] | None
 
 
 class PlanningEpisode(Experiment):
@@ -54,6 +62,22 @@ class PlanningEpisode(Experiment):
 
     problem: Problem
     planner: Planner
+
+    def __check_init__(self):
+        """Compare the planner's trajectories with what the robot can drive.
+
+        Raises:
+            ValueError: A trajectory is tighter than its turning radius.
+        """
+        radius = self.problem.turning_radius
+        if radius == 0.0:
+            return
+        tightest = tightest_radius(self.planner.motions)
+        if tightest < radius:
+            raise ValueError(
+                f"planner.motions: the tightest trajectory has a radius of {tightest:.2f} m; the robot can "
+                f"drive {radius:.2f} m: longer trajectories, or smaller angles"
+            )
 
     @property
     def tables(self) -> Mapping[str, Table]:
@@ -71,6 +95,7 @@ class PlanningEpisode(Experiment):
         world = self.problem.reset(jax.random.fold_in(key_world, 0))
         start = self.problem.pose(world)
         num_samples = self.planner.motions.num_samples
+        shape = self.problem.frame_shape
         return Episode(
             key_world=key_world,
             key_planner=key_planner,
@@ -81,8 +106,13 @@ class PlanningEpisode(Experiment):
             success=jnp.zeros((), bool),
             exited=jnp.zeros((), jnp.int32),
             is_done=jnp.zeros((), bool),
+            failed=jnp.zeros((), bool),
             start=start,
             paths=jnp.full((self.problem.max_steps, num_samples, 3), jnp.nan, start.dtype),
+            plans=jnp.full((self.problem.max_steps, num_samples, 3), jnp.nan, start.dtype),
+            frames=None
+            if shape is None
+            else jnp.full((self.problem.max_steps, *shape), jnp.nan, jnp.float32),
         )
 
     def advance(self, carry: Episode) -> tuple[Episode, Records]:
@@ -95,9 +125,13 @@ class PlanningEpisode(Experiment):
         world, observation, events = self.problem.execute(key, carry.world, plan.path)
         reward = self.problem.reward(None, carry.belief, plan.path, events)
         belief = self.problem.update(carry.belief, plan.path, observation)
+        failed = jnp.zeros((), bool) if events.failed is None else events.failed
+        if events.failed is not None:  # what is no number is reported, and leaves no trace
+            reward = jnp.where(failed, jnp.nan, reward)
+            world, belief = _where(~failed, (world, belief), (carry.world, carry.belief))
 
         step = carry.step + 1
-        done = events.terminated | (step >= self.problem.max_steps)
+        done = events.terminated | failed | (step >= self.problem.max_steps)
         accumulated = carry.accumulated + reward
         after = Episode(
             key_world=carry.key_world,
@@ -109,8 +143,11 @@ class PlanningEpisode(Experiment):
             success=carry.success | events.success,
             exited=carry.exited + events.exited.astype(jnp.int32),
             is_done=done,
+            failed=failed,
             start=carry.start,
             paths=carry.paths.at[carry.step].set(events.driven),
+            plans=carry.plans.at[carry.step].set(plan.path),
+            frames=None if carry.frames is None else carry.frames.at[carry.step].set(events.frames),
         )
         pose = self.problem.pose(world)
         row = {
@@ -145,12 +182,17 @@ class PlanningEpisode(Experiment):
         }
 
     def snapshot(self, carry: Episode) -> dict[str, dict[str, Array]]:
-        """The paths driven, and what the problem keeps: for figures and animations."""
-        paths = {"paths": carry.paths, "start": carry.start}
+        """The paths planned and driven, and what the problem keeps: for figures and animations."""
+        paths = {"paths": carry.paths, "plans": carry.plans, "start": carry.start}
+        if carry.frames is not None:
+            paths |= {"frames": carry.frames}
         return {"paths": paths, **self.problem.snapshot(carry.world, carry.belief)}
 
 
-def _where(active: Bool[Array, ""], after: Episode, before: Episode) -> Episode:
+T = TypeVar("T")
+
+
+def _where(active: Bool[Array, ""], after: T, before: T) -> T:
     # What an advance leaves alone is not selected: choosing between a key and itself would use it twice.
     return jax.tree.map(lambda a, b: a if a is b else jnp.where(active, a, b), after, before)
 

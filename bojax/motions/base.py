@@ -6,6 +6,7 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 Path = Float[Array, "S 3"]
@@ -99,3 +100,22 @@ class DiscreteMotions(eqx.Module):
 
 
 Motions = ContinuousMotions | DiscreteMotions
+
+
+def tightest_radius(motions: Motions) -> float:
+    """Radius in metres of the tightest curve in a family; computed on the host, before anything runs.
+
+    Curvature is the turn of the heading between poses a known arc length apart. Of a continuous family the
+    corners of the box, the middles of its sides and its centre are looked at.
+    """
+    if isinstance(motions, DiscreteMotions):
+        paths = motions.paths()
+    else:
+        levels = np.meshgrid(*[[-1.0, 0.0, 1.0]] * motions.num_params)
+        params = jnp.asarray(np.stack(levels, axis=-1).reshape(-1, motions.num_params), motions.length.dtype)
+        paths = jax.vmap(motions.path)(params)
+    headings = np.unwrap(np.asarray(paths)[..., 2], axis=-1)
+    headings = np.concatenate([np.zeros_like(headings[:, :1]), headings], axis=-1)
+    turn = np.abs(np.diff(headings, axis=-1)).max()
+    step = float(motions.length) / motions.num_samples
+    return float("inf") if turn == 0.0 else step / float(turn)

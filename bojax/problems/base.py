@@ -38,6 +38,8 @@ class Events(eqx.Module):
         driven: Poses that the robot went through, in the world's frame.
         is_driven: Whether the robot reached that pose of the path; where it stopped before, `driven`
             repeats the pose that it stopped at.
+        frames: What an animation shows of the way, see `Problem.frame_shape`.
+        failed: The simulation of the world has diverged, and the run with it; None where it cannot.
     """
 
     reward: Float[Array, ""]
@@ -46,6 +48,8 @@ class Events(eqx.Module):
     exited: Bool[Array, ""]
     driven: Float[Array, "S 3"]
     is_driven: Bool[Array, "S"]
+    frames: Float[Array, "F Q"] | None = None
+    failed: Bool[Array, ""] | None = None
 
 
 class Simulation(eqx.Module):
@@ -114,6 +118,16 @@ class Problem(eqx.Module):
     @abc.abstractmethod
     def pose(self, world: World) -> Pose:
         """The robot's true pose."""
+
+    @property
+    def frame_shape(self) -> tuple[int, int] | None:
+        """Number of frames that an execution yields, and of numbers in each; None where there are none."""
+        return None
+
+    @property
+    def turning_radius(self) -> float:
+        """Radius of the tightest curve that the robot can drive, in metres."""
+        return 0.0
 
     def snapshot(self, world: World, belief: Belief) -> dict[str, dict[str, Array]]:
         """Arrays worth keeping of the end of an episode: `{name: {array name: array}}`."""

@@ -17,6 +17,8 @@ from bojax.motions.base import Path, Pose, place
 from bojax.numerics.lanes import any_lane
 from bojax.problems.base import Events, Problem, Simulation
 from bojax.problems.objectives import FieldObjective
+from bojax.problems.sensors import PointSensor, Sensor
+from bojax.problems.vehicles.base import Body, Exact, Vehicle
 from bojax.problems.walls import Boxes, Drive, drive_until_blocked, is_free
 from bojax.results.schema import Column, Table
 
@@ -31,12 +33,12 @@ class FieldWorld(eqx.Module):
     """The state of an episode.
 
     Attributes:
-        pose: The robot's pose.
+        body: The vehicle.
         collisions: Times that a wall stopped the robot.
         gradient: Sum over the samples taken of the norm of the true field's gradient.
     """
 
-    pose: Pose
+    body: Body
     collisions: Int[Array, ""]
     gradient: Float[Array, ""]
 
@@ -45,10 +47,10 @@ class Samples(eqx.Module):
     """What a robot learns from a path.
 
     Attributes:
-        points: Where it looked.
+        points: Where it took itself to be.
         values: What it saw.
         is_taken: Whether it came there.
-        pose: Where it is.
+        pose: Where it takes itself to be now.
     """
 
     points: Float[Array, "S 2"]
@@ -61,7 +63,7 @@ class FieldBelief(eqx.Module):
     """What the robot knows: its pose, and a Gaussian process over the field.
 
     Attributes:
-        pose: The robot's pose.
+        pose: Where the robot takes itself to be.
         posterior: The belief about the field.
         step: Paths driven.
         key: What learning hyper-parameters draws its starts from.
@@ -111,8 +113,8 @@ class FieldMonitoring(Problem):
 
     A path pays what its samples are worth under the belief before it, summed (3.2, 4.11), plus what
     collisions and leaving the domain cost. Walls, border and pose are known to the planner, the field is
-    not. Walls and border stop the robot at the last pose of the path that it can reach; samples past it are
-    neither taken nor paid. Then the robot stands still (`after_collision: "stop"`) or turns round on the
+    not. Walls and border end the robot's path at the last pose of it that can be reached; samples past it
+    are neither taken nor paid. Then the robot stands still (`after_collision: "stop"`) or turns round on the
     spot (`"turn"`): the same in the world and in a planner's simulations, for every planner.
 
     Attributes:
@@ -126,9 +128,12 @@ class FieldMonitoring(Problem):
         mean: Prior mean of the field.
         noise_variance: Variance of the observation noise that the belief assumes.
         noise: Standard deviation of the observation noise.
+        pose_noise: Standard deviations of a reading of the robot's pose, in m and rad; None for exact ones.
         collision_reward: Paid when a wall stops the robot.
         exit_reward: Paid when the border stops it.
         relearn_spread: Standard deviation of the logarithm of each hyper-parameter around its setting.
+        vehicle: Who follows the paths; planners take it that they are followed exactly.
+        sensor: How the field is measured.
         max_steps: Actions an episode.
         resolution: Points a side of the grid on which the final belief is scored.
         relearn_every: Steps after which the belief learns its hyper-parameters anew; 0 for never.
@@ -155,9 +160,12 @@ class FieldMonitoring(Problem):
     mean: Mean
     noise_variance: Float[Array, ""]
     noise: Float[Array, ""]
+    pose_noise: Float[Array, "2"] | None = eqx.field(default=None, kw_only=True)
     collision_reward: Float[Array, ""]
     exit_reward: Float[Array, ""]
     relearn_spread: Float[Array, ""]
+    vehicle: Vehicle = eqx.field(default_factory=Exact, kw_only=True)
+    sensor: Sensor = eqx.field(default_factory=PointSensor, kw_only=True)
     max_steps: int = eqx.field(static=True)
     resolution: int = eqx.field(static=True)
     relearn_every: int = eqx.field(static=True)
@@ -168,13 +176,14 @@ class FieldMonitoring(Problem):
     def reset(self, key: Key[Array, ""]) -> FieldWorld:
         """See `Problem`."""
         pose = self._random_start(key) if self.start is None else self.start
-        return FieldWorld(pose, jnp.zeros((), jnp.int32), jnp.zeros((), self.domain.dtype))
+        zero = jnp.zeros((), self.domain.dtype)
+        return FieldWorld(self.vehicle.place(pose), jnp.zeros((), jnp.int32), zero)
 
     def prior(self, key: Key[Array, ""], world: FieldWorld, num_samples: int) -> FieldBelief:
-        """The prior of the field, and the pose."""
+        """The prior of the field, and the pose, which is known at the start."""
         capacity = self.max_steps * num_samples
         return FieldBelief(
-            pose=world.pose,
+            pose=self.vehicle.estimate(world.body),
             posterior=GaussianProcess.prior(self.kernel, self.noise_variance, capacity, 2, self.mean),
             step=jnp.zeros((), jnp.int32),
             key=key,
@@ -185,14 +194,15 @@ class FieldMonitoring(Problem):
         self, key: Key[Array, ""], world: FieldWorld, path: Path
     ) -> tuple[FieldWorld, Samples, Events]:
         """Drive a path and take the samples."""
-        driven = self._drive(world.pose, path)
-        pose = self._end(driven)
-        points = driven.poses[:, :2]
-        noise = self.noise * jax.random.normal(key, points.shape[:1], points.dtype)
-        values = self.field.values(points) + noise
-        slope = jnp.sqrt(jnp.sum(self.field.gradients(points) ** 2, axis=-1))
+        driven = self._drive(self.vehicle.estimate(world.body), path)
+        noise = None if self.pose_noise is None else self.pose_noise[jnp.asarray([0, 0, 1])]
+        ride = self.vehicle.follow(
+            jax.random.fold_in(key, 0), world.body, driven.poses, self._end(driven), noise
+        )
+        values = self.sensor(key, self.field, ride.poses, ride.mounts, self.noise)
+        slope = jnp.sqrt(jnp.sum(self.field.gradients(ride.poses[:, :2]) ** 2, axis=-1))
         after = FieldWorld(
-            pose=pose,
+            body=ride.body,
             collisions=world.collisions + driven.collided.astype(jnp.int32),
             gradient=world.gradient + jnp.sum(jnp.where(driven.is_driven, slope, 0.0)),
         )
@@ -201,10 +211,13 @@ class FieldMonitoring(Problem):
             terminated=jnp.zeros((), bool),
             success=self._is_reached(driven),
             exited=driven.exited,
-            driven=driven.poses,
+            driven=ride.poses,
             is_driven=driven.is_driven,
+            frames=ride.frames,
+            failed=ride.failed,
         )
-        return after, Samples(points, values, driven.is_driven, pose), events
+        pose = self.vehicle.estimate(ride.body)
+        return after, Samples(ride.estimates[:, :2], values, driven.is_driven, pose), events
 
     def update(self, belief: FieldBelief, path: Path, observation: Samples) -> FieldBelief:
         """The belief after the samples of a path, with new hyper-parameters where they are due."""
@@ -303,7 +316,17 @@ class FieldMonitoring(Problem):
 
     def pose(self, world: FieldWorld) -> Pose:
         """See `Problem`."""
-        return world.pose
+        return self.vehicle.pose(world.body)
+
+    @property
+    def frame_shape(self) -> tuple[int, int] | None:
+        """See `Problem`."""
+        return self.vehicle.frame_shape
+
+    @property
+    def turning_radius(self) -> float:
+        """See `Problem`."""
+        return self.vehicle.turning_radius
 
     def score(self, world: FieldWorld, belief: FieldBelief) -> dict[str, Scalar]:
         """Errors of the final belief on a grid over the domain; cells in a wall do not count."""

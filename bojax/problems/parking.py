@@ -36,6 +36,7 @@ class Parking(PoseProblem):
         exit_reward: Reward for leaving the domain.
         position_noise: Standard deviation of a position reading, per axis, in metres.
         heading_noise: Standard deviation of a heading reading, in radians.
+        vehicle: See `PoseProblem`.
         max_steps: Actions an episode.
         bearing: `"world"`: beta is the direction of the robot seen from the lot; `"robot"`: beta is the
             direction of the lot relative to the robot's heading.
@@ -59,7 +60,7 @@ class Parking(PoseProblem):
     exit_terminates: bool = eqx.field(static=True)
     park_along_path: bool = eqx.field(static=True)
 
-    def reset(self, key: Key[Array, ""]) -> Pose:
+    def start(self, key: Key[Array, ""]) -> Pose:
         """A pose uniform over the domain and over all headings."""
         low = jnp.stack([-self.half_width, -self.half_width, jnp.zeros_like(self.half_width)])
         high = jnp.stack([self.half_width, self.half_width, jnp.full_like(self.half_width, 2.0 * jnp.pi)])

@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float, Int, Key, Scalar
 
 from bojax.motions.base import Path, Pose, place
 from bojax.problems.base import Events, Objective, Problem, Simulation
+from bojax.problems.vehicles.base import Body, Exact, Vehicle
 
 
 class Outcome(eqx.Module):
@@ -32,33 +33,44 @@ class Outcome(eqx.Module):
 class PoseProblem(Problem):
     """A problem told by its start and by the outcome of a path; a subclass writes these two methods.
 
-    The robot follows a path exactly. The planner knows the model and sees only a reading of the pose with
-    Gaussian noise: its belief is the last reading, and it simulates as if that were the pose.
+    The planner knows the model, in which paths are followed exactly, and sees only a reading of the pose
+    with Gaussian noise: its belief is the last reading, and it simulates as if that were the pose. In the
+    world the `vehicle` follows the paths: exactly, unless a subclass says otherwise.
 
     Attributes:
         position_noise: Standard deviation of a position reading, per axis, in metres.
         heading_noise: Standard deviation of a heading reading, in radians.
+        vehicle: Who follows the paths.
     """
 
     position_noise: eqx.AbstractVar[Float[Array, ""]]
     heading_noise: eqx.AbstractVar[Float[Array, ""]]
+    vehicle: Vehicle = eqx.field(default_factory=Exact, kw_only=True)
+
+    @abc.abstractmethod
+    def start(self, key: Key[Array, ""]) -> Pose:
+        """A pose to start from."""
 
     @abc.abstractmethod
     def outcome(self, start: Pose, path: Float[Array, "S 3"]) -> Outcome:
         """What happens when the robot drives from `start` through the poses of `path` (world frame)."""
 
-    def prior(self, key: Key[Array, ""], world: Pose, num_samples: int) -> Pose:
+    def reset(self, key: Key[Array, ""]) -> Body:
+        """The vehicle at a start."""
+        return self.vehicle.place(self.start(key))
+
+    def prior(self, key: Key[Array, ""], world: Body, num_samples: int) -> Pose:
         """The first reading."""
         del num_samples
-        return self._read(key, world)
+        return self._read(key, self.pose(world))
 
-    def execute(self, key: Key[Array, ""], world: Pose, path: Path) -> tuple[Pose, Pose, Events]:
-        """Drive a path from the true pose and read the pose it ends in."""
-        poses = place(path, world)
-        outcome = self.outcome(world, poses)
-        index = jnp.arange(poses.shape[0], dtype=outcome.last.dtype)
-        driven = poses[jnp.minimum(index, outcome.last)]
-        end = driven[-1].at[2].set(jnp.mod(driven[-1, 2], 2.0 * jnp.pi))
+    def execute(self, key: Key[Array, ""], world: Body, path: Path) -> tuple[Body, Pose, Events]:
+        """Drive a path from where the vehicle takes itself to be, and read the pose it ends in."""
+        planned = place(path, self.vehicle.estimate(world))
+        ride = self.vehicle.follow(jax.random.fold_in(key, 0), world, planned, planned[-1], self._noise)
+        outcome = self.outcome(self.pose(world), ride.poses)
+        index = jnp.arange(planned.shape[0], dtype=outcome.last.dtype)
+        driven = ride.poses[jnp.minimum(index, outcome.last)]
         events = Events(
             reward=outcome.reward,
             terminated=outcome.terminated,
@@ -66,8 +78,11 @@ class PoseProblem(Problem):
             exited=outcome.exited,
             driven=driven,
             is_driven=index <= outcome.last,
+            frames=ride.frames,
+            failed=ride.failed,
         )
-        return end, self._read(key, end), events
+        body = self.vehicle.stopped_at(ride.body, driven[-1])
+        return body, self._read(key, self.pose(body)), events
 
     def update(self, belief: Pose, path: Path, observation: Pose) -> Pose:
         """The last reading."""
@@ -105,10 +120,23 @@ class PoseProblem(Problem):
         outcome = jax.vmap(lambda start, path: self.outcome(start, place(path, start)))(begin, paths)
         return Simulation(starts[1], outcome.reward, outcome.terminated)
 
-    def pose(self, world: Pose) -> Pose:
-        """The state itself."""
-        return world
+    def pose(self, world: Body) -> Pose:
+        """See `Problem`."""
+        return self.vehicle.pose(world)
+
+    @property
+    def frame_shape(self) -> tuple[int, int] | None:
+        """See `Problem`."""
+        return self.vehicle.frame_shape
+
+    @property
+    def turning_radius(self) -> float:
+        """See `Problem`."""
+        return self.vehicle.turning_radius
+
+    @property
+    def _noise(self) -> Float[Array, "3"]:
+        return jnp.stack([self.position_noise, self.position_noise, self.heading_noise])
 
     def _read(self, key: Key[Array, ""], pose: Pose) -> Pose:
-        noise = jnp.stack([self.position_noise, self.position_noise, self.heading_noise])
-        return pose + noise * jax.random.normal(key, (3,), pose.dtype)
+        return pose + self._noise * jax.random.normal(key, (3,), pose.dtype)

@@ -19,7 +19,7 @@ class Target(PoseProblem):
     target: Float[Array, "2"]
     max_steps: int = 1
 
-    def reset(self, key: Key[Array, ""]) -> Pose:
+    def start(self, key: Key[Array, ""]) -> Pose:
         del key
         return jnp.zeros_like(self.target, shape=(3,))
 
@@ -37,7 +37,7 @@ class Detour(PoseProblem):
     heading_noise: Float[Array, ""]
     max_steps: int = 2
 
-    def reset(self, key: Key[Array, ""]) -> Pose:
+    def start(self, key: Key[Array, ""]) -> Pose:
         del key
         return jnp.zeros_like(self.position_noise, shape=(3,))
 

@@ -17,7 +17,7 @@ class GoalDisc(PoseProblem):
     heading_noise: Float[Array, ""]
     max_steps: int = eqx.field(static=True)
 
-    def reset(self, key: Key[Array, ""]) -> Pose:
+    def start(self, key: Key[Array, ""]) -> Pose:
         bearing = jax.random.uniform(key, (), self.radius.dtype, 0.0, 2.0 * jnp.pi)
         return jnp.stack([2.0 * jnp.cos(bearing), 2.0 * jnp.sin(bearing), bearing + jnp.pi])
 

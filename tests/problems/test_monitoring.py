@@ -75,11 +75,11 @@ def test_a_path_is_driven_until_walls_or_border_stop_the_robot(name):
     with_start = np.concatenate([poses[:, None], paths], axis=1)
     last = with_start[np.arange(NUM), number]
     np.testing.assert_allclose(events.driven[:, -1], last, atol=1e-14)
-    np.testing.assert_allclose(after.pose[:, :2], last[:, :2], atol=1e-14)
+    np.testing.assert_allclose(after.body[:, :2], last[:, :2], atol=1e-14)
     turned = np.pi * (collided | exited) * (problem.after_collision == "turn")
-    np.testing.assert_allclose(np.exp(1j * after.pose[:, 2]), np.exp(1j * (last[:, 2] + turned)), atol=1e-12)
-    assert np.all(after.pose[:, 2] >= 0.0) and np.all(after.pose[:, 2] <= 2.0 * np.pi)
-    np.testing.assert_array_equal(samples.pose, after.pose)
+    np.testing.assert_allclose(np.exp(1j * after.body[:, 2]), np.exp(1j * (last[:, 2] + turned)), atol=1e-12)
+    assert np.all(after.body[:, 2] >= 0.0) and np.all(after.body[:, 2] <= 2.0 * np.pi)
+    np.testing.assert_array_equal(samples.pose, after.body)
     assert exited.sum() > 50 and (name == "no walls") == (collided.sum() == 0)
     assert len(set(number)) == SIZE + 1
 
@@ -89,7 +89,7 @@ def test_the_robot_never_leaves_the_free_space(name):
     problem = PROBLEMS[name]
     low, high = np.asarray(problem.domain).reshape(2, 2)
     _, _, (after, _, events) = executed(problem)
-    for points in (after.pose[:, :2], *events.driven[..., :2]):
+    for points in (after.body[:, :2], *events.driven[..., :2]):
         assert np.all((points >= low) & (points <= high))
         if problem.walls is not None:
             assert not np.any(segments_touch_boxes(points, points, np.asarray(problem.walls)))
@@ -126,7 +126,7 @@ def test_reaching_the_target_area_is_success_and_passing_through_counts():
 
 def test_the_start_is_the_given_one():
     world = monitoring(start=(0.5, 0.6, 7.0)).reset(jax.random.key(0))
-    np.testing.assert_array_equal(world.pose, [0.5, 0.6, 7.0])
+    np.testing.assert_array_equal(world.body, [0.5, 0.6, 7.0])
     assert world.collisions == 0 and world.gradient == 0.0
 
 
@@ -185,7 +185,7 @@ def test_the_belief_is_the_prior_conditioned_on_the_samples_taken():
         found = jax.jit(type(belief.posterior).predict)(belief.posterior, f64(queries))
         np.testing.assert_allclose(found[0], mean, atol=1e-9)
         np.testing.assert_allclose(found[1], np.diag(covariance), atol=1e-9)
-    np.testing.assert_array_equal(belief.pose, world.pose)
+    np.testing.assert_array_equal(belief.pose, world.body)
     assert 0 < len(x) < problem.max_steps * SIZE  # some paths were cut short
 
 
@@ -307,7 +307,7 @@ def test_the_scores_are_errors_over_the_open_cells_of_the_grid(name, count):
     problem = PROBLEMS[name]
     belief = field_belief(problem, (0.5, 0.5, 0.0), count)
     world = problem.reset(jax.random.key(0))
-    world = type(world)(world.pose, world.collisions + 3, world.gradient + 6.0)
+    world = type(world)(world.body, world.collisions + 3, world.gradient + 6.0)
     found = jax.jit(lambda problem, world, belief: problem.score(world, belief))(problem, world, belief)
 
     grid = np.stack(np.meshgrid(np.linspace(0.0, 3.0, 12), np.linspace(0.0, 2.4, 12)), axis=-1).reshape(-1, 2)
