@@ -65,8 +65,11 @@ class CartpoleSwingUp(ControlTask):
         """See `observation_space`."""
         return state
 
-    def advance(self, state: Float[Array, "4"], action: Float[Array, "1"]) -> Float[Array, "4"]:
+    def advance(
+        self, key: Key[Array, ""], state: Float[Array, "4"], action: Float[Array, "1"]
+    ) -> Float[Array, "4"]:
         """One explicit Euler step."""
+        del key
         (force,) = action
         if self.actions == "sign":
             force = self.max_force * sign(force)

@@ -12,7 +12,7 @@ from bojax.envs.spaces import Box
 
 
 class ControlTask(Env):
-    """A deterministic system that has to be brought to a goal.
+    """A system that has to be brought to a goal.
 
     With `reward` `"goal-only"` an episode pays 1 at the goal and -1 at a failure, both absorbing, and 0
     otherwise (p. 106). With `"classic"` it pays what the domain pays in Gym, and each domain says what ends
@@ -40,8 +40,8 @@ class ControlTask(Env):
         """See `Env`."""
 
     @abc.abstractmethod
-    def advance(self, state: EnvState, action: Float[Array, "A"]) -> EnvState:
-        """The state one time step later, under an action within its bounds."""
+    def advance(self, key: Key[Array, ""], state: EnvState, action: Float[Array, "A"]) -> EnvState:
+        """The state one time step later, under an action within its bounds; most domains need no key."""
 
     @abc.abstractmethod
     def is_goal(self, state: EnvState) -> Bool[Array, ""]:
@@ -71,12 +71,11 @@ class ControlTask(Env):
     def step(
         self, key: Key[Array, ""], state: EnvState, action: Float[Array, "A"]
     ) -> tuple[EnvState, Transition]:
-        """See `Env`; nothing is random."""
-        del key
+        """See `Env`."""
         bounds = self.action_space
         dtype = bounds.low.dtype
         clipped = jnp.clip(action.astype(dtype), bounds.low, bounds.high)
-        after = self.advance(state, clipped)
+        after = self.advance(key, state, clipped)
         failure = self.is_failure(after)
         success = self.is_goal(after) & ~failure
         if self.reward == "goal-only":

@@ -69,8 +69,11 @@ class DoublePendulum(ControlTask):
         first, second, *speeds = state
         return jnp.stack([jnp.cos(first), jnp.sin(first), jnp.cos(second), jnp.sin(second), *speeds])
 
-    def advance(self, state: Float[Array, "4"], action: Float[Array, "1"]) -> Float[Array, "4"]:
+    def advance(
+        self, key: Key[Array, ""], state: Float[Array, "4"], action: Float[Array, "1"]
+    ) -> Float[Array, "4"]:
         """One Runge-Kutta step; then angles are wrapped, and velocities clipped to their bounds."""
+        del key
         (torque,) = action
         if self.actions == "sign":
             torque = self.max_torque * sign(torque)

@@ -63,8 +63,11 @@ class MountainCar(ControlTask):
         """See `observation_space`."""
         return state
 
-    def advance(self, state: Float[Array, "2"], action: Float[Array, "1"]) -> Float[Array, "2"]:
+    def advance(
+        self, key: Key[Array, ""], state: Float[Array, "2"], action: Float[Array, "1"]
+    ) -> Float[Array, "2"]:
         """The velocity changes first, then the position; the left wall takes the velocity away."""
+        del key
         low, high = self.observation_space.low, self.observation_space.high
         (force,) = action
         if self.actions == "thresholded":

@@ -66,8 +66,11 @@ class SinglePendulum(ControlTask):
         """See `observation_space`."""
         return jnp.stack([jnp.cos(state[0]), jnp.sin(state[0]), state[1]])
 
-    def advance(self, state: Float[Array, "2"], action: Float[Array, "1"]) -> Float[Array, "2"]:
+    def advance(
+        self, key: Key[Array, ""], state: Float[Array, "2"], action: Float[Array, "1"]
+    ) -> Float[Array, "2"]:
         """One semi-implicit Euler step, as Gym makes it."""
+        del key
         angle, speed = state
         (torque,) = action
         weight = 1.5 * self.gravity / self.length * jnp.sin(angle)

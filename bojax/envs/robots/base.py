@@ -4,7 +4,7 @@ import abc
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Key
 
 from bojax.envs.control import ControlTask
 from bojax.envs.spaces import Box
@@ -51,8 +51,9 @@ class RobotTask(ControlTask):
         """Precision of observations and rewards; the physics itself has 32 bits."""
         return self.physics.max_speed.dtype
 
-    def advance(self, state: RobotState, action: Float[Array, "A"]) -> RobotState:
-        """See `ControlTask`."""
+    def advance(self, key: Key[Array, ""], state: RobotState, action: Float[Array, "A"]) -> RobotState:
+        """See `ControlTask`; nothing is random."""
+        del key
         return self.simulator.advance(state, action)
 
     def has_diverged(self, state: RobotState) -> Bool[Array, ""]:
