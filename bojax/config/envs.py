@@ -126,6 +126,46 @@ class Hopper(Robot, frozen=True):
     substeps: int = Field(default=4, ge=1, description="steps of the physics, of 2 ms, for one action")
 
 
+class Reacher(Robot, frozen=True):
+    """Bring the tip of an arm of two links to a target (thesis, p. 107; Gym's Reacher)."""
+
+    target: ClassVar[str] = "bojax.envs.robots.reacher:Reacher"
+
+    kind: Literal["reacher"] = "reacher"
+    goal_distance: float = Field(default=0.015, gt=0, description="distance to the target to be undercut, m")
+    target_radius: float = Field(
+        default=0.2, gt=0, le=0.21, description="largest distance of the target from the shoulder, m"
+    )
+    substeps: int = Field(default=2, ge=1, description="steps of the physics, of 10 ms, for one action")
+
+
+class Jaco(Robot, frozen=True):
+    """Bring the finger tips of a damaged arm to a target (thesis, Section 5.7.3)."""
+
+    target: ClassVar[str] = "bojax.envs.robots.jaco:Jaco"
+
+    kind: Literal["jaco"] = "jaco"
+    joints: tuple[Annotated[int, Field(ge=1, le=6)], ...] = Field(
+        default=(1, 2),
+        strict=False,
+        min_length=1,
+        max_length=6,
+        description="joints that move, from 1 at the base to 6 at the hand; the others are stuck",
+    )
+    targets: Literal["per-run", "per-episode"] = Field(
+        default="per-run", description="one target for a run, not observed; or one for an episode, observed"
+    )
+    goal_distance: float = Field(default=0.1, gt=0, description="distance to the target to be undercut, m")
+    substeps: int = Field(default=10, ge=1, description="steps of the physics, of 4 ms, for one action")
+    max_steps: int = Field(default=50, ge=1, description="steps after which an episode is cut off")
+
+    @pydantic.model_validator(mode="after")
+    def _distinct(self) -> Self:
+        if len(set(self.joints)) < len(self.joints):
+            raise ValueError("joints: one stands there twice")
+        return self
+
+
 Bounds = float | Annotated[tuple[float, ...], Field(strict=False, min_length=1)]
 """One number, or one for each component."""
 

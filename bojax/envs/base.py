@@ -59,6 +59,11 @@ class Env(eqx.Module):
     def action_space(self) -> Space:
         """Bounds of actions; an action outside is clipped by the environment."""
 
+    def of_run(self, key: Key[Array, ""]) -> "Env":
+        """The environment of one run, where something is drawn that all its episodes share."""
+        del key
+        return self
+
     @abc.abstractmethod
     def reset(self, key: Key[Array, ""]) -> EnvState:
         """A state to start from."""

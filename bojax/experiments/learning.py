@@ -22,6 +22,9 @@ from bojax.results.schema import Column, Table
 PHASES = ("train", "test")
 """What an episode is for; the column `phase` holds the place in this list until it is stored."""
 
+_OF_RUN = 2**32 - 1
+"""Counter of the key for what all episodes of a run share: beyond that of any episode."""
+
 
 class Target(eqx.Module):
     """How the test episodes of a run stand to the return that they are to reach.
@@ -436,8 +439,9 @@ class LearningRun(Experiment):
         return jax.lax.while_loop(lambda loop: any_lane(loop[1].is_active), block, start)[1]
 
     def _reset(self, carry: Run, number: Int[Array, ""] | int) -> tuple[EnvState, Observation]:
-        env = self.env.reset(self.reset_key(carry, number))
-        return env, self.env.observe(env)
+        env = self.env.of_run(jax.random.fold_in(carry.key, _OF_RUN))
+        state = env.reset(self.reset_key(carry, number))
+        return state, env.observe(state)
 
     def _row(self, trial: Trial, episode: Int[Array, ""], balance: Balance) -> dict[str, Array]:
         return {
