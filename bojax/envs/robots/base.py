@@ -6,17 +6,19 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 
+from bojax.envs.base import EnvState
 from bojax.envs.control import ControlTask
 from bojax.envs.spaces import Box
 from bojax.robots.models import RobotModel
-from bojax.robots.simulator import Physics, RobotState, Simulator
+from bojax.robots.simulator import Physics, Simulator
 
 
 class RobotTask(ControlTask):
     """A control task of a robot that MJX steps; a subclass says where it starts and what is seen and paid.
 
     Actions are the model's controls, within its ranges. A state that the simulation cannot have reached
-    soundly pays NaN, which ends the run as failed.
+    soundly pays NaN, which ends the run as failed. A state is that of the simulator, unless a subclass adds
+    to it what does not move.
 
     Attributes:
         physics: How MJX computes.
@@ -51,15 +53,15 @@ class RobotTask(ControlTask):
         """Precision of observations and rewards; the physics itself has 32 bits."""
         return self.physics.max_speed.dtype
 
-    def advance(self, key: Key[Array, ""], state: RobotState, action: Float[Array, "A"]) -> RobotState:
+    def advance(self, key: Key[Array, ""], state: EnvState, action: Float[Array, "A"]) -> EnvState:
         """See `ControlTask`; nothing is random."""
         del key
         return self.simulator.advance(state, action)
 
-    def has_diverged(self, state: RobotState) -> Bool[Array, ""]:
+    def has_diverged(self, state: EnvState) -> Bool[Array, ""]:
         """See `ControlTask`."""
         return self.simulator.has_diverged(state)
 
-    def frame(self, state: RobotState) -> Float[Array, "Q"]:
-        """See `Env`."""
+    def frame(self, state: EnvState) -> Float[Array, "Q"]:
+        """The positions, and behind them those of the model's mocap bodies where it has some."""
         return state.qpos

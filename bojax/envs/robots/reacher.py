@@ -1,0 +1,109 @@
+"""An arm of two links that has to reach a point in its plane (thesis, p. 107): Gym's Reacher with a goal."""
+
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Key
+
+from bojax.envs.robots.base import RobotTask
+from bojax.envs.spaces import Box
+from bojax.robots.models import RobotModel, packaged
+from bojax.robots.simulator import Physics, RobotState
+
+_LINKS = 0.1, 0.11
+"""Lengths up to the elbow, and from there to the finger tip, in metres."""
+
+
+class Reacher(RobotTask):
+    """Two links over a table and a target beside them; actions are the torques of shoulder and elbow.
+
+    The goal is a finger tip within `goal_distance` of the target (p. 107), at any speed; nothing is a
+    failure. The classic reward is that of Gym's Reacher-v5: minus the distance after the step, minus the sum
+    of the squared actions. It ends at nothing, as in Gym.
+
+    It begins as in Gym: angles uniform in [-0.1, 0.1] rad, their velocities in [-0.005, 0.005] rad/s, and a
+    target at rest, uniform in the disc of radius `target_radius` around the shoulder.
+
+    Attributes:
+        goal_distance: Distance of finger tip and target that has to be undercut, in metres.
+        target_radius: Largest distance of the target from the shoulder, in metres; the arm reaches 0.21.
+        physics: See `RobotTask`.
+        substeps: See `RobotTask`; a step of the physics is 10 ms.
+        max_steps: See `Env`.
+        reward: See `ControlTask`.
+    """
+
+    goal_distance: Float[Array, ""]
+    target_radius: Float[Array, ""]
+    physics: Physics
+    substeps: int = eqx.field(static=True)
+    max_steps: int = eqx.field(static=True)
+    reward: Literal["goal-only", "classic"] = eqx.field(static=True)
+
+    @property
+    def model(self) -> RobotModel:
+        """See `RobotTask`."""
+        return packaged("reacher")
+
+    @property
+    def observation_space(self) -> Box:
+        """The observations of Gym's Reacher-v4, with the bounds of the author's code.
+
+        Cosines of shoulder and elbow, their sines, the target's x and y in metres, the velocities of the
+        joints in rad/s, and from the target to the finger tip x, y and z in metres; z is always 0.
+        """
+        low = [-1.0, -1.0, -1.0, -0.17, -0.2, -0.2, -49.0, -5.6, -0.22, -0.2, 0.0]
+        high = [1.0, 1.0, 1.0, 1.0, 0.2, 0.2, 87.0, 33.0, 0.4, 0.35, 1e-4]
+        return Box(jnp.asarray(low, self.dtype), jnp.asarray(high, self.dtype))
+
+    def reset(self, key: Key[Array, ""]) -> RobotState:
+        """See `Env`."""
+        keys = jax.random.split(key, 4)
+        angles = jax.random.uniform(keys[0], (2,), jnp.float32, -0.1, 0.1)
+        speeds = jax.random.uniform(keys[1], (2,), jnp.float32, -5e-3, 5e-3)
+        radius = self.target_radius.astype(jnp.float32) * jnp.sqrt(
+            jax.random.uniform(keys[2], (), jnp.float32)
+        )
+        bearing = jax.random.uniform(keys[3], (), jnp.float32, -jnp.pi, jnp.pi)
+        target = radius * jnp.stack([jnp.cos(bearing), jnp.sin(bearing)])
+        return self.simulator.state(
+            jnp.concatenate([angles, target]), jnp.concatenate([speeds, jnp.zeros_like(speeds)])
+        )
+
+    def observe(self, state: RobotState) -> Float[Array, "11"]:
+        """See `observation_space`."""
+        angles, target = state.qpos[:2], state.qpos[2:]
+        gap = fingertip(angles) - target
+        parts = jnp.cos(angles), jnp.sin(angles), target, state.qvel[:2], gap, jnp.zeros_like(gap[:1])
+        return jnp.concatenate(parts).astype(self.dtype)
+
+    def is_goal(self, state: RobotState) -> Bool[Array, ""]:
+        """See the class."""
+        return self.distance(state) < self.goal_distance
+
+    def distance(self, state: RobotState) -> Float[Array, ""]:
+        """From the finger tip to the target, in metres."""
+        gap = fingertip(state.qpos[:2]) - state.qpos[2:]
+        return jnp.sqrt(jnp.sum(gap * gap)).astype(self.dtype)
+
+    def classic(
+        self,
+        state: RobotState,
+        action: Float[Array, "2"],
+        success: Bool[Array, ""],
+        failure: Bool[Array, ""],
+        after: RobotState,
+    ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
+        """See the class."""
+        del state, success
+        return -self.distance(after) - jnp.sum(action * action), failure
+
+
+def fingertip(angles: Float[Array, "2"]) -> Float[Array, "2"]:
+    """Where the tip is, in metres, with the shoulder and the elbow at these angles."""
+    upper, lower = _LINKS
+    first, second = angles[0], angles[0] + angles[1]
+    along = jnp.stack([jnp.cos(first), jnp.sin(first)]), jnp.stack([jnp.cos(second), jnp.sin(second)])
+    return upper * along[0] + lower * along[1]
