@@ -14,7 +14,7 @@ from bojax.report.style import settings
 from tests.report.synthetic import edit_manifest, write_learning, write_results
 from tests.report.test_report import Page
 
-LEARNING = ["learning-curves", "success-episodes", "steps-to-goal", "value-maps"]
+LEARNING = ["learning-curves", "success-episodes", "solved-episodes", "steps-to-goal", "value-maps"]
 
 
 @pytest.fixture(scope="module")
@@ -155,6 +155,18 @@ class TestCurves:
         (axes,) = drawn("success-episodes", load(folder)).figure.axes
         np.testing.assert_allclose(heights(axes)[:5], [0, 0, 0, 0.5, 1])
         np.testing.assert_allclose(heights(axes, 2), 0)
+
+    def test_solved_episodes_add_up(self, folder):
+        (axes,) = drawn("solved-episodes", load(folder)).figure.axes
+        np.testing.assert_allclose(heights(axes)[:6], [0, 0, 0, 0.5, 1.5, 2.5])
+        np.testing.assert_allclose(heights(axes, 2), 0)
+
+    def test_what_stops_at_the_first_success_is_not_counted(self, folder):
+        results = load(folder)
+        first = results.episodes["episode"] == 3
+        results.episodes["success"] = results.episodes["success"] & first
+        with pytest.raises(Undrawable, match="more than one episode"):
+            drawn("solved-episodes", results)
 
     def test_maps_show_u_with_the_first_observation_to_the_right(self, folder):
         drawing = drawn("value-maps", load(folder))
