@@ -240,6 +240,21 @@ class GaussianProcess(eqx.Module):
         """Posterior mean and variance of the noise-free function at `xs` (2.28, 2.29)."""
         return self.moments(xs, self.whiten(xs))
 
+    def predict_first(
+        self, xs: Float[Array, "M D"], counts: Int[Array, "T"]
+    ) -> tuple[Float[Array, "T M"], Float[Array, "T M"]]:
+        """What `predict` would return given the first `counts` observations alone, for each of the counts.
+
+        The inverse Cholesky factor of the first n is the leading block of that of all, since it is lower
+        triangular: (2.28) and (2.29) are sums over its rows, of which the first n are taken.
+        """
+        whitened = self.whiten(xs)
+        parts = self.whitened_residuals()[:, None] * whitened, whitened * whitened
+        nothing = jnp.zeros_like(whitened[:1])
+        mean, explained = (jnp.concatenate([nothing, jnp.cumsum(part, axis=0)])[counts] for part in parts)
+        variance = self._prior_variance(xs)[None] - explained
+        return jax.vmap(self.mean)(xs)[None] + mean, jnp.maximum(variance, 0.0)
+
     def predict_gradient(self, xs: Float[Array, "M D"]) -> Float[Array, "M D"]:
         """Gradient of the posterior mean at `xs`; where a kernel has a kink, its part is 0."""
         weights = self.weights()

@@ -25,6 +25,9 @@ from bojax.results.schema import Column, Table
 START_TRIES = 256
 """Poses among which a random start is the first free one."""
 
+FILM_RESOLUTION = 31
+"""Most points a side of the maps that are kept of the belief after every step."""
+
 RELEARN_STARTS = 2
 """Starts of learning hyper-parameters: those held, and one around them."""
 
@@ -66,6 +69,7 @@ class FieldBelief(eqx.Module):
         pose: Where the robot takes itself to be.
         posterior: The belief about the field.
         step: Paths driven.
+        counts: Samples held at the start and after each path; 0 after those to come.
         key: What learning hyper-parameters draws its starts from.
         num_samples: Most samples of a path.
     """
@@ -73,6 +77,7 @@ class FieldBelief(eqx.Module):
     pose: Pose
     posterior: GaussianProcess
     step: Int[Array, ""]
+    counts: Int[Array, "N"]
     key: Key[Array, ""]
     num_samples: int = eqx.field(static=True)
 
@@ -186,6 +191,7 @@ class FieldMonitoring(Problem):
             pose=self.vehicle.estimate(world.body),
             posterior=GaussianProcess.prior(self.kernel, self.noise_variance, capacity, 2, self.mean),
             step=jnp.zeros((), jnp.int32),
+            counts=jnp.zeros((self.max_steps + 1,), jnp.int32),
             key=key,
             num_samples=num_samples,
         )
@@ -236,7 +242,14 @@ class FieldMonitoring(Problem):
                 posterior,
             )
             posterior = jax.tree.map(lambda new, old: jnp.where(is_due, new, old), learned, posterior)
-        return FieldBelief(observation.pose, posterior, step, belief.key, belief.num_samples)
+        return FieldBelief(
+            pose=observation.pose,
+            posterior=posterior,
+            step=step,
+            counts=belief.counts.at[step].set(posterior.count, mode="drop"),
+            key=belief.key,
+            num_samples=belief.num_samples,
+        )
 
     def _relearned(self, key: Key[Array, ""], posterior: GaussianProcess) -> GaussianProcess:
         """The posterior with the hyper-parameters of greatest posterior density.
@@ -364,18 +377,24 @@ class FieldMonitoring(Problem):
 
     def grid(self) -> Float[Array, "G 2"]:
         """Points of a regular grid over the domain, by rows of equal y."""
-        x, y = self._axes()
+        x, y = self._axes(self.resolution)
         return jnp.stack([g.ravel() for g in jnp.meshgrid(x, y)], axis=-1)
 
     def snapshot(self, world: FieldWorld, belief: FieldBelief) -> dict[str, dict[str, Array]]:
-        """The field and the belief on the grid, and the samples."""
+        """The field and the belief on the grid, the samples, and the belief after every step.
+
+        `means` and `stds`, `[T + 1, R, R]` from the prior on, are on a grid of at most `FILM_RESOLUTION` points a
+        side over the same domain, in 32 bits, NaN for steps that were not made. They are what the samples of
+        the first steps say under the hyper-parameters of the end.
+        """
         del world
-        x, y = self._axes()
+        x, y = self._axes(self.resolution)
         grid = self.grid()
         mean, variance = self._predict(belief, grid)
         posterior = belief.posterior
         samples = jnp.concatenate([posterior.x, posterior.y[:, None]], axis=-1)
         shape = (self.resolution, self.resolution)
+        means, stds = self._history(belief)
         return {
             "belief": {
                 "x": x,
@@ -384,12 +403,29 @@ class FieldMonitoring(Problem):
                 "mean": mean.reshape(shape),
                 "std": jnp.sqrt(variance).reshape(shape),
                 "samples": jnp.where(posterior.is_held()[:, None], samples, jnp.nan),
+                "means": means,
+                "stds": stds,
             }
         }
 
-    def _axes(self) -> tuple[Float[Array, "R"], Float[Array, "R"]]:
+    def _axes(self, resolution: int) -> tuple[Float[Array, "R"], Float[Array, "R"]]:
         low_x, low_y, high_x, high_y = self.domain
-        return jnp.linspace(low_x, high_x, self.resolution), jnp.linspace(low_y, high_y, self.resolution)
+        return jnp.linspace(low_x, high_x, resolution), jnp.linspace(low_y, high_y, resolution)
+
+    def _history(self, belief: FieldBelief) -> tuple[Float[Array, "N R R"], Float[Array, "N R R"]]:
+        """Means and standard deviations after every step; a row of the grid at a time, as `_predict`."""
+        x, y = self._axes(min(self.resolution, FILM_RESOLUTION))
+        is_made = jnp.arange(self.max_steps + 1, dtype=belief.step.dtype) <= belief.step
+
+        def row(y: Scalar) -> tuple[Float[Array, "N R"], Float[Array, "N R"]]:
+            points = jnp.stack([x, jnp.full_like(x, y)], axis=-1)
+            mean, variance = belief.posterior.predict_first(points, belief.counts)
+            kept = (jnp.where(is_made[:, None], part, jnp.nan) for part in (mean, jnp.sqrt(variance)))
+            mean, std = (part.astype(jnp.float32) for part in kept)
+            return mean, std
+
+        means, stds = jax.lax.map(row, y)
+        return jnp.swapaxes(means, 0, 1), jnp.swapaxes(stds, 0, 1)
 
     def _predict(
         self, belief: FieldBelief, grid: Float[Array, "G 2"]

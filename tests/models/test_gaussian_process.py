@@ -10,6 +10,7 @@ from sklearn.gaussian_process import kernels as sk
 
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import RBF, Matern12, Matern32, Matern52, Scaled
+from bojax.models.means import ConstantMean
 from bojax.numerics.linalg import noise_floor
 
 KERNELS = {
@@ -282,6 +283,17 @@ def test_a_block_of_observations_is_one_after_the_other(name, capacity):
     np.testing.assert_allclose(predict(blocks, QUERIES), predict(one_by_one, QUERIES), rtol=0, atol=1e-12)
     # Absent rows are zero, as promised.
     assert not np.any(blocks.inverse_cholesky[:, int(blocks.count) :])
+
+
+@pytest.mark.parametrize("name", ["rbf", "matern12"])
+def test_what_the_first_observations_say_is_the_posterior_given_them_alone(name):
+    kernel, mean, (x, y) = EVERY_KERNEL[name][0], ConstantMean(jnp.asarray(0.4)), observations(12)
+    whole = GaussianProcess.fit(kernel, jnp.asarray(0.01), x, y, mean=mean, capacity=15)
+    counts = jnp.asarray([0, 1, 7, 12])
+    means, variances = jax.jit(GaussianProcess.predict_first)(whole, QUERIES, counts)
+    for count, found in zip(counts.tolist(), zip(means, variances, strict=True), strict=True):
+        part = GaussianProcess.fit(kernel, jnp.asarray(0.01), x[:count], y[:count], mean=mean, capacity=15)
+        np.testing.assert_allclose(found, predict(part, QUERIES), atol=1e-11)
 
 
 def test_a_block_of_points_observed_before_is_no_news():

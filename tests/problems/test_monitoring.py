@@ -131,7 +131,7 @@ def test_the_start_is_the_given_one():
 
 
 def test_random_starts_are_uniform_over_the_free_space():
-    starts = np.asarray(jax.jit(jax.vmap(WALLED.reset))(keys_of(0, 8000)).pose)
+    starts = np.asarray(jax.jit(jax.vmap(WALLED.reset))(keys_of(0, 8000)).body)
     x, y, heading = starts.T
     walls = np.asarray(WALLED.walls)
     assert not np.any(segments_touch_boxes(starts[:, :2], starts[:, :2], walls))
@@ -149,7 +149,7 @@ def test_random_starts_are_uniform_over_the_free_space():
 
 def test_a_start_is_found_where_little_is_free():
     crowded = monitoring(walls=((0.0, 0.0, 3.0, 1.1), (0.0, 1.25, 3.0, 2.4)))
-    y = np.asarray(jax.jit(jax.vmap(crowded.reset))(keys_of(1, 500)).pose)[:, 1]
+    y = np.asarray(jax.jit(jax.vmap(crowded.reset))(keys_of(1, 500)).body)[:, 1]
     assert np.all((y > 1.1) & (y < 1.25))
 
 
@@ -187,6 +187,22 @@ def test_the_belief_is_the_prior_conditioned_on_the_samples_taken():
         np.testing.assert_allclose(found[1], np.diag(covariance), atol=1e-9)
     np.testing.assert_array_equal(belief.pose, world.body)
     assert 0 < len(x) < problem.max_steps * SIZE  # some paths were cut short
+
+
+def test_the_snapshot_has_the_belief_after_every_step():
+    problem = monitoring(start=(0.9, 1.2, 0.0), mean=ConstantMean(f64(0.4)))
+    _, paths = drives(3, seed=3)
+    prior = problem.prior(jax.random.key(0), problem.reset(jax.random.key(1)), SIZE)
+    world, beliefs = update(problem, prior, jax.random.key(2), keys_of(0, 3), f64(paths))
+    steps = [prior, *(belief for belief, _ in beliefs)]
+    snapshot = jax.jit(lambda belief: problem.snapshot(world, belief)["belief"])
+    kept = [snapshot(belief) for belief in steps]
+    for step in range(4):
+        np.testing.assert_allclose(kept[3]["means"][step], kept[step]["mean"], atol=1e-6)
+        np.testing.assert_allclose(kept[3]["stds"][step], kept[step]["std"], atol=1e-6)
+        assert np.all(np.isnan(kept[step]["means"][step + 1 :]))
+    assert kept[3]["means"].shape == (problem.max_steps + 1, problem.resolution, problem.resolution)
+    assert kept[3]["means"].dtype == kept[3]["stds"].dtype == np.float32
 
 
 def test_hyperparameters_are_learned_when_they_are_due_and_not_before():
