@@ -383,9 +383,9 @@ class FieldMonitoring(Problem):
     def snapshot(self, world: FieldWorld, belief: FieldBelief) -> dict[str, dict[str, Array]]:
         """The field and the belief on the grid, the samples, and the belief after every step.
 
-        `means` and `stds`, `[T + 1, R, R]` from the prior on, are on a grid of at most `FILM_RESOLUTION` points a
-        side over the same domain, in 32 bits, NaN for steps that were not made. They are what the samples of
-        the first steps say under the hyper-parameters of the end.
+        `means` and `stds`, `[T + 1, R, R]` from the prior on, are on a grid of at most `FILM_RESOLUTION`
+        points a side over the same domain, in 32 bits, NaN for steps that were not made. They are what the
+        samples of the first steps say under the hyper-parameters of the end.
         """
         del world
         x, y = self._axes(self.resolution)
