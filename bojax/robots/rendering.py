@@ -1,0 +1,138 @@
+"""Pictures of robots, drawn by MuJoCo without a screen: by EGL, or else by OSMesa. JAX is not needed."""
+
+import functools
+import importlib
+import os
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+CAMERAS = "side", "overview"
+"""Names of cameras, the first of which that a model has is looked through; otherwise all of it is shown."""
+
+BACKENDS = ("egl", "osmesa") if sys.platform == "linux" else ("",)
+"""Ways to draw that are tried, as `MUJOCO_GL` names them; elsewhere MuJoCo's own choice needs no screen."""
+
+_PROBE = (
+    "import mujoco; model = mujoco.MjModel.from_xml_string('<mujoco/>'); "
+    "renderer = mujoco.Renderer(model, 8, 8); renderer.render(); renderer.close()"
+)
+_PATIENCE = 60.0
+
+
+class CannotDraw(RuntimeError):
+    """Why there are no pictures of robots on this machine, in one line.
+
+    Attributes:
+        exit_code: What the command line exits with.
+    """
+
+    exit_code = 2
+
+
+def backend() -> str:
+    """The way to draw that works here, as `MUJOCO_GL` names it; empty for MuJoCo's own choice.
+
+    What the user has set `MUJOCO_GL` to is tried alone. Each is tried in a process of its own: OpenGL can be
+    bound once in a process, and a broken driver may end it.
+
+    Raises:
+        CannotDraw: None does.
+    """
+    return _working(os.environ.get("MUJOCO_GL", "").strip().lower())
+
+
+@functools.cache
+def _working(asked: str) -> str:
+    tried = (asked,) if asked else BACKENDS
+    for name in tried:
+        if _works(name):
+            return name
+    if asked:
+        raise CannotDraw(f"MUJOCO_GL={asked} draws nothing here: unset it, and EGL and OSMesa are tried")
+    raise CannotDraw(
+        "robots cannot be drawn: neither EGL nor OSMesa works here; on Debian and Ubuntu: "
+        "apt install libegl1 libgl1 (with a GPU's driver or libegl-mesa0), or libosmesa6"
+    )
+
+
+def _works(name: str) -> bool:
+    environment = os.environ | ({"MUJOCO_GL": name} if name else {})
+    try:
+        probe = subprocess.run(
+            [sys.executable, "-c", _PROBE], env=environment, capture_output=True, timeout=_PATIENCE
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+    return probe.returncode == 0
+
+
+class Renderer:
+    """Draws one model; to be closed, or used in a `with`.
+
+    Args:
+        model: A `RobotModel`.
+        width: Of the picture, in pixels.
+        height: Of the picture, in pixels.
+
+    Raises:
+        CannotDraw: Nothing here can.
+        MissingExtra: MuJoCo is not installed.
+        ValueError: MuJoCo refuses the model.
+    """
+
+    def __init__(self, model: Any, width: int, height: int):
+        mujoco = _mujoco()
+        spec = model.spec()
+        spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
+        self._model = spec.compile()
+        self._data = mujoco.MjData(self._model)
+        self._forward = functools.partial(mujoco.mj_forward, self._model, self._data)
+        names = [self._model.camera(index).name for index in range(self._model.ncam)]
+        self._camera = next((name for name in CAMERAS if name in names), -1)
+        self._renderer = mujoco.Renderer(self._model, height, width)
+
+    def image(self, frame: NDArray[np.float64]) -> NDArray[np.uint8]:
+        """A picture, `[height, width, 3]`.
+
+        Args:
+            frame: Generalised positions, then the positions of the bodies that are moved by hand
+                (`mocap="true"`), where they are kept.
+
+        Raises:
+            ValueError: The model has not as many.
+        """
+        num, moved = self._model.nq, self._data.mocap_pos
+        if len(frame) not in (num, num + moved.size):
+            raise ValueError(f"the model has {num} generalised positions, a frame {len(frame)} numbers")
+        self._data.qpos[:] = frame[:num]
+        if len(frame) > num:
+            moved[:] = frame[num:].reshape(moved.shape)
+        self._forward()
+        self._renderer.update_scene(self._data, self._camera)
+        return self._renderer.render()
+
+    def close(self) -> None:
+        """Give the drawing context back."""
+        self._renderer.close()
+
+    def __enter__(self) -> "Renderer":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+
+def _mujoco() -> Any:
+    """MuJoCo, told how to draw: it reads `MUJOCO_GL` when it is imported."""
+    name, was_there = backend(), "mujoco" in sys.modules
+    if name and os.environ.get("MUJOCO_GL") != name:
+        os.environ["MUJOCO_GL"] = name
+        if was_there:
+            importlib.reload(importlib.import_module("mujoco.rendering.classic.gl_context"))
+    from bojax.robots.models import mujoco
+
+    return mujoco
