@@ -164,7 +164,7 @@ def drifted(state: LanderState, gravity: Float[Array, ""]) -> LanderState:
 
     nothing = jnp.zeros_like(state.position, shape=(3,))
     falling = _Motion(state.velocity.at[1].add(-gravity * TIME_STEP), state.spin)
-    motion, *impulses = jax.lax.fori_loop(0, _SWEEPS, sweep, (falling, nothing, nothing))
+    motion, _, _ = jax.lax.fori_loop(0, _SWEEPS, sweep, (falling, nothing, nothing))
     turns = jnp.stack([right.turn(motion), left.turn(motion)])
     is_slow = (jnp.sum(motion.velocity**2) < _SLOW**2) & (jnp.abs(motion.spin) < _SLOW_SPIN)
     return LanderState(
@@ -173,7 +173,7 @@ def drifted(state: LanderState, gravity: Float[Array, ""]) -> LanderState:
         velocity=motion.velocity,
         spin=motion.spin,
         legs=jnp.clip(state.legs + TIME_STEP * turns, body.LEG_REST, body.LEG_STOP),
-        contacts=jnp.stack([jnp.any(impulse[:2] > 0.0) for impulse in impulses]),
+        contacts=jnp.stack([foot.is_down(motion) for foot in (right, left)]),
         num_still=jnp.where(is_slow, state.num_still + 1, jnp.zeros_like(state.num_still)),
         terrain=state.terrain,
     )
@@ -200,12 +200,14 @@ class _Foot(eqx.Module):
     A leg turns outwards at a rate within limits. Its motor brings it to the least one, as long as the impulse
     of the ground has less torque about the hinge than the motor's; then it gives way, up to the rate that
     takes it to its stop within the step. So the ground pushes with three impulses: a soft one, bounded by the
-    motor, which stops the foot of a leg that holds; a hard one, for a leg at its stop; and friction.
+    motor, which stops a foot that touches; a hard one, for a leg at its stop; and friction.
 
     Attributes:
         arm: From the centre of mass to the foot, in metres.
         normal: Of the ground below.
-        least: Velocity away from the ground that the foot must have, in m/s; negative above the ground.
+        soft_speed: Velocity away from the ground that the soft impulse gives the foot, in m/s.
+        hard_speed: The same of the hard one, which is negative above the ground: to come down to it.
+        distance: From the ground, in metres.
         lever: Torque about the hinge, outwards, of a unit along the normal, in metres.
         drag_lever: The same of a unit along the ground.
         slowest: Least rate of turning outwards, in rad/s.
@@ -214,7 +216,9 @@ class _Foot(eqx.Module):
 
     arm: Float[Array, "*N 2"]
     normal: Float[Array, "*N 2"]
-    least: Float[Array, "*N"]
+    soft_speed: Float[Array, "*N"]
+    hard_speed: Float[Array, "*N"]
+    distance: Float[Array, "*N"]
     lever: Float[Array, "*N"]
     drag_lever: Float[Array, "*N"]
     slowest: Float[Array, "*N"]
@@ -223,17 +227,17 @@ class _Foot(eqx.Module):
     def solved(self, motion: _Motion, impulses: Float[Array, "3"]) -> tuple[_Motion, Float[Array, "3"]]:
         """One sweep: the soft, the hard and the friction impulse, each as the others are."""
         soft, hard, drag = impulses
+        mass = _effective_mass(self.arm, self.normal)
         gives = self.lever > _SHORT
-        spare = TIME_STEP * _MOTOR_TORQUE - self.drag_lever * drag
-        most = jnp.where(gives, jnp.maximum(spare, 0.0) / jnp.where(gives, self.lever, 1.0), jnp.inf)
+        spare = jnp.maximum(TIME_STEP * _MOTOR_TORQUE - self.drag_lever * drag, 0.0)
+        most = jnp.where(gives, spare / jnp.where(gives, self.lever, 1.0), jnp.inf)
 
-        wanted = self.least - self.slowest * self.lever - self.normal @ motion.at(self.arm)
-        after = jnp.clip(soft + wanted * _effective_mass(self.arm, self.normal), 0.0, most)
+        wanted = self.soft_speed - self.slowest * self.lever - self.normal @ motion.at(self.arm)
+        after = jnp.clip(soft + mass * wanted, 0.0, most)
         motion, soft = motion.kicked(self.arm, (after - soft) * self.normal), after
 
-        wanted = self.least - self.fastest * self.lever - self.normal @ motion.at(self.arm)
-        after = jnp.maximum(hard + wanted * _effective_mass(self.arm, self.normal), 0.0)
-        after = jnp.where(gives, after, jnp.zeros_like(after))
+        wanted = self.hard_speed - self.fastest * self.lever - self.normal @ motion.at(self.arm)
+        after = jnp.where(gives, jnp.maximum(hard + mass * wanted, 0.0), 0.0)
         motion, hard = motion.kicked(self.arm, (after - hard) * self.normal), after
 
         along = _left(self.normal)
@@ -245,8 +249,14 @@ class _Foot(eqx.Module):
     def turn(self, motion: _Motion) -> Float[Array, ""]:
         """Rate at which the leg turns outwards: what keeps its foot out of the ground, within its limits."""
         gives = self.lever > _SHORT
-        needed = (self.least - self.normal @ motion.at(self.arm)) / jnp.where(gives, self.lever, 1.0)
-        return jnp.where(gives, jnp.clip(needed, self.slowest, self.fastest), self.slowest)
+        needed = -self.distance / TIME_STEP - self.normal @ motion.at(self.arm)
+        needed = jnp.where(gives, needed / jnp.where(gives, self.lever, 1.0), self.slowest)
+        return jnp.clip(needed, self.slowest, self.fastest)
+
+    def is_down(self, motion: _Motion) -> Bool[Array, ""]:
+        """Whether the foot touches the ground after the step."""
+        leaves = self.normal @ motion.at(self.arm) + self.turn(motion) * self.lever
+        return self.distance + TIME_STEP * leaves < _TOUCH - _GAP
 
 
 def _feet(state: LanderState) -> _Foot:
@@ -261,11 +271,16 @@ def _feet(state: LanderState) -> _Foot:
     lowest = jnp.argmin(distances, axis=1)
     corner, normal = (jnp.take_along_axis(x, lowest[:, None, None], axis=1)[:, 0] for x in (corners, normals))
     distance = jnp.take_along_axis(distances, lowest[:, None], axis=1)[:, 0] - _GAP
+    lever = outwards * _cross(corner, normal)
+    gives = lever > _SHORT
+    hard_speed = -jnp.where(distance > 0.0, distance, _RECOVERY * distance) / TIME_STEP
     return _Foot(
         arm=corner + (state.origin - state.position)[None],
         normal=normal,
-        least=-jnp.where(distance > 0.0, distance, _RECOVERY * distance) / TIME_STEP,
-        lever=outwards * _cross(corner, normal),
+        soft_speed=jnp.where(gives, jnp.where(distance < _TOUCH - _GAP, 0.0, -jnp.inf), hard_speed),
+        hard_speed=hard_speed,
+        distance=distance,
+        lever=lever,
         drag_lever=outwards * _cross(corner, _left(normal)),
         slowest=jnp.maximum((body.LEG_REST - state.legs) / TIME_STEP, -_MOTOR_SPEED),
         fastest=(body.LEG_STOP - state.legs) / TIME_STEP,
