@@ -160,6 +160,9 @@ def _compiled(
         spec.option.integrator = _INTEGRATORS[integrator]
     try:
         compiled = spec.compile()
+    except ValueError as error:
+        raise ValueError(f"MuJoCo refuses the model: {' '.join(str(error).split())}") from error
+    try:
         with silenced(), plain_jax(), jax.ensure_compile_time_eval():
             put = mjx.put_model(compiled, impl=impl)
             return compiled, put, mjx.make_data(compiled, impl=impl)

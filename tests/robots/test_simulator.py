@@ -1,0 +1,169 @@
+"""MJX under `Simulator` against C MuJoCo, on every model that comes with bojax, and what it refuses."""
+
+import functools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from bojax.config.physics import MJX
+from bojax.engine.build import build
+from bojax.robots.jaco import jaco_model
+from bojax.robots.models import RobotModel, from_file, packaged
+from bojax.robots.simulator import Simulator
+
+MODELS = {
+    "hopper": packaged("hopper"),
+    "reacher": packaged("reacher"),
+    "jaco": jaco_model((1, 2)),
+}
+"""Every packaged model, by the name that its tests get; one more is one more line."""
+
+LANES, STEPS = 8, 20
+
+
+@functools.cache
+def simulator(name: str) -> Simulator:
+    return Simulator(build(MJX(), "float32"), MODELS[name], substeps=1)
+
+
+@functools.cache
+def advanced(name: str):
+    """The compiled states of `LANES` lanes after each of `STEPS` steps, and whether they have diverged."""
+    robot = simulator(name)
+
+    def lane(qpos, qvel, controls):
+        def step(state, control):
+            state = robot.advance(state, control)
+            return state, (state, robot.has_diverged(state))
+
+        return jax.lax.scan(step, robot.state(qpos, qvel), controls)[1]
+
+    return jax.jit(jax.vmap(lane))
+
+
+@functools.cache
+def reference(name: str):
+    """The same model, its constraints solved by C MuJoCo as well as it can."""
+    model = mujoco.MjModel.from_xml_string(MODELS[name].xml)
+    model.opt.iterations, model.opt.ls_iterations, model.opt.tolerance = 100, 50, 1e-10
+    return model
+
+
+def steps_of(model, qpos, qvel, controls):
+    """Positions and velocities after each step of C MuJoCo."""
+    data = mujoco.MjData(model)
+    data.qpos, data.qvel = qpos, qvel
+    after = []
+    for control in controls:
+        data.ctrl = control
+        mujoco.mj_step(model, data)
+        after.append((data.qpos.copy(), data.qvel.copy()))
+    return tuple(np.array(part) for part in zip(*after, strict=True))
+
+
+def driven(name: str, seed: int = 0):
+    """States that a model comes to under random controls, and controls to go on with, in float32."""
+    model, rng = reference(name), np.random.default_rng(seed)
+    low, high = model.actuator_ctrlrange.T
+    states = []
+    for lane in range(LANES):
+        qpos = model.qpos0.copy()
+        mujoco.mj_integratePos(model, qpos, rng.uniform(-0.05, 0.05, model.nv), 1.0)
+        before = rng.uniform(low, high, (1 + 40 * lane, model.nu))
+        places, speeds = steps_of(model, qpos, np.zeros(model.nv), before)
+        states.append((places[-1], speeds[-1]))
+    qpos, qvel = (np.array(part, np.float32) for part in zip(*states, strict=True))
+    return qpos, qvel, rng.uniform(low, high, (LANES, STEPS, model.nu)).astype(np.float32)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_mjx_is_c_mujoco(name):
+    qpos, qvel, controls = driven(name)
+    found, has_diverged = advanced(name)(qpos, qvel, controls)
+    expected = [steps_of(reference(name), *lane) for lane in zip(qpos, qvel, controls, strict=True)]
+    places, speeds = (np.array(part) for part in zip(*expected, strict=True))
+    np.testing.assert_allclose(found.qpos, places, atol=1e-5)
+    np.testing.assert_allclose(found.qvel, speeds, rtol=1e-3, atol=1e-3)
+    assert np.abs(places[:, -1] - qpos).max() > 1e-3
+    assert not np.any(has_diverged)
+
+
+@pytest.mark.parametrize("wrong", [np.nan, 1e6], ids=["nan", "fast"])
+@pytest.mark.parametrize("name", MODELS)
+def test_a_lane_that_diverges_leaves_the_others_alone(name, wrong):
+    qpos, qvel, controls = driven(name, seed=1)
+    alone, _ = advanced(name)(qpos, qvel, controls)
+    qvel[3, 0] = wrong
+    beside, has_diverged = advanced(name)(qpos, qvel, controls)
+    others = np.arange(LANES) != 3
+    for before, after in zip(jax.tree.leaves(alone), jax.tree.leaves(beside), strict=True):
+        np.testing.assert_array_equal(np.asarray(after)[others], np.asarray(before)[others])
+    np.testing.assert_array_equal(has_diverged[:, 0], ~others)
+    assert not np.any(np.asarray(has_diverged)[others])
+
+
+def test_a_state_is_positions_velocities_and_a_warm_start():
+    robot = simulator("hopper")
+    state = jax.eval_shape(
+        lambda: robot.advance(robot.state(jnp.zeros(6), jnp.zeros(6)), jnp.zeros(3, jnp.float32))
+    )
+    assert {name: (leaf.shape, leaf.dtype) for name, leaf in vars(state).items()} == dict.fromkeys(
+        ("qpos", "qvel", "qacc_warmstart"), ((6,), jnp.float32)
+    )
+
+
+@pytest.mark.parametrize("integrator", ["euler", "rk4", "implicitfast"])
+def test_settings_reach_the_model(integrator):
+    physics = build(MJX(iterations=7, ls_iterations=9, integrator=integrator), "float32")
+    robot = Simulator(physics, MODELS["hopper"], substeps=3)
+    options = robot.mujoco_model.opt
+    assert (options.iterations, options.ls_iterations) == (7, 9)
+    assert mujoco.mjtIntegrator(options.integrator).name == f"mjINT_{integrator.upper()}"
+    assert robot.time_step == pytest.approx(3 * 0.002)
+    own = simulator("hopper").mujoco_model.opt
+    assert (own.iterations, own.ls_iterations, own.integrator) == (4, 8, mujoco.mjtIntegrator.mjINT_RK4)
+
+
+def test_numbers_are_swept_and_do_not_make_another_model():
+    slow, fast = (build(MJX(max_speed=speed), "float32") for speed in (1.0, 1000.0))
+    robot = simulator("reacher")
+    state = robot.state(jnp.zeros(4), jnp.full(4, 2.0))
+    told = [eqx.tree_at(lambda r: r.physics, robot, physics).has_diverged(state) for physics in (slow, fast)]
+    assert (bool(told[0]), bool(told[1])) == (True, False)
+
+
+CYLINDER_ON_BOX = """
+<mujoco><worldbody><body><freejoint/><geom type="cylinder" size="1 1"/></body>
+<body pos="0 0 3"><freejoint/><geom type="box" size="1 1 1"/></body></worldbody></mujoco>
+"""
+
+
+@pytest.mark.parametrize(
+    ("xml", "reason"),
+    [
+        (CYLINDER_ON_BOX, r"MJX refuses the model: .*CYLINDER.*BOX.* not implemented"),
+        ('<mujoco><option solver="PGS"/><worldbody/></mujoco>', "MJX refuses the model: .*PGS"),
+        ("<mujoco><worldbody>", "XML"),
+        ("<mujoco><worldbody><body><jont/></body></worldbody></mujoco>", "jont"),
+        (
+            "<mujoco><worldbody><body><joint/></body></worldbody></mujoco>",
+            "MuJoCo refuses the model: .*mass and inertia",
+        ),
+        ("", "XML"),
+    ],
+    ids=["collision", "solver", "cut-off", "misspelt", "massless", "empty"],
+)
+def test_a_model_that_cannot_be_used_says_why_in_a_line(xml, reason):
+    with pytest.raises(ValueError, match=reason) as caught:
+        Simulator(build(MJX(), "float32"), RobotModel(xml), substeps=1)
+    assert "\n" not in str(caught.value) and len(str(caught.value)) > 10
+
+
+def test_a_file_of_ones_own_that_is_missing_says_so_in_a_line(tmp_path):
+    with pytest.raises(ValueError, match=r"none\.xml: .*No such file") as caught:
+        from_file(tmp_path / "none.xml")
+    assert "\n" not in str(caught.value)
