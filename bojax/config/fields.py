@@ -66,6 +66,38 @@ class Step(Component, frozen=True):
     width: float = Field(default=0.5, gt=0, description="width of the transition, m")
 
 
+class Blocks(Component, frozen=True):
+    """Blocks with sharp edges on a floor of height 0 (thesis, Section 3.5.2)."""
+
+    role: ClassVar[str] = "field"
+    target: ClassVar[str] = "bojax.fields.blocks:Blocks"
+
+    kind: Literal["blocks"] = "blocks"
+    boxes: tuple[Box, ...] = Field(
+        default=((0.0, 0.0, 1.0, 1.0),),
+        strict=False,
+        min_length=1,
+        description="where they stand, a list of [x_min, y_min, x_max, y_max], m",
+    )
+    heights: tuple[Annotated[float, Field(gt=0)], ...] = Field(
+        default=(1.0,), strict=False, min_length=1, description="how high they are, m"
+    )
+
+    @pydantic.field_validator("boxes")
+    @classmethod
+    def _proper_boxes(cls, boxes: Any) -> Any:
+        return tuple(map(proper_box, boxes))
+
+    @pydantic.model_validator(mode="after")
+    def _as_many_of_each(self) -> Self:
+        if len(self.boxes) != len(self.heights):
+            raise ValueError(
+                f"boxes, heights: got {len(self.boxes)} and {len(self.heights)} of them; as many of each "
+                "are needed"
+            )
+        return self
+
+
 class _Measured(Component, frozen=True):
     role: ClassVar[str] = "field"
 

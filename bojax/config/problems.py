@@ -7,10 +7,10 @@ import pydantic
 from pydantic import Field
 
 from bojax.config.component import Component, Slot
-from bojax.config.fields import Box, Bumps, Step, proper_box
-from bojax.config.models import RBF, Scaled, ZeroMean
+from bojax.config.fields import Blocks, Box, Bumps, Step, proper_box
+from bojax.config.models import RBF, ConstantMean, Scaled, ZeroMean
 from bojax.config.objectives import Gradient, Value
-from bojax.config.vehicles import Exact, Point
+from bojax.config.vehicles import Exact, Point, Quadrotor, Range, WheeledRobot
 
 
 class Parking(Component, frozen=True):
@@ -51,6 +51,16 @@ class Parking(Component, frozen=True):
     )
     vehicle: Annotated[Component, Slot("vehicle")] = Field(
         default=Exact(), description="who drives the paths"
+    )
+
+
+class RobotParking(Parking, frozen=True):
+    """Parking of a wheeled robot that drives forward only, in 3 x 3 m (thesis, p. 101-102, Fig. 4.8)."""
+
+    kind: Literal["robot-parking"] = "robot-parking"
+    half_width: float = Field(default=1.5, gt=0, description="half the width of the square domain, m")
+    vehicle: Annotated[Component, Slot("vehicle")] = Field(
+        default=WheeledRobot(), description="who drives the paths"
     )
 
 
@@ -227,4 +237,87 @@ class SpaceModelling(FieldProblem, frozen=True):
     )
     target_area: Box | None = Field(
         default=(3.1, 0.0, 6.0, 6.0), description="area that has to be reached for success, m"
+    )
+
+
+class _Heights(_Gradients, frozen=True):
+    vehicle: Annotated[Component, Slot("vehicle")] = Field(
+        default=Quadrotor(altitude=3.0), description="who flies the paths"
+    )
+    sensor: Annotated[Component, Slot("sensor")] = Field(
+        default=Range(), description="how the heights are measured"
+    )
+    noise: float = Field(default=0.04, ge=0, description="standard deviation of a distance measured, m")
+    pose_noise: PoseNoise | None = Field(
+        default=(0.02, 0.02),
+        description="standard deviations of a reading of the pose, [m, rad]; null: it is known exactly",
+    )
+
+    @pydantic.model_validator(mode="after")
+    def _sensor_above_ground(self) -> Self:
+        if self.sensor.kind == "range" and self.vehicle.kind == "exact":
+            raise ValueError("sensor: range looks down from above; the vehicle exact does not fly")
+        return self
+
+
+class HillyTerrain(_Heights, frozen=True):
+    """A terrain with hills, mapped from the air (thesis, Section 3.5.1, Fig. 3.5)."""
+
+    target: ClassVar[str] = "bojax.problems.mapping:HeightMapping"
+
+    kind: Literal["hilly-terrain"] = "hilly-terrain"
+    field: Annotated[Component, Slot("field")] = Field(
+        default=Bumps(
+            heights=(1.2, 0.8, 1.0, 0.6),
+            centres=((1.8, 4.2), (4.4, 4.6), (4.0, 1.7), (1.4, 1.5)),
+            widths=(0.8, 0.6, 0.9, 0.5),
+        ),
+        description="the terrain, m",
+    )
+    objective: Annotated[Component, Slot("objective")] = Field(
+        default=Gradient(kappa=10.0), description="what a sample is worth, for the task"
+    )
+    mean: Annotated[Component, Slot("mean")] = Field(
+        default=ConstantMean(value=0.4), description="prior mean of the terrain, m"
+    )
+    kernel: Annotated[Component, Slot("kernel")] = Field(
+        default=Scaled(kernel=RBF(lengthscale=0.8), variance=0.25), description="prior covariance, m and m^2"
+    )
+    noise_variance: float = Field(default=0.0025, ge=0, description="noise variance that the belief assumes")
+
+
+class IndoorProps(_Heights, frozen=True):
+    """A room with sharp-edged props, mapped from the air (thesis, Section 3.5.2, Figs. 3.7 and 3.8)."""
+
+    target: ClassVar[str] = "bojax.problems.mapping:PropMapping"
+
+    kind: Literal["indoor-props"] = "indoor-props"
+    field: Annotated[Component, Slot("field", only=("blocks",))] = Field(
+        default=Blocks(
+            boxes=((0.4, 0.5, 1.0, 1.2), (0.4, 1.6, 1.0, 2.4), (1.9, 1.7, 2.5, 2.4), (1.8, 0.5, 2.4, 1.0)),
+            heights=(0.4, 0.5, 0.3, 0.4),
+        ),
+        description="the props, m",
+    )
+    domain: Box = Field(
+        default=(0.0, 0.0, 3.0, 3.0), description="the border, [x_min, y_min, x_max, y_max], m"
+    )
+    vehicle: Annotated[Component, Slot("vehicle")] = Field(
+        default=Quadrotor(), description="who flies the paths"
+    )
+    objective: Annotated[Component, Slot("objective")] = Field(
+        default=Gradient(kappa=10.0), description="what a sample is worth, for the task"
+    )
+    mean: Annotated[Component, Slot("mean")] = Field(
+        default=ConstantMean(value=0.1), description="prior mean of the heights, m"
+    )
+    kernel: Annotated[Component, Slot("kernel")] = Field(
+        default=Scaled(kernel=RBF(lengthscale=0.3), variance=0.04), description="prior covariance, m and m^2"
+    )
+    noise_variance: float = Field(default=0.0025, ge=0, description="noise variance that the belief assumes")
+    max_steps: int = Field(default=15, ge=1, description="steps after which an episode ends")
+    resolution: int = Field(default=61, ge=2, description="points a side of the grid of the error measures")
+    weighting: Literal["gradient", "gradient-norm", "value"] = Field(
+        default="value",
+        description="weights of wrmse: the gradient as (3.7) prints it, its norm, or the value",
     )

@@ -1,0 +1,41 @@
+"""Blocks with sharp edges on a floor: the props of Section 3.5.2."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Scalar
+
+from bojax.fields.base import Field
+
+
+class Blocks(Field):
+    """Heights of axis-parallel blocks on a floor of height 0; where blocks overlap, of the highest.
+
+    It is constant but for the edges, and its gradient is 0 everywhere.
+
+    Attributes:
+        boxes: Where the blocks stand, rows of `[x_min, y_min, x_max, y_max]` in metres.
+        heights: Their heights; negative ones are not seen.
+    """
+
+    boxes: Float[Array, "K 4"]
+    heights: Float[Array, "K"]
+
+    def __check_init__(self):
+        """Every block has a height.
+
+        Raises:
+            ValueError: There are more of one than of the other.
+        """
+        if self.boxes.shape[0] != self.heights.shape[0]:
+            raise ValueError(
+                f"boxes and heights: got {self.boxes.shape[0]} and {self.heights.shape[0]} of them"
+            )
+
+    def __call__(self, x: Float[Array, "2"]) -> Scalar:
+        """See `Field`."""
+        is_on = self.covers(x)
+        return jnp.max(jnp.where(is_on, self.heights, 0.0), initial=0.0)
+
+    def covers(self, x: Float[Array, "2"]) -> Bool[Array, "K"]:
+        """Whether a point is on each of the blocks, borders included."""
+        low, high = self.boxes[:, :2], self.boxes[:, 2:]
+        return jnp.all((x[None] >= low) & (x[None] <= high), axis=-1)

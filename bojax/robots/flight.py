@@ -1,0 +1,249 @@
+"""Flight of a quadrotor: a smooth way through planned poses, and the controller that follows it.
+
+The controller is that of Lee, Leok and McClamroch, "Geometric tracking control of a quadrotor UAV on SE(3)"
+(CDC 2010), equations 15 to 19, with gains for a unit of mass and of inertia. Its angular acceleration is
+fed forward about the vertical only, which is what a way at a constant altitude prescribes.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from bojax.numerics.linalg import matmul
+
+POSITION_GAIN, VELOCITY_GAIN = 9.0, 5.4
+"""Of the position, in 1/s^2 and 1/s: 3 rad/s, damped by 0.9."""
+
+ATTITUDE_GAIN, RATE_GAIN = (144.0, 144.0, 16.0), (20.0, 20.0, 7.0)
+"""Of the attitude about x, y and z, in 1/s^2 and 1/s: 12 rad/s, and 4 about z, where torque is scarce."""
+
+_LEAST_LENGTH = 1e-6
+"""What is shorter is no piece of a way, in metres."""
+
+
+class Airframe(eqx.Module):
+    """What the controller knows of the robot.
+
+    Attributes:
+        mass: Its mass, in kg.
+        inertia: Moments of inertia about its axes, in kg m^2.
+        gravity: Acceleration of free fall, in m/s^2.
+        mixer: Thrust of each rotor in N for 1 N of thrust and 1 N m about x, y and z.
+        max_thrust: Largest thrust of a rotor, in N.
+    """
+
+    mass: Float[Array, ""]
+    inertia: Float[Array, "3"]
+    gravity: Float[Array, ""]
+    mixer: Float[Array, "4 4"]
+    max_thrust: Float[Array, ""]
+
+    def thrusts(self, thrust: Float[Array, ""], torque: Float[Array, "3"]) -> Float[Array, "4"]:
+        """Thrusts of the rotors that make a thrust and a torque, as far as each can."""
+        wanted = jnp.concatenate([thrust[None], torque])
+        return jnp.clip(matmul(self.mixer, wanted), 0.0, self.max_thrust)
+
+
+class Reference(eqx.Module):
+    """Where the robot should be at a time, or at many.
+
+    Attributes:
+        position: In metres.
+        velocity: In m/s.
+        acceleration: In m/s^2.
+        yaw: Heading, in rad.
+        yaw_rate: In rad/s.
+        yaw_acceleration: In rad/s^2.
+    """
+
+    position: Float[Array, "*N 3"]
+    velocity: Float[Array, "*N 3"]
+    acceleration: Float[Array, "*N 3"]
+    yaw: Float[Array, "*N"]
+    yaw_rate: Float[Array, "*N"]
+    yaw_acceleration: Float[Array, "*N"]
+
+
+def control(
+    airframe: Airframe,
+    reference: Reference,
+    position: Float[Array, "3"],
+    velocity: Float[Array, "3"],
+    rotation: Float[Array, "3 3"],
+    rates: Float[Array, "3"],
+) -> Float[Array, "4"]:
+    """Thrusts of the rotors, in N.
+
+    Args:
+        airframe: The robot.
+        reference: Where it should be.
+        position: Where it is, in metres.
+        velocity: In the world's frame, in m/s.
+        rotation: From the robot's frame, x forward and z up, to the world's.
+        rates: Angular velocity in the robot's frame, in rad/s.
+    """
+    up = jnp.asarray([0.0, 0.0, 1.0], position.dtype)
+    acceleration = (
+        reference.acceleration
+        + POSITION_GAIN * (reference.position - position)
+        + VELOCITY_GAIN * (reference.velocity - velocity)
+        + airframe.gravity * up
+    )
+    wanted = _attitude(acceleration, reference.yaw)
+    turn = matmul(wanted.T, rotation)
+    error = 0.5 * _vee(turn - turn.T)
+    vertical = rotation[2]  # seen from the robot
+    stiffness, damping = jnp.asarray(ATTITUDE_GAIN, error.dtype), jnp.asarray(RATE_GAIN, error.dtype)
+    angular = (
+        reference.yaw_acceleration * vertical
+        - stiffness * error
+        + damping * (reference.yaw_rate * vertical - rates)
+    )
+    torque = airframe.inertia * angular + jnp.cross(rates, airframe.inertia * rates)
+    return airframe.thrusts(airframe.mass * jnp.sum(acceleration * rotation[:, 2]), torque)
+
+
+def rotation_of(quaternion: Float[Array, "4"]) -> Float[Array, "3 3"]:
+    """The rotation of a unit quaternion (w, x, y, z)."""
+    w, x, y, z = quaternion
+    return jnp.stack(
+        [
+            jnp.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]),
+            jnp.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]),
+            jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]),
+        ]
+    )
+
+
+def yaw_of(quaternion: Float[Array, "*N 4"]) -> Float[Array, "*N"]:
+    """Heading of a unit quaternion (w, x, y, z), in rad, in [-pi, pi]."""
+    w, x, y, z = (quaternion[..., index] for index in range(4))
+    return jnp.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
+def turned(quaternion: Float[Array, "4"], yaw: Float[Array, ""]) -> Float[Array, "4"]:
+    """An attitude turned about the vertical by an angle in rad."""
+    w, x, y, z = quaternion
+    cos, sin = jnp.cos(0.5 * yaw), jnp.sin(0.5 * yaw)
+    return jnp.stack([cos * w - sin * z, cos * x - sin * y, cos * y + sin * x, cos * z + sin * w])
+
+
+def way(
+    start: Float[Array, "3"],
+    path: Float[Array, "S 3"],
+    end_heading: Float[Array, ""],
+    altitude: Float[Array, ""],
+    time_step: float,
+    path_steps: int,
+    rest_steps: int,
+) -> tuple[Reference, Int[Array, "S"]]:
+    """A way from rest at a pose through others to rest, and then a turn on the spot.
+
+    Positions are cubic Hermite curves between the poses, along their headings; the arc length is that of
+    least jerk from rest to rest, and so is the angle of the turn. Between poses the heading is linear in
+    the arc length. Where a path stands still (a robot that was stopped), so does the way.
+
+    Args:
+        start: Pose at the start.
+        path: Poses, at about equal distances.
+        end_heading: Heading after the turn.
+        altitude: Of all of it, in metres.
+        time_step: Seconds of a control step.
+        path_steps: Control steps of the flight.
+        rest_steps: Control steps of the turn.
+
+    Returns:
+        The way at every control step, and the steps at which it is at each pose of the path.
+    """
+    dtype = path.dtype
+    knots = jnp.concatenate([start[None], path])
+    turns = _wrapped(knots[1:, 2] - knots[:-1, 2])
+    yaws = jnp.concatenate([start[2:], start[2] + jnp.cumsum(turns)])
+    pieces = jnp.sqrt(jnp.sum((knots[1:, :2] - knots[:-1, :2]) ** 2, axis=-1))
+    ends = jnp.cumsum(pieces)
+    length = ends[-1]
+
+    share, share_rate, share_acceleration = _least_jerk(path_steps, rest_steps, time_step, dtype)
+    arc, speed, gain = length * share, length * share_rate, length * share_acceleration
+    is_past = arc[:, None] >= ends[None, :]
+    piece = jnp.minimum(jnp.sum(is_past, axis=1, dtype=jnp.int32), path.shape[0] - 1)
+    is_short = pieces[piece] < _LEAST_LENGTH
+    chord = jnp.where(is_short, 1.0, pieces[piece])
+    part = jnp.where(is_short, 0.0, (arc - (ends - pieces)[piece]) / chord)
+
+    directions = jnp.stack([jnp.cos(knots[:, 2]), jnp.sin(knots[:, 2])], axis=-1)
+    place, slope, bend = _hermite(
+        part, knots[piece, :2], knots[piece + 1, :2], directions[piece], directions[piece + 1], chord
+    )
+    is_still = is_short[:, None]
+    slope, bend = jnp.where(is_still, 0.0, slope), jnp.where(is_still, 0.0, bend)
+    yaw_slope = jnp.where(is_short, 0.0, turns[piece] / chord)
+
+    turn = _wrapped(end_heading - yaws[-1])
+    swing, swing_rate, swing_acceleration = _least_jerk(rest_steps, 0, time_step, dtype, path_steps)
+    flat = jnp.zeros_like(arc)[:, None]
+    reference = Reference(
+        position=jnp.concatenate([place, flat + altitude], axis=1),
+        velocity=jnp.concatenate([slope * speed[:, None], flat], axis=1),
+        acceleration=jnp.concatenate([bend * (speed * speed)[:, None] + slope * gain[:, None], flat], axis=1),
+        yaw=yaws[piece] + turns[piece] * part + turn * swing,
+        yaw_rate=yaw_slope * speed + turn * swing_rate,
+        yaw_acceleration=turn * swing_acceleration,
+    )
+    # Rounding must not put off the end of the path, where the arc length hardly grows.
+    is_there = arc[None, :] >= (ends * (1.0 - 1e-6))[:, None]
+    first = jnp.argmax(is_there, axis=1).astype(jnp.int32)
+    return reference, jnp.where(length < _LEAST_LENGTH, jnp.full_like(first, path_steps), first)
+
+
+def _attitude(acceleration: Float[Array, "3"], yaw: Float[Array, ""]) -> Float[Array, "3 3"]:
+    """The attitude whose thrust makes an acceleration, gravity included, with the nose at a heading."""
+    z = acceleration / jnp.linalg.norm(acceleration)
+    heading = jnp.stack([jnp.cos(yaw), jnp.sin(yaw), jnp.zeros_like(yaw)])
+    y = jnp.cross(z, heading)
+    y = y / jnp.linalg.norm(y)
+    return jnp.stack([jnp.cross(y, z), y, z], axis=1)
+
+
+def _vee(matrix: Float[Array, "3 3"]) -> Float[Array, "3"]:
+    """The vector v with `matrix w = v x w`."""
+    return jnp.stack([matrix[2, 1], matrix[0, 2], matrix[1, 0]])
+
+
+def _least_jerk(
+    num_steps: int, after: int, time_step: float, dtype: jnp.dtype, before: int = 0
+) -> tuple[Float[Array, "N"], Float[Array, "N"], Float[Array, "N"]]:
+    """From 0 to 1 from rest to rest in `num_steps`: values, their rates and accelerations in seconds."""
+    step = jnp.arange(before + num_steps + after, dtype=dtype) - before
+    t = jnp.clip(step / num_steps, 0.0, 1.0)
+    seconds = num_steps * time_step
+    return (
+        t**3 * (10 - 15 * t + 6 * t * t),
+        30 * t * t * (1 - t) ** 2 / seconds,
+        60 * t * (1 - t) * (1 - 2 * t) / seconds**2,
+    )
+
+
+def _hermite(
+    u: Float[Array, "N"],
+    begin: Float[Array, "N 2"],
+    end: Float[Array, "N 2"],
+    leaving: Float[Array, "N 2"],
+    arriving: Float[Array, "N 2"],
+    chord: Float[Array, "N"],
+) -> tuple[Float[Array, "N 2"], Float[Array, "N 2"], Float[Array, "N 2"]]:
+    """Places on curves of unit slope at both ends, their slopes and second derivatives, a metre of arc."""
+    u, chord = u[:, None], chord[:, None]
+    jump = end - begin
+    place = (
+        begin + (3 - 2 * u) * u * u * jump + chord * ((1 - u) ** 2 * u * leaving - (1 - u) * u * u * arriving)
+    )
+    slope = 6 * u * (1 - u) * jump / chord + (1 - u) * (1 - 3 * u) * leaving + u * (3 * u - 2) * arriving
+    bend = (6 - 12 * u) * jump / chord + (6 * u - 4) * leaving + (6 * u - 2) * arriving
+    return place, slope, bend / chord
+
+
+def _wrapped(angle: jax.Array) -> jax.Array:
+    """An angle in [-pi, pi)."""
+    return jnp.mod(angle + jnp.pi, 2 * jnp.pi) - jnp.pi
