@@ -1,0 +1,49 @@
+"""Physics of the robots: MJX in a compiled program beside C MuJoCo's own rollout over all cores.
+
+Random controls, changed with every action. C MuJoCo steps the same model with the same solver settings.
+"""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from isolated import run_isolated
+from options import make_parser, positive
+
+ROBOTS = ("hopper", "reacher", "jaco", "wheeled-robot", "quadrotor", "lunar-lander")
+
+EXAMPLES = """\
+  python benchmarks/bench_robots.py                                   all robots
+  python benchmarks/bench_robots.py --robots hopper --lanes 256 2048  lanes at once
+  python benchmarks/bench_robots.py --robots hopper --settings 4/8/rk4 3/6/euler
+"""
+
+
+def main(argv: list[str]) -> int:
+    """Run the benchmark."""
+    args = parse(argv)
+    return run_isolated(Path(__file__).with_name("robots_timings.py"), argv, args.device, args.cores)
+
+
+def parse(argv: Sequence[str]) -> argparse.Namespace:
+    """The arguments of the benchmark."""
+    parser = make_parser(__file__, __doc__, EXAMPLES)
+    parser.add_argument("--robots", nargs="+", choices=ROBOTS, default=ROBOTS, help="which robots (all)")
+    parser.add_argument(
+        "--lanes", nargs="+", type=positive, help="robots at once (16 64 on a CPU, 256 2048 on a GPU)"
+    )
+    parser.add_argument(
+        "--settings",
+        nargs="+",
+        default=["model"],
+        metavar="I/L/INTEGRATOR",
+        help="iterations, iterations of the line search and integrator, or model for the model's own",
+    )
+    parser.add_argument("--steps", type=positive, default=20, help="actions of a run (20)")
+    parser.add_argument("--no-peer", action="store_true", help="do not time C MuJoCo")
+    return parser.parse_args(argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
