@@ -3,6 +3,9 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from bojax.robots.jaco import jaco_model
 from bojax.robots.models import RobotModel, packaged
 
@@ -15,5 +18,8 @@ ENVS: Mapping[str, Callable[[Settings], RobotModel]] = {
 }
 """By the kind of an environment, from its settings."""
 
-VEHICLES: Mapping[str, Callable[[Settings], RobotModel]] = {}
-"""By the kind of a vehicle, from the settings of the problem that it is the vehicle of."""
+VEHICLES: Mapping[str, Callable[[Settings, NDArray[np.float64] | None], RobotModel]] = {}
+"""By the kind of a vehicle, from the settings of its problem, and from the true field on a grid where it is known.
+
+The first axis of the grid is y, from the lowest, the second x; it spans the problem's `domain`.
+"""

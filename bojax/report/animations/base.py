@@ -2,6 +2,7 @@
 
 import abc
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -18,21 +19,43 @@ GROUND, METAL, GOAL, TRAIL = "#555555", "#4A5A68", "#CDE8DB", "#B9C6D0"
 TRAIL_STEPS = 60
 
 
+@dataclass(frozen=True)
+class Moment:
+    """What is recorded of a step.
+
+    Attributes:
+        observation: What was seen when it was taken, `[D]`.
+        action: What was done then, `[A]`.
+        frame: What the environment keeps for its animation, see `Env.frame`, `[Q]`; empty where it keeps
+            nothing.
+    """
+
+    observation: NDArray[np.float64]
+    action: NDArray[np.float64]
+    frame: NDArray[np.float64]
+
+
 class Scene(abc.ABC):
     """A drawing that is made once, on axes of its own, and then moved; lengths in metres.
 
     Attributes:
         keys: Settings of the environment that the drawing needs.
+        has_trail: Whether it shows where something was: then it is moved through all steps, not only through
+            those of which there is a picture.
     """
 
     keys: ClassVar[tuple[str, ...]] = ()
+    has_trail: ClassVar[bool] = True
 
     @abc.abstractmethod
     def __init__(self, axes: Axes, env: Settings): ...
 
     @abc.abstractmethod
-    def move(self, observation: NDArray[np.float64]) -> None:
-        """Draw what was observed."""
+    def move(self, moment: Moment) -> None:
+        """Draw a step."""
+
+    def close(self) -> None:  # noqa: B027
+        """Give back what the drawing needed of the machine."""
 
 
 class Trail:

@@ -3,9 +3,19 @@
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle, Wedge
-from numpy.typing import NDArray
 
-from bojax.report.animations.base import GOAL, GROUND, METAL, Scene, Settings, Trail, joint, rod, stage
+from bojax.report.animations.base import (
+    GOAL,
+    GROUND,
+    METAL,
+    Moment,
+    Scene,
+    Settings,
+    Trail,
+    joint,
+    rod,
+    stage,
+)
 
 _LENGTH = 1.0
 
@@ -31,9 +41,9 @@ class CartpoleSwingUp(Scene):
         axes.add_patch(self._cart)
         self._trail, self._pole, self._hinge = Trail(axes), rod(axes, METAL, 7.0), joint(axes, 5.0)
 
-    def move(self, observation: NDArray[np.float64]) -> None:
+    def move(self, moment: Moment) -> None:
         """See `Scene`."""
-        x, angle = float(observation[0]), float(observation[2])
+        x, angle = float(moment.observation[0]), float(moment.observation[2])
         tip_x, tip_y = x + _LENGTH * np.sin(angle), _LENGTH * np.cos(angle)
         self._trail.add(tip_x, tip_y)
         self._goal.set_center((x, 0.0))

@@ -1,11 +1,9 @@
 """The two-link pendulum: observations are cosine and sine of both angles, and the velocities."""
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Rectangle
-from numpy.typing import NDArray
 
-from bojax.report.animations.base import GOAL, METAL, Scene, Settings, Trail, joint, rod, stage
+from bojax.report.animations.base import GOAL, METAL, Moment, Scene, Settings, Trail, joint, rod, stage
 
 _REACH = 2.0
 
@@ -29,9 +27,9 @@ class DoublePendulum(Scene):
         joint(axes)
         self._elbow = joint(axes)
 
-    def move(self, observation: NDArray[np.float64]) -> None:
+    def move(self, moment: Moment) -> None:
         """See `Scene`."""
-        cos1, sin1, cos2, sin2 = observation[:4]
+        cos1, sin1, cos2, sin2 = moment.observation[:4]
         x, y = sin1, -cos1
         tip_x, tip_y = x + sin1 * cos2 + cos1 * sin2, y - (cos1 * cos2 - sin1 * sin2)
         self._trail.add(tip_x, tip_y)

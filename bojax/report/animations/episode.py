@@ -1,4 +1,4 @@
-"""Which episode of a results folder is shown, and what is recorded of it."""
+"""Which episode of a learning run is shown, and what is recorded of it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bojax.report.animations.base import Moment
 from bojax.report.source import Columns, Point, Results
 from bojax.results.store import ResultsError
 
@@ -21,6 +22,7 @@ class Episode:
         number: Number of the episode, from 1.
         observations: What was seen when each step was taken, `[T, D]`.
         actions: What was done then, `[T, A]`.
+        frames: What the environment kept for its animation, `[T, Q]`; Q is 0 where it keeps nothing.
         accumulated: Sum of the rewards up to each step, that step included, `[T]`.
         outcome: How it ended, in words; empty where the results do not say.
     """
@@ -30,11 +32,16 @@ class Episode:
     number: int
     observations: NDArray[np.float64]
     actions: NDArray[np.float64]
+    frames: NDArray[np.float64]
     accumulated: NDArray[np.float64]
     outcome: str
 
+    def moment(self, step: int) -> Moment:
+        """What is recorded of a step, from 0."""
+        return Moment(self.observations[step], self.actions[step], self.frames[step])
 
-def choose(
+
+def choose_episode(
     results: Results, point: int | None = None, run: int | None = None, episode: int | None = None
 ) -> Episode:
     """One recorded episode.
@@ -51,21 +58,22 @@ def choose(
     steps = results.steps
     if not steps or not steps["step"].size:
         raise ResultsError(f"{results.folder}: no steps were recorded (record.runs in the config: 1 or more)")
-    if "observation_0" not in steps or not results.points[0].is_learning:
-        kind = results.points[0].problem.get("kind", "these steps")
-        raise ResultsError(f"{results.folder}: nothing known how to draw {kind}: only learners are animated")
-    index = _pick(results, "point", point, steps["point"])
+    if "observation_0" not in steps:
+        raise ResultsError(
+            f"{results.folder}: its steps have no observations, so nothing can be drawn of them"
+        )
+    index = pick(results, "point", point, steps["point"])
     chosen = next(part for part in results.points if part.index == index)
-    steps = _where(steps, "point", index)
-    run = _pick(results, "run", run, steps["run"])
-    steps = _where(steps, "run", run)
+    steps = where(steps, "point", index)
+    run = pick(results, "run", run, steps["run"])
+    steps = where(steps, "run", run)
     outcomes = _outcomes(results, index, run)
     if episode is None:
         recorded = sorted(set(steps["episode"].tolist()))
         successes = [number for number in recorded if outcomes.get(number) == _SUCCESS]
         episode = [*successes, recorded[-1]][0]
-    number = _pick(results, "episode", episode, steps["episode"])
-    steps = _where(steps, "episode", number)
+    number = pick(results, "episode", episode, steps["episode"])
+    steps = where(steps, "episode", number)
     order = np.argsort(steps["step"], kind="stable")
     return Episode(
         point=chosen,
@@ -73,6 +81,7 @@ def choose(
         number=number,
         observations=_vectors(steps, "observation")[order],
         actions=_vectors(steps, "action")[order],
+        frames=_vectors(steps, "qpos")[order],
         accumulated=np.asarray(steps["accumulated_reward"], np.float64)[order],
         outcome=outcomes.get(number, ""),
     )
@@ -85,8 +94,8 @@ def _outcomes(results: Results, point: int, run: int) -> dict[int, str]:
     """How every training episode of a run ended."""
     if not results.episodes:
         return {}
-    episodes = _where(_where(results.episodes, "point", point), "run", run)
-    episodes = _where(episodes, "phase", "train")
+    episodes = where(where(results.episodes, "point", point), "run", run)
+    episodes = where(episodes, "phase", "train")
     rows = zip(episodes["episode"], episodes["success"], episodes["terminated"], strict=True)
     return {
         int(number): _SUCCESS if success else "failed" if terminated else "cut off"
@@ -94,7 +103,12 @@ def _outcomes(results: Results, point: int, run: int) -> dict[int, str]:
     }
 
 
-def _pick(results: Results, name: str, asked: int | None, values: NDArray[Any]) -> int:
+def pick(results: Results, name: str, asked: int | None, values: NDArray[Any]) -> int:
+    """What was asked for, or else the first that was recorded.
+
+    Raises:
+        ResultsError: It was not recorded.
+    """
     recorded = sorted(set(values.tolist()))
     if asked is None:
         return recorded[0]
@@ -110,11 +124,14 @@ def _ranges(numbers: Sequence[int]) -> str:
     return ", ".join(f"{part[0]} to {part[-1]}" if len(part) > 1 else str(part[0]) for part in parts)
 
 
-def _where(columns: Columns, name: str, value: Any) -> Columns:
+def where(columns: Columns, name: str, value: Any) -> Columns:
+    """The rows with this value of a column."""
     kept = columns[name] == value
     return {key: column[kept] for key, column in columns.items()}
 
 
 def _vectors(steps: Columns, name: str) -> NDArray[np.float64]:
     num = sum(key.startswith(f"{name}_") for key in steps)
+    if num == 0:
+        return np.zeros((len(steps["step"]), 0))
     return np.stack([np.asarray(steps[f"{name}_{i}"], np.float64) for i in range(num)], axis=-1)

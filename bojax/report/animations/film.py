@@ -1,8 +1,9 @@
-"""A film of one episode: a scene, the time, the reward and the action, as GIF, and as MP4 where ffmpeg is."""
+"""A film: pictures one after the other, written as GIF, and as MP4 where there is ffmpeg; or a still."""
 
+import abc
 import re
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,138 +13,151 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 
-from bojax.report.animations import SCENES
-from bojax.report.animations.base import Settings
-from bojax.report.animations.episode import Episode
-from bojax.report.style import BLUE, FAINT, INK, settings
+from bojax.report.style import settings
 from bojax.results.store import ResultsError, explained, write_atomically
 
 MAX_FRAMES = 250
 SLOWEST, FASTEST = 0.1, 0.04
-"""Seconds that a frame is shown, at most and at least; between them the film is as fast as the world."""
+"""Seconds that a picture is shown, at most and at least; between them the film is as fast as the world."""
 
 LAST_SECONDS = 2.0
-NUM_COLOURS = 64
-_SIZE, _DPI = (4.0, 4.0), 100
+DPI = 100
+
+_FREQUENT, _REST = 40, 215
+"""Colours of a GIF: the most frequent ones as they are, and a choice among all others.
+
+One of the 256 is left for pixels that stay as they were, which then need no bytes.
+"""
 
 
-def render(episode: Episode, folder: Path, advanced: Callable[[], None] = lambda: None) -> list[Path]:
-    """Write `<variant>-run<N>-episode<E>.gif` into a folder, and `.mp4` where there is ffmpeg.
+class Film(abc.ABC):
+    """What is shown of one run.
+
+    Attributes:
+        name: Its file, without a suffix.
+        num_images: How many pictures it has.
+        seconds: How long each is shown, a multiple of the 10 ms that a GIF knows.
+    """
+
+    name: str
+    num_images: int
+    seconds: float
+
+    @abc.abstractmethod
+    def images(self) -> Iterator[Image.Image]:
+        """Draw the pictures, in order."""
+
+
+def render(film: Film, folder: Path, advanced: Callable[[], None] = lambda: None) -> list[Path]:
+    """Write `NAME.gif` into a folder, and `NAME.mp4` where there is ffmpeg.
 
     Args:
-        episode: What is shown.
+        film: What is shown.
         folder: Where it is written; made if it is not there.
-        advanced: Called after every frame.
+        advanced: Called after every picture.
 
     Raises:
-        ResultsError: Nothing is known of how to draw this environment, or it cannot be written.
+        ResultsError: It cannot be drawn or written.
     """
-    env = _drawable(episode)
-    indices = frames_of(len(episode.observations))
-    seconds = _seconds(env, indices)
-    with explained(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    name = f"{_slug(episode.point.name)}-run{episode.run}-episode{episode.number}"
     images = []
     with settings():
-        for image in _images(episode, env, indices):
+        for image in film.images():
             images.append(image)
             advanced()
-    paths = [folder / f"{name}.gif"]
-    write_atomically(paths[0], lambda path: _write_gif(path, images, seconds))
+    _make(folder)
+    paths = [folder / f"{film.name}.gif"]
+    write_atomically(paths[0], lambda path: _write_gif(path, images, film.seconds))
     if FFMpegWriter.isAvailable():
-        paths.append(folder / f"{name}.mp4")
-        write_atomically(paths[1], lambda path: _write_mp4(path, images, seconds))
+        paths.append(folder / f"{film.name}.mp4")
+        write_atomically(paths[1], lambda path: _write_mp4(path, images, film.seconds))
     return paths
 
 
-def _drawable(episode: Episode) -> Settings:
-    env = episode.point.config["env"]
-    kind = str(env["kind"])
-    if kind not in SCENES:
-        raise ResultsError(f"nothing known how to draw {kind}; known: {', '.join(SCENES)}")
-    missing = [key for key in SCENES[kind].keys if key not in env]
-    if missing:
-        raise ResultsError(f"manifest.json: env: no {', '.join(missing)}, which drawing {kind} needs")
-    return env
+def still(film: Film, path: Path, share: float) -> None:
+    """Write one picture as PNG.
+
+    Args:
+        film: What it is taken from.
+        path: Where it is written; its folder is made if it is not there.
+        share: How much of the film comes before it, from 0 to 1.
+
+    Raises:
+        ResultsError: It cannot be drawn or written.
+    """
+    wanted = round(share * (film.num_images - 1))
+    with settings():
+        image = next(image for index, image in enumerate(film.images()) if index == wanted)
+    _make(path.parent)
+    write_atomically(path, lambda path: image.save(path, "PNG", optimize=True))
 
 
-def frames_of(num_steps: int) -> NDArray[np.int64]:
-    """The steps that are shown: all of them, or `MAX_FRAMES` at equal distances, the last one always."""
-    num = min(num_steps, MAX_FRAMES)
-    return np.round(np.linspace(0, num_steps - 1, num)).astype(np.int64)
+def slug(name: str) -> str:
+    """A name as it can stand in that of a file."""
+    return re.sub(r"[^\w.=-]+", "-", name).strip("-")
 
 
-def _seconds(env: Settings, indices: NDArray[np.int64]) -> float:
-    """How long a frame is shown, a multiple of the 10 ms that a GIF knows."""
-    stride = (indices[-1] - indices[0]) / max(len(indices) - 1, 1)
-    real = stride * float(env.get("time_step", 0.0))
-    return round(float(np.clip(real, FASTEST, SLOWEST)), 2)
+def photograph(figure: Figure) -> Image.Image:
+    """A figure as it is now."""
+    canvas = figure.canvas
+    assert isinstance(canvas, FigureCanvasAgg)
+    canvas.draw()
+    return Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
 
 
-def _images(episode: Episode, env: Settings, indices: NDArray[np.int64]) -> Iterator[Image.Image]:
-    figure = Figure(figsize=_SIZE, dpi=_DPI)
-    canvas = FigureCanvasAgg(figure)
-    scene = SCENES[env["kind"]](figure.add_axes((0.02, 0.16, 0.96, 0.70)), env)
-    title = f"{env['kind']}: {episode.point.name}, run {episode.run}, episode {episode.number}"
-    figure.text(0.04, 0.945, title, color=INK, fontsize=10)
-    status = figure.text(0.04, 0.885, "", color=INK, fontsize=10)
-    outcome = figure.text(0.96, 0.885, "", color=BLUE, fontsize=10, ha="right", weight="bold")
-    bars = figure.add_axes((0.20, 0.045, 0.72, 0.07))
-    largest = np.maximum(np.abs(episode.actions).max(axis=0), 1e-9)
-    num = len(largest)
-    bars.set_xlim(-1.02, 1.02)
-    bars.set_ylim(-0.6, num - 0.4)
-    bars.set_axis_off()
-    bars.axvline(0.0, color=FAINT, linewidth=1.0)
-    drawn = bars.barh(np.arange(num), np.zeros(num), height=0.7, color=BLUE)
-    figure.text(0.04, 0.08, "action", color=INK, fontsize=10, va="center")
-    position = 0
-    for index in indices:
-        for step in range(position, index + 1):
-            scene.move(episode.observations[step])
-        position = index + 1
-        seconds = f"{index * float(env['time_step']):.2f} s, " if "time_step" in env else ""
-        reward = f"reward {episode.accumulated[index]:.4g}"
-        status.set_text(f"{seconds}step {index + 1} of {len(episode.observations)}, {reward}")
-        for bar, width in zip(drawn, episode.actions[index] / largest, strict=True):
-            bar.set_width(width)
-        if index == indices[-1]:
-            outcome.set_text(episode.outcome)
-        canvas.draw()
-        yield Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
+def _make(folder: Path) -> None:
+    with explained(folder):
+        folder.mkdir(parents=True, exist_ok=True)
 
 
-def _write_gif(path: Path, images: list[Image.Image], seconds: float) -> None:
-    # One palette for all frames, of the first, the middle and the last: pixels that stay need no bytes.
-    samples = np.concatenate([np.asarray(images[i]).reshape(-1, 3) for i in (0, len(images) // 2, -1)])
-    colours, counts = np.unique(samples, axis=0, return_counts=True)
-    palette = colours[np.argsort(-counts, kind="stable")[:NUM_COLOURS]]
+def _write_gif(path: Path, images: Sequence[Image.Image], seconds: float) -> None:
+    # One palette for all, of the first, the middle and the last: pixels that stay need no bytes.
+    palette = _palette([images[i] for i in (0, len(images) // 2, -1)])
     frames = [_indexed(np.asarray(image), palette) for image in images]
     durations = [round(1000 * seconds)] * (len(frames) - 1) + [round(1000 * LAST_SECONDS)]
     frames[0].save(
-        path, "GIF", save_all=True, append_images=frames[1:], duration=durations, loop=0, optimize=False
+        path, "GIF", save_all=True, append_images=frames[1:], duration=durations, loop=0, optimize=True
     )
+
+
+def _palette(images: Sequence[Image.Image]) -> NDArray[np.uint8]:
+    """Colours that stand for all: those of large areas exactly, so that white stays white."""
+    samples = np.concatenate([np.asarray(image).reshape(-1, 3) for image in images])
+    values, counts = np.unique(_packed(samples), return_counts=True)
+    order = np.argsort(-counts, kind="stable")
+    colours = _unpacked(values[order]).astype(np.uint8)
+    rest = colours[_FREQUENT:]
+    if len(rest) > _REST:
+        cut = Image.fromarray(rest[None]).quantize(_REST, Image.Quantize.MEDIANCUT).getpalette() or []
+        rest = np.asarray(cut, np.uint8).reshape(-1, 3)[:_REST]
+    return np.concatenate([colours[:_FREQUENT], rest])
 
 
 def _indexed(image: NDArray[np.uint8], palette: NDArray[np.uint8]) -> Image.Image:
     """The image in the nearest colours of a palette; Pillow's own search rounds, and white turns grey."""
-    packed = image.astype(np.int32) @ np.array([1 << 16, 1 << 8, 1], np.int32)
-    values, places = np.unique(packed, return_inverse=True)
-    colours = np.stack([values >> 16, values >> 8 & 255, values & 255], axis=-1)
-    nearest = np.argmin(np.sum((colours[:, None] - palette.astype(np.int32)) ** 2, axis=-1), axis=-1)
-    indexed = Image.fromarray(nearest[places].reshape(packed.shape).astype(np.uint8), "P")
-    indexed.putpalette(palette.astype(np.uint8).tobytes())
+    values, places = np.unique(_packed(image), return_inverse=True)
+    colours, known = _unpacked(values).astype(np.float32), palette.astype(np.float32)
+    nearest = np.argmin(np.sum(known**2, axis=-1) - 2.0 * colours @ known.T, axis=-1)
+    indexed = Image.fromarray(nearest[places].reshape(image.shape[:2]).astype(np.uint8))
+    indexed.putpalette(palette.tobytes())
     return indexed
 
 
-def _write_mp4(path: Path, images: list[Image.Image], seconds: float) -> None:
-    figure = Figure(figsize=_SIZE, dpi=_DPI)
+def _packed(colours: NDArray[np.uint8]) -> NDArray[np.int32]:
+    return colours.astype(np.int32) @ np.array([1 << 16, 1 << 8, 1], np.int32)
+
+
+def _unpacked(values: NDArray[np.int32]) -> NDArray[np.int32]:
+    return np.stack([values >> 16, values >> 8 & 255, values & 255], axis=-1)
+
+
+def _write_mp4(path: Path, images: Sequence[Image.Image], seconds: float) -> None:
+    width, height = images[0].size
+    figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI)
     FigureCanvasAgg(figure)
     shown = figure.figimage(np.asarray(images[0]))
     writer = FFMpegWriter(fps=round(1 / seconds), extra_args=["-f", "mp4", "-pix_fmt", "yuv420p"])
     try:
-        with writer.saving(figure, str(path), _DPI):
+        with writer.saving(figure, str(path), DPI):
             for image in [*images, *[images[-1]] * round(LAST_SECONDS / seconds)]:
                 shown.set_data(np.asarray(image))
                 writer.grab_frame()
@@ -151,7 +165,3 @@ def _write_mp4(path: Path, images: list[Image.Image], seconds: float) -> None:
         raise ResultsError(
             "the GIF is written, but ffmpeg failed to make an MP4 of it", exit_code=1
         ) from error
-
-
-def _slug(name: str) -> str:
-    return re.sub(r"[^\w.=-]+", "-", name).strip("-")

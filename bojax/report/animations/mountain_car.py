@@ -4,9 +4,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Polygon
 from matplotlib.transforms import Affine2D
-from numpy.typing import NDArray
 
-from bojax.report.animations.base import GOAL, GROUND, METAL, Scene, Settings, stage
+from bojax.report.animations.base import GOAL, GROUND, METAL, Moment, Scene, Settings, stage
 
 _LEFT, _RIGHT = -1.2, 0.6
 
@@ -46,9 +45,9 @@ class MountainCar(Scene):
         for part in self._parts:
             axes.add_patch(part)
 
-    def move(self, observation: NDArray[np.float64]) -> None:
+    def move(self, moment: Moment) -> None:
         """See `Scene`."""
-        x = float(observation[0])
+        x = float(moment.observation[0])
         slope = np.arctan(1.35 * np.cos(3.0 * x))
         at = Affine2D().rotate(slope).translate(x, _height(x)) + self._axes.transData
         for part in self._parts:

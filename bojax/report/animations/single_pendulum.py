@@ -2,12 +2,10 @@
 
 from math import degrees
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Wedge
-from numpy.typing import NDArray
 
-from bojax.report.animations.base import GOAL, METAL, Scene, Settings, Trail, joint, rod, stage
+from bojax.report.animations.base import GOAL, METAL, Moment, Scene, Settings, Trail, joint, rod, stage
 
 
 class SinglePendulum(Scene):
@@ -24,8 +22,8 @@ class SinglePendulum(Scene):
         self._trail, self._rod = Trail(axes), rod(axes, METAL)
         joint(axes)
 
-    def move(self, observation: NDArray[np.float64]) -> None:
+    def move(self, moment: Moment) -> None:
         """See `Scene`."""
-        x, y = -self._length * observation[1], self._length * observation[0]
+        x, y = -self._length * moment.observation[1], self._length * moment.observation[0]
         self._trail.add(x, y)
         self._rod.set_data([0.0, x], [0.0, y])

@@ -1,0 +1,42 @@
+"""Which film is made of a results folder."""
+
+from pathlib import Path
+
+from bojax.report.animations.drive import choose_drive
+from bojax.report.animations.episode import choose_episode
+from bojax.report.animations.film import Film
+from bojax.report.animations.learning import LearningFilm
+from bojax.report.animations.planning import PlanningFilm
+from bojax.report.source import Results
+from bojax.results.store import ResultsError
+
+
+def choose_film(
+    results: Results,
+    point: int | None = None,
+    run: int | None = None,
+    episode: int | None = None,
+    model: Path | None = None,
+) -> Film:
+    """A film of a recorded run.
+
+    Args:
+        results: The results folder.
+        point: Number of the point, see `choose_drive` and `choose_episode`.
+        run: Index of the run.
+        episode: Number of the episode, of a learning run.
+        model: File of the robot's MJCF, if it is not known from the settings.
+
+    Raises:
+        ResultsError: There is no such run, or nothing is known of how to draw it.
+    """
+    if results.points[0].is_learning:
+        return LearningFilm(choose_episode(results, point, run, episode), model)
+    if "planner" not in results.points[0].config:
+        kind = results.points[0].config.get("kind", "these results")
+        raise ResultsError(
+            f"{results.folder}: nothing moves in {kind}: planners and learners can be animated"
+        )
+    if episode is not None:
+        raise ResultsError("--episode: a run of a planner is one episode")
+    return PlanningFilm(choose_drive(results, point, run), model)

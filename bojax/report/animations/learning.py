@@ -1,0 +1,129 @@
+"""A film of one episode of learning: a scene, the time, the reward and the action."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from PIL import Image
+
+from bojax.report.animations import SCENES
+from bojax.report.animations.base import Scene, Settings
+from bojax.report.animations.episode import Episode
+from bojax.report.animations.film import DPI, FASTEST, MAX_FRAMES, SLOWEST, Film, photograph, slug
+from bojax.report.style import BLUE, FAINT, INK
+from bojax.results.store import ResultsError
+
+if TYPE_CHECKING:
+    from bojax.robots.models import RobotModel
+
+_SIZE = (4.0, 4.0)
+
+
+class LearningFilm(Film):
+    """The steps of an episode, one after the other.
+
+    Args:
+        episode: What is shown.
+        model: File of the robot's MJCF, if it is not known from the settings.
+
+    Raises:
+        ResultsError: Nothing is known of how to draw this environment.
+    """
+
+    def __init__(self, episode: Episode, model: Path | None = None):
+        self._episode = episode
+        self._env: Settings = episode.point.config["env"]
+        self._kind = str(self._env["kind"])
+        is_robot = model is not None or (self._kind not in SCENES and episode.frames.shape[1] > 0)
+        self._model = _robot_of(self._env, model) if is_robot else None
+        if self._model is None:
+            _check_drawable(self._env)
+        self._indices = frames_of(len(episode.observations))
+        self._time_step = self._seconds_of_a_step()
+        self.name = f"{slug(episode.point.name)}-run{episode.run}-episode{episode.number}"
+        self.num_images = len(self._indices)
+        stride = (self._indices[-1] - self._indices[0]) / max(self.num_images - 1, 1)
+        self.seconds = round(float(np.clip(stride * self._time_step, FASTEST, SLOWEST)), 2)
+
+    def images(self) -> Iterator[Image.Image]:
+        """See `Film`."""
+        figure = Figure(figsize=_SIZE, dpi=DPI)
+        FigureCanvasAgg(figure)
+        scene = self._scene(figure.add_axes((0.02, 0.16, 0.96, 0.70)))
+        try:
+            yield from self._pictures(figure, scene)
+        finally:
+            scene.close()
+
+    def _pictures(self, figure: Figure, scene: Scene) -> Iterator[Image.Image]:
+        episode = self._episode
+        title = f"{self._kind}: {episode.point.name}, run {episode.run}, episode {episode.number}"
+        figure.text(0.04, 0.945, title, color=INK, fontsize=10)
+        status = figure.text(0.04, 0.885, "", color=INK, fontsize=10)
+        outcome = figure.text(0.96, 0.885, "", color=BLUE, fontsize=10, ha="right", weight="bold")
+        bars = figure.add_axes((0.20, 0.045, 0.72, 0.07))
+        largest = np.maximum(np.abs(episode.actions).max(axis=0), 1e-9)
+        num = len(largest)
+        bars.set_xlim(-1.02, 1.02)
+        bars.set_ylim(-0.6, num - 0.4)
+        bars.set_axis_off()
+        bars.axvline(0.0, color=FAINT, linewidth=1.0)
+        drawn = bars.barh(np.arange(num), np.zeros(num), height=0.7, color=BLUE)
+        figure.text(0.04, 0.08, "action", color=INK, fontsize=10, va="center")
+        position = 0
+        for index in self._indices.tolist():
+            for step in range(position if scene.has_trail else index, index + 1):
+                scene.move(episode.moment(step))
+            position = index + 1
+            seconds = f"{index * self._time_step:.2f} s, " if self._time_step else ""
+            reward = f"reward {episode.accumulated[index]:.4g}"
+            status.set_text(f"{seconds}step {index + 1} of {len(episode.observations)}, {reward}")
+            for bar, width in zip(drawn, episode.actions[index] / largest, strict=True):
+                bar.set_width(width)
+            if index == self._indices[-1]:
+                outcome.set_text(episode.outcome)
+            yield photograph(figure)
+
+    def _scene(self, axes: Axes) -> Scene:
+        if self._model is None:
+            return SCENES[self._kind](axes, self._env)
+        from bojax.report.animations.robot import RobotScene
+
+        return RobotScene(axes, self._model)
+
+    def _seconds_of_a_step(self) -> float:
+        """0 where it is not known."""
+        if self._model is None:
+            return float(self._env.get("time_step", 0.0))
+        from bojax.report.animations.robot import time_step
+
+        return time_step(self._model) * int(self._env.get("substeps", 1))
+
+
+def frames_of(num_steps: int) -> NDArray[np.int64]:
+    """The steps that are shown: all of them, or `MAX_FRAMES` at equal distances, the last one always."""
+    num = min(num_steps, MAX_FRAMES)
+    return np.round(np.linspace(0, num_steps - 1, num)).astype(np.int64)
+
+
+def _robot_of(env: Settings, path: Path | None) -> "RobotModel | None":
+    from bojax.report.animations.robot import from_file, known
+    from bojax.robots.scenes import ENVS
+
+    return known(ENVS, str(env["kind"]), "env", env) if path is None else from_file(path)
+
+
+def _check_drawable(env: Settings) -> None:
+    kind = str(env["kind"])
+    if kind not in SCENES:
+        raise ResultsError(
+            f"nothing known how to draw {kind}; known: {', '.join(SCENES)}; a robot of your own by --model"
+        )
+    missing = [key for key in SCENES[kind].keys if key not in env]
+    if missing:
+        raise ResultsError(f"manifest.json: env: no {', '.join(missing)}, which drawing {kind} needs")

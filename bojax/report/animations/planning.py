@@ -1,0 +1,227 @@
+"""A film of a planner at work: the way, the plan of each step, the robot, and its belief about a field."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
+from matplotlib.markers import MarkerStyle
+from matplotlib.path import Path as Outline
+from matplotlib.transforms import Affine2D
+from PIL import Image
+
+from bojax.report.animations.drive import Drive, Leg
+from bojax.report.animations.film import DPI, MAX_FRAMES, SLOWEST, Film, photograph, slug
+from bojax.report.figures.domains import draw_domain
+from bojax.report.figures.maps import QUIET, draw_map
+from bojax.report.figures.smooth import smooth
+from bojax.report.statistics import Floats
+from bojax.report.style import BLUE, INK, ORANGE
+from bojax.results.store import ResultsError
+
+if TYPE_CHECKING:
+    from bojax.robots.models import RobotModel
+
+MAX_IMAGES_PER_STEP = 12
+"""Pictures of a step of a robot without a body: its way is interpolated."""
+
+_BOTTOM, _TOP = 0.03, 0.84
+_ARROW = Outline([(1.0, 0.0), (-0.9, 0.75), (-0.45, 0.0), (-0.9, -0.75), (1.0, 0.0)])
+
+
+class PlanningFilm(Film):
+    """The steps of a run, one after the other.
+
+    The main picture is the robot in its world where it has a body, and the map of the domain otherwise, with
+    the way and the plan. Beside it are mean and standard deviation of the belief about a field; or the map,
+    where the robot has a body and there is no field.
+
+    Args:
+        drive: What is shown.
+        model: File of the robot's MJCF, if it is not known from the settings.
+
+    Raises:
+        ResultsError: The robot cannot be drawn.
+    """
+
+    def __init__(self, drive: Drive, model: Path | None = None):
+        self._drive = drive
+        has_body = drive.legs[0].frames is not None
+        self._model = _robot_of(drive, model) if has_body else None
+        most = max(1, MAX_FRAMES // len(drive.legs))
+        longest = len(drive.legs[0].frames) if drive.legs[0].frames is not None else MAX_IMAGES_PER_STEP
+        self._per_step = min(most, longest)
+        self.name = f"{slug(drive.point.name)}-run{drive.run}"
+        self.num_images = self._per_step * len(drive.legs) + 1
+        self.seconds = SLOWEST
+
+    def images(self) -> Iterator[Image.Image]:
+        """See `Film`."""
+        has_belief = "truth" in self._drive.belief
+        num_beside = 2 if has_belief else int(self._model is not None)
+        figure = Figure(figsize=(4.2 + (0.0, 3.0, 2.0)[num_beside], 4.6), dpi=DPI)
+        FigureCanvasAgg(figure)
+        main, *beside = _panels(figure, num_beside)
+        if self._model is None:
+            body = None
+            views = [_Map(main, self._drive, "truth")] if has_belief else [_Map(main, self._drive)]
+            views += [_Map(axes, self._drive, name) for axes, name in zip(beside, _BELIEF, strict=False)]
+        else:
+            from bojax.report.animations.robot import RobotScene
+
+            body = RobotScene(main, self._model)
+            names = _BELIEF if has_belief else (None,)
+            views = [_Map(axes, self._drive, name) for axes, name in zip(beside, names, strict=True)]
+        try:
+            yield from self._pictures(figure, body, views)
+        finally:
+            if body is not None:
+                body.close()
+
+    def _pictures(self, figure: Figure, body: Any, views: "list[_Map]") -> Iterator[Image.Image]:
+        drive, edge = self._drive, 0.1 / figure.get_figwidth()
+        problem = drive.point.problem.get("kind", "")
+        title = f"{problem}: {drive.point.name}, run {drive.run}"
+        figure.text(edge, 0.945, title, color=INK, fontsize=10)
+        status = figure.text(edge, 0.89, "", color=INK, fontsize=10)
+        outcome = figure.text(1.0 - edge, 0.945, "", color=BLUE, fontsize=10, ha="right", weight="bold")
+        num, way = self._per_step, [drive.legs[0].before[None, :2]]
+        for index, leg in enumerate(drive.legs):
+            curve = _poses(leg)
+            for view in views:
+                view.plan(index, leg)
+            before = drive.legs[index - 1].accumulated if index else 0.0
+            status.set_text(f"step {index + 1} of {len(drive.legs)}, reward {before:.4g}")
+            is_last = index == len(drive.legs) - 1
+            for share in (np.arange(num + is_last) / num).tolist():
+                at = round(share * (len(curve) - 1))
+                if body is not None and leg.frames is not None:
+                    body.show(leg.frames[round(share * (len(leg.frames) - 1))])
+                if share == 1.0:
+                    status.set_text(f"step {index + 1} of {len(drive.legs)}, reward {leg.accumulated:.4g}")
+                    outcome.set_text(drive.outcome)
+                for view in views:
+                    view.move(np.concatenate([*way, curve[: at + 1, :2]]), curve[at])
+                    if share == 1.0:
+                        view.plan(index + 1, None)
+                yield photograph(figure)
+            way.append(curve[:, :2])
+
+
+class _Map:
+    """The domain from above, with the way so far, the plan and the robot, on values of a field or on none.
+
+    Attributes:
+        name: What the values are: "truth", "mean" or "std".
+    """
+
+    def __init__(self, axes: Axes, drive: Drive, name: str | None = None):
+        self.name = name
+        self._drive = drive
+        problem = drive.point.problem
+        draw_domain(axes, problem)
+        if "domain" not in problem and "half_width" not in problem:
+            _fit(axes, drive)
+        axes.set_xticks([])
+        axes.set_yticks([])
+        self._image: AxesImage | None = None
+        line, spot = INK, BLUE
+        if name is not None:
+            self._image = _values(axes, drive, name)
+            axes.set_title(_TITLES[name], fontsize=9, pad=3)
+            if name == "mean":
+                line = spot = "white"
+        scale = 1.0 if axes.get_window_extent().width > 300 else 0.7
+        style: dict[str, Any] = {"zorder": 5, "solid_capstyle": "round"}
+        (self._way,) = axes.plot([], [], color=spot, linewidth=1.8 * scale, **style)
+        dashes = (0, (2.5, 1.5))
+        (self._plan,) = axes.plot([], [], color=ORANGE, linewidth=1.8 * scale, linestyle=dashes, zorder=6)
+        start = drive.legs[0].before
+        axes.plot(*start[:2], "o", ms=5 * scale, mfc="white", mec=line, mew=1.2 * scale, zorder=4.8)
+        (self._robot,) = axes.plot([], [], color=spot, markersize=13 * scale, mec=INK, mew=0.8, zorder=7)
+
+    def plan(self, step: int, leg: Leg | None) -> None:
+        """Show the plan of a step and what is believed before it; there is no plan after the last step."""
+        has_plan = leg is not None and leg.plan is not None and self.name != "std"
+        line = smooth(leg.before, leg.plan) if leg is not None and leg.plan is not None and has_plan else None
+        self._plan.set_data([], []) if line is None else self._plan.set_data(*line.T)
+        belief = self._drive.belief
+        if self._image is not None and self.name in _BELIEF:
+            maps = belief.get(f"{self.name}s")
+            self._image.set_data(belief[self.name] if maps is None else maps[step])
+
+    def move(self, way: Floats, pose: Floats) -> None:
+        """The robot has come here by this way."""
+        if self.name != "std":
+            self._way.set_data(*way.T)
+        self._robot.set_data([pose[0]], [pose[1]])
+        turned = Affine2D().rotate(float(pose[2]))
+        self._robot.set_marker(MarkerStyle(_ARROW, transform=turned))
+
+
+_BELIEF = ("mean", "std")
+_TITLES = {"truth": "true field", "mean": "mean of the belief", "std": "its standard deviation"}
+
+
+def _values(axes: Axes, drive: Drive, name: str) -> AxesImage:
+    """A map whose scale fits all steps; field and mean share one."""
+    belief = drive.belief
+    if name == "std":
+        largest = np.nanmax(belief.get("stds", belief["std"]))
+        return draw_map(axes, belief, belief["std"], Normalize(0.0, float(largest)), "PuBu")
+    norm = Normalize(float(belief["truth"].min()), float(belief["truth"].max()))
+    return draw_map(axes, belief, belief[name], norm, QUIET if name == "truth" else "viridis")
+
+
+def _panels(figure: Figure, num_beside: int) -> list[Axes]:
+    """Axes of the main picture, and of those beside it: one large, or two small ones above each other."""
+    width = figure.get_figwidth()
+    y, height = _BOTTOM, _TOP - _BOTTOM
+    main = figure.add_axes((0.08 / width, y, 4.04 / width, height))
+    left, right = 4.24 / width, 1.0 - 0.08 / width
+    if num_beside == 1:
+        return [main, figure.add_axes((left, y, right - left, height))]
+    tall = 0.375
+    return [main] + [
+        figure.add_axes((left, low, right - left, tall)) for low in (y + height - tall, y)[:num_beside]
+    ]
+
+
+def _poses(leg: Leg) -> Floats:
+    """Where the robot is drawn along a leg, `[N, 3]`: as its body was, or interpolated between its poses."""
+    if leg.frames is not None and leg.frames.shape[1] >= 7:
+        x, y, (w, i, j, k) = leg.frames[:, 0], leg.frames[:, 1], leg.frames[:, 3:7].T
+        return np.stack([x, y, np.arctan2(2.0 * (w * k + i * j), 1.0 - 2.0 * (j * j + k * k))], axis=-1)
+    points = smooth(leg.before, leg.poses)
+    headings = np.unwrap(np.concatenate([leg.before[2:], leg.poses[:, 2]]))
+    at = np.linspace(0.0, len(headings) - 1.0, len(points))
+    return np.column_stack([points, np.interp(at, np.arange(len(headings)), headings)])
+
+
+def _fit(axes: Axes, drive: Drive) -> None:
+    """Limits that show all that was driven and planned, of a problem whose domain is not known."""
+    shown = [leg.poses for leg in drive.legs] + [leg.plan for leg in drive.legs if leg.plan is not None]
+    points = np.concatenate([drive.legs[0].before[None], *shown])[:, :2]
+    middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
+    half = 0.55 * max(float(np.ptp(points, axis=0).max()), 1.0)
+    axes.set_xlim(middle[0] - half, middle[0] + half)
+    axes.set_ylim(middle[1] - half, middle[1] + half)
+
+
+def _robot_of(drive: Drive, path: Path | None) -> "RobotModel":
+    from bojax.report.animations.robot import from_file, known
+    from bojax.robots.scenes import VEHICLES
+
+    if path is not None:
+        return from_file(path)
+    problem = drive.point.problem
+    kind = str(problem["vehicle"]["kind"])
+    model = known(VEHICLES, kind, "problem", problem, drive.belief.get("truth"))
+    if model is None:
+        raise ResultsError(f"nothing known how to draw {kind}: give its MJCF by --model FILE")
+    return model
