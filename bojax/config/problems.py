@@ -13,13 +13,10 @@ from bojax.config.objectives import Gradient, Value
 from bojax.config.vehicles import Exact, Point, Quadrotor, Range, WheeledRobot
 
 
-class Parking(Component, frozen=True):
-    """Robot parking: reach the centre of a square at a given heading (thesis, Section 4.7.2)."""
-
+class _Parking(Component, frozen=True):
     role: ClassVar[str] = "problem"
     target: ClassVar[str] = "bojax.problems.parking:Parking"
 
-    kind: Literal["parking"] = "parking"
     half_width: float = Field(default=4.0, gt=0, description="half the width of the square domain, m")
     max_steps: int = Field(default=15, ge=1, description="steps after which an episode ends")
     distance_tolerance: float = Field(
@@ -54,7 +51,13 @@ class Parking(Component, frozen=True):
     )
 
 
-class RobotParking(Parking, frozen=True):
+class Parking(_Parking, frozen=True):
+    """Robot parking: reach the centre of a square at a given heading (thesis, Section 4.7.2)."""
+
+    kind: Literal["parking"] = "parking"
+
+
+class RobotParking(_Parking, frozen=True):
     """Parking of a wheeled robot that drives forward only, in 3 x 3 m (thesis, p. 101-102, Fig. 4.8)."""
 
     kind: Literal["robot-parking"] = "robot-parking"

@@ -1,0 +1,95 @@
+"""Pure pursuit: steer along the circle through a point of the path some way ahead (Coulter, 1992)."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+PIECES = 8
+"""Pieces of a route between two poses of its path."""
+
+
+class Route(eqx.Module):
+    """A path as the tracker sees it: many points, and straight on after the last.
+
+    Attributes:
+        points: Positions in metres, the start first.
+        arc: Arc length from the start to each of them, in metres.
+        heading: Heading at the end, in radians.
+    """
+
+    points: Float[Array, "N 2"]
+    arc: Float[Array, "N"]
+    heading: Float[Array, ""]
+
+    @property
+    def length(self) -> Float[Array, ""]:
+        """Arc length in metres."""
+        return self.arc[-1]
+
+    def at(self, arc: Float[Array, ""]) -> Float[Array, "2"]:
+        """The position at an arc length; beyond the end along the heading there."""
+        x, y = (jnp.interp(arc, self.arc, self.points[:, axis]) for axis in range(2))
+        beyond = jnp.maximum(arc - self.length, 0.0)
+        along = jnp.stack([jnp.cos(self.heading), jnp.sin(self.heading)])
+        return jnp.stack([x, y]) + beyond * along
+
+    def nearest(
+        self, position: Float[Array, "2"], after: Int[Array, ""], ahead: Float[Array, ""]
+    ) -> Int[Array, ""]:
+        """Index of the nearest point, from the point `after` to `ahead` metres along the route from there."""
+        index = jnp.arange(self.arc.shape[0], dtype=after.dtype)
+        is_near = (index >= after) & (self.arc <= self.arc[after] + ahead)
+        squared = jnp.sum((self.points - position[None]) ** 2, axis=-1)
+        return jnp.argmin(jnp.where(is_near, squared, jnp.inf)).astype(after.dtype)
+
+
+def route(start: Float[Array, "3"], path: Float[Array, "S 3"]) -> Route:
+    """The route from a pose through all poses of a path, with their headings, by cubic Hermite curves.
+
+    The pose of the path with index s is the point with index `(s + 1) * PIECES`.
+    """
+    poses = jnp.concatenate([start[None], path])
+    before, after = poses[:-1, None], poses[1:, None]
+    chord = jnp.sqrt(jnp.sum((after - before)[..., :2] ** 2, axis=-1, keepdims=True))
+    u = (jnp.arange(1, PIECES + 1, dtype=path.dtype) / PIECES)[None, :, None]
+    curve = (
+        (1.0 + 2.0 * u) * (1.0 - u) ** 2 * before[..., :2]
+        + u * (1.0 - u) ** 2 * chord * _direction(before)
+        + u**2 * (3.0 - 2.0 * u) * after[..., :2]
+        - u**2 * (1.0 - u) * chord * _direction(after)
+    )
+    points = jnp.concatenate([start[None, :2], curve.reshape(-1, 2)])
+    steps = jnp.sqrt(jnp.sum((points[1:] - points[:-1]) ** 2, axis=-1))
+    arc = jnp.concatenate([jnp.zeros((1,), path.dtype), jnp.cumsum(steps)])
+    return Route(points, arc, path[-1, 2])
+
+
+def curvature(pose: Float[Array, "3"], goal: Float[Array, "2"]) -> Float[Array, ""]:
+    """Curvature 2 y / d^2 of the circle along the heading of a pose that passes through a point, in 1/m.
+
+    y is how far the point is to the left, d how far away.
+    """
+    ahead = goal - pose[:2]
+    left = jnp.cos(pose[2]) * ahead[1] - jnp.sin(pose[2]) * ahead[0]
+    squared = jnp.sum(ahead * ahead)
+    return 2.0 * left / jnp.maximum(squared, jnp.finfo(squared.dtype).eps)
+
+
+def wheel_angles(
+    curvature: Float[Array, ""], wheelbase: Float[Array, ""], half_track: Float[Array, ""]
+) -> Float[Array, "2"]:
+    """Angles of the left and the right front wheel at which neither of them slips (Ackermann), in rad.
+
+    Args:
+        curvature: Of the way of the middle of the rear axle, to the left, in 1/m; below 1 / `half_track`.
+        wheelbase: Distance of the axles, in metres.
+        half_track: Half the distance of the axes about which the front wheels are turned, in metres.
+    """
+    turn = wheelbase * curvature
+    return jnp.stack(
+        [jnp.arctan(turn / (1.0 - half_track * curvature)), jnp.arctan(turn / (1.0 + half_track * curvature))]
+    )
+
+
+def _direction(poses: Float[Array, "*S 3"]) -> Float[Array, "*S 2"]:
+    return jnp.stack([jnp.cos(poses[..., 2]), jnp.sin(poses[..., 2])], axis=-1)
