@@ -59,7 +59,8 @@ def simulator_of(robot: str, setting: str) -> Simulator:
     physics = MJX()
     if setting != "model":
         iterations, ls_iterations, integrator = setting.split("/")
-        physics = MJX(iterations=int(iterations), ls_iterations=int(ls_iterations), integrator=integrator)
+        given = {"iterations": int(iterations), "ls_iterations": int(ls_iterations), "integrator": integrator}
+        physics = MJX.model_validate(given)
     if robot in SCHEMAS:
         return build(SCHEMAS[robot](physics=physics), "float32").simulator
     return Simulator(build(physics, "float32"), packaged(MODELS[robot]), substeps=5)
@@ -103,7 +104,8 @@ def mujoco_row(args, simulator: Simulator, runs: int = 64) -> Row:
         seconds = median_seconds(
             lambda: pool.rollout(model, data, np.tile(state, (runs, 1)), controls), args.repeats
         )
-    return Row(f"C MuJoCo, {cores} thread{"" if cores == 1 else "s"}", runs, seconds, runs * controls.shape[1])
+    threads = "1 thread" if cores == 1 else f"{cores} threads"
+    return Row(f"C MuJoCo, {threads}", runs, seconds, runs * controls.shape[1])
 
 
 def lander_rows(args, lanes: list[int]) -> list[Row]:
