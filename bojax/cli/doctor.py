@@ -56,7 +56,7 @@ def main(name: str, words: Sequence[str]) -> int:
     parser = Parser(
         prog=f"bojax {name}",
         usage=f"bojax {name}",
-        description="Check versions, devices, precision, the compilation cache and the results folder.",
+        description="Check versions, devices, precision, compilation cache, films and the results folder.",
         examples=_EXAMPLES,
     )
     parser.parse_intermixed_args(list(words))
@@ -152,6 +152,26 @@ def _figures() -> Iterator[Finding]:
     yield Finding("ok", f"PNG drawn, {len(buffer.getvalue())} bytes")
 
 
+def _films() -> Iterator[Finding]:
+    from matplotlib.animation import FFMpegWriter
+
+    from bojax.robots.rendering import BACKENDS, CannotDraw, backend
+
+    has_ffmpeg = FFMpegWriter.isAvailable()
+    yield Finding("ok" if has_ffmpeg else "note", "GIF and MP4" if has_ffmpeg else "GIF; with ffmpeg MP4 too")
+    try:
+        version = importlib.metadata.version("mujoco")
+    except importlib.metadata.PackageNotFoundError:
+        yield Finding("note", 'no robots: MuJoCo is not installed: pip install "bojax[robots]"')
+        return
+    try:
+        name = backend() or "its own choice"
+    except CannotDraw as error:
+        yield Finding("note", str(error))
+        return
+    yield Finding("ok", f"robots: MuJoCo {version} draws by {name.upper() if name in BACKENDS else name}")
+
+
 def _results() -> Iterator[Finding]:
     folder = Path("results")
     _write_in(folder if folder.exists() else Path.cwd())
@@ -177,6 +197,7 @@ CHECKS: dict[str, Callable[[], Iterator[Finding]]] = {
     "cache": _cache,
     "tables": _tables,
     "figures": _figures,
+    "films": _films,
     "results": _results,
 }
 """Every check, in order: later ones rely on JAX being set up by `devices`."""

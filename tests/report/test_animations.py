@@ -17,11 +17,14 @@ from bojax.cli.main import main
 from bojax.config import envs
 from bojax.config.component import registry
 from bojax.report.animations import SCENES
-from bojax.report.animations.episode import choose
-from bojax.report.animations.film import MAX_FRAMES, frames_of, render
+from bojax.report.animations.base import Moment
+from bojax.report.animations.choose import choose_film
+from bojax.report.animations.episode import choose_episode
+from bojax.report.animations.film import MAX_FRAMES, render
+from bojax.report.animations.learning import frames_of
 from bojax.report.source import load
+from bojax.report.style import settings
 from bojax.results.store import ResultsError
-from tests.report.synthetic import write_results
 
 
 def observations(kind, num_steps):
@@ -37,8 +40,13 @@ def observations(kind, num_steps):
     return np.stack(columns.get(kind, (zero,)), axis=-1)
 
 
-def learning_results(folder, kind="mountain-car", *, lengths=(30, 20, 25), goals=(False, True, True), **env):
-    """Two points, of each runs 0, 1 and 3 with one episode of every length; run 3 never succeeds."""
+def learning_results(
+    folder, kind="mountain-car", *, lengths=(30, 20, 25), goals=(False, True, True), frames=(), **env
+):
+    """Two points, of each runs 0, 1 and 3 with one episode of every length; run 3 never succeeds.
+
+    Every step has the numbers of `frames` as what its animation needs, the first of them growing.
+    """
     folder.mkdir()
     steps, episodes, points = [], [], []
     schema = registry["env"].get(kind)
@@ -58,6 +66,7 @@ def learning_results(folder, kind="mountain-car", *, lengths=(30, 20, 25), goals
                 for i in reversed(range(length)):  # an order of its own: the reader sorts
                     row = common | {"step": i + 1, "reward": 0.5, "accumulated_reward": 0.5 * (i + 1)}
                     row |= {f"observation_{j}": x for j, x in enumerate(seen[i])}
+                    row |= {f"qpos_{j}": x + 0.02 * i * (j == 0) for j, x in enumerate(frames)}
                     steps.append(row | {"action_0": sin(i) + run})
     pq.write_table(pa.Table.from_pylist(steps), folder / "steps.parquet")
     pq.write_table(pa.Table.from_pylist(episodes), folder / "episodes.parquet")
@@ -82,7 +91,7 @@ def frames(path):
 def test_every_scene_is_drawn_and_moves(tmp_path, kind):
     folder = learning_results(tmp_path / "results", kind, lengths=(12,), goals=(True,))
     counted = []
-    paths = render(choose(load(folder)), folder / "animations", lambda: counted.append(1))
+    paths = render(choose_film(load(folder)), folder / "animations", lambda: counted.append(1))
     assert paths[0].name == "emu-q-1-kappa-0-run0-episode1.gif"
     assert len(counted) == 12
     images, durations = zip(*frames(paths[0]), strict=True)
@@ -120,7 +129,7 @@ def ffmpeg(tmp_path, monkeypatch):
 def test_where_there_is_ffmpeg_it_gets_the_same_frames(tmp_path, ffmpeg):
     ffmpeg()
     folder = learning_results(tmp_path / "results", lengths=(6,), goals=(True,))
-    gif, film = render(choose(load(folder)), folder / "animations")
+    gif, film = render(choose_film(load(folder)), folder / "animations")
     assert film == gif.with_suffix(".mp4")
     assert int(film.read_text()) == (6 + 50) * 400 * 400 * 4  # the last frame for 2 s of 25 frames
 
@@ -129,7 +138,7 @@ def test_an_ffmpeg_that_fails_is_told_in_a_line(tmp_path, ffmpeg):
     ffmpeg(code=1)
     folder = learning_results(tmp_path / "results", lengths=(6,), goals=(True,))
     with pytest.raises(ResultsError, match="the GIF is written, but ffmpeg failed"):
-        render(choose(load(folder)), folder / "animations")
+        render(choose_film(load(folder)), folder / "animations")
     assert [path.suffix for path in (folder / "animations").iterdir()] == [".gif"]
 
 
@@ -137,7 +146,7 @@ def scene(kind, observation, **env):
     schema = registry["env"][kind]
     axes = Figure().add_subplot()
     drawn = SCENES[kind](axes, schema(**env).model_dump())
-    drawn.move(np.asarray(observation))
+    drawn.move(Moment(np.asarray(observation), np.zeros(1), np.zeros(0)))
     return axes
 
 
@@ -167,7 +176,7 @@ def test_the_stage_shows_the_settings():
 
 
 def test_the_default_is_the_first_success_of_the_first_run(folder):
-    episode = choose(load(folder))
+    episode = choose_episode(load(folder))
     assert (episode.point.index, episode.run, episode.number, episode.outcome) == (0, 0, 2, "goal reached")
     np.testing.assert_allclose(episode.accumulated, 0.5 * np.arange(1, 21))
     np.testing.assert_allclose(episode.observations, observations("mountain-car", 20))
@@ -175,13 +184,13 @@ def test_the_default_is_the_first_success_of_the_first_run(folder):
 
 
 def test_without_success_it_is_the_last_episode(folder):
-    episode = choose(load(folder), run=3)
+    episode = choose_episode(load(folder), run=3)
     assert (episode.run, episode.number, episode.outcome) == (3, 3, "failed")
     assert len(episode.observations) == 25
 
 
 def test_any_recorded_episode_can_be_chosen(folder):
-    episode = choose(load(folder), point=1, run=1, episode=1)
+    episode = choose_episode(load(folder), point=1, run=1, episode=1)
     assert (episode.point.index, episode.run, episode.number, episode.outcome) == (1, 1, 1, "cut off")
     assert episode.actions[0, 0] == 1.0
 
@@ -196,7 +205,7 @@ def test_any_recorded_episode_can_be_chosen(folder):
 )
 def test_what_was_not_recorded_is_told_with_what_was(folder, asked, message):
     with pytest.raises(ResultsError, match=message):
-        choose(load(folder), **asked)
+        choose_episode(load(folder), **asked)
 
 
 def test_a_long_episode_is_shown_in_parts():
@@ -242,11 +251,24 @@ def test_what_cannot_be_drawn_is_told_in_a_line(tmp_path, capsys, kind, damage, 
     assert not (folder / "animations").exists()
 
 
-def test_planning_is_not_animated(tmp_path, capsys):
-    assert main(["render", str(write_results(tmp_path / "results", runs=2))]) == 2
-    assert "nothing known how to draw parking" in capsys.readouterr().err
+def test_a_folder_that_is_none_is_told_in_a_line(tmp_path, capsys):
     assert main(["render", str(tmp_path / "nowhere")]) == 2
     assert "no such results folder" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("share", ["0", "0.5", "1"])
+def test_a_still_is_a_picture_of_the_film(folder, tmp_path, capsys, share):
+    path = tmp_path / "stills" / "one.png"
+    words = ["--run", "1", "--episode", "1", "--still", str(path), "--at", share]
+    assert main(["render", str(folder), *words]) == 0
+    assert capsys.readouterr().out.strip() == str(path)
+    film = choose_film(load(folder), run=1, episode=1)
+    with Image.open(path) as image, settings():
+        shown = [np.asarray(picture) for picture in film.images()]
+        same = [np.array_equal(np.asarray(image), picture) for picture in shown]
+    assert same.index(True) == round(float(share) * 29) and len(same) == 30
+    assert main(["render", str(folder), "--still", str(path), "--at", "2"]) == 2
+    assert "--at" in capsys.readouterr().err
 
 
 def test_all_environments_with_a_scene_have_the_settings_that_it_needs():

@@ -1,0 +1,315 @@
+"""Films of planners and of robots: what is drawn is what was recorded, on a screen or on none."""
+
+import json
+
+import jax.numpy as jnp
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from matplotlib.figure import Figure
+from PIL import Image
+
+from bojax.cli.main import main
+from bojax.config.problems import Parking, TwoPits
+from bojax.motions.base import place as placed
+from bojax.report.animations.choose import choose_film
+from bojax.report.animations.drive import choose_drive
+from bojax.report.animations.film import MAX_FRAMES, render
+from bojax.report.animations.planning import MAX_IMAGES_PER_STEP, PlanningFilm, _Map
+from bojax.report.source import load
+from bojax.report.style import settings
+from bojax.results.store import ResultsError
+from tests.report.synthetic import write_results
+from tests.report.test_animations import learning_results
+
+STEPS, SAMPLES, ROOM = 4, 5, 6
+ARC = np.array([[0.2, 0.02, 0.2], [0.4, 0.08, 0.4], [0.6, 0.18, 0.6], [0.7, 0.26, 0.8], [0.8, 0.4, 1.0]])
+
+
+def place(path, pose):
+    """What the planner's problem makes of a path, in NumPy."""
+    return np.asarray(placed(jnp.asarray(path), jnp.asarray(pose)))
+
+
+def planning_results(folder, problem, *, belief=False, frames=None, success=True, nans=0):
+    """Run 3 of point 0: the same arc again and again, of which the second stops halfway and turns round."""
+    (folder / "arrays").mkdir(parents=True)
+    poses, rows, pose = [], [], np.array([3.0, 3.0, 0.3])
+    start = pose
+    for step in range(STEPS):
+        path = place(ARC, pose).copy()
+        if step == 1:
+            path[3:] = path[2]
+        poses.append(path)
+        pose = path[-1] + [0.0, 0.0, np.pi * (step == 1)]
+        row = {"step": step + 1, "accumulated_reward": -1.5 * (step + 1)}
+        rows.append(row | dict(zip(("x", "y", "heading"), pose.tolist(), strict=True)))
+    nothing = np.full((ROOM - STEPS, SAMPLES, 3), np.nan)
+    arrays = {
+        "paths": np.concatenate([poses, nothing]),
+        "plans": np.concatenate([np.tile(ARC, (STEPS, 1, 1)), nothing]),
+        "start": start,
+    }
+    if frames is not None:
+        arrays["frames"] = frames
+    np.savez(folder / "arrays" / "0-3-paths-end.npz", **arrays)
+    if belief:
+        grid = np.linspace(0.0, 6.0, 9)
+        x, y = np.meshgrid(grid, grid)
+        steps = np.arange(ROOM + 1.0)[:, None, None]
+        maps = {"x": grid, "y": grid, "truth": x, "mean": x + y, "std": 0.1 * x}
+        maps |= {
+            "means": (x + steps).astype(np.float32),
+            "stds": (1.0 + x / (1.0 + steps)).astype(np.float32),
+        }
+        np.savez(folder / "arrays" / "0-3-belief-end.npz", **maps)
+    common = {"point": 0, "label": "kcbts", "run": 3}
+    end = {"success": success, "exits": 1, "nans": nans, "return": -6.0, "steps": STEPS}
+    pq.write_table(pa.Table.from_pylist([common | end]), folder / "runs.parquet")
+    pq.write_table(pa.Table.from_pylist([common | row for row in reversed(rows)]), folder / "steps.parquet")
+    config = {"kind": "planning", "problem": problem.model_dump(mode="json"), "planner": {"kind": "kcbts"}}
+    points = [{"index": 0, "label": "kcbts", "variant": "kcbts", "swept": {}, "config": config}]
+    manifest = {"name": "made-up", "status": "finished", "points": points}
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    return folder
+
+
+def test_a_plan_lies_where_the_robot_stood_when_it_was_made(tmp_path):
+    drive = choose_drive(load(planning_results(tmp_path / "results", Parking())))
+    assert (drive.run, len(drive.legs), drive.outcome) == (3, STEPS, "goal reached")
+    for step in (0, 1, 3):
+        leg = drive.legs[step]
+        np.testing.assert_allclose(leg.plan, place(ARC, leg.before), atol=1e-12)
+        same = slice(None) if step != 1 else slice(3)  # where it was stopped, it did not go on
+        np.testing.assert_allclose(leg.plan[same], leg.poses[same], atol=1e-12)
+    turned = drive.legs[1].poses[-1] + [0.0, 0.0, np.pi]
+    np.testing.assert_allclose(drive.legs[2].before, turned)
+    assert [leg.accumulated for leg in drive.legs] == [-1.5, -3.0, -4.5, -6.0]
+
+
+@pytest.mark.parametrize(
+    "problem, end, outcome",
+    [
+        (Parking(), {"success": False}, "left the domain"),
+        (Parking(exit_terminates=False), {"success": False}, ""),
+        (TwoPits(), {"success": False}, ""),
+        (TwoPits(), {"success": False, "nans": 2}, "failed"),
+    ],
+)
+def test_how_it_ended_is_said(tmp_path, problem, end, outcome):
+    assert choose_drive(load(planning_results(tmp_path / "results", problem, **end))).outcome == outcome
+
+
+@pytest.mark.parametrize("problem, belief", [(Parking(), False), (TwoPits(), True)])
+def test_the_film_of_a_planner_moves_at_every_picture(tmp_path, problem, belief):
+    folder = planning_results(tmp_path / "results", problem, belief=belief)
+    film = choose_film(load(folder))
+    gif = render(film, folder / "animations")[0]
+    assert gif.name == "kcbts-run3.gif" and gif.stat().st_size < 300_000
+    with Image.open(gif) as image:
+        pictures = []
+        for index in range(image.n_frames):
+            image.seek(index)
+            pictures.append(np.asarray(image.convert("RGB")))
+    per_step = MAX_IMAGES_PER_STEP
+    halted = range(per_step + per_step * 3 // 5, 2 * per_step)  # it was stopped in its second step
+    for index, (before, after) in enumerate(zip(pictures, pictures[1:], strict=False)):
+        is_moving = np.any(before[70:] != after[70:])
+        assert is_moving or index in halted or index + 1 in halted
+    assert np.mean(np.all(pictures[0] == 255, axis=-1)) > 0.2
+
+
+def test_of_a_long_run_fewer_pictures_are_made_of_a_step(tmp_path, monkeypatch):
+    drive = choose_drive(load(planning_results(tmp_path / "results", Parking())))
+    long = type(drive)(drive.point, drive.run, drive.legs * 20, drive.belief, drive.outcome)
+    assert PlanningFilm(drive).num_images == STEPS * MAX_IMAGES_PER_STEP + 1
+    assert PlanningFilm(long).num_images == 20 * STEPS * (MAX_FRAMES // (20 * STEPS)) + 1
+
+
+@pytest.mark.parametrize("name", ["mean", "std"])
+def test_the_belief_is_that_before_the_plan(tmp_path, name):
+    folder = planning_results(tmp_path / "results", TwoPits(), belief=True)
+    drive = choose_drive(load(folder))
+    view = _Map(Figure().add_subplot(), drive, name)
+    for step in (0, 2):
+        view.plan(step, drive.legs[step])
+        np.testing.assert_array_equal(view._image.get_array(), drive.belief[f"{name}s"][step])
+    low, high = view._image.get_clim()
+    truth, stds = drive.belief["truth"], drive.belief["stds"]
+    assert (low, high) == ((truth.min(), truth.max()) if name == "mean" else (0.0, stds.max()))
+
+
+def test_results_without_plans_are_drawn_too(tmp_path, capsys):
+    folder = write_results(tmp_path / "results", runs=2)
+    assert main(["render", str(folder), "--point", "3", "--run", "1"]) == 0
+    assert capsys.readouterr().out.splitlines()[0] == str(folder / "animations" / "gps-abt-run1.gif")
+    for words, message in [
+        (["--run", "7"], "no steps of run 7; recorded: 0 to 1"),
+        (["--episode", "1"], "--episode: a run of a planner is one episode"),
+    ]:
+        assert main(["render", str(folder), *words]) == 2
+        assert message in capsys.readouterr().err
+
+
+def test_where_no_run_was_recorded_this_is_told(tmp_path, capsys):
+    folder = write_results(tmp_path / "results", runs=2, recorded=0)
+    assert main(["render", str(folder)]) == 2
+    assert "no paths were recorded (record.runs in the config: 1 or more)" in capsys.readouterr().err
+
+
+@pytest.fixture
+def rendering():
+    """MuJoCo's drawing, where this machine can."""
+    pytest.importorskip("mujoco")
+    from bojax.robots import rendering
+
+    try:
+        rendering.backend()
+    except rendering.CannotDraw as error:
+        pytest.skip(str(error))
+    return rendering
+
+
+STANDING = (0.0, 1.25, 0.0, 0.0, 0.0, 0.0)
+PUCK = """
+<mujoco>
+  <option timestep="0.02"/>
+  <worldbody>
+    <light pos="0 0 3"/>
+    <camera name="side" pos="0 -3 0.5" xyaxes="1 0 0 0 0 1"/>
+    <body><freejoint/><geom type="box" size="0.3 0.2 0.1" rgba="1 0 0 1"/></body>
+    <body name="flag" mocap="true"><geom size="0.2" rgba="0 0 1 1"/></body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def test_a_robot_is_where_its_positions_are(rendering):
+    from bojax.robots.models import RobotModel
+
+    with rendering.Renderer(RobotModel(PUCK), 800, 600) as renderer:
+        puck = np.array([-1.0, 0.0, 0.5, 1.0, 0.0, 0.0, 0.0])
+        left = renderer.image(puck).astype(int)
+        both = renderer.image(np.concatenate([puck, [1.0, 0.0, 0.5]])).astype(int)
+        with pytest.raises(ValueError, match="the model has 7 generalised positions, a frame 4 numbers"):
+            renderer.image(np.zeros(4))
+    assert left.shape == (600, 800, 3)
+
+    def column(image, colour):
+        """Where it is on average, from -1 at the left edge to 1 at the right one."""
+        strength = image[..., colour] - image[..., [c for c in range(3) if c != colour]].max(axis=-1)
+        return np.mean(np.nonzero(strength > 60)[1]) / 399.5 - 1.0
+
+    assert column(left, 0) == pytest.approx(-column(both, 2), abs=0.1) and column(left, 0) < -0.3
+
+
+def test_a_robot_that_learns_is_drawn_from_its_settings(tmp_path, rendering, capsys):
+    folder = learning_results(tmp_path / "results", "hopper", lengths=(7,), goals=(True,), frames=STANDING)
+    film = choose_film(load(folder))
+    assert film.seconds == 0.04  # 4 substeps of 2 ms would be too fast
+    with settings():
+        pictures = [np.asarray(image)[70:330] for image in film.images()]
+    assert len(pictures) == 7
+    assert all(np.any(a != b) for a, b in zip(pictures, pictures[1:], strict=False))
+    assert main(["render", str(folder)]) == 0
+    assert main(["render", str(folder), "--model", str(tmp_path / "none.xml")]) == 2
+    (tmp_path / "puck.xml").write_text(PUCK)
+    capsys.readouterr()
+    assert main(["render", str(folder), "--model", str(tmp_path / "puck.xml")]) == 2
+    error = capsys.readouterr().err
+    assert "another model than the one that was simulated: the model has 7 generalised" in error
+
+
+def test_a_robot_of_ones_own_needs_its_model(tmp_path, rendering, capsys):
+    frames = learning_results(
+        tmp_path / "learned", "mine:Puck", lengths=(3,), goals=(True,), frames=[0.0] * 7
+    )
+    assert main(["render", str(frames)]) == 2
+    assert "nothing known how to draw mine:Puck" in capsys.readouterr().err
+    (tmp_path / "puck.xml").write_text(PUCK)
+    assert main(["render", str(frames), "--model", str(tmp_path / "puck.xml")]) == 0
+
+
+@pytest.mark.parametrize("problem, belief", [(Parking(), False), (TwoPits(), True)])
+def test_a_robot_with_a_body_is_the_main_picture(tmp_path, rendering, problem, belief, capsys):
+    frames = np.full((ROOM, 3, 7), np.nan)
+    x = np.linspace(-0.5, 0.5, STEPS * 3).reshape(STEPS, 3)
+    frames[:STEPS] = np.stack([x, 0 * x, 0 * x + 0.5, 0 * x + 1.0, 0 * x, 0 * x, 0 * x], axis=-1)
+    folder = planning_results(tmp_path / "results", problem, belief=belief, frames=frames)
+    assert main(["render", str(folder)]) == 2
+    assert "nothing known how to draw exact: give its MJCF by --model FILE" in capsys.readouterr().err
+    (tmp_path / "puck.xml").write_text(PUCK)
+    film = choose_film(load(folder), model=tmp_path / "puck.xml")
+    with settings():
+        pictures = [np.asarray(image).astype(int) for image in film.images()]
+    assert len(pictures) == film.num_images == 3 * STEPS + 1
+    red = [np.mean(np.nonzero(picture[..., 0] - picture[..., 1] > 100)[1]) for picture in pictures]
+    assert np.all(np.diff(red[::3]) > 0)  # to the right, from step to step
+
+
+class TestWithoutAScreen:
+    """Which way to draw is taken."""
+
+    @pytest.fixture
+    def works(self, monkeypatch):
+        """Let only these ways work, and note which were tried."""
+        pytest.importorskip("mujoco")
+        from bojax.robots import rendering
+
+        def install(*names):
+            tried = []
+            monkeypatch.setattr(rendering, "_works", lambda name: tried.append(name) or name in names)
+            monkeypatch.setattr(rendering, "BACKENDS", ("egl", "osmesa"))
+            return tried
+
+        rendering._working.cache_clear()
+        yield install
+        rendering._working.cache_clear()
+
+    def test_osmesa_where_egl_fails(self, works, monkeypatch):
+        from bojax.robots.rendering import backend
+
+        monkeypatch.delenv("MUJOCO_GL", raising=False)
+        tried = works("osmesa")
+        assert backend() == backend() == "osmesa" and tried == ["egl", "osmesa"]
+
+    def test_what_the_user_has_set_alone(self, works, monkeypatch, tmp_path, capsys):
+        monkeypatch.setenv("MUJOCO_GL", "glfw")
+        tried = works("egl")
+        folder = learning_results(
+            tmp_path / "results", "hopper", lengths=(2,), goals=(True,), frames=STANDING
+        )
+        assert main(["render", str(folder)]) == 2
+        error = capsys.readouterr().err.strip()
+        assert error == "error: MUJOCO_GL=glfw draws nothing here: unset it, and EGL and OSMesa are tried"
+        assert tried == ["glfw"] and not (folder / "animations").exists()
+
+    def test_nothing_works(self, works, monkeypatch, tmp_path, capsys):
+        monkeypatch.delenv("MUJOCO_GL", raising=False)
+        works()
+        folder = learning_results(
+            tmp_path / "results", "hopper", lengths=(2,), goals=(True,), frames=STANDING
+        )
+        assert main(["render", str(folder)]) == 2
+        error = capsys.readouterr().err.strip()
+        assert "neither EGL nor OSMesa works here" in error and "apt install" in error and "\n" not in error
+        from bojax.cli import doctor
+
+        findings = list(doctor.examine(doctor.CHECKS["films"]))
+        assert findings[-1].state == "note" and "apt install" in findings[-1].text
+
+    def test_a_probe_that_fails_is_no_way(self, monkeypatch):
+        pytest.importorskip("mujoco")
+        from bojax.robots.rendering import _works
+
+        assert not _works("no-such-thing")
+
+
+def test_gallery_results_do_not_move(tmp_path):
+    folder = planning_results(tmp_path / "results", Parking())
+    manifest = json.loads((folder / "manifest.json").read_text())
+    manifest["points"][0]["config"] = {"kind": "trajectories"}
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    with pytest.raises(ResultsError, match="nothing moves in trajectories"):
+        choose_film(load(folder))
