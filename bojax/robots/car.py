@@ -49,21 +49,32 @@ def measures_of(model: MjModel) -> Measures:
 
 
 def scene_of(problem: Mapping[str, Any]) -> RobotModel:
-    """The robot on a floor as large as the domain, with the lot, from a problem's settings in a manifest."""
+    """The robot on a floor as large as the domain, with the lot if it has to park.
+
+    Args:
+        problem: The settings of the problem, from a manifest.
+    """
     spec = car_model().spec()
-    half_width, tolerance = float(problem["half_width"]), float(problem["distance_tolerance"])
-    spec.geom("floor").size = [half_width, half_width, 0.1]
-    lot = {"contype": 0, "conaffinity": 0, "rgba": [0.36, 0.62, 0.45, 1.0]}
-    spec.worldbody.add_geom(
-        name="lot", type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=[tolerance, 0.0005, 0.0], **lot
+    is_parking = "half_width" in problem
+    width = float(problem["half_width"]) if is_parking else 0.0
+    bounds = (-width, -width, width, width) if is_parking else problem["domain"]
+    x_min, y_min, x_max, y_max = (float(bound) for bound in bounds)
+    middle, half = (
+        (0.5 * (x_min + x_max), 0.5 * (y_min + y_max)),
+        (0.5 * (x_max - x_min), 0.5 * (y_max - y_min)),
     )
-    spec.worldbody.add_geom(
-        name="lot_heading",
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=[tolerance, 0.15 * tolerance, 0.0005],
-        pos=[1.5 * tolerance, 0.0, 0.0],
-        **lot,
-    )
-    camera = spec.camera("overview")
-    camera.pos = [position * half_width / 1.5 for position in camera.pos]
+    floor, camera = spec.geom("floor"), spec.camera("overview")
+    floor.pos, floor.size = [*middle, 0.0], [*half, 0.1]
+    camera.pos = [middle[0], middle[1] - 1.75 * max(half), 2.25 * max(half)]
+    if is_parking:
+        _add_lot(spec, float(problem["distance_tolerance"]))
     return RobotModel(spec.to_xml())
+
+
+def _add_lot(spec: Any, radius: float) -> None:
+    """A disc on the floor, and a line along the heading wanted there."""
+    flat = {"contype": 0, "conaffinity": 0, "rgba": [0.36, 0.62, 0.45, 1.0]}
+    disc, box = mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_BOX
+    spec.worldbody.add_geom(name="lot", type=disc, size=[radius, 0.0005, 0.0], **flat)
+    line = {"size": [radius, 0.15 * radius, 0.0005], "pos": [1.5 * radius, 0.0, 0.0]}
+    spec.worldbody.add_geom(name="lot_heading", type=box, **line, **flat)

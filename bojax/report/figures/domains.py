@@ -53,6 +53,7 @@ def monitoring(axes: Axes, problem: Mapping[str, Any]) -> None:
 
 DOMAINS: Mapping[str, Callable[[Axes, Mapping[str, Any]], None]] = {
     "parking": parking,
+    "robot-parking": parking,
     "space-modelling": monitoring,
     "two-pits": monitoring,
     "diagonal": monitoring,
