@@ -3,10 +3,7 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from bojax.robots import car
+from bojax.robots import car, quadrotor
 from bojax.robots.jaco import jaco_model
 from bojax.robots.models import RobotModel, packaged
 
@@ -19,10 +16,8 @@ ENVS: Mapping[str, Callable[[Settings], RobotModel]] = {
 }
 """By the kind of an environment, from its settings."""
 
-VEHICLES: Mapping[str, Callable[[Settings, NDArray[np.float64] | None], RobotModel]] = {
-    "wheeled-robot": lambda problem, truth: car.scene_of(problem),
+VEHICLES: Mapping[str, Callable[[Settings], RobotModel]] = {
+    "wheeled-robot": car.scene_of,
+    "quadrotor": quadrotor.scene_of,
 }
-"""By the kind of a vehicle, from its problem's settings, and from the true field on a grid where it is known.
-
-The first axis of the grid is y, from the lowest, the second x; it spans the problem's `domain`.
-"""
+"""By the kind of a vehicle, from the settings of the problem whose vehicle it is."""

@@ -221,7 +221,7 @@ def _robot_of(drive: Drive, path: Path | None) -> "RobotModel":
         return from_file(path)
     problem = drive.point.problem
     kind = str(problem["vehicle"]["kind"])
-    model = known(VEHICLES, kind, "problem", problem, drive.belief.get("truth"))
+    model = known(VEHICLES, kind, "problem", problem)
     if model is None:
         raise ResultsError(f"nothing known how to draw {kind}: give its MJCF by --model FILE")
     return model

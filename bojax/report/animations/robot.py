@@ -2,13 +2,12 @@
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from bojax.report.animations.base import Moment, Scene
+from bojax.report.animations.base import Moment, Scene, Settings
 from bojax.results.store import ResultsError
 from bojax.robots import models
 from bojax.robots.models import RobotModel
@@ -45,7 +44,7 @@ class RobotScene(Scene):
 
 
 def known(
-    makers: Mapping[str, Callable[..., RobotModel]], kind: str, part: str, *settings: Any
+    makers: Mapping[str, Callable[[Settings], RobotModel]], kind: str, part: str, settings: Settings
 ) -> RobotModel | None:
     """The model of this kind, if there is one.
 
@@ -53,7 +52,7 @@ def known(
         makers: By kind, what makes them of settings.
         kind: Of the environment or of the vehicle.
         part: Where the manifest has the settings.
-        settings: What is known of them.
+        settings: What it has.
 
     Raises:
         ResultsError: A setting is missing, or MuJoCo refuses the model.
@@ -61,7 +60,7 @@ def known(
     if kind not in makers:
         return None
     try:
-        return _accepted(makers[kind](*settings))
+        return _accepted(makers[kind](settings))
     except KeyError as error:
         raise ResultsError(
             f"manifest.json: {part}: no {error.args[0]}, which drawing {kind} needs"
