@@ -14,6 +14,9 @@ _BASE = 0.05
 _GROUND_POINTS = 81
 """Points a side of a height field."""
 
+_OWN = [0.5, 0.5, 0.5, 1.0]
+"""The colour that leaves that of a material as it is."""
+
 
 def quadrotor_model() -> RobotModel:
     """The quadrotor alone, in an empty world."""
@@ -47,6 +50,7 @@ def scene(
             pos=[*middle, 0.0],
             size=[*half, 0.1],
             material="floor",
+            rgba=_OWN,
             **free,
         )
     else:
@@ -65,6 +69,7 @@ def scene(
             hfieldname="ground",
             pos=[*middle, bottom],
             material="ground",
+            rgba=_OWN,
             **free,
         )
     for x_min, y_min, x_max, y_max, height in () if blocks is None else blocks:
@@ -73,6 +78,7 @@ def scene(
             pos=[0.5 * (x_min + x_max), 0.5 * (y_min + y_max), 0.5 * height],
             size=[0.5 * (x_max - x_min), 0.5 * (y_max - y_min), 0.5 * height],
             material="prop",
+            rgba=_OWN,
             **free,
         )
     spec.worldbody.add_camera(
