@@ -102,10 +102,10 @@ class Jaco(RobotTask):
         low, high = self._limits
         angles = jax.random.uniform(key, (_CANDIDATES, len(self.joints)), jnp.float32)
         angles = low[None] + angles * (high - low)[None]
-        candidates = jax.vmap(self.finger_tips)(angles).astype(self.dtype)
-        away = candidates - self.finger_tips(self._rest).astype(self.dtype)[None]
-        is_far = jnp.sqrt(jnp.sum(away * away, axis=1)) > 2.0 * self.goal_distance
-        return candidates[jnp.argmax(is_far)]
+        tips = jax.vmap(self.finger_tips)(jnp.concatenate([self._rest[None], angles]))
+        away = tips[1:] - tips[:1]
+        is_far = jnp.sqrt(jnp.sum(away * away, axis=1)).astype(self.dtype) > 2.0 * self.goal_distance
+        return tips[1:][jnp.argmax(is_far)].astype(self.dtype)
 
     def finger_tips(self, angles: Float[Array, "J"]) -> Float[Array, "3"]:
         """The middle of the finger tips with the joints at these angles, in metres."""
