@@ -14,9 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from bojax.robots import lander_body as body
-
-TIME_STEP = 0.02
-"""In seconds."""
+from bojax.robots.lander_body import TIME_STEP
 
 _REST, _FOLDED, _HULL = body.lander(body.LEG_REST), body.lander(0.0), body.hull()
 _MASS, _INERTIA, _CENTRE = _REST.mass, _REST.inertia, float(_REST.centre[1])

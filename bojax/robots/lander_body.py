@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 PIXEL = 1.0 / 30.0
 """In metres."""
 
+TIME_STEP = 0.02
+"""In seconds."""
+
 WIDTH, HEIGHT = 600.0 * PIXEL, 400.0 * PIXEL
 """Of the world that Gym shows, in metres."""
 
@@ -45,8 +48,11 @@ MAIN_ENGINE = 4.0 * PIXEL
 SIDE_ENGINE = (12.0 * PIXEL, 17.0 * PIXEL, 14.0 * PIXEL)
 """How far a side engine is beside the hull's origin and, by sine and by cosine of the tilt, above it."""
 
-STANDING = 18.0 * PIXEL
-"""Height of the hull's origin above the pad that Gym's observation calls 0, in metres."""
+ORIGIN = (0.5 * WIDTH, 0.25 * HEIGHT + 18.0 * PIXEL)
+"""Where an observation has (0, 0), in metres: there the hull's origin is on the pad, but for 1 cm."""
+
+UNITS = (0.5 * WIDTH, 0.5 * HEIGHT)
+"""What an observation calls 1, to the side and up, in metres."""
 
 
 class Mass(NamedTuple):

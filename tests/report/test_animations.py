@@ -36,6 +36,7 @@ def observations(kind, num_steps):
         "mountain-car": (-0.5 + 0.4 * np.sin(t), zero),
         "double-pendulum": (np.cos(t), np.sin(t), np.cos(2 * t), np.sin(2 * t), zero, zero),
         "cartpole-swing-up": (np.sin(t), zero, 3.1 - t, zero),
+        "lunar-lander": (0.3 * np.sin(t), 0.5 + 0.3 * np.cos(t), zero, zero, 0.3 * t, *[zero] * 3),
     }
     return np.stack(columns.get(kind, (zero,)), axis=-1)
 
@@ -67,6 +68,7 @@ def learning_results(
                     row = common | {"step": i + 1, "reward": 0.5, "accumulated_reward": 0.5 * (i + 1)}
                     row |= {f"observation_{j}": x for j, x in enumerate(seen[i])}
                     row |= {f"qpos_{j}": x + 0.02 * i * (j == 0) for j, x in enumerate(frames)}
+                    row |= {"action_1": cos(i)} if kind == "lunar-lander" else {}
                     steps.append(row | {"action_0": sin(i) + run})
     pq.write_table(pa.Table.from_pylist(steps), folder / "steps.parquet")
     pq.write_table(pa.Table.from_pylist(episodes), folder / "episodes.parquet")
@@ -89,7 +91,8 @@ def frames(path):
 
 @pytest.mark.parametrize("kind", SCENES)
 def test_every_scene_is_drawn_and_moves(tmp_path, kind):
-    folder = learning_results(tmp_path / "results", kind, lengths=(12,), goals=(True,))
+    kept = {"lunar-lander": (0.4, 0.4, *[3.3] * 11)}.get(kind, ())
+    folder = learning_results(tmp_path / "results", kind, lengths=(12,), goals=(True,), frames=kept)
     counted = []
     paths = render(choose_film(load(folder)), folder / "animations", lambda: counted.append(1))
     assert paths[0].name == "emu-q-1-kappa-0-run0-episode1.gif"

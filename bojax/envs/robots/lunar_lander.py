@@ -84,12 +84,12 @@ class LunarLander(ControlTask):
         x, y = state.origin
         horizontal, vertical = state.hull_velocity
         numbers = [
-            (x - 0.5 * body.WIDTH) / (0.5 * body.WIDTH),
-            (y - body.STANDING - 0.25 * body.HEIGHT) / (0.5 * body.HEIGHT),
-            horizontal * 0.5 * body.WIDTH / 50.0,
-            vertical * 0.5 * body.HEIGHT / 50.0,
+            (x - body.ORIGIN[0]) / body.UNITS[0],
+            (y - body.ORIGIN[1]) / body.UNITS[1],
+            horizontal * body.UNITS[0] * body.TIME_STEP,
+            vertical * body.UNITS[1] * body.TIME_STEP,
             state.angle,
-            state.spin * 20.0 / 50.0,
+            state.spin * 20.0 * body.TIME_STEP,
         ]
         return jnp.concatenate([jnp.stack(numbers), state.contacts.astype(x.dtype)])
 

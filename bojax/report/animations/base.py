@@ -42,10 +42,12 @@ class Scene(abc.ABC):
         keys: Settings of the environment that the drawing needs.
         has_trail: Whether it shows where something was: then it is moved through all steps, not only through
             those of which there is a picture.
+        time_step: Seconds of a step, where they are no setting; 0 for a step that is no time.
     """
 
     keys: ClassVar[tuple[str, ...]] = ()
     has_trail: ClassVar[bool] = True
+    time_step: ClassVar[float] = 0.0
 
     @abc.abstractmethod
     def __init__(self, axes: Axes, env: Settings): ...

@@ -99,7 +99,7 @@ class LearningFilm(Film):
     def _seconds_of_a_step(self) -> float:
         """0 where it is not known."""
         if self._model is None:
-            return float(self._env.get("time_step", 0.0))
+            return float(self._env.get("time_step", SCENES[self._kind].time_step))
         from bojax.report.animations.robot import time_step
 
         return time_step(self._model) * int(self._env.get("substeps", 1))
