@@ -65,7 +65,7 @@ def scene_of(problem: Mapping[str, Any]) -> RobotModel:
     )
     floor, camera = spec.geom("floor"), spec.camera("overview")
     floor.pos, floor.size = [*middle, 0.0], [*half, 0.1]
-    camera.pos = [middle[0], middle[1] - 1.75 * max(half), 2.25 * max(half)]
+    camera.pos = [middle[0], middle[1] - 1.54 * max(half), 2.0 * max(half)]
     if is_parking:
         _add_lot(spec, float(problem["distance_tolerance"]))
     return RobotModel(spec.to_xml())

@@ -11,6 +11,7 @@ import pytest
 
 from bojax.config.physics import MJX
 from bojax.engine.build import build
+from bojax.robots.car import car_model
 from bojax.robots.jaco import jaco_model
 from bojax.robots.models import RobotModel, from_file, packaged
 from bojax.robots.simulator import Simulator
@@ -19,6 +20,7 @@ MODELS = {
     "hopper": packaged("hopper"),
     "reacher": packaged("reacher"),
     "jaco": jaco_model((1, 2)),
+    "car": car_model(),
 }
 """Every packaged model, by the name that its tests get; one more is one more line."""
 
