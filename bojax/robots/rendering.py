@@ -88,6 +88,10 @@ class Renderer:
         mujoco = _mujoco()
         spec = model.spec()
         spec.visual.global_.offwidth, spec.visual.global_.offheight = width, height
+        if all(texture.type != mujoco.mjtTexture.mjTEXTURE_SKYBOX for texture in spec.textures):
+            white = {"rgb1": [1.0, 1.0, 1.0], "rgb2": [1.0, 1.0, 1.0], "width": 8, "height": 8}
+            sky, flat = mujoco.mjtTexture.mjTEXTURE_SKYBOX, mujoco.mjtBuiltin.mjBUILTIN_FLAT
+            spec.add_texture(name="bojax_sky", type=sky, builtin=flat, **white)  # it would be black
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
         self._forward = functools.partial(mujoco.mj_forward, self._model, self._data)

@@ -17,7 +17,7 @@ from PIL import Image
 
 from bojax.report.animations.drive import Drive, Leg
 from bojax.report.animations.film import DPI, MAX_FRAMES, SLOWEST, Film, photograph, slug
-from bojax.report.figures.domains import draw_domain
+from bojax.report.figures.domains import DOMAINS, draw_domain
 from bojax.report.figures.maps import QUIET, draw_map
 from bojax.report.figures.smooth import smooth
 from bojax.report.statistics import Floats
@@ -125,7 +125,7 @@ class _Map:
         self._drive = drive
         problem = drive.point.problem
         draw_domain(axes, problem)
-        if "domain" not in problem and "half_width" not in problem:
+        if problem.get("kind") not in DOMAINS:
             _fit(axes, drive)
         axes.set_xticks([])
         axes.set_yticks([])

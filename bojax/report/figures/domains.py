@@ -58,6 +58,8 @@ DOMAINS: Mapping[str, Callable[[Axes, Mapping[str, Any]], None]] = {
     "two-pits": monitoring,
     "diagonal": monitoring,
     "monitoring": monitoring,
+    "hilly-terrain": monitoring,
+    "indoor-props": monitoring,
 }
 """By the problem's kind; other problems are drawn without a domain."""
 
