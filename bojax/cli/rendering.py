@@ -32,9 +32,15 @@ def main(name: str, words: Sequence[str]) -> int:
     )
     parser.add_argument("--point", type=integer, metavar="P", help="number of the point of a sweep")
     parser.add_argument("--model", type=Path, metavar="FILE", help="MJCF of a robot of one's own")
-    parser.add_argument("--still", type=Path, metavar="FILE", help="write one picture, a PNG, instead")
     parser.add_argument(
-        "--at", type=_share, metavar="SHARE", default=1.0, help="how much comes before it, from 0 to 1; 1"
+        "--still", type=Path, metavar="FILE", help="write one picture instead, a PNG without words"
+    )
+    parser.add_argument(
+        "--at",
+        type=_share,
+        metavar="SHARE",
+        default=1.0,
+        help="how much of the film is over then, from 0 to 1; 1",
     )
     args = parser.parse_intermixed_args(list(words))
 
@@ -42,12 +48,12 @@ def main(name: str, words: Sequence[str]) -> int:
     from rich.progress import Progress
 
     from bojax.report.animations.choose import choose_film
-    from bojax.report.animations.film import render, still
+    from bojax.report.animations.film import render, write_still
     from bojax.report.source import load
 
     film = choose_film(load(args.folder), args.point, args.run, args.episode, args.model)
     if args.still is not None:
-        still(film, args.still, args.at)
+        write_still(film, args.still, args.at)
         print(args.still)
         return 0
     with Progress(console=Console(stderr=True), transient=True) as progress:

@@ -133,7 +133,7 @@ def test_the_belief_is_that_before_the_plan(tmp_path, name):
     drive = choose_drive(load(folder))
     view = _Map(Figure().add_subplot(), drive, name)
     for step in (0, 2):
-        view.plan(step, drive.legs[step])
+        view.believe(step)
         np.testing.assert_array_equal(view._image.get_array(), drive.belief[f"{name}s"][step])
     low, high = view._image.get_clim()
     truth, stds = drive.belief["truth"], drive.belief["stds"]

@@ -22,6 +22,8 @@ SLOWEST, FASTEST = 0.1, 0.04
 
 LAST_SECONDS = 2.0
 DPI = 100
+STILL = (4.8, 3.6)
+"""Inches of a still."""
 
 _FREQUENT, _REST = 40, 215
 """Colours of a GIF: the most frequent ones as they are, and a choice among all others.
@@ -46,6 +48,10 @@ class Film(abc.ABC):
     @abc.abstractmethod
     def images(self) -> Iterator[Image.Image]:
         """Draw the pictures, in order."""
+
+    @abc.abstractmethod
+    def still(self, share: float) -> Image.Image:
+        """Draw what moves, larger and without words, when this share of the film is over, from 0 to 1."""
 
 
 def render(film: Film, folder: Path, advanced: Callable[[], None] = lambda: None) -> list[Path]:
@@ -73,20 +79,19 @@ def render(film: Film, folder: Path, advanced: Callable[[], None] = lambda: None
     return paths
 
 
-def still(film: Film, path: Path, share: float) -> None:
+def write_still(film: Film, path: Path, share: float) -> None:
     """Write one picture as PNG.
 
     Args:
         film: What it is taken from.
         path: Where it is written; its folder is made if it is not there.
-        share: How much of the film comes before it, from 0 to 1.
+        share: How much of the film is over, from 0 to 1.
 
     Raises:
         ResultsError: It cannot be drawn or written.
     """
-    wanted = round(share * (film.num_images - 1))
     with settings():
-        image = next(image for index, image in enumerate(film.images()) if index == wanted)
+        image = film.still(share)
     _make(path.parent)
     write_atomically(path, lambda path: image.save(path, "PNG", optimize=True))
 
@@ -94,6 +99,13 @@ def still(film: Film, path: Path, share: float) -> None:
 def slug(name: str) -> str:
     """A name as it can stand in that of a file."""
     return re.sub(r"[^\w.=-]+", "-", name).strip("-")
+
+
+def blank(width: float, height: float) -> Figure:
+    """An empty figure that can be photographed, of so many inches."""
+    figure = Figure(figsize=(width, height), dpi=DPI)
+    FigureCanvasAgg(figure)
+    return figure
 
 
 def photograph(figure: Figure) -> Image.Image:
@@ -152,8 +164,7 @@ def _unpacked(values: NDArray[np.int32]) -> NDArray[np.int32]:
 
 def _write_mp4(path: Path, images: Sequence[Image.Image], seconds: float) -> None:
     width, height = images[0].size
-    figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI)
-    FigureCanvasAgg(figure)
+    figure = blank(width / DPI, height / DPI)
     shown = figure.figimage(np.asarray(images[0]))
     writer = FFMpegWriter(fps=round(1 / seconds), extra_args=["-f", "mp4", "-pix_fmt", "yuv420p"])
     try:

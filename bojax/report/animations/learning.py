@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
@@ -14,7 +13,7 @@ from PIL import Image
 from bojax.report.animations import SCENES
 from bojax.report.animations.base import Scene, Settings
 from bojax.report.animations.episode import Episode
-from bojax.report.animations.film import DPI, FASTEST, MAX_FRAMES, SLOWEST, Film, photograph, slug
+from bojax.report.animations.film import FASTEST, MAX_FRAMES, SLOWEST, STILL, Film, blank, photograph, slug
 from bojax.report.style import BLUE, FAINT, INK
 from bojax.results.store import ResultsError
 
@@ -52,11 +51,22 @@ class LearningFilm(Film):
 
     def images(self) -> Iterator[Image.Image]:
         """See `Film`."""
-        figure = Figure(figsize=_SIZE, dpi=DPI)
-        FigureCanvasAgg(figure)
+        figure = blank(*_SIZE)
         scene = self._scene(figure.add_axes((0.02, 0.16, 0.96, 0.70)))
         try:
             yield from self._pictures(figure, scene)
+        finally:
+            scene.close()
+
+    def still(self, share: float) -> Image.Image:
+        """See `Film`."""
+        figure = blank(*STILL)
+        scene = self._scene(figure.add_axes((0.0, 0.0, 1.0, 1.0)))
+        try:
+            last = round(share * (len(self._episode.observations) - 1))
+            for step in range(0 if scene.has_trail else last, last + 1):
+                scene.move(self._episode.moment(step))
+            return photograph(figure)
         finally:
             scene.close()
 

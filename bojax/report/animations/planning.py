@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
@@ -16,7 +15,7 @@ from matplotlib.transforms import Affine2D
 from PIL import Image
 
 from bojax.report.animations.drive import Drive, Leg
-from bojax.report.animations.film import DPI, MAX_FRAMES, SLOWEST, Film, photograph, slug
+from bojax.report.animations.film import MAX_FRAMES, SLOWEST, STILL, Film, blank, photograph, slug
 from bojax.report.figures.domains import DOMAINS, draw_domain
 from bojax.report.figures.maps import QUIET, draw_map
 from bojax.report.figures.smooth import smooth
@@ -25,6 +24,7 @@ from bojax.report.style import BLUE, INK, ORANGE
 from bojax.results.store import ResultsError
 
 if TYPE_CHECKING:
+    from bojax.report.animations.robot import RobotScene
     from bojax.robots.models import RobotModel
 
 MAX_IMAGES_PER_STEP = 12
@@ -56,61 +56,84 @@ class PlanningFilm(Film):
         most = max(1, MAX_FRAMES // len(drive.legs))
         longest = len(drive.legs[0].frames) if drive.legs[0].frames is not None else MAX_IMAGES_PER_STEP
         self._per_step = min(most, longest)
+        self._curves = [_poses(leg) for leg in drive.legs]
         self.name = f"{slug(drive.point.name)}-run{drive.run}"
         self.num_images = self._per_step * len(drive.legs) + 1
         self.seconds = SLOWEST
 
     def images(self) -> Iterator[Image.Image]:
         """See `Film`."""
-        has_belief = "truth" in self._drive.belief
-        num_beside = 2 if has_belief else int(self._model is not None)
-        figure = Figure(figsize=(4.2 + (0.0, 3.0, 2.0)[num_beside], 4.6), dpi=DPI)
-        FigureCanvasAgg(figure)
+        num_beside = 2 if self._has_belief else int(self._model is not None)
+        figure = blank(4.2 + (0.0, 3.0, 2.0)[num_beside], 4.6)
         main, *beside = _panels(figure, num_beside)
-        if self._model is None:
-            body = None
-            views = [_Map(main, self._drive, "truth")] if has_belief else [_Map(main, self._drive)]
-            views += [_Map(axes, self._drive, name) for axes, name in zip(beside, _BELIEF, strict=False)]
-        else:
-            from bojax.report.animations.robot import RobotScene
-
-            body = RobotScene(main, self._model)
-            names = _BELIEF if has_belief else (None,)
-            views = [_Map(axes, self._drive, name) for axes, name in zip(beside, names, strict=True)]
+        body = self._body(main)
+        views = [] if body is not None else [self._map(main)]
+        names = _BELIEF if self._has_belief else (None,)
+        views += [_Map(axes, self._drive, name) for axes, name in zip(beside, names, strict=False)]
         try:
             yield from self._pictures(figure, body, views)
         finally:
             if body is not None:
                 body.close()
 
-    def _pictures(self, figure: Figure, body: Any, views: "list[_Map]") -> Iterator[Image.Image]:
-        drive, edge = self._drive, 0.1 / figure.get_figwidth()
-        problem = drive.point.problem.get("kind", "")
-        title = f"{problem}: {drive.point.name}, run {drive.run}"
+    def still(self, share: float) -> Image.Image:
+        """See `Film`."""
+        figure = blank(*STILL)
+        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        body = self._body(axes)
+        at = share * len(self._drive.legs)
+        index = min(int(at), len(self._drive.legs) - 1)
+        try:
+            self._show(index, at - index, body, [] if body is not None else [self._map(axes)])
+            return photograph(figure)
+        finally:
+            if body is not None:
+                body.close()
+
+    def _pictures(
+        self, figure: Figure, body: "RobotScene | None", views: "list[_Map]"
+    ) -> Iterator[Image.Image]:
+        legs, edge = self._drive.legs, 0.1 / figure.get_figwidth()
+        problem = self._drive.point.problem.get("kind", "")
+        title = f"{problem}: {self._drive.point.name}, run {self._drive.run}"
         figure.text(edge, 0.945, title, color=INK, fontsize=10)
         status = figure.text(edge, 0.89, "", color=INK, fontsize=10)
         outcome = figure.text(1.0 - edge, 0.945, "", color=BLUE, fontsize=10, ha="right", weight="bold")
-        num, way = self._per_step, [drive.legs[0].before[None, :2]]
-        for index, leg in enumerate(drive.legs):
-            curve = _poses(leg)
-            for view in views:
-                view.plan(index, leg)
-            before = drive.legs[index - 1].accumulated if index else 0.0
-            status.set_text(f"step {index + 1} of {len(drive.legs)}, reward {before:.4g}")
-            is_last = index == len(drive.legs) - 1
-            for share in (np.arange(num + is_last) / num).tolist():
-                at = round(share * (len(curve) - 1))
-                if body is not None and leg.frames is not None:
-                    body.show(leg.frames[round(share * (len(leg.frames) - 1))])
-                if share == 1.0:
-                    status.set_text(f"step {index + 1} of {len(drive.legs)}, reward {leg.accumulated:.4g}")
-                    outcome.set_text(drive.outcome)
-                for view in views:
-                    view.move(np.concatenate([*way, curve[: at + 1, :2]]), curve[at])
-                    if share == 1.0:
-                        view.plan(index + 1, None)
+        for index in range(len(legs)):
+            is_last = index == len(legs) - 1
+            for share in (np.arange(self._per_step + is_last) / self._per_step).tolist():
+                paid = (
+                    legs[index].accumulated if share == 1.0 else legs[index - 1].accumulated if index else 0.0
+                )
+                status.set_text(f"step {index + 1} of {len(legs)}, reward {paid:.4g}")
+                outcome.set_text(self._drive.outcome if share == 1.0 else "")
+                self._show(index, share, body, views)
                 yield photograph(figure)
-            way.append(curve[:, :2])
+
+    def _show(self, index: int, share: float, body: "RobotScene | None", views: "list[_Map]") -> None:
+        """Move everything to where it is when this share of a step is over."""
+        leg, curve = self._drive.legs[index], self._curves[index]
+        at = round(share * (len(curve) - 1))
+        if body is not None and leg.frames is not None:
+            body.show(leg.frames[round(share * (len(leg.frames) - 1))])
+        way = np.concatenate([curve[:, :2] for curve in self._curves[:index]] + [curve[: at + 1, :2]])
+        for view in views:
+            view.believe(index + (share == 1.0))
+            view.move(way, curve[at], leg if share < 1.0 else None)
+
+    @property
+    def _has_belief(self) -> bool:
+        return "truth" in self._drive.belief
+
+    def _map(self, axes: Axes) -> "_Map":
+        return _Map(axes, self._drive, "truth" if self._has_belief else None)
+
+    def _body(self, axes: Axes) -> "RobotScene | None":
+        if self._model is None:
+            return None
+        from bojax.report.animations.robot import RobotScene
+
+        return RobotScene(axes, self._model)
 
 
 class _Map:
@@ -145,23 +168,21 @@ class _Map:
         axes.plot(*start[:2], "o", ms=5 * scale, mfc="white", mec=line, mew=1.2 * scale, zorder=4.8)
         (self._robot,) = axes.plot([], [], color=spot, markersize=13 * scale, mec=INK, mew=0.8, zorder=7)
 
-    def plan(self, step: int, leg: Leg | None) -> None:
-        """Show the plan of a step and what is believed before it; there is no plan after the last step."""
-        has_plan = leg is not None and leg.plan is not None and self.name != "std"
-        line = smooth(leg.before, leg.plan) if leg is not None and leg.plan is not None and has_plan else None
-        self._plan.set_data([], []) if line is None else self._plan.set_data(*line.T)
-        belief = self._drive.belief
+    def believe(self, step: int) -> None:
+        """Show what is believed after so many steps."""
         if self._image is not None and self.name in _BELIEF:
-            maps = belief.get(f"{self.name}s")
-            self._image.set_data(belief[self.name] if maps is None else maps[step])
+            maps = self._drive.belief.get(f"{self.name}s")
+            self._image.set_data(self._drive.belief[self.name] if maps is None else maps[step])
 
-    def move(self, way: Floats, pose: Floats) -> None:
-        """The robot has come here by this way."""
-        if self.name != "std":
-            self._way.set_data(*way.T)
+    def move(self, way: Floats, pose: Floats, leg: Leg | None) -> None:
+        """The robot has come here by this way, and follows the plan of this leg, or has come to the end."""
         self._robot.set_data([pose[0]], [pose[1]])
-        turned = Affine2D().rotate(float(pose[2]))
-        self._robot.set_marker(MarkerStyle(_ARROW, transform=turned))
+        self._robot.set_marker(MarkerStyle(_ARROW, transform=Affine2D().rotate(float(pose[2]))))
+        if self.name == "std":  # what lies dark is what is not known: nothing is drawn over it
+            return
+        self._way.set_data(*way.T)
+        line = smooth(leg.before, leg.plan) if leg is not None and leg.plan is not None else np.zeros((0, 2))
+        self._plan.set_data(*line.T)
 
 
 _BELIEF = ("mean", "std")
