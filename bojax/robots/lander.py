@@ -290,16 +290,16 @@ def _effective_mass(arm: Float[Array, "2"], direction: Float[Array, "2"]) -> Flo
     return 1.0 / (1.0 / _MASS + _cross(arm, direction) ** 2 / _INERTIA)
 
 
-def _rotated(vectors: Float[Array, "*N 2"], angle: Float[Array, "..."]) -> Float[Array, "*N 2"]:
+def _rotated(vectors: Float[Array, "... 2"], angle: Float[Array, "..."]) -> Float[Array, "... 2"]:
     cosine, sine = jnp.cos(angle), jnp.sin(angle)
     x, y = vectors[..., 0], vectors[..., 1]
     return jnp.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
 
 
-def _left(vector: Float[Array, "2"]) -> Float[Array, "2"]:
+def _left(vector: Float[Array, "*N 2"]) -> Float[Array, "*N 2"]:
     """The vector turned by a right angle, anticlockwise."""
     return jnp.stack([-vector[..., 1], vector[..., 0]], axis=-1)
 
 
-def _cross(a: Float[Array, "*N 2"], b: Float[Array, "*N 2"]) -> Float[Array, "*N"]:
+def _cross(a: Float[Array, "... 2"], b: Float[Array, "... 2"]) -> Float[Array, "..."]:
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
