@@ -245,7 +245,7 @@ class SpaceModelling(FieldProblem, frozen=True):
 
 class _Heights(_Gradients, frozen=True):
     vehicle: Annotated[Component, Slot("vehicle")] = Field(
-        default=Quadrotor(altitude=3.0), description="who flies the paths"
+        default=Quadrotor(altitude=2.0), description="who flies the paths"
     )
     sensor: Annotated[Component, Slot("sensor")] = Field(
         default=Range(), description="how the heights are measured"
@@ -272,10 +272,13 @@ class HillyTerrain(_Heights, frozen=True):
     field: Annotated[Component, Slot("field")] = Field(
         default=Bumps(
             heights=(1.2, 0.8, 1.0, 0.6),
-            centres=((1.8, 4.2), (4.4, 4.6), (4.0, 1.7), (1.4, 1.5)),
-            widths=(0.8, 0.6, 0.9, 0.5),
+            centres=((1.5, 3.5), (3.7, 3.8), (3.3, 1.4), (1.2, 1.2)),
+            widths=(0.7, 0.5, 0.75, 0.45),
         ),
         description="the terrain, m",
+    )
+    domain: Box = Field(
+        default=(0.0, 0.0, 5.0, 5.0), description="the border, [x_min, y_min, x_max, y_max], m"
     )
     objective: Annotated[Component, Slot("objective")] = Field(
         default=Gradient(kappa=10.0), description="what a sample is worth, for the task"
@@ -286,7 +289,7 @@ class HillyTerrain(_Heights, frozen=True):
     kernel: Annotated[Component, Slot("kernel")] = Field(
         default=Scaled(kernel=RBF(lengthscale=0.8), variance=0.25), description="prior covariance, m and m^2"
     )
-    noise_variance: float = Field(default=0.0025, ge=0, description="noise variance that the belief assumes")
+    noise_variance: float = Field(default=0.005, ge=0, description="noise variance that the belief assumes")
 
 
 class IndoorProps(_Heights, frozen=True):
@@ -297,8 +300,8 @@ class IndoorProps(_Heights, frozen=True):
     kind: Literal["indoor-props"] = "indoor-props"
     field: Annotated[Component, Slot("field", only=("blocks",))] = Field(
         default=Blocks(
-            boxes=((0.4, 0.5, 1.0, 1.2), (0.4, 1.6, 1.0, 2.4), (1.9, 1.7, 2.5, 2.4), (1.8, 0.5, 2.4, 1.0)),
-            heights=(0.4, 0.5, 0.3, 0.4),
+            boxes=((0.4, 0.5, 1.0, 1.2), (0.4, 1.6, 1.0, 2.4), (1.9, 1.2, 2.5, 1.9)),
+            heights=(0.2, 0.25, 0.15),
         ),
         description="the props, m",
     )
@@ -312,10 +315,10 @@ class IndoorProps(_Heights, frozen=True):
         default=Gradient(kappa=10.0), description="what a sample is worth, for the task"
     )
     mean: Annotated[Component, Slot("mean")] = Field(
-        default=ConstantMean(value=0.1), description="prior mean of the heights, m"
+        default=ConstantMean(value=0.05), description="prior mean of the heights, m"
     )
     kernel: Annotated[Component, Slot("kernel")] = Field(
-        default=Scaled(kernel=RBF(lengthscale=0.3), variance=0.04), description="prior covariance, m and m^2"
+        default=Scaled(kernel=RBF(lengthscale=0.3), variance=0.01), description="prior covariance, m and m^2"
     )
     noise_variance: float = Field(default=0.0025, ge=0, description="noise variance that the belief assumes")
     max_steps: int = Field(default=15, ge=1, description="steps after which an episode ends")

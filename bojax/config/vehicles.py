@@ -29,7 +29,7 @@ class WheeledRobot(Component, frozen=True):
         default=0.15, gt=0, description="how far ahead on the path it looks for where to steer, m"
     )
     speed: float = Field(default=0.5, gt=0, le=0.75, description="speed, m/s")
-    gain: float = Field(default=8.0, gt=0, description="speed for each metre left, 1/s")
+    gain: float = Field(default=6.0, gt=0, description="speed for each metre left, 1/s")
     physics: Annotated[Component, Slot("physics")] = Field(default=MJX(), description="how MJX computes")
     substeps: int = Field(default=5, ge=1, description="steps of 10 ms between two readings of its pose")
     readings: int = Field(
@@ -55,7 +55,7 @@ class Quadrotor(Component, frozen=True):
     kind: Literal["quadrotor"] = "quadrotor"
     altitude: float = Field(default=1.5, gt=0, description="altitude of flight, m")
     physics: Annotated[Component, Slot("physics")] = Field(default=MJX(), description="how MJX computes")
-    path_steps: int = Field(default=300, ge=1, description="steps of 10 ms for a path")
+    path_steps: int = Field(default=400, ge=1, description="steps of 10 ms for a path")
     rest_steps: int = Field(
         default=250, ge=1, description="steps of 10 ms after it, to turn and to come to rest"
     )

@@ -14,6 +14,7 @@ from bojax.engine.build import build
 from bojax.robots.car import car_model
 from bojax.robots.jaco import jaco_model
 from bojax.robots.models import RobotModel, from_file, packaged
+from bojax.robots.quadrotor import quadrotor_model
 from bojax.robots.simulator import Simulator
 
 MODELS = {
@@ -21,10 +22,13 @@ MODELS = {
     "reacher": packaged("reacher"),
     "jaco": jaco_model((1, 2)),
     "car": car_model(),
+    "quadrotor": quadrotor_model(),
 }
 """Every packaged model, by the name that its tests get; one more is one more line."""
 
 LANES, STEPS = 8, 20
+QUICKLY = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
+"""The programs here run for milliseconds and are compiled for seconds."""
 
 
 @functools.cache
@@ -44,7 +48,7 @@ def advanced(name: str):
 
         return jax.lax.scan(step, robot.state(qpos, qvel), controls)[1]
 
-    return jax.jit(jax.vmap(lane))
+    return jax.jit(jax.vmap(lane), compiler_options=QUICKLY)
 
 
 @functools.cache

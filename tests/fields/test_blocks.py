@@ -1,0 +1,38 @@
+"""Blocks against a loop over them, and what settings of them may not be."""
+
+import jax.numpy as jnp
+import numpy as np
+import pydantic
+import pytest
+
+from bojax.config import fields
+from bojax.fields.blocks import Blocks
+
+BOXES, HEIGHTS = [[0.0, 0.0, 1.0, 2.0], [0.5, 1.0, 3.0, 1.5]], [0.3, 0.7]
+
+
+def f64(value):
+    return jnp.asarray(value, jnp.float64)
+
+
+def test_the_highest_block_over_a_point_counts():
+    xs = np.random.default_rng(0).uniform(-1.0, 4.0, (400, 2))
+    expected = [
+        max(
+            [0.0, *(h for (a, b, c, d), h in zip(BOXES, HEIGHTS, strict=True) if a <= x <= c and b <= y <= d)]
+        )
+        for x, y in xs
+    ]
+    field = Blocks(f64(BOXES), f64(HEIGHTS))
+    np.testing.assert_array_equal(field.values(f64(xs)), expected)
+    assert set(expected) == {0.0, *HEIGHTS}
+    np.testing.assert_array_equal(field.gradients(f64(xs)), 0.0)
+
+
+def test_every_block_has_a_height():
+    with pytest.raises(ValueError, match="got 2 and 1 of them"):
+        Blocks(f64(BOXES), f64(HEIGHTS[:1]))
+    with pytest.raises(pydantic.ValidationError, match="as many of each"):
+        fields.Blocks(boxes=BOXES, heights=HEIGHTS[:1])
+    with pytest.raises(pydantic.ValidationError, match="minimum to maximum"):
+        fields.Blocks(boxes=[[1.0, 0.0, 0.0, 1.0]], heights=[1.0])
