@@ -113,7 +113,7 @@ def tightest_radius(motions: Motions) -> float:
     else:
         levels = np.meshgrid(*[[-1.0, 0.0, 1.0]] * motions.num_params)
         params = jnp.asarray(np.stack(levels, axis=-1).reshape(-1, motions.num_params), motions.length.dtype)
-        paths = jax.vmap(motions.path)(params)
+        paths = jax.jit(jax.vmap(motions.path))(params)
     headings = np.unwrap(np.asarray(paths)[..., 2], axis=-1)
     headings = np.concatenate([np.zeros_like(headings[:, :1]), headings], axis=-1)
     turn = np.abs(np.diff(headings, axis=-1)).max()

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from bojax.experiments.planning import Episode, PlanningEpisode
+from bojax.motions.base import tightest_radius
 from bojax.planning.base import Plan, Planner
 from bojax.planning.myopic import MyopicPlanner
 from bojax.planning.random import RandomPlanner
+from bojax.problems.vehicles.base import Exact
 from bojax.results.schema import column_names
 from tests.motions.families import cubic, kernel, splines
 from tests.planning.samples import FIELD, f64, monitoring
@@ -20,6 +22,16 @@ from tests.problems.parking_reference import Settings
 from tests.problems.test_parking import parking
 
 NUM_LANES = 64
+
+
+class Wide(Exact):
+    """A vehicle that cannot turn sharply."""
+
+    radius: float = eqx.field(static=True)
+
+    @property
+    def turning_radius(self) -> float:
+        return self.radius
 
 
 class Straight(Planner):
@@ -339,3 +351,36 @@ def test_on_a_field_the_paid_reward_is_the_planned_one_and_all_is_finite(name):
     if name == "field":
         assert summary["collisions"].sum() > 0 and summary["exits"].sum() > 0
         assert 0 < summary["success"].sum() < NUM_LANES
+
+
+def on_wheels(radius: float):
+    return eqx.tree_at(lambda problem: problem.vehicle, parking(), Wide(radius))
+
+
+@pytest.mark.parametrize("motions", [kernel(), splines(5)], ids=["kernel", "splines"])
+def test_trajectories_tighter_than_the_robot_can_turn_are_refused(motions):
+    tightest = tightest_radius(motions)
+    PlanningEpisode(on_wheels(0.99 * tightest), RandomPlanner(motions))
+    with pytest.raises(
+        ValueError, match=r"^planner.motions: the tightest trajectory has a radius of [^\n]*$"
+    ):
+        PlanningEpisode(on_wheels(1.01 * tightest), RandomPlanner(motions))
+
+
+def test_the_tightest_radius_of_a_set_is_that_of_its_sharpest_curve():
+    # x = -0.33 u^2 + 0.71 u, y = 0.52 u^2, scaled to 1 m.
+    u = np.linspace(0.0, 1.0, 10001)
+    x, y = 0.71 - 0.66 * u, 1.04 * u
+    speed = np.hypot(x, y)
+    radius = speed**3 / np.abs(x * 1.04 - y * -0.66)
+    length = np.sum(0.5 * (speed[1:] + speed[:-1])) / 10000
+    assert tightest_radius(splines(5)) == pytest.approx(radius.min() / length, rel=0.03)
+    assert tightest_radius(splines(5, length=2.0)) == pytest.approx(2.0 * tightest_radius(splines(5)))
+
+
+def test_the_tightest_radius_of_a_continuous_family_is_below_that_of_all_its_curves():
+    assert tightest_radius(kernel(first_angle=0.0, turn_angle=0.0)) > 1e3
+    params = jnp.asarray(np.random.default_rng(0).uniform(-1.0, 1.0, (500, 3)))
+    headings = np.asarray(jax.jit(jax.vmap(kernel().path))(params))[..., 2]
+    turns = np.diff(np.concatenate([np.zeros((500, 1)), np.unwrap(headings)], axis=1), axis=1)
+    assert tightest_radius(kernel()) <= 1.0 / 8.0 / np.abs(turns).max()

@@ -1,0 +1,225 @@
+"""The wheeled robot: its turning circle, and how it tracks paths, against C MuJoCo and a tracker in NumPy."""
+
+from math import atan, pi
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from bojax.cli.main import main
+from bojax.config.motions import KernelTrajectories, Splines
+from bojax.config.problems import RobotParking
+from bojax.config.vehicles import WheeledRobot
+from bojax.engine.build import build
+from bojax.motions.base import place, tightest_radius
+from bojax.problems.vehicles.wheeled_robot import FRAME_EVERY
+from bojax.robots.car import car_model, measures_of, scene_of
+from tests.reference import pure_pursuit as reference
+
+SETTINGS = WheeledRobot()
+ROBOT = build(SETTINGS)
+MODEL = mujoco.MjModel.from_xml_string(car_model().xml)
+MOTIONS = build(KernelTrajectories(first_angle=0.785, turn_angle=1.257))
+NUM_LANES, QUIET = 16, 8
+"""Lanes from `QUIET` on have noise in their readings."""
+
+
+def wrapped(angle):
+    return (np.asarray(angle) + pi) % (2 * pi) - pi
+
+
+@pytest.fixture(scope="module")
+def follow():
+    """One compiled program: lanes of `follow`, each with its noise."""
+    return jax.jit(jax.vmap(lambda *lane: ROBOT.follow(*lane)))
+
+
+@pytest.fixture(scope="module")
+def drives(follow):
+    """Two paths, one after the other, from rest at random poses; of each what `follow` took, and the ride."""
+    rng = np.random.default_rng(0)
+    starts = jnp.asarray(rng.uniform([-1.5, -1.5, 0.0], [1.5, 1.5, 2 * pi], (NUM_LANES, 3)))
+    params = jnp.asarray(rng.uniform(-1.0, 1.0, (2, NUM_LANES, 3)))
+    paths = jax.jit(jax.vmap(jax.vmap(MOTIONS.path)))(params)
+    noise = jnp.where(jnp.arange(NUM_LANES)[:, None] < QUIET, 0.0, jnp.asarray([[0.02, 0.02, 0.02]]))
+    body, done = jax.vmap(ROBOT.place)(starts), []
+    for number, path in enumerate(paths):
+        placed = jax.vmap(place)(path, jax.vmap(ROBOT.estimate)(body))
+        lanes = (jax.random.split(jax.random.key(number), NUM_LANES), body, placed, placed[:, -1], noise)
+        done.append((lanes, follow(*lanes)))
+        body = done[-1][1].body
+    return done
+
+
+def errors_of(lanes):
+    """What the readings of each lane add to its poses."""
+    key, _, _, _, noise = lanes
+    draw = lambda key: jax.random.normal(key, (ROBOT.readings, 3), jnp.float32)  # noqa: E731
+    return np.asarray(noise)[:, None] * np.asarray(jax.vmap(draw)(jax.random.clone(key)), np.float64)
+
+
+@pytest.fixture(scope="module")
+def references(drives):
+    """The same in loops of NumPy and C MuJoCo; the second path begins from MJX's state."""
+    results = []
+    for lanes, _ in drives:
+        _, body, path, _, _ = lanes
+        done = []
+        for lane, errors in enumerate(errors_of(lanes)):
+            data = mujoco.MjData(MODEL)
+            data.qpos, data.qvel = body.state.qpos[lane], body.state.qvel[lane]
+            mujoco.mj_kinematics(MODEL, data)
+            settings = (SETTINGS.look_ahead, SETTINGS.speed, SETTINGS.gain, SETTINGS.substeps)
+            done.append(
+                reference.follow(
+                    MODEL, data, np.asarray(body.reading[lane]), np.asarray(path[lane]), errors, *settings
+                )
+            )
+        results.append(done)
+    return results
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_following_is_the_loop_of_the_reference(drives, references, number):
+    (_, ride), lanes = drives[number], references[number]
+    for lane, (poses, passes, places, reading) in enumerate(lanes):
+        expected = reference.at_poses(poses, passes, 10)
+        np.testing.assert_allclose(ride.poses[lane, :, :2], expected[:, :2], atol=2e-3)
+        np.testing.assert_allclose(wrapped(ride.poses[lane, :, 2] - expected[:, 2]), 0.0, atol=2e-2)
+        np.testing.assert_allclose(ride.frames[lane, :, :7], places[FRAME_EVERY::FRAME_EVERY, :7], atol=1e-2)
+        np.testing.assert_allclose(ride.body.reading[lane, :2], reading[:2], atol=2e-3)
+
+
+def test_paths_are_tracked_within_centimetres(drives):
+    for lanes, ride in drives:
+        path = np.asarray(lanes[2])
+        body = lanes[1]
+        for lane in range(NUM_LANES):
+            points = reference.dense(np.asarray(body.reading[lane]), path[lane])
+            fine = np.concatenate(
+                [np.linspace(a, b, 20) for a, b in zip(points[:-1], points[1:], strict=True)]
+            )
+            driven = np.asarray(ride.frames[lane, :, :2])
+            across = np.linalg.norm(driven[:, None] - fine[None], axis=-1).min(axis=1)
+            assert across.max() < (0.02 if lane < QUIET else 0.06)
+        gaps = np.linalg.norm(np.asarray(ride.poses)[..., :2] - path[..., :2], axis=-1)
+        assert np.median(gaps[:QUIET]) < 0.02 and np.median(gaps) < 0.03
+        off = np.abs(wrapped(np.asarray(ride.poses)[..., 2] - path[..., 2]))
+        assert np.median(off[:QUIET]) < 0.05 and np.median(off) < 0.1
+
+
+def test_it_drives_forward_and_comes_to_rest(drives):
+    for _, ride in drives:
+        for frames in np.asarray(ride.frames, np.float64):
+            heading = 2.0 * np.arctan2(frames[:, 6], frames[:, 3])
+            moved = np.diff(frames[:, :2], axis=0)
+            middle = heading[:-1] + 0.5 * wrapped(np.diff(heading))
+            along = moved[:, 0] * np.cos(middle) + moved[:, 1] * np.sin(middle)
+            assert along.min() > -1e-3 and along.sum() > 0.9
+        speed = np.linalg.norm(ride.body.state.qvel[:, :2], axis=1)
+        assert np.all(speed[:QUIET] < 0.01) and np.all(speed < 0.1)
+        assert not np.any(ride.failed)
+
+
+def test_a_ride_begins_where_the_one_before_ended(drives):
+    (_, first), (lanes, second) = drives
+    np.testing.assert_array_equal(lanes[1].state.qpos, first.body.state.qpos)
+    poses = jax.vmap(ROBOT.pose)(second.body)
+    np.testing.assert_allclose(poses, second.poses[:, -1], atol=1e-12)
+    np.testing.assert_allclose(second.frames[:, -1], second.body.state.qpos, atol=1e-12)
+
+
+def test_readings_are_poses_with_noise(drives):
+    for lanes, ride in drives:
+        quiet = wrapped(ride.estimates - ride.poses)[:QUIET]
+        np.testing.assert_allclose(quiet, 0.0, atol=1e-6)
+        np.testing.assert_array_equal(jax.vmap(ROBOT.estimate)(ride.body), ride.estimates[:, -1])
+        off = np.asarray(ride.estimates - ride.poses)[QUIET:]
+        errors = errors_of(lanes)[QUIET:]
+        np.testing.assert_allclose(off[:, -1], errors[:, -1], atol=1e-6)
+        assert np.all(np.abs(off).max(axis=(1, 2)) > 0.01)
+
+
+def test_it_stands_where_it_is_placed():
+    poses = jnp.asarray([[0.3, -1.2, 0.0], [-1.0, 0.5, 2.5], [0.0, 0.0, 6.0]])
+    bodies = jax.vmap(ROBOT.place)(poses)
+    np.testing.assert_allclose(jax.vmap(ROBOT.pose)(bodies), poses, atol=1e-6)
+    np.testing.assert_array_equal(jax.vmap(ROBOT.estimate)(bodies), poses)
+    data = mujoco.MjData(MODEL)
+    data.qpos = bodies.state.qpos[1]
+    before = data.qpos.copy()
+    for _ in range(200):
+        mujoco.mj_step(MODEL, data)
+    np.testing.assert_allclose(data.qpos[:7], before[:7], atol=5e-4)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_the_turning_radius_is_that_of_the_steady_circle(side):
+    measures = measures_of(MODEL)
+    bend = side / ROBOT.turning_radius
+    angles = [atan(measures.wheelbase * bend / (1 - left * measures.half_track * bend)) for left in (1, -1)]
+    assert max(np.abs(angles)) == pytest.approx(measures.max_angle)
+    data = mujoco.MjData(MODEL)
+    poses, time_step = [], MODEL.opt.timestep
+    for _ in range(500):
+        data.ctrl = [*angles, SETTINGS.speed / measures.full_speed]
+        mujoco.mj_step(MODEL, data)
+        poses.append(reference.pose_of(data))
+    poses = np.array(poses[250:])
+    speed = np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1).mean() / time_step
+    turn = wrapped(np.diff(poses[:, 2])).mean() / time_step
+    assert speed / turn == pytest.approx(side * ROBOT.turning_radius, rel=0.02)
+    assert speed == pytest.approx(SETTINGS.speed, rel=0.05)
+
+
+@pytest.mark.parametrize("motions", [MOTIONS, build(Splines(actions=17))], ids=["kernel", "splines"])
+def test_the_trajectories_of_fig_4_8_can_be_driven(motions):
+    assert tightest_radius(motions) > ROBOT.turning_radius
+
+
+def test_a_lane_that_diverges_fails_alone(follow, drives):
+    (key, body, path, end, noise), before = drives[0]
+    wrong = eqx.tree_at(lambda b: b.state.qvel, body, body.state.qvel.at[2, 0].set(jnp.nan))
+    ride = follow(jax.random.clone(key), wrong, path, end, noise)
+    others = np.arange(NUM_LANES) != 2
+    np.testing.assert_array_equal(ride.failed, ~others)
+    np.testing.assert_array_equal(np.asarray(ride.poses)[others], np.asarray(before.poses)[others])
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_a_problem_in_either_precision(dtype):
+    problem = build(RobotParking(), dtype)
+
+    def step(key):
+        reset, drive = jax.random.split(key)
+        world = problem.reset(reset)
+        path = jnp.zeros((10, 3), dtype)
+        return world, problem.execute(drive, world, path)
+
+    world, (after, reading, events) = jax.eval_shape(step, jax.random.key(0))
+    assert eqx.tree_equal(*(jax.tree.map(lambda x: (x.shape, x.dtype), tree) for tree in (world, after)))
+    assert not any(leaf.weak_type for leaf in jax.tree.leaves((after, events)))
+    assert reading.dtype == events.driven.dtype == after.reading.dtype == dtype
+    assert after.state.qpos.dtype == events.frames.dtype == jnp.float32
+    assert events.frames.shape == problem.frame_shape == (SETTINGS.readings // FRAME_EVERY, MODEL.nq)
+
+
+def test_the_parking_place_can_be_drawn():
+    model = scene_of(RobotParking(half_width=2.0, distance_tolerance=0.3).model_dump()).compiled()
+    assert model.nq == MODEL.nq and model.camera("overview") is not None
+    np.testing.assert_allclose(model.geom("floor").size[:2], 2.0)
+    assert model.geom("lot").size[0] == pytest.approx(0.3)
+    field = scene_of({"domain": (0.0, 1.0, 6.0, 5.0)}).compiled()
+    np.testing.assert_allclose(field.geom("floor").pos, [3.0, 3.0, 0.0])
+    np.testing.assert_allclose(field.geom("floor").size[:2], [3.0, 2.0])
+
+
+def test_trajectories_that_are_too_tight_are_refused_in_one_line(tmp_path, capsys):
+    out = tmp_path / "out"
+    assert main(["run", "robot-parking", "planner.motions.first_angle=1.4", "--out", str(out)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "planner.motions: the tightest trajectory has a radius of" in line and "0.10 m" in line
+    assert not out.exists()
