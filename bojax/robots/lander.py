@@ -183,9 +183,10 @@ class _Motion(eqx.Module):
     velocity: Float[Array, "2"]
     spin: Float[Array, ""]
 
-    def at(self, arm: Float[Array, "2"]) -> Float[Array, "2"]:
-        """Velocity of a point of the rigid body."""
-        return self.velocity + self.spin * _left(arm)
+    def along(self, direction: Float[Array, "2"], arm: Float[Array, "2"]) -> Float[Array, ""]:
+        """Velocity of a point of the rigid body in a direction."""
+        # No product of matrices: accelerators round those of 32-bit numbers.
+        return jnp.sum(direction * (self.velocity + self.spin * _left(arm)))
 
     def kicked(self, arm: Float[Array, "2"], impulse: Float[Array, "2"]) -> "_Motion":
         """The motion after an impulse at a point."""
@@ -230,16 +231,16 @@ class _Foot(eqx.Module):
         spare = jnp.maximum(TIME_STEP * _MOTOR_TORQUE - self.drag_lever * drag, 0.0)
         most = jnp.where(gives, spare / jnp.where(gives, self.lever, 1.0), jnp.inf)
 
-        wanted = self.soft_speed - self.slowest * self.lever - self.normal @ motion.at(self.arm)
+        wanted = self.soft_speed - self.slowest * self.lever - motion.along(self.normal, self.arm)
         after = jnp.clip(soft + mass * wanted, 0.0, most)
         motion, soft = motion.kicked(self.arm, (after - soft) * self.normal), after
 
-        wanted = self.hard_speed - self.fastest * self.lever - self.normal @ motion.at(self.arm)
+        wanted = self.hard_speed - self.fastest * self.lever - motion.along(self.normal, self.arm)
         after = jnp.where(gives, jnp.maximum(hard + mass * wanted, 0.0), 0.0)
         motion, hard = motion.kicked(self.arm, (after - hard) * self.normal), after
 
         along = _left(self.normal)
-        speed = along @ motion.at(self.arm) + self.turn(motion) * self.drag_lever
+        speed = motion.along(along, self.arm) + self.turn(motion) * self.drag_lever
         bound = _FOOT_FRICTION * (soft + hard)
         after = jnp.clip(drag - speed * _effective_mass(self.arm, along), -bound, bound)
         return motion.kicked(self.arm, (after - drag) * along), jnp.stack([soft, hard, after])
@@ -247,13 +248,13 @@ class _Foot(eqx.Module):
     def turn(self, motion: _Motion) -> Float[Array, ""]:
         """Rate at which the leg turns outwards: what keeps its foot out of the ground, within its limits."""
         gives = self.lever > _SHORT
-        needed = -self.distance / TIME_STEP - self.normal @ motion.at(self.arm)
+        needed = -self.distance / TIME_STEP - motion.along(self.normal, self.arm)
         needed = jnp.where(gives, needed / jnp.where(gives, self.lever, 1.0), self.slowest)
         return jnp.clip(needed, self.slowest, self.fastest)
 
     def is_down(self, motion: _Motion) -> Bool[Array, ""]:
         """Whether the foot touches the ground after the step."""
-        leaves = self.normal @ motion.at(self.arm) + self.turn(motion) * self.lever
+        leaves = motion.along(self.normal, self.arm) + self.turn(motion) * self.lever
         return self.distance + TIME_STEP * leaves < _TOUCH - _GAP
 
 
