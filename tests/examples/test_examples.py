@@ -6,10 +6,12 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from bojax.cli.main import main
 from bojax.results.store import read_manifest, read_table
 from tests.examples.pages import PAGES, ROOT, commands
 
@@ -18,6 +20,8 @@ FILES = [path for path in (ROOT / "examples").iterdir() if path.is_file()]
 
 
 def _uses_example(words: list[str]) -> bool:
+    if words[1:2] == ["render"]:  # of results that another command makes
+        return False
     return any(path.name in word or f"={path.stem}:" in word for word in words for path in FILES)
 
 
@@ -30,6 +34,7 @@ CHECKS: dict[str, Callable[[dict[str, list[float]]], bool]] = {
         of["steps to the goal"][0] < 150 and of["reward of the last one"][0] == 1.0
     ),
     "linear_models.py": lambda of: np.allclose(of["one by one"], of["batch"], rtol=1e-5),
+    "my_robot_env.py": lambda of: len(of["episodes to the pocket"]) >= 2,
     "my_field.py": lambda of: max(of["RMSE"]) < 0.4,
     "train_emu_q.py": lambda of: (
         max(of["episodes to the goal"]) <= 5 and of["steps of what run 0 has learned"][0] < 300
@@ -64,6 +69,20 @@ def test_a_command_of_the_pages_runs(words, tmp_path):
     assert manifest["status"] == "finished"
     assert runs.num_rows == 2 * len(manifest["points"]) and sum(runs["nans"].to_pylist()) == 0
     assert (tmp_path / "out" / "report.html").exists()
+    if (model := tmp_path / f"{Path(words[2]).stem}.xml").exists():
+        _render(tmp_path / "out", model)
+
+
+def _render(folder, model) -> None:
+    """A robot of one's own can be watched, where this machine can draw."""
+    from bojax.robots.rendering import CannotDraw, backend
+
+    try:
+        backend()
+    except CannotDraw:
+        return
+    assert main(["render", str(folder), "--model", str(model)]) == 0
+    assert len(list((folder / "animations").glob("*.gif"))) == 1
 
 
 def _evaluate(folder, environment) -> None:
@@ -77,7 +96,7 @@ def _evaluate(folder, environment) -> None:
 
 def _tiny(words: list[str]) -> tuple[str, ...]:
     """Budgets for a command: a planner that does not search has no depth, and a learner no planner."""
-    if any(name in word for word in words for name in ("my_env", "my_learner", "my_gym_env")):
+    if any(name in word for word in words for name in ("my_env", "my_learner", "my_gym_env", "my_robot_env")):
         return ("episodes=2", "env.max_steps=40", *TINY[2:])
     return TINY[1:] if any("my_planner" in word for word in words) else TINY
 
