@@ -17,6 +17,7 @@ from bojax.config import envs
 from bojax.engine.build import build
 from bojax.envs.robots.reacher import fingertip
 from bojax.robots.jaco import jaco_model
+from tests.compiling import QUICKLY
 from tests.reference.jaco import dm_control_jaco, finger_tips
 
 LANES, STEPS = 8, 50
@@ -24,12 +25,15 @@ GYM = {"hopper": "Hopper-v5", "reacher": "Reacher-v5"}
 CLASSIC = {"hopper": envs.Hopper(reward="classic"), "reacher": envs.Reacher(reward="classic")}
 
 
+compiled = functools.partial(eqx.filter_jit, compiler_options=QUICKLY)
+
+
 @functools.cache
 def built(schema, dtype="float32"):
     return build(schema, dtype)
 
 
-@eqx.filter_jit
+@compiled
 def rollout(env, states, actions):
     """States after each step of each lane, and the transitions."""
 
@@ -43,7 +47,7 @@ def rollout(env, states, actions):
     return jax.vmap(lane)(states, actions)
 
 
-@eqx.filter_jit
+@compiled
 def resets(env, num):
     return jax.vmap(env.reset)(jax.random.split(jax.random.key(3), num))
 
@@ -258,7 +262,7 @@ def jaco():
 def starts():
     """Starts of the arm in 64 runs, two each, and the same with a target for every episode."""
 
-    @eqx.filter_jit
+    @compiled
     def drawn(env):
         def run(key):
             keys = jax.random.split(key, 3)
@@ -317,7 +321,7 @@ def test_an_arm_that_knows_the_angles_of_its_target_gets_there(jaco):
             goals.append(data.qpos.copy())
             targets.append(data.site("finger_tips").xpos.copy())
 
-    @eqx.filter_jit
+    @compiled
     def controlled(env, goals, targets, shares):
         def lane(goal, target, share, key):
             def go_on(carry, key):

@@ -16,6 +16,7 @@ from bojax.robots.jaco import jaco_model
 from bojax.robots.models import RobotModel, from_file, packaged
 from bojax.robots.quadrotor import quadrotor_model
 from bojax.robots.simulator import Simulator
+from tests.compiling import QUICKLY
 
 MODELS = {
     "hopper": packaged("hopper"),
@@ -27,8 +28,6 @@ MODELS = {
 """Every packaged model, by the name that its tests get; one more is one more line."""
 
 LANES, STEPS = 8, 20
-QUICKLY = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
-"""The programs here run for milliseconds and are compiled for seconds."""
 
 
 @functools.cache

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from bojax.report.figures import (
     accumulated_reward,
     beliefs,
+    error_map,
     errors,
     learning_curves,
     paths,
@@ -13,6 +14,7 @@ from bojax.report.figures import (
     solved,
     steps_to_goal,
     success,
+    surfaces,
     sweep_curve,
     trajectories,
     value_maps,
@@ -33,6 +35,8 @@ FIGURES: Mapping[str, Draw] = {
     "errors": errors.draw,
     "paths": paths.draw,
     "beliefs": beliefs.draw,
+    "surfaces": surfaces.draw,
+    "error-map": error_map.draw,
     "trajectories": trajectories.draw,
     "settings": settings.draw,
 }
