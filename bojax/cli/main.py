@@ -14,7 +14,7 @@ COMMANDS = {
     "run": ("running", "run one experiment of configs/"),
     "sweep": ("running", "run a sweep of sweeps/ and write its report"),
     "report": ("reporting", "figures, tables and claims of results folders"),
-    "render": ("rendering", "an animation of a recorded episode of a learning run"),
+    "render": ("rendering", "a film of a recorded run, or a still"),
     "bench": ("bench", "the benchmarks, each beside its peer"),
     "doctor": ("doctor", "what works here: versions, devices, precision, folders"),
 }

@@ -1,4 +1,4 @@
-"""`bojax render`: an animation of a recorded run, from the files of a results folder."""
+"""`bojax render`: a film of a recorded run, or a still, from the files of a results folder."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,6 +1,8 @@
 """Films of planners and of robots: what is drawn is what was recorded, on a screen or on none."""
 
 import json
+import subprocess
+import sys
 
 import jax.numpy as jnp
 import numpy as np
@@ -219,6 +221,15 @@ def test_a_robot_that_learns_is_drawn_from_its_settings(tmp_path, rendering, cap
     assert main(["render", str(folder), "--model", str(tmp_path / "puck.xml")]) == 2
     error = capsys.readouterr().err
     assert "another model than the one that was simulated: the model has 7 generalised" in error
+
+
+def test_robots_are_drawn_without_jax(tmp_path, rendering):
+    folder = learning_results(tmp_path / "results", "hopper", lengths=(2,), goals=(True,), frames=STANDING)
+    code = (
+        "import sys; from bojax.cli.main import main; "
+        f"assert main(['render', {str(folder)!r}]) == 0; assert 'jax' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
 
 
 def test_a_robot_of_ones_own_needs_its_model(tmp_path, rendering, capsys):
