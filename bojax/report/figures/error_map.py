@@ -1,0 +1,58 @@
+"""Where a map of heights is wrong: its error without the mean of it (Fig. 3.8 of the thesis)."""
+
+import numpy as np
+from matplotlib.colors import Normalize
+from matplotlib.patches import Rectangle
+
+from bojax.report import style
+from bojax.report.figures.base import Drawing, panel_grid
+from bojax.report.figures.domains import draw_domain
+from bojax.report.figures.maps import draw_map
+from bojax.report.figures.surfaces import height_maps
+from bojax.report.source import Results
+from bojax.report.text import joined, number
+
+MAX_MAPS = 6
+"""More maps than this do not fit a screen: then the best point of each label is drawn."""
+
+
+def draw(results: Results) -> Drawing:
+    """The centred error of the final mean of one run per point, one scale for all, props outlined."""
+    maps, note = height_maps(results, MAX_MAPS)
+    errors = [belief["mean"] - belief["truth"] for _, _, belief in maps]
+    offsets = [float(error.mean()) for error in errors]
+    errors = [error - offset for error, offset in zip(errors, offsets, strict=True)]
+    most = max(float(np.abs(error).max()) for error in errors)
+    rows, columns = panel_grid(len(maps))
+    figure, grid = style.figure(4.68 * rows / columns + 0.75, rows, columns, sharex=True, sharey=True)
+    figure.set_layout_engine("compressed")  # panels of equal aspect leave gaps that no other layout closes
+    looks = style.looks([point for point, _, _ in maps])
+    norm = Normalize(-most, most)
+    for axes, (point, _, belief), error, look in zip(grid.flat, maps, errors, looks, strict=False):
+        draw_domain(axes, point.problem)
+        draw_map(axes, belief, error, norm, "RdBu_r")
+        for x_min, y_min, x_max, y_max in point.problem["field"].get("boxes", ()):
+            edge = {"facecolor": "none", "edgecolor": style.INK, "linewidth": 0.9, "zorder": 2.5}
+            axes.add_patch(Rectangle((x_min, y_min), x_max - x_min, y_max - y_min, **edge))
+        if "samples" in belief:
+            axes.scatter(*belief["samples"][:, :2].T, s=1.6, color=style.INK, linewidths=0, zorder=2.4)
+        axes.set_title(style.wrapped(point.name, 24), color=look["color"], pad=4)
+    for axes in list(grid.flat)[len(maps) :]:
+        axes.set_visible(False)
+    bar = figure.colorbar(grid[0, 0].images[0], ax=list(grid.flat), location="bottom", aspect=36, shrink=0.8)
+    bar.set_label("centred error (m)")
+    bar.ax.spines["outline"].set_visible(False)
+    bar.ax.tick_params(length=2, labelsize=8.5)
+    numbers = [
+        f"{point.name}: offset {number(100 * offset)} cm, standard deviation "
+        f"{number(100 * float(error.std()))} cm"
+        for (point, _, _), offset, error in zip(maps, offsets, errors, strict=True)
+    ]
+    runs = joined([str(run) for run in sorted({run for _, run, _ in maps})])
+    return Drawing(
+        figure=figure,
+        title="Centred error of the map",
+        caption=f"The mean of the final belief of run {runs} less the true heights, without the mean of this "
+        f"(red: too high). {'; '.join(numbers)}. Outlines: props. Dots: samples.{note}",
+        alt=f"Maps of the centred error of the reconstructed heights. {'; '.join(numbers)}.",
+    )

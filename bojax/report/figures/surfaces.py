@@ -1,0 +1,118 @@
+"""Surfaces from above: the true heights, and what a robot made of them (Figs. 3.5 and 3.7 of the thesis)."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.colors import LightSource, Normalize
+from matplotlib.pyplot import get_cmap
+from scipy.interpolate import RegularGridInterpolator
+
+from bojax.report import style
+from bojax.report.figures.base import Drawing, Undrawable, drawn_points, panel_grid
+from bojax.report.figures.maps import Belief, beliefs
+from bojax.report.figures.smooth import smooth
+from bojax.report.source import Point, Results
+from bojax.report.statistics import Floats
+from bojax.report.text import joined, number
+
+MAX_MAPS = 5
+"""More maps than this do not fit a screen: then the best point of each label is drawn."""
+
+_COLOURS = "YlGn_r"
+
+
+def height_maps(results: Results, most: int) -> tuple[list[tuple[Point, int, Belief]], str]:
+    """The first recorded map of each point that measures heights, and a sentence on what is left out.
+
+    Raises:
+        Undrawable: There is none.
+    """
+    points, note = drawn_points(results, most)
+    found = [
+        (point, *next(iter(maps.items())))
+        for point in points
+        if point.problem.get("sensor", {}).get("kind") == "range" and (maps := beliefs(results, point))
+    ]
+    if not found:
+        raise Undrawable("no recorded map of heights in arrays/")
+    return found, note
+
+
+def draw(results: Results) -> Drawing:
+    """The true surface, and the final mean of one run per point with the way of the robot on it."""
+    maps, note = height_maps(results, MAX_MAPS)
+    truth = maps[0][2]["truth"]
+    maps = [entry for entry in maps if entry[2]["truth"].shape == truth.shape]
+    heights = np.stack([truth, *(belief["mean"] for _, _, belief in maps)])
+    norm = Normalize(float(heights.min()), float(heights.max()))
+    rows, columns = panel_grid(1 + len(maps))
+    figure, grid = style.figure(
+        1.95 * rows, rows, columns, subplot_kw={"projection": "3d", "computed_zorder": False}
+    )
+    panels = list(grid.flat)
+    _surface(panels[0], maps[0][2], truth, norm)
+    panels[0].set_title("true surface", pad=-2)
+    looks = style.looks([point for point, _, _ in maps])
+    for axes, (point, run, belief), look in zip(panels[1:], maps, looks, strict=False):
+        _surface(axes, belief, belief["mean"], norm)
+        paths = dict(results.arrays(point, "paths")).get(run)
+        if paths is not None:
+            axes.plot(*_way(paths, belief).T, color="black", linewidth=1.0, zorder=3)
+        axes.set_title(style.wrapped(point.name, 24), color=look["color"], pad=-2)
+    for axes in panels[1 + len(maps) :]:
+        axes.set_visible(False)
+    runs = joined([str(run) for run in sorted({run for _, run, _ in maps})])
+    errors = [
+        f"{point.name} {number(float(np.sqrt(np.mean((belief['mean'] - truth) ** 2))))} m"
+        for point, _, belief in maps
+    ]
+    return Drawing(
+        figure=figure,
+        title="Surface and reconstruction",
+        caption=f"The true heights, and the mean of the final belief of run {runs}. Lengths are in metres; "
+        f"heights, from {number(float(heights.min()))} to {number(float(heights.max()))} m, are drawn "
+        f"{number(_stretch(maps[0][2], norm))} times as large. Black: the way of the robot, put down on the "
+        f"surface.{note}",
+        alt="Surfaces of the true heights and of their reconstructions with the trajectory in black. Root "
+        f"mean square error: {', '.join(errors)}.",
+    )
+
+
+def _surface(axes: Any, belief: Belief, heights: Floats, norm: Normalize) -> None:
+    x, y = np.meshgrid(belief["x"], belief["y"])
+    shade = LightSource(azdeg=135, altdeg=50)
+    colours = shade.shade(heights, cmap=get_cmap(_COLOURS), norm=norm, vert_exag=2.0, blend_mode="soft")
+    axes.plot_surface(
+        x, y, heights, facecolors=colours, rstride=1, cstride=1, linewidth=0, shade=False, rasterized=True
+    )
+    axes.set_box_aspect((np.ptp(x), np.ptp(y), 0.3 * max(np.ptp(x), np.ptp(y))), zoom=1.4)
+    axes.set_zlim(norm.vmin, norm.vmax)
+    axes.view_init(elev=42, azim=-60)
+    axes.set_xticks([x.min(), x.max()])
+    axes.set_yticks([y.min(), y.max()])
+    axes.set_zticks([])
+    axes.tick_params(pad=-5, labelsize=8.0)
+    axes.grid(visible=False)
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+        axis.pane.set_visible(False)
+    axes.zaxis.line.set_visible(False)
+
+
+def _way(paths: Mapping[str, Any], belief: Belief) -> Floats:
+    """Points of the way, `[N, 3]`, as high as the reconstruction there."""
+    steps = [step[np.isfinite(step).all(axis=1)] for step in np.asarray(paths["paths"], np.float64)]
+    start = np.asarray(paths["start"], np.float64)
+    curve: Sequence[Floats] = [start[None, :2]]
+    for step in (step for step in steps if len(step)):
+        curve = [*curve, smooth(curve[-1][-1], step)]
+    points = np.concatenate(curve)
+    axes = belief["x"], belief["y"]
+    inside = np.clip(points, [axis[0] for axis in axes], [axis[-1] for axis in axes])
+    return np.column_stack([points, RegularGridInterpolator(axes, belief["mean"].T)(inside)])
+
+
+def _stretch(belief: Belief, norm: Normalize) -> float:
+    assert norm.vmin is not None and norm.vmax is not None
+    side = max(float(np.ptp(belief["x"])), float(np.ptp(belief["y"])))
+    return round(0.3 * side / max(norm.vmax - norm.vmin, 1e-9), 1)
