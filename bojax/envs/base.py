@@ -60,7 +60,10 @@ class Env(eqx.Module):
         """Bounds of actions; an action outside is clipped by the environment."""
 
     def of_run(self, key: Key[Array, ""]) -> "Env":
-        """The environment of one run, where something is drawn that all its episodes share."""
+        """The environment whose `reset` begins the episodes of one run, which may share what is drawn here.
+
+        Only states carry that on: everything but `reset` is asked of the environment as it was built.
+        """
         del key
         return self
 

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 import bojax.config.catalog  # noqa: F401 (registers every kind)
 from bojax.config.experiments import Learning
 from bojax.engine.build import build
-from bojax.envs.base import Transition
+from bojax.envs.base import Env, Transition
 from bojax.envs.spaces import Box, Discrete
 from bojax.envs.tabular import TabularEnv
 from bojax.experiments.learning import PHASES, LearningRun
@@ -124,7 +124,46 @@ def corridor(cells=5, max_steps=10, reward=1.0, poisoned=-1.0):
     return Corridor(jnp.asarray(reward), jnp.asarray(poisoned), cells, max_steps)
 
 
+class Lot(Env):
+    """One step, which pays what was drawn for the run.
+
+    Attributes:
+        drawn: What was drawn; None outside of a run.
+    """
+
+    drawn: Float[Array, ""] | None = None
+    max_steps: int = eqx.field(static=True, default=1)
+
+    @property
+    def observation_space(self):
+        return Discrete(2)
+
+    @property
+    def action_space(self):
+        return Discrete(1)
+
+    def of_run(self, key):
+        return Lot(jax.random.uniform(key))
+
+    def reset(self, key):
+        return self.drawn
+
+    def observe(self, state):
+        return jnp.int32(0)
+
+    def step(self, key, state, action):
+        true = jnp.ones((), bool)
+        return state, Transition(jnp.int32(1), state, true, ~true, true)
+
+
 # Episodes and steps.
+
+
+def test_episodes_and_tests_share_what_is_drawn_for_their_run():
+    history = History(run_of(Lot()))
+    paid = np.array([history.rows(lane=lane)["return"] for lane in range(3)])
+    assert paid.shape == (3, 18) and np.all(paid == paid[:, :1])
+    assert len(np.unique(paid)) == 3
 
 
 def test_an_episode_row_says_what_its_steps_add_up_to():
