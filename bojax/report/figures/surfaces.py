@@ -58,7 +58,7 @@ def draw(results: Results) -> Drawing:
         _surface(axes, belief, belief["mean"], norm)
         paths = dict(results.arrays(point, "paths")).get(run)
         if paths is not None:
-            axes.plot(*_way(paths, belief).T, color="black", linewidth=1.0, zorder=3)
+            axes.plot(*_way(paths, belief).T, color="black", linewidth=1.0, zorder=3, clip_on=False)
         axes.set_title(style.wrapped(point.name, 24), color=look["color"], pad=-2)
     for axes in panels[1 + len(maps) :]:
         axes.set_visible(False)
@@ -83,10 +83,21 @@ def _surface(axes: Any, belief: Belief, heights: Floats, norm: Normalize) -> Non
     x, y = np.meshgrid(belief["x"], belief["y"])
     shade = LightSource(azdeg=135, altdeg=50)
     colours = shade.shade(heights, cmap=get_cmap(_COLOURS), norm=norm, vert_exag=2.0, blend_mode="soft")
+    # What the panel would cut off, its neighbours leave room for.
     axes.plot_surface(
-        x, y, heights, facecolors=colours, rstride=1, cstride=1, linewidth=0, shade=False, rasterized=True
+        x,
+        y,
+        heights,
+        facecolors=colours,
+        rstride=1,
+        cstride=1,
+        linewidth=0,
+        antialiased=False,
+        shade=False,
+        rasterized=True,
+        clip_on=False,
     )
-    axes.set_box_aspect((np.ptp(x), np.ptp(y), 0.3 * max(np.ptp(x), np.ptp(y))), zoom=1.4)
+    axes.set_box_aspect((np.ptp(x), np.ptp(y), 0.3 * max(np.ptp(x), np.ptp(y))), zoom=1.3)
     axes.set_zlim(norm.vmin, norm.vmax)
     axes.view_init(elev=42, azim=-60)
     axes.set_xticks([x.min(), x.max()])
