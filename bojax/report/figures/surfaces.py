@@ -50,7 +50,11 @@ def draw(results: Results) -> Drawing:
     figure, grid = style.figure(
         1.95 * rows, rows, columns, subplot_kw={"projection": "3d", "computed_zorder": False}
     )
+    figure.set_layout_engine("none")  # no engine can measure what stands around a 3-D panel
     panels = list(grid.flat)
+    for index, axes in enumerate(panels):
+        row, column = divmod(index, columns)
+        axes.set_position((column / columns, 1 - (row + 0.92) / rows, 0.96 / columns, 0.82 / rows))
     _surface(panels[0], maps[0][2], truth, norm)
     panels[0].set_title("true surface", pad=-2)
     looks = style.looks([point for point, _, _ in maps])
@@ -97,7 +101,7 @@ def _surface(axes: Any, belief: Belief, heights: Floats, norm: Normalize) -> Non
         rasterized=True,
         clip_on=False,
     )
-    axes.set_box_aspect((np.ptp(x), np.ptp(y), 0.3 * max(np.ptp(x), np.ptp(y))), zoom=1.3)
+    axes.set_box_aspect((np.ptp(x), np.ptp(y), 0.3 * max(np.ptp(x), np.ptp(y))), zoom=1.2)
     axes.set_zlim(norm.vmin, norm.vmax)
     axes.view_init(elev=42, azim=-60)
     axes.set_xticks([x.min(), x.max()])

@@ -1,0 +1,352 @@
+"""The quadrotor behind its problems: how it flies paths, what it measures, what its maps are scored by."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pydantic
+import pytest
+
+from bojax.config import vehicles
+from bojax.config.fields import Bumps
+from bojax.config.models import ConstantMean
+from bojax.config.problems import HillyTerrain, IndoorProps
+from bojax.engine.build import build
+from bojax.motions.base import place
+from bojax.motions.splines import SplineSet
+from bojax.problems.mapping import Map
+from bojax.problems.sensors import RangeSensor
+from bojax.robots.flight import rotation_of
+
+LANES, SIZE = 48, 8
+ALTITUDE = 1.4
+PATH_STEPS, REST_STEPS = 300, 250
+VEHICLE = vehicles.Quadrotor(altitude=ALTITUDE, path_steps=PATH_STEPS, rest_steps=REST_STEPS)
+NOISE = (0.02, 0.02, 0.03)
+
+
+def f64(value):
+    return jnp.asarray(value, jnp.float64)
+
+
+@pytest.fixture(scope="module")
+def quadrotor():
+    return build(VEHICLE)
+
+
+@pytest.fixture(scope="module")
+def follow():
+    """One compiled program for all tests: a vehicle, its bodies, paths, headings at the end, and a noise."""
+
+    @eqx.filter_jit
+    def follow(vehicle, keys, bodies, paths, ends, noise):
+        one = lambda key, body, path, end: vehicle.follow(key, body, path, end, noise)  # noqa: E731
+        return jax.vmap(one)(keys, bodies, paths, ends)
+
+    return follow
+
+
+def paths_from(starts, turn=0.0):
+    """A path of a metre for every start, all actions in turn, and where it ends."""
+    paths = SplineSet(f64(1.0), 5, SIZE).paths()
+    paths = jax.vmap(place)(paths[jnp.arange(len(starts)) % 5], starts)
+    ends = paths[:, -1].at[:, 2].add(turn)
+    return paths, ends.at[:, 2].set(jnp.mod(ends[:, 2], 2.0 * np.pi))
+
+
+def starts_of(seed=0):
+    return f64(np.random.default_rng(seed).uniform([0, 0, 0], [3, 3, 2 * np.pi], (LANES, 3)))
+
+
+def keys_of(seed):
+    return jax.random.split(jax.random.key(seed), LANES)
+
+
+def apart(one, other):
+    """Distances of headings."""
+    return np.abs(np.angle(np.exp(1j * (np.asarray(one) - np.asarray(other)))))
+
+
+@pytest.fixture(scope="module")
+def ride(quadrotor, follow):
+    """Paths flown with noise, and a turn by pi after them."""
+    starts = starts_of()
+    paths, ends = paths_from(starts, turn=np.pi)
+    bodies = jax.vmap(quadrotor.place)(starts)
+    found = follow(quadrotor, keys_of(1), bodies, paths, ends, f64(NOISE))
+    return starts, paths, ends, jax.tree.map(np.asarray, found)
+
+
+def test_it_starts_where_it_is_placed_and_knows_it(quadrotor):
+    starts = starts_of()
+    bodies = jax.vmap(quadrotor.place)(starts)
+    pose, estimate = jax.vmap(quadrotor.pose)(bodies), jax.vmap(quadrotor.estimate)(bodies)
+    np.testing.assert_allclose(pose[:, :2], starts[:, :2], atol=1e-6)
+    assert apart(pose[:, 2], starts[:, 2]).max() < 1e-5 and pose.dtype == jnp.float64
+    np.testing.assert_array_equal(estimate, starts)
+    assert bodies.state.qpos.dtype == jnp.float32
+    np.testing.assert_allclose(bodies.state.qpos[:, 2], ALTITUDE, rtol=1e-6)
+
+
+def test_it_flies_near_the_path_and_stops_at_its_end(ride):
+    _, paths, ends, found = ride
+    gap = np.linalg.norm(found.poses[..., :2] - paths[..., :2], axis=-1)
+    assert gap.max() < 0.06 and np.sqrt(np.mean(gap**2)) < 0.025
+    # The heading lags behind where a path bends most.
+    assert apart(found.poses[..., 2], paths[..., 2]).max() < 0.2
+    last = found.body.state
+    assert np.abs(last.qvel[:, :3]).max() < 0.08 and np.abs(last.qvel[:, 3:]).max() < 0.5
+    np.testing.assert_allclose(last.qpos[:, :2], ends[:, :2], atol=0.04)
+    assert not found.failed.any()
+    for part in (found.poses, found.estimates, found.mounts, found.body.reading):
+        assert part.dtype == np.float64
+
+
+def test_it_turns_on_the_spot(quadrotor, ride):
+    _, paths, ends, found = ride
+    pose = jax.vmap(quadrotor.pose)(jax.tree.map(jnp.asarray, found.body))
+    assert apart(pose[:, 2], ends[:, 2]).max() < 0.05
+    assert apart(paths[:, -1, 2], ends[:, 2]).min() > 3.0
+    assert np.all((pose[:, 2] >= 0.0) & (pose[:, 2] <= 2.0 * np.pi))
+
+
+def test_estimates_are_readings_of_the_stated_spread(quadrotor, ride):
+    _, _, _, found = ride
+    wrong = found.estimates - found.poses
+    wrong[..., 2] = np.angle(np.exp(1j * wrong[..., 2]))
+    spread = wrong.reshape(-1, 3)
+    assert spread.std(axis=0) == pytest.approx(NOISE, rel=0.15)
+    assert np.abs(spread.mean(axis=0)).max() < 0.004
+    reading = found.body.reading - np.asarray(jax.vmap(quadrotor.pose)(jax.tree.map(jnp.asarray, found.body)))
+    assert 0.01 < reading[:, :2].std() < 0.03
+
+
+def test_mounts_are_where_the_sensor_is(ride):
+    _, _, _, found = ride
+    position, quaternion = found.mounts[..., :3], found.mounts[..., 3:]
+    np.testing.assert_allclose(np.linalg.norm(quaternion, axis=-1), 1.0, atol=1e-5)
+    rotation = np.asarray(jax.vmap(jax.vmap(rotation_of))(f64(quaternion)))
+    body = position + 0.04 * rotation[..., 2]
+    np.testing.assert_allclose(body[..., :2], found.poses[..., :2], atol=1e-5)
+    np.testing.assert_allclose(body[..., 2], ALTITUDE, atol=0.03)
+    lean = np.arccos(rotation[..., 2, 2])
+    assert 0.01 < lean.max() < 0.2
+
+
+def test_frames_are_ten_a_second(quadrotor, ride):
+    _, _, _, found = ride
+    assert quadrotor.frame_shape == found.frames.shape[1:] == ((PATH_STEPS + REST_STEPS) // 10, 7)
+    np.testing.assert_array_equal(found.frames[:, -1], found.body.state.qpos)
+    moved = np.linalg.norm(np.diff(found.frames[..., :3], axis=1), axis=-1)
+    assert moved.max() < 0.1 * 1.0  # a metre in three seconds, never faster than 1 m/s
+
+
+def test_readings_do_not_matter_where_there_is_no_noise(quadrotor, follow):
+    starts = starts_of()
+    paths, ends = paths_from(starts)
+    found = follow(quadrotor, keys_of(2), jax.vmap(quadrotor.place)(starts), paths, ends, 0.0 * f64(NOISE))
+    np.testing.assert_array_equal(found.estimates, found.poses)
+    np.testing.assert_allclose(found.body.reading, jax.vmap(quadrotor.pose)(found.body), atol=2e-6)
+
+
+def test_a_robot_that_diverges_fails_alone(quadrotor, follow, ride):
+    starts, paths, ends, before = ride
+    bodies = jax.vmap(quadrotor.place)(f64(starts))
+    broken = eqx.tree_at(
+        lambda b: b.state.qvel, bodies, bodies.state.qvel.at[5, 0].set(jnp.nan).at[7, 3].set(1e7)
+    )
+    found = follow(quadrotor, keys_of(1), broken, f64(paths), f64(ends), f64(NOISE))
+    is_broken = np.isin(np.arange(LANES), [5, 7])
+    np.testing.assert_array_equal(found.failed, is_broken)
+    np.testing.assert_array_equal(np.asarray(found.poses)[~is_broken], before.poses[~is_broken])
+
+
+# The sensor.
+
+
+def mounts_of(num, lean, seed=0):
+    """Hovering 1.5 m over random places, leaning by an angle about x."""
+    rng = np.random.default_rng(seed)
+    position = np.column_stack([rng.uniform(0.5, 2.5, (num, 2)), np.full(num, 1.5)])
+    quaternion = np.tile([np.cos(lean / 2), np.sin(lean / 2), 0.0, 0.0], (num, 1))
+    return f64(np.column_stack([position, quaternion]))
+
+
+def sensor(**settings):
+    return build(vehicles.Range(**{"altitude_noise": 0.0, **settings}))
+
+
+def measured(sensor, field, mounts, noise=0.0, seed=0):
+    poses = jnp.column_stack([mounts[:, :2], jnp.zeros(len(mounts))])
+    return np.asarray(sensor(jax.random.key(seed), field, poses, mounts, f64(noise)))
+
+
+LEVEL = build(Bumps(heights=(0.3,), widths=(1e3,)))
+HILL = build(Bumps(heights=(0.8,), centres=((1.5, 1.5),), widths=(0.4,)))
+
+
+@pytest.mark.parametrize("lean", [0.0, 0.15])
+def test_over_level_ground_it_tells_the_height(lean):
+    found = measured(sensor(beam=0.0), LEVEL, mounts_of(20, lean))
+    np.testing.assert_allclose(found, 0.3, atol=1e-5)
+
+
+def test_a_sensor_that_does_not_know_how_it_leans_takes_it_for_lower():
+    found = measured(sensor(beam=0.0, upright=False), LEVEL, mounts_of(20, 0.15))
+    np.testing.assert_allclose(found, 1.5 - 1.2 / np.cos(0.15), atol=1e-5)
+
+
+def test_noise_has_the_stated_spread():
+    found = measured(sensor(), LEVEL, mounts_of(4000, 0.0), noise=0.04)
+    assert found.std() == pytest.approx(0.04, rel=0.05) and found.mean() == pytest.approx(0.3, abs=0.003)
+    found = measured(sensor(altitude_noise=0.03), LEVEL, mounts_of(4000, 0.0), noise=0.04)
+    assert found.std() == pytest.approx(0.05, rel=0.05)
+
+
+def test_a_beam_averages_over_its_foot():
+    """On the top of a hill: over a disc of radius r the mean height is less, by (r/2w)^2 of it."""
+    mounts = jnp.asarray([[1.5, 1.5, 1.5, 1.0, 0.0, 0.0, 0.0]])
+    narrow = measured(sensor(beam=0.0), HILL, mounts)
+    wide = measured(sensor(beam=0.2, rays=150), HILL, mounts)
+    nearest = measured(sensor(beam=0.2, rays=150, reading="minimum"), HILL, mounts)
+    assert narrow == pytest.approx(0.8, abs=1e-5) and nearest == pytest.approx(0.8, abs=1e-3)
+    radius = 0.7 * np.tan(0.1)
+    # The rays of the rim are longer, too: by r^2 / 4 h on average.
+    expected = 0.8 * (1 - (radius / 0.8) ** 2) - radius**2 / (4 * 0.7)
+    assert wide == pytest.approx(expected, abs=2e-3) and wide < 0.795
+
+
+def test_it_sees_no_farther_than_its_range():
+    np.testing.assert_allclose(measured(sensor(max_range=1.0), LEVEL, mounts_of(5, 0.0)), 0.5, atol=1e-6)
+
+
+def test_it_has_to_be_carried_by_something_that_flies():
+    poses = jnp.zeros((3, 3))
+    with pytest.raises(ValueError, match="has to be one that flies"):
+        sensor()(jax.random.key(0), LEVEL, poses, None, f64(0.0))
+    with pytest.raises(pydantic.ValidationError, match="the vehicle exact does not fly"):
+        HillyTerrain(vehicle=vehicles.Exact())
+    assert isinstance(build(HillyTerrain()).sensor, RangeSensor)
+
+
+# The problems.
+
+
+def test_samples_are_learned_where_the_robot_takes_itself_to_be():
+    problem = build(HillyTerrain(vehicle=VEHICLE, field=Bumps(heights=(0.3,), widths=(1e3,)), noise=0.01))
+
+    @jax.jit
+    def step(key):
+        world = problem.reset(key)
+        belief = problem.prior(jax.random.fold_in(key, 1), world, SIZE)
+        path = SplineSet(f64(1.0), 5, SIZE).paths()[1]
+        after, samples, events = problem.execute(jax.random.fold_in(key, 2), world, path)
+        return world, after, samples, events, problem.update(belief, path, samples)
+
+    world, after, samples, events, belief = jax.vmap(step)(keys_of(3))
+    samples, events = jax.tree.map(np.asarray, (samples, events))
+    taken = samples.is_taken
+    np.testing.assert_array_equal(events.is_driven, taken)
+    np.testing.assert_allclose(samples.values[taken], 0.3, atol=0.15)
+    assert samples.values[taken].std() == pytest.approx(np.hypot(0.01, 0.02), rel=0.2)
+    off = (samples.points - events.driven[..., :2])[taken]
+    assert off.std() == pytest.approx(0.02, rel=0.15)
+    np.testing.assert_array_equal(samples.pose, after.body.reading)
+    np.testing.assert_array_equal(belief.pose, after.body.reading)
+    for lane in range(LANES):
+        number = taken[lane].sum()
+        assert int(belief.posterior.count[lane]) == number
+        np.testing.assert_array_equal(belief.posterior.x[lane, :number], samples.points[lane, taken[lane]])
+    is_stopped = events.exited
+    assert is_stopped.any() and not is_stopped.all() and not events.failed.any()
+    # Where the border stopped it, it has turned round.
+    turn = apart(after.body.reading[:, 2], events.driven[:, -1, 2])
+    assert turn[is_stopped].min() > 2.8 and turn[~is_stopped].max() < 0.3
+    assert events.frames.shape == (LANES, *problem.frame_shape)
+    assert np.all(world.body.reading[:, :2] >= 0.0)
+
+
+@pytest.fixture(scope="module")
+def room():
+    return build(IndoorProps(resolution=29, vehicle=VEHICLE, mean=ConstantMean(value=0.0)))
+
+
+def belief_of(problem, points, values):
+    """A belief after some samples, without flying there."""
+    world = problem.reset(jax.random.key(0))
+    belief = problem.prior(jax.random.key(1), world, SIZE)
+    taken = jnp.ones(len(points), bool)
+    posterior = belief.posterior.extend(f64(points), f64(values), taken)
+    return world, dataclasses.replace(belief, posterior=posterior)
+
+
+def scored(problem, points, values):
+    world, belief = belief_of(problem, points, values)
+    score = jax.jit(lambda world, belief: problem.score(world, belief))(world, belief)
+    assert set(score) == {column.name for column in problem.scores}
+    return {name: float(value) for name, value in score.items()}, problem.map(belief)
+
+
+def test_scores_are_those_of_the_grid(room):
+    rng = np.random.default_rng(4)
+    points = rng.uniform(0.2, 2.8, (60, 2))
+    values = np.asarray(room.field.values(f64(points))) + 0.05 + 0.02 * rng.normal(size=60)
+    score, found = scored(room, points, values)
+    axis = np.linspace(0.0, 3.0, 29)
+    x, y = (part.ravel() for part in np.meshgrid(axis, axis))
+    truth = np.asarray(room.field.values(f64(np.column_stack([x, y]))))
+    error = np.asarray(found.mean) - truth
+    offset, centred = error.mean(), error - error.mean()
+    rms = lambda where: np.sqrt(np.mean(centred[where] ** 2))  # noqa: E731
+    corner = ((x <= 0.6) | (x >= 2.4)) & ((y <= 0.6) | (y >= 2.4))
+    distance = np.min(np.hypot(x[:, None] - points[:, 0], y[:, None] - points[:, 1]), axis=1)
+    far = distance >= np.quantile(distance, 0.75)
+    edge = np.zeros(len(x), bool)
+    for a, b, c, d in np.asarray(room.field.boxes):
+        outer = np.hypot(np.maximum(np.maximum(a - x, x - c), 0), np.maximum(np.maximum(b - y, y - d), 0))
+        inner = np.minimum(np.minimum(x - a, c - x), np.minimum(y - b, d - y))
+        edge |= np.where(inner > 0, inner <= 0.1, outer <= 0.1)
+    expected = {
+        "rmse": np.sqrt(np.mean(error**2)),
+        "offset": offset,
+        "spread": error.std(),
+        "explained_variance": 1 - error.var() / truth.var(),
+        "corner_error": rms(corner) - rms(~corner),
+        "corner_std": np.asarray(found.std)[corner].mean() - np.asarray(found.std)[~corner].mean(),
+        "sparse_error": rms(far),
+        "edge_error": rms(edge),
+        "edge_excess": rms(edge) - rms(~edge),
+    }
+    for name, value in expected.items():
+        assert score[name] == pytest.approx(value, abs=1e-9), name
+    assert corner.sum() == 12**2 and 0.02 < offset
+
+
+def test_props_are_found_where_the_map_shows_them_in_their_place(room):
+    def share(shift, left_out=()):
+        points = np.column_stack([part.ravel() for part in room.grid().T])
+        heights = room.field.heights.at[jnp.asarray(left_out, jnp.int32)].set(0.0)
+        shown = dataclasses.replace(room.field, heights=heights).values(f64(points - np.asarray(shift)))
+        found = Map(f64(points), shown, shown, shown, f64(0.0), jnp.ones(len(points), bool))
+        return np.asarray(room._is_found(found, room._outside(f64(points))))
+
+    np.testing.assert_array_equal(share((0.0, 0.0)), True)
+    np.testing.assert_array_equal(share((0.1, 0.0)), True)
+    np.testing.assert_array_equal(share((0.5, 0.0)), False)
+    np.testing.assert_array_equal(share((0.0, 0.0), left_out=(1,)), [True, False, True])
+
+
+def test_a_map_of_nothing_finds_nothing(room):
+    score, _ = scored(room, np.full((4, 2), 1.5), np.zeros(4))
+    assert score["props_found"] == 0.0 and score["explained_variance"] < 0.05
+    assert score["edge_excess"] > 0.0
+
+
+def test_props_are_blocks():
+    with pytest.raises(pydantic.ValidationError, match="unknown kind"):
+        IndoorProps(field=Bumps())
+    problem = build(IndoorProps())
+    with pytest.raises(ValueError, match="props are blocks"):
+        dataclasses.replace(problem, field=HILL)
