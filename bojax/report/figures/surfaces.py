@@ -43,7 +43,7 @@ def draw(results: Results) -> Drawing:
     """The true surface, and the final mean of one run per point with the way of the robot on it."""
     maps, note = height_maps(results, MAX_MAPS)
     truth = maps[0][2]["truth"]
-    maps = [entry for entry in maps if entry[2]["truth"].shape == truth.shape]
+    maps = [entry for entry in maps if np.array_equal(entry[2]["truth"], truth)]
     heights = np.stack([truth, *(belief["mean"] for _, _, belief in maps)])
     norm = Normalize(float(heights.min()), float(heights.max()))
     rows, columns = panel_grid(1 + len(maps))
