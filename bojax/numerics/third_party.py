@@ -32,12 +32,17 @@ def silenced() -> Iterator[None]:
 
 @contextlib.contextmanager
 def plain_jax() -> Iterator[None]:
-    """JAX as it comes: 32-bit numbers, types and ranks promoted, keys used as often as one likes."""
+    """JAX as it comes: 32-bit numbers, types and ranks promoted, keys used as often as one likes.
+
+    Only matrix products keep full precision: in TF32, the default on a GPU, a wheeled robot is 2e-4 off C
+    MuJoCo after 20 steps of MJX, where 1e-5 is seen without.
+    """
     with (
         jax.enable_x64(False),
         jax.numpy_dtype_promotion("standard"),
         jax.numpy_rank_promotion("allow"),
         jax.debug_key_reuse(False),
+        jax.default_matmul_precision("highest"),
     ):
         yield
 
