@@ -19,6 +19,7 @@ from bojax.envs.tabular import TabularEnv
 from bojax.experiments.learning import PHASES, LearningRun
 from bojax.learning.base import Balance, Learner
 from bojax.numerics.lanes import LANES
+from tests.compiling import QUICKLY
 
 CLIFF = {"kind": "cliff-walking", "max_steps": 60}
 CHAIN = {"kind": "chain", "length": 4, "max_length": 6, "max_steps": 12}
@@ -31,9 +32,6 @@ def run_of(env=None, dtype="float64", **settings) -> LearningRun:
     run = build(Learning(env=given, dtype=dtype, **settings), dtype)
     return run if env is given or env is None else eqx.tree_at(lambda r: r.env, run, env)
 
-
-QUICKLY = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
-"""The programs here run for milliseconds and are compiled for seconds."""
 
 _start = jax.jit(lambda run, keys: jax.vmap(run.init, axis_name=LANES)(keys), compiler_options=QUICKLY)
 _advance = jax.jit(lambda run, carry: jax.vmap(run.advance, axis_name=LANES)(carry), compiler_options=QUICKLY)

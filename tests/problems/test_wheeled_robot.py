@@ -17,6 +17,7 @@ from bojax.engine.build import build
 from bojax.motions.base import place, tightest_radius
 from bojax.problems.vehicles.wheeled_robot import FRAME_EVERY
 from bojax.robots.car import car_model, measures_of, scene_of
+from tests.compiling import REPEATABLY
 from tests.reference import pure_pursuit as reference
 
 SETTINGS = WheeledRobot()
@@ -34,7 +35,7 @@ def wrapped(angle):
 @pytest.fixture(scope="module")
 def follow():
     """One compiled program: lanes of `follow`, each with its noise."""
-    return jax.jit(jax.vmap(lambda *lane: ROBOT.follow(*lane)))
+    return jax.jit(jax.vmap(lambda *lane: ROBOT.follow(*lane)), compiler_options=REPEATABLY)
 
 
 @pytest.fixture(scope="module")
