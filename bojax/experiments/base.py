@@ -52,11 +52,7 @@ class Experiment(eqx.Module):
 
     @property
     def lanes_on_cpu(self) -> int:
-        """Most lanes per device of a CPU where the config says nothing.
-
-        Measured on one core with 200 runs of SBO on the parking problem: 2,400 steps/s at 50 lanes, 1,500
-        to 1,800 at 100 and 200, 1,600 at 4. Many lanes leave the cache, and wait longer for the slowest.
-        """
+        """Most lanes per device of a CPU where the config says nothing."""
         return 64
 
     @property

@@ -85,6 +85,11 @@ class PlanningEpisode(Experiment):
         return {"runs": _RUN_COLUMNS + self.problem.scores, "steps": _STEP_COLUMNS + POSE_COLUMNS}
 
     @property
+    def lanes_on_cpu(self) -> int:
+        """See `Experiment`."""
+        return self.problem.lanes_on_cpu
+
+    @property
     def max_advances(self) -> int:
         """See `Experiment`."""
         return self.problem.max_steps

@@ -337,6 +337,11 @@ class FieldMonitoring(Problem):
         return self.vehicle.frame_shape
 
     @property
+    def lanes_on_cpu(self) -> int:
+        """See `Problem`: factors of a couple of hundred samples fill the cache (8 to 16 lanes are best)."""
+        return 16
+
+    @property
     def turning_radius(self) -> float:
         """See `Problem`."""
         return self.vehicle.turning_radius
