@@ -65,6 +65,19 @@ class HeightMapping(FieldMonitoring):
         Column("sparse_error", "float64", "m", "the error on the quarter of the area farthest from samples"),
     )
 
+    def __check_init__(self):
+        """A robot that flies has to fly above the ground.
+
+        Raises:
+            ValueError: It does not everywhere in the domain.
+        """
+        altitude = getattr(self.vehicle, "altitude", None)
+        highest = float(jnp.max(self.field.values(self.grid())))
+        if altitude is not None and float(altitude) <= highest:
+            raise ValueError(
+                f"vehicle.altitude: got {float(altitude):g}; the ground rises to {highest:.2f} m: fly higher"
+            )
+
     def score(self, world: FieldWorld, belief: FieldBelief) -> dict[str, Scalar]:
         """See the class."""
         found = self.map(belief)

@@ -10,6 +10,7 @@ import pydantic
 import pytest
 
 from bojax.config import vehicles
+from bojax.config.errors import ConfigError
 from bojax.config.fields import Bumps
 from bojax.config.models import ConstantMean
 from bojax.config.problems import HillyTerrain, IndoorProps
@@ -350,3 +351,8 @@ def test_props_are_blocks():
     problem = build(IndoorProps())
     with pytest.raises(ValueError, match="props are blocks"):
         dataclasses.replace(problem, field=HILL)
+
+
+def test_a_robot_that_would_fly_into_a_hill_is_refused():
+    with pytest.raises(ConfigError, match="vehicle.altitude: got 0.5; the ground rises to 1.[0-9]+ m"):
+        build(HillyTerrain(vehicle={"kind": "quadrotor", "altitude": 0.5}))
