@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.colors import LightSource, Normalize
-from matplotlib.pyplot import get_cmap
 from scipy.interpolate import RegularGridInterpolator
 
 from bojax.report import style
@@ -86,7 +86,7 @@ def draw(results: Results) -> Drawing:
 def _surface(axes: Any, belief: Belief, heights: Floats, norm: Normalize) -> None:
     x, y = np.meshgrid(belief["x"], belief["y"])
     shade = LightSource(azdeg=135, altdeg=50)
-    colours = shade.shade(heights, cmap=get_cmap(_COLOURS), norm=norm, vert_exag=2.0, blend_mode="soft")
+    colours = shade.shade(heights, cmap=colormaps[_COLOURS], norm=norm, vert_exag=2.0, blend_mode="soft")
     # What the panel would cut off, its neighbours leave room for.
     axes.plot_surface(
         x,
