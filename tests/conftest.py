@@ -9,6 +9,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("BOJAX_CACHE", str(Path(__file__).parents[1] / ".pytest_cache" / "jax"))
 
 import jax  # noqa: E402
+import pytest  # noqa: E402
 from jaxtyping import install_import_hook  # noqa: E402
 
 STRICT = {
@@ -35,3 +36,15 @@ CHECKED = (
 for flag, value in STRICT.items():
     jax.config.update(flag, value)
 install_import_hook([f"bojax.{package}" for package in CHECKED], "beartype.beartype")
+
+_MOST_MAPS = 30_000
+"""Mappings of memory after which programs are forgotten; Linux ends a process that wants 65,530 of them."""
+
+
+@pytest.fixture(autouse=True, scope="module")
+def forget_programs():
+    """Every compiled program keeps mappings of memory, and some thousands are compiled in the whole suite."""
+    yield
+    maps = Path("/proc/self/maps")
+    if maps.exists() and len(maps.read_bytes().splitlines()) > _MOST_MAPS:
+        jax.clear_caches()
