@@ -58,12 +58,30 @@ class LearnerSettings(Component, frozen=True):
     discount: float = Field(default=0.99, gt=0, le=1, description="discount of rewards per step (gamma)")
 
 
+# What the two kinds of EMU-Q differ in.
+_FeaturesOfEMUQ = Annotated[Component, Slot("features"), Field(description="features of state and action")]
+_RewardOrder = Annotated[
+    Literal["before", "after"],
+    Field(description="exploration reward before or after the covariance has seen the step"),
+]
+_TerminalQ = Annotated[
+    Literal["zero", "bootstrap"], Field(description="Q of an absorbing state: zero, or what the model says")
+]
+_TerminalU = Annotated[
+    Literal["absorbing", "bootstrap", "zero"],
+    Field(description="U of an absorbing state: r_e for ever, what the model says, or zero"),
+]
+_OptimisticU = Annotated[bool, Field(description="whether U is 0 where nothing was seen")]
+_HasNoise = Annotated[bool, Field(description="whether 1/beta is part of the variance")]
+_MixesTransitions = Annotated[
+    bool, Field(description="whether the refit averages exploration rewards over the wrong axis")
+]
+
+
 class _EMUQ(LearnerSettings, frozen=True):
     target: ClassVar[str] = "bojax.learning.emu_q:EMUQ"
 
-    features: Annotated[Component, Slot("features")] = Field(
-        default=RandomFourierFeatures(), description="features of state and action"
-    )
+    features: _FeaturesOfEMUQ = RandomFourierFeatures()
     prior_precision: float = Field(default=0.1, gt=0, description="precision of every weight (alpha)")
     noise_precision: float = Field(default=1.0, gt=0, description="precision of the targets (beta)")
     discount: float = Field(default=0.99, gt=0, lt=1, description="discount of rewards per step (gamma)")
@@ -74,25 +92,17 @@ class _EMUQ(LearnerSettings, frozen=True):
         default="always", description="whether these are drawn once for a run, evenly, or anew each time"
     )
     refine_steps: int = Field(default=0, ge=0, description="steps that refine the best candidate")
-    reward_order: Literal["before", "after"] = Field(
-        default="before", description="exploration reward before or after the covariance has seen the step"
-    )
-    terminal_q: Literal["zero", "bootstrap"] = Field(
-        default="zero", description="Q of an absorbing state: zero, or what the model says"
-    )
-    terminal_u: Literal["absorbing", "bootstrap", "zero"] = Field(
-        default="absorbing", description="U of an absorbing state: r_e for ever, what the model says, or zero"
-    )
-    optimistic_u: bool = Field(default=False, description="whether U is 0 where nothing was seen")
-    has_noise: bool = Field(default=False, description="whether 1/beta is part of the variance")
+    reward_order: _RewardOrder = "before"
+    terminal_q: _TerminalQ = "zero"
+    terminal_u: _TerminalU = "absorbing"
+    optimistic_u: _OptimisticU = False
+    has_noise: _HasNoise = False
     refit: Literal["sweeps", "direct", "none"] = Field(
         default="sweeps", description="how Q and U are fitted to all transitions after an episode"
     )
     max_sweeps: int = Field(default=30, ge=1, description="most sweeps, or policies evaluated directly")
     tolerance: float = Field(default=0.1, ge=0, description="change of the weights at which sweeps stop")
-    mixes_transitions: bool = Field(
-        default=False, description="whether the refit averages exploration rewards over the wrong axis"
-    )
+    mixes_transitions: _MixesTransitions = False
     block: int = Field(default=16, ge=1, description="steps between two flushes of the covariance")
     refit_block: int = Field(default=512, ge=1, description="transitions at a time during a refit")
 
@@ -107,23 +117,13 @@ class EMUQPublished(_EMUQ, frozen=True):
     """EMU-Q as the author's published code has it, quirks included."""
 
     kind: Literal["emu-q-published"] = "emu-q-published"
-    features: Annotated[Component, Slot("features")] = Field(
-        default=RandomFourierFeatures(form="phase"), description="features of state and action"
-    )
-    reward_order: Literal["before", "after"] = Field(
-        default="after", description="exploration reward before or after the covariance has seen the step"
-    )
-    terminal_q: Literal["zero", "bootstrap"] = Field(
-        default="bootstrap", description="Q of an absorbing state: zero, or what the model says"
-    )
-    terminal_u: Literal["absorbing", "bootstrap", "zero"] = Field(
-        default="bootstrap", description="U of an absorbing state: r_e for ever, what the model says, or zero"
-    )
-    optimistic_u: bool = Field(default=True, description="whether U is 0 where nothing was seen")
-    has_noise: bool = Field(default=True, description="whether 1/beta is part of the variance")
-    mixes_transitions: bool = Field(
-        default=True, description="whether the refit averages exploration rewards over the wrong axis"
-    )
+    features: _FeaturesOfEMUQ = RandomFourierFeatures(form="phase")
+    reward_order: _RewardOrder = "after"
+    terminal_q: _TerminalQ = "bootstrap"
+    terminal_u: _TerminalU = "bootstrap"
+    optimistic_u: _OptimisticU = True
+    has_noise: _HasNoise = True
+    mixes_transitions: _MixesTransitions = True
 
     @property
     def label(self) -> str:
