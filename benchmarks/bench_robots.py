@@ -1,4 +1,4 @@
-"""Physics of the robots: MJX in a compiled program beside C MuJoCo's own rollout over all cores.
+"""Physics of the robots: MJX in a compiled program beside C MuJoCo's own rollout on the same cores.
 
 Random controls, changed with every action. C MuJoCo steps the same model with the same solver settings.
 """

@@ -166,5 +166,5 @@ def _compiled(
         with silenced(), plain_jax(), jax.ensure_compile_time_eval():
             put = mjx.put_model(compiled, impl=impl)
             return compiled, put, mjx.make_data(compiled, impl=impl)
-    except (ValueError, NotImplementedError, RuntimeError, ImportError) as error:
+    except (ValueError, NotImplementedError, RuntimeError) as error:  # the last: no Warp for `impl`
         raise ValueError(f"MJX refuses the model: {' '.join(str(error).split())}") from error
