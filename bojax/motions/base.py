@@ -1,6 +1,7 @@
 """What a motion is: a path in the robot's frame, and the families that planners choose from."""
 
 import abc
+import dataclasses
 from collections.abc import Callable
 
 import equinox as eqx
@@ -102,12 +103,20 @@ class DiscreteMotions(eqx.Module):
 Motions = ContinuousMotions | DiscreteMotions
 
 
+DENSE = 400
+"""Poses of a path on which its curvature is looked at: more change no family's radius by half a percent."""
+
+
 def tightest_radius(motions: Motions) -> float:
     """Radius in metres of the tightest curve in a family; computed on the host, before anything runs.
 
-    Curvature is the turn of the heading between poses a known arc length apart. Of a continuous family the
-    corners of the box, the middles of its sides and its centre are looked at.
+    Curvature is the turn of the heading between poses a known arc length apart: `DENSE` poses a path, so that
+    the radius is that of the curves, however few poses of them are used. A family whose paths have the poses
+    that they have, whatever `num_samples`, is judged by those. Of a continuous family the corners of the box,
+    the middles of its sides and its centre are looked at.
     """
+    if any(field.name == "num_samples" and field.init for field in dataclasses.fields(motions)):
+        motions = dataclasses.replace(motions, num_samples=max(motions.num_samples, DENSE))
     if isinstance(motions, DiscreteMotions):
         paths = motions.paths()
     else:
@@ -115,7 +124,7 @@ def tightest_radius(motions: Motions) -> float:
         params = jnp.asarray(np.stack(levels, axis=-1).reshape(-1, motions.num_params), motions.length.dtype)
         paths = jax.jit(jax.vmap(motions.path))(params)
     headings = np.unwrap(np.asarray(paths)[..., 2], axis=-1)
+    step = float(motions.length) / headings.shape[-1]
     headings = np.concatenate([np.zeros_like(headings[:, :1]), headings], axis=-1)
     turn = np.abs(np.diff(headings, axis=-1)).max()
-    step = float(motions.length) / motions.num_samples
     return float("inf") if turn == 0.0 else step / float(turn)

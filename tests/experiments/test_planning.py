@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from bojax.experiments.planning import Episode, PlanningEpisode
-from bojax.motions.base import tightest_radius
+from bojax.motions.base import DiscreteMotions, tightest_radius
 from bojax.planning.base import Plan, Planner
 from bojax.planning.myopic import MyopicPlanner
 from bojax.planning.random import RandomPlanner
 from bojax.problems.vehicles.base import Exact
 from bojax.results.schema import column_names
-from tests.motions.families import cubic, kernel, splines
+from tests.motions.families import cubic, kernel, resampled, splines
 from tests.planning.samples import FIELD, f64, monitoring
 from tests.problems.goal_disc import GoalDisc, goal_disc
 from tests.problems.parking_reference import Settings
@@ -32,6 +32,21 @@ class Wide(Exact):
     @property
     def turning_radius(self) -> float:
         return self.radius
+
+
+class Stored(DiscreteMotions):
+    """Paths as they were measured."""
+
+    length: jax.Array
+    poses: jax.Array
+    num_samples: int = eqx.field(static=True)
+
+    @property
+    def num_actions(self) -> int:
+        return self.poses.shape[0]
+
+    def paths(self):
+        return self.poses
 
 
 class Straight(Planner):
@@ -374,7 +389,7 @@ def test_the_tightest_radius_of_a_set_is_that_of_its_sharpest_curve():
     speed = np.hypot(x, y)
     radius = speed**3 / np.abs(x * 1.04 - y * -0.66)
     length = np.sum(0.5 * (speed[1:] + speed[:-1])) / 10000
-    assert tightest_radius(splines(5)) == pytest.approx(radius.min() / length, rel=0.03)
+    assert tightest_radius(splines(5)) == pytest.approx(radius.min() / length, rel=2e-3)
     assert tightest_radius(splines(5, length=2.0)) == pytest.approx(2.0 * tightest_radius(splines(5)))
 
 
@@ -384,3 +399,16 @@ def test_the_tightest_radius_of_a_continuous_family_is_below_that_of_all_its_cur
     headings = np.asarray(jax.jit(jax.vmap(kernel().path))(params))[..., 2]
     turns = np.diff(np.concatenate([np.zeros((500, 1)), np.unwrap(headings)], axis=1), axis=1)
     assert tightest_radius(kernel()) <= 1.0 / 8.0 / np.abs(turns).max()
+
+
+@pytest.mark.parametrize("motions", [kernel(), splines(5), cubic()], ids=["kernel", "splines", "cubic"])
+def test_the_tightest_radius_does_not_depend_on_how_many_poses_are_used(motions):
+    few, many = (tightest_radius(resampled(motions, number)) for number in (2, 4000))
+    assert few == pytest.approx(many, rel=5e-3)
+
+
+def test_the_tightest_radius_of_paths_that_are_stored_is_that_of_their_poses():
+    turn = np.linspace(0.1, 1.0, 10)
+    arc = np.stack([0.5 * np.sin(2.0 * turn), 0.5 * (1.0 - np.cos(2.0 * turn)), 2.0 * turn], axis=-1)
+    motions = Stored(length=f64(1.0), poses=f64(arc[None]), num_samples=10)
+    assert tightest_radius(motions) == pytest.approx(0.5)
