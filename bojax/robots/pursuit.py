@@ -36,9 +36,12 @@ class Route(eqx.Module):
     def nearest(
         self, position: Float[Array, "2"], after: Int[Array, ""], ahead: Float[Array, ""]
     ) -> Int[Array, ""]:
-        """Index of the nearest point, from the point `after` to `ahead` metres along the route from there."""
+        """Index of the nearest point, from the point `after` to `ahead` metres along the route from there.
+
+        The next point is among them however far it is: else nothing would ever be passed on a coarse route.
+        """
         index = jnp.arange(self.arc.shape[0], dtype=after.dtype)
-        is_near = (index >= after) & (self.arc <= self.arc[after] + ahead)
+        is_near = (index >= after) & ((self.arc <= self.arc[after] + ahead) | (index == after + 1))
         squared = jnp.sum((self.points - position[None]) ** 2, axis=-1)
         return jnp.argmin(jnp.where(is_near, squared, jnp.inf)).astype(after.dtype)
 

@@ -58,7 +58,8 @@ def follow(model, data, start, path, errors, look_ahead, speed, gain, substeps):
     poses, passes, places = [], [], [data.qpos.copy()]
     for error in errors:
         poses.append(pose_of(data))
-        window = [i for i in range(passed, len(arc)) if arc[i] <= arc[passed] + look_ahead]
+        ahead = range(passed, len(arc))
+        window = [i for i in ahead if i == passed + 1 or arc[i] <= arc[passed] + look_ahead]
         passed = min(window, key=lambda i: np.hypot(*(points[i] - reading[:2])))
         passes.append(passed)
         left = arc[-1] - arc[passed]

@@ -78,6 +78,16 @@ def test_the_nearest_point_lies_ahead_and_within_reach():
     assert np.any(np.asarray(found) == after) and np.any(np.asarray(found) > after)
 
 
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.99])
+def test_a_route_is_passed_to_its_end_however_short_the_reach(share):
+    reach = jnp.asarray(share * np.diff(np.asarray(ROUTE.arc)).min())
+    passed = jnp.zeros((), jnp.int32)
+    for place in np.linspace(0.0, float(ROUTE.length), 2 * len(ROUTE.arc)):
+        passed = ROUTE.nearest(ROUTE.at(jnp.asarray(place)), passed, reach)
+    assert passed == len(ROUTE.arc) - 1
+    assert ROUTE.nearest(ROUTE.points[-1], passed, reach) == passed
+
+
 def test_the_curvature_is_that_of_the_circle_through_the_point():
     rng = np.random.default_rng(2)
     for _ in range(20):
