@@ -1,5 +1,6 @@
 """Robots that are learned on, against Gymnasium's and dm-control's models and the words of the thesis."""
 
+import dataclasses
 import functools
 from pathlib import Path
 
@@ -14,6 +15,7 @@ import pytest
 from scipy import stats
 
 from bojax.config import envs
+from bojax.config.errors import ConfigError
 from bojax.engine.build import build
 from bojax.envs.robots.reacher import fingertip
 from bojax.robots.jaco import jaco_model
@@ -353,3 +355,15 @@ def test_a_state_that_diverged_pays_no_number():
     state = env.simulator.state(jnp.zeros((LANES, 4)), jnp.zeros((LANES, 4)).at[2, 0].set(1e9))
     _, transition = rollout(env, state, jnp.zeros((LANES, STEPS, 2), jnp.float32))
     np.testing.assert_array_equal(np.isnan(transition.reward[:, 0]), np.arange(LANES) == 2)
+
+
+def test_a_jaco_that_begins_at_its_goal_is_refused_in_one_line():
+    """Joint 6 moves the finger tips by 4 cm; within 0.6 m most targets are as good as reached."""
+    for schema in (envs.Jaco(joints=(6,)), envs.Jaco(joints=(1,)), envs.Jaco(goal_distance=0.6)):
+        with pytest.raises(ConfigError, match=r"^jaco: joints, goal_distance: the joints [^\n]*$"):
+            build(schema, "float32")
+    env = build(envs.Jaco(joints=(5,)), "float32")
+    with pytest.raises(ValueError, match="60 m"):
+        dataclasses.replace(env, goal_distance=jnp.asarray(30.0))
+    given = dataclasses.replace(env, place=jnp.zeros(3))  # a target of one's own
+    assert dataclasses.replace(given, goal_distance=jnp.asarray(30.0)).goal_distance == 30.0

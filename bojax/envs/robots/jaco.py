@@ -6,12 +6,13 @@ from typing import Literal
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 
 from bojax.envs.robots.base import RobotTask
 from bojax.envs.spaces import Box
 from bojax.robots.jaco import jaco_model
-from bojax.robots.models import RobotModel
+from bojax.robots.models import RobotModel, mujoco
 from bojax.robots.simulator import Physics, RobotState
 
 _NOISE = 0.1
@@ -39,7 +40,8 @@ class Jaco(RobotTask):
     failure. It begins at rest with the arm pointing straight up, every joint that moves turned by a uniform
     angle in [-0.1, 0.1] rad. A target is where the finger tips are with these joints anywhere within their
     limits (uniform), so that it can be reached; the first of eight such that is more than twice
-    `goal_distance` away from where they are at rest.
+    `goal_distance` away from where they are at rest, or the first of all if none is. Joints that bring the
+    finger tips that far in less than half of their angles are refused: one target in 256 at most is nearer.
 
     The thesis says neither which two joints move nor how near is near, and that the arm is learned "solely
     from observing joint configuration" while targets are random. Joints 1 and 2 are the default because they
@@ -69,6 +71,31 @@ class Jaco(RobotTask):
     max_steps: int = eqx.field(static=True)
     reward: Literal["goal-only", "classic"] = eqx.field(static=True)
     place: Float[Array, "3"] | None = None
+
+    def __check_init__(self):
+        """Compare `goal_distance` with how far the joints bring the finger tips, at 1000 random angles.
+
+        Raises:
+            ValueError: Less than half of them are far enough, see the class.
+        """
+        if self.place is not None:  # nothing is drawn
+            return
+        model = self.simulator.mujoco_model
+        low, high = np.asarray(self._limits, np.float64)
+        angles = np.random.default_rng(0).uniform(low, high, (1000, model.nq))
+        data, tips = mujoco.MjData(model), []
+        for row in (model.qpos0, *angles):
+            data.qpos = row
+            mujoco.mj_kinematics(model, data)
+            tips.append(data.site_xpos[0].copy())
+        far = 2.0 * float(self.goal_distance)
+        share = np.mean(np.linalg.norm(np.asarray(tips[1:]) - tips[0], axis=-1) > far)
+        if share < 0.5:
+            raise ValueError(
+                f"joints, goal_distance: the joints {', '.join(map(str, self.joints))} bring the finger tips "
+                f"farther than twice goal_distance, {far:g} m, in {share:.0%} of their angles, not in half: "
+                f"other joints, or a smaller distance"
+            )
 
     @property
     def model(self) -> RobotModel:
