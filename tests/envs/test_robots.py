@@ -17,8 +17,9 @@ from scipy import stats
 from bojax.config import envs
 from bojax.config.errors import ConfigError
 from bojax.engine.build import build
-from bojax.envs.robots.reacher import fingertip
+from bojax.envs.robots.reacher import Reacher, fingertip
 from bojax.robots.jaco import jaco_model
+from bojax.robots.models import RobotModel
 from tests.compiling import QUICKLY
 from tests.reference.jaco import dm_control_jaco, finger_tips
 
@@ -367,3 +368,26 @@ def test_a_jaco_that_begins_at_its_goal_is_refused_in_one_line():
         dataclasses.replace(env, goal_distance=jnp.asarray(30.0))
     given = dataclasses.replace(env, place=jnp.zeros(3))  # a target of one's own
     assert dataclasses.replace(given, goal_distance=jnp.asarray(30.0)).goal_distance == 30.0
+
+
+class Loose(Reacher):
+    """A reacher with a model of its own."""
+
+    motors: str = eqx.field(static=True, kw_only=True)
+
+    @property
+    def model(self) -> RobotModel:
+        joint = '<joint name="x" type="slide" axis="1 0 0"/>'
+        body = f'<body>{joint}<geom size="0.1" mass="1" contype="0"/></body>'
+        worldbody = f"<worldbody>{body}</worldbody>"
+        return RobotModel(f"<mujoco>{worldbody}<actuator>{self.motors}</actuator></mujoco>")
+
+
+def test_actuators_without_limits_are_refused_by_name():
+    settings = {
+        field.name: getattr(built(envs.Reacher()), field.name) for field in dataclasses.fields(Reacher)
+    }
+    bound, free = '<motor name="push" joint="x" ctrlrange="-1 1"/>', '<motor name="pull" joint="x"/>'
+    assert Loose(**settings, motors=bound).action_space.high.tolist() == [1.0]
+    with pytest.raises(ValueError, match=r"^model: [^\n]* no ctrlrange of actuators pull, 2$"):
+        Loose(**settings, motors=bound + free + '<motor joint="x"/>')

@@ -29,8 +29,17 @@ class RobotTask(ControlTask):
     substeps: eqx.AbstractVar[int]
 
     def __check_init__(self):
-        """See `Simulator`: what it refuses is told before anything runs."""
-        _ = self.simulator
+        """Look at the model before anything runs; see also `Simulator`.
+
+        Raises:
+            ValueError: MuJoCo or MJX refuse it, or an actuator has no `ctrlrange`, which bounds actions.
+        """
+        model = self.simulator.mujoco_model
+        # MuJoCo has (0, 0) where there is none: all actions would be clipped to 0.
+        low, high = model.actuator_ctrlrange.T
+        free = [model.actuator(number).name or str(number) for number in (low >= high).nonzero()[0]]
+        if free:
+            raise ValueError(f"model: actions have no bounds: no ctrlrange of actuators {', '.join(free)}")
 
     @property
     @abc.abstractmethod
