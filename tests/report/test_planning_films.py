@@ -259,6 +259,36 @@ def test_a_robot_with_a_body_is_the_main_picture(tmp_path, rendering, problem, b
     assert np.all(np.diff(red[::3]) > 0)  # to the right, from step to step
 
 
+WHEELS = "".join(f"<body><joint name='wheel{i}' axis='0 1 0'/><geom size='0.1'/></body>" for i in range(4))
+BASE = f"""
+<mujoco>
+  <worldbody>
+    <body>
+      <joint type="slide" axis="1 0 0"/><joint type="slide" axis="0 1 0"/><joint axis="0 0 1"/>
+      <geom size="0.2"/>{WHEELS}
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize("xml", [BASE, PUCK])
+def test_positions_are_a_pose_only_where_a_body_is_free(tmp_path, xml):
+    pytest.importorskip("mujoco")
+    (tmp_path / "model.xml").write_text(xml)
+    frames = np.full((ROOM, 3, 7), np.nan)
+    half = np.sqrt(0.5)  # a heading of pi / 2, or angles of wheels
+    frames[:STEPS] = [3.0, 2.0, 0.5, half, 0.0, 0.0, half]
+    folder = planning_results(tmp_path / "results", Parking(), frames=frames)
+    drive = choose_drive(load(folder))
+    film = PlanningFilm(drive, tmp_path / "model.xml")
+    for leg, curve in zip(drive.legs, film._curves, strict=True):
+        if xml == PUCK:
+            np.testing.assert_allclose(curve, np.tile([3.0, 2.0, np.pi / 2], (3, 1)))
+        else:
+            np.testing.assert_allclose(curve[[0, -1]], [leg.before, leg.poses[-1]], atol=1e-9)
+
+
 class TestWithoutAScreen:
     """Which way to draw is taken."""
 

@@ -56,7 +56,8 @@ class PlanningFilm(Film):
         most = max(1, MAX_FRAMES // len(drive.legs))
         longest = len(drive.legs[0].frames) if drive.legs[0].frames is not None else MAX_IMAGES_PER_STEP
         self._per_step = min(most, longest)
-        self._curves = [_poses(leg) for leg in drive.legs]
+        is_free = self._model is not None and _is_free(self._model)
+        self._curves = [_poses(leg, is_free) for leg in drive.legs]
         self.name = f"{slug(drive.point.name)}-run{drive.run}"
         self.num_images = self._per_step * len(drive.legs) + 1
         self.seconds = SLOWEST
@@ -213,9 +214,14 @@ def _panels(figure: Figure, num_beside: int) -> list[Axes]:
     ]
 
 
-def _poses(leg: Leg) -> Floats:
-    """Where the robot is drawn along a leg, `[N, 3]`: as its body was, or interpolated between its poses."""
-    if leg.frames is not None and leg.frames.shape[1] >= 7:
+def _poses(leg: Leg, is_free: bool) -> Floats:
+    """Where the robot is drawn along a leg, `[N, 3]`: as its body was, or interpolated between its poses.
+
+    Args:
+        leg: The leg.
+        is_free: Whether frames begin with the body's position and quaternion.
+    """
+    if leg.frames is not None and leg.frames.shape[1] >= 7 and is_free:
         x, y, (w, i, j, k) = leg.frames[:, 0], leg.frames[:, 1], leg.frames[:, 3:7].T
         return np.stack([x, y, np.arctan2(2.0 * (w * k + i * j), 1.0 - 2.0 * (j * j + k * k))], axis=-1)
     points = smooth(leg.before, leg.poses)
@@ -232,6 +238,12 @@ def _fit(axes: Axes, drive: Drive) -> None:
     half = 0.55 * max(float(np.ptp(points, axis=0).max()), 1.0)
     axes.set_xlim(middle[0] - half, middle[0] + half)
     axes.set_ylim(middle[1] - half, middle[1] + half)
+
+
+def _is_free(model: "RobotModel") -> bool:
+    from bojax.report.animations.robot import is_free
+
+    return is_free(model)
 
 
 def _robot_of(drive: Drive, path: Path | None) -> "RobotModel":

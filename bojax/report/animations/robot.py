@@ -86,6 +86,11 @@ def time_step(model: RobotModel) -> float:
     return float(model.compiled().opt.timestep)
 
 
+def is_free(model: RobotModel) -> bool:
+    """Whether generalised positions begin with a body's position and quaternion: the first joint is free."""
+    return model.compiled().nq >= 7 and model.compiled().jnt_type[0] == models.mujoco.mjtJoint.mjJNT_FREE
+
+
 def _accepted(model: RobotModel) -> RobotModel:
     model.compiled()
     return model
