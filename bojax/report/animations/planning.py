@@ -160,6 +160,8 @@ class _Map:
             axes.set_title(_TITLES[name], fontsize=9, pad=3)
             if name == "mean":
                 line = spot = "white"
+            elif name == "std":  # dark blue at first, and nearly white where samples were taken
+                spot = "white"
         scale = 1.0 if axes.get_window_extent().width > 300 else 0.7
         style: dict[str, Any] = {"zorder": 5, "solid_capstyle": "round"}
         (self._way,) = axes.plot([], [], color=spot, linewidth=1.8 * scale, **style)
