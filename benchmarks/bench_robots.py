@@ -4,6 +4,7 @@ Random controls, changed with every action. C MuJoCo steps the same model with t
 """
 
 import argparse
+import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,6 +12,7 @@ from pathlib import Path
 from isolated import run_isolated
 from options import make_parser, positive
 
+INTEGRATORS = ("euler", "rk4", "implicitfast")
 ROBOTS = ("hopper", "reacher", "jaco", "wheeled-robot", "quadrotor", "lunar-lander")
 
 EXAMPLES = """\
@@ -36,6 +38,7 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument(
         "--settings",
         nargs="+",
+        type=solver,
         default=["model"],
         metavar="I/L/INTEGRATOR",
         help="iterations, iterations of the line search and integrator, or model for the model's own",
@@ -43,6 +46,17 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--steps", type=positive, default=20, help="actions of a run (20)")
     parser.add_argument("--no-peer", action="store_true", help="do not time C MuJoCo")
     return parser.parse_args(argv)
+
+
+def solver(text: str) -> str:
+    """Settings of the solver from the command line, in lower case: `model`, or as `4/8/rk4`."""
+    setting, count = text.lower(), "[1-9][0-9]*"
+    if not re.fullmatch(f"model|{count}/{count}/({'|'.join(INTEGRATORS)})", setting):
+        allowed = ", ".join(INTEGRATORS)
+        raise argparse.ArgumentTypeError(
+            f"{text}: has to be model or I/L/INTEGRATOR, such as 4/8/rk4; integrators: {allowed}"
+        )
+    return setting
 
 
 if __name__ == "__main__":
