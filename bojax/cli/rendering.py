@@ -19,7 +19,8 @@ def main(name: str, words: Sequence[str]) -> int:
     """Run the command."""
     parser = Parser(
         prog=f"bojax {name}",
-        usage=f"bojax {name} DIR [--run N] [--episode E] [--point P] [--model FILE] [--still FILE]",
+        usage=f"bojax {name} DIR [--run N] [--episode E] [--point P] [--model FILE] "
+        "[--still FILE [--at SHARE]]",
         description="Draw a recorded run of a planner, or an episode of a learning run, and write it to\n"
         "DIR/animations/, as GIF and, where ffmpeg is installed, as MP4. Recorded are the first runs:\n"
         "record.runs of the config. Robots are drawn by MuJoCo, without a screen.",
