@@ -6,6 +6,7 @@ from math import tan
 from typing import Any
 
 from bojax.robots.models import MjModel, RobotModel, mujoco, packaged
+from bojax.robots.surroundings import domain_of, furnish
 
 
 def car_model() -> RobotModel:
@@ -49,32 +50,23 @@ def measures_of(model: MjModel) -> Measures:
 
 
 def scene_of(problem: Mapping[str, Any]) -> RobotModel:
-    """The robot on a floor as large as the domain, with the lot if it has to park.
+    """The robot on a floor as large as the domain, with its walls, and the lot if it has to park.
+
+    A camera named `side` goes along with the robot, which is small beside most domains.
 
     Args:
         problem: The settings of the problem, from a manifest.
     """
     spec = car_model().spec()
-    is_parking = "half_width" in problem
-    width = float(problem["half_width"]) if is_parking else 0.0
-    bounds = (-width, -width, width, width) if is_parking else problem["domain"]
-    x_min, y_min, x_max, y_max = (float(bound) for bound in bounds)
-    middle, half = (
-        (0.5 * (x_min + x_max), 0.5 * (y_min + y_max)),
-        (0.5 * (x_max - x_min), 0.5 * (y_max - y_min)),
+    x_min, y_min, x_max, y_max = domain_of(problem)
+    floor = spec.geom("floor")
+    floor.pos = [0.5 * (x_min + x_max), 0.5 * (y_min + y_max), 0.0]
+    floor.size = [0.5 * (x_max - x_min), 0.5 * (y_max - y_min), 0.1]
+    spec.body("chassis").add_camera(
+        name="side",
+        mode=mujoco.mjtCamLight.mjCAMLIGHT_TRACK,
+        pos=[0.05, -1.02, 1.36],
+        xyaxes=[1.0, 0.0, 0.0, 0.0, 0.8, 0.6],
     )
-    floor, camera = spec.geom("floor"), spec.camera("overview")
-    floor.pos, floor.size = [*middle, 0.0], [*half, 0.1]
-    camera.pos = [middle[0], middle[1] - 1.54 * max(half), 2.0 * max(half)]
-    if is_parking:
-        _add_lot(spec, float(problem["distance_tolerance"]))
+    furnish(spec, problem)
     return RobotModel(spec.to_xml())
-
-
-def _add_lot(spec: Any, radius: float) -> None:
-    """A disc on the floor, and a line along the heading wanted there."""
-    flat = {"contype": 0, "conaffinity": 0, "rgba": [0.36, 0.62, 0.45, 1.0]}
-    disc, box = mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_BOX
-    spec.worldbody.add_geom(name="lot", type=disc, size=[radius, 0.0005, 0.0], **flat)
-    line = {"size": [radius, 0.15 * radius, 0.0005], "pos": [1.5 * radius, 0.0, 0.0]}
-    spec.worldbody.add_geom(name="lot_heading", type=box, **line, **flat)

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bojax.robots.models import RobotModel, mujoco, packaged
+from bojax.robots.surroundings import domain_of, furnish
 
 _BASE = 0.05
 """What lies below the lowest ground of a height field, in metres."""
@@ -81,6 +82,7 @@ def scene(
             rgba=_OWN,
             **free,
         )
+    spec.stat.extent = 2.0 * reach  # shadows are cast as far as this
     spec.worldbody.add_camera(
         name="overview",
         pos=[middle[0], middle[1] - 2.6 * reach, 2.4 * reach],
@@ -92,15 +94,19 @@ def scene(
 def scene_of(problem: Mapping[str, Any]) -> RobotModel:
     """The world of a problem, from its settings as the manifest of results has them.
 
-    Blocks and bumps are drawn as they are, other fields as a floor.
+    Blocks and bumps are drawn as they are, other fields and none as a floor; with walls, and the lot if it
+    has to park.
     """
-    field, domain = problem["field"], tuple(float(bound) for bound in problem["domain"])
-    if field["kind"] == "blocks":
-        return scene(domain, blocks=np.column_stack([field["boxes"], field["heights"]]))
-    if field["kind"] == "bumps":
+    field, domain = problem.get("field") or {}, domain_of(problem)
+    blocks, ground, heights = None, None, np.zeros(1)
+    if field.get("kind") == "blocks":
+        heights = np.asarray(field["heights"])
+        blocks = np.column_stack([field["boxes"], heights])
+    elif field.get("kind") == "bumps":
         axes = (np.linspace(domain[low], domain[low + 2], _GROUND_POINTS) for low in (0, 1))
         points = np.stack(np.meshgrid(*axes), axis=-1)[:, :, None]
         squared = np.sum((points - np.asarray(field["centres"])) ** 2, axis=-1)
-        ground = np.exp(-0.5 * squared / np.square(field["widths"])) @ np.asarray(field["heights"])
-        return scene(domain, ground=ground)
-    return scene(domain)
+        ground = heights = np.exp(-0.5 * squared / np.square(field["widths"])) @ np.asarray(field["heights"])
+    spec = scene(domain, blocks, ground).spec()
+    furnish(spec, problem, min(0.0, float(heights.min())), float(heights.max()))
+    return RobotModel(spec.to_xml())
