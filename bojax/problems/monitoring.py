@@ -120,7 +120,8 @@ class FieldMonitoring(Problem):
     collisions and leaving the domain cost. Walls, border and pose are known to the planner, the field is
     not. Walls and border end the robot's path at the last pose of it that can be reached; samples past it
     are neither taken nor paid. Then the robot stands still (`after_collision: "stop"`) or turns round on the
-    spot (`"turn"`): the same in the world and in a planner's simulations, for every planner.
+    spot (`"turn"`, which a vehicle with a turning radius cannot): the same in the world and in a planner's
+    simulations, for every planner.
 
     Attributes:
         field: The field.
@@ -177,6 +178,19 @@ class FieldMonitoring(Problem):
     imagined: Literal["sample", "mean"] = eqx.field(static=True)
     after_collision: Literal["stop", "turn"] = eqx.field(static=True)
     weighting: Literal["gradient", "gradient-norm", "value"] = eqx.field(static=True)
+
+    def __check_init__(self):
+        """Compare `after_collision` with what the vehicle can do.
+
+        Raises:
+            ValueError: It is told to turn on the spot and cannot.
+        """
+        radius = self.vehicle.turning_radius
+        if radius > 0.0 and self.after_collision == "turn":
+            raise ValueError(
+                f'after_collision: got "turn"; the vehicle cannot turn on the spot, its turning radius is '
+                f'{radius:.2f} m: set "stop"'
+            )
 
     def reset(self, key: Key[Array, ""]) -> FieldWorld:
         """See `Problem`."""

@@ -8,11 +8,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from bojax.config.errors import ConfigError
+from bojax.config.problems import Monitoring
+from bojax.config.vehicles import WheeledRobot
+from bojax.engine.build import build
 from bojax.fields.closed_form import Bumps, Step
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Matern32, Scaled
 from bojax.models.means import ConstantMean
 from bojax.motions.base import place
+from bojax.problems.vehicles.base import Exact
 from tests.planning.samples import FIELD, OBJECTIVES, f64, field_belief, monitoring
 from tests.reference.bridge import reference_belief, reference_problem
 from tests.reference.monitoring import segments_touch_boxes
@@ -371,3 +376,20 @@ def test_the_snapshot_has_field_belief_and_samples_on_the_grid():
     np.testing.assert_array_equal(kept["samples"][:10, :2], belief.posterior.x[:10])
     np.testing.assert_array_equal(kept["samples"][:10, 2], belief.posterior.y[:10])
     assert kept["samples"].shape == (24, 3) and np.all(np.isnan(kept["samples"][10:]))
+
+
+class Wide(Exact):
+    """A vehicle that cannot turn on the spot."""
+
+    @property
+    def turning_radius(self):
+        return 0.5
+
+
+def test_a_vehicle_that_cannot_turn_on_the_spot_is_not_told_to():
+    assert monitoring(vehicle=Wide(), after_collision="stop").turning_radius == 0.5
+    with pytest.raises(ValueError, match=r'^after_collision: got "turn"; [^\n]* 0.50 m: set "stop"$'):
+        monitoring(vehicle=Wide())
+    with pytest.raises(ConfigError, match="monitoring: after_collision"):
+        build(Monitoring(vehicle=WheeledRobot()))
+    build(Monitoring(vehicle=WheeledRobot(), after_collision="stop"))
