@@ -25,11 +25,9 @@ class Base(Vehicle):
 
         physics: Annotated[Component, Slot("physics")] = MJX()
         substeps: int = 20
-        num_poses: int = 10
 
     physics: Physics
     substeps: int = eqx.field(static=True)  # steps of the physics from pose to pose
-    num_poses: int = eqx.field(static=True)  # poses of a path: motions.num_samples of the planner
 
     @property
     def simulator(self) -> Simulator:
@@ -65,8 +63,3 @@ class Base(Vehicle):
         body, way = jax.lax.scan(drive, body, path.astype(jnp.float32))
         poses = jax.vmap(self.pose)(way)
         return Ride(body, poses, poses, frames=way.qpos, failed=self.simulator.has_diverged(body))
-
-    @property
-    def frame_shape(self) -> tuple[int, int]:
-        """What an animation shows: as many frames as poses, of three numbers each."""
-        return self.num_poses, 3

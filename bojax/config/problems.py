@@ -256,12 +256,6 @@ class _Heights(_Gradients, frozen=True):
         description="standard deviations of a reading of the pose, [m, rad]; null: it is known exactly",
     )
 
-    @pydantic.model_validator(mode="after")
-    def _sensor_above_ground(self) -> Self:
-        if self.sensor.kind == "range" and self.vehicle.kind == "exact":
-            raise ValueError("sensor: range looks down from above; the vehicle exact does not fly")
-        return self
-
 
 class HillyTerrain(_Heights, frozen=True):
     """A terrain with hills, mapped from the air (thesis, Section 3.5.1, Fig. 3.5)."""

@@ -1,6 +1,7 @@
 """A planning episode: plan, drive, observe, until the task ends."""
 
 from collections.abc import Mapping
+from math import isfinite
 from typing import TypeVar
 
 import equinox as eqx
@@ -33,7 +34,7 @@ class Episode(eqx.Module):
         start: Pose at the start.
         paths: Paths driven, in the world's frame; NaN where there is none.
         plans: What was planned in their place, in the robot's frame.
-        frames: What an animation shows of the ways, see `Problem.frame_shape`.
+        frames: What an animation shows of the ways, see `Events`; NaN where there is none.
     """
 
     key_world: Key[Array, ""]
@@ -67,8 +68,14 @@ class PlanningEpisode(Experiment):
         """Compare the planner's trajectories with what the robot can drive.
 
         Raises:
-            ValueError: A trajectory is tighter than its turning radius.
+            ValueError: They are longer than it can follow, or one is tighter than its turning radius.
         """
+        reach = self.problem.reach
+        if isfinite(reach) and (length := float(self.planner.motions.length)) > reach:
+            raise ValueError(
+                f"planner.motions.length: got {length:g}; the robot can follow {reach:.2f} m to the end: "
+                "shorter trajectories, or more time for them"
+            )
         radius = self.problem.turning_radius
         if radius == 0.0:
             return
@@ -100,7 +107,9 @@ class PlanningEpisode(Experiment):
         world = self.problem.reset(jax.random.fold_in(key_world, 0))
         start = self.problem.pose(world)
         num_samples = self.planner.motions.num_samples
-        shape = self.problem.frame_shape
+        path = jax.ShapeDtypeStruct((num_samples, 3), start.dtype)
+        # The problem is an argument, not closed over: its arrays may be tracers.
+        _, _, events = eqx.filter_eval_shape(type(self.problem).execute, self.problem, key, world, path)
         return Episode(
             key_world=key_world,
             key_planner=key_planner,
@@ -116,8 +125,8 @@ class PlanningEpisode(Experiment):
             paths=jnp.full((self.problem.max_steps, num_samples, 3), jnp.nan, start.dtype),
             plans=jnp.full((self.problem.max_steps, num_samples, 3), jnp.nan, start.dtype),
             frames=None
-            if shape is None
-            else jnp.full((self.problem.max_steps, *shape), jnp.nan, jnp.float32),
+            if events.frames is None
+            else jnp.full((self.problem.max_steps, *events.frames.shape), jnp.nan, events.frames.dtype),
         )
 
     def advance(self, carry: Episode) -> tuple[Episode, Records]:
@@ -131,6 +140,7 @@ class PlanningEpisode(Experiment):
         reward = self.problem.reward(None, carry.belief, plan.path, events)
         belief = self.problem.update(carry.belief, plan.path, observation)
         failed = jnp.zeros((), bool) if events.failed is None else events.failed
+        success, exited = events.success & ~failed, events.exited & ~failed
         if events.failed is not None:  # what is no number is reported, and leaves no trace
             reward = jnp.where(failed, jnp.nan, reward)
             world, belief = _where(~failed, (world, belief), (carry.world, carry.belief))
@@ -145,8 +155,8 @@ class PlanningEpisode(Experiment):
             belief=belief,
             step=step,
             accumulated=accumulated,
-            success=carry.success | events.success,
-            exited=carry.exited + events.exited.astype(jnp.int32),
+            success=carry.success | success,
+            exited=carry.exited + exited.astype(jnp.int32),
             is_done=done,
             failed=failed,
             start=carry.start,

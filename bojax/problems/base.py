@@ -38,7 +38,7 @@ class Events(eqx.Module):
         driven: Poses that the robot went through, in the world's frame.
         is_driven: Whether the robot reached that pose of the path; where it stopped before, `driven`
             repeats the pose that it stopped at.
-        frames: What an animation shows of the way, see `Problem.frame_shape`.
+        frames: Generalised positions along the way, for an animation; None where there is nothing to draw.
         failed: The simulation of the world has diverged, and the run with it; None where it cannot.
     """
 
@@ -120,11 +120,6 @@ class Problem(eqx.Module):
         """The robot's true pose."""
 
     @property
-    def frame_shape(self) -> tuple[int, int] | None:
-        """Number of frames that an execution yields, and of numbers in each; None where there are none."""
-        return None
-
-    @property
     def lanes_on_cpu(self) -> int:
         """Most lanes per device of a CPU where the config says nothing, see `Experiment`.
 
@@ -137,6 +132,11 @@ class Problem(eqx.Module):
     def turning_radius(self) -> float:
         """Radius of the tightest curve that the robot can drive, in metres."""
         return 0.0
+
+    @property
+    def reach(self) -> float:
+        """Length of the longest path that the robot can follow to its end, in metres."""
+        return float("inf")
 
     def snapshot(self, world: World, belief: Belief) -> dict[str, dict[str, Array]]:
         """Arrays worth keeping of the end of an episode: `{name: {array name: array}}`."""

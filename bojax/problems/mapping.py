@@ -71,11 +71,11 @@ class HeightMapping(FieldMonitoring):
         Raises:
             ValueError: It does not everywhere in the domain.
         """
-        altitude = getattr(self.vehicle, "altitude", None)
+        altitude = self.vehicle.flight_altitude
         highest = float(jnp.max(self.field.values(self.grid())))
-        if altitude is not None and float(altitude) <= highest:
+        if altitude is not None and altitude <= highest:
             raise ValueError(
-                f"vehicle.altitude: got {float(altitude):g}; the ground rises to {highest:.2f} m: fly higher"
+                f"vehicle.altitude: got {altitude:g}; the ground rises to {highest:.2f} m: fly higher"
             )
 
     def score(self, world: FieldWorld, belief: FieldBelief) -> dict[str, Scalar]:

@@ -180,11 +180,12 @@ class FieldMonitoring(Problem):
     weighting: Literal["gradient", "gradient-norm", "value"] = eqx.field(static=True)
 
     def __check_init__(self):
-        """Compare `after_collision` with what the vehicle can do.
+        """See `Sensor.check`: what it cannot measure is told before anything runs.
 
         Raises:
-            ValueError: It is told to turn on the spot and cannot.
+            ValueError: The sensor refuses the field, or the vehicle cannot turn on the spot and is told to.
         """
+        self.sensor.check(self.field, self.grid(), self.vehicle.flight_altitude)
         radius = self.vehicle.turning_radius
         if radius > 0.0 and self.after_collision == "turn":
             raise ValueError(
@@ -346,11 +347,6 @@ class FieldMonitoring(Problem):
         return self.vehicle.pose(world.body)
 
     @property
-    def frame_shape(self) -> tuple[int, int] | None:
-        """See `Problem`."""
-        return self.vehicle.frame_shape
-
-    @property
     def lanes_on_cpu(self) -> int:
         """See `Problem`: factors of a couple of hundred samples fill the cache (8 to 16 lanes are best)."""
         return 16
@@ -359,6 +355,11 @@ class FieldMonitoring(Problem):
     def turning_radius(self) -> float:
         """See `Problem`."""
         return self.vehicle.turning_radius
+
+    @property
+    def reach(self) -> float:
+        """See `Problem`."""
+        return self.vehicle.reach
 
     def score(self, world: FieldWorld, belief: FieldBelief) -> dict[str, Scalar]:
         """Errors of the final belief on a grid over the domain; cells in a wall do not count."""

@@ -35,7 +35,7 @@ class PoseProblem(Problem):
 
     The planner knows the model, in which paths are followed exactly, and sees only a reading of the pose
     with Gaussian noise: its belief is the last reading, and it simulates as if that were the pose. In the
-    world the `vehicle` follows the paths: exactly, unless a subclass says otherwise.
+    world the `vehicle` follows the paths, by default exactly.
 
     Attributes:
         position_noise: Standard deviation of a position reading, per axis, in metres.
@@ -62,7 +62,7 @@ class PoseProblem(Problem):
     def prior(self, key: Key[Array, ""], world: Body, num_samples: int) -> Pose:
         """The first reading."""
         del num_samples
-        return self._read(key, self.pose(world))
+        return self.vehicle.read(key, world, self._noise)
 
     def execute(self, key: Key[Array, ""], world: Body, path: Path) -> tuple[Body, Pose, Events]:
         """Drive a path from where the vehicle takes itself to be, and read the pose it ends in."""
@@ -82,7 +82,7 @@ class PoseProblem(Problem):
             failed=ride.failed,
         )
         body = self.vehicle.stopped_at(ride.body, driven[-1])
-        return body, self._read(key, self.pose(body)), events
+        return body, self.vehicle.read(key, body, self._noise), events
 
     def update(self, belief: Pose, path: Path, observation: Pose) -> Pose:
         """The last reading."""
@@ -125,18 +125,15 @@ class PoseProblem(Problem):
         return self.vehicle.pose(world)
 
     @property
-    def frame_shape(self) -> tuple[int, int] | None:
-        """See `Problem`."""
-        return self.vehicle.frame_shape
-
-    @property
     def turning_radius(self) -> float:
         """See `Problem`."""
         return self.vehicle.turning_radius
 
     @property
+    def reach(self) -> float:
+        """See `Problem`."""
+        return self.vehicle.reach
+
+    @property
     def _noise(self) -> Float[Array, "3"]:
         return jnp.stack([self.position_noise, self.position_noise, self.heading_noise])
-
-    def _read(self, key: Key[Array, ""], pose: Pose) -> Pose:
-        return pose + self._noise * jax.random.normal(key, (3,), pose.dtype)

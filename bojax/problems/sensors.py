@@ -9,12 +9,20 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
 from bojax.fields.base import Field
-from bojax.robots.flight import rotation_of
+from bojax.robots.quaternions import rotation_of
 from bojax.robots.range_sensor import cone, ranges
 
 
 class Sensor(eqx.Module):
     """Measures a field where a robot is."""
+
+    def check(self, field: Field, points: Float[Array, "N 2"], altitude: float | None) -> None:
+        """Compare with the field at some points, and with the altitude of the robot; None on the ground.
+
+        Raises:
+            ValueError: The sensor cannot measure it from there.
+        """
+        del field, points, altitude
 
     @abc.abstractmethod
     def __call__(
@@ -78,6 +86,17 @@ class RangeSensor(Sensor):
     reading: Literal["mean", "minimum"] = eqx.field(static=True)
     upright: bool = eqx.field(static=True)
 
+    def check(self, field: Field, points: Float[Array, "N 2"], altitude: float | None) -> None:
+        """See `Sensor`."""
+        if altitude is None:
+            raise ValueError("sensor: range looks down from above: vehicle has to be one that flies")
+        depth = altitude - float(jnp.min(field.values(points)))
+        if depth > float(self.max_range):
+            raise ValueError(
+                f"sensor.max_range: got {float(self.max_range):g}; the ground is up to {depth:.2f} m below: "
+                "fly lower, or see farther"
+            )
+
     def __call__(
         self,
         key: Key[Array, ""],
@@ -86,13 +105,8 @@ class RangeSensor(Sensor):
         mounts: Float[Array, "S 7"] | None,
         noise: Float[Array, ""],
     ) -> Float[Array, "S"]:
-        """See `Sensor`; `noise` is that of a distance.
-
-        Raises:
-            ValueError: The robot is on the ground.
-        """
-        if mounts is None:
-            raise ValueError("a range sensor looks down from above: vehicle has to be one that flies")
+        """See `Sensor`; `noise` is that of a distance."""
+        assert mounts is not None, "see `check`"
         del poses
         mounts = mounts.astype(noise.dtype)
         rays = cone(self.beam, self.rays)

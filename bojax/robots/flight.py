@@ -104,31 +104,6 @@ def control(
     return airframe.thrusts(airframe.mass * jnp.sum(acceleration * rotation[:, 2]), torque)
 
 
-def rotation_of(quaternion: Float[Array, "4"]) -> Float[Array, "3 3"]:
-    """The rotation of a unit quaternion (w, x, y, z)."""
-    w, x, y, z = quaternion
-    return jnp.stack(
-        [
-            jnp.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]),
-            jnp.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]),
-            jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]),
-        ]
-    )
-
-
-def yaw_of(quaternion: Float[Array, "*N 4"]) -> Float[Array, "*N"]:
-    """Heading of a unit quaternion (w, x, y, z), in rad, in [-pi, pi]."""
-    w, x, y, z = (quaternion[..., index] for index in range(4))
-    return jnp.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-
-
-def turned(quaternion: Float[Array, "4"], yaw: Float[Array, ""]) -> Float[Array, "4"]:
-    """An attitude turned about the vertical by an angle in rad."""
-    w, x, y, z = quaternion
-    cos, sin = jnp.cos(0.5 * yaw), jnp.sin(0.5 * yaw)
-    return jnp.stack([cos * w - sin * z, cos * x - sin * y, cos * y + sin * x, cos * z + sin * w])
-
-
 def way(
     start: Float[Array, "3"],
     path: Float[Array, "S 3"],

@@ -1,5 +1,6 @@
 """A planning episode: what it records, when it ends, and that planners meet the same world."""
 
+import dataclasses
 import functools
 
 import equinox as eqx
@@ -25,13 +26,18 @@ NUM_LANES = 64
 
 
 class Wide(Exact):
-    """A vehicle that cannot turn sharply."""
+    """A vehicle that cannot turn sharply, or drive far."""
 
     radius: float = eqx.field(static=True)
+    farthest: float = eqx.field(static=True, default=float("inf"))
 
     @property
     def turning_radius(self) -> float:
         return self.radius
+
+    @property
+    def reach(self) -> float:
+        return self.farthest
 
 
 class Stored(DiscreteMotions):
@@ -242,6 +248,7 @@ def test_no_two_draws_share_a_key():
         problem = Logged(disc.radius, disc.position_noise, disc.heading_noise, disc.max_steps, keys)
         experiment = PlanningEpisode(problem, LoggedPlanner(motions, keys))
         carry = experiment.init(key)
+        del keys[1]  # a drive is traced for its shapes there, and not made
         for _ in range(3):
             carry, _ = experiment.advance(carry)
         return jnp.stack(keys)
@@ -370,6 +377,36 @@ def test_on_a_field_the_paid_reward_is_the_planned_one_and_all_is_finite(name):
 
 def on_wheels(radius: float):
     return eqx.tree_at(lambda problem: problem.vehicle, parking(), Wide(radius))
+
+
+class Broken(GoalDisc):
+    """A world whose simulation diverges on the way to success."""
+
+    def execute(self, key, world, path):
+        after, reading, events = super().execute(key, world, path)
+        yes = jnp.ones((), bool)
+        return after, reading, dataclasses.replace(events, success=yes, exited=yes, failed=yes)
+
+
+def test_a_run_that_diverges_is_no_success():
+    whole = goal_disc()
+    names = ("radius", "position_noise", "heading_noise", "max_steps")
+    problem = Broken(**{name: getattr(whole, name) for name in names})
+    experiment = PlanningEpisode(problem, RandomPlanner(kernel()))
+    after, _ = jax.jit(lambda carry: experiment.advance(carry))(experiment.init(jax.random.key(0)))
+    summary = experiment.summary(after)
+    assert bool(after.is_done) and np.isnan(summary["return"])
+    assert not bool(summary["success"]) and int(summary["exits"]) == 0
+
+
+@pytest.mark.parametrize("motions", [kernel(), splines(5)], ids=["kernel", "splines"])
+def test_trajectories_longer_than_the_robot_can_follow_are_refused(motions):
+    problem = eqx.tree_at(lambda problem: problem.vehicle, parking(), Wide(0.0, 1.0))
+    PlanningEpisode(problem, RandomPlanner(motions))
+    problem = eqx.tree_at(lambda problem: problem.vehicle, parking(), Wide(0.0, 0.9))
+    reason = r"^planner.motions.length: got 1; the robot can follow 0.90 m[^\n]*$"
+    with pytest.raises(ValueError, match=reason):
+        PlanningEpisode(problem, RandomPlanner(motions))
 
 
 @pytest.mark.parametrize("motions", [kernel(), splines(5)], ids=["kernel", "splines"])

@@ -13,13 +13,13 @@ from bojax.config import vehicles
 from bojax.config.errors import ConfigError
 from bojax.config.fields import Bumps
 from bojax.config.models import ConstantMean
-from bojax.config.problems import HillyTerrain, IndoorProps
+from bojax.config.problems import HillyTerrain, IndoorProps, TwoPits
 from bojax.engine.build import build
 from bojax.motions.base import place
 from bojax.motions.splines import SplineSet
 from bojax.problems.mapping import Map
 from bojax.problems.sensors import RangeSensor
-from bojax.robots.flight import rotation_of
+from bojax.robots.quaternions import rotation_of
 
 LANES, SIZE = 48, 8
 ALTITUDE = 1.4
@@ -136,9 +136,9 @@ def test_mounts_are_where_the_sensor_is(ride):
     assert 0.01 < lean.max() < 0.2
 
 
-def test_frames_are_ten_a_second(quadrotor, ride):
+def test_frames_are_ten_a_second(ride):
     _, _, _, found = ride
-    assert quadrotor.frame_shape == found.frames.shape[1:] == ((PATH_STEPS + REST_STEPS) // 10, 7)
+    assert found.frames.shape[1:] == ((PATH_STEPS + REST_STEPS) // 10, 7)
     np.testing.assert_array_equal(found.frames[:, -1], found.body.state.qpos)
     moved = np.linalg.norm(np.diff(found.frames[..., :3], axis=1), axis=-1)
     assert moved.max() < 0.1 * 1.0  # a metre in three seconds, never faster than 1 m/s
@@ -224,12 +224,27 @@ def test_it_sees_no_farther_than_its_range():
 
 
 def test_it_has_to_be_carried_by_something_that_flies():
-    poses = jnp.zeros((3, 3))
-    with pytest.raises(ValueError, match="has to be one that flies"):
-        sensor()(jax.random.key(0), LEVEL, poses, None, f64(0.0))
-    with pytest.raises(pydantic.ValidationError, match="the vehicle exact does not fly"):
-        HillyTerrain(vehicle=vehicles.Exact())
+    for vehicle in (vehicles.Exact(), vehicles.WheeledRobot()):
+        with pytest.raises(ConfigError, match="sensor: range looks down from above: vehicle has to be one"):
+            build(HillyTerrain(vehicle=vehicle))
+    with pytest.raises(ConfigError, match="sensor: range looks down from above"):
+        build(TwoPits(sensor=vehicles.Range()))
     assert isinstance(build(HillyTerrain()).sensor, RangeSensor)
+
+
+def test_it_has_to_see_the_ground_from_where_it_flies():
+    high = vehicles.Quadrotor(altitude=6.0)
+    with pytest.raises(ConfigError, match=r"sensor.max_range: got 5; the ground is up to 6.00 m below"):
+        build(HillyTerrain(vehicle=high))
+    build(HillyTerrain(vehicle=high, sensor=vehicles.Range(max_range=6.5)))
+
+
+def test_it_can_follow_what_its_thrust_can_accelerate():
+    # 4 rotors of 13 N, 1.325 kg; the least jerk over T seconds and L metres peaks at 10 / sqrt(3) L / T^2.
+    sideways = np.sqrt((4 * 13.0 / 1.325) ** 2 - 9.81**2)
+    slow, fast = (build(vehicles.Quadrotor(path_steps=steps)) for steps in (400, 10))
+    assert slow.reach == pytest.approx(sideways * 4.0**2 * np.sqrt(3.0) / 10.0, rel=1e-3)
+    assert fast.reach == pytest.approx(slow.reach / 1600.0)
 
 
 # The problems.
@@ -265,7 +280,7 @@ def test_samples_are_learned_where_the_robot_takes_itself_to_be():
     # Where the border stopped it, it has turned round.
     turn = apart(after.body.reading[:, 2], events.driven[:, -1, 2])
     assert turn[is_stopped].min() > 2.8 and turn[~is_stopped].max() < 0.3
-    assert events.frames.shape == (LANES, *problem.frame_shape)
+    assert events.frames.shape == (LANES, (PATH_STEPS + REST_STEPS) // 10, 7)
     assert np.all(world.body.reading[:, :2] >= 0.0)
 
 

@@ -205,7 +205,45 @@ def test_a_problem_in_either_precision(dtype):
     assert not any(leaf.weak_type for leaf in jax.tree.leaves((after, events)))
     assert reading.dtype == events.driven.dtype == after.reading.dtype == dtype
     assert after.state.qpos.dtype == events.frames.dtype == jnp.float32
-    assert events.frames.shape == problem.frame_shape == (SETTINGS.readings // FRAME_EVERY, MODEL.nq)
+    assert events.frames.shape == (SETTINGS.readings // FRAME_EVERY, MODEL.nq)
+
+
+@pytest.mark.parametrize(
+    "changes", [{}, {"speed": 0.3}, {"gain": 2.0}, {"readings": 30}], ids=["default", "slow", "soft", "short"]
+)
+def test_it_reaches_the_end_of_every_path_within_its_reach(changes):
+    robot = build(WheeledRobot(**changes))
+
+    def left(length):
+        """Of a path of this length and of one twice as long, in metres."""
+        path = jnp.outer(jnp.linspace(0.0, length, 11)[1:], jnp.asarray([1.0, 0.0, 0.0]))
+        paths = jnp.stack([path, 2.0 * path])
+        ride = jax.vmap(
+            lambda path: robot.follow(jax.random.key(0), robot.place(jnp.zeros(3)), path, path[-1], None)
+        )(paths)
+        return paths[:, -1, 0] - ride.poses[:, -1, 0]
+
+    near, far = jax.jit(left, compiler_options=REPEATABLY)(jnp.asarray(robot.reach))
+    assert abs(near) < 0.012
+    assert far > 0.1
+
+
+def test_paths_that_it_cannot_end_in_time_are_refused_in_one_line(tmp_path, capsys):
+    out = tmp_path / "out"
+    assert main(["run", "robot-parking", "planner.motions.length=1.3", "--out", str(out)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "planner.motions.length: got 1.3; the robot can follow 1.16 m to the end" in line
+    assert not out.exists()
+
+
+def test_a_plan_is_made_from_where_the_robot_takes_itself_to_be():
+    problem = build(RobotParking())
+    world = problem.reset(jax.random.key(0))
+    path = jnp.zeros((10, 3)).at[:, 0].set(jnp.linspace(0.1, 1.0, 10))
+    drive = jax.jit(lambda *inputs: problem.execute(*inputs), compiler_options=REPEATABLY)
+    after, reading, _ = drive(jax.random.key(1), world, path)
+    np.testing.assert_array_equal(reading, problem.vehicle.estimate(after))
+    assert np.linalg.norm(reading - problem.pose(after)) > 1e-3
 
 
 def test_the_parking_place_can_be_drawn():

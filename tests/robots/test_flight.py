@@ -11,8 +11,9 @@ import pytest
 from bojax.config.vehicles import Quadrotor
 from bojax.engine.build import build
 from bojax.motions.splines import SplineSet
-from bojax.robots.flight import Reference, control, rotation_of, turned, way, yaw_of
+from bojax.robots.flight import Reference, control, way
 from bojax.robots.quadrotor import quadrotor_model
+from bojax.robots.quaternions import rotation_of, turned, yaw_of
 
 STEP, PATH, REST = 0.01, 300, 250
 ALTITUDE = 1.2

@@ -68,20 +68,36 @@ class Vehicle(eqx.Module):
             noise: Standard deviations of a reading of its pose, in m and rad; None for exact readings.
         """
 
+    def read(self, key: Key[Array, ""], body: Body, noise: Float[Array, "3"]) -> Pose:
+        """A reading of its pose, to plan from.
+
+        Args:
+            key: What the reading draws its noise from.
+            body: The vehicle.
+            noise: Its standard deviations, in m and rad.
+        """
+        pose = self.pose(body)
+        return pose + noise * jax.random.normal(key, (3,), pose.dtype)
+
     def stopped_at(self, body: Body, pose: Pose) -> Body:
         """The vehicle, where its task ended at a pose on the way; what has physics has driven on."""
         del pose
         return body
 
     @property
-    def frame_shape(self) -> tuple[int, int] | None:
-        """Number of frames of a ride, and of numbers in each; None where there are none."""
-        return None
-
-    @property
     def turning_radius(self) -> float:
         """Radius of the tightest curve that it can drive, in metres."""
         return 0.0
+
+    @property
+    def reach(self) -> float:
+        """Length of the longest path that it can follow to its end, in metres."""
+        return float("inf")
+
+    @property
+    def flight_altitude(self) -> float | None:
+        """Altitude in metres at which it flies; None on the ground."""
+        return None
 
 
 class Exact(Vehicle):

@@ -1,5 +1,7 @@
 """A quadrotor that flies planned paths at a constant altitude (thesis, Sections 3.5.1 and 3.5.2)."""
 
+from math import sqrt
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -7,35 +9,24 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from bojax.motions.base import Pose
-from bojax.problems.vehicles.base import Ride, Vehicle
-from bojax.robots.flight import Airframe, control, rotation_of, turned, way, yaw_of
+from bojax.problems.vehicles.base import Ride
+from bojax.problems.vehicles.simulated import SimulatedBody, SimulatedVehicle, planar
+from bojax.robots.flight import Airframe, control, way
 from bojax.robots.quadrotor import quadrotor_model
+from bojax.robots.quaternions import rotation_of, turned
 from bojax.robots.simulator import Physics, RobotState, Simulator
 
 FRAME_EVERY = 10
 """Control steps between two frames of an animation."""
 
 
-class Hover(eqx.Module):
-    """The quadrotor between two paths.
-
-    Attributes:
-        state: Its true state.
-        reading: The last reading of its pose.
-    """
-
-    state: RobotState
-    reading: Pose
-
-
-class Quadrotor(Vehicle):
+class Quadrotor(SimulatedVehicle):
     """Flies a path from rest to rest, and then turns on the spot to the heading wanted there.
 
     MJX steps the robot, the controller of `bojax.robots.flight` steers it, once a step of the physics of
     10 ms. Position and heading are known by a reading each step (thesis: PTAM on the frontal camera), the
     altitude with the noise of a horizontal coordinate; velocities, roll and pitch, which are those of
-    inertial sensors, are known exactly. What it takes its pose to be is the last reading, not a filter's
-    estimate.
+    inertial sensors, are known exactly.
 
     Attributes:
         altitude: Altitude of flight, in metres.
@@ -48,10 +39,6 @@ class Quadrotor(Vehicle):
     physics: Physics
     path_steps: int = eqx.field(static=True)
     rest_steps: int = eqx.field(static=True)
-
-    def __check_init__(self):
-        """See `Simulator`."""
-        _ = self.simulator
 
     @property
     def simulator(self) -> Simulator:
@@ -73,24 +60,14 @@ class Quadrotor(Vehicle):
             max_thrust=_f32(model.actuator_ctrlrange[0, 1]),
         )
 
-    def place(self, pose: Pose) -> Hover:
+    def place(self, pose: Pose) -> SimulatedBody:
         """See `Vehicle`: hovering."""
-        level = jnp.asarray([1.0, 0.0, 0.0, 0.0], pose.dtype)
-        qpos = jnp.concatenate([pose[:2], self.altitude[None], turned(level, pose[2])])
-        return Hover(self.simulator.state(qpos, jnp.zeros((6,), jnp.float32)), pose)
-
-    def pose(self, body: Hover) -> Pose:
-        """See `Vehicle`."""
-        return _pose(body.state.qpos).astype(body.reading.dtype)
-
-    def estimate(self, body: Hover) -> Pose:
-        """The last reading."""
-        return body.reading
+        return self.at_rest(pose, self.altitude)
 
     def follow(
         self,
         key: Key[Array, ""],
-        body: Hover,
+        body: SimulatedBody,
         path: Float[Array, "S 3"],
         end: Pose,
         noise: Float[Array, "3"] | None,
@@ -121,12 +98,12 @@ class Quadrotor(Vehicle):
 
         state, flown = jax.lax.scan(fly, body.state, (reference, errors[:-1]))
         flown = jnp.concatenate([flown, state.qpos[None]])
-        poses = jax.vmap(_pose)(flown)
+        poses = jax.vmap(planar)(flown)
         readings = poses + errors[:, jnp.asarray([0, 1, 3])]
         reading = readings[-1].at[2].set(jnp.mod(readings[-1, 2], 2.0 * jnp.pi))
         dtype = path.dtype
         return Ride(
-            body=Hover(state, reading.astype(dtype)),
+            body=SimulatedBody(state, reading.astype(dtype)),
             poses=poses[at].astype(dtype),
             estimates=readings[at].astype(dtype),
             mounts=jax.vmap(self._mount)(flown[at]).astype(dtype),
@@ -135,19 +112,25 @@ class Quadrotor(Vehicle):
         )
 
     @property
-    def frame_shape(self) -> tuple[int, int]:
-        """See `Vehicle`: position and orientation of the body, 10 times a second."""
-        return (self.path_steps + self.rest_steps) // FRAME_EVERY, 7
+    def reach(self) -> float:
+        """See `Vehicle`: what full thrust carries at this altitude, from rest to rest with the least jerk.
+
+        Its largest acceleration is 10 / sqrt(3) times the length over the square of the time.
+        """
+        airframe = self.airframe
+        upward = 4.0 * float(airframe.max_thrust) / float(airframe.mass)
+        sideways = sqrt(upward**2 - float(airframe.gravity) ** 2)
+        return sideways * (self.path_steps * self.simulator.time_step) ** 2 * sqrt(3.0) / 10.0
+
+    @property
+    def flight_altitude(self) -> float:
+        """See `Vehicle`."""
+        return float(self.altitude)
 
     def _mount(self, qpos: Float[Array, "7"]) -> Float[Array, "7"]:
         below = _f32(self.simulator.mujoco_model.site("range").pos)
         turned_below = jnp.sum(rotation_of(qpos[3:]) * below[None], axis=1)
         return jnp.concatenate([qpos[:3] + turned_below, qpos[3:]])
-
-
-def _pose(qpos: Float[Array, "7"]) -> Float[Array, "3"]:
-    """Position and heading of the body, in metres and rad, in [0, 2 pi)."""
-    return jnp.concatenate([qpos[:2], jnp.mod(yaw_of(qpos[3:]), 2.0 * jnp.pi)[None]])
 
 
 def _f32(value) -> Float[Array, "..."]:

@@ -1,35 +1,28 @@
 """A wheeled robot that drives forward only and tracks planned paths by pure pursuit (thesis, p. 101)."""
 
+from math import log
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
 from bojax.motions.base import Pose
-from bojax.problems.vehicles.base import Ride, Vehicle
+from bojax.problems.vehicles.base import Ride
+from bojax.problems.vehicles.simulated import SimulatedBody, SimulatedVehicle, planar
 from bojax.robots import pursuit
 from bojax.robots.car import Measures, car_model, measures_of
-from bojax.robots.flight import yaw_of
 from bojax.robots.pursuit import PIECES, Route
-from bojax.robots.simulator import Physics, RobotState, Simulator
+from bojax.robots.simulator import Physics, Simulator
 
 FRAME_EVERY = 2
 """Readings between two frames of an animation."""
 
-
-class Driven(eqx.Module):
-    """The robot between two paths.
-
-    Attributes:
-        state: Its true state.
-        reading: The last reading of its pose.
-    """
-
-    state: RobotState
-    reading: Pose
+LEFT = 0.01
+"""What may be left of a path at the end of its time, in metres."""
 
 
-class WheeledRobot(Vehicle):
+class WheeledRobot(SimulatedVehicle):
     """Drives along a path at a constant speed, slows down before its end, and waits there.
 
     MJX steps the robot; a pose is that of the middle of its rear axle, which moves along its heading. It
@@ -57,10 +50,6 @@ class WheeledRobot(Vehicle):
     substeps: int = eqx.field(static=True)
     readings: int = eqx.field(static=True)
 
-    def __check_init__(self):
-        """See `Simulator`."""
-        _ = self.simulator
-
     @property
     def simulator(self) -> Simulator:
         """The physics."""
@@ -71,27 +60,14 @@ class WheeledRobot(Vehicle):
         """The measures of the robot."""
         return measures_of(self.simulator.mujoco_model)
 
-    def place(self, pose: Pose) -> Driven:
+    def place(self, pose: Pose) -> SimulatedBody:
         """See `Vehicle`."""
-        rest = jnp.asarray(self.simulator.mujoco_model.qpos0, pose.dtype)
-        zero, half = jnp.zeros((), pose.dtype), 0.5 * pose[2]
-        turned = jnp.stack([jnp.cos(half), zero, zero, jnp.sin(half)])
-        qpos = jnp.concatenate([pose[:2], rest[2:3], turned, rest[7:]])
-        velocity = jnp.zeros((self.simulator.mujoco_model.nv,), jnp.float32)
-        return Driven(self.simulator.state(qpos, velocity), pose)
-
-    def pose(self, body: Driven) -> Pose:
-        """See `Vehicle`."""
-        return _pose(body.state.qpos).astype(body.reading.dtype)
-
-    def estimate(self, body: Driven) -> Pose:
-        """The last reading."""
-        return body.reading
+        return self.at_rest(pose, jnp.asarray(self.simulator.mujoco_model.qpos0[2]))
 
     def follow(
         self,
         key: Key[Array, ""],
-        body: Driven,
+        body: SimulatedBody,
         path: Float[Array, "S 3"],
         end: Pose,
         noise: Float[Array, "3"] | None,
@@ -110,7 +86,7 @@ class WheeledRobot(Vehicle):
             state, reading, passed = carry
             controls, passed = self._controls(route, reading, passed)
             after = simulator.advance(state, controls)
-            return (after, _pose(after.qpos) + error, passed), (state.qpos, reading, passed)
+            return (after, planar(after.qpos) + error, passed), (state.qpos, reading, passed)
 
         carry = (body.state, start, jnp.zeros((), jnp.int32))
         (state, reading, _), (driven, readings, passed) = jax.lax.scan(drive, carry, errors)
@@ -118,22 +94,27 @@ class WheeledRobot(Vehicle):
         readings = jnp.concatenate([readings, reading[None]])
         at = self._reached(passed, path.shape[0])
         return Ride(
-            body=Driven(state, reading.astype(path.dtype)),
-            poses=jax.vmap(_pose)(driven[at]).astype(path.dtype),
+            body=SimulatedBody(state, reading.astype(path.dtype)),
+            poses=jax.vmap(planar)(driven[at]).astype(path.dtype),
             estimates=readings[at].astype(path.dtype),
             frames=driven[FRAME_EVERY::FRAME_EVERY],
             failed=simulator.has_diverged(state),
         )
 
     @property
-    def frame_shape(self) -> tuple[int, int]:
-        """See `Vehicle`."""
-        return self.readings // FRAME_EVERY, int(self.simulator.mujoco_model.nq)
-
-    @property
     def turning_radius(self) -> float:
         """See `Vehicle`."""
         return self.measures.turning_radius
+
+    @property
+    def reach(self) -> float:
+        """See `Vehicle`: how far it drives until 1 cm of the path is left, where the path is long.
+
+        It drives at `speed` until `speed / gain` is left, and from there on slower and slower.
+        """
+        speed, slow = float(self.speed), float(self.speed) / float(self.gain)
+        seconds = self.readings * self.simulator.time_step
+        return max(0.0, speed * (seconds - log(max(1.0, slow / LEFT)) / float(self.gain)) + max(slow, LEFT))
 
     def _controls(
         self, route: Route, reading: Float[Array, "3"], passed: Int[Array, ""]
@@ -165,8 +146,3 @@ class WheeledRobot(Vehicle):
         first = jnp.argmax(has_passed, axis=1).astype(passed.dtype)
         last = jnp.asarray(self.readings, passed.dtype)
         return jnp.where(has_passed[:, -1], first, last).at[-1].set(last)
-
-
-def _pose(qpos: Float[Array, "Q"]) -> Float[Array, "3"]:
-    """Position and heading in metres and rad, in [0, 2 pi)."""
-    return jnp.concatenate([qpos[:2], jnp.mod(yaw_of(qpos[3:7]), 2.0 * jnp.pi)[None]])
