@@ -24,11 +24,11 @@ class RobotModel:
 
     Attributes:
         xml: The MJCF.
-        folder: Where meshes and other files that it names are; only models that name some need it.
+        path: The file that it was read from; what it includes, and meshes, are looked for beside it.
     """
 
     xml: str
-    folder: str | None = None
+    path: str | None = None
 
     def spec(self) -> Any:
         """The model as it can be edited.
@@ -37,12 +37,11 @@ class RobotModel:
             ValueError: It is no MJCF.
         """
         try:
-            spec = mujoco.MjSpec.from_string(self.xml)
+            if self.path is None:
+                return mujoco.MjSpec.from_string(self.xml)
+            return mujoco.MjSpec.from_file(self.path)
         except ValueError as error:
             raise ValueError(_one_line(error)) from error
-        if self.folder is not None:
-            spec.modelfiledir = self.folder
-        return spec
 
     def compiled(self) -> MjModel:
         """The model as MuJoCo computes with it; the same object every time.
@@ -66,7 +65,7 @@ def from_file(path: str | Path) -> RobotModel:
     """
     path = Path(path)
     try:
-        return RobotModel(path.read_text("utf-8"), str(path.parent.resolve()))
+        return RobotModel(path.read_text("utf-8"), str(path.resolve()))
     except (OSError, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: {_one_line(error)}") from error
 

@@ -162,9 +162,22 @@ def _compiled(
         compiled = spec.compile()
     except ValueError as error:
         raise ValueError(f"MuJoCo refuses the model: {' '.join(str(error).split())}") from error
+    if unsupported := _unsupported(compiled):
+        raise ValueError(f"MJX cannot simulate the model: {unsupported}")
     try:
         with silenced(), plain_jax(), jax.ensure_compile_time_eval():
             put = mjx.put_model(compiled, impl=impl)
             return compiled, put, mjx.make_data(compiled, impl=impl)
     except (ValueError, NotImplementedError, RuntimeError) as error:  # the last: no Warp for `impl`
         raise ValueError(f"MJX refuses the model: {' '.join(str(error).split())}") from error
+
+
+def _unsupported(model: MjModel) -> str:
+    """What of a model would be left out of the simulation without a word; empty if there is nothing."""
+    found = {
+        "plugins": model.nplugin > 0,
+        "actuators with an activation of their own (filters, integrators, muscles)": model.na > 0,
+        "delayed actuators": bool((model.actuator_delay > 0).any()),
+        "noslip iterations": model.opt.noslip_iterations > 0,
+    }
+    return ", ".join(what for what, is_there in found.items() if is_there)

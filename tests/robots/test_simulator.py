@@ -147,6 +147,14 @@ CYLINDER_ON_BOX = """
 """
 
 
+def slider(extension="", actuator="", option=""):
+    """A mass on a rail."""
+    return (
+        f"<mujoco>{option}<extension>{extension}</extension><worldbody><body><joint name='x' type='slide'/>"
+        f"<geom size='0.1'/></body></worldbody><actuator>{actuator}</actuator></mujoco>"
+    )
+
+
 @pytest.mark.parametrize(
     ("xml", "reason"),
     [
@@ -159,13 +167,45 @@ CYLINDER_ON_BOX = """
             "MuJoCo refuses the model: .*mass and inertia",
         ),
         ("", "XML"),
+        (
+            slider("<plugin plugin='mujoco.pid'/>", "<plugin joint='x' plugin='mujoco.pid'/>"),
+            "MJX cannot simulate the model: plugins",
+        ),
+        (slider(actuator="<general joint='x' dyntype='filter' dynprm='0.05'/>"), "activation of their own"),
+        (slider(actuator="<muscle joint='x' lengthrange='0.1 0.2'/>"), "activation of their own"),
+        (slider(actuator="<motor joint='x' delay='0.1' nsample='20'/>"), "delayed actuators"),
+        (slider(option="<option noslip_iterations='3'/>"), "noslip iterations"),
     ],
-    ids=["collision", "solver", "cut-off", "misspelt", "massless", "empty"],
+    ids=[
+        "collision",
+        "solver",
+        "cut-off",
+        "misspelt",
+        "massless",
+        "empty",
+        "plugin",
+        "filter",
+        "muscle",
+        "delay",
+        "noslip",
+    ],
 )
 def test_a_model_that_cannot_be_used_says_why_in_a_line(xml, reason):
     with pytest.raises(ValueError, match=reason) as caught:
         Simulator(build(MJX(), "float32"), RobotModel(xml), substeps=1)
     assert "\n" not in str(caught.value) and len(str(caught.value)) > 10
+
+
+def test_what_a_file_of_ones_own_includes_lies_beside_it(tmp_path):
+    (tmp_path / "arm.xml").write_text(
+        "<mujocoinclude><body><joint type='slide'/><geom size='0.1'/></body></mujocoinclude>"
+    )
+    scene = tmp_path / "scene.xml"
+    scene.write_text("<mujoco><worldbody><include file='arm.xml'/></worldbody></mujoco>")
+    assert Simulator(build(MJX(), "float32"), from_file(scene), substeps=1).mujoco_model.nq == 1
+    scene.write_text("<mujoco><worldbody><include file='leg.xml'/></worldbody></mujoco>")
+    with pytest.raises(ValueError, match=r"leg\.xml"):
+        from_file(scene).spec()
 
 
 def test_a_file_of_ones_own_that_is_missing_says_so_in_a_line(tmp_path):
