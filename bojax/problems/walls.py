@@ -1,5 +1,7 @@
 """Walls and the border of the domain: how far along a path a robot comes."""
 
+import functools
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
@@ -33,6 +35,9 @@ def drive_until_blocked(
 
     A piece that touches a wall or ends outside the domain is not driven, nor is anything after it. A
     piece that does both counts as a collision.
+
+    A robot beside a wall may read a pose inside it. So the first piece does not touch a wall that it begins
+    inside of if it ends beyond the nearest face; on the face itself nothing is forgiven.
     """
     # Unrolled over a handful of poses and walls, XLA makes it elementwise arithmetic in one kernel, where
     # every reduction and every shifted copy would be one more on a GPU.
@@ -41,7 +46,7 @@ def drive_until_blocked(
     is_driven = []
     for index in range(poses.shape[0]):
         pose = poses[index]
-        is_hit = _touches_any(before, pose, walls)
+        is_hit = _touches_any(before, pose, walls, is_first=index == 0)
         collided = collided | (is_on & is_hit)
         is_on = is_on & ~is_hit & _is_inside(pose, domain)
         stop = jnp.where(is_on, pose, stop)
@@ -67,11 +72,12 @@ def _is_inside(points: Float[Array, "*N _"], domain: Float[Array, "4"]) -> Bool[
 
 
 def _touches_any(
-    begin: Float[Array, "*N _"], end: Float[Array, "*N _"], walls: Boxes | None
+    begin: Float[Array, "*N _"], end: Float[Array, "*N _"], walls: Boxes | None, is_first: bool = False
 ) -> Bool[Array, "*N"]:
     """Whether line pieces have a point in common with a wall: no axis separates the two.
 
-    The axes are x, y and the piece's normal; `across` is twice an area, so that nothing is divided.
+    The axes are x, y and the piece's normal; `across` is twice an area, so that nothing is divided. First
+    pieces of a path may leave a wall.
     """
     touches = jnp.zeros(begin.shape[:-1], bool)
     low_x, high_x = jnp.minimum(begin[..., 0], end[..., 0]), jnp.maximum(begin[..., 0], end[..., 0])
@@ -83,5 +89,20 @@ def _touches_any(
         x, y = begin[..., 0] - 0.5 * (x_min + x_max), begin[..., 1] - 0.5 * (y_min + y_max)
         across = jnp.abs(step_x * y - step_y * x)
         widest = 0.5 * ((x_max - x_min) * jnp.abs(step_y) + (y_max - y_min) * jnp.abs(step_x))
-        touches = touches | ~(is_apart | (across > widest))
+        is_apart = is_apart | (across > widest)
+        if is_first:
+            is_apart = is_apart | _leaves(begin, end, wall)
+        touches = touches | ~is_apart
     return touches
+
+
+def _leaves(
+    begin: Float[Array, "*N _"], end: Float[Array, "*N _"], wall: Float[Array, "4"]
+) -> Bool[Array, "*N"]:
+    """Whether line pieces begin inside a wall, not on its faces, and end beyond the face nearest to that."""
+    x_min, y_min, x_max, y_max = wall
+    depths = begin[..., 0] - x_min, x_max - begin[..., 0], begin[..., 1] - y_min, y_max - begin[..., 1]
+    is_beyond = end[..., 0] < x_min, end[..., 0] > x_max, end[..., 1] < y_min, end[..., 1] > y_max
+    depth = functools.reduce(jnp.minimum, depths)
+    leaves = [(near == depth) & beyond for near, beyond in zip(depths, is_beyond, strict=True)]
+    return (depth > 0.0) & functools.reduce(jnp.logical_or, leaves)

@@ -51,12 +51,22 @@ def random_pieces(num=3000):
     return begin, end, boxes
 
 
+def leaves(begin, end, boxes):
+    """Whether pieces begin inside of a rectangle and end beyond the face that is nearest to the begin."""
+    gaps, beyond = (
+        np.concatenate([point - boxes[:, :2], boxes[:, 2:] - point], axis=1) for point in (begin, end)
+    )
+    nearest = np.argmin(gaps, axis=1)
+    return (gaps > 0.0).all(axis=1) & (beyond[np.arange(len(beyond)), nearest] < 0.0)
+
+
 def test_a_piece_through_a_rectangle_is_one_with_a_point_in_it():
     begin, end, boxes = random_pieces()
     found = np.asarray(hits(f64(begin), f64(end), f64(boxes[:, None])))
     t = np.linspace(0.0, 1.0, 4001)[:, None, None]
     along = begin + t * (end - begin)
     sampled = np.any(np.all((along >= boxes[:, :2]) & (along <= boxes[:, 2:]), axis=-1), axis=0)
+    sampled &= ~leaves(begin, end, boxes)
     # Samples miss a corner that is cut by less than their distance.
     assert not np.any(sampled & ~found)
     grown = boxes + 1e-3 * np.array([-1.0, -1.0, 1.0, 1.0])
@@ -74,7 +84,7 @@ def test_it_is_the_rectangle_that_no_axis_separates():
             for b, e, box in zip(begin, end, boxes, strict=True)
         ]
     )
-    np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(found, expected & ~leaves(begin, end, boxes))
 
 
 @pytest.mark.parametrize(
@@ -93,6 +103,15 @@ def test_it_is_the_rectangle_that_no_axis_separates():
         ((1.5, 1.25), (1.5, 1.25), HIT),  # stands in it
         ((0.5, 0.5), (0.5, 0.5), FREE),  # stands beside it
         ((1.0, 1.25), (0.5, 1.25), HIT),  # from a face away from the wall: touching is hitting
+        ((1.001, 1.25), (0.5, 1.25), FREE),  # from a little inside out by the nearest face
+        ((1.001, 1.25), (0.5, 1.9), FREE),
+        ((1.999, 1.25), (2.001, 1.25), FREE),
+        ((1.5, 1.001), (1.5, 0.5), FREE),
+        ((1.5, 1.499), (1.5, 2.0), FREE),
+        ((1.001, 1.25), (1.0, 1.25), HIT),  # only up to that face
+        ((1.001, 1.25), (1.5, 1.25), HIT),  # into the wall
+        ((1.001, 1.25), (2.5, 1.25), HIT),  # out by the face across
+        ((1.001, 1.4), (1.1, 2.0), HIT),  # or beside it
     ],
 )
 def test_pieces_at_the_edges_of_a_wall(begin, end, expected):
@@ -130,6 +149,19 @@ def test_the_robot_stays_at_the_last_pose_that_it_reaches():
     driven = drive(f64([0.1, 1.2, 0.0]), path, f64(DOMAIN), f64([WALL]))
     np.testing.assert_array_equal(driven.is_driven, [True, True, False, False, False])
     np.testing.assert_array_equal(driven.poses, np.asarray(path)[[0, 1, 1, 1, 1]])
+
+
+def test_a_robot_that_takes_itself_to_be_inside_a_wall_leaves_it_but_hits_the_next():
+    wall, other = (1.0, 1.0, 2.0, 1.5), (0.5, 1.0, 0.7, 1.5)
+    start, path = (
+        f64([1.01, 1.2, 0.0]),
+        f64([[0.9, 1.2, 0.0], [0.8, 1.2, 0.0], [0.9, 1.2, 0.0], [1.2, 1.2, 0.0]]),
+    )
+    driven = drive(start, path, f64(DOMAIN), f64([wall, other]))
+    np.testing.assert_array_equal(driven.is_driven, [True, True, True, False])
+    assert driven.collided
+    away = drive(start, f64([[0.4, 1.2, 0.0]]), f64(DOMAIN), f64([wall, other]))
+    assert away.collided and not np.any(away.is_driven)
 
 
 def test_the_first_obstacle_counts():
