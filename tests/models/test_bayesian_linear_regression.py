@@ -496,3 +496,22 @@ def test_the_mean_is_the_map_estimate():
     features, targets = observations(30, num_targets=(2,))
     expected = LinearRegression.fit_map(features, targets, PRIOR, NOISE).weights
     np.testing.assert_allclose(fit(features, targets, PRIOR, NOISE).mean, expected, rtol=1e-12)
+
+
+def test_random_fourier_features_know_no_more_directions_than_they_are():
+    """Why EMU-Q has little left to explore after as many different transitions as it has features."""
+    num_features, prior = 250, 0.01
+    rng = np.random.default_rng(0)
+    frequencies = rng.normal(size=(14, num_features // 2)) / 0.3
+
+    def features_of(num):
+        angles = rng.uniform(size=(num, 14)) @ frequencies
+        waves = np.concatenate([np.cos(angles), np.sin(angles)], axis=1)
+        return jnp.asarray(waves / np.sqrt(num_features // 2))
+
+    elsewhere = features_of(200)
+    left = []
+    for num in (num_features * 2 // 5, num_features, 2 * num_features):
+        model = fit(features_of(num), jnp.zeros(num), jnp.asarray(prior), jnp.asarray(1.0))
+        left.append(float(jnp.mean(jnp.sum(elsewhere * model.covariance_times(elsewhere), axis=1))) * prior)
+    np.testing.assert_allclose(left, [0.6, 0.09, 0.01], rtol=0.1)
