@@ -36,9 +36,6 @@ class Parser(argparse.ArgumentParser):
             name = unknown.split()[0].partition("=")[0]
             options = [option for option in self._option_string_actions if option.startswith("--")]
             message = f"unknown option {name}{did_you_mean(name, options)}"
-        action = self._option_string_actions.get(message.removeprefix("argument ").partition(":")[0])
-        if action is not None and action.metavar and message.endswith("expected one argument"):
-            message += f", {action.metavar}"
         raise UsageError(f"{message.removeprefix('argument ')} (see: {self.prog} --help)")
 
 

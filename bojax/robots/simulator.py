@@ -1,6 +1,7 @@
 """Physics of one robot on an accelerator: MuJoCo's MJX, with a state that is small between steps."""
 
 import functools
+import importlib.util
 from typing import Any, Literal
 
 import equinox as eqx
@@ -164,11 +165,13 @@ def _compiled(
         raise ValueError(f"MuJoCo refuses the model: {' '.join(str(error).split())}") from error
     if unsupported := _unsupported(compiled):
         raise ValueError(f"MJX cannot simulate the model: {unsupported}")
+    if impl == "warp" and importlib.util.find_spec("warp") is None:
+        raise ValueError('impl: got "warp", which is not installed: pip install mujoco-mjx[warp]')
     try:
         with silenced(), plain_jax(), jax.ensure_compile_time_eval():
             put = mjx.put_model(compiled, impl=impl)
             return compiled, put, mjx.make_data(compiled, impl=impl)
-    except (ValueError, NotImplementedError, RuntimeError) as error:  # the last: no Warp for `impl`
+    except (ValueError, NotImplementedError) as error:
         raise ValueError(f"MJX refuses the model: {' '.join(str(error).split())}") from error
 
 

@@ -1,6 +1,7 @@
 """MJX under `Simulator` against C MuJoCo, on every model that comes with bojax, and what it refuses."""
 
 import functools
+import importlib.util
 
 import equinox as eqx
 import jax
@@ -9,6 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
+import bojax.robots.simulator
 from bojax.config.physics import MJX
 from bojax.engine.build import build
 from bojax.robots.car import car_model
@@ -194,6 +196,23 @@ def test_a_model_that_cannot_be_used_says_why_in_a_line(xml, reason):
     with pytest.raises(ValueError, match=reason) as caught:
         Simulator(build(MJX(), "float32"), RobotModel(xml), substeps=1)
     assert "\n" not in str(caught.value) and len(str(caught.value)) > 10
+
+
+def test_warp_that_is_not_installed_says_so_in_a_line(monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(
+        ValueError, match=r"^impl: got .warp., which is not installed: pip install mujoco-mjx\[warp\]$"
+    ):
+        Simulator(build(MJX(impl="warp"), "float32"), RobotModel(slider()), substeps=1)
+
+
+def test_what_is_no_fault_of_the_model_is_not_put_down_to_it(monkeypatch):
+    def fails(*_, **__):
+        raise RuntimeError("RESOURCE_EXHAUSTED")
+
+    monkeypatch.setattr(bojax.robots.simulator.mjx, "put_model", fails)
+    with pytest.raises(RuntimeError, match=r"^RESOURCE_EXHAUSTED$"):
+        Simulator(build(MJX(), "float32"), RobotModel(slider("<!-- of its own -->")), substeps=1)
 
 
 def test_what_a_file_of_ones_own_includes_lies_beside_it(tmp_path):
