@@ -11,11 +11,11 @@ import numpy as np
 from bench_emu_q import parse
 from timing import Row, median_seconds, on_gpu, print_rows, time_runs, write_record
 
-from bojax.config.envs import MountainCar
-from bojax.config.experiments import Learning
-from bojax.config.learners import EMUQ, RandomFourierFeatures
 from bojax.engine.build import build
+from bojax.envs.settings import MountainCar
+from bojax.experiments.settings import Learning
 from bojax.learning.refit import refit
+from bojax.learning.settings import EMUQ, RandomFourierFeatures
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from tests.reference.emu_q import PublishedCode  # noqa: E402

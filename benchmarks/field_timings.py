@@ -11,8 +11,8 @@ import numpy as np
 from bench_field import parse
 from timing import Row, median_seconds, on_gpu, print_rows, time_runs, write_record
 
-from bojax.config.experiments import Planning
 from bojax.engine.build import build
+from bojax.experiments.settings import Planning
 from bojax.models.gaussian_process import GaussianProcess
 
 NUM_OBSERVATIONS = 192

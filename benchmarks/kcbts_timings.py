@@ -10,8 +10,8 @@ import numpy as np
 from bench_kcbts import parse
 from timing import Row, median_seconds, on_gpu, print_rows, time_runs, write_record
 
-from bojax.config.experiments import Planning
 from bojax.engine.build import build
+from bojax.experiments.settings import Planning
 
 LANES_ON_CPU = 64
 """What the engine takes for parking on a CPU (`Experiment.lanes_on_cpu`)."""

@@ -11,10 +11,10 @@ from bench_robots import parse
 from peers import installed
 from timing import Row, median_seconds, on_gpu, print_rows, time_runs, write_record
 
-from bojax.config.envs import Hopper, Jaco, LunarLander, Reacher
-from bojax.config.physics import MJX
 from bojax.engine.build import build
+from bojax.envs.robots.settings import Hopper, Jaco, LunarLander, Reacher
 from bojax.robots.models import mujoco, packaged
+from bojax.robots.settings import MJX
 from bojax.robots.simulator import Simulator
 
 SCHEMAS = {"hopper": Hopper, "reacher": Reacher, "jaco": Jaco}

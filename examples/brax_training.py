@@ -2,9 +2,9 @@
 
 from brax.training.agents.ars import train as ars
 
-from bojax.config.envs import SinglePendulum
 from bojax.engine.build import build
 from bojax.envs.brax import BojaxEnv
+from bojax.envs.settings import SinglePendulum
 
 pendulum = SinglePendulum(reward="classic", classic_ends_at_goal=False)
 _, _, metrics = ars.train(

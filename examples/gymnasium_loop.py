@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from bojax.config.envs import MountainCar
 from bojax.engine.build import build
 from bojax.envs.gymnasium import GymnasiumEnv
+from bojax.envs.settings import MountainCar
 
 env = GymnasiumEnv(build(MountainCar(), dtype="float32"))
 observation, _ = env.reset(seed=0)

@@ -5,11 +5,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Scalar
 
-from bojax.config.planners import KCBTS
-from bojax.config.problems import Monitoring
 from bojax.engine.build import build
 from bojax.experiments.planning import PlanningEpisode
 from bojax.fields.base import Field
+from bojax.planning.settings import KCBTS
+from bojax.problems.settings import Monitoring
 
 
 class Ridge(Field):

@@ -8,8 +8,8 @@ import pydantic
 from jaxtyping import Array, Key
 
 from bojax.config.component import Component, Slot
-from bojax.config.motions import Splines
 from bojax.motions.base import DiscreteMotions
+from bojax.motions.settings import Splines
 from bojax.planning.base import Plan, Planner
 from bojax.problems.base import Belief, Problem
 

@@ -8,13 +8,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 
-from bojax.config.envs import Robot
-from bojax.config.physics import MJX
 from bojax.engine.build import build
 from bojax.engine.training import train
 from bojax.envs.robots.base import RobotTask
+from bojax.envs.robots.settings import Robot
 from bojax.envs.spaces import Box
 from bojax.robots.models import RobotModel, from_file
+from bojax.robots.settings import MJX
 from bojax.robots.simulator import Physics, RobotState
 
 POCKET = 0.6, 0.6  # m

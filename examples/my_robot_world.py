@@ -10,10 +10,10 @@ import pydantic
 from jaxtyping import Array, Float, Key
 
 from bojax.config.component import Component, Slot
-from bojax.config.physics import MJX
 from bojax.motions.base import Pose
 from bojax.problems.vehicles.base import Ride, Vehicle
 from bojax.robots.models import from_file
+from bojax.robots.settings import MJX
 from bojax.robots.simulator import Physics, RobotState, Simulator
 
 

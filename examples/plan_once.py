@@ -3,10 +3,10 @@
 import equinox as eqx
 import jax
 
-from bojax.config.planners import KCBTS
-from bojax.config.problems import Parking
 from bojax.engine.build import build
 from bojax.motions.base import place
+from bojax.planning.settings import KCBTS
+from bojax.problems.settings import Parking
 
 jax.config.update("jax_enable_x64", True)
 problem, planner = build(Parking()), build(KCBTS(iterations=100))

@@ -5,7 +5,7 @@ import textwrap
 from collections.abc import Iterable, Sequence
 
 from bojax.cli.parser import Parser, UsageError
-from bojax.config.catalog import ROLES, kinds
+from bojax.config.catalog import kinds, roles
 from bojax.config.component import Component
 from bojax.config.describe import settings_of, summary_of
 from bojax.config.errors import ConfigError, one_of
@@ -44,8 +44,8 @@ def main(name: str, words: Sequence[str]) -> int:
 def _groups() -> dict[str, dict[str, str]]:
     """Every name with its line, by group; groups with nothing in them are left out."""
     groups = {
-        plural: {kind: summary_of(schema) for kind, schema in kinds(role).items()}
-        for role, plural in ROLES.items()
+        base.plural: {kind: summary_of(schema) for kind, schema in kinds(role).items()}
+        for role, base in roles().items()
     }
     groups |= {folder: {stem: _title(path) for stem, path in available(folder).items()} for folder in _FILES}
     return {title: lines for title, lines in groups.items() if lines}
@@ -64,7 +64,7 @@ def _title(path) -> str:
 def _about(name: str, groups: dict[str, dict[str, str]]) -> list[str]:
     if name in groups:
         return [_group(name, groups[name])]
-    blocks = [_part(role, kinds(role)[name]) for role in ROLES if name in kinds(role)]
+    blocks = [_part(role, kinds(role)[name]) for role in roles() if name in kinds(role)]
     for folder in _FILES:
         path = available(folder).get(name)
         if path is not None:

@@ -1,81 +1,31 @@
-"""Every built-in schema class: importing this module registers them all."""
+"""The settings modules of every package, found by discovery: importing this module registers every part.
 
-from bojax.config import (
-    claims,
-    envs,
-    experiments,
-    fields,
-    learners,
-    models,
-    motions,
-    objectives,
-    physics,
-    planners,
-    problems,
-    schedules,
-    tabular,
-    vehicles,
-)
+The parts of a package are configured by the schema classes in its module `settings`. Only these modules
+are imported; they load neither JAX nor matplotlib.
+"""
+
+import importlib
+from pathlib import Path
+
 from bojax.config.component import Component, registry
 
-__all__ = [
-    "PROTOCOLS",
-    "ROLES",
-    "claims",
-    "envs",
-    "experiments",
-    "fields",
-    "kinds",
-    "learners",
-    "models",
-    "motions",
-    "objectives",
-    "physics",
-    "planners",
-    "problems",
-    "schedules",
-    "tabular",
-    "vehicles",
-]
+_PACKAGE = Path(__file__).resolve().parent.parent
 
-ROLES = {
-    "experiment": "experiments",
-    "problem": "problems",
-    "env": "environments",
-    "planner": "planners",
-    "learner": "learners",
-    "schedule": "schedules of exploration",
-    "exploration-reward": "exploration rewards",
-    "features": "features of states and actions",
-    "motions": "families of trajectories",
-    "field": "fields",
-    "objective": "worths of a sample of a field",
-    "kernel": "kernels",
-    "mean": "prior means",
-    "acquisition": "acquisition functions",
-    "vehicle": "robots that drive planned paths",
-    "sensor": "sensors",
-    "physics": "engines of physics",
-}
-"""The roles that a user can fill, with their plurals, in the order of lists."""
 
-PROTOCOLS = {
-    "experiment": "bojax.experiments.base:Experiment",
-    "problem": "bojax.problems.base:Problem",
-    "planner": "bojax.planning.base:Planner",
-    "env": "bojax.envs.base:Env",
-    "learner": "bojax.learning.base:Learner",
-    "schedule": "bojax.learning.schedules:Schedule",
-    "exploration-reward": "bojax.learning.exploration_rewards:ExplorationReward",
-    "field": "bojax.fields.base:Field",
-    "objective": "bojax.problems.objectives:FieldObjective",
-    "kernel": "bojax.models.kernels:Kernel",
-    "mean": "bojax.models.means:Mean",
-    "acquisition": "bojax.acquisition.functions:Acquisition",
-    "vehicle": "bojax.problems.vehicles.base:Vehicle",
-    "sensor": "bojax.problems.sensors:Sensor",
-}
-"""Base class of each role, whose abstract methods a user's class has to provide."""
+def _settings_modules() -> list[str]:
+    """Names of the modules called `settings`, in every package below `bojax`."""
+    files = sorted(_PACKAGE.rglob("settings.py"))
+    return [".".join(["bojax", *file.relative_to(_PACKAGE).with_suffix("").parts]) for file in files]
+
+
+for _name in _settings_modules():
+    importlib.import_module(_name)
+
+
+def roles() -> dict[str, type[Component]]:
+    """The base class of the settings of each role that a user can fill, in the order of lists."""
+    bases = {base.role: base for base in Component.__subclasses__() if "plural" in vars(base)}
+    return dict(sorted(bases.items(), key=lambda item: item[1].plural))
 
 
 def kinds(role: str) -> dict[str, type[Component]]:

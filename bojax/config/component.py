@@ -80,11 +80,19 @@ class Registered(Schema, frozen=True):
 class Component(Registered, frozen=True):
     """Settings of one part, as plain numbers: what the constructor of its target takes.
 
+    The base class of a role sets `role`, `plural` and `protocol`; the class of a part sets `target` and
+    `kind`.
+
     Attributes:
-        target: The class that is built from it, `package.module:Class`.
+        plural: What lists call the parts of the role.
+        protocol: Base class of the parts, `package.module:Class`, whose abstract methods a part has to
+            provide; empty where a role has none.
+        target: The class that is built from the settings, `package.module:Class`.
         constructor_defaults: Fields that are left to the constructor unless they were set.
     """
 
+    plural: ClassVar[str]
+    protocol: ClassVar[str] = ""
     target: ClassVar[str] = ""
     constructor_defaults: ClassVar[frozenset[str]] = frozenset()
 

@@ -16,7 +16,7 @@ from typing import Any
 
 import pydantic
 
-from bojax.config.catalog import PROTOCOLS
+from bojax.config.catalog import roles
 from bojax.config.component import Component, External
 from bojax.config.errors import ConfigError, Location, did_you_mean, from_validation, shown
 from bojax.config.signature import fields_of
@@ -128,7 +128,7 @@ def _import(kind: str) -> type:
 def _check_protocol(cls: type, role: str, kind: str) -> None:
     """Refuse a class that lacks methods which the base class of its role leaves open."""
     missing = set(getattr(cls, "__abstractmethods__", ()))
-    base = PROTOCOLS.get(role)
+    base = roles()[role].protocol
     if base:
         module, _, name = base.partition(":")
         protocol = getattr(importlib.import_module(module), name)

@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow as pa
 import pydantic
 
-from bojax.config.catalog import PROTOCOLS
+from bojax.config.catalog import roles
 from bojax.config.component import Component, Slot
 from bojax.config.errors import dotted, from_validation
 from bojax.engine.batch import Compiled
@@ -131,7 +131,7 @@ def train(
 
 
 def _part(role: str, part: Any, dtype: Literal["float64", "float32"]) -> Any:
-    if isinstance(part, import_target(PROTOCOLS[role])):
+    if isinstance(part, import_target(roles()[role].protocol)):
         return part
     slot: Any = Annotated[Component, Slot(role)]
     try:

@@ -6,8 +6,8 @@ from jax.scipy.ndimage import map_coordinates
 from jaxtyping import Array, Float, Scalar
 from scipy.interpolate import griddata
 
-from bojax.config.data import read_array
 from bojax.fields.base import Field
+from bojax.fields.data import read_array
 
 
 class GridField(Field):

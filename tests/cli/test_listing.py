@@ -20,7 +20,7 @@ def listed(capsys, monkeypatch):
 
 def test_everything_is_listed_with_a_line(listed):
     out = listed()
-    names = [kind for role in catalog.ROLES for kind in catalog.kinds(role)]
+    names = [kind for role in catalog.roles() for kind in catalog.kinds(role)]
     names += [*available("configs"), *available("sweeps")]
     lines = {
         line.split()[0]: line.split(maxsplit=1)[1:] for line in out.splitlines() if line.startswith("  ")
@@ -29,10 +29,10 @@ def test_everything_is_listed_with_a_line(listed):
         assert lines[name], f"{name} has no description"
 
 
-@pytest.mark.parametrize("kind", [kind for role in catalog.ROLES for kind in catalog.kinds(role)])
+@pytest.mark.parametrize("kind", [kind for role in catalog.roles() for kind in catalog.kinds(role)])
 def test_every_part_shows_its_settings(listed, kind):
     out = listed(kind)
-    role = next(role for role in catalog.ROLES if kind in catalog.kinds(role))
+    role = next(role for role in catalog.roles() if kind in catalog.kinds(role))
     for name in catalog.kinds(role)[kind].model_fields:
         assert name == "kind" or f"\n  {name} " in out
 

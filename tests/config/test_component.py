@@ -7,15 +7,15 @@ import pytest
 
 from bojax.config import catalog
 from bojax.config.component import Component, External, Registered, Schema, Slot, registry
-from bojax.config.experiments import Planning
-from bojax.config.models import Matern52
-from bojax.config.motions import KernelTrajectories, Splines
-from bojax.config.planners import KCBTS, SBO
-from bojax.config.problems import Parking
+from bojax.experiments.settings import Planning
+from bojax.models.settings import Matern52
+from bojax.motions.settings import KernelTrajectories, Splines
+from bojax.planning.settings import KCBTS, SBO
+from bojax.problems.settings import Parking
 
 BUILT_IN = [
     pytest.param(schema, id=f"{role}-{kind}")
-    for role in catalog.ROLES
+    for role in catalog.roles()
     for kind, schema in catalog.kinds(role).items()
 ]
 

@@ -1,9 +1,9 @@
 """Settings in words."""
 
 from bojax.config.describe import settings_of, summary_of
-from bojax.config.motions import Splines
-from bojax.config.planners import SBO
 from bojax.config.settings import EngineConfig
+from bojax.motions.settings import Splines
+from bojax.planning.settings import SBO
 
 
 def test_settings_say_type_default_and_meaning():

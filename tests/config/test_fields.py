@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from bojax.config.component import Component
-from bojax.config.data import read_array
 from bojax.config.errors import ConfigError
-from bojax.config.fields import Grid, Scattered
 from bojax.config.sweep import load_config
+from bojax.fields.data import read_array
+from bojax.fields.settings import Grid, Scattered
 
 TABLE = np.array([[1.0, 2.5, -3.0], [0.25, 1e-3, 7.0]])
 EXTENT = (0.0, 0.0, 2.0, 1.0)

@@ -4,7 +4,7 @@ import inspect
 
 import pytest
 
-from bojax.config.catalog import ROLES, kinds
+from bojax.config.catalog import kinds, roles
 from bojax.engine.build import build, import_target
 
 EXAMPLES = {
@@ -16,7 +16,7 @@ EXAMPLES = {
 }
 """Settings of the kinds that have no default for all of theirs."""
 
-COMPONENTS = [(role, kind, schema) for role in ROLES for kind, schema in kinds(role).items()]
+COMPONENTS = [(role, kind, schema) for role in roles() for kind, schema in kinds(role).items()]
 
 
 @pytest.mark.parametrize("schema", [pytest.param(s, id=f"{r}-{k}") for r, k, s in COMPONENTS])

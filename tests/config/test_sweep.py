@@ -4,11 +4,11 @@ import pytest
 
 from bojax.config.component import Component
 from bojax.config.files import available, shipped
-from bojax.config.motions import KernelTrajectories, Splines
-from bojax.config.planners import KCBTS, SBO
-from bojax.config.problems import Parking
 from bojax.config.settings import EngineConfig, Record
 from bojax.config.sweep import Sweep, load_config, load_sweep
+from bojax.motions.settings import KernelTrajectories, Splines
+from bojax.planning.settings import KCBTS, SBO
+from bojax.problems.settings import Parking
 
 
 def planner(sweep: Sweep, index: int = 0) -> Component:

@@ -8,10 +8,11 @@ import jax.numpy as jnp
 import pytest
 from jaxtyping import Array, Float
 
+from bojax.acquisition.settings import LogExpectedImprovement
 from bojax.config.component import Component, External, Slot
 from bojax.config.errors import ConfigError
-from bojax.config.models import RBF, LogExpectedImprovement
 from bojax.engine.build import build
+from bojax.models.settings import RBF
 
 
 class Inner(eqx.Module):

@@ -7,17 +7,17 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from bojax.config.envs import Gymnasium
-from bojax.config.experiments import Learning
 from bojax.config.settings import EngineConfig, Record
 from bojax.config.sweep import Point, Sweep
-from bojax.config.tabular import EpsilonGreedy
 from bojax.engine.batch import Compiled
 from bojax.engine.build import build
 from bojax.engine.devices import make_mesh
 from bojax.engine.groups import static_groups
 from bojax.engine.hosted import Hosted
 from bojax.engine.run import run_sweep
+from bojax.envs.settings import Gymnasium
+from bojax.experiments.settings import Learning
+from bojax.learning.settings import EpsilonGreedy
 
 GRID = Gymnasium(id="tests.engine.test_hosted:Corridor-v0", success="terminated", max_steps=12)
 
@@ -118,7 +118,7 @@ def test_an_environment_that_raises_fails_its_chunk_in_one_line(tmp_path, capsys
 
 def test_is_what_the_compiled_run_does():
     """One of our environments, stepped on the host, ends in the tables of its compiled run."""
-    from bojax.config.tabular import Chain
+    from bojax.envs.settings import Chain
 
     compiled_run = build(
         Learning(env=Chain(), learner=EpsilonGreedy(epsilon=0.3, block=4), episodes=3, tests=1), "float32"

@@ -5,15 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bojax.config.envs import MountainCar
 from bojax.config.errors import ConfigError
-from bojax.config.learners import EMUQ, RandomFourierFeatures
-from bojax.config.schedules import Budget
 from bojax.config.sweep import load_config
-from bojax.config.tabular import AdditiveRewards, Chain
 from bojax.engine.build import build
 from bojax.engine.run import run_sweep
 from bojax.engine.training import train
+from bojax.envs.settings import Chain, MountainCar
+from bojax.learning.settings import EMUQ, AdditiveRewards, Budget, RandomFourierFeatures
 from bojax.results.store import read_table
 from tests.learning.probes import Bandit
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from bojax.config.tabular import Chain
+from bojax.envs.settings import Chain
 from tests.envs.tables import branches, frequencies, part, tables
 from tests.reference.tabular import hitting_time, value_iteration
 

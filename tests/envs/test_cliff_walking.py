@@ -5,7 +5,7 @@ import jax
 import numpy as np
 import pytest
 
-from bojax.config.tabular import CliffWalking
+from bojax.envs.settings import CliffWalking
 from tests.envs.tables import branches, frequencies, part, tables
 from tests.reference.tabular import value_iteration
 

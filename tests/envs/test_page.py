@@ -5,9 +5,10 @@ import re
 import pytest
 import yaml
 
-from bojax.config import catalog, envs
+from bojax.config import catalog
 from bojax.config.describe import settings_of
-from bojax.config.experiments import Learning
+from bojax.envs import settings as envs
+from bojax.experiments.settings import Learning
 from tests.examples.pages import ROOT, blocks
 
 PAGE = ROOT / "docs" / "environments.md"

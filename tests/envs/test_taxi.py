@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pytest
 
-from bojax.config.tabular import Taxi
+from bojax.envs.settings import Taxi
 from tests.envs.tables import branches, frequencies, part, tables
 from tests.reference.tabular import value_iteration
 

@@ -13,15 +13,15 @@ from bojax.config import catalog
 from bojax.config.claims import Agrees, Growth, Mean, Order, Ratio, Share, Similar, Trend, Window
 from bojax.config.component import registry
 from bojax.config.describe import settings_of
-from bojax.config.experiments import Learning, Planning
 from bojax.config.files import EXPERIMENT
 from bojax.config.places import look_up
-from bojax.config.problems import FieldProblem
 from bojax.config.settings import EngineConfig, Settings
 from bojax.config.sweep import Report, SweepFile, load_config, load_sweep
 from bojax.engine.build import build
 from bojax.engine.manifest import timings
 from bojax.engine.runner import evaluation
+from bojax.experiments.settings import Learning, Planning
+from bojax.problems.settings import FieldProblem
 from bojax.report.figures import FIGURES
 from tests.examples.pages import PAGES, ROOT, blocks, commands, links
 
@@ -80,7 +80,7 @@ def test_the_configuration_page_names_every_key():
     claims = (Order, Ratio, Share, Similar, Mean, Trend, Agrees, Growth)
     schemas = (Settings, EngineConfig, SweepFile, Report, Window, *claims)
     keys = {setting.name for schema in schemas for setting in settings_of(schema)}
-    kinds = {kind for role in catalog.ROLES for kind in registry.get(role, {})}
+    kinds = {kind for role in catalog.roles() for kind in registry.get(role, {})}
     tests = {test.model_fields["kind"].default for test in claims}
     known = {"by", "label"}  # said in a sentence: `by: variant`
     assert keys - known | kinds - {"toy"} | tests | set(FIGURES) <= names_in(DOCS / "configuration.md")

@@ -11,12 +11,12 @@ import pytest
 from jaxtyping import Array, Float
 
 import bojax.config.catalog  # noqa: F401 (registers every kind)
-from bojax.config.experiments import Learning
 from bojax.engine.build import build
 from bojax.envs.base import Env, Transition
 from bojax.envs.spaces import Box, Discrete
 from bojax.envs.tabular import TabularEnv
 from bojax.experiments.learning import PHASES, LearningRun
+from bojax.experiments.settings import Learning
 from bojax.learning.base import Balance, Learner
 from bojax.numerics.lanes import LANES
 from tests.compiling import QUICKLY

@@ -6,10 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bojax.config.learners import EMUQ, EMUQPublished, FourierBasisFeatures, RandomFourierFeatures
 from bojax.engine.build import build
 from bojax.envs.spaces import Box, Discrete
 from bojax.learning.base import Balance, Episode, Experience
+from bojax.learning.settings import EMUQ, EMUQPublished, FourierBasisFeatures, RandomFourierFeatures
 from tests.reference.emu_q import Algorithm6, PublishedCode
 
 NUM_STEPS = 40

@@ -6,19 +6,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bojax.config.experiments import Learning
-from bojax.config.tabular import (
-    AdditiveRewards,
-    Chain,
-    CliffWalking,
-    EpsilonGreedy,
-    ExplorationValues,
-    Taxi,
-)
 from bojax.engine.build import build
+from bojax.envs.settings import Chain, CliffWalking, Taxi
 from bojax.envs.spaces import Box, Discrete
 from bojax.experiments.learning import LearningRun
+from bojax.experiments.settings import Learning
 from bojax.learning.base import Balance, Experience
+from bojax.learning.settings import AdditiveRewards, EpsilonGreedy, ExplorationValues
 from tests.envs.tables import part, tables
 from tests.learning.probes import Bandit, Loop
 from tests.reference.tabular import QLearning, value_iteration

@@ -9,15 +9,15 @@ import pytest
 from scipy import stats
 
 from bojax.config.errors import ConfigError
-from bojax.config.problems import Monitoring
-from bojax.config.vehicles import WheeledRobot
 from bojax.engine.build import build
 from bojax.fields.closed_form import Bumps, Step
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Matern32, Scaled
 from bojax.models.means import ConstantMean
 from bojax.motions.base import place
+from bojax.problems.settings import Monitoring
 from bojax.problems.vehicles.base import Exact
+from bojax.problems.vehicles.settings import WheeledRobot
 from tests.planning.samples import FIELD, OBJECTIVES, f64, field_belief, monitoring
 from tests.reference.bridge import reference_belief, reference_problem
 from tests.reference.monitoring import segments_touch_boxes

@@ -11,14 +11,14 @@ import pytest
 
 from bojax.config import vehicles
 from bojax.config.errors import ConfigError
-from bojax.config.fields import Bumps
-from bojax.config.models import ConstantMean
-from bojax.config.problems import HillyTerrain, IndoorProps, TwoPits
 from bojax.engine.build import build
+from bojax.fields.settings import Bumps
+from bojax.models.settings import ConstantMean
 from bojax.motions.base import place
 from bojax.motions.splines import SplineSet
 from bojax.problems.mapping import Map
 from bojax.problems.sensors import RangeSensor
+from bojax.problems.settings import HillyTerrain, IndoorProps, TwoPits
 from bojax.robots.quaternions import rotation_of
 
 LANES, SIZE = 48, 8

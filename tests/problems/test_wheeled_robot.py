@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from bojax.cli.main import main
-from bojax.config.motions import KernelTrajectories, Splines
-from bojax.config.problems import RobotParking
-from bojax.config.vehicles import WheeledRobot
 from bojax.engine.build import build
 from bojax.motions.base import place, tightest_radius
+from bojax.motions.settings import KernelTrajectories, Splines
+from bojax.problems.settings import RobotParking
+from bojax.problems.vehicles.settings import WheeledRobot
 from bojax.problems.vehicles.wheeled_robot import FRAME_EVERY
 from bojax.robots.car import car_model, measures_of, scene_of
 from tests.compiling import REPEATABLY

@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from bojax.cli.main import main
-from bojax.config.problems import Parking, TwoPits
 from bojax.motions.base import place as placed
+from bojax.problems.settings import Parking, TwoPits
 from bojax.report.animations.choose import choose_film
 from bojax.report.animations.drive import choose_drive
 from bojax.report.animations.film import MAX_FRAMES, render

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bojax.report.figures.base import Undrawable
-from bojax.report.figures.settings import _curve_names, _short, marginals, values_of
+from bojax.report.figures.settings_compared import _curve_names, _short, marginals, values_of
 from bojax.report.source import Point
 
 

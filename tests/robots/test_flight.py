@@ -8,9 +8,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from bojax.config.vehicles import Quadrotor
 from bojax.engine.build import build
 from bojax.motions.splines import SplineSet
+from bojax.problems.vehicles.settings import Quadrotor
 from bojax.robots.flight import Reference, control, way
 from bojax.robots.quadrotor import quadrotor_model
 from bojax.robots.quaternions import rotation_of, turned, yaw_of

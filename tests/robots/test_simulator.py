@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 import bojax.robots.simulator
-from bojax.config.physics import MJX
 from bojax.engine.build import build
 from bojax.robots.car import car_model
 from bojax.robots.jaco import jaco_model
 from bojax.robots.models import RobotModel, from_file, packaged
 from bojax.robots.quadrotor import quadrotor_model
+from bojax.robots.settings import MJX
 from bojax.robots.simulator import Simulator
 from tests.compiling import QUICKLY
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bojax.config.problems import Parking, SpaceModelling, TwoPits
+from bojax.problems.settings import Parking, SpaceModelling, TwoPits
 from bojax.robots.models import mujoco
 from bojax.robots.scenes import VEHICLES
 from bojax.robots.surroundings import WALL_HEIGHT, domain_of

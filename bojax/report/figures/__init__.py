@@ -10,7 +10,7 @@ from bojax.report.figures import (
     learning_curves,
     paths,
     returns,
-    settings,
+    settings_compared,
     solved,
     steps_to_goal,
     success,
@@ -38,6 +38,6 @@ FIGURES: Mapping[str, Draw] = {
     "surfaces": surfaces.draw,
     "error-map": error_map.draw,
     "trajectories": trajectories.draw,
-    "settings": settings.draw,
+    "settings": settings_compared.draw,
 }
 """By the name that a sweep's `report.figures` uses, which is also the name of the file."""

@@ -1,4 +1,4 @@
-"""Settings of the learners with function approximation, and of their features."""
+"""Settings of learners, their features and exploration rewards, and of schedules of exploration."""
 
 from typing import Annotated, ClassVar, Literal
 
@@ -7,11 +7,14 @@ from pydantic import Field
 from bojax.config.component import Component, Slot
 
 
-class _Features(Component, frozen=True):
+class FeatureSettings(Component, frozen=True):
+    """Features of states and actions."""
+
     role: ClassVar[str] = "features"
+    plural: ClassVar[str] = "features of states and actions"
 
 
-class RandomFourierFeatures(_Features, frozen=True):
+class RandomFourierFeatures(FeatureSettings, frozen=True):
     """Random Fourier features of a stationary kernel over state and action (thesis, equation 2.33)."""
 
     target: ClassVar[str] = "bojax.learning.features:RandomFourierSpec"
@@ -33,7 +36,7 @@ class RandomFourierFeatures(_Features, frozen=True):
     )
 
 
-class FourierBasisFeatures(_Features, frozen=True):
+class FourierBasisFeatures(FeatureSettings, frozen=True):
     """The Fourier basis over state and action (thesis, equation 5.23)."""
 
     target: ClassVar[str] = "bojax.learning.features:FourierBasisSpec"
@@ -42,7 +45,7 @@ class FourierBasisFeatures(_Features, frozen=True):
     order: int = Field(default=3, ge=1, description="half periods along a dimension: (order + 1)^D features")
 
 
-class Indicators(_Features, frozen=True):
+class Indicators(FeatureSettings, frozen=True):
     """One feature for each pair of a numbered state and a numbered action."""
 
     target: ClassVar[str] = "bojax.learning.features:IndicatorSpec"
@@ -51,9 +54,11 @@ class Indicators(_Features, frozen=True):
 
 
 class LearnerSettings(Component, frozen=True):
-    """What every learner can be told."""
+    """A learner."""
 
     role: ClassVar[str] = "learner"
+    plural: ClassVar[str] = "learners"
+    protocol: ClassVar[str] = "bojax.learning.base:Learner"
 
     discount: float = Field(default=0.99, gt=0, le=1, description="discount of rewards per step (gamma)")
 
@@ -148,3 +153,140 @@ class RFFQ(LearnerSettings, frozen=True):
     initial_weight: float = Field(default=0.0, ge=0, description="standard deviation of the first weights")
     num_actions: int = Field(default=15, ge=1, description="candidates of the argmax over actions")
     block: int = Field(default=16, ge=1, description="steps between two looks at whether an episode is over")
+
+
+class ExplorationRewardSettings(Component, frozen=True):
+    """An exploration reward."""
+
+    role: ClassVar[str] = "exploration-reward"
+    plural: ClassVar[str] = "exploration rewards"
+    protocol: ClassVar[str] = "bojax.learning.exploration_rewards:ExplorationReward"
+
+
+class FirstVisit(ExplorationRewardSettings, frozen=True):
+    """0 for the first visit of a state and action, -1 for any other (thesis, p. 118)."""
+
+    target: ClassVar[str] = "bojax.learning.exploration_rewards:FirstVisit"
+
+    kind: Literal["first-visit"] = "first-visit"
+
+
+class NextUncertainty(ExplorationRewardSettings, frozen=True):
+    """Mean uncertainty 1 / sqrt(1 + visits) of the next state's actions, less 1 (thesis, 5.9)."""
+
+    target: ClassVar[str] = "bojax.learning.exploration_rewards:NextUncertainty"
+
+    kind: Literal["next-uncertainty"] = "next-uncertainty"
+
+
+class _Tabular(LearnerSettings, frozen=True):
+    """What every tabular learner can be told."""
+
+    learning_rate: float = Field(
+        default=0.1, ge=0, le=1, description="share of the way to its target that a value goes"
+    )
+    initial_q: float = Field(default=0.0, description="Q of what was never tried")
+    ties: Literal["random", "first"] = Field(
+        default="random", description="which of several best actions is taken"
+    )
+    block: int = Field(default=16, ge=1, description="steps between two looks at whether all runs have ended")
+
+
+_ExploresBy = Annotated[Component, Slot("exploration-reward")]
+
+
+class ExplorationValues(_Tabular, frozen=True):
+    """Q-learning with a second table U of exploration rewards; acts by argmax Q + kappa U."""
+
+    target: ClassVar[str] = "bojax.learning.tabular:ExplorationValues"
+
+    kind: Literal["exploration-values"] = "exploration-values"
+    kappa: float = Field(default=1.0, ge=0, description="weight of U in the choice of actions")
+    initial_u: float = Field(default=0.0, description="U of what was never tried")
+    exploration_reward: _ExploresBy = Field(
+        default=FirstVisit(), description="what exploring a transition is worth"
+    )
+    bootstrap: Literal["greedy-q", "policy", "max"] = Field(
+        default="greedy-q",
+        description="what follows a state: its greatest Q and U of argmax Q + kappa U, both of that action "
+        "(5.7), or the greatest of each",
+    )
+    terminal_u: Literal["masked", "bootstrap"] = Field(
+        default="masked", description="U of an absorbing state: 0, or what stands in the table"
+    )
+
+
+class AdditiveRewards(_Tabular, frozen=True):
+    """Q-learning of rewards plus xi times exploration rewards (thesis, 5.1)."""
+
+    target: ClassVar[str] = "bojax.learning.tabular:AdditiveRewards"
+
+    kind: Literal["additive"] = "additive"
+    xi: float = Field(default=1.0, ge=0, description="weight of exploration rewards")
+    exploration_reward: _ExploresBy = Field(
+        default=FirstVisit(), description="what exploring a transition is worth"
+    )
+
+
+class EpsilonGreedy(_Tabular, frozen=True):
+    """Q-learning that takes a random action with probability epsilon."""
+
+    target: ClassVar[str] = "bojax.learning.tabular:EpsilonGreedy"
+
+    kind: Literal["epsilon-greedy"] = "epsilon-greedy"
+    epsilon: float = Field(default=0.1, ge=0, le=1, description="probability of a random action")
+
+
+class ScheduleSettings(Component, frozen=True):
+    """A schedule of exploration: how it changes over a learning run."""
+
+    role: ClassVar[str] = "schedule"
+    plural: ClassVar[str] = "schedules of exploration"
+    protocol: ClassVar[str] = "bojax.learning.schedules:Schedule"
+
+
+class Constant(ScheduleSettings, frozen=True):
+    """The same exploration in every episode."""
+
+    target: ClassVar[str] = "bojax.learning.schedules:Constant"
+
+    kind: Literal["constant"] = "constant"
+
+
+class Decay(ScheduleSettings, frozen=True):
+    """Exploration times 1 / (1 + c t), t the number of episodes before (thesis, p. 121)."""
+
+    target: ClassVar[str] = "bojax.learning.schedules:Decay"
+
+    kind: Literal["decay"] = "decay"
+    rate: float = Field(default=0.1, ge=0, description="c, per episode")
+
+
+class Budget(ScheduleSettings, frozen=True):
+    """Exploration for some episodes, none after them; or again later (thesis, p. 119)."""
+
+    target: ClassVar[str] = "bojax.learning.schedules:Budget"
+
+    kind: Literal["budget"] = "budget"
+    episodes: int = Field(default=30, ge=0, description="episodes with exploration")
+    resume_after: int | None = Field(
+        default=None, ge=1, description="episodes without it, before it goes on for good; null: never"
+    )
+    learns_without: bool = Field(default=False, description="whether learning goes on without exploration")
+
+
+class UntilTarget(ScheduleSettings, frozen=True):
+    """Exploration until the test episodes reach their target (thesis, p. 123)."""
+
+    target: ClassVar[str] = "bojax.learning.schedules:UntilTarget"
+
+    kind: Literal["until-target"] = "until-target"
+    learns_after: bool = Field(default=False, description="whether learning goes on after that")
+
+
+class Exploit(ScheduleSettings, frozen=True):
+    """Neither exploration nor learning: an evaluation of what a learner knows."""
+
+    target: ClassVar[str] = "bojax.learning.schedules:Exploit"
+
+    kind: Literal["exploit"] = "exploit"

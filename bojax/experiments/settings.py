@@ -1,24 +1,28 @@
 """Settings of the experiments: what one run does."""
 
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, ClassVar, Literal
 
 import pydantic
 from pydantic import Field
 
 from bojax.config.component import Component, External, Slot
-from bojax.config.motions import KernelTrajectories
-from bojax.config.planners import KCBTS
-from bojax.config.problems import FieldProblem, Parking
-from bojax.config.schedules import Constant, Exploit, UntilTarget
+from bojax.learning.settings import Constant, Exploit, UntilTarget
+from bojax.motions.settings import KernelTrajectories
+from bojax.planning.settings import KCBTS
+from bojax.problems.settings import FieldProblem, Parking
 
 
-class _Experiment(Component, frozen=True):
+class ExperimentSettings(Component, frozen=True):
+    """An experiment: what one run does."""
+
     role: ClassVar[str] = "experiment"
+    plural: ClassVar[str] = "experiments"
+    protocol: ClassVar[str] = "bojax.experiments.base:Experiment"
 
     dtype: Literal["float64", "float32"] = Field(default="float64", description="precision of every number")
 
 
-class Planning(_Experiment, frozen=True):
+class Planning(ExperimentSettings, frozen=True):
     """One episode of a planner on a problem."""
 
     target: ClassVar[str] = "bojax.experiments.planning:PlanningEpisode"
@@ -30,7 +34,7 @@ class Planning(_Experiment, frozen=True):
     planner: Annotated[Component, Slot("planner")] = Field(default=KCBTS(), description="who plans")
 
     @pydantic.model_validator(mode="after")
-    def _objective_of_a_field(self) -> Self:
+    def _objective_of_a_field(self) -> "Planning":
         is_known = not isinstance(self.problem, External | FieldProblem)
         if is_known and getattr(self.planner, "objective", None) is not None:
             raise ValueError(
@@ -45,7 +49,7 @@ class Planning(_Experiment, frozen=True):
         return self.planner.label
 
 
-class Learning(_Experiment, frozen=True):
+class Learning(ExperimentSettings, frozen=True):
     """Episodes of a learner in an environment, with test episodes in between (thesis, Algorithm 5)."""
 
     target: ClassVar[str] = "bojax.experiments.learning:LearningRun"
@@ -74,7 +78,7 @@ class Learning(_Experiment, frozen=True):
     saved: str | None = Field(default=None, description="folder of a saved learner to begin with")
 
     @pydantic.model_validator(mode="after")
-    def _target_is_tested(self) -> Self:
+    def _target_is_tested(self) -> "Learning":
         needs = self.stop == "target" or isinstance(self.schedule, UntilTarget)
         if needs and self.target_return is None:
             raise ValueError("target_return: a number is needed: something waits until it is reached")
@@ -90,7 +94,7 @@ class Learning(_Experiment, frozen=True):
         return self.learner.label
 
 
-class Trajectories(_Experiment, frozen=True):
+class Trajectories(ExperimentSettings, frozen=True):
     """A gallery of trajectories of one family, from one pose (thesis, Fig. 4.2)."""
 
     target: ClassVar[str] = "bojax.experiments.trajectories:TrajectoryGallery"

@@ -4,20 +4,25 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
+from bojax.acquisition.settings import UpperConfidenceBound
 from bojax.config.component import Component, Slot
-from bojax.config.models import RBF, UpperConfidenceBound
-from bojax.config.motions import CONTINUOUS, DISCRETE, CubicCurves, KernelTrajectories, Splines
-from bojax.config.objectives import Gradient, Uncertainty
+from bojax.models.settings import RBF
+from bojax.motions.settings import CONTINUOUS, DISCRETE, CubicCurves, KernelTrajectories, Splines
+from bojax.problems.settings import Gradient, Uncertainty
 
 
-class _Planner(Component, frozen=True):
+class PlannerSettings(Component, frozen=True):
+    """A planner."""
+
     role: ClassVar[str] = "planner"
+    plural: ClassVar[str] = "planners"
+    protocol: ClassVar[str] = "bojax.planning.base:Planner"
 
 
 _OBJECTIVE: Any = Field(default=None, description="what the planner maximises; null for the problem's task")
 
 
-class _TreeSearch(_Planner, frozen=True):
+class _TreeSearch(PlannerSettings, frozen=True):
     iterations: int = Field(default=300, ge=1, description="simulations for one decision")
     depth: int = Field(default=3, ge=1, description="horizon, actions")
     exploration: float = Field(
@@ -92,7 +97,7 @@ class BOPOMDP(_DiscreteTreeSearch, frozen=True):
     )
 
 
-class _MyopicPlanner(_Planner, frozen=True):
+class _MyopicPlanner(PlannerSettings, frozen=True):
     target: ClassVar[str] = "bojax.planning.myopic:MyopicPlanner"
 
     motions: Annotated[Component, Slot("motions", only=DISCRETE)] = Field(
@@ -143,7 +148,7 @@ class GpsAbt(_TreeSearch, frozen=True):
     )
 
 
-class Random(_Planner, frozen=True):
+class Random(PlannerSettings, frozen=True):
     """Trajectories drawn at random."""
 
     target: ClassVar[str] = "bojax.planning.random:RandomPlanner"

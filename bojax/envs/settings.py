@@ -1,19 +1,24 @@
 """Settings of the environments with continuous states."""
 
 import json
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal
 
 import pydantic
 from pydantic import Field
 
-from bojax.config.component import Component, Slot
-from bojax.config.physics import MJX
+from bojax.config.component import Component
 
 
-class Environment(Component, frozen=True):
-    """What every environment can be told."""
+class EnvironmentSettings(Component, frozen=True):
+    """An environment."""
 
     role: ClassVar[str] = "env"
+    plural: ClassVar[str] = "environments"
+    protocol: ClassVar[str] = "bojax.envs.base:Env"
+
+
+class Environment(EnvironmentSettings, frozen=True):
+    """An environment that is stepped inside the compiled program."""
 
     max_steps: int = Field(default=500, ge=1, description="steps after which an episode is cut off")
 
@@ -105,90 +110,58 @@ class CartpoleSwingUp(ControlTask, frozen=True):
     time_step: float = Field(default=0.02, gt=0, description="time step, s")
 
 
-class Robot(ControlTask, frozen=True):
-    """What the robots that MJX steps can be told."""
+class CliffWalking(Environment, frozen=True):
+    """Walk along a cliff to a goal, on a grid of 4 x 12 (Sutton & Barto, Example 6.6)."""
 
-    physics: Annotated[Component, Slot("physics")] = Field(default=MJX(), description="how MJX computes")
-    substeps: int = Field(default=1, ge=1, description="steps of the physics for one action")
+    target: ClassVar[str] = "bojax.envs.cliff_walking:CliffWalking"
 
-
-class Hopper(Robot, frozen=True):
-    """Jump with a leg of three segments (thesis, p. 107; Gym's Hopper)."""
-
-    target: ClassVar[str] = "bojax.envs.robots.hopper:Hopper"
-
-    kind: Literal["hopper"] = "hopper"
-    goal_height: float = Field(default=1.3, gt=1.26, description="height of the torso to be exceeded, m")
-    failure_angle: float = Field(default=0.2, gt=0, description="largest |angle| of the torso, rad")
-    failure_height: float = Field(
-        default=0.0, ge=0, lt=1.24, description="least height of the torso, m; 0.7 in the author's code"
+    kind: Literal["cliff-walking"] = "cliff-walking"
+    max_steps: int = Field(default=1000, ge=1, description="steps after which an episode is cut off")
+    slip: float = Field(
+        default=0.01, ge=0, le=1, description="probability that the direction is drawn anew from all four"
     )
-    substeps: int = Field(default=4, ge=1, description="steps of the physics, of 2 ms, for one action")
-
-
-class Reacher(Robot, frozen=True):
-    """Bring the tip of an arm of two links to a target (thesis, p. 107; Gym's Reacher)."""
-
-    target: ClassVar[str] = "bojax.envs.robots.reacher:Reacher"
-
-    kind: Literal["reacher"] = "reacher"
-    goal_distance: float = Field(default=0.015, gt=0, description="distance to the target to be undercut, m")
-    target_radius: float = Field(
-        default=0.2, gt=0, le=0.21, description="largest distance of the target from the shoulder, m"
+    reward_scale: float = Field(default=1.0, gt=0, description="factor of every reward")
+    reward: Literal["goal-only", "classic"] = Field(
+        default="goal-only", description="1 for the goal and -1 for a fall; or -1 a step and -100 for a fall"
     )
-    substeps: int = Field(default=2, ge=1, description="steps of the physics, of 10 ms, for one action")
 
 
-class Jaco(Robot, frozen=True):
-    """Bring the finger tips of a damaged arm to a target (thesis, Section 5.7.3)."""
+class Taxi(Environment, frozen=True):
+    """Fetch a passenger on a grid of 5 x 5 and bring them to their destination (Dietterich 2000)."""
 
-    target: ClassVar[str] = "bojax.envs.robots.jaco:Jaco"
+    target: ClassVar[str] = "bojax.envs.taxi:Taxi"
 
-    kind: Literal["jaco"] = "jaco"
-    joints: tuple[Annotated[int, Field(ge=1, le=6)], ...] = Field(
-        default=(1, 2),
-        strict=False,
-        min_length=1,
-        max_length=6,
-        description="joints that move, from 1 at the base to 6 at the hand; the others are stuck",
+    kind: Literal["taxi"] = "taxi"
+    max_steps: int = Field(default=1000, ge=1, description="steps after which an episode is cut off")
+    reward_scale: float = Field(default=1.0, gt=0, description="factor of every reward")
+    reward: Literal["goal-only", "classic"] = Field(
+        default="goal-only",
+        description="1 for the right drop-off and -0.1 for a wrong drop-off or pick-up; or 20, -10, and -1 "
+        "a step",
     )
-    targets: Literal["per-run", "per-episode"] = Field(
-        default="per-run", description="one target for a run, not observed; or one for an episode, observed"
+
+
+class Chain(Environment, frozen=True):
+    """Walk a chain of N states to its end, where a step to the right may lead left (thesis, Fig. 5.6a)."""
+
+    target: ClassVar[str] = "bojax.envs.chain:Chain"
+
+    kind: Literal["chain"] = "chain"
+    max_steps: int = Field(default=1000, ge=1, description="steps after which an episode is cut off")
+    length: int = Field(default=10, ge=2, description="number of states (N); a sweep over it compiles once")
+    sparsity: float = Field(
+        default=1.0, ge=0, le=1, description="p: a state that is not the goal pays -1 with probability 1 - p"
     )
-    goal_distance: float = Field(default=0.1, gt=0, description="distance to the target to be undercut, m")
-    substeps: int = Field(default=10, ge=1, description="steps of the physics, of 4 ms, for one action")
-    max_steps: int = Field(default=50, ge=1, description="steps after which an episode is cut off")
+    start: int = Field(default=0, ge=0, description="state that an episode starts in; 0 is the first")
+    max_length: int = Field(default=20, ge=2, description="number of observations that are declared")
 
     @pydantic.model_validator(mode="after")
-    def _distinct(self) -> Self:
-        if len(set(self.joints)) < len(self.joints):
-            raise ValueError("joints: one stands there twice")
+    def _fits(self) -> "Chain":
+        if self.length > self.max_length:
+            raise ValueError(f"length: at most max_length, which is {self.max_length}; got {self.length}")
+        if self.start >= self.length - 1:
+            raise ValueError(f"start: less than length - 1, which is the goal; got {self.start}")
         return self
-
-
-class LunarLander(ControlTask, frozen=True):
-    """Land on a pad between hills (thesis, p. 107; Gym's LunarLander, continuous)."""
-
-    target: ClassVar[str] = "bojax.envs.robots.lunar_lander:LunarLander"
-
-    kind: Literal["lunar-lander"] = "lunar-lander"
-    goal_distance: float = Field(
-        default=0.05, gt=0, description="distance to the pad's centre at the goal, in units of observations"
-    )
-    gravity: float = Field(default=10.0, ge=0, description="gravity, m/s^2")
-    main_power: float = Field(
-        default=13.0, ge=0, description="impulse of the main engine, N s, for each metre to the hull's origin"
-    )
-    side_power: float = Field(default=0.6, ge=0, description="the same of the side engines")
-    dispersion: float = Field(
-        default=1.0, ge=0, description="scale of the noise of the engines' impulses; 1 in Gym"
-    )
-    max_push: float = Field(
-        default=1000.0, ge=0, description="bound on the force of the first step, in either direction, N"
-    )
-    max_speed: float = Field(
-        default=1000.0, gt=0, description="speed, m/s or rad/s, beyond which a simulation has diverged"
-    )
 
 
 Bounds = float | Annotated[tuple[float, ...], Field(strict=False, min_length=1)]
@@ -212,10 +185,9 @@ class Brax(Environment, frozen=True):
     )
 
 
-class Gymnasium(Component, frozen=True):
+class Gymnasium(EnvironmentSettings, frozen=True):
     """An environment of Gymnasium, stepped on the host while the learner is compiled (extra `gym`)."""
 
-    role: ClassVar[str] = "env"
     target: ClassVar[str] = "bojax.envs.gymnasium:HostEnv"
 
     kind: Literal["gymnasium"] = "gymnasium"
@@ -242,7 +214,7 @@ class Gymnasium(Component, frozen=True):
     )
 
     @pydantic.model_validator(mode="after")
-    def _json(self) -> Self:
+    def _json(self) -> "Gymnasium":
         try:
             json.dumps(self.kwargs)
         except TypeError as error:

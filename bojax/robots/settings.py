@@ -7,10 +7,16 @@ from pydantic import Field
 from bojax.config.component import Component
 
 
-class MJX(Component, frozen=True):
-    """MuJoCo on the accelerator, in 32-bit numbers; what is null is as the robot's model has it."""
+class PhysicsSettings(Component, frozen=True):
+    """An engine of physics."""
 
     role: ClassVar[str] = "physics"
+    plural: ClassVar[str] = "engines of physics"
+
+
+class MJX(PhysicsSettings, frozen=True):
+    """MuJoCo on the accelerator, in 32-bit numbers; what is null is as the robot's model has it."""
+
     target: ClassVar[str] = "bojax.robots.simulator:Physics"
 
     kind: Literal["mjx"] = "mjx"

@@ -1,4 +1,4 @@
-"""Settings of kernels, prior means and acquisition functions."""
+"""Settings of kernels and prior means."""
 
 import math
 from typing import Annotated, Any, ClassVar, Literal
@@ -24,9 +24,15 @@ PositiveNumbers = Annotated[
 """A positive number, or a list of them."""
 
 
-class _Stationary(Component, frozen=True):
-    role: ClassVar[str] = "kernel"
+class KernelSettings(Component, frozen=True):
+    """A kernel."""
 
+    role: ClassVar[str] = "kernel"
+    plural: ClassVar[str] = "kernels"
+    protocol: ClassVar[str] = "bojax.models.kernels:Kernel"
+
+
+class _Stationary(KernelSettings, frozen=True):
     lengthscale: PositiveNumbers = Field(
         default=0.5, description="lengthscale, in units of the input: one number, or one a dimension; > 0"
     )
@@ -60,10 +66,9 @@ class Matern52(_Stationary, frozen=True):
     kind: Literal["matern52"] = "matern52"
 
 
-class Scaled(Component, frozen=True):
+class Scaled(KernelSettings, frozen=True):
     """A kernel times a constant."""
 
-    role: ClassVar[str] = "kernel"
     target: ClassVar[str] = "bojax.models.kernels:Scaled"
 
     kind: Literal["scaled"] = "scaled"
@@ -71,9 +76,7 @@ class Scaled(Component, frozen=True):
     variance: float = Field(default=1.0, gt=0, description="the constant, in units of the value, squared")
 
 
-class _Composite(Component, frozen=True):
-    role: ClassVar[str] = "kernel"
-
+class _Composite(KernelSettings, frozen=True):
     first: Annotated[Component, Slot("kernel")] = Field(default=RBF(), description="one kernel")
     second: Annotated[Component, Slot("kernel")] = Field(default=RBF(), description="another kernel")
 
@@ -92,29 +95,34 @@ class Product(_Composite, frozen=True):
     kind: Literal["product"] = "product"
 
 
-class ZeroMean(Component, frozen=True):
-    """No expectation: a prior mean of zero."""
+class MeanSettings(Component, frozen=True):
+    """A prior mean."""
 
     role: ClassVar[str] = "mean"
+    plural: ClassVar[str] = "prior means"
+    protocol: ClassVar[str] = "bojax.models.means:Mean"
+
+
+class ZeroMean(MeanSettings, frozen=True):
+    """No expectation: a prior mean of zero."""
+
     target: ClassVar[str] = "bojax.models.means:ZeroMean"
 
     kind: Literal["zero"] = "zero"
 
 
-class ConstantMean(Component, frozen=True):
+class ConstantMean(MeanSettings, frozen=True):
     """The same prior mean everywhere."""
 
-    role: ClassVar[str] = "mean"
     target: ClassVar[str] = "bojax.models.means:ConstantMean"
 
     kind: Literal["constant"] = "constant"
     value: float = Field(default=0.0, description="prior mean, in units of the value")
 
 
-class LinearMean(Component, frozen=True):
+class LinearMean(MeanSettings, frozen=True):
     """A prior mean that is linear in the input."""
 
-    role: ClassVar[str] = "mean"
     target: ClassVar[str] = "bojax.models.means:LinearMean"
 
     kind: Literal["linear"] = "linear"
@@ -122,33 +130,3 @@ class LinearMean(Component, frozen=True):
         default=(0.0, 0.0), strict=False, min_length=1, description="slope, one number a dimension"
     )
     bias: float = Field(default=0.0, description="prior mean at the origin, in units of the value")
-
-
-class UpperConfidenceBound(Component, frozen=True):
-    """Mean plus kappa standard deviations."""
-
-    role: ClassVar[str] = "acquisition"
-    target: ClassVar[str] = "bojax.acquisition.functions:UpperConfidenceBound"
-
-    kind: Literal["ucb"] = "ucb"
-    kappa: float = Field(default=10.0, ge=0, description="weight of the standard deviation")
-
-
-class ProbabilityOfImprovement(Component, frozen=True):
-    """Probability of exceeding the best value so far."""
-
-    role: ClassVar[str] = "acquisition"
-    target: ClassVar[str] = "bojax.acquisition.functions:ProbabilityOfImprovement"
-
-    kind: Literal["pi"] = "pi"
-    xi: float = Field(default=0.01, ge=0, description="improvement that is asked for, in units of the target")
-
-
-class LogExpectedImprovement(Component, frozen=True):
-    """Logarithm of the expected improvement over the best value so far."""
-
-    role: ClassVar[str] = "acquisition"
-    target: ClassVar[str] = "bojax.acquisition.functions:LogExpectedImprovement"
-
-    kind: Literal["log-ei"] = "log-ei"
-    xi: float = Field(default=0.01, ge=0, description="improvement that is asked for, in units of the target")

@@ -2,13 +2,13 @@
 
 import abc
 import math
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal
 
 import pydantic
 from pydantic import Field
 
 from bojax.config.component import Component
-from bojax.config.data import read_array, sha256_of
+from bojax.fields.data import read_array, sha256_of
 
 Pair = Annotated[tuple[float, float], Field(strict=False)]
 Box = Annotated[tuple[float, float, float, float], Field(strict=False)]
@@ -26,10 +26,17 @@ def proper_box(box: tuple[float, ...]) -> tuple[float, ...]:
     return box
 
 
-class Bumps(Component, frozen=True):
-    """A sum of Gaussian bumps and pits."""
+class FieldSettings(Component, frozen=True):
+    """A field: a scalar function of position."""
 
     role: ClassVar[str] = "field"
+    plural: ClassVar[str] = "fields"
+    protocol: ClassVar[str] = "bojax.fields.base:Field"
+
+
+class Bumps(FieldSettings, frozen=True):
+    """A sum of Gaussian bumps and pits."""
+
     target: ClassVar[str] = "bojax.fields.closed_form:Bumps"
 
     kind: Literal["bumps"] = "bumps"
@@ -44,7 +51,7 @@ class Bumps(Component, frozen=True):
     )
 
     @pydantic.model_validator(mode="after")
-    def _as_many_of_each(self) -> Self:
+    def _as_many_of_each(self) -> "Bumps":
         if not len(self.heights) == len(self.centres) == len(self.widths):
             raise ValueError(
                 f"heights, centres, widths: got {len(self.heights)}, {len(self.centres)} and "
@@ -53,10 +60,9 @@ class Bumps(Component, frozen=True):
         return self
 
 
-class Step(Component, frozen=True):
+class Step(FieldSettings, frozen=True):
     """A smooth step across a straight line (thesis, Fig. 3.1)."""
 
-    role: ClassVar[str] = "field"
     target: ClassVar[str] = "bojax.fields.closed_form:Step"
 
     kind: Literal["step"] = "step"
@@ -66,10 +72,9 @@ class Step(Component, frozen=True):
     width: float = Field(default=0.5, gt=0, description="width of the transition, m")
 
 
-class Blocks(Component, frozen=True):
+class Blocks(FieldSettings, frozen=True):
     """Blocks with sharp edges on a floor of height 0 (thesis, Section 3.5.2)."""
 
-    role: ClassVar[str] = "field"
     target: ClassVar[str] = "bojax.fields.blocks:Blocks"
 
     kind: Literal["blocks"] = "blocks"
@@ -89,7 +94,7 @@ class Blocks(Component, frozen=True):
         return tuple(map(proper_box, boxes))
 
     @pydantic.model_validator(mode="after")
-    def _as_many_of_each(self) -> Self:
+    def _as_many_of_each(self) -> "Blocks":
         if len(self.boxes) != len(self.heights):
             raise ValueError(
                 f"boxes, heights: got {len(self.boxes)} and {len(self.heights)} of them; as many of each "
@@ -98,9 +103,7 @@ class Blocks(Component, frozen=True):
         return self
 
 
-class _Measured(Component, frozen=True):
-    role: ClassVar[str] = "field"
-
+class _Measured(FieldSettings, frozen=True):
     file: str = Field(min_length=1, description="a .npy or .csv file; relative to where the command runs")
     extent: Box = Field(description="where the data lie, [x_min, y_min, x_max, y_max], m")
     sha256: str | None = Field(default=None, description="SHA-256 of the file, filled in if left out")
@@ -111,7 +114,7 @@ class _Measured(Component, frozen=True):
         return proper_box(extent)
 
     @pydantic.model_validator(mode="after")
-    def _readable(self) -> Self:
+    def _readable(self) -> "_Measured":
         table = read_array(self.file)
         self._check(table.shape)
         digest = sha256_of(self.file)

@@ -1,20 +1,100 @@
-"""Settings of the problems that are planned on."""
+"""Settings of the problems that are planned on, of their objectives and sensors."""
 
 from math import pi
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal
 
 import pydantic
 from pydantic import Field
 
 from bojax.config.component import Component, Slot
-from bojax.config.fields import Blocks, Box, Bumps, Step, proper_box
-from bojax.config.models import RBF, ConstantMean, Scaled, ZeroMean
-from bojax.config.objectives import Gradient, Value
-from bojax.config.vehicles import Exact, Point, Quadrotor, Range, WheeledRobot
+from bojax.fields.settings import Blocks, Box, Bumps, Step, proper_box
+from bojax.models.settings import RBF, ConstantMean, Scaled, ZeroMean
+from bojax.problems.vehicles.settings import Exact, Quadrotor, WheeledRobot
 
 
-class _Parking(Component, frozen=True):
+class ObjectiveSettings(Component, frozen=True):
+    """What a sample of a field is worth."""
+
+    role: ClassVar[str] = "objective"
+    plural: ClassVar[str] = "worths of a sample of a field"
+    protocol: ClassVar[str] = "bojax.problems.objectives:FieldObjective"
+
+    uncertainty: Literal["std", "variance"] = Field(
+        default="std", description="whether the standard deviation or the variance counts"
+    )
+
+
+class Gradient(ObjectiveSettings, frozen=True):
+    """Norm of the gradient plus kappa standard deviations (thesis, equation 3.2)."""
+
+    target: ClassVar[str] = "bojax.problems.objectives:GradientObjective"
+
+    kind: Literal["gradient"] = "gradient"
+    kappa: float = Field(default=5.0, ge=0, description="weight of the standard deviation")
+
+
+class Value(ObjectiveSettings, frozen=True):
+    """Mean plus kappa standard deviations (thesis, equation 4.11; SBO)."""
+
+    target: ClassVar[str] = "bojax.problems.objectives:ValueObjective"
+
+    kind: Literal["value"] = "value"
+    kappa: float = Field(default=10.0, ge=0, description="weight of the standard deviation")
+
+
+class Uncertainty(ObjectiveSettings, frozen=True):
+    """The standard deviation alone (thesis, Section 3.5.1: the explorer)."""
+
+    target: ClassVar[str] = "bojax.problems.objectives:UncertaintyObjective"
+
+    kind: Literal["uncertainty"] = "uncertainty"
+
+
+class SensorSettings(Component, frozen=True):
+    """A sensor."""
+
+    role: ClassVar[str] = "sensor"
+    plural: ClassVar[str] = "sensors"
+    protocol: ClassVar[str] = "bojax.problems.sensors:Sensor"
+
+
+class Point(SensorSettings, frozen=True):
+    """A sensor that reads the field at the robot's position."""
+
+    target: ClassVar[str] = "bojax.problems.sensors:PointSensor"
+
+    kind: Literal["point"] = "point"
+
+
+class Range(SensorSettings, frozen=True):
+    """A range sensor that looks down: the height of the ground, by the distance to it (thesis, p. 76-78)."""
+
+    target: ClassVar[str] = "bojax.problems.sensors:RangeSensor"
+
+    kind: Literal["range"] = "range"
+    beam: float = Field(default=pi / 60, ge=0, lt=pi, description="full opening angle of the beam, rad")
+    max_range: float = Field(default=5.0, gt=0, description="how far it sees, m")
+    altitude_noise: float = Field(
+        default=0.02, ge=0, description="standard deviation of a reading of the altitude, m"
+    )
+    rays: int = Field(default=7, ge=1, description="rays in the beam")
+    reading: Literal["mean", "minimum"] = Field(
+        default="mean", description="which distance of those along the rays it tells"
+    )
+    upright: bool = Field(
+        default=True, description="whether the height takes account of how far the robot leans"
+    )
+
+
+class ProblemSettings(Component, frozen=True):
+    """A problem to plan on."""
+
     role: ClassVar[str] = "problem"
+    plural: ClassVar[str] = "problems"
+    protocol: ClassVar[str] = "bojax.problems.base:Problem"
+
+
+class _Parking(ProblemSettings, frozen=True):
     target: ClassVar[str] = "bojax.problems.parking:Parking"
 
     half_width: float = Field(default=4.0, gt=0, description="half the width of the square domain, m")
@@ -72,10 +152,9 @@ _Spread = Annotated[float, Field(ge=0)]
 PoseNoise = Annotated[tuple[_Spread, _Spread], Field(strict=False)]
 
 
-class FieldProblem(Component, frozen=True):
-    """What all problems of learning a field share."""
+class FieldProblem(ProblemSettings, frozen=True):
+    """A problem of learning a field."""
 
-    role: ClassVar[str] = "problem"
     target: ClassVar[str] = "bojax.problems.monitoring:FieldMonitoring"
 
     field: Annotated[Component, Slot("field")] = Field(
@@ -152,7 +231,7 @@ class FieldProblem(Component, frozen=True):
         return walls if walls is None else tuple(map(proper_box, walls))
 
     @pydantic.model_validator(mode="after")
-    def _target_in_domain(self) -> Self:
+    def _target_in_domain(self) -> "FieldProblem":
         if self.target_area is not None:
             low_x, low_y, high_x, high_y = self.target_area
             if (
@@ -165,7 +244,7 @@ class FieldProblem(Component, frozen=True):
         return self
 
     @pydantic.model_validator(mode="after")
-    def _free_start(self) -> Self:
+    def _free_start(self) -> "FieldProblem":
         if self.start is None:
             return self
         x, y, _ = self.start

@@ -13,10 +13,16 @@ CONTINUOUS = ("cubic", "kernel")
 """Families with parameters."""
 
 
-class Splines(Component, frozen=True):
-    """A discrete set of cubic splines of equal arc length (thesis, Section 3.5, Fig. 4.2a)."""
+class MotionSettings(Component, frozen=True):
+    """A family of trajectories."""
 
     role: ClassVar[str] = "motions"
+    plural: ClassVar[str] = "families of trajectories"
+
+
+class Splines(MotionSettings, frozen=True):
+    """A discrete set of cubic splines of equal arc length (thesis, Section 3.5, Fig. 4.2a)."""
+
     target: ClassVar[str] = "bojax.motions.splines:SplineSet"
 
     kind: Literal["splines"] = "splines"
@@ -25,10 +31,9 @@ class Splines(Component, frozen=True):
     num_samples: int = Field(default=10, ge=2, description="poses along a trajectory")
 
 
-class CubicCurves(Component, frozen=True):
+class CubicCurves(MotionSettings, frozen=True):
     """Continuous cubic splines, given by the bearing and the heading of their end."""
 
-    role: ClassVar[str] = "motions"
     target: ClassVar[str] = "bojax.motions.splines:CubicCurves"
 
     kind: Literal["cubic"] = "cubic"
@@ -40,10 +45,9 @@ class CubicCurves(Component, frozen=True):
     num_samples: int = Field(default=10, ge=2, description="poses along a trajectory")
 
 
-class KernelTrajectories(Component, frozen=True):
+class KernelTrajectories(MotionSettings, frozen=True):
     """Trajectories by kernel Bayes' rule from anchor points (thesis, Sections 4.5-4.6)."""
 
-    role: ClassVar[str] = "motions"
     target: ClassVar[str] = "bojax.motions.kernel_trajectories:KernelTrajectories"
 
     kind: Literal["kernel"] = "kernel"

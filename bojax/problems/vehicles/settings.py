@@ -1,27 +1,32 @@
-"""Settings of the robots behind a planning problem, and of their sensors."""
+"""Settings of the robots that drive planned paths."""
 
-from math import pi
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
 from bojax.config.component import Component, Slot
-from bojax.config.physics import MJX
+from bojax.robots.settings import MJX
 
 
-class Exact(Component, frozen=True):
-    """A robot that follows every path exactly."""
+class VehicleSettings(Component, frozen=True):
+    """A robot that drives planned paths."""
 
     role: ClassVar[str] = "vehicle"
+    plural: ClassVar[str] = "robots that drive planned paths"
+    protocol: ClassVar[str] = "bojax.problems.vehicles.base:Vehicle"
+
+
+class Exact(VehicleSettings, frozen=True):
+    """A robot that follows every path exactly."""
+
     target: ClassVar[str] = "bojax.problems.vehicles.base:Exact"
 
     kind: Literal["exact"] = "exact"
 
 
-class WheeledRobot(Component, frozen=True):
+class WheeledRobot(VehicleSettings, frozen=True):
     """A small wheeled robot that tracks paths by pure pursuit, stepped by MJX (thesis, p. 101)."""
 
-    role: ClassVar[str] = "vehicle"
     target: ClassVar[str] = "bojax.problems.vehicles.wheeled_robot:WheeledRobot"
 
     kind: Literal["wheeled-robot"] = "wheeled-robot"
@@ -37,19 +42,9 @@ class WheeledRobot(Component, frozen=True):
     )
 
 
-class Point(Component, frozen=True):
-    """A sensor that reads the field at the robot's position."""
-
-    role: ClassVar[str] = "sensor"
-    target: ClassVar[str] = "bojax.problems.sensors:PointSensor"
-
-    kind: Literal["point"] = "point"
-
-
-class Quadrotor(Component, frozen=True):
+class Quadrotor(VehicleSettings, frozen=True):
     """A quadrotor that flies paths at a constant altitude, stepped by MJX (thesis, Section 3.5.2)."""
 
-    role: ClassVar[str] = "vehicle"
     target: ClassVar[str] = "bojax.problems.vehicles.quadrotor:Quadrotor"
 
     kind: Literal["quadrotor"] = "quadrotor"
@@ -58,25 +53,4 @@ class Quadrotor(Component, frozen=True):
     path_steps: int = Field(default=400, ge=1, description="steps of 10 ms for a path")
     rest_steps: int = Field(
         default=250, ge=1, description="steps of 10 ms after it, to turn and to come to rest"
-    )
-
-
-class Range(Component, frozen=True):
-    """A range sensor that looks down: the height of the ground, by the distance to it (thesis, p. 76-78)."""
-
-    role: ClassVar[str] = "sensor"
-    target: ClassVar[str] = "bojax.problems.sensors:RangeSensor"
-
-    kind: Literal["range"] = "range"
-    beam: float = Field(default=pi / 60, ge=0, lt=pi, description="full opening angle of the beam, rad")
-    max_range: float = Field(default=5.0, gt=0, description="how far it sees, m")
-    altitude_noise: float = Field(
-        default=0.02, ge=0, description="standard deviation of a reading of the altitude, m"
-    )
-    rays: int = Field(default=7, ge=1, description="rays in the beam")
-    reading: Literal["mean", "minimum"] = Field(
-        default="mean", description="which distance of those along the rays it tells"
-    )
-    upright: bool = Field(
-        default=True, description="whether the height takes account of how far the robot leans"
     )

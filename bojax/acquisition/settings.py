@@ -1,0 +1,42 @@
+"""Settings of the acquisition functions."""
+
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from bojax.config.component import Component
+
+
+class AcquisitionSettings(Component, frozen=True):
+    """An acquisition function."""
+
+    role: ClassVar[str] = "acquisition"
+    plural: ClassVar[str] = "acquisition functions"
+    protocol: ClassVar[str] = "bojax.acquisition.functions:Acquisition"
+
+
+class UpperConfidenceBound(AcquisitionSettings, frozen=True):
+    """Mean plus kappa standard deviations."""
+
+    target: ClassVar[str] = "bojax.acquisition.functions:UpperConfidenceBound"
+
+    kind: Literal["ucb"] = "ucb"
+    kappa: float = Field(default=10.0, ge=0, description="weight of the standard deviation")
+
+
+class ProbabilityOfImprovement(AcquisitionSettings, frozen=True):
+    """Probability of exceeding the best value so far."""
+
+    target: ClassVar[str] = "bojax.acquisition.functions:ProbabilityOfImprovement"
+
+    kind: Literal["pi"] = "pi"
+    xi: float = Field(default=0.01, ge=0, description="improvement that is asked for, in units of the target")
+
+
+class LogExpectedImprovement(AcquisitionSettings, frozen=True):
+    """Logarithm of the expected improvement over the best value so far."""
+
+    target: ClassVar[str] = "bojax.acquisition.functions:LogExpectedImprovement"
+
+    kind: Literal["log-ei"] = "log-ei"
+    xi: float = Field(default=0.01, ge=0, description="improvement that is asked for, in units of the target")

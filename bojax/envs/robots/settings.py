@@ -1,0 +1,96 @@
+"""Settings of the simulated robots that are learned on."""
+
+from typing import Annotated, ClassVar, Literal
+
+import pydantic
+from pydantic import Field
+
+from bojax.config.component import Component, Slot
+from bojax.envs.settings import ControlTask
+from bojax.robots.settings import MJX
+
+
+class Robot(ControlTask, frozen=True):
+    """What the robots that MJX steps can be told."""
+
+    physics: Annotated[Component, Slot("physics")] = Field(default=MJX(), description="how MJX computes")
+    substeps: int = Field(default=1, ge=1, description="steps of the physics for one action")
+
+
+class Hopper(Robot, frozen=True):
+    """Jump with a leg of three segments (thesis, p. 107; Gym's Hopper)."""
+
+    target: ClassVar[str] = "bojax.envs.robots.hopper:Hopper"
+
+    kind: Literal["hopper"] = "hopper"
+    goal_height: float = Field(default=1.3, gt=1.26, description="height of the torso to be exceeded, m")
+    failure_angle: float = Field(default=0.2, gt=0, description="largest |angle| of the torso, rad")
+    failure_height: float = Field(
+        default=0.0, ge=0, lt=1.24, description="least height of the torso, m; 0.7 in the author's code"
+    )
+    substeps: int = Field(default=4, ge=1, description="steps of the physics, of 2 ms, for one action")
+
+
+class Reacher(Robot, frozen=True):
+    """Bring the tip of an arm of two links to a target (thesis, p. 107; Gym's Reacher)."""
+
+    target: ClassVar[str] = "bojax.envs.robots.reacher:Reacher"
+
+    kind: Literal["reacher"] = "reacher"
+    goal_distance: float = Field(default=0.015, gt=0, description="distance to the target to be undercut, m")
+    target_radius: float = Field(
+        default=0.2, gt=0, le=0.21, description="largest distance of the target from the shoulder, m"
+    )
+    substeps: int = Field(default=2, ge=1, description="steps of the physics, of 10 ms, for one action")
+
+
+class Jaco(Robot, frozen=True):
+    """Bring the finger tips of a damaged arm to a target (thesis, Section 5.7.3)."""
+
+    target: ClassVar[str] = "bojax.envs.robots.jaco:Jaco"
+
+    kind: Literal["jaco"] = "jaco"
+    joints: tuple[Annotated[int, Field(ge=1, le=6)], ...] = Field(
+        default=(1, 2),
+        strict=False,
+        min_length=1,
+        max_length=6,
+        description="joints that move, from 1 at the base to 6 at the hand; the others are stuck",
+    )
+    targets: Literal["per-run", "per-episode"] = Field(
+        default="per-run", description="one target for a run, not observed; or one for an episode, observed"
+    )
+    goal_distance: float = Field(default=0.1, gt=0, description="distance to the target to be undercut, m")
+    substeps: int = Field(default=10, ge=1, description="steps of the physics, of 4 ms, for one action")
+    max_steps: int = Field(default=50, ge=1, description="steps after which an episode is cut off")
+
+    @pydantic.model_validator(mode="after")
+    def _distinct(self) -> "Jaco":
+        if len(set(self.joints)) < len(self.joints):
+            raise ValueError("joints: one stands there twice")
+        return self
+
+
+class LunarLander(ControlTask, frozen=True):
+    """Land on a pad between hills (thesis, p. 107; Gym's LunarLander, continuous)."""
+
+    target: ClassVar[str] = "bojax.envs.robots.lunar_lander:LunarLander"
+
+    kind: Literal["lunar-lander"] = "lunar-lander"
+    goal_distance: float = Field(
+        default=0.05, gt=0, description="distance to the pad's centre at the goal, in units of observations"
+    )
+    gravity: float = Field(default=10.0, ge=0, description="gravity, m/s^2")
+    main_power: float = Field(
+        default=13.0, ge=0, description="impulse of the main engine, N s, for each metre to the hull's origin"
+    )
+    side_power: float = Field(default=0.6, ge=0, description="the same of the side engines")
+    dispersion: float = Field(
+        default=1.0, ge=0, description="scale of the noise of the engines' impulses; 1 in Gym"
+    )
+    max_push: float = Field(
+        default=1000.0, ge=0, description="bound on the force of the first step, in either direction, N"
+    )
+    max_speed: float = Field(
+        default=1000.0, gt=0, description="speed, m/s or rad/s, beyond which a simulation has diverged"
+    )
