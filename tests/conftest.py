@@ -8,6 +8,11 @@ if os.environ.setdefault("JAX_PLATFORMS", "cpu") == "cuda":
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("BOJAX_CACHE", str(Path(__file__).parents[1] / ".pytest_cache" / "jax"))
 
+from tests.compiling import quick_flags  # noqa: E402
+
+given = os.environ.get("XLA_FLAGS", "").split()
+os.environ["XLA_FLAGS"] = " ".join(dict.fromkeys([*quick_flags(), *given]))
+
 import jax  # noqa: E402
 import pytest  # noqa: E402
 from jaxtyping import install_import_hook  # noqa: E402
@@ -18,6 +23,8 @@ STRICT = {
     "jax_numpy_rank_promotion": "raise",
     "jax_debug_key_reuse": True,
     "jax_num_cpu_devices": 2,
+    "jax_compilation_cache_dir": os.environ["BOJAX_CACHE"],
+    "jax_persistent_cache_min_compile_time_secs": 0.05,
 }
 CHECKED = (
     "numerics",

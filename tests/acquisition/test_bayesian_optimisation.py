@@ -30,8 +30,7 @@ TRACES: Counter[str] = Counter()
 """How often each program below was traced, and so compiled."""
 
 # These programs run for milliseconds: what costs time is to compile them.
-_OPTIONS = {"xla_backend_optimization_level": 0} if jax.default_backend() == "cpu" else None
-_jit = partial(eqx.filter_jit, compiler_options=_OPTIONS)
+_jit = eqx.filter_jit
 
 
 def optimisation(acquisition=ACQUISITIONS["ucb"], low=(-1.0, -1.0), high=(1.0, 1.0), **changes):

@@ -20,7 +20,7 @@ from bojax.engine.build import build
 from bojax.envs.robots.reacher import Reacher, fingertip
 from bojax.robots.jaco import jaco_model
 from bojax.robots.models import RobotModel
-from tests.compiling import QUICKLY
+from tests.compiling import REPEATABLY
 from tests.reference.jaco import dm_control_jaco, finger_tips
 
 LANES, STEPS = 8, 50
@@ -28,7 +28,7 @@ GYM = {"hopper": "Hopper-v5", "reacher": "Reacher-v5"}
 CLASSIC = {"hopper": envs.Hopper(reward="classic"), "reacher": envs.Reacher(reward="classic")}
 
 
-compiled = functools.partial(eqx.filter_jit, compiler_options=QUICKLY)
+compiled = functools.partial(eqx.filter_jit, compiler_options=REPEATABLY)
 
 
 @functools.cache

@@ -19,7 +19,7 @@ from bojax.experiments.learning import PHASES, LearningRun
 from bojax.experiments.settings import Learning
 from bojax.learning.base import Balance, Learner
 from bojax.numerics.lanes import LANES
-from tests.compiling import QUICKLY
+from tests.compiling import REPEATABLY
 
 CLIFF = {"kind": "cliff-walking", "max_steps": 60}
 CHAIN = {"kind": "chain", "length": 4, "max_length": 6, "max_steps": 12}
@@ -33,8 +33,10 @@ def run_of(env=None, dtype="float64", **settings) -> LearningRun:
     return run if env is given or env is None else eqx.tree_at(lambda r: r.env, run, env)
 
 
-_start = jax.jit(lambda run, keys: jax.vmap(run.init, axis_name=LANES)(keys), compiler_options=QUICKLY)
-_advance = jax.jit(lambda run, carry: jax.vmap(run.advance, axis_name=LANES)(carry), compiler_options=QUICKLY)
+_start = jax.jit(lambda run, keys: jax.vmap(run.init, axis_name=LANES)(keys), compiler_options=REPEATABLY)
+_advance = jax.jit(
+    lambda run, carry: jax.vmap(run.advance, axis_name=LANES)(carry), compiler_options=REPEATABLY
+)
 
 
 class History:

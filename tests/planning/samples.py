@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections import Counter
-from functools import partial
 
 import equinox as eqx
 import jax
@@ -236,8 +235,7 @@ TRACES: Counter[str] = Counter()
 
 # These programs run for milliseconds: what costs time is to compile them. Not so on a GPU, where XLA of JAX
 # 0.11.2 makes wrong programs of them without optimisation: plans whose path is not that of their action.
-_OPTIONS = {"xla_backend_optimization_level": 0} if jax.default_backend() == "cpu" else None
-quick_jit = partial(eqx.filter_jit, compiler_options=_OPTIONS)
+quick_jit = eqx.filter_jit
 
 
 @jax.jit

@@ -18,7 +18,7 @@ from bojax.robots.models import RobotModel, from_file, packaged
 from bojax.robots.quadrotor import quadrotor_model
 from bojax.robots.settings import MJX
 from bojax.robots.simulator import Simulator
-from tests.compiling import QUICKLY
+from tests.compiling import REPEATABLY
 
 MODELS = {
     "hopper": packaged("hopper"),
@@ -49,7 +49,7 @@ def advanced(name: str):
 
         return jax.lax.scan(step, robot.state(qpos, qvel), controls)[1]
 
-    return jax.jit(jax.vmap(lane), compiler_options=QUICKLY)
+    return jax.jit(jax.vmap(lane), compiler_options=REPEATABLY)
 
 
 @functools.cache
