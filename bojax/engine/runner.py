@@ -75,7 +75,7 @@ class ChunkRunner:
         if state.checkpoint is None:
             carry, state.remaining = self.program.init(lanes), chunk.num_lanes
         else:
-            carry = checkpoint.restore(files.path / state.checkpoint, self.program.carry_structure)
+            carry = checkpoint.restore(files.committed(state.checkpoint), self.program.carry_structure)
         self.progress.start_chunk(chunk.num_lanes, state.advances / self.program.max_advances)
         saved = time.monotonic()
         while state.remaining and not self.stop:

@@ -10,11 +10,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, PyTree
 
-from bojax.results.store import ResultsError, one_line
+from bojax.results.store import ResultsError, fingerprint, one_line, read_checked_json, write_checked_json
+
+_CHECKSUM = "checksum.json"
+"""File in a checkpoint: size and SHA-256 of the others. Orbax itself notices most damages, not all."""
 
 
 def save(path: Path, tree: PyTree[Array]) -> None:
-    """Write a tree; Orbax renames it into place when it is whole.
+    """Write a tree with a checksum; Orbax renames it into place when it is whole.
 
     Raises:
         ResultsError: it could not be written.
@@ -25,6 +28,9 @@ def save(path: Path, tree: PyTree[Array]) -> None:
     try:
         with _quiet():
             ocp.save(str(path.resolve()), leaves, overwrite=True)
+        write_checked_json(path / _CHECKSUM, {"files": fingerprint(path)})
+    except ResultsError:
+        raise
     except Exception as error:
         if "No space left" in str(error) or getattr(error, "errno", None) == 28:
             raise ResultsError(
@@ -42,7 +48,7 @@ def restore(path: Path, structure: PyTree[jax.ShapeDtypeStruct], advice: str | N
         advice: What to do where it cannot be read, for the message; if left out, how to resume without it.
 
     Raises:
-        ResultsError: it is missing, truncated, or of another structure.
+        ResultsError: it is missing, damaged, or of another structure.
     """
     ocp = _orbax()
     target, treedef = jax.tree.flatten(structure)
@@ -53,6 +59,7 @@ def restore(path: Path, structure: PyTree[jax.ShapeDtypeStruct], advice: str | N
         for i, leaf in plain.items()
     }
     try:
+        _check_files(path)
         with _quiet():
             _check_shapes(ocp.metadata(str(path.resolve())).metadata, plain)
             leaves = ocp.load(str(path.resolve()), plain)
@@ -65,6 +72,13 @@ def restore(path: Path, structure: PyTree[jax.ShapeDtypeStruct], advice: str | N
         _typed(leaves[_name(i)], leaf) if leaf.size else jnp.empty_like(leaf) for i, leaf in enumerate(target)
     ]
     return jax.tree.unflatten(treedef, restored)
+
+
+def _check_files(path: Path) -> None:
+    """Refuse a checkpoint whose files are not those that were written; the first ones had no checksum."""
+    checksum = path / _CHECKSUM
+    if checksum.exists() and read_checked_json(checksum)["files"] != fingerprint(path, without=_CHECKSUM):
+        raise ValueError("its files do not match its checksum")
 
 
 def _check_shapes(saved: Mapping[str, Any], wanted: Mapping[str, jax.ShapeDtypeStruct]) -> None:

@@ -9,11 +9,21 @@ from pathlib import Path
 from typing import Any
 
 from bojax.results.parts import ChunkFolder
-from bojax.results.store import MANIFEST, WORK, ResultsError, explained, read_json, read_manifest, write_json
+from bojax.results.store import (
+    MANIFEST,
+    WORK,
+    ResultsError,
+    explained,
+    read_checked_json,
+    read_manifest,
+    sync,
+    write_checked_json,
+)
 
 ROOT = Path("results")
 _PLAN = "plan.json"
 _LOCK = "lock"
+_DONE = f"{WORK}-done"
 _ASKED_FOR = ("runs", "seed", "record", "config", "points")
 """Keys of a plan that say what is run; the others say with what."""
 
@@ -23,58 +33,99 @@ class RunFolder:
 
     The plan is what the results depend on: a resumed sweep must have the same one, or its parts would
     be of two kinds.
+
+    Attributes:
+        path: The folder; `create` may have to choose another name.
     """
 
     def __init__(self, path: Path):
         self.path = path
-        self.work = path / WORK
         self._lock = None
 
-    def create(self, plan: Mapping[str, Any]) -> None:
-        """Make the folder and its working folder; nothing in it may exist yet."""
+    @property
+    def work(self) -> Path:
+        """Its working folder."""
+        return self.path / WORK
+
+    def create(self, plan: Mapping[str, Any], *, may_rename: bool = False) -> None:
+        """Make the folder and its working folder.
+
+        Args:
+            plan: The plan.
+            may_rename: Whether to append a number to the folder's name if there is such a folder already,
+                which another sweep may have made in the same second.
+        """
         with explained(self.path):
-            self.work.mkdir(parents=True)
+            if may_rename:
+                self._make_new()
+            try:
+                self.work.mkdir(parents=True)
+            except FileExistsError:
+                raise self._in_use() from None
         self._take_lock()
-        write_json(self.work / _PLAN, plan)
+        write_checked_json(self.work / _PLAN, plan)
 
     def resume(self, plan: Mapping[str, Any]) -> None:
         """Take the folder up again, or raise a `ResultsError` that names what has changed."""
         self._take_lock()
-        if not (self.work / _PLAN).exists():  # cut off while it was created
-            write_json(self.work / _PLAN, plan)
-        check_plan(self.path, read_json(self.work / _PLAN), plan)
+        path = self.work / _PLAN
+        if not os.path.lexists(path):  # cut off while it was created
+            write_checked_json(path, plan)
+        try:
+            old = read_checked_json(path)
+        except ResultsError as error:
+            # The name of a chunk's folder is a hash of all that its rows depend on.
+            message = f"{path}: damaged: delete this file and resume: parts of another sweep are not taken up"
+            raise ResultsError(message) from error
+        check_plan(self.path, old, plan)
 
     def chunk(self, name: str) -> ChunkFolder:
         """The working folder of a chunk."""
-        return ChunkFolder(self.work / name)
+        return ChunkFolder(self.work / name, self.path)
 
     def note(self, name: str, content: Any) -> None:
         """Keep a small JSON file beside the chunks."""
-        write_json(self.work / f"{name}.json", content)
+        write_checked_json(self.work / f"{name}.json", {name: content})
 
     def noted(self, name: str, default: Any) -> Any:
-        """What `note` kept, or the default."""
-        path = self.work / f"{name}.json"
-        return read_json(path) if path.exists() else default
+        """What `note` kept, or the default if there is nothing or the file is damaged."""
+        try:
+            return read_checked_json(self.work / f"{name}.json").get(name, default)
+        except ResultsError:
+            return default
 
     def close(self, *, finished: bool) -> None:
         """Release the folder; delete the working files of a finished sweep."""
         if finished:
-            # Renamed first: a process killed while it deletes leaves no half of a working folder behind.
-            done = self.work.with_name(f"{WORK}-done")
-            os.replace(self.work, done)
-            shutil.rmtree(done, ignore_errors=True)
+            with explained(self.path):
+                sync(self.path, *(path for path in self.path.iterdir() if path.is_dir()))
+                drop_leftovers(self.path)
+                # Renamed first: a process killed while it deletes leaves no half of a working folder behind.
+                os.replace(self.work, self.path / _DONE)
+            drop_leftovers(self.path)
         if self._lock is not None:
             self._lock.close()
             self._lock = None
 
+    def _make_new(self) -> None:
+        first, number = self.path, 2
+        while True:
+            try:
+                self.path.mkdir(parents=True)
+                return
+            except FileExistsError:
+                self.path, number = first.with_name(f"{first.name}-{number}"), number + 1
+
     def _take_lock(self) -> None:
         with explained(self.work):
             self._lock = (self.work / _LOCK).open("w")
-        try:
-            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise ResultsError(f"{self.path}: another process is writing to this folder") from None
+            try:
+                fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise self._in_use() from None
+
+    def _in_use(self) -> ResultsError:
+        return ResultsError(f"{self.path}: another process is writing to this folder")
 
 
 def choose_folder(name: str, out: Path | None, *, resume: bool) -> tuple[Path, bool]:
@@ -91,14 +142,14 @@ def choose_folder(name: str, out: Path | None, *, resume: bool) -> tuple[Path, b
     if out is None and resume:
         return _newest_unfinished(ROOT / name), True
     if out is None:
-        return _fresh(ROOT / name / time.strftime("%Y%m%d-%H%M%S")), False
-    if not out.exists():
+        return ROOT / name / time.strftime("%Y%m%d-%H%M%S"), False
+    if not os.path.lexists(out):
         return out, False
-    if not out.is_dir():
+    if not os.path.isdir(out):
         raise ResultsError(f"{out}: not a folder: give --out a new one")
-    if resume and (is_unfinished(out) or (out / MANIFEST).exists()):
+    if resume and (is_unfinished(out) or os.path.lexists(out / MANIFEST)):
         return out, True
-    with explained(out):
+    with explained(out, "read"):
         is_empty = not any(out.iterdir())
     if not is_empty:
         raise ResultsError(
@@ -107,9 +158,14 @@ def choose_folder(name: str, out: Path | None, *, resume: bool) -> tuple[Path, b
     return out, False
 
 
+def drop_leftovers(folder: Path) -> None:
+    """Delete the working files of a finished sweep that a killed process has left."""
+    shutil.rmtree(folder / _DONE, ignore_errors=True)
+
+
 def is_unfinished(folder: Path) -> bool:
     """Whether a sweep in this folder was interrupted, or had a chunk that failed."""
-    return (folder / WORK).is_dir()
+    return os.path.isdir(folder / WORK)
 
 
 def check_plan(folder: Path, old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
@@ -128,27 +184,29 @@ def check_plan(folder: Path, old: Mapping[str, Any], new: Mapping[str, Any]) -> 
 
 
 def check_finished(folder: Path, plan: Mapping[str, Any]) -> None:
-    """Raise a `ResultsError` unless a finished folder holds what this plan asks for.
+    """Raise a `ResultsError` unless the sweep in a folder is finished and is what this plan asks for.
 
     By what code and on which device is not compared: nothing would be mixed.
     """
-    old = read_manifest(folder).get("plan", {})
+    manifest = read_manifest(folder)
+    old, status = manifest.get("plan"), manifest.get("status")
+    if status != "finished":
+        raise ResultsError(
+            f"{folder}: cannot resume: its status is {status}, but its working folder {WORK} is gone: "
+            "give a new --out"
+        )
+    if not isinstance(old, Mapping):
+        raise ResultsError(f"{folder / MANIFEST}: plan: a mapping is expected, not a {type(old).__name__}")
     check_plan(folder, *({key: found.get(key) for key in _ASKED_FOR} for found in (old, plan)))
 
 
 def _newest_unfinished(root: Path) -> Path:
-    folders = sorted(root.iterdir()) if root.is_dir() else []
+    with explained(root, "read"):
+        folders = sorted(root.iterdir()) if os.path.isdir(root) else []
     for folder in reversed(folders):
         if is_unfinished(folder):
             return folder
     raise ResultsError(f"{root}: no unfinished sweep to resume: leave --resume out to start one")
-
-
-def _fresh(path: Path) -> Path:
-    candidate, number = path, 2
-    while candidate.exists():
-        candidate, number = path.with_name(f"{path.name}-{number}"), number + 1
-    return candidate
 
 
 def _changes(old: Any, new: Any, path: str = ""):

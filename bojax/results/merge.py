@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 
 from bojax.results.parts import ChunkFolder
-from bojax.results.store import ARRAYS, LEARNERS, explained, write_table
+from bojax.results.store import explained, write_table
 from bojax.results.tables import count_nans, sort_rows
 
 RUNS = "runs"
@@ -30,33 +31,36 @@ class PointInfo:
 def merge(
     folder: Path, chunks: Sequence[ChunkFolder], names: Iterable[str], points: Sequence[PointInfo], seed: int
 ) -> dict[tuple[int, int], int]:
-    """Write every table, move the arrays, and return the NaN counts `{(point, run): count}`.
+    """Write every table, move snapshots and learners, and return the NaN counts `{(point, run): count}`.
 
     Only what the parts say goes into the files, in one fixed order, so that a sweep that was interrupted
     ends in the same bytes as one that was not.
+
+    Raises:
+        ResultsError: A committed file is missing or has changed; nothing is written then.
     """
     tables: dict[str, pa.Table] = {}
     for name in names:
         parts = [table for chunk in chunks for table in chunk.tables(name)]
         if parts:
             tables[name] = sort_rows(pa.concat_tables(parts, promote_options="default"))
+    moves = [(chunk.committed(name), folder / name) for chunk in chunks for name in chunk.kept()]
     nans = count_nans(list(tables.values()))
     for name, table in tables.items():
         merged = _runs(table, points, seed, nans) if name == RUNS else _labelled(table, points)
         write_table(folder / f"{name}.parquet", merged)
-    arrays = [path for chunk in chunks for path in chunk.snapshots()]
-    if arrays:
-        with explained(folder / ARRAYS):
-            (folder / ARRAYS).mkdir(exist_ok=True)
-            for path in arrays:
-                os.replace(path, folder / ARRAYS / path.name)
-    learners = [path for chunk in chunks for path in chunk.learners()]
-    if learners:
-        with explained(folder / LEARNERS):
-            (folder / LEARNERS).mkdir(exist_ok=True)
-            for path in learners:
-                os.replace(path, folder / LEARNERS / path.name)
+    for source, target in moves:
+        if source != target:  # not moved before, by a merge that was cut off or lacked failed chunks
+            with explained(target):
+                _move(source, target)
     return nans
+
+
+def _move(source: Path, target: Path) -> None:
+    target.parent.mkdir(exist_ok=True)
+    if target.is_dir():  # left by a chunk that was deleted to be computed again
+        shutil.rmtree(target)
+    os.replace(source, target)
 
 
 def _labelled(table: pa.Table, points: Sequence[PointInfo]) -> pa.Table:

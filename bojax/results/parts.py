@@ -1,13 +1,15 @@
 """The working folder of one chunk: part files, and the state file that commits them."""
 
+import os
+import re
 import shutil
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from bojax.results.store import (
     ARRAYS,
@@ -15,12 +17,17 @@ from bojax.results.store import (
     ResultsError,
     array_file,
     explained,
-    read_json,
+    fingerprint,
+    read_checked_json,
     read_table,
+    sync,
     write_arrays,
-    write_json,
+    write_checked_json,
     write_table,
 )
+
+_PART = re.compile(r"part-\d{6,}-(.+)\.parquet")
+_CHECKPOINT = "checkpoint-"
 
 
 @dataclass
@@ -28,12 +35,14 @@ class ChunkState:
     """What of a chunk is safely on disk.
 
     Attributes:
-        parts: Number of committed parts; later files belong to a run that was cut off.
+        parts: Number of committed parts.
         advances: Advances made up to the checkpoint.
         remaining: Lanes that are not done there.
         checkpoint: Name of the checkpoint to go on from; None before the first and after the last one.
         is_done: Whether all rows of the chunk are in its parts.
         segments: `[lanes, active steps, seconds]` of each segment.
+        files: Size and SHA-256 of every committed file, by its path in the chunk's folder. A checkpoint and
+            a saved learner are folders, and count as one file each.
     """
 
     parts: int = 0
@@ -42,102 +51,158 @@ class ChunkState:
     checkpoint: str | None = None
     is_done: bool = False
     segments: list[list[float]] = field(default_factory=list)
+    files: dict[str, dict[str, Any]] = field(default_factory=dict)
 
 
 class ChunkFolder:
-    """Part files `part-<number>-<table>.parquet`, snapshots, checkpoints, and `state.json`.
+    """Part files `part-<number>-<table>.parquet`, snapshots, learners, checkpoints, and `state.json`.
 
-    The state file is written after the parts and the checkpoint that it names, and replaced atomically:
-    whatever it does not name never happened.
+    The state file is written after the files that it names, and replaced atomically: whatever it does not
+    name never happened. What it names is verified by its checksum before it is used.
+
+    Attributes:
+        path: The folder.
+        state: The committed state, and what has been added to it since.
     """
 
-    def __init__(self, path: Path):
+    def __init__(self, path: Path, results: Path):
+        """Prepare to use a folder.
+
+        Args:
+            path: The folder.
+            results: The results folder, to which merging moves snapshots and learners.
+        """
         self.path = path
         self.state = ChunkState()
+        self._results = results
+        self._new: list[str] = []
 
     def open(self) -> None:
-        """Create the folder, or take up a committed state and delete everything after it."""
+        """Create the folder, or take up a committed state and delete everything after it.
+
+        Raises:
+            ResultsError: A committed file is missing or has changed; nothing is deleted then.
+        """
         with explained(self.path):
-            self.path.mkdir(parents=True, exist_ok=True)
-            (self.path / ARRAYS).mkdir(exist_ok=True)
-        if self._state_file.exists():
-            try:
-                self.state = ChunkState(**read_json(self._state_file))
-            except (ResultsError, TypeError) as error:
-                raise self._unreadable(self._state_file, "state file") from error
-        for path in self.path.glob("part-*.parquet"):
-            if self._number(path) >= self.state.parts:
-                path.unlink()
-        self._drop_checkpoints()
-        for path in self._parts():
-            self._check(path)
+            (self.path / ARRAYS).mkdir(parents=True, exist_ok=True)
+        if os.path.lexists(self._state_file):
+            self.state = self._read_state()
+        for name in self.state.files:
+            self.committed(name)
+        self._drop_uncommitted()
 
     def write_part(self, tables: dict[str, pa.Table]) -> None:
         """Add a part; it counts from the next commit on."""
-        for name, table in tables.items():
-            if table.num_rows:
-                write_table(self.path / f"part-{self.state.parts:06d}-{name}.parquet", table)
+        for table, rows in tables.items():
+            if rows.num_rows:
+                name = f"part-{self.state.parts:06d}-{table}.parquet"
+                write_table(self.path / name, rows)
+                self._new.append(name)
         self.state.parts += 1
 
     def write_snapshot(
         self, point: int, run: int, name: str, when: str, arrays: dict[str, np.ndarray]
     ) -> None:
-        """Keep named arrays of one run."""
-        write_arrays(self.path / ARRAYS / array_file(point, run, name, when), arrays)
+        """Keep named arrays of one run; they count from the next commit on."""
+        file = f"{ARRAYS}/{array_file(point, run, name, when)}"
+        write_arrays(self.path / file, arrays)
+        self._new.append(file)
 
     def learner_folder(self, point: int, run: int) -> Path:
-        """A folder for what a run has learned."""
-        folder = self.path / LEARNERS / f"{point}-{run}"
-        with explained(folder):
-            folder.mkdir(parents=True, exist_ok=True)
-        return folder
-
-    def learners(self) -> Iterator[Path]:
-        """Folders of the saved learners."""
-        return (self.path / LEARNERS).glob("*-*")
+        """A folder for what a run has learned; what is in it at the next commit counts from then on."""
+        name = f"{LEARNERS}/{point}-{run}"
+        with explained(self.path / name):
+            (self.path / name).mkdir(parents=True, exist_ok=True)
+        self._new.append(name)
+        return self.path / name
 
     def checkpoint_path(self) -> Path:
         """Where the checkpoint of the present number of advances goes."""
-        return self.path / f"checkpoint-{self.state.advances:08d}"
+        return self.path / f"{_CHECKPOINT}{self.state.advances:08d}"
 
     def commit(self) -> None:
-        """Make the parts written so far, and the checkpoint that the state names, the chunk's truth."""
-        write_json(self._state_file, asdict(self.state))
+        """Make everything written so far, and the checkpoint that the state names, the chunk's truth."""
+        state = self.state
+        state.files = {
+            name: found
+            for name, found in state.files.items()
+            if name == state.checkpoint or not name.startswith(_CHECKPOINT)
+        }
+        if state.checkpoint is not None and state.checkpoint not in state.files:
+            self._new.append(state.checkpoint)
+        folders = [self.path / name for name in self._new if (self.path / name).is_dir()]
+        with explained(self.path):
+            # Files are on the disk since they were written, but for those that Orbax wrote.
+            sync(*(path for folder in folders for path in (folder, *folder.rglob("*"))))
+            sync(self.path / ARRAYS, self.path)
+        for name in self._new:
+            found = fingerprint(self.path / name)
+            if found is None:
+                raise self._refusal(self.path / name, "missing")
+            state.files[name] = found
+        self._new.clear()
+        write_checked_json(self._state_file, {"chunk": self.path.name, **asdict(state)})
+        with explained(self.path):
+            sync(self.path)  # before the previous checkpoint goes
         self._drop_checkpoints()
+
+    def committed(self, name: str) -> Path:
+        """The path of a committed file or folder, in the chunk's folder or where merging has moved it.
+
+        Raises:
+            ResultsError: It is missing, or it is not what was committed.
+        """
+        path = self.path / name
+        if not os.path.lexists(path) and os.path.lexists(self._results / name):
+            path = self._results / name
+        found = fingerprint(path)
+        if found != self.state.files[name]:
+            raise self._refusal(path, "missing" if found is None else "changed since it was written")
+        return path
 
     def tables(self, name: str) -> Iterator[pa.Table]:
         """The committed parts of a table, in the order of their writing."""
-        for path in self._parts():
-            if path.name.endswith(f"-{name}.parquet"):
-                yield read_table(path)
+        for file in self.state.files:
+            match = _PART.fullmatch(file)
+            if match and match[1] == name:
+                yield read_table(self.committed(file))
 
-    def snapshots(self) -> Iterator[Path]:
-        """Files of the kept arrays."""
-        return (self.path / ARRAYS).glob("*.npz")
+    def kept(self) -> list[str]:
+        """Names of the committed snapshots and saved learners."""
+        return [name for name in self.state.files if name.startswith((f"{ARRAYS}/", f"{LEARNERS}/"))]
 
     @property
     def _state_file(self) -> Path:
         return self.path / "state.json"
 
-    def _parts(self) -> list[Path]:
-        return sorted(p for p in self.path.glob("part-*.parquet") if self._number(p) < self.state.parts)
+    def _read_state(self) -> ChunkState:
+        try:
+            content = read_checked_json(self._state_file)
+            chunk, state = content.pop("chunk", None), ChunkState(**content)
+        except (ResultsError, TypeError) as error:
+            raise self._refusal(self._state_file, "damaged") from error
+        if chunk != self.path.name:
+            raise self._refusal(self._state_file, "copied from another chunk")
+        return state
 
-    def _number(self, path: Path) -> int:
-        return int(path.name.split("-")[1])
+    def _drop_uncommitted(self) -> None:
+        with explained(self.path, "deleted"):
+            for path in (*self.path.iterdir(), *(self.path / ARRAYS).iterdir()):
+                name = path.relative_to(self.path).as_posix()
+                is_ours = _PART.fullmatch(name) or name.startswith(f"{ARRAYS}/")
+                if is_ours and name not in self.state.files and not path.is_dir():
+                    path.unlink()
+        for path in (self.path / LEARNERS).glob("*"):
+            if path.relative_to(self.path).as_posix() not in self.state.files:
+                shutil.rmtree(path, ignore_errors=True)
+        self._drop_checkpoints()
 
     def _drop_checkpoints(self) -> None:
-        for path in self.path.glob("checkpoint-*"):
+        for path in self.path.glob(f"{_CHECKPOINT}*"):
             if path.name != self.state.checkpoint:
                 shutil.rmtree(path, ignore_errors=True)
 
-    def _check(self, path: Path) -> None:
-        try:
-            pq.read_metadata(path)
-        except (OSError, pa.ArrowException) as error:
-            raise self._unreadable(path, "parquet file") from error
-
-    def _unreadable(self, path: Path, what: str) -> ResultsError:
+    def _refusal(self, path: Path, what: str) -> ResultsError:
         return ResultsError(
-            f"{path}: not a readable {what}: delete the folder {self.path} and resume "
-            "to compute this chunk again"
+            f"{path}: {what}: delete the folder {self.path} and resume to compute this chunk again"
         )

@@ -1,10 +1,11 @@
-"""Files of a results folder: names, atomic writes, and reading with errors of one line."""
+"""Files of a results folder: names, atomic writes, checksums, and reading with errors of one line."""
 
 import errno
+import hashlib
 import json
 import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,9 @@ ARRAYS = "arrays"
 LEARNERS = "learners"
 WORK = ".work"
 """Hidden subfolder of parts and checkpoints: a results folder that has one is unfinished."""
+
+CHECKSUM = "sha256"
+"""Key of the checksum in a JSON file that carries its own."""
 
 ROW_GROUP_SIZE = 1 << 16
 """Rows of a row group, fixed so that equal tables are equal files."""
@@ -41,27 +45,60 @@ def one_line(error: BaseException) -> str:
 
 
 @contextmanager
-def explained(path: Path) -> Iterator[None]:
-    """Turn failures of writing at `path` into one line that says what to do."""
+def explained(path: Path, action: str = "written") -> Iterator[None]:
+    """Turn failures of the file system at `path` into one line that says what to do."""
     try:
         yield
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             message = f"{path}: the disk is full: free some space, then run again with --resume"
             raise ResultsError(message, exit_code=1) from error
-        raise ResultsError(f"{path}: cannot be written: {error.strerror or error}") from error
+        raise ResultsError(f"{path}: cannot be {action}: {error.strerror or error}") from error
 
 
 def write_atomically(path: Path, write: Callable[[Path], Any]) -> None:
-    """Let `write` fill a file under a temporary name, then rename it to `path`."""
+    """Let `write` fill a file under a temporary name, force it to the disk, then rename it to `path`."""
     temporary = path.with_name(f".{path.name}.tmp")
     with explained(path):
         try:
             write(temporary)
+            sync(temporary)
             os.replace(temporary, path)
         except BaseException:
-            temporary.unlink(missing_ok=True)
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)
             raise
+
+
+def sync(*paths: Path) -> None:
+    """Force files, and the entries of folders, to the disk, so that they outlast a power cut."""
+    for path in paths:
+        descriptor = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        except OSError as error:
+            if error.errno != errno.EINVAL or not path.is_dir():  # some file systems cannot sync a folder
+                raise
+        finally:
+            os.close(descriptor)
+
+
+def fingerprint(path: Path, without: str = "") -> dict[str, Any] | None:
+    """Size and SHA-256 of a file, or of all files in a folder; None if there is neither.
+
+    Args:
+        path: The file or folder.
+        without: Name of a file in the folder that does not count.
+
+    Raises:
+        ResultsError: It cannot be read.
+    """
+    with explained(path, "read"):
+        if path.is_dir():
+            files = sorted(file.relative_to(path) for file in path.rglob("*") if file.is_file())
+            found = {str(file): _file_fingerprint(path / file) for file in files if str(file) != without}
+            return {"size": sum(each["size"] for each in found.values()), "sha256": _digest(found)}
+        return _file_fingerprint(path) if path.is_file() else None
 
 
 def write_json(path: Path, content: Any) -> None:
@@ -72,29 +109,47 @@ def write_json(path: Path, content: Any) -> None:
 
 def read_json(path: Path) -> Any:
     """Read a JSON file, or raise a `ResultsError`."""
+    _require_file(path)
     try:
         return json.loads(path.read_text())
-    except FileNotFoundError:
-        raise ResultsError(f"{path}: no such file") from None
+    except RecursionError:
+        raise ResultsError(f"{path}: cannot be read: its values are nested too deep") from None
     except (OSError, ValueError) as error:
         raise ResultsError(f"{path}: cannot be read ({error}): was it truncated?") from error
 
 
+def write_checked_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write a mapping as a JSON file that carries its own checksum."""
+    plain = _finite(dict(content))
+    write_json(path, {**plain, CHECKSUM: _digest(plain)})
+
+
+def read_checked_json(path: Path) -> dict[str, Any]:
+    """Read what `write_checked_json` wrote, or raise a `ResultsError` if a value of it has changed."""
+    content = read_json(path)
+    if not isinstance(content, dict) or content.pop(CHECKSUM, None) != _digest(content):
+        raise ResultsError(f"{path}: its content does not match its checksum")
+    return content
+
+
 def write_table(path: Path, table: pa.Table) -> None:
-    """Write a parquet file that depends on nothing but the table."""
+    """Write a parquet file that depends on nothing but the table; its pages have checksums."""
     whole = table.combine_chunks()
-    write_atomically(path, lambda temporary: pq.write_table(whole, temporary, row_group_size=ROW_GROUP_SIZE))
+
+    def write(temporary: Path) -> None:
+        pq.write_table(whole, temporary, row_group_size=ROW_GROUP_SIZE, write_page_checksum=True)
+
+    write_atomically(path, write)
 
 
 def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
-    """Read a parquet file, or raise a `ResultsError`."""
+    """Read a parquet file and verify its checksums, or raise a `ResultsError`."""
+    _require_file(path)
     try:
-        with pq.ParquetFile(path) as file:
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
             return file.read(columns=columns)
-    except FileNotFoundError:
-        raise ResultsError(f"{path}: no such file") from None
-    except (OSError, pa.ArrowException) as error:
-        reason = str(error).splitlines()[0].rstrip(".")
+    except Exception as error:  # a damaged file raises whatever the decoder of that byte raises
+        reason = one_line(error).partition(": ")[2].rstrip(".")
         raise ResultsError(f"{path}: not a readable parquet file ({reason}): was it truncated?") from error
 
 
@@ -114,10 +169,31 @@ def array_file(point: int, run: int, name: str, when: str) -> str:
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
-    """The manifest of a results folder, or a `ResultsError` if it is none."""
-    if not (folder / MANIFEST).is_file():
+    """The manifest of a results folder, or a `ResultsError` if there is none."""
+    path = folder / MANIFEST
+    if not os.path.isfile(path):
         raise ResultsError(f"{folder}: not a results folder (it has no {MANIFEST})")
-    return read_json(folder / MANIFEST)
+    manifest = read_json(path)
+    if not isinstance(manifest, dict):
+        raise ResultsError(f"{path}: a mapping is expected, not a {type(manifest).__name__}")
+    return manifest
+
+
+def _require_file(path: Path) -> None:
+    """Refuse a missing file, and what is no regular file: opening a pipe would wait for its writer."""
+    if not os.path.lexists(path):
+        raise ResultsError(f"{path}: no such file")
+    if not os.path.isfile(path):
+        raise ResultsError(f"{path}: cannot be read: not a regular file")
+
+
+def _file_fingerprint(path: Path) -> dict[str, Any]:
+    with path.open("rb") as file:
+        return {"size": path.stat().st_size, "sha256": hashlib.file_digest(file, "sha256").hexdigest()}
+
+
+def _digest(content: Any) -> str:
+    return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
 
 def _finite(value: Any) -> Any:

@@ -2,6 +2,8 @@
 
 import json
 import os
+import re
+import shutil
 import signal
 import time
 from pathlib import Path
@@ -157,24 +159,183 @@ def test_segments_and_reports_may_change(interrupted, undisturbed):
     assert contents(interrupted) == contents(undisturbed)
 
 
-@pytest.mark.parametrize("name", ["part-000000-steps.parquet", "state.json"])
-def test_truncated_file(interrupted, capsys, name):
-    (path,) = interrupted.glob(f"{WORK}/chunk-*/{name}")
-    path.write_bytes(path.read_bytes()[:-20])
-    capsys.readouterr()
-    assert run_sweep_here(interrupted, resume=True) == 2
-    line = one_line(capsys)
-    assert str(path) in line and "delete the folder" in line
+HALFWAY = {"points": ({"scale": 1.0}, {"scale": 2.0}), "runs": 6, "lanes_per_device": 2}
+"""Three chunks of four runs, each of at most six segments."""
 
 
-def test_truncated_checkpoint(interrupted, capsys):
-    for path in interrupted.glob(f"{WORK}/chunk-*/checkpoint-*/**/*"):
-        if path.is_file():
-            path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+@pytest.fixture(scope="module")
+def undamaged(tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("undamaged") / "toy"
+    assert run_sweep_here(out, **HALFWAY) == 0
+    return out
+
+
+@pytest.fixture(scope="module")
+def halfway(tmp_path_factory) -> Path:
+    """A folder with a finished chunk, one that stopped at a checkpoint, and one that has not begun."""
+    out = tmp_path_factory.mktemp("halfway") / "toy"
+    assert stop_after(out, segments=9, **HALFWAY) == 130
+    chunks = sorted((out / WORK).glob("chunk-*"))
+    assert [len(list(chunk.glob("checkpoint-*"))) for chunk in chunks] == [0, 1, 0]
+    assert list(chunks[0].glob("arrays/*.npz"))
+    return out
+
+
+@pytest.fixture
+def copy(halfway, tmp_path) -> Path:
+    return Path(shutil.copytree(halfway, tmp_path / "toy"))
+
+
+def flip(path: Path, where: float) -> None:
+    content = bytearray(path.read_bytes())
+    content[int(where * (len(content) - 1))] ^= 4
+    path.write_bytes(bytes(content))
+
+
+def replace(old: str, new: str):
+    def damage(path: Path) -> None:
+        text = re.sub(old, new, path.read_text(), count=1)
+        assert text != path.read_text()
+        path.write_text(text)
+
+    return damage
+
+
+def largest(folder: Path) -> Path:
+    return max((path for path in folder.rglob("*") if path.is_file()), key=lambda path: path.stat().st_size)
+
+
+def turn_into_folder(path: Path) -> None:
+    path.unlink()
+    path.mkdir()
+
+
+FIRST, SECOND = "chunk-00000-*", "chunk-00001-*"
+DAMAGES = {
+    "the first part is missing": (f"{SECOND}/part-000000-steps.parquet", Path.unlink),
+    "a part is missing": (f"{SECOND}/part-000001-steps.parquet", Path.unlink),
+    "the summaries of a finished chunk are missing": (f"{FIRST}/part-*-runs.parquet", Path.unlink),
+    "a part is a copy of the next": (
+        f"{SECOND}/part-000000-steps.parquet",
+        lambda path: shutil.copy(path.with_name("part-000001-steps.parquet"), path),
+    ),
+    "a part is a copy of another chunk's": (
+        f"{SECOND}/part-000000-steps.parquet",
+        lambda path: shutil.copy(next(path.parents[1].glob(f"{FIRST}/{path.name}")), path),
+    ),
+    "a part is truncated": (f"{FIRST}/part-000000-steps.parquet", lambda path: os.truncate(path, 99)),
+    "a part is empty": (f"{FIRST}/part-000001-steps.parquet", lambda path: os.truncate(path, 0)),
+    "a part is a folder": (f"{FIRST}/part-000001-steps.parquet", turn_into_folder),
+    "a bit of a part is flipped": (f"{FIRST}/part-000001-steps.parquet", lambda path: flip(path, 0.1)),
+    "a bit of a footer is flipped": (f"{FIRST}/part-000001-steps.parquet", lambda path: flip(path, 0.9)),
+    "a snapshot is missing": (f"{FIRST}/arrays/0-0-walk-end.npz", Path.unlink),
+    "a snapshot is another's": (
+        f"{FIRST}/arrays/0-0-walk-end.npz",
+        lambda path: shutil.copy(path.with_name("0-1-walk-end.npz"), path),
+    ),
+    "the checkpoint is missing": (f"{SECOND}/checkpoint-*", shutil.rmtree),
+    "a file of the checkpoint is missing": (f"{SECOND}/checkpoint-*", lambda path: largest(path).unlink()),
+    "a bit of the checkpoint is flipped": (f"{SECOND}/checkpoint-*", lambda path: flip(largest(path), 0.5)),
+    "a digit of the state is changed": (
+        f"{SECOND}/state.json",
+        replace('"advances": [0-9]+', '"advances": 9'),
+    ),
+    "a flag of the state is changed": (
+        f"{SECOND}/state.json",
+        replace('"is_done": false', '"is_done": true'),
+    ),
+    "the state has another type": (f"{SECOND}/state.json", lambda path: path.write_text('[{"parts": 1}]')),
+    "the state is truncated": (f"{SECOND}/state.json", lambda path: os.truncate(path, 60)),
+    "the state is nested deep": (f"{SECOND}/state.json", lambda path: path.write_text("[" * 10**5)),
+    "the state is another chunk's": (
+        f"{SECOND}/state.json",
+        lambda path: shutil.copy(next(path.parents[1].glob(f"{FIRST}/state.json")), path),
+    ),
+    "the plan is changed": ("plan.json", replace('"seed": 3', '"seed": 4')),
+}
+
+
+def files_of(folder: Path) -> set[Path]:
+    return {path.relative_to(folder) for path in folder.rglob("*")}
+
+
+@pytest.mark.parametrize("name", DAMAGES)
+def test_a_damaged_folder_is_refused_in_one_line(copy, capsys, name):
+    pattern, damage = DAMAGES[name]
+    path = min((copy / WORK).glob(pattern))
+    damage(path)
+    before = files_of(copy)
     capsys.readouterr()
-    assert run_sweep_here(interrupted, resume=True) == 2
+    assert run_sweep_here(copy, resume=True, **HALFWAY) == 2
     line = one_line(capsys)
-    assert "checkpoint cannot be read" in line and "delete the folder" in line
+    damaged = path if path.parent.name == WORK else copy / WORK / path.relative_to(copy / WORK).parts[0]
+    assert (
+        str(damaged) in line and f"delete th{'e folder' if path.parent.name != WORK else 'is file'}" in line
+    )
+    assert files_of(copy) == before  # nothing is merged, and nothing deleted
+
+
+def test_a_copied_chunk_is_refused(copy, capsys):
+    first, second = (next((copy / WORK).glob(pattern)) for pattern in (FIRST, SECOND))
+    shutil.rmtree(second)
+    shutil.copytree(first, second)
+    capsys.readouterr()
+    assert run_sweep_here(copy, resume=True, **HALFWAY) == 2
+    assert f"{second / 'state.json'}: copied from another chunk: delete the folder" in one_line(capsys)
+
+
+def test_what_no_number_depends_on_may_be_damaged(copy, undamaged):
+    first, second = (next((copy / WORK).glob(pattern)) for pattern in (FIRST, SECOND))
+    (copy / WORK / "groups.json").write_text('{"groups": 7}')
+    (copy / WORK / "lock").unlink()
+    (copy / ".work-done" / "chunk").mkdir(parents=True)
+    (second / "part-foo.parquet").write_text("stray")
+    (second / "part-000009-steps.parquet").mkdir()
+    shutil.copy(first / "part-000000-steps.parquet", second / "part-000008-steps.parquet")  # not committed
+    shutil.copy(first / "arrays" / "0-0-walk-end.npz", second / "arrays" / "1-1-walk-end.npz")
+    (second / "checkpoint-00000099").mkdir()
+    (second / "learners" / "0-0" / "learned").mkdir(parents=True)
+    assert run_sweep_here(copy, resume=True, **HALFWAY) == 0
+    assert contents(copy) == contents(undamaged)
+    assert not (copy / "learners").exists() and not list(copy.glob(".*"))
+
+
+@pytest.mark.parametrize("pattern", [f"{SECOND}/state.json", "plan.json"])
+def test_what_can_be_made_again_may_be_missing(copy, undamaged, pattern):
+    min((copy / WORK).glob(pattern)).unlink()
+    assert run_sweep_here(copy, resume=True, **HALFWAY) == 0
+    assert contents(copy) == contents(undamaged)
+
+
+def test_cut_off_while_merging(copy, undamaged, monkeypatch):
+    """Tables and some of the snapshots are in place, the manifest does not say finished."""
+    from bojax.results import merge
+
+    move, count = merge._move, 0
+
+    def moves_once(source, target):
+        nonlocal count
+        count += 1
+        if count > 1:
+            raise KeyboardInterrupt
+        move(source, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(merge, "_move", moves_once)
+        with pytest.raises(KeyboardInterrupt):
+            run_sweep_here(copy, resume=True, **HALFWAY)
+    assert len(list((copy / "arrays").glob("*.npz"))) == 1
+    assert run_sweep_here(copy, resume=True, **HALFWAY) == 0
+    assert contents(copy) == contents(undamaged)
+
+
+def test_working_files_gone(copy, capsys):
+    shutil.rmtree(copy / WORK)
+    capsys.readouterr()
+    assert run_sweep_here(copy, resume=True, **HALFWAY) == 2
+    output = capsys.readouterr()
+    assert "already finished" not in output.out
+    assert "status is interrupted, but its working folder .work is gone: give a new --out" in output.err
 
 
 def test_deleting_a_bad_chunk_mends_it(interrupted, undisturbed):

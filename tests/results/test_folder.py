@@ -1,21 +1,46 @@
 """Results folders: nothing is overwritten, and what is unfinished is found again."""
 
+import os
+from pathlib import Path
+
 import pytest
 
 from bojax.results.folder import RunFolder, check_finished, check_plan, choose_folder, is_unfinished
-from bojax.results.store import ResultsError, write_json
+from bojax.results.store import ResultsError, read_manifest, write_json
 
 PLAN = {"runs": 3, "config": {"planner": {"kind": "kcbts", "iterations": 300}}, "code": {"bojax": "a"}}
 
 
-def test_a_new_folder_has_a_timestamp_of_its_own(tmp_path, monkeypatch):
+def test_folders_of_one_second_get_numbers(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("time.strftime", lambda _: "20260101-000000")
-    first, is_resumed = choose_folder("parking", None, resume=False)
-    assert str(first) == "results/parking/20260101-000000" and not is_resumed
-    first.mkdir(parents=True)
-    second, _ = choose_folder("parking", None, resume=False)
-    assert second.name == "20260101-000000-2"
+    # All are chosen before the first is created, as by processes that start together.
+    chosen = [choose_folder("parking", None, resume=False) for _ in range(3)]
+    assert {(str(path), is_resumed) for path, is_resumed in chosen} == {
+        ("results/parking/20260101-000000", False)
+    }
+    assert not Path("results").exists()
+    folders = [RunFolder(path) for path, _ in chosen]
+    for folder in folders:
+        folder.create(PLAN, may_rename=True)
+    assert [folder.path.name for folder in folders] == [f"20260101-000000{end}" for end in ("", "-2", "-3")]
+
+
+def test_a_folder_that_the_user_names_is_taken_once(tmp_path):
+    RunFolder(tmp_path / "out").create(PLAN)
+    with pytest.raises(ResultsError, match="another process"):
+        RunFolder(tmp_path / "out").create(PLAN)
+
+
+@pytest.mark.parametrize("parts", [("x" * 300,), ("folder", "y" * 5000)])
+@pytest.mark.parametrize("resume", [False, True])
+def test_names_longer_than_the_file_system_allows(tmp_path, parts, resume):
+    path, is_resumed = choose_folder("parking", tmp_path.joinpath(*parts), resume=resume)
+    assert not is_resumed and not is_unfinished(path)
+    with pytest.raises(ResultsError, match="File name too long"):
+        RunFolder(path).create(PLAN)
+    with pytest.raises(ResultsError, match="not a results folder"):
+        read_manifest(path)
 
 
 def test_an_empty_folder_is_taken(tmp_path):
@@ -82,7 +107,49 @@ def test_a_change_of_base_and_points_is_told_once(tmp_path):
 
 
 def test_a_finished_folder_may_come_from_other_code(tmp_path):
-    write_json(tmp_path / "manifest.json", {"plan": PLAN})
+    write_json(tmp_path / "manifest.json", {"status": "finished", "plan": PLAN})
     check_finished(tmp_path, {**PLAN, "code": {"bojax": "b"}})
     with pytest.raises(ResultsError, match="runs: 3 -> 4"):
         check_finished(tmp_path, {**PLAN, "runs": 4})
+
+
+@pytest.mark.parametrize(
+    ("manifest", "named"),
+    [
+        ({"status": "interrupted", "plan": PLAN}, r"status is interrupted.*\.work is gone: give a new --out"),
+        ({"status": "finished"}, "plan: a mapping is expected, not a NoneType"),
+        ({"status": "finished", "plan": [1]}, "plan: a mapping is expected, not a list"),
+        ([1], "a mapping is expected, not a list"),
+        (None, "a mapping is expected"),
+    ],
+)
+def test_a_manifest_that_does_not_say_finished(tmp_path, manifest, named):
+    write_json(tmp_path / "manifest.json", manifest)
+    with pytest.raises(ResultsError, match=named) as error:
+        check_finished(tmp_path, PLAN)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("damage", ['{"runs": 4}', '{"runs": 3, "sha256": "00"}', "[1]", '"x', "[" * 10**5])
+def test_a_damaged_plan_is_refused_and_a_damaged_note_ignored(tmp_path, damage):
+    folder = RunFolder(tmp_path / "out")
+    folder.create(PLAN)
+    folder.note("groups", [1, 2])
+    folder.close(finished=False)
+    assert folder.noted("groups", None) == [1, 2]
+    (folder.work / "groups.json").write_text(damage)
+    assert folder.noted("groups", "nothing") == "nothing"
+    (folder.work / "plan.json").write_text(damage)
+    with pytest.raises(ResultsError, match="plan.json: damaged: delete this file and resume"):
+        folder.resume(PLAN)
+    folder.close(finished=False)
+    (folder.work / "plan.json").unlink()
+    folder.resume(PLAN)
+
+
+def test_leftovers_of_an_earlier_finish_are_deleted(tmp_path):
+    folder = RunFolder(tmp_path / "out")
+    folder.create(PLAN)
+    (folder.path / ".work-done" / "chunk").mkdir(parents=True)
+    folder.close(finished=True)
+    assert os.listdir(folder.path) == []

@@ -1,13 +1,26 @@
 """Tables: typed by their schema, merged in one order whatever order they were written in."""
 
+import os
+
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from bojax.results.merge import PointInfo, merge
 from bojax.results.parts import ChunkFolder
 from bojax.results.schema import Column
-from bojax.results.store import ResultsError, read_json, read_manifest, read_table, write_json
+from bojax.results.store import (
+    ResultsError,
+    fingerprint,
+    read_checked_json,
+    read_json,
+    read_manifest,
+    read_table,
+    write_checked_json,
+    write_json,
+    write_table,
+)
 from bojax.results.tables import KEYS, count_nans, sort_rows, to_arrow
 
 STEPS = (*KEYS, Column("step", "int32"), Column("reward", "float32", "m", "what the task pays"))
@@ -64,7 +77,7 @@ def test_nans_are_counted_by_run_over_all_tables():
 
 
 def make_chunk(path, *parts):
-    chunk = ChunkFolder(path)
+    chunk = ChunkFolder(path, path.parent)
     chunk.open()
     for part in parts:
         chunk.write_part({"steps": part})
@@ -94,7 +107,7 @@ def test_uncommitted_parts_never_happened(tmp_path):
     chunk = make_chunk(tmp_path / "chunk", steps((0, 0, 1, 0.0)))
     chunk.write_part({"steps": steps((0, 0, 2, 0.0))})
     (tmp_path / "chunk" / "checkpoint-00000007").mkdir()
-    again = ChunkFolder(tmp_path / "chunk")
+    again = ChunkFolder(tmp_path / "chunk", tmp_path)
     again.open()
     assert [table.num_rows for table in again.tables("steps")] == [1]
     names = sorted(path.name for path in (tmp_path / "chunk").iterdir())
@@ -112,7 +125,7 @@ def test_uncommitted_parts_never_happened(tmp_path):
     ],
 )
 def test_swept_values_keep_their_type(tmp_path, values, kind):
-    chunk = ChunkFolder(tmp_path / "chunk")
+    chunk = ChunkFolder(tmp_path / "chunk", tmp_path)
     chunk.open()
     runs = to_arrow(KEYS, {"point": np.array([1, 0]), "run": np.array([0, 0])})
     chunk.write_part({"runs": runs})
@@ -122,6 +135,121 @@ def test_swept_values_keep_their_type(tmp_path, values, kind):
     table = read_table(tmp_path / "runs.parquet")
     assert table.column_names == ["point", "label", "variant", "a.b", "run", "seed", "nans"]
     assert table["a.b"].type == kind and table["seed"].to_pylist() == [9, 9]
+
+
+def test_tables_whose_names_end_alike_are_kept_apart(tmp_path):
+    chunk = ChunkFolder(tmp_path / "chunk", tmp_path)
+    chunk.open()
+    chunk.write_part({"steps": steps((0, 0, 1, 0.0)), "more-steps": steps((0, 0, 2, 0.0))})
+    chunk.commit()
+    assert [table["step"].to_pylist() for table in chunk.tables("steps")] == [[1]]
+
+
+def test_snapshots_and_learners_are_moved_once(tmp_path):
+    def open_chunk():
+        chunk = ChunkFolder(tmp_path / "work" / "chunk", tmp_path)
+        chunk.open()
+        return chunk
+
+    chunk = open_chunk()
+    chunk.write_snapshot(0, 1, "walk", "end", {"x": np.arange(3)})
+    (chunk.learner_folder(0, 1) / "experiment.yaml").write_text("kind: learning")
+    chunk.commit()
+    for _ in range(2):  # a merge may be cut off, or repeated when failed chunks have been computed
+        merge(tmp_path, [open_chunk()], [], POINTS, seed=0)
+        assert (tmp_path / "learners" / "0-1" / "experiment.yaml").read_text() == "kind: learning"
+    with np.load(tmp_path / "arrays" / "0-1-walk-end.npz") as arrays:
+        assert arrays["x"].tolist() == [0, 1, 2]
+    again = ChunkFolder(tmp_path / "work" / "again", tmp_path)  # the chunk was deleted and computed again
+    again.open()
+    (again.learner_folder(0, 1) / "experiment.yaml").write_text("kind: again")
+    again.commit()
+    merge(tmp_path, [again], [], POINTS, seed=0)
+    assert (tmp_path / "learners" / "0-1" / "experiment.yaml").read_text() == "kind: again"
+    (tmp_path / "arrays" / "0-1-walk-end.npz").write_bytes(b"")
+    with pytest.raises(ResultsError, match="0-1-walk-end.npz: changed"):
+        open_chunk()
+
+
+@pytest.mark.parametrize("damage", ["deleted", "flipped"])
+def test_a_part_that_is_damaged_after_it_was_opened_is_not_merged(tmp_path, damage):
+    chunk = make_chunk(tmp_path / "chunk", steps((0, 0, 1, 0.0)), steps((0, 0, 2, 0.0)))
+    path = tmp_path / "chunk" / "part-000001-steps.parquet"
+    if damage == "deleted":
+        path.unlink()
+    else:
+        flip(path, 10)
+    with pytest.raises(ResultsError, match="part-000001-steps.parquet: .* delete the folder"):
+        merge(tmp_path, [chunk], ["steps"], POINTS, seed=0)
+    assert not (tmp_path / "steps.parquet").exists()
+
+
+def flip(path, position):
+    content = bytearray(path.read_bytes())
+    content[position] ^= 1
+    path.write_bytes(bytes(content))
+
+
+def test_a_flipped_bit_in_a_page_is_noticed(tmp_path):
+    path, table = tmp_path / "a.parquet", steps(*((0, 0, step, step / 7) for step in range(500)))
+    write_table(path, table)
+    whole = path.read_bytes()
+    group = pq.read_metadata(path).row_group(0)
+    columns = [group.column(index) for index in range(group.num_columns)]
+    refused = 0
+    for column in columns:
+        start = column.dictionary_page_offset or column.data_page_offset
+        for position in range(start, start + column.total_compressed_size, 23):
+            flip(path, position)
+            try:
+                assert read_table(path).equals(table)  # a bit that does not matter
+            except ResultsError as error:
+                assert "\n" not in str(error)
+                refused += 1
+            path.write_bytes(whole)
+    assert refused > 100
+
+
+def test_a_checked_file_notices_a_changed_digit(tmp_path):
+    path = tmp_path / "a.json"
+    write_checked_json(path, {"x": 1.25, "y": [float("nan"), {"z": "text"}]})
+    assert read_checked_json(path) == {"x": 1.25, "y": [None, {"z": "text"}]}
+    text = path.read_text()
+    for old, new in (("1.25", "1.35"), ("text", "next"), ('"z"', '"w"'), ("null", "0")):
+        path.write_text(text.replace(old, new))
+        with pytest.raises(ResultsError, match="checksum"):
+            read_checked_json(path)
+
+
+def test_a_fingerprint_is_of_every_file_of_a_folder(tmp_path):
+    folder = tmp_path / "folder"
+    (folder / "below").mkdir(parents=True)
+    (folder / "below" / "a").write_text("one")
+    (folder / "b").write_text("two")
+    first = fingerprint(folder)
+    assert first is not None and first["size"] == 6
+    assert fingerprint(folder, without="b") != first and fingerprint(tmp_path / "none") is None
+    (folder / "b").rename(folder / "c")
+    assert fingerprint(folder) != first
+    (folder / "c").rename(folder / "b")
+    assert fingerprint(folder) == first
+    (folder / "b").write_text("twe")
+    assert fingerprint(folder) != first
+
+
+@pytest.mark.parametrize("text", ["[" * 10**5, f"[{'1' * 10**4}]", "[1", ""])
+def test_json_that_cannot_be_read_is_one_line(tmp_path, text):
+    (tmp_path / "a.json").write_text(text)
+    with pytest.raises(ResultsError, match="cannot be read") as error:
+        read_json(tmp_path / "a.json")
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("read", [read_json, read_table])
+def test_a_pipe_is_refused(tmp_path, read):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(ResultsError, match="not a regular file"):
+        read(tmp_path / "pipe")
 
 
 def test_json_has_no_nan(tmp_path):
