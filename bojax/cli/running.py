@@ -79,18 +79,13 @@ def _resolve(sweep: Sweep) -> Sweep:
 
 def _run(sweeps: Sequence[Sweep], args: Namespace, command: list[str]) -> int:
     from bojax.engine.run import run_sweep
-    from bojax.results.folder import choose_folder
 
     first_failure = 0
     for sweep in sweeps:
         out = args.out / sweep.name if args.out and len(sweeps) > 1 else args.out
-        # Chosen here because the report needs it: with this folder the engine decides the same again.
-        folder, is_resumed = choose_folder(sweep.name, out, resume=args.resume)
-        code = run_sweep(sweep, folder, is_resumed, command)
+        code = run_sweep(sweep, out, args.resume, command, finish=_report)
         if code in (130, 143):
             return code
-        if code == 0:
-            _report(folder)
         first_failure = first_failure or code
     return first_failure
 

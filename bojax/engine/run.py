@@ -3,6 +3,7 @@
 import shlex
 import sys
 import traceback
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +22,7 @@ from bojax.engine.progress import SweepProgress
 from bojax.engine.provenance import device_description
 from bojax.engine.runner import ChunkRunner
 from bojax.engine.signals import StopRequest
-from bojax.results.folder import RunFolder, check_finished, choose_folder, is_unfinished
+from bojax.results.folder import RunFolder, check_finished, choose_folder, drop_leftovers, is_unfinished
 from bojax.results.merge import RUNS, PointInfo, merge
 from bojax.results.parts import ChunkFolder
 from bojax.results.store import MANIFEST, ResultsError, one_line, write_atomically, write_json, write_table
@@ -33,7 +34,13 @@ NaNs = dict[tuple[int, int], int]
 """Number of NaNs by (point, run), where there are any."""
 
 
-def run_sweep(sweep: "Sweep", out: Path | None, resume: bool, command: list[str]) -> int:
+def run_sweep(
+    sweep: "Sweep",
+    out: Path | None,
+    resume: bool,
+    command: list[str],
+    finish: Callable[[Path], Any] | None = None,
+) -> int:
     """Run or resume a sweep and write its results folder.
 
     Args:
@@ -41,6 +48,7 @@ def run_sweep(sweep: "Sweep", out: Path | None, resume: bool, command: list[str]
         out: The results folder; `results/<name>/<timestamp>` if None.
         resume: Go on with an unfinished sweep, in `out` or in the newest unfinished folder of this name.
         command: The command line that asked for it, for the manifest and for the hint how to resume.
+        finish: Called with the results folder once the sweep is finished; it may write a report.
 
     Returns:
         The exit code: 0; 1 if something failed; 2 for an input error; 130 or 143 after a signal.
@@ -49,15 +57,21 @@ def run_sweep(sweep: "Sweep", out: Path | None, resume: bool, command: list[str]
         with StopRequest() as stop:
             path, is_resumed = choose_folder(sweep.name, out, resume=resume)
             prepare(sweep.engine.device)
-            run = SweepRun(sweep, path, command, stop)
+            folder = RunFolder(path)
+            run = SweepRun(sweep, folder, command, stop)
             if is_resumed and not is_unfinished(path):
                 check_finished(path, run.plan)
+                drop_leftovers(path)
                 print(f"{path}: already finished")
-                return 0
-            return run.execute(is_resumed=is_resumed)
+                code = 0
+            else:
+                code = run.execute(is_resumed=is_resumed, may_rename=out is None)
     except (ConfigError, ResultsError, EngineError) as error:
         print(f"error: {error}", file=sys.stderr)
         return error.exit_code
+    if code == 0 and finish is not None:
+        finish(folder.path)
+    return code
 
 
 class SweepRun:
@@ -71,8 +85,8 @@ class SweepRun:
         chunks: All chunks, in the order in which they run.
     """
 
-    def __init__(self, sweep: "Sweep", path: Path, command: list[str], stop: StopRequest):
-        self._sweep, self._path, self._command, self._stop = sweep, path, command, stop
+    def __init__(self, sweep: "Sweep", folder: RunFolder, command: list[str], stop: StopRequest):
+        self._sweep, self._folder, self._command, self._stop = sweep, folder, command, stop
         self._devices = find_devices(sweep.engine.device)
         self._device = device_description(self._devices)
         self._modules = [
@@ -82,16 +96,20 @@ class SweepRun:
         self._lanes = [self._choose_lanes(group) for group in self.groups]
         self.plan = make_plan(sweep, self._modules, self._device, self._lanes)
         self.chunks = self._cut()
-        self._folder = RunFolder(path)
-        self._files = [self._folder.chunk(chunk.name) for chunk in self.chunks]
+        self._files: list[ChunkFolder] = []
         self._facts: list[dict[str, Any]] = []
         self._errors: dict[int, str] = {}
 
-    def execute(self, *, is_resumed: bool) -> int:
-        """Run what is left of the sweep, and write its results; returns the exit code."""
+    def execute(self, *, is_resumed: bool, may_rename: bool) -> int:
+        """Run what is left of the sweep, and write its results; returns the exit code.
+
+        Args:
+            is_resumed: Whether the folder holds an unfinished sweep; otherwise it is created.
+            may_rename: Whether a number may be appended to the name of a folder that is created.
+        """
         is_finished = False
         try:
-            self._open(is_resumed)
+            self._open(is_resumed, may_rename)
             self._write_manifest("running")
             with SweepProgress(self._sweep.name, sum(chunk.num_lanes for chunk in self.chunks)) as progress:
                 for group in self.groups:
@@ -125,11 +143,11 @@ class SweepRun:
             chunks += cut(group, range(self._sweep.runs), size, configs, context, first_index=len(chunks))
         return chunks
 
-    def _open(self, is_resumed: bool) -> None:
+    def _open(self, is_resumed: bool, may_rename: bool) -> None:
         if is_resumed:
             self._folder.resume(self.plan)
         else:
-            self._folder.create(self.plan)
+            self._folder.create(self.plan, may_rename=may_rename)
         fresh = [
             {
                 "lanes_per_device": lanes,
@@ -140,6 +158,7 @@ class SweepRun:
             for lanes in self._lanes
         ]
         self._facts = self._folder.noted("groups", fresh)
+        self._files = [self._folder.chunk(chunk.name) for chunk in self.chunks]
         for files in self._files:
             files.open()
 
@@ -196,8 +215,8 @@ class SweepRun:
         message = str(known or one_line(error))
         if known is None:
             stack = self._folder.work / f"error-{chunks[0].index:05d}.txt"
-            text = "".join(traceback.format_exception(error))
-            write_atomically(stack, lambda temporary: temporary.write_text(text))
+            text = "".join(traceback.format_exception(error)).encode(errors="backslashreplace")
+            write_atomically(stack, lambda temporary: temporary.write_bytes(text))
             message += f" (stack in {stack})"
         self._errors |= {chunk.index: message for chunk in chunks}
         progress.say(
@@ -225,8 +244,8 @@ class SweepRun:
         done = [files for files in self._files if files.state.is_done]
         names = dict.fromkeys([RUNS, *(name for module in self._modules for name in module.tables)])
         points = [PointInfo(p.index, p.label, p.variant, p.swept) for p in self._sweep.points]
-        nans = merge(self._path, done, names, points, self._sweep.seed)
-        write_table(self._path / "timings.parquet", timings(self._states()))
+        nans = merge(self._folder.path, done, names, points, self._sweep.seed)
+        write_table(self._folder.path / "timings.parquet", timings(self._states()))
         return nans
 
     def _states(self):
@@ -245,7 +264,7 @@ class SweepRun:
             "chunks": [describe_chunk(*state, self._errors.get(state[0].index)) for state in states],
             "nans": by_point,
         }
-        write_json(self._path / MANIFEST, manifest)
+        write_json(self._folder.path / MANIFEST, manifest)
 
     def _name(self, group: StaticGroup) -> str:
         names = list(dict.fromkeys(self._sweep.points[point].variant for point in group.points))
@@ -254,13 +273,13 @@ class SweepRun:
     def _resume_command(self) -> str:
         given = list(self._command)
         if not any(word == "--out" or word.startswith("--out=") for word in given):
-            given += ["--out", str(self._path)]
+            given += ["--out", str(self._folder.path)]
         return shlex.join(given if "--resume" in given else [*given, "--resume"])
 
     def _conclude(self, nans: NaNs) -> int:
         if nans:
             print(f"warning: {len(nans)} runs contain NaN: see column nans of runs.parquet", file=sys.stderr)
-        print(self._path)
+        print(self._folder.path)
         if not self._errors:
             return 0
         reasons = dict.fromkeys(self._errors.values())

@@ -8,6 +8,9 @@ from bojax.cli import doctor
 from bojax.cli.main import main
 from bojax.config.component import External
 
+FOLDER = Path("results/parking/20260101-000000")
+"""The folder that the engine chooses."""
+
 
 @pytest.fixture
 def calls(tmp_path, monkeypatch):
@@ -16,9 +19,12 @@ def calls(tmp_path, monkeypatch):
     made: list[tuple] = []
     codes: dict[str, int] = {}
 
-    def run_sweep(sweep, out, resume, command):
+    def run_sweep(sweep, out, resume, command, finish):
         made.append(("run", sweep, out, resume, command))
-        return codes.get(sweep.name, 0)
+        code = codes.get(sweep.name, 0)
+        if code == 0:
+            finish(out or FOLDER)
+        return code
 
     def build_report(folders):
         made.append(("report", *folders))
@@ -34,7 +40,7 @@ def test_a_sweep_runs_and_is_reported(calls, capsys):
     assert main(["sweep", "parking", "problem.half_width=3", "--runs", "5", "runs=9", "--seed", "7"]) == 0
     (_, sweep, out, resume, command), report = made
     assert (sweep.name, sweep.runs, sweep.seed) == ("parking", 5, 7)
-    assert out.parent == Path("results/parking") and resume is False
+    assert out is None and resume is False
     assert command == [
         "bojax",
         "sweep",
@@ -46,8 +52,8 @@ def test_a_sweep_runs_and_is_reported(calls, capsys):
         "--seed",
         "7",
     ]
-    assert report == ("report", out)
-    assert capsys.readouterr().out == f"{out}/report.html\n"
+    assert report == ("report", FOLDER)
+    assert capsys.readouterr().out == f"{FOLDER}/report.html\n"
 
 
 def test_a_config_runs(calls):
@@ -78,19 +84,28 @@ def test_a_signal_stops_everything(calls, code):
     assert [call[0] for call in made] == ["run"]
 
 
-def test_resume_without_anything_to_resume(calls, capsys):
-    made, _ = calls
+def test_resume_without_anything_to_resume(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
     assert main(["sweep", "parking", "--resume"]) == 2
-    assert capsys.readouterr().err.count("\n") == 1 and made == []
+    assert capsys.readouterr().err.count("\n") == 1 and not list(tmp_path.iterdir())
 
 
-def test_an_existing_folder_is_not_touched(calls, capsys, tmp_path):
-    made, _ = calls
+def test_an_existing_folder_is_not_touched(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "notes.txt").write_text("precious")
     assert main(["run", "parking", "--out", "mine"]) == 2
-    assert capsys.readouterr().err.startswith("error: mine: ") and made == []
+    assert capsys.readouterr().err.startswith("error: mine: ")
+    assert [path.name for path in (tmp_path / "mine").iterdir()] == ["notes.txt"]
     assert (tmp_path / "mine" / "notes.txt").read_text() == "precious"
+
+
+@pytest.mark.parametrize("words", [["--out", "x" * 300], ["--out", "x" * 300, "--resume"]])
+def test_a_name_that_is_too_long_for_a_folder(tmp_path, monkeypatch, capsys, words):
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", "chain", "episodes=1", "--runs", "1", *words]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1 and "File name too long" in lines[0] and not list(tmp_path.iterdir())
 
 
 def test_a_part_of_the_users_own_is_resolved_before_the_engine_sees_it(calls, tmp_path):
