@@ -67,14 +67,18 @@ def _resolve(component: Component, path: Location, locate: Locate) -> Component:
 
 
 def _validate(external: External, path: Location, locate: Locate) -> Component:
+    where = (*path, "kind") if path else ()
     try:
         schema = schema_of(external.slot, external.kind)
-    except _Refusal as error:
-        raise ConfigError(f"{locate((*path, 'kind') if path else ())}: {error}") from error.__cause__
-    try:
         return schema.model_validate({"kind": external.kind, **external.params})
+    except _Refusal as error:
+        raise ConfigError(f"{locate(where)}: {error}") from error.__cause__
     except pydantic.ValidationError as error:
         raise from_validation(error, lambda location: locate((*path, *location))) from error
+    except (Exception, SystemExit) as error:  # the user's annotations, or the user's validators
+        raise ConfigError(
+            f"{locate(where)}: got {shown(external.kind)}; checking its settings failed: {last_line(error)}"
+        ) from error
 
 
 class _Refusal(Exception):
@@ -113,9 +117,9 @@ def _import(kind: str) -> type:
             raise _Refusal(
                 f"{got}there is no module {error.name}, neither here ({Path.cwd()}) nor installed"
             ) from error
-        raise _Refusal(f"{got}importing {module_name} failed: {_last_line(error)}") from error
-    except Exception as error:
-        raise _Refusal(f"{got}importing {module_name} failed: {_last_line(error)}") from error
+        raise _Refusal(f"{got}importing {module_name} failed: {last_line(error)}") from error
+    except (Exception, SystemExit) as error:  # a script calls sys.exit
+        raise _Refusal(f"{got}importing {module_name} failed: {last_line(error)}") from error
     if not hasattr(module, name):
         names = [key for key, value in vars(module).items() if isinstance(value, type)]
         raise _Refusal(f"{got}{module_name} has no {name}{did_you_mean(name, names)}")
@@ -139,7 +143,7 @@ def _check_protocol(cls: type, role: str, kind: str) -> None:
         raise _Refusal(f"got {shown(kind)}; as a {role} it lacks {', '.join(sorted(missing))}{hint}")
 
 
-def _last_line(error: Exception) -> str:
+def last_line(error: BaseException) -> str:
     """An exception with the line of the user's file where it was raised."""
     frames = traceback.extract_tb(error.__traceback__)
     where = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""

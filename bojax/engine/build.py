@@ -11,6 +11,7 @@ import jax.numpy as jnp
 
 from bojax.config.component import Component, External
 from bojax.config.errors import ConfigError, dotted
+from bojax.config.external import last_line
 from bojax.engine.devices import setting
 
 
@@ -67,6 +68,12 @@ def _build(component: Component, dtype: str, path: tuple[str, ...]) -> Any:
         return cls(**arguments)
     except ValueError as error:
         raise ConfigError(f"{_where(path, component)}: {' '.join(str(error).split())}") from error
+    except (Exception, SystemExit) as error:
+        if component.target.startswith("bojax."):
+            raise
+        raise ConfigError(
+            f"{_where(path, component)}: the constructor of {component.target} failed: {last_line(error)}"
+        ) from error
 
 
 def static_fields(cls: type) -> frozenset[str]:

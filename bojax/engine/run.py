@@ -173,7 +173,7 @@ class SweepRun:
             return
         try:
             runner = self._compile(group, progress)
-        except Exception as error:
+        except (Exception, SystemExit) as error:  # user's code may call sys.exit
             self._fail([chunk for chunk, _ in todo], error, progress)
             return
         for chunk, files in todo:
@@ -183,7 +183,7 @@ class SweepRun:
                 runner.run(chunk, files)
             except ResultsError:
                 raise  # a full disk, an unreadable checkpoint: the user has to act first
-            except Exception as error:
+            except (Exception, SystemExit) as error:
                 self._fail([chunk], error, progress)
 
     def _compile(self, group: StaticGroup, progress: SweepProgress) -> ChunkRunner:
@@ -208,7 +208,7 @@ class SweepRun:
             stop=self._stop,
         )
 
-    def _fail(self, chunks: list[Chunk], error: Exception, progress: SweepProgress) -> None:
+    def _fail(self, chunks: list[Chunk], error: BaseException, progress: SweepProgress) -> None:
         """Note chunks as failed; the others go on. The stack of an unknown failure is kept in a file."""
         group = self.groups[chunks[0].group]
         known = error if isinstance(error, EngineError) else out_of_memory(error, self._lanes[group.index])
@@ -235,7 +235,7 @@ class SweepRun:
             progress.timing(self._name(group))
             try:
                 latencies = measure_latency(group, points, self._sweep.seed, self._devices[0])
-            except Exception as error:  # the results do not depend on it
+            except (Exception, SystemExit) as error:  # the results do not depend on it
                 progress.say(f"latency of {self._name(group)} not measured: {one_line(error)}")
                 continue
             self._facts[group.index]["latency_seconds"] = {str(i): latencies[i] for i in points}

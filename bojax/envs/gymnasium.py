@@ -134,8 +134,8 @@ class HostEnv(Env):
         try:
             made = self._made()
             limit = max_steps or gymnasium.spec(id).max_episode_steps
-        except Exception as error:
-            raise ValueError(f'id: got "{id}"; {_one_line(error)}') from error
+        except (Exception, SystemExit) as error:
+            raise ValueError(f'id: got "{id}"; {_failure(error)}') from error
         dtype = success_reward.dtype
         self.observations = from_gymnasium(made.observation_space, "observation", dtype, low, high)
         self.actions = from_gymnasium(made.action_space, "action", dtype)
@@ -297,8 +297,8 @@ def _probe(env: gymnasium.Env, id: str) -> None:
         first, _ = env.reset(seed=0)
         after, reward, *_ = env.step(env.action_space.sample())
         reward = np.asarray(reward, np.float64)
-    except Exception as error:
-        raise ValueError(f"{id} fails in its first step: {_one_line(error)}") from error
+    except (Exception, SystemExit) as error:
+        raise ValueError(f"{id} fails in its first step: {_failure(error)}") from error
     shape = env.observation_space.shape
     for when, observation in (("reset", first), ("step", after)):
         if np.shape(observation) != shape:
@@ -307,6 +307,10 @@ def _probe(env: gymnasium.Env, id: str) -> None:
             )
     if reward.shape != ():
         raise ValueError(f"{id}: step returns a reward of shape {reward.shape}, not one number")
+
+
+def _failure(error: BaseException) -> str:
+    return f"{type(error).__name__}: {_one_line(error)}"
 
 
 def _one_line(thing: Any) -> str:

@@ -47,6 +47,17 @@ class Configured(Kernel):
         return jnp.zeros(())
 
 
+class Checking(Kernel):
+    class Config(pydantic.BaseModel):
+        @pydantic.model_validator(mode="before")
+        @classmethod
+        def check(cls, settings):
+            return settings["lengthscale"]
+
+    def __call__(self, x, y):
+        return jnp.zeros(())
+
+
 class Nested(Kernel):
     inner: Kernel
 
@@ -67,6 +78,7 @@ def resolved(write, monkeypatch):
     """Resolves a config whose kernel is given by import path."""
     write("my_kernels.py", MODULE)
     write("my_broken.py", "import math\n\nmath.sqrt(-1)\n")
+    write("my_script.py", "import sys\n\nsys.exit(0)\n")
     write("my_needy.py", "import there_is_no_such_module\n")
     write("x.yaml", "planner: {kind: kcbts, kernel: {kind: 'my_kernels:Annotated', lengthscale: 2}}")
     monkeypatch.setattr(sys, "path", [*sys.path])
@@ -139,6 +151,11 @@ def test_the_label_of_a_class_is_its_name(write, resolved):
         (
             ["planner.kernel=my_broken:X"],
             "importing my_broken failed: ValueError: math domain error (my_broken.py",
+        ),
+        (["planner.kernel=my_script:X"], "importing my_script failed: SystemExit: 0 (my_script.py, line 3)"),
+        (
+            ["planner.kernel=my_kernels:Checking"],
+            "checking its settings failed: KeyError: 'lengthscale' (my_kernels.py, line ",
         ),
         (
             ["planner.kernel=my_needy:X"],

@@ -41,6 +41,11 @@ class OwnConstructor(eqx.Module):
         self.values = jnp.zeros(count)
 
 
+class Failing(eqx.Module):
+    def __init__(self, error: str):
+        raise {"KeyError": KeyError, "SystemExit": SystemExit}[error](0)
+
+
 class InnerSettings(Component, frozen=True):
     role: ClassVar[str] = "test-inner"
     target: ClassVar[str] = f"{__name__}:Inner"
@@ -67,6 +72,12 @@ class OwnSettings(Component, frozen=True):
     target: ClassVar[str] = f"{__name__}:OwnConstructor"
     kind: str = "own"
     count: int = 4
+
+
+class FailingSettings(Component, frozen=True):
+    target: ClassVar[str] = f"{__name__}:Failing"
+    kind: str = "failing"
+    error: str = "KeyError"
 
 
 class ShortSettings(Component, frozen=True):
@@ -132,6 +143,14 @@ def test_settings_left_to_the_constructor():
         (
             ShortSettings(),
             "scale: the constructor of tests.engine.test_build:Inner needs it, but ShortSettings has",
+        ),
+        (
+            FailingSettings(error="KeyError"),
+            "failing: the constructor of tests.engine.test_build:Failing failed: KeyError: 0 (",
+        ),
+        (
+            FailingSettings(error="SystemExit"),
+            "failing: the constructor of tests.engine.test_build:Failing failed: SystemExit: 0 (",
         ),
         (OuterSettings(corner=(1.0, 2.0, 3.0)), "corner: got 3 numbers; allowed: 2 numbers"),
         (OuterSettings(corner=(1.0,)), "corner: got 1 numbers; allowed: 2 numbers"),

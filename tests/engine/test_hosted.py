@@ -1,6 +1,10 @@
 """Environments that step on the host: the same learning run, driven from outside."""
 
 import json
+import os
+import signal
+import subprocess
+import sys
 
 import jax
 import numpy as np
@@ -18,8 +22,12 @@ from bojax.engine.run import run_sweep
 from bojax.envs.settings import Gymnasium
 from bojax.experiments.settings import Learning
 from bojax.learning.settings import EpsilonGreedy
+from tests.engine.drive import ROOT
 
 GRID = Gymnasium(id="tests.engine.test_hosted:Corridor-v0", success="terminated", max_steps=12)
+
+CRASH = "CORRIDOR_CRASHES"
+"""Environment variable that makes the corridor end its process, as broken native code does."""
 
 gymnasium = pytest.importorskip("gymnasium")
 
@@ -44,6 +52,10 @@ class Corridor(gymnasium.Env):
         reward = float("nan") if self._breaks == "reward" and self._place == 3 else float(is_end)
         if self._breaks == "step" and self._place == 3:
             raise RuntimeError("the motor broke")
+        if self._breaks == "exit" and self._place == 3:
+            sys.exit(0)
+        if os.environ.get(CRASH) and self._place == 3 and self.np_random.uniform() < 0.3:
+            os.kill(os.getpid(), signal.SIGSEGV)
         return self._place, reward, is_end, False, {}
 
 
@@ -114,6 +126,32 @@ def test_an_environment_that_raises_fails_its_chunk_in_one_line(tmp_path, capsys
     assert "the motor broke" in capsys.readouterr().err
     chunks = json.loads((tmp_path / "a" / "manifest.json").read_text())["chunks"]
     assert all("the motor broke" in chunk["error"] for chunk in chunks)
+
+
+def test_an_environment_that_exits_fails_its_chunk(tmp_path, capsys):
+    assert run_sweep(sweep(kwargs={"breaks": "exit"}), tmp_path / "a", False, ["bojax"]) == 1
+    assert "chunks failed: SystemExit: 0" in capsys.readouterr().err
+
+
+def test_a_sweep_goes_on_after_an_environment_crashed(tmp_path):
+    assert run_sweep(sweep(), tmp_path / "a", False, ["bojax"]) == 0
+    program = (
+        "import tests.conftest, sys; from pathlib import Path; from tests.engine.test_hosted import *; "
+        "sys.exit(run_sweep(sweep(), Path(sys.argv[1]), False, ['bojax']))"
+    )
+    crashed = subprocess.run(
+        [sys.executable, "-c", program, str(tmp_path / "b")],
+        cwd=ROOT,
+        env={**os.environ, CRASH: "1"},
+        check=False,
+    )
+    assert crashed.returncode == -signal.SIGSEGV
+    assert not (tmp_path / "b" / "runs.parquet").exists()
+    assert run_sweep(sweep(), tmp_path / "b", True, ["bojax"]) == 0
+    for name in ("runs", "episodes", "steps"):
+        assert (tmp_path / "a" / f"{name}.parquet").read_bytes() == (
+            tmp_path / "b" / f"{name}.parquet"
+        ).read_bytes()
 
 
 def test_is_what_the_compiled_run_does():

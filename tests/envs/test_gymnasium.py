@@ -1,5 +1,7 @@
 """Our environments in Gymnasium's hands, and Gymnasium's in ours."""
 
+import sys
+
 import gymnasium
 import jax
 import jax.numpy as jnp
@@ -19,7 +21,19 @@ from bojax.envs.spaces import Box, Discrete
 class Toy(gymnasium.Env):
     """Pays what it is told, counts its resets and steps, and ends when it is told."""
 
-    def __init__(self, observations=None, actions=None, shape=None, reward=1.0, ends_after=3, fails=False):
+    def __init__(
+        self,
+        observations=None,
+        actions=None,
+        shape=None,
+        reward=1.0,
+        ends_after=3,
+        fails=False,
+        exits="never",
+    ):
+        if exits == "init":
+            sys.exit(0)
+        self.exits = exits
         self.observation_space = observations or spaces.Box(-1.0, 1.0, (2, 3))
         self.action_space = actions or spaces.Discrete(2, start=5)
         self.shape = shape or self.observation_space.shape
@@ -32,6 +46,8 @@ class Toy(gymnasium.Env):
         return np.zeros(self.shape), {}
 
     def step(self, action):
+        if self.exits == "step":
+            sys.exit(0)
         if self.fails:
             raise RuntimeError("out of\nfuel")
         assert self.action_space.contains(action), action
@@ -228,7 +244,9 @@ BAD = {
         {"id": "Endless-v0"},
         "max_steps: Endless-v0 has no time limit of its own: a number is needed",
     ),
-    "fails": ({"kwargs": {"fails": True}}, "Toy-v0 fails in its first step: out of fuel"),
+    "fails": ({"kwargs": {"fails": True}}, "Toy-v0 fails in its first step: RuntimeError: out of fuel"),
+    "exits in a step": ({"kwargs": {"exits": "step"}}, "Toy-v0 fails in its first step: SystemExit: 0"),
+    "exits when made": ({"kwargs": {"exits": "init"}}, 'id: got "Toy-v0"; SystemExit: 0'),
     "shape": (
         {"kwargs": {"shape": [2]}},
         r"Toy-v0: reset returns an observation of shape \(2,\), not \(2, 3\)",
