@@ -118,7 +118,7 @@ class RunFolder:
 
     def _take_lock(self) -> None:
         with explained(self.work):
-            self._lock = (self.work / _LOCK).open("w")
+            self._lock = (self.work / _LOCK).open("a+")  # to open a pipe for writing alone would wait
             try:
                 fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:

@@ -147,6 +147,17 @@ def test_a_damaged_plan_is_refused_and_a_damaged_note_ignored(tmp_path, damage):
     folder.resume(PLAN)
 
 
+@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir])
+def test_a_lock_that_is_no_file_is_refused(tmp_path, make):
+    folder = RunFolder(tmp_path / "out")
+    folder.create(PLAN)
+    folder.close(finished=False)
+    (folder.work / "lock").unlink()
+    make(folder.work / "lock")
+    with pytest.raises(ResultsError, match="cannot be written: "):
+        folder.resume(PLAN)
+
+
 def test_leftovers_of_an_earlier_finish_are_deleted(tmp_path):
     folder = RunFolder(tmp_path / "out")
     folder.create(PLAN)
