@@ -1,7 +1,7 @@
 """Experiment and sweep files: read, override, expand, validate; everything wrong ends in one line."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -11,10 +11,11 @@ from pydantic import Field
 
 from bojax.config import catalog as _catalog  # noqa: F401 (registers every schema class)
 from bojax.config.axes import Combination, expand, read_axes, split_overrides
+from bojax.config.changed import changed_settings
 from bojax.config.claims import Claim
 from bojax.config.component import Component, Schema, Slot, merged
 from bojax.config.errors import ConfigError, Location, dotted, from_validation, one_of, shown
-from bojax.config.files import SUFFIXES, display, find
+from bojax.config.files import SUFFIXES, display, find, shipped
 from bojax.config.origin import Origin
 from bojax.config.overrides import Override, apply, parse_overrides
 from bojax.config.settings import RESERVED, EngineConfig, Record, Settings, split
@@ -65,6 +66,8 @@ class Sweep:
         claims: What the thesis says, with tests.
         base: The experiment before the axes, as written and overridden.
         source: The file.
+        changed: Settings that differ from the published sweep, as `{dotted path: [published, ours]}`: that
+            which bojax brings under the name of this sweep. Empty if there is none.
         locate: Where a setting of a point comes from, as `FILE: dotted.path`, for messages.
     """
 
@@ -79,6 +82,7 @@ class Sweep:
     claims: tuple[Claim, ...]
     base: dict[str, Any]
     source: Path
+    changed: dict[str, list[Any]] = field(default_factory=dict)
     locate: Callable[[int, Location], str] = field(default=_locate_point, repr=False, compare=False)
 
 
@@ -125,14 +129,28 @@ def load_sweep(
     """
     given = find(source, "sweeps")
     path, mapping = _follow_alias(given)
+    changes = _changes(overrides, runs, seed)
+    sweep = _expand(path, mapping, given.stem, source, changes)
+    folder = shipped("sweeps").resolve()
+    published = path.resolve() if path.resolve().parent == folder else folder / f"{sweep.name}.yaml"
+    if not published.is_file() or (published == path.resolve() and not changes):
+        return sweep
+    published, mapping = _follow_alias(published)
+    original = _expand(published, mapping, sweep.name, sweep.name, [])
+    return replace(sweep, changed=changed_settings(original, sweep))
+
+
+def _expand(
+    path: Path, mapping: Mapping[str, Any], name: str, source: str, changes: Sequence[Override]
+) -> Sweep:
+    """The sweep that a file holds, with changes from the command line."""
     file = display(path)
     parsed, own = _read_sweep(mapping, file, source)
     base, locate_base = _read_base(mapping["base"], path)
     settings, experiment = split(base)
     combinations = read_axes(parsed.axes, parsed.combine, file)
-    changes = _changes(overrides, runs, seed)
     in_base, below_axes = split_overrides(changes, combinations, file)
-    settings = merged({"title": given.stem, "runs": DEFAULT_RUNS, **settings}, own)
+    settings = merged({"title": name, "runs": DEFAULT_RUNS, **settings}, own)
     settings, experiment = _override(settings, experiment, in_base)
     origin = Origin(
         base=locate_base,
@@ -142,7 +160,7 @@ def load_sweep(
         combinations=combinations,
     )
     experiments = expand(experiment, combinations, below_axes, file)
-    sweep = _assemble(path, given.stem, settings, experiments, experiment, origin, parsed)
+    sweep = _assemble(path, name, settings, experiments, experiment, origin, parsed)
     _check_claims(sweep, file)
     return sweep
 

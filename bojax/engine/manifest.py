@@ -37,6 +37,7 @@ def describe_sweep(sweep: "Sweep", plan: Mapping[str, Any], command: str, status
         "points": [{"index": index, **point} for index, point in enumerate(plan["points"])],
         "report": plain(sweep.report),
         "claims": plain(sweep.claims),
+        "changed": plain(sweep.changed),
         "engine": plain(sweep.engine),
         "versions": versions(),
         "git": git_revision(),

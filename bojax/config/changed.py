@@ -1,0 +1,90 @@
+"""The settings in which a sweep differs from the published sweep that it was made from."""
+
+import json
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from bojax.config.sweep import Point, Sweep
+
+_MISSING = object()
+
+
+def changed_settings(published: "Sweep", ours: "Sweep") -> dict[str, list[Any]]:
+    """The published value and ours of every setting that differs, by dotted path.
+
+    Compared are runs, seed, the axes, the resolved settings of each point and the tests of claims, since all
+    of them decide a verdict. How runs are executed (`engine`), recorded (`record`) and shown (`report`) does
+    not. A setting that differs between points is given as the list of its values.
+    """
+    pairs: dict[str, list[tuple[Any, Any]]] = {
+        name: [(getattr(published, name), getattr(ours, name))] for name in ("runs", "seed")
+    }
+    tests = {claim.id: claim.test.model_dump(mode="json") for claim in published.claims}
+    for claim in ours.claims:
+        if claim.id in tests:
+            pairs[f"claims.{claim.id}"] = [(tests[claim.id], claim.test.model_dump(mode="json"))]
+    theirs, own = ([point.swept for point in sweep.points] for sweep in (published, ours))
+    for axis in dict.fromkeys(name for swept in (*theirs, *own) for name in swept):
+        pairs[f"axes.{axis}"] = [(_values(theirs, axis), _values(own, axis))]
+    if all(a == b for name, ((a, b), *_) in pairs.items() if name.startswith("axes.")):
+        # The same values may still be combined differently: a zip, say, in place of a grid.
+        pairs["points"] = [(_without(published, ours), _without(ours, published))]
+    for path, values in _differences(published, ours):
+        pairs.setdefault(path, []).append(values)
+    return {
+        path: [_one_or_all([pair[side] for pair in values]) for side in (0, 1)]
+        for path, values in pairs.items()
+        if any(a != b for a, b in values)
+    }
+
+
+def _differences(published: "Sweep", ours: "Sweep") -> Iterator[tuple[str, tuple[Any, Any]]]:
+    """The settings in which a point differs from its counterpart, other than those that are swept."""
+    same_values = {_key(point): point for point in reversed(published.points)}
+    same_variant = {point.variant: point for point in reversed(published.points)}
+    for point in ours.points:
+        other = same_values.get(_key(point)) or same_variant.get(point.variant) or published.points[0]
+        axes = [
+            name
+            for name in point.swept.keys() | other.swept.keys()
+            if point.swept.get(name, _MISSING) != other.swept.get(name, _MISSING)
+        ]
+        before, after = (dict(_leaves(p.config.model_dump(mode="json"))) for p in (other, point))
+        for path in dict.fromkeys((*before, *after)):
+            values = before.get(path), after.get(path)
+            if values[0] != values[1] and not any(f"{path}.".startswith(f"{axis}.") for axis in axes):
+                yield path, values
+
+
+def _without(sweep: "Sweep", other: "Sweep") -> list[dict[str, Any]]:
+    """The swept values of the points that only the first of two sweeps has."""
+    known = set(map(_key, other.points))
+    return [point.swept for point in sweep.points if _key(point) not in known]
+
+
+def _key(point: "Point") -> str:
+    return json.dumps(point.swept, sort_keys=True, default=str)
+
+
+def _leaves(config: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """The plain settings of a nested mapping, by dotted path."""
+    if not isinstance(config, Mapping):
+        yield path, config
+        return
+    for name, value in config.items():
+        yield from _leaves(value, f"{path}.{name}" if path else name)
+
+
+def _values(points: list[dict[str, Any]], axis: str) -> list[Any] | None:
+    """The values on an axis, each once; None where it is not swept."""
+    return _distinct([swept[axis] for swept in points if axis in swept]) or None
+
+
+def _one_or_all(values: list[Any]) -> Any:
+    distinct = _distinct(values)
+    return distinct[0] if len(distinct) == 1 else distinct
+
+
+def _distinct(values: list[Any]) -> list[Any]:
+    return list({json.dumps(value, sort_keys=True, default=str): value for value in values}.values())

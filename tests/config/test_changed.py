@@ -1,0 +1,91 @@
+"""A sweep knows in which settings it differs from the published one of its name."""
+
+import pytest
+
+from bojax.config.files import shipped
+from bojax.config.sweep import load_sweep
+
+
+def published(name: str) -> str:
+    """The text of a shipped sweep."""
+    return (shipped("sweeps") / f"{name}.yaml").read_text()
+
+
+@pytest.mark.parametrize("name", ["fig-4.6", "parking", "fig-5.6b", "table-5.1"])
+def test_the_published_sweep_is_unchanged(name):
+    assert load_sweep(name).changed == {}
+    assert load_sweep(str(shipped("sweeps") / f"{name}.yaml")).changed == {}
+
+
+def test_a_copy_under_the_same_name_is_unchanged(write):
+    write("fig-4.6.yaml", published("fig-4.6"))
+    assert load_sweep("fig-4.6.yaml").changed == {}
+
+
+def test_overrides_are_changes():
+    changed = load_sweep("parking", ["problem.half_width=3", "planner.depth=2"], runs=20, seed=7).changed
+    assert changed == {
+        "runs": [200, 20],
+        "seed": [0, 7],
+        "problem.half_width": [4.0, 3.0],
+        "planner.depth": [3, 2],
+    }
+
+
+def test_a_setting_that_differed_between_points_has_all_of_its_values():
+    before = {
+        point.config.planner.iterations
+        for point in load_sweep("fig-4.6").points
+        if hasattr(point.config.planner, "iterations")
+    }
+    changed = load_sweep("fig-4.6", ["planner.iterations=7"]).changed
+    assert changed == {"planner.iterations": [before.pop() if len(before) == 1 else list(before), 7]}
+
+
+def test_what_changes_no_number_is_no_change():
+    settings = ["engine.device=cpu", "engine.segment_seconds=9", "record.runs=0", "title=mine"]
+    assert load_sweep("fig-4.6", settings).changed == {}
+    assert load_sweep("fig-4.6", ["planner.depth=3", "runs=200"]).changed == {}, "as published"
+
+
+def test_an_edited_copy_under_the_same_name(write):
+    text = (
+        published("fig-4.6").replace("actions: 17", "actions: 9").replace("within: 6, above: 0.5", "above: 0")
+    )
+    write("fig-4.6.yaml", text + "\n")
+    changed = load_sweep("fig-4.6.yaml").changed
+    assert changed.pop("planner.motions.actions") == [17, 9]
+    assert {path.split("/")[1] for path in changed} == {"kcbts-parks", "sbo-parks"}
+    before, after = changed["claims.fig-4.6/sbo-parks"]
+    assert (before["within"], before["above"]) == (6, 0.5) and (after["within"], after["above"]) == (
+        None,
+        0.0,
+    )
+
+
+def test_axes_with_other_values(write):
+    original = load_sweep("fig-5.6b")
+    (axis,) = (name for name in original.points[0].swept if name != "learner")
+    values = list(dict.fromkeys(point.swept[axis] for point in original.points))
+    (line,) = (line for line in published("fig-5.6b").splitlines() if line.strip().startswith(f"{axis}:"))
+    write("fig-5.6b.yaml", published("fig-5.6b").replace(line, f"  {axis}: {values[:-1]}"))
+    assert load_sweep("fig-5.6b.yaml").changed == {f"axes.{axis}": [values, values[:-1]]}
+
+
+def test_the_same_values_combined_otherwise(write, tmp_path, monkeypatch):
+    axes = "base: {}, axes: {planner.depth: [1, 2], planner.iterations: [10, 20]}"
+    write("published/pair.yaml", f"{{{axes}, combine: zip}}")
+    write("pair.yaml", f"{{{axes}}}")
+    monkeypatch.setattr("bojax.config.sweep.shipped", lambda folder: tmp_path / "published")
+    mixed = [{"planner.depth": a, "planner.iterations": b} for a, b in ((1, 20), (2, 10))]
+    assert load_sweep("pair.yaml").changed == {"points": [[], mixed]}
+
+
+def test_a_sweep_of_ones_own_has_nothing_to_differ_from(write):
+    write("mine.yaml", published("fig-4.6"))
+    assert load_sweep("mine.yaml", ["planner.depth=2"], runs=3).changed == {}
+
+
+def test_another_name_of_a_published_sweep_is_that_sweep(write):
+    write("mine.yaml", "alias: fig-4.6")
+    assert load_sweep("mine.yaml", runs=3).changed == {"runs": [200, 3]}
