@@ -8,7 +8,7 @@ from bojax.cli.parser import Parser, UsageError
 from bojax.config.catalog import kinds, roles
 from bojax.config.component import Component
 from bojax.config.describe import settings_of, summary_of
-from bojax.config.errors import ConfigError, one_of
+from bojax.config.errors import ConfigError, escaped, one_of, printable
 from bojax.config.files import available, display
 from bojax.config.yaml_file import read_mapping
 
@@ -55,7 +55,7 @@ def _title(path) -> str:
     try:
         mapping = read_mapping(path, display(path))
     except ConfigError as error:
-        return f"(broken: {error})"
+        return f"(broken: {printable(error)})"
     if "alias" in mapping:
         return f"the same as {mapping['alias']}"
     return str(mapping.get("title", ""))
@@ -101,6 +101,7 @@ def _group(title: str, lines: dict[str, str]) -> str:
 
 def _table(rows: Sequence[Sequence[str]]) -> str:
     """Columns aligned, the last one wrapped to the terminal."""
+    rows = [[escaped(cell) for cell in row] for row in rows]
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]) - 1)]
     return "\n".join(_row(row, widths) for row in rows)
 

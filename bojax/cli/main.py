@@ -1,13 +1,15 @@
 """The entry point `bojax`: picks the command, and turns a user's mistake into one line and an exit code."""
 
+import errno
 import importlib
+import io
 import os
 import sys
 from collections.abc import Sequence
 
 from bojax import __version__
 from bojax.cli.parser import Parser, UsageError
-from bojax.config.errors import one_of
+from bojax.config.errors import control_character, one_of, printable, shown
 
 COMMANDS = {
     "list": ("listing", "what there is: problems, planners, configs, sweeps"),
@@ -34,6 +36,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     # Before NumPy is imported: runs are what is parallel here, and threads within a small factorisation fight
     # for their cores (200 of 200 x 200 on two busy cores: 0.2 s with one thread, 7.6 s with two).
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    if isinstance(sys.stdout, io.TextIOWrapper):  # a folder's name need not be text in UTF-8
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         return _run(words)
     except KeyboardInterrupt:
@@ -42,15 +46,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # `bojax list | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except OSError as error:
+        if error.errno != errno.ENAMETOOLONG:
+            raise
+        print(printable(f"error: {error.filename}: {error.strerror}"), file=sys.stderr)
+        return UsageError.exit_code
     except Exception as error:
         code = getattr(error, "exit_code", None)
         if code is None:
             raise
-        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+        print(printable(f"error: {error}"), file=sys.stderr)
         return code
 
 
 def _run(words: list[str]) -> int:
+    for word in words:
+        if sign := control_character(word):
+            raise UsageError(f"{shown(word)}: an argument is text in UTF-8 without the character {sign}")
     name = words[0] if words else "--help"
     if name in ("--help", "-h"):
         _parser().print_help()

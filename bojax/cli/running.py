@@ -1,5 +1,6 @@
 """`bojax run` and `bojax sweep`: validate everything, run it, write the report."""
 
+import os
 from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
@@ -30,7 +31,7 @@ _SWEEP = """\
 def main(name: str, words: Sequence[str]) -> int:
     """Run the command `name`, which is "run" or "sweep"."""
     args = _parser(name).parse_intermixed_args(list(words))
-    overrides = [word for word in args.words if "=" in word and not Path(word).is_file()]
+    overrides = [word for word in args.words if "=" in word and not os.path.isfile(word)]
     sources = [word for word in args.words if word not in overrides]
     if not sources or (name == "run" and len(sources) > 1):
         expected = "one config" if name == "run" else "at least one sweep"

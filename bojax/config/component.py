@@ -29,18 +29,11 @@ class Schema(pydantic.BaseModel, frozen=True):
         names = [field.alias or name for name, field in cls.model_fields.items()]
         unknown = [name for name in data if name not in names]
         if unknown:
-            names = [name for name in names if name != "kind"]
-            raise pydantic.ValidationError.from_exception_data(
-                cls.__name__,
-                [
-                    InitErrorDetails(
-                        type=PydanticCustomError("unknown_key", "unknown key", {"names": names}),
-                        loc=(name,),
-                        input=data[name],
-                    )
-                    for name in unknown
-                ],
-            )
+            name, names = unknown[0], [name for name in names if name != "kind"]
+            context = {"names": names, "others": len(unknown) - 1}
+            error = PydanticCustomError("unknown_key", "unknown key", context)
+            details = InitErrorDetails(type=error, loc=(name,), input=data[name])
+            raise pydantic.ValidationError.from_exception_data(cls.__name__, [details])
         data = dict(data)
         for name, _ in slots(cls):
             default = cls.model_fields[name].default

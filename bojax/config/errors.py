@@ -2,6 +2,7 @@
 
 import difflib
 import json
+import re
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
@@ -11,6 +12,14 @@ Location = tuple[int | str, ...]
 
 MAX_SHOWN = 60
 """Longest value that an error message quotes, in characters."""
+
+MAX_NAMES = 10
+"""Most names that an error message lists."""
+
+MAX_MESSAGE = 400
+"""Longest message, in characters."""
+
+_CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
 
 
 class ConfigError(ValueError):
@@ -32,18 +41,56 @@ def shown(value: Any) -> str:
     return text if len(text) <= MAX_SHOWN else text[: MAX_SHOWN - 3] + "..."
 
 
+def control_character(text: str) -> str | None:
+    """The first character of a text that stands for no sign: a control character or half a surrogate pair.
+
+    Tabs and ends of lines are allowed.
+    """
+    match = _CONTROL.search(text)
+    return match and shown(match[0])
+
+
+def escaped(text: str) -> str:
+    """A text on one line that does nothing to a terminal: what cannot be printed is shown as its code."""
+    return "".join(
+        character if character.isprintable() else character.encode("unicode_escape").decode()
+        for character in " ".join(text.split())
+    )
+
+
+def printable(message: object) -> str:
+    """A message as the terminal shows it: one line, escaped, without the middle of a very long one."""
+    text, half = escaped(str(message)), MAX_MESSAGE // 2 - 3
+    return text if len(text) <= MAX_MESSAGE else f"{text[:half]} ... {text[-half:]}"
+
+
 def did_you_mean(name: Any, names: Iterable[str]) -> str:
     """`; did you mean "x"?` with the name nearest to `name`, or nothing when none is near."""
-    near = difflib.get_close_matches(str(name), sorted(names), n=1)
+    near = difflib.get_close_matches(str(name)[:MAX_SHOWN], sorted(names), n=1)
     return f'; did you mean "{near[0]}"?' if near else ""
 
 
 def one_of(name: Any, names: Iterable[str]) -> str:
-    """`; allowed: a, b, c; did you mean "a"?`, or only the nearest name."""
+    """`; allowed: a, b, c; did you mean "a"?`."""
     names = sorted(names)
     if not names:
         return "; nothing is allowed here"
-    return "; allowed: " + ", ".join(names) + did_you_mean(name, names)
+    return "; allowed: " + listed(name, names) + did_you_mean(name, names)
+
+
+def listed(name: Any, names: Iterable[str]) -> str:
+    """Names in alphabetical order; of many, those nearest to `name` and the number of the others."""
+    names = sorted(names)
+    if len(names) <= MAX_NAMES:
+        return ", ".join(names)
+    matcher = difflib.SequenceMatcher(b=str(name)[:MAX_SHOWN])
+
+    def distance(other: str) -> float:
+        matcher.set_seq1(other)
+        return -matcher.ratio()
+
+    near = sorted(names, key=distance)[:MAX_NAMES]
+    return f"{', '.join(near)} and {len(names) - MAX_NAMES} more (see: bojax list)"
 
 
 def dotted(location: Iterable[int | str]) -> str:
@@ -65,7 +112,8 @@ def from_validation(
     """
     lines = error.errors(include_url=False)
     first = lines[0]
-    more = f" (and {len(lines) - 1} more)" if len(lines) > 1 else ""
+    others = len(lines) - 1 + sum(line.get("ctx", {}).get("others", 0) for line in lines)
+    more = f" (and {others} more)" if others else ""
     return ConfigError(f"{locate(first['loc'])}: {_complaint(first, siblings)}{more}")
 
 

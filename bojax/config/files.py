@@ -1,9 +1,10 @@
 """Finding a configuration: a path, then the folders beside the user, then the ones that bojax brings."""
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from bojax.config.errors import ConfigError, did_you_mean
+from bojax.config.errors import ConfigError, did_you_mean, listed
 
 SUFFIXES = (".yaml", ".yml")
 EXPERIMENT = "experiment.yaml"
@@ -32,27 +33,28 @@ def find(source: str, folder: str, beside: Sequence[Path] = ()) -> Path:
     if not source:
         raise ConfigError(f"no name given: a file, or a name in {folder}/, is expected")
     path = Path(source)
+    # `os.path` throughout: where a name is too long for a file, `Path.is_file` raises.
     if path.suffix in SUFFIXES:
         for candidate in (path, *(place / path for place in beside)):
-            if candidate.is_file():
+            if os.path.isfile(candidate):
                 return candidate
     elif len(path.parts) == 1:
         for place in (*beside, *_places(folder)):
             for suffix in SUFFIXES:
                 candidate = place / f"{source}{suffix}"
-                if candidate.is_file():
+                if os.path.isfile(candidate):
                     return candidate
-    if (path / EXPERIMENT).is_file():  # a saved learner
+    if os.path.isfile(path / EXPERIMENT):  # a saved learner
         return path / EXPERIMENT
-    if path.is_dir():
+    if os.path.isdir(path):
         raise ConfigError(f"{source}: is a folder; a YAML file, or a name in {folder}/, is expected")
-    if path.is_file():
+    if os.path.isfile(path):
         raise ConfigError(f"{source}: a file that ends in .yaml is expected")
     names = available(folder)
     stem = path.stem if path.suffix in SUFFIXES else path.name
-    listed = f"; there are: {', '.join(names)}" if names else ""
+    known = f"; there are: {listed(stem, names)}" if names else ""
     raise ConfigError(
-        f"{source}: no such file, and no such name in {folder}/{listed}{did_you_mean(stem, names)}"
+        f"{source}: no such file, and no such name in {folder}/{known}{did_you_mean(stem, names)}"
     )
 
 

@@ -1,5 +1,6 @@
 """Experiment and sweep files: read, override, expand, validate; everything wrong ends in one line."""
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -177,7 +178,7 @@ def load_config(
     changes = _changes(overrides, runs, seed)
     settings, experiment = split(mapping)
     saved = experiment.get("saved")
-    if isinstance(saved, str) and (path.parent / saved).exists():  # relative to the file that names it
+    if isinstance(saved, str) and os.path.exists(path.parent / saved):  # relative to the file that names it
         experiment["saved"] = str(path.parent / saved)
     settings, experiment = _override(settings, experiment, changes)
     origin = Origin(

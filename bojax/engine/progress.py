@@ -7,6 +7,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
+from bojax.config.errors import printable
+
 LINE_SECONDS = 10.0
 """Least time between two plain lines."""
 
@@ -49,7 +51,7 @@ class SweepProgress:
 
     def say(self, text: str) -> None:
         """A line that stays."""
-        self._console.print(escape(text), soft_wrap=True)
+        self._console.print(escape(printable(text)), soft_wrap=True)
 
     def compiling(self, what: str) -> None:
         """A compilation begins."""

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bojax.config.errors import ConfigError
+from bojax.config.errors import ConfigError, printable
 from bojax.engine.batch import Compiled
 from bojax.engine.build import build
 from bojax.engine.chunks import Chunk, cut
@@ -67,7 +67,7 @@ def run_sweep(
             else:
                 code = run.execute(is_resumed=is_resumed, may_rename=out is None)
     except (ConfigError, ResultsError, EngineError) as error:
-        print(f"error: {error}", file=sys.stderr)
+        print(printable(f"error: {error}"), file=sys.stderr)
         return error.exit_code
     if code == 0 and finish is not None:
         finish(folder.path)
@@ -283,9 +283,6 @@ class SweepRun:
         if not self._errors:
             return 0
         reasons = dict.fromkeys(self._errors.values())
-        print(
-            f"error: {len(self._errors)} of {len(self.chunks)} chunks failed: {'; '.join(reasons)}: "
-            "--resume tries them again",
-            file=sys.stderr,
-        )
+        message = f"{len(self._errors)} of {len(self.chunks)} chunks failed: {'; '.join(reasons)}"
+        print(printable(f"error: {message}: --resume tries them again"), file=sys.stderr)
         return FAILURE

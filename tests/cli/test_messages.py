@@ -1,0 +1,100 @@
+"""Whatever is typed or stands in a file, a message is one short line without control characters."""
+
+import io
+import sys
+
+import pytest
+
+from bojax.cli.main import main
+from bojax.config.errors import MAX_MESSAGE, MAX_NAMES, listed, printable
+
+LONG = 300 * "x"
+"""Longer than any file's name may be."""
+
+
+@pytest.fixture
+def complain(write, capsys):
+    """The one line that a wrong command ends in."""
+
+    def run(*words: str) -> str:
+        assert main(list(words)) == 2
+        out, err = capsys.readouterr()
+        assert out == "" and err.startswith("error: ") and err.endswith("\n")
+        line = err[:-1]
+        assert line.isprintable() and len(line) <= MAX_MESSAGE
+        return line
+
+    return run
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["run", LONG],
+        ["run", LONG + ".yaml"],
+        ["run", 3000 * "a/" + "x.yaml"],
+        ["sweep", LONG],
+        ["report", LONG],
+        ["list", LONG],
+        [LONG],
+    ],
+)
+def test_names_that_are_too_long_for_a_file(complain, words):
+    assert complain(*words)
+
+
+@pytest.mark.parametrize("key", ["base", "alias"])
+def test_a_file_may_name_no_such_file_either(complain, write, key):
+    write("s.yaml", f"{key}: {LONG}")
+    assert complain("sweep", "s.yaml").startswith(f"error: s.yaml: {key}: xxx")
+
+
+def test_an_override_may_be_as_long_as_it_likes(complain):
+    walls = ", ".join(40 * ["[0, 0, 1, 1]"])
+    assert "problem.walls: unknown key" in complain("run", "parking", f"problem.walls=[{walls}]")
+
+
+@pytest.mark.parametrize("character", ["\x1b", "\x07", "\x9b", "\udcff"])
+def test_an_argument_holds_no_control_characters(complain, character):
+    assert "an argument is text in UTF-8" in complain("run", f"parking{character}[31m")
+
+
+def test_an_override_may_have_several_lines(complain):
+    assert "planner.depht: unknown key" in complain("run", "parking", "planner={kind: sbo,\n depht: 2}")
+
+
+def test_text_of_a_file_reaches_the_terminal_escaped(complain, write):
+    write("x.yaml", "planner: {kind: \u202esbo}")  # turns the rest of the line around
+    assert r"\u202esbo" in complain("run", "x.yaml")
+
+
+def test_lists_escape_titles(write, capsys):
+    write("configs/mine.yaml", "title: \u202eparking")
+    assert main(["list", "configs"]) == 0
+    assert r"\u202eparking" in capsys.readouterr().out
+
+
+def test_output_may_hold_a_name_that_is_no_text(write, monkeypatch):
+    def show(name, words):
+        print("results/\udcff")
+        return 0
+
+    stdout = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")
+    monkeypatch.setattr(sys, "stdout", stdout)
+    monkeypatch.setattr("bojax.cli.listing.main", show)
+    assert main(["list"]) == 0
+    stdout.flush()
+    assert stdout.buffer.getvalue() == b"results/\\udcff\n"
+
+
+def test_the_middle_of_a_long_message_is_left_out():
+    message = printable("first " + 1000 * "word " + "last")
+    assert message.startswith("first ") and message.endswith(" last") and len(message) <= MAX_MESSAGE
+
+
+def test_of_many_names_the_nearest_are_listed():
+    names = [f"setting-{index:03d}" for index in range(200)]
+    line = listed("setting-123", names)
+    assert line.startswith("setting-123, ") and line.endswith(" and 190 more (see: bojax list)")
+    assert line.count(",") == MAX_NAMES - 1
+    assert listed("c", ["b", "a"]) == "a, b"
