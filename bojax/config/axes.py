@@ -1,12 +1,14 @@
 """The axes of a sweep: what is swept, and the points that a grid or a zip of them makes."""
 
 import itertools
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from bojax.config.component import merged, registry
 from bojax.config.errors import ConfigError, shown
+from bojax.config.limits import POINTS
 from bojax.config.overrides import Override, apply, assign
 from bojax.config.places import look_up
 from bojax.config.settings import RESERVED
@@ -75,13 +77,15 @@ def read_axes(axes: Mapping[str, Any], combine: str, source: str) -> list[Combin
                 f"{source}: axes: got axes of different lengths ({listed}); a zip needs equal ones"
             )
         combinations = list(zip(*columns, strict=True)) if columns else [()]
+        firsts: dict[Hashable, int] = {}
         for index, combination in enumerate(combinations):
-            if combination in combinations[:index]:
-                first = combinations.index(combination)
+            first = firsts.setdefault(tuple((c.name, _hashable(c.value)) for c in combination), index)
+            if first != index:
                 raise ConfigError(
                     f"{source}: axes: points {first} and {index} are the same; all differ in a zip"
                 )
         return combinations
+    POINTS.check(math.prod(map(len, columns)), f"{source}: axes")
     return list(itertools.product(*columns))
 
 
@@ -143,21 +147,32 @@ def _read_axis(name: str, values: Any, where: str, may_repeat: bool) -> list[Cho
         raise ConfigError(f"{where}: got {shown(values)}; allowed: a list of values, or named subtrees")
     if not values:
         raise ConfigError(f"{where}: is empty; at least one value is expected")
+    POINTS.check(len(values), where)
     if isinstance(values, dict):
         for choice in values:
             if not choice or "/" in choice:
                 raise ConfigError(f"{where}: got the name {shown(choice)}; a name is not empty and has no /")
         return [Choice(axis, choice, {} if value is None else value) for choice, value in values.items()]
-    seen = []
+    seen = set()
     for value in values:
         if isinstance(value, dict):
             raise ConfigError(
                 f"{where}: got {shown(value)}; a subtree needs a name: `{name}: {{NAME: {{...}}}}`"
             )
-        if (type(value), value) in seen and not may_repeat:
+        key = type(value), _hashable(value)
+        if key in seen and not may_repeat:
             raise ConfigError(f"{where}: got {shown(value)} twice; the values of an axis differ")
-        seen.append((type(value), value))
+        seen.add(key)
     return [Choice(axis, None, value) for value in values]
+
+
+def _hashable(value: Any) -> Hashable:
+    """A stand-in for a value of YAML: equal where the values are."""
+    if isinstance(value, list):
+        return "list", *map(_hashable, value)
+    if isinstance(value, dict):
+        return frozenset((name, _hashable(part)) for name, part in value.items())
+    return value
 
 
 def _refuse_overlap(axes: Sequence[Path], source: str) -> None:

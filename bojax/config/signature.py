@@ -14,10 +14,18 @@ from pydantic import Field, PlainValidator
 
 def _numbers(value: Any) -> Any:
     if isinstance(value, list | tuple):
-        return tuple(_numbers(part) for part in value)
+        parts = tuple(_numbers(part) for part in value)
+        if len({_shape(part) for part in parts}) > 1:
+            raise ValueError("allowed: lists of equal lengths")
+        return parts
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise ValueError("allowed: a number or a list of numbers")
     return value
+
+
+def _shape(value: Any) -> tuple[int, ...]:
+    """The lengths of nested lists that are known to be as long as each other."""
+    return (len(value), *_shape(value[0])) if isinstance(value, tuple) and value else ()
 
 
 Numbers = Annotated[Any, PlainValidator(_numbers)]

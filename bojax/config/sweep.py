@@ -17,6 +17,7 @@ from bojax.config.claims import Claim
 from bojax.config.component import Component, Schema, Slot, merged
 from bojax.config.errors import ConfigError, Location, dotted, from_validation, one_of, shown
 from bojax.config.files import SUFFIXES, display, find, shipped
+from bojax.config.limits import RUNS
 from bojax.config.origin import Origin
 from bojax.config.overrides import Override, apply, parse_overrides
 from bojax.config.settings import RESERVED, EngineConfig, Record, Settings, split
@@ -287,6 +288,7 @@ def _assemble(
         values = Settings.model_validate(settings)
     except pydantic.ValidationError as error:
         raise from_validation(error, origin.setting) from error
+    RUNS.check(values.runs * len(points), origin.setting(("runs",)))
     return Sweep(
         name=name,
         title=values.title,

@@ -5,36 +5,74 @@ those of the YAML 1.2 core schema, so that a setting means what it looks like.
 """
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from bojax.config.errors import ConfigError
+from bojax.config.errors import ConfigError, control_character, shown
+
+MAX_BYTES = 4 * 2**20
+"""Largest file, in bytes: the parser needs some 10 s for 1 MiB (measured); more would look like a hang."""
+
+MAX_NODES = 500_000
+"""Most values in a file, with those that aliases repeat: some 700 bytes each while it is read (measured)."""
+
+_TAG = "tag:yaml.org,2002:"
+
+_NUMBER = r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?"
+
+_PATTERNS = {
+    "null": (r"~|null|Null|NULL|", ["~", "n", "N", ""]),
+    "bool": (r"true|True|TRUE|false|False|FALSE", list("tTfF")),
+    "int": (r"[-+]?[0-9]+", list("-+0123456789")),
+    "float": (rf"{_NUMBER}|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)", list("-+.0123456789")),
+    "merge": (r"<<", ["<"]),
+}
+"""How a scalar of each tag is written, and with which characters it begins."""
+
+
+def _int(text: str) -> int:
+    value = int(text) if len(text) < 40 else 2**64  # the conversion of long ones takes quadratic time
+    if not -(2**63) <= value < 2**63:
+        raise ValueError("an integer between -2^63 and 2^63 - 1 is expected")
+    return value
+
+
+_CONSTRUCTORS: dict[str, Callable[[str], Any]] = {
+    "null": lambda text: None,
+    "bool": lambda text: text.lower() == "true",
+    "int": _int,
+    "float": lambda text: float(re.sub(r"\.(?=[ina])", "", text.lower())),
+    "str": str,
+}
+"""From the text of a scalar to its value, by tag; no other tags are known."""
 
 
 class _Loader(yaml.SafeLoader):
-    """A safe loader with the scalars of YAML 1.2."""
+    """A loader with the scalars of YAML 1.2, which counts what it reads."""
 
     yaml_implicit_resolvers: dict = {}
+    num_nodes = 0
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        self.count()
+        return super().compose_node(parent, index)
+
+    def count(self) -> None:
+        """Count one value more."""
+        self.num_nodes += 1
+        if self.num_nodes > MAX_NODES:
+            raise _TooLarge
 
 
-for _tag, _pattern, _first in (
-    ("null", r"~|null|Null|NULL|", ["~", "n", "N", ""]),
-    ("bool", r"true|True|TRUE|false|False|FALSE", list("tTfF")),
-    ("int", r"[-+]?[0-9]+", list("-+0123456789")),
-    ("float", r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?", list("-+.0123456789")),
-    ("float", r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)", list("-+.")),
-    ("merge", r"<<", ["<"]),
-):
-    _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(f"^(?:{_pattern})$"), _first)
+class _TooLarge(Exception):
+    """More values than `MAX_NODES`."""
 
 
-def _construct_int(loader: _Loader, node: yaml.ScalarNode) -> int:
-    return int(loader.construct_scalar(node))  # the inherited one reads 010 as eight
-
-
-_Loader.add_constructor("tag:yaml.org,2002:int", _construct_int)
+for _name, (_pattern, _first) in _PATTERNS.items():
+    _Loader.add_implicit_resolver(_TAG + _name, re.compile(f"^(?:{_pattern})$"), _first)
 
 
 def read_mapping(path: Path, name: str) -> dict[str, Any]:
@@ -48,6 +86,12 @@ def read_mapping(path: Path, name: str) -> dict[str, Any]:
         ConfigError: The file cannot be read, is empty, is not YAML, is not a mapping, or has a key twice.
     """
     try:
+        size = path.stat().st_size
+        if size > MAX_BYTES:
+            raise ConfigError(
+                f"{name}: has {size / 2**20:.1f} MiB; allowed: at most {MAX_BYTES / 2**20:.0f} MiB of YAML, "
+                "which take some 40 s to read"
+            )
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise ConfigError(f"{name}: is not text in UTF-8 (byte {error.start})") from error
@@ -73,9 +117,15 @@ def parse(text: str, name: str) -> Any:
         loader = _Loader(text)
         try:
             node = loader.get_single_node()
+            loader.num_nodes = 0  # from here on those that aliases repeat count as well
             return None if node is None else _construct(loader, node, name, ())
         finally:
             loader.dispose()
+    except _TooLarge:
+        raise ConfigError(
+            f"{name}: holds more values than are allowed, with those that aliases repeat: at most "
+            f"{MAX_NODES:,}, which take some {MAX_NODES * 700 / 2**20:.0f} MiB of memory"
+        ) from None
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         where = f":{mark.line + 1}" if mark else ""
@@ -90,15 +140,26 @@ def _construct(loader: _Loader, node: yaml.Node, name: str, ancestors: tuple[yam
     where = f"{name}:{node.start_mark.line + 1}"
     if any(node is ancestor for ancestor in ancestors):
         raise ConfigError(f"{where}: an alias refers to the value that it stands in")
+    loader.count()
     ancestors = (*ancestors, node)
-    if isinstance(node, yaml.SequenceNode):
+    tag = node.tag.removeprefix(_TAG)
+    if isinstance(node, yaml.SequenceNode) and tag == "seq":
         return [_construct(loader, child, name, ancestors) for child in node.value]
-    if isinstance(node, yaml.MappingNode):
+    if isinstance(node, yaml.MappingNode) and tag == "map":
         return _construct_mapping(loader, node, name, ancestors)
+    if not isinstance(node, yaml.ScalarNode) or tag not in _CONSTRUCTORS:
+        written = "!!" + tag if node.tag.startswith(_TAG) else node.tag
+        allowed = ", ".join("!!" + known for known in _CONSTRUCTORS)
+        raise ConfigError(f"{where}: got the tag {written}; allowed: {allowed}, each for a plain value")
+    text = node.value
+    if sign := control_character(text):
+        raise ConfigError(f"{where}: got {shown(text)}; allowed: text without the character {sign}")
+    if tag in _PATTERNS and not re.fullmatch(_PATTERNS[tag][0], text):
+        raise ConfigError(f"{where}: got {shown(text)}; no value of !!{tag}")
     try:
-        return loader.construct_object(node)
+        return _CONSTRUCTORS[tag](text)
     except ValueError as error:
-        raise ConfigError(f"{where}: {node.value!r}: {error}") from error
+        raise ConfigError(f"{where}: got {shown(text)}; {error}") from error
 
 
 def _construct_mapping(
@@ -119,6 +180,8 @@ def _construct_mapping(
         key = key_node.value
         if not isinstance(key_node, yaml.ScalarNode) or not isinstance(key, str):
             raise ConfigError(f"{name}:{line}: a key must be a name")
+        if sign := control_character(key):
+            raise ConfigError(f"{name}:{line}: got the key {shown(key)}; allowed: no character {sign}")
         if key in lines:
             raise ConfigError(f'{name}:{line}: duplicate key "{key}" (first on line {lines[key]})')
         lines[key] = line

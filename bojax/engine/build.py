@@ -9,8 +9,8 @@ from typing import Any, Literal, get_args
 import jax
 import jax.numpy as jnp
 
-from bojax.config.component import Component, External
-from bojax.config.errors import ConfigError, dotted
+from bojax.config.component import IMPORT_PATH, Component, External
+from bojax.config.errors import ConfigError, dotted, shown
 from bojax.config.external import last_line
 from bojax.engine.devices import setting
 
@@ -68,12 +68,11 @@ def _build(component: Component, dtype: str, path: tuple[str, ...]) -> Any:
         return cls(**arguments)
     except ValueError as error:
         raise ConfigError(f"{_where(path, component)}: {' '.join(str(error).split())}") from error
-    except (Exception, SystemExit) as error:
-        if component.target.startswith("bojax."):
+    except (Exception, SystemExit) as error:  # whatever a user's class raises
+        if not IMPORT_PATH.fullmatch(component.kind):
             raise
-        raise ConfigError(
-            f"{_where(path, component)}: the constructor of {component.target} failed: {last_line(error)}"
-        ) from error
+        got = f"{_where(path, component)}: got {shown(component.kind)}"
+        raise ConfigError(f"{got}; its constructor failed: {last_line(error)}") from error
 
 
 def static_fields(cls: type) -> frozenset[str]:
@@ -129,7 +128,7 @@ def _check_shapes(
     """Refuse an array whose shape is not the annotated one: indexing past its end would go unnoticed."""
     for name, value in arguments.items():
         expected: Any = accepted[name].annotation if name in accepted else object
-        if not isinstance(value, jax.Array):
+        if not isinstance(value, jax.Array) or expected in (float, int):
             continue
         try:
             fits = isinstance(value, expected)

@@ -1,5 +1,6 @@
 """Run a sweep: points to static groups, groups to chunks, chunks to parts, parts to tables."""
 
+import math
 import shlex
 import sys
 import traceback
@@ -8,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bojax.config.errors import ConfigError, printable
+from bojax.config.limits import CHUNKS
 from bojax.engine.batch import Compiled
 from bojax.engine.build import build
 from bojax.engine.chunks import Chunk, cut
@@ -137,8 +139,13 @@ class SweepRun:
         configs = [point["config"] for point in self.plan["points"]]
         context = {key: self.plan[key] for key in ("seed", "record", "device", "versions", "code")}
         chunks: list[Chunk] = []
-        for group, lanes in zip(self.groups, self._lanes, strict=True):
-            size = lanes * len(self._devices)
+        sizes = [lanes * len(self._devices) for lanes in self._lanes]
+        numbers = [
+            math.ceil(len(group.points) * self._sweep.runs / size)
+            for group, size in zip(self.groups, sizes, strict=True)
+        ]
+        CHUNKS.check(sum(numbers), "engine.lanes_per_device")
+        for group, lanes, size in zip(self.groups, self._lanes, sizes, strict=True):
             context["lanes_per_device"] = lanes
             chunks += cut(group, range(self._sweep.runs), size, configs, context, first_index=len(chunks))
         return chunks

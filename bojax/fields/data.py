@@ -1,6 +1,7 @@
 """Numbers that a user brings in a file."""
 
 import hashlib
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,9 +18,13 @@ def read_array(file: str) -> "np.ndarray":
     import numpy as np  # not at the start of every command
 
     path = Path(file)
+    if os.path.exists(path) and not os.path.isfile(path):  # a pipe or a device may never end
+        raise ValueError(f"{file}: is not a regular file")
     try:
         if path.suffix == ".npy":
-            table = np.load(path, allow_pickle=False)
+            # Mapped, not read: a header may claim more numbers than there are in the file, or in the memory.
+            with np.errstate(over="ignore"):  # the size of such an array
+                table = np.load(path, allow_pickle=False, mmap_mode="r")
         elif path.suffix == ".csv":
             first, _, rest = path.read_text().partition("\n")
             if not (rest if not _is_numbers(first) else first).strip():
@@ -29,12 +34,18 @@ def read_array(file: str) -> "np.ndarray":
             raise ValueError(f"{file}: the name has to end in .npy or .csv")
     except OSError as error:
         raise ValueError(f"{file}: {error.strerror or error}") from error
-    except (ValueError, EOFError, UnicodeDecodeError) as error:
+    except Exception as error:  # NumPy's readers raise whatever a damaged file leads them to
         message = " ".join(str(error).split())
         raise ValueError(message if message.startswith(file) else f"{file}: {message}") from error
-    if table.ndim != 2 or not (np.issubdtype(table.dtype, np.number) or table.dtype == bool):
-        raise ValueError(f"{file}: holds {table.dtype} of shape {table.shape}, not a table of numbers")
-    table = table.astype(np.float64)
+    if not isinstance(table, np.ndarray):
+        raise ValueError(f"{file}: is an archive (.npz); a single array (.npy) is expected")
+    is_real = table.dtype == bool or table.dtype.kind in "iuf"
+    if table.ndim != 2 or not is_real or table.size == 0:
+        raise ValueError(
+            f"{file}: holds {table.dtype} of shape {table.shape}; a table of real numbers is expected"
+        )
+    with np.errstate(over="ignore"):  # what float64 cannot hold is infinite, and refused below
+        table = np.array(table, np.float64)
     bad = int((~np.isfinite(table)).sum())
     if bad:
         raise ValueError(f"{file}: {bad} of {table.size} numbers are not finite")

@@ -1,6 +1,8 @@
 """Fields from files: what is read, and that results know which data they are made from."""
 
 import hashlib
+import io
+import os
 
 import numpy as np
 import pytest
@@ -38,6 +40,11 @@ NOT_TABLES = {
     "words": np.array([["a", "b"], ["c", "d"]]),
     "objects": np.array([[None, 1], [2, 3]], dtype=object),
     "infinity": np.array([[np.inf, 1.0], [0.0, 0.0]]),
+    "complex numbers": np.array([[1.0 + 2.0j, 1.0], [0.0, 0.0]]),
+    "records": np.zeros((2, 2), [("x", float), ("y", int)]),
+    "dates": np.zeros((2, 2), "datetime64[s]"),
+    "nothing": np.zeros((0, 3)),
+    "more than float64 holds": np.full((2, 2), np.longdouble("1e4000")),
 }
 
 
@@ -59,6 +66,38 @@ def test_a_damaged_file_is_refused_in_one_line(tmp_path):
         with pytest.raises(ValueError) as raised:
             read_array(file)
         assert str(raised.value).startswith(file) and "\n" not in str(raised.value)
+
+
+def header(shape: tuple[int, ...], descr: str = "<f8") -> bytes:
+    """A file of NumPy's format that claims an array, and holds a single number."""
+    stream = io.BytesIO()
+    np.lib.format.write_array_header_1_0(stream, {"descr": descr, "fortran_order": False, "shape": shape})
+    return stream.getvalue() + bytes(8)
+
+
+@pytest.mark.parametrize(
+    "content", [header((10**10, 10**10)), header((10**6, 10**6)), header((2, -1)), header((2, 2), "|O")]
+)
+def test_a_header_that_claims_what_the_file_does_not_hold(tmp_path, content):
+    path = tmp_path / "table.npy"
+    path.write_bytes(content)
+    with pytest.raises(ValueError) as raised:
+        read_array(str(path))
+    assert str(raised.value).startswith(str(path)) and "\n" not in str(raised.value)
+
+
+def test_an_archive_under_the_name_of_an_array(tmp_path):
+    np.savez(tmp_path / "table.npz", TABLE)
+    path = (tmp_path / "table.npz").rename(tmp_path / "table.npy")
+    with pytest.raises(ValueError, match=r"table.npy: is an archive \(.npz\); a single array"):
+        read_array(str(path))
+
+
+@pytest.mark.parametrize("name", ["table.npy", "table.csv"])
+def test_only_regular_files_are_read(tmp_path, name):
+    os.mkfifo(tmp_path / name)  # opening it would wait for ever
+    with pytest.raises(ValueError, match=f"{name}: is not a regular file"):
+        read_array(str(tmp_path / name))
 
 
 @pytest.mark.parametrize("schema", [Grid, Scattered])

@@ -3,7 +3,7 @@
 import pytest
 
 from bojax.config.errors import ConfigError
-from bojax.config.yaml_file import parse, read_mapping
+from bojax.config.yaml_file import MAX_BYTES, MAX_NODES, parse, read_mapping
 
 
 @pytest.mark.parametrize(
@@ -20,6 +20,11 @@ from bojax.config.yaml_file import parse, read_mapping
         ("true", True),
         ("", None),
         ("~", None),
+        ("!!float 3", 3.0),
+        ("!!str 3", "3"),
+        ('!!bool "TRUE"', True),
+        ("+.INF", float("inf")),
+        (str(-(2**63)), -(2**63)),
         ("[1, a, {b: 2.0}]", [1, "a", {"b": 2.0}]),
         ("{a: &x [1], b: *x}", {"a": [1], "b": [1]}),
         ("a: &x {p: 1, q: 2}\nb: {<<: *x, q: 3}", {"a": {"p": 1, "q": 2}, "b": {"p": 1, "q": 3}}),
@@ -44,7 +49,22 @@ def test_a_byte_order_mark_is_no_key(tmp_path):
         ("p:\n  kind: x\n  kind: y\n", 'x.yaml:3: duplicate key "kind" (first on line 2)'),
         ("a: [1, 2\nb: 3\n", "x.yaml:2: is not YAML: "),
         ("a: b: c\n", "x.yaml:1: is not YAML: mapping values are not allowed here"),
-        ("a: !!python/name:os.system x\n", "x.yaml:1: is not YAML: could not determine a constructor"),
+        (
+            "a: !!python/name:os.system x\n",
+            "x.yaml:1: got the tag !!python/name:os.system; allowed: !!null, ",
+        ),
+        ("a: !!timestamp foo\n", "x.yaml:1: got the tag !!timestamp; allowed: "),
+        ("a: !!set {b}\n", "x.yaml:1: got the tag !!set; allowed: "),
+        ("a: !!seq {b: 1}\n", "x.yaml:1: got the tag !!seq; allowed: "),
+        ("a: !mine b\n", "x.yaml:1: got the tag !mine; allowed: "),
+        ("a: !!bool maybe\n", 'x.yaml:1: got "maybe"; no value of !!bool'),
+        ('a: !!float ""\n', 'x.yaml:1: got ""; no value of !!float'),
+        ("a: !!float 1:30\n", 'x.yaml:1: got "1:30"; no value of !!float'),
+        (f"a: 1{400 * '0'}\n", 'x.yaml:1: got "1000'),
+        (f"a: {2**63}\n", f'x.yaml:1: got "{2**63}"; an integer between -2^63 and 2^63 - 1 is expected'),
+        ('a: "\\e[31m"\n', 'x.yaml:1: got "\\u001b[31m"; allowed: text without the character "\\u001b"'),
+        ('a: "\\ud800"\n', "x.yaml:1: got "),
+        ('"\\a": 1\n', 'x.yaml:1: got the key "\\u0007"; allowed: no character "\\u0007"'),
         ("a: 1\n---\nb: 2\n", "x.yaml:2: is not YAML: but found another document"),
         ("? [1, 2]\n: 3\n", "x.yaml:1: a key must be a name"),
         ("a: &x [*x]\n", "x.yaml:1: an alias refers to the value that it stands in"),
@@ -69,4 +89,20 @@ def test_a_file_that_is_not_text(tmp_path):
     path = tmp_path / "x.yaml"
     path.write_bytes(b"a: \xff\xfe")
     with pytest.raises(ConfigError, match="x.yaml: is not text in UTF-8"):
+        read_mapping(path, "x.yaml")
+
+
+@pytest.mark.parametrize("multiply", ["[*{0}, *{0}]", "{{p: *{0}, q: *{0}}}", "{{p: {{<<: *{0}}}, q: *{0}}}"])
+def test_aliases_that_multiply(multiply):
+    names = [f"a{index}" for index in range(60)]
+    pairs = zip(names, names[1:], strict=False)
+    lines = [f"{new}: &{new} {multiply.format(old)}" for old, new in pairs]
+    with pytest.raises(ConfigError, match=f"x: holds more values than .* at most {MAX_NODES:,}, which take "):
+        parse("\n".join(["a0: &a0 {b: 1}", *lines]), "x")
+
+
+def test_a_file_that_is_too_large(tmp_path):
+    path = tmp_path / "x.yaml"
+    path.write_text("#" * (MAX_BYTES + 1))
+    with pytest.raises(ConfigError, match="x.yaml: has 4.0 MiB; allowed: at most 4 MiB of YAML"):
         read_mapping(path, "x.yaml")

@@ -10,6 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from bojax.config.errors import ConfigError
+from bojax.config.limits import Limit
 from bojax.engine import batch
 from bojax.results.store import WORK, ResultsError, read_manifest, read_table
 from tests.engine.drive import contents, run_toy, start_toy
@@ -267,3 +268,13 @@ def test_finished_sweep_resumed(folder, capsys):
     assert "already finished" in capsys.readouterr().out
     assert run_toy(folder, runs=RUNS + 1, resume=True) == 2
     assert contents(folder) == before
+
+
+def test_more_chunks_than_memory_holds_are_refused_before_anything_is_written(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("bojax.engine.run.CHUNKS", Limit("chunks", 2**60, at_least=1))
+    assert run_toy(tmp_path / "toy", runs=6, lanes_per_device=2) == 2
+    (message,) = errors(capsys)
+    assert (
+        message.startswith("error: engine.lanes_per_device: got ") and " chunks, which take some " in message
+    )
+    assert not (tmp_path / "toy").exists()

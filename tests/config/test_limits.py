@@ -1,0 +1,77 @@
+"""Sizes that no memory holds are refused in one line, with the memory that they take."""
+
+import pytest
+
+from bojax.config.errors import ConfigError
+from bojax.config.limits import CHUNKS, POINTS, RUNS, Limit
+from bojax.config.sweep import load_config, load_sweep
+
+
+def refusal(load, *words, **options) -> str:
+    """The message of a refused sweep."""
+    with pytest.raises(ConfigError) as raised:
+        load(*words, **options)
+    return str(raised.value)
+
+
+def test_more_memory_allows_more():
+    small, large = (Limit("things", bytes_each, at_least=10) for bytes_each in (2**60, 1))
+    assert small.allowed == 10 and large.allowed > 2**27
+    with pytest.raises(ConfigError) as raised:
+        small.check(11, "x.yaml: things")
+    assert str(raised.value) == (
+        "x.yaml: things: got 11 things, which take some 11,264 PiB of memory; allowed: at most 10"
+    )
+    small.check(10, "x.yaml: things")
+
+
+def test_what_is_accepted_everywhere():
+    assert RUNS.at_least >= 10**7 and POINTS.at_least >= 10**5 and CHUNKS.at_least >= 10**5
+
+
+@pytest.mark.parametrize("runs", [10**9, 10**12])
+def test_runs(runs):
+    message = refusal(load_config, "parking", runs=runs)
+    assert message.startswith(f"command line: runs: got {runs:,} runs, of all points, which take some ")
+    assert refusal(load_config, "parking", [f"runs={runs}"]) == message
+
+
+def test_runs_of_all_points(write):
+    write("s.yaml", "{base: {}, runs: 2000000000, axes: {planner.depth: [1, 2, 3]}}")
+    assert refusal(load_sweep, "s.yaml").startswith("s.yaml: runs: got 6,000,000,000 runs, of all points")
+
+
+def test_a_grid(write):
+    values = list(range(1, 1001))
+    axes = ", ".join(f"problem.{name}: {values}" for name in ("half_width", "max_steps", "success_reward"))
+    write("s.yaml", f"{{base: {{}}, axes: {{{axes}}}}}")
+    assert refusal(load_sweep, "s.yaml").startswith(
+        "s.yaml: axes: got 1,000,000,000 points, which take some "
+    )
+
+
+@pytest.mark.parametrize("combine", ["grid", "zip"])
+def test_an_axis(write, monkeypatch, combine):
+    monkeypatch.setattr("bojax.config.axes.POINTS", Limit("points", 2**60, at_least=20))
+    for length, is_allowed in ((20, True), (21, False)):
+        write(
+            "s.yaml",
+            f"{{base: {{}}, combine: {combine}, axes: {{problem.half_width: {[*range(1, length + 1)]}}}}}",
+        )
+        if is_allowed:
+            assert len(load_sweep("s.yaml").points) == length
+        else:
+            assert refusal(load_sweep, "s.yaml").startswith("s.yaml: axes.problem.half_width: got 21 points")
+
+
+def test_values_that_are_equal_are_found_whatever_they_are(write):
+    for values in ("[[1, 2], [1.0, 2]]", "[rbf, rbf]"):
+        write("s.yaml", f"{{base: {{}}, axes: {{planner.kernel.lengthscale: {values}}}}}")
+        assert "twice; the values of an axis differ" in refusal(load_sweep, "s.yaml")
+
+
+def test_of_many_unknown_keys_one_is_described(write):
+    write("x.yaml", "problem: {" + ", ".join(f"k{index}: 1" for index in range(500)) + "}")
+    message = refusal(load_config, "x.yaml")
+    assert message.startswith("x.yaml: problem.k0: unknown key; allowed: ")
+    assert message.endswith(" (and 499 more)")
