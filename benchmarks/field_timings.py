@@ -95,7 +95,7 @@ def main(argv: list[str]) -> int:
         from tests.reference import bridge
         from tests.reference.compare import assert_same_tree
     except ImportError as error:
-        print(f"error: {error}: needs a clone of the repository and bojax[test]", file=sys.stderr)
+        print(f"error: {error}: run it in a clone, after pip install -e '.[test]'", file=sys.stderr)
         return 2
     jax.config.update("jax_enable_x64", True)
     rows: list[Row] = []

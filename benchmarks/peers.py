@@ -17,7 +17,7 @@ def installed(peers: Mapping[str, tuple[str, Loader]]) -> dict[str, Any]:
     """
     missing = [name for name, (module, _) in peers.items() if importlib.util.find_spec(module) is None]
     if missing:
-        print(f"not installed, and left out: {', '.join(missing)} (pip install 'bojax[bench]')")
+        print(f"not installed, and left out: {', '.join(missing)} (pip install -e '.[bench]')")
     return {name: load() for name, (_, load) in peers.items() if name not in missing}
 
 

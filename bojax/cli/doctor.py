@@ -11,6 +11,7 @@ from pathlib import Path
 
 from bojax import __version__
 from bojax.cli.parser import Parser
+from bojax.config.extras import how_to_install
 
 _EXAMPLES = """\
   bojax doctor                      everything
@@ -25,6 +26,7 @@ _PACKAGES = (
     "optax",
     "orbax-checkpoint",
     "numpy",
+    "scipy",
     "pyarrow",
     "pydantic",
     "PyYAML",
@@ -108,7 +110,8 @@ def _devices() -> Iterator[Finding]:
         yield Finding("ok", f"{len(devices)} x {platform_name} ({devices[0].device_kind})")
     if jax.default_backend() == "cpu" and Path("/proc/driver/nvidia/version").exists():
         yield Finding(
-            "note", "an NVIDIA driver is here, but JAX sees no GPU: install the extra cuda13 (or cuda12)"
+            "note",
+            f"an NVIDIA driver is installed, but JAX finds no GPU; {how_to_install('cuda13')} (or cuda12)",
         )
 
 
@@ -162,7 +165,7 @@ def _films() -> Iterator[Finding]:
     try:
         version = importlib.metadata.version("mujoco")
     except importlib.metadata.PackageNotFoundError:
-        yield Finding("note", 'no robots: MuJoCo is not installed: pip install "bojax[robots]"')
+        yield Finding("note", f"no robots: MuJoCo is not installed; {how_to_install('robots')}")
         return
     try:
         name = backend() or "its own choice"
