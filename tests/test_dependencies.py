@@ -1,0 +1,98 @@
+"""Every import of the package is declared in pyproject.toml, and every declared package is pinned."""
+
+import ast
+import importlib.metadata
+import re
+import sys
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).parents[1]
+TEXTS = [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "bojax").rglob("*.py")]
+TEXTS += (ROOT / "benchmarks").glob("*.py")
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+EXTRAS = {
+    extra: [Requirement(text) for text in texts] for extra, texts in PROJECT["optional-dependencies"].items()
+}
+DISTRIBUTIONS = importlib.metadata.packages_distributions()
+"""By the name of a module, the distributions that bring it."""
+
+REQUIRED = [Requirement(text) for text in PROJECT["dependencies"]]
+PINNED = ("robots", "gym", "brax", "test")
+"""Extras whose versions are pinned; the others are chosen by the machine, or are not needed by the tests."""
+
+
+def names_of(requirements) -> set[str]:
+    return {canonicalize_name(requirement.name) for requirement in requirements}
+
+
+def imports_of(tree: ast.AST, is_optional: bool = False) -> Iterator[tuple[str, bool]]:
+    """Top-level names of the modules that a file imports, and whether it can be imported without them."""
+    for node in ast.iter_child_nodes(tree):
+        optional = is_optional or isinstance(node, ast.Try | ast.FunctionDef | ast.AsyncFunctionDef)
+        if isinstance(node, ast.Import):
+            yield from ((alias.name.partition(".")[0], optional) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            yield node.module.partition(".")[0], optional
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
+            if isinstance(node.args[0], ast.Constant):
+                yield str(node.args[0].value).partition(".")[0], optional
+        yield from imports_of(node, optional)
+
+
+def undeclared(source: str) -> set[str]:
+    """Modules of other distributions that the source imports without a declaration that covers them."""
+    always = names_of(REQUIRED)
+    sometimes = always.union(*map(names_of, EXTRAS.values()))
+    found = set()
+    for name, is_optional in imports_of(ast.parse(source)):
+        if name == "bojax" or name in sys.stdlib_module_names:
+            continue
+        providers = {canonicalize_name(provider) for provider in DISTRIBUTIONS.get(name, [name])}
+        if not providers & (sometimes if is_optional else always):
+            found.add(name)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("source", "expected"),
+    [
+        ("import numpy.linalg\nfrom scipy import special\nimport os\nimport bojax", set()),
+        ("import pytest_benchmark", {"pytest_benchmark"}),
+        ("from gymnasium import spaces", {"gymnasium"}),
+        ("try:\n    from gymnasium import spaces\nexcept ImportError:\n    pass", set()),
+        ("def f():\n    import torch", {"torch"}),
+        ("import importlib\nimportlib.import_module('ray.util')", {"ray"}),
+    ],
+)
+def test_an_undeclared_import_is_found(source, expected):
+    assert undeclared(source) == expected
+
+
+def test_every_import_is_declared():
+    files = {path.relative_to(ROOT): undeclared(path.read_text()) for path in (ROOT / "bojax").rglob("*.py")}
+    assert len(files) > 100
+    assert {file: names for file, names in files.items() if names} == {}
+
+
+@pytest.mark.parametrize("constraints", ["py311.txt", "py312.txt"])
+def test_every_declared_package_is_pinned_to_a_version_that_is_allowed(constraints):
+    pins = dict(re.findall(r"^([\w.-]+)==(\S+)$", (ROOT / "constraints" / constraints).read_text(), re.M))
+    pins = {canonicalize_name(name): version for name, version in pins.items()}
+    requirements = [*REQUIRED, *(requirement for extra in PINNED for requirement in EXTRAS[extra])]
+    assert names_of(requirements) <= pins.keys()
+    refused = [r.name for r in requirements if not r.specifier.contains(pins[canonicalize_name(r.name)])]
+    assert refused == []
+
+
+def test_commands_that_install_extras_work_in_a_clone():
+    """The name bojax on the package index belongs to another project."""
+    texts = {path: path.read_text() for path in TEXTS}
+    assert [path for path, text in texts.items() if re.search(r"pip install \S*bojax", text)] == []
+    named = {extra for text in texts.values() for extra in re.findall(r"pip install -e '\.\[(\w+)\]'", text)}
+    assert {"gym", "robots", "brax"} <= named <= EXTRAS.keys()
