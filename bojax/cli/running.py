@@ -67,10 +67,10 @@ def _parser(name: str) -> Parser:
 
 
 def _resolve(sweep: Sweep) -> Sweep:
-    """Import the parts given by import path; this runs the user's code, so JAX is set up before."""
-    from bojax.config.external import has_import_paths, resolve
+    """Import the modules that the sweep names; this runs the user's code, so JAX is set up before."""
+    from bojax.config.external import imports_code, resolve
 
-    if not has_import_paths(sweep):
+    if not imports_code(sweep):
         return sweep
     from bojax.engine.devices import prepare
 

@@ -94,6 +94,11 @@ class Component(Registered, frozen=True):
         """The name that results use for it."""
         return self.kind.rpartition(":")[2]
 
+    @property
+    def imported_module(self) -> tuple[str, str] | None:
+        """A module outside bojax whose code runs before the part is built, and the setting that names it."""
+        return None
+
 
 class External(Component, frozen=True):
     """A part given by import path, before its class has been imported.
@@ -106,6 +111,11 @@ class External(Component, frozen=True):
 
     slot: str
     params: dict[str, Any] = {}
+
+    @property
+    def imported_module(self) -> tuple[str, str]:
+        """The module of its import path."""
+        return self.kind.partition(":")[0], "kind"
 
 
 class Slot:

@@ -6,11 +6,13 @@ pydantic `Config`, or else by the annotations of its constructor.
 
 import dataclasses
 import importlib
+import importlib.util
 import inspect
 import sys
 import traceback
 from collections.abc import Callable
 from functools import cache, partial
+from importlib.machinery import PathFinder
 from pathlib import Path
 from typing import Any
 
@@ -19,19 +21,22 @@ import pydantic
 from bojax.config.catalog import roles
 from bojax.config.component import Component, External
 from bojax.config.errors import ConfigError, Location, did_you_mean, from_validation, shown
+from bojax.config.files import EXPERIMENT
 from bojax.config.signature import fields_of
 from bojax.config.sweep import Sweep
 
 Locate = Callable[[Location], str]
 
 
-def has_import_paths(sweep: Sweep) -> bool:
-    """Whether any part of the sweep is given by import path and not yet imported."""
-    return any(_has_import_paths(point.config) for point in sweep.points)
+def imports_code(sweep: Sweep) -> bool:
+    """Whether any part of the sweep imports a module that is not one of bojax."""
+    return any(_imports_code(point.config) for point in sweep.points)
 
 
 def resolve(sweep: Sweep) -> Sweep:
     """The sweep with every import path imported and its settings validated; runs the user's modules.
+
+    A module that a saved learner names is printed before it is imported.
 
     Raises:
         ConfigError: There is no such module or class, or it does not take these settings.
@@ -47,13 +52,16 @@ def resolve(sweep: Sweep) -> Sweep:
     return dataclasses.replace(sweep, points=tuple(points))
 
 
-def _has_import_paths(component: Component) -> bool:
+def _imports_code(component: Component) -> bool:
     parts = (getattr(component, name) for name in type(component).model_fields)
     nested = (part for part in parts if isinstance(part, Component))
-    return isinstance(component, External) or any(map(_has_import_paths, nested))
+    return component.imported_module is not None or any(map(_imports_code, nested))
 
 
 def _resolve(component: Component, path: Location, locate: Locate) -> Component:
+    if component.imported_module is not None:
+        module, setting = component.imported_module
+        _announce(module, locate((*path, setting)))
     if isinstance(component, External):
         component = _validate(component, path, locate)
     changes = {}
@@ -64,6 +72,24 @@ def _resolve(component: Component, path: Location, locate: Locate) -> Component:
             if resolved is not value:
                 changes[name] = resolved
     return component.model_copy(update=changes) if changes else component
+
+
+@cache
+def _announce(module: str, place: str) -> None:
+    """Print the module that a file of a results folder names, since importing it runs code.
+
+    The files of a results folder that are configs are those of saved learners.
+    """
+    root, *below = module.split(".")
+    spec = importlib.util.find_spec(root) if root not in sys.modules else sys.modules[root].__spec__
+    if spec is None or Path(place.partition(": ")[0]).name != EXPERIMENT:
+        return
+    for name in below:  # unlike importlib.util.find_spec, without importing the packages above
+        inner = PathFinder.find_spec(f"{spec.name}.{name}", spec.submodule_search_locations or [])
+        if inner is None:
+            break
+        spec = inner
+    print(f"importing {module} ({spec.origin}), named in {place}", file=sys.stderr)
 
 
 def _validate(external: External, path: Location, locate: Locate) -> Component:

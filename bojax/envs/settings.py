@@ -220,3 +220,9 @@ class Gymnasium(EnvironmentSettings, frozen=True):
         except TypeError as error:
             raise ValueError(f"kwargs: {error}") from error
         return self
+
+    @property
+    def imported_module(self) -> tuple[str, str] | None:
+        """The module that registers the environment, of an id such as `module:Name-v0`."""
+        module, colon, _ = self.id.partition(":")
+        return (module, "id") if colon else None

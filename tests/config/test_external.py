@@ -6,7 +6,7 @@ import pytest
 
 from bojax.config.component import External
 from bojax.config.errors import ConfigError
-from bojax.config.external import has_import_paths, resolve, schema_of
+from bojax.config.external import imports_code, resolve, schema_of
 from bojax.config.sweep import load_config, load_sweep
 
 MODULE = '''
@@ -90,9 +90,44 @@ def resolved(write, monkeypatch):
 
 def test_nothing_is_imported_before_it_is_resolved(resolved):
     sweep = load_config("x.yaml")
-    assert has_import_paths(sweep) and "my_kernels" not in sys.modules
+    assert imports_code(sweep) and "my_kernels" not in sys.modules
     assert isinstance(sweep.points[0].config.planner.kernel, External)
-    assert not has_import_paths(resolve(sweep)) and "my_kernels" in sys.modules
+    assert not imports_code(resolve(sweep)) and "my_kernels" in sys.modules
+
+
+SAVED = "results/mine/learners/0-0/experiment.yaml"
+
+
+def test_a_module_that_a_saved_learner_names_is_printed_before_it_is_imported(resolved, write, capsys):
+    kernel = "planner: {kind: kcbts, kernel: {kind: 'my_noisy.deep:Mine'}}"
+    write("my_noisy/__init__.py", "import sys\nprint('runs', file=sys.stderr)\n")
+    deep = write("my_noisy/deep.py", "from my_kernels import Configured as Mine\n")
+    write(SAVED, kernel)
+    resolve(load_config("results/mine/learners/0-0"))
+    assert capsys.readouterr().err == (
+        f"importing my_noisy.deep ({deep}), named in {SAVED}: planner.kernel.kind\nruns\n"
+    )
+
+
+def test_a_gymnasium_id_of_a_saved_learner_is_printed(resolved, write, capsys):
+    module = write("my_envs.py", "import gymnasium\n")
+    write(SAVED, "{experiment: learning, env: {kind: gymnasium, id: 'my_envs:Mine-v0'}, learner: emu-q}")
+    sweep = load_config(SAVED)
+    assert imports_code(sweep)
+    resolve(sweep)
+    assert capsys.readouterr().err == f"importing my_envs ({module}), named in {SAVED}: env.id\n"
+    assert not imports_code(load_config(SAVED, ["env.id=MountainCarContinuous-v0"]))
+
+
+@pytest.mark.parametrize("overrides", [[], ["planner.kernel=my_kernels:Configured"]])
+def test_a_module_that_the_user_names_is_not_printed(resolved, write, capsys, overrides):
+    """In a config of their own, or on the command line, even where it replaces that of a saved learner."""
+    if overrides:
+        write(SAVED, "planner: {kind: kcbts, kernel: {kind: 'my_other:Mine'}}")
+        resolve(load_config(SAVED, overrides))
+    else:
+        resolved()
+    assert capsys.readouterr().err == ""
 
 
 def test_annotations_say_what_a_class_takes(resolved):

@@ -22,9 +22,11 @@ from bojax.report.animations.choose import choose_film
 from bojax.report.animations.episode import choose_episode
 from bojax.report.animations.film import MAX_FRAMES, render
 from bojax.report.animations.learning import frames_of
+from bojax.report.build import build_report
 from bojax.report.source import load
 from bojax.report.style import settings
 from bojax.results.store import ResultsError
+from tests.report.synthetic import edit_manifest, write_learning
 
 
 def observations(kind, num_steps):
@@ -286,3 +288,26 @@ def test_it_needs_no_jax(folder):
         f"assert main(['render', {str(folder)!r}]) == 0; assert 'jax' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+
+
+@pytest.mark.parametrize("part", ["learner", "env"])
+def test_a_results_folder_imports_nothing(tmp_path, monkeypatch, part):
+    """Its settings may name modules, here one that is there to be found; reports and films read files."""
+    (tmp_path / "my_spy.py").write_text("raise SystemExit('imported')")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    folders = [write_learning(tmp_path / "report"), learning_results(tmp_path / "film")]
+
+    def name_module(manifest):
+        for point in manifest["points"]:
+            point["config"][part]["kind"] = "my_spy:Mine"
+
+    for folder in folders:
+        edit_manifest(folder, name_module)
+    assert build_report(folders[:1]).exists()
+    if part == "learner":
+        choose_film(load(folders[1]))
+    else:
+        with pytest.raises(ResultsError, match="my_spy:Mine"):
+            choose_film(load(folders[1]))
+    assert "my_spy" not in sys.modules
