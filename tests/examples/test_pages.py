@@ -51,6 +51,14 @@ def test_links_lead_somewhere(page):
     assert [target for target in links(page) if not (page.parent / target).exists()] == []
 
 
+def test_every_page_is_in_the_navigation_and_in_both_lists():
+    pages = {page.name for page in DOCS.glob("*.md")}
+    navigation = yaml.safe_load((ROOT / "mkdocs.yml").read_text())["nav"]
+    assert sorted(file for entry in navigation for file in entry.values()) == sorted(pages)
+    assert {target.removeprefix("docs/") for target in links(ROOT / "README.md")} >= pages - {"index.md"}
+    assert set(links(DOCS / "index.md")) >= pages - {"index.md"}
+
+
 @pytest.mark.parametrize(("page", "words"), COMMANDS, ids=[" ".join(words) for _, words in COMMANDS])
 def test_a_command_is_understood(page, words, monkeypatch, capsys, tmp_path):
     """Up to the point where a sweep would be run; the learner that is evaluated is one of mountain car."""
