@@ -81,8 +81,11 @@ def _announce(module: str, place: str) -> None:
     The files of a results folder that are configs are those of saved learners.
     """
     root, *below = module.split(".")
-    spec = importlib.util.find_spec(root) if root not in sys.modules else sys.modules[root].__spec__
-    if spec is None or Path(place.partition(": ")[0]).name != EXPERIMENT:
+    if Path(place.rpartition(": ")[0]).name != EXPERIMENT or not root.isidentifier():
+        return
+    loaded = sys.modules.get(root)
+    spec = importlib.util.find_spec(root) if loaded is None else getattr(loaded, "__spec__", None)
+    if spec is None:  # the import says what is missing
         return
     for name in below:  # unlike importlib.util.find_spec, without importing the packages above
         inner = PathFinder.find_spec(f"{spec.name}.{name}", spec.submodule_search_locations or [])

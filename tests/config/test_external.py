@@ -119,6 +119,21 @@ def test_a_gymnasium_id_of_a_saved_learner_is_printed(resolved, write, capsys):
     assert not imports_code(load_config(SAVED, ["env.id=MountainCarContinuous-v0"]))
 
 
+def test_a_folder_whose_name_looks_like_a_setting_hides_no_module(resolved, write, capsys):
+    saved = write(
+        "mine: x/experiment.yaml", "planner: {kind: kcbts, kernel: {kind: 'my_kernels:Configured'}}"
+    )
+    resolve(load_config(str(saved)))
+    assert capsys.readouterr().err.startswith("importing my_kernels (")
+
+
+@pytest.mark.parametrize("id", [":Mine-v0", ".my_envs:Mine-v0", "my_nothing:Mine-v0"])
+def test_an_id_without_a_module_that_exists_is_left_to_gymnasium(resolved, write, capsys, id):
+    write(SAVED, f"{{experiment: learning, env: {{kind: gymnasium, id: '{id}'}}, learner: emu-q}}")
+    resolve(load_config(SAVED))
+    assert capsys.readouterr().err == ""
+
+
 @pytest.mark.parametrize("overrides", [[], ["planner.kernel=my_kernels:Configured"]])
 def test_a_module_that_the_user_names_is_not_printed(resolved, write, capsys, overrides):
     """In a config of their own, or on the command line, even where it replaces that of a saved learner."""
