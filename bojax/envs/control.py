@@ -93,11 +93,6 @@ def symmetric(*high: Float[Array, ""]) -> Box:
     return Box(-jnp.stack(high), jnp.stack(high))
 
 
-def wrapped(angle: Float[Array, "*N"]) -> Float[Array, "*N"]:
-    """The angle in [-pi, pi) that points in the same direction."""
-    return jnp.mod(angle + jnp.pi, 2.0 * jnp.pi) - jnp.pi
-
-
 def sign(x: Float[Array, ""]) -> Float[Array, ""]:
     """-1 below 0, and 1 from there on: an action that knows two values only."""
     return jnp.where(x < 0.0, -jnp.ones_like(x), jnp.ones_like(x))

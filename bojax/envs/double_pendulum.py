@@ -7,8 +7,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 
-from bojax.envs.control import ControlTask, sign, symmetric, wrapped
+from bojax.envs.control import ControlTask, sign, symmetric
 from bojax.envs.spaces import Box
+from bojax.numerics.angles import wrap_to_pi
 
 _GRAVITY = 9.8
 
@@ -84,7 +85,7 @@ class DoublePendulum(ControlTask):
         k4 = self.velocity(state + h * k3, torque)
         state = state + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
         fastest = self.observation_space.high[4:]
-        return jnp.concatenate([wrapped(state[:2]), jnp.clip(state[2:], -fastest, fastest)])
+        return jnp.concatenate([wrap_to_pi(state[:2]), jnp.clip(state[2:], -fastest, fastest)])
 
     def velocity(self, state: Float[Array, "4"], torque: Float[Array, ""]) -> Float[Array, "4"]:
         """Time derivative of the state: M(q) q'' + c(q, q') = torque, solved for q''."""

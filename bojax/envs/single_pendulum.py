@@ -7,8 +7,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 
-from bojax.envs.control import ControlTask, symmetric, wrapped
+from bojax.envs.control import ControlTask, symmetric
 from bojax.envs.spaces import Box
+from bojax.numerics.angles import wrap_to_pi
 
 
 class SinglePendulum(ControlTask):
@@ -76,11 +77,11 @@ class SinglePendulum(ControlTask):
         weight = 1.5 * self.gravity / self.length * jnp.sin(angle)
         speed = speed + (weight + 3.0 / (self.mass * self.length**2) * torque) * self.time_step
         speed = jnp.clip(speed, -self.max_speed, self.max_speed)
-        return jnp.stack([wrapped(angle + speed * self.time_step), speed])
+        return jnp.stack([wrap_to_pi(angle + speed * self.time_step), speed])
 
     def is_goal(self, state: Float[Array, "2"]) -> Bool[Array, ""]:
         """See the class."""
-        return jnp.abs(wrapped(state[0])) < self.goal_angle
+        return jnp.abs(wrap_to_pi(state[0])) < self.goal_angle
 
     def classic(
         self,
@@ -92,7 +93,7 @@ class SinglePendulum(ControlTask):
     ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
         """See the class."""
         del failure, after
-        cost = wrapped(state[0]) ** 2 + 0.1 * state[1] ** 2 + 0.001 * action[0] ** 2
+        cost = wrap_to_pi(state[0]) ** 2 + 0.1 * state[1] ** 2 + 0.001 * action[0] ** 2
         if not self.classic_ends_at_goal:
             return -cost, jnp.zeros_like(success)
         return jnp.where(success, jnp.zeros_like(cost), -cost), success

@@ -14,6 +14,7 @@ from bojax.models.kernels import Kernel
 from bojax.models.lookahead import LookaheadRoot, look_ahead
 from bojax.models.means import Mean
 from bojax.motions.base import Path, Pose, place
+from bojax.numerics.angles import wrap_to_2pi
 from bojax.numerics.lanes import any_lane
 from bojax.problems.base import Events, Problem, Simulation
 from bojax.problems.objectives import FieldObjective
@@ -471,7 +472,7 @@ class FieldMonitoring(Problem):
         end = driven.poses[-1]
         is_turned = (driven.collided | driven.exited) & (self.after_collision == "turn")
         heading = end[2] + jnp.where(is_turned, jnp.pi, 0.0)
-        return end.at[2].set(jnp.mod(heading, 2.0 * jnp.pi))
+        return end.at[2].set(wrap_to_2pi(heading))
 
     def _cost(self, driven: Drive) -> Scalar:
         return jnp.where(driven.collided, self.collision_reward, 0.0) + jnp.where(

@@ -6,10 +6,10 @@ fed forward about the vertical only, which is what a way at a constant altitude 
 """
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from bojax.numerics.angles import wrap_to_pi
 from bojax.numerics.linalg import matmul
 
 POSITION_GAIN, VELOCITY_GAIN = 9.0, 5.4
@@ -133,7 +133,7 @@ def way(
     """
     dtype = path.dtype
     knots = jnp.concatenate([start[None], path])
-    turns = _wrapped(knots[1:, 2] - knots[:-1, 2])
+    turns = wrap_to_pi(knots[1:, 2] - knots[:-1, 2])
     yaws = jnp.concatenate([start[2:], start[2] + jnp.cumsum(turns)])
     pieces = jnp.sqrt(jnp.sum((knots[1:, :2] - knots[:-1, :2]) ** 2, axis=-1))
     ends = jnp.cumsum(pieces)
@@ -155,7 +155,7 @@ def way(
     slope, bend = jnp.where(is_still, 0.0, slope), jnp.where(is_still, 0.0, bend)
     yaw_slope = jnp.where(is_short, 0.0, turns[piece] / chord)
 
-    turn = _wrapped(end_heading - yaws[-1])
+    turn = wrap_to_pi(end_heading - yaws[-1])
     swing, swing_rate, swing_acceleration = _least_jerk(rest_steps, 0, time_step, dtype, path_steps)
     flat = jnp.zeros_like(arc)[:, None]
     reference = Reference(
@@ -217,8 +217,3 @@ def _hermite(
     slope = 6 * u * (1 - u) * jump / chord + (1 - u) * (1 - 3 * u) * leaving + u * (3 * u - 2) * arriving
     bend = (6 - 12 * u) * jump / chord + (6 * u - 4) * leaving + (6 * u - 2) * arriving
     return place, slope, bend / chord
-
-
-def _wrapped(angle: jax.Array) -> jax.Array:
-    """An angle in [-pi, pi)."""
-    return jnp.mod(angle + jnp.pi, 2 * jnp.pi) - jnp.pi

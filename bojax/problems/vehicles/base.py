@@ -5,10 +5,10 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 
 from bojax.motions.base import Pose
+from bojax.numerics.angles import wrap_to_2pi
 
 Body = Any
 """The true state of a vehicle: a tree of arrays."""
@@ -133,4 +133,4 @@ class Exact(Vehicle):
     def stopped_at(self, body: Pose, pose: Pose) -> Pose:
         """It stands there."""
         del body
-        return pose.at[2].set(jnp.mod(pose[2], 2.0 * jnp.pi))
+        return pose.at[2].set(wrap_to_2pi(pose[2]))

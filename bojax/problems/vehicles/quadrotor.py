@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from bojax.motions.base import Pose
+from bojax.numerics.angles import wrap_to_2pi
 from bojax.problems.vehicles.base import Ride
 from bojax.problems.vehicles.simulated import SimulatedBody, SimulatedVehicle, planar
 from bojax.robots.flight import Airframe, control, way
@@ -100,7 +101,7 @@ class Quadrotor(SimulatedVehicle):
         flown = jnp.concatenate([flown, state.qpos[None]])
         poses = jax.vmap(planar)(flown)
         readings = poses + errors[:, jnp.asarray([0, 1, 3])]
-        reading = readings[-1].at[2].set(jnp.mod(readings[-1, 2], 2.0 * jnp.pi))
+        reading = readings[-1].at[2].set(wrap_to_2pi(readings[-1, 2]))
         dtype = path.dtype
         return Ride(
             body=SimulatedBody(state, reading.astype(dtype)),

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
 from bojax.motions.base import Pose
+from bojax.numerics.angles import wrap_to_2pi
 from bojax.problems.vehicles.base import Vehicle
 from bojax.robots.quaternions import turned, yaw_of
 from bojax.robots.simulator import Physics, RobotState, Simulator
@@ -68,4 +69,4 @@ class SimulatedVehicle(Vehicle):
 
 def planar(qpos: Float[Array, "Q"]) -> Float[Array, "3"]:
     """Position in metres and heading in rad, in [0, 2 pi), of a robot with a free joint."""
-    return jnp.concatenate([qpos[:2], jnp.mod(yaw_of(qpos[3:7]), 2.0 * jnp.pi)[None]])
+    return jnp.concatenate([qpos[:2], wrap_to_2pi(yaw_of(qpos[3:7]))[None]])
