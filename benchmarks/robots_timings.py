@@ -12,7 +12,8 @@ from peers import installed
 from timing import Row, median_seconds, on_gpu, print_rows, time_runs, write_record
 
 from bojax.engine.build import build
-from bojax.envs.robots.settings import Hopper, Jaco, LunarLander, Reacher
+from bojax.envs.robots.settings import Hopper, Jaco, Reacher
+from bojax.envs.settings import LunarLander
 from bojax.robots.models import mujoco, packaged
 from bojax.robots.settings import MJX
 from bojax.robots.simulator import Simulator

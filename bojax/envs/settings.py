@@ -164,6 +164,31 @@ class Chain(Environment, frozen=True):
         return self
 
 
+class LunarLander(ControlTask, frozen=True):
+    """Land on a pad between hills (thesis, p. 107; Gym's LunarLander, continuous)."""
+
+    target: ClassVar[str] = "bojax.envs.lunar_lander:LunarLander"
+
+    kind: Literal["lunar-lander"] = "lunar-lander"
+    goal_distance: float = Field(
+        default=0.05, gt=0, description="distance to the pad's centre at the goal, in units of observations"
+    )
+    gravity: float = Field(default=10.0, ge=0, description="gravity, m/s^2")
+    main_power: float = Field(
+        default=13.0, ge=0, description="impulse of the main engine, N s, for each metre to the hull's origin"
+    )
+    side_power: float = Field(default=0.6, ge=0, description="the same of the side engines")
+    dispersion: float = Field(
+        default=1.0, ge=0, description="scale of the noise of the engines' impulses; 1 in Gym"
+    )
+    max_push: float = Field(
+        default=1000.0, ge=0, description="bound on the force of the first step, in either direction, N"
+    )
+    max_speed: float = Field(
+        default=1000.0, gt=0, description="speed, m/s or rad/s, beyond which a simulation has diverged"
+    )
+
+
 Bounds = float | Annotated[tuple[float, ...], Field(strict=False, min_length=1)]
 """One number, or one for each component."""
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bojax.config import envs
 from bojax.engine.build import build
-from bojax.robots import lander_body
-from bojax.robots.lander import LanderState, drifted, hull_touches, smoothed, thrown
+from bojax.envs import lander_dynamics, lander_geometry
+from bojax.envs import settings as envs
+from bojax.envs.lander_dynamics import LanderState, hull_touches_ground, smooth_terrain
 
 pytest.importorskip("Box2D")
 
@@ -31,8 +31,8 @@ def gym():
 @eqx.filter_jit
 def start(env, heights, push):
     """The first state, with heights and force as shares of their ranges."""
-    heights, push = 0.5 * lander_body.HEIGHT * heights, env.max_push * (2.0 * push - 1.0)
-    return drifted(thrown(push, smoothed(heights)), env.gravity)
+    heights, push = 0.5 * lander_geometry.HEIGHT * heights, env.max_push * (2.0 * push - 1.0)
+    return lander_dynamics.step(lander_dynamics.reset(push, smooth_terrain(heights)), env.gravity)
 
 
 @eqx.filter_jit
@@ -76,8 +76,8 @@ def flights(gym, env, num, seed=0):
 
 def standing(terrain, dtype="float64", x=10.0, height=0.6, angle=0.0, velocity=(0.0, 0.0), legs=(0.4, 0.4)):
     """A lander with the hull's origin so high above the pad; on its legs it is 0.624 m high."""
-    centre = np.array([0.0, lander_body.lander(lander_body.LEG_REST).centre[1]])
-    position = np.array([x, lander_body.PAD_HEIGHT + height]) + rotation(angle) @ centre
+    centre = np.array([0.0, lander_geometry.lander(lander_geometry.LEG_REST).centre[1]])
+    position = np.array([x, lander_geometry.PAD_HEIGHT + height]) + rotation(angle) @ centre
     numbers = [jnp.asarray(given, dtype) for given in (position, angle, velocity, 0.0, legs)]
     return LanderState(*numbers, jnp.zeros(2, bool), jnp.zeros((), jnp.int32), jnp.asarray(terrain, dtype))
 
@@ -115,14 +115,14 @@ def test_masses_are_those_of_box2d(gym):
     gym.reset()
     hull, right, left = gym.bodies
     for (mass, _, inertia), ours in (
-        (hull, lander_body.hull()),
-        (right, lander_body.polygon(lander_body.LEG, 1.0)),
-        (left, lander_body.polygon(lander_body.LEG, 1.0)),
+        (hull, lander_geometry.hull()),
+        (right, lander_geometry.polygon(lander_geometry.LEG, 1.0)),
+        (left, lander_geometry.polygon(lander_geometry.LEG, 1.0)),
     ):
         np.testing.assert_allclose((mass, inertia), (ours.mass, ours.inertia), rtol=1e-6)
     origin, angle = np.array(gym.env.lander.position), gym.env.lander.angle
-    parts = [lander_body.Mass(m, rotation(-angle) @ (c - origin), i) for m, c, i in gym.bodies]
-    together, ours = lander_body.joined(parts), lander_body.lander(float(gym.legs.mean()))
+    parts = [lander_geometry.Mass(m, rotation(-angle) @ (c - origin), i) for m, c, i in gym.bodies]
+    together, ours = lander_geometry.combined(parts), lander_geometry.lander(float(gym.legs.mean()))
     np.testing.assert_allclose(together.centre, ours.centre, atol=1e-4)
     np.testing.assert_allclose((together.mass, together.inertia), (ours.mass, ours.inertia), rtol=1e-4)
 
@@ -140,13 +140,13 @@ def test_an_episode_begins_as_in_gymnasium(gym):
 def test_starts_are_drawn_as_in_gymnasium():
     env = build(CLASSIC)
     states = resets(env, jax.random.split(jax.random.key(2), 1000))
-    fastest = 20.0 / lander_body.lander(0.4).mass
+    fastest = 20.0 / lander_geometry.lander(0.4).mass
     drawn = (np.asarray(states.velocity) + [0.0, 0.2]) / fastest
     for column in drawn.T:
         assert stats.kstest(column, "uniform", args=(-1.0, 2.0)).pvalue > 1e-3
     terrain = np.asarray(states.terrain)
-    np.testing.assert_allclose(terrain[:, 4:7], lander_body.PAD_HEIGHT, rtol=1e-12)
-    rough = terrain[:, [0, 1, 2, 8, 9]] / (0.33 * lander_body.HEIGHT)
+    np.testing.assert_allclose(terrain[:, 4:7], lander_geometry.PAD_HEIGHT, rtol=1e-12)
+    rough = terrain[:, [0, 1, 2, 8, 9]] / (0.33 * lander_geometry.HEIGHT)
     assert np.all(rough > 0.0) and np.all(rough < 1.5) and np.all(np.std(rough, axis=0) > 0.1)
     columns = np.concatenate([drawn, rough[:, [0, 4]]], axis=1).T
     assert np.abs(np.corrcoef(columns) - np.eye(4)).max() < 0.11
@@ -265,7 +265,7 @@ def test_episodes_end_and_pay_as_in_gymnasium(gym, kind):
 @pytest.mark.parametrize("dtype", ["float64", "float32"])
 def test_it_stays_where_it_stands(dtype):
     env = build(CLASSIC, dtype)
-    terrain = np.full(11, lander_body.PAD_HEIGHT)
+    terrain = np.full(11, lander_geometry.PAD_HEIGHT)
     state = standing(terrain, dtype, height=0.63)
     keys = jax.random.split(jax.random.key(0), NUM_STEPS)
     _, transition = rollout(env, state, keys, jnp.tile(jnp.asarray(OFF, dtype), (NUM_STEPS, 1)))
@@ -279,7 +279,7 @@ def test_it_stays_where_it_stands(dtype):
 
 def outcome(schema, **settings):
     """What one step without engines leads to."""
-    terrain = np.full(11, lander_body.PAD_HEIGHT)
+    terrain = np.full(11, lander_geometry.PAD_HEIGHT)
     states = jax.tree.map(lambda x: x[None], standing(terrain, **settings))
     actions = jnp.asarray([OFF])
     _, transition = steps(build(schema), jax.random.split(jax.random.key(0), 1), states, actions)
@@ -334,10 +334,10 @@ def test_the_hull_touches_where_ground_is_within_it():
     angles = rng.uniform(-np.pi, np.pi, 300)
     across = np.linspace(0.0, 20.0, 10_001)
     knots = np.linspace(0.0, 20.0, 11)
-    centre = np.array([0.0, lander_body.lander(0.4).centre[1]])
+    centre = np.array([0.0, lander_geometry.lander(0.4).centre[1]])
     margins = []
     for terrain, place, angle in zip(terrains, places, angles, strict=True):
-        corners = place + lander_body.HULL @ rotation(angle).T
+        corners = place + lander_geometry.HULL @ rotation(angle).T
         edges = np.roll(corners, -1, axis=0) - corners
         edges /= np.linalg.norm(edges, axis=1, keepdims=True)
         ground = np.stack([across, np.interp(across, knots, terrain)], axis=1)
@@ -348,7 +348,7 @@ def test_the_hull_touches_where_ground_is_within_it():
     margins = np.array(margins)
     position = places + np.stack([rotation(a) @ centre for a in angles])
     zero = jnp.zeros(300)
-    states = LanderState(
+    states = jax.vmap(LanderState)(
         jnp.asarray(position),
         jnp.asarray(angles),
         jnp.zeros((300, 2)),
@@ -358,7 +358,7 @@ def test_the_hull_touches_where_ground_is_within_it():
         jnp.zeros(300, jnp.int32),
         jnp.asarray(terrains),
     )
-    touches = np.asarray(jax.jit(jax.vmap(hull_touches))(states))
+    touches = np.asarray(jax.jit(jax.vmap(hull_touches_ground))(states))
     clear = np.abs(margins) > 0.06  # the skins of hull and ground
     np.testing.assert_array_equal(touches[clear], margins[clear] > 0.0)
     assert 50 < touches[clear].sum() < 250
@@ -372,7 +372,7 @@ def test_a_state_that_no_body_can_be_in_pays_nan():
 
 def test_noise_is_new_in_every_step_and_can_be_left_out():
     num, full = LANES, jnp.asarray([1.0, 1.0])
-    terrain = np.full(11, lander_body.PAD_HEIGHT)
+    terrain = np.full(11, lander_geometry.PAD_HEIGHT)
     states = jax.tree.map(lambda x: jnp.stack([x] * num), standing(terrain, height=6.0))
     keys = jax.random.split(jax.random.key(4), num)
 

@@ -5,8 +5,8 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse, Polygon
 from numpy.typing import NDArray
 
+from bojax.envs import lander_geometry as geometry
 from bojax.report.animations.base import GOAL, GROUND, METAL, Moment, Scene, Settings, Trail, stage
-from bojax.robots import lander_body as body
 
 _HULL, _MOON, _FLAME = "#8296A6", "#ECEFF1", "#E69F00"
 
@@ -15,16 +15,16 @@ class LunarLander(Scene):
     """The hull on its legs, and flames where an engine is on; the goal is for the point amid the hull."""
 
     keys = ("goal_distance",)
-    time_step = body.TIME_STEP
+    time_step = geometry.TIME_STEP
 
     def __init__(self, axes: Axes, env: Settings):
-        stage(axes, (-0.3, body.WIDTH + 0.3), (0.0, 1.12 * body.HEIGHT))
-        across, up = (2.0 * float(env["goal_distance"]) * unit for unit in body.UNITS)
-        axes.add_patch(Ellipse(body.ORIGIN, across, up, color=GOAL, zorder=2))
-        self._across = np.linspace(0.0, body.WIDTH, body.NUM_HEIGHTS)
+        stage(axes, (-0.3, geometry.WIDTH + 0.3), (0.0, 1.12 * geometry.HEIGHT))
+        across, up = (2.0 * float(env["goal_distance"]) * unit for unit in geometry.UNITS)
+        axes.add_patch(Ellipse(geometry.ORIGIN, across, up, color=GOAL, zorder=2))
+        self._across = np.linspace(0.0, geometry.WIDTH, geometry.NUM_HEIGHTS)
         self._moon = _patch(axes, _MOON, GROUND, zorder=0)
-        pad = self._across[list(body.PAD)]
-        axes.plot(pad, np.full(len(pad), body.PAD_HEIGHT), color="#009E73", linewidth=3.0, zorder=1)
+        pad = self._across[list(geometry.PAD)]
+        axes.plot(pad, np.full(len(pad), geometry.PAD_HEIGHT), color="#009E73", linewidth=3.0, zorder=1)
         self._trail = Trail(axes)
         self._flames = [_patch(axes, _FLAME, "none", zorder=3) for _ in range(3)]
         self._legs = [_patch(axes, "white", METAL, zorder=4) for _ in range(2)]
@@ -32,31 +32,31 @@ class LunarLander(Scene):
 
     def move(self, moment: Moment) -> None:
         """See `Scene`."""
-        origin = np.asarray(body.ORIGIN) + moment.observation[:2] * body.UNITS
+        origin = np.asarray(geometry.ORIGIN) + moment.observation[:2] * geometry.UNITS
         angle = float(moment.observation[4])
         legs, terrain = moment.frame[:2], moment.frame[2:]
         self._trail.add(*origin.tolist())
         ground = np.stack([self._across, terrain], axis=1)
-        self._moon.set_xy(np.concatenate([ground, [[body.WIDTH, -1.0], [0.0, -1.0]]]))
-        self._hull.set_xy(origin + body.rotated(body.HULL, angle))
+        self._moon.set_xy(np.concatenate([ground, [[geometry.WIDTH, -1.0], [0.0, -1.0]]]))
+        self._hull.set_xy(origin + geometry.rotated(geometry.HULL, angle))
         for leg, side, opened in zip(self._legs, (1.0, -1.0), legs, strict=True):
-            at_rest = body.rotated(body.LEG_CENTRE + body.LEG, opened + body.LEG_FOLDED)
-            leg.set_xy(origin + body.rotated(at_rest * [side, 1.0], angle))
+            at_rest = geometry.rotated(geometry.LEG_CENTRE + geometry.LEG, opened + geometry.LEG_FOLDED)
+            leg.set_xy(origin + geometry.rotated(at_rest * [side, 1.0], angle))
         for flame, shape in zip(self._flames, _flames(*moment.action.tolist()), strict=True):
-            flame.set_xy(origin + body.rotated(shape, angle))
+            flame.set_xy(origin + geometry.rotated(shape, angle))
 
 
 def _flames(main: float, side: float) -> list[NDArray[np.float64]]:
     """Triangles around the hull, as long as the engines' powers: below, to the left, to the right."""
     below = 0.5 * (1.0 + main) if main > 0.0 else 0.0
     left, right = (max(0.0, power) if abs(side) > 0.5 else 0.0 for power in (side, -side))
-    bottom, height = body.HULL[:, 1].min(), body.SIDE_ENGINE[2]
+    bottom, height = geometry.HULL[:, 1].min(), geometry.SIDE_ENGINE[2]
     triangle = np.array([[-1.0, 0.0], [1.0, 0.0], [0.0, -1.0]])
     return [
         triangle * [0.25 * bool(below), 1.3 * below] + [0.0, bottom],
         *(
             triangle[:, ::-1] * [sign * 0.9 * power, 0.12 * bool(power)]
-            + [-sign * body.SIDE_ENGINE[0], height]
+            + [-sign * geometry.SIDE_ENGINE[0], height]
             for sign, power in ((1.0, left), (-1.0, right))
         ),
     ]

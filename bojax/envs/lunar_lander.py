@@ -7,36 +7,39 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 
+from bojax.envs import lander_dynamics as dynamics
+from bojax.envs import lander_geometry as geometry
 from bojax.envs.control import ControlTask
+from bojax.envs.lander_dynamics import LanderState
 from bojax.envs.spaces import Box
-from bojax.robots import lander_body as body
-from bojax.robots.lander import LanderState, drifted, engines, hull_touches, smoothed, thrown
 
-_REST_STEPS = 25  # half a second, after which Box2D puts a body to sleep
+_REST_STEPS = 25  # Box2D puts a body to sleep after half a second at rest
 
 
 class LunarLander(ControlTask):
-    """A lander with a main engine below and engines at its sides; physics are those of `bojax.robots.lander`.
+    """Land on a pad with a main engine below the hull and engines at its sides.
 
-    The goal is a distance below `goal_distance` between lander and pad, in the units of the observation
-    (p. 107): 0.05 is 0.5 m to the sides and 0.33 m up. Standing on the pad's centre is within. Speed does not
-    matter. The failure is to crash, the hull on the ground, or to leave the world to a side. There is no
-    ceiling.
+    The dynamics are those of `bojax.envs.lander_dynamics`. The goal is a distance from the pad below
+    `goal_distance`, in units of the observation (p. 107): 0.05 is 0.5 m horizontally and 0.33 m vertically.
+    Standing on the centre of the pad reaches the goal. The goal has no condition on speed. An episode fails
+    if the hull touches the ground or the lander leaves the world sideways. There is no ceiling.
 
-    The classic reward is Gym's: the gain in -100 (distance + speed + |angle|) + 10 for each leg on the
-    ground, less 0.3 times the main and 0.03 times the side engine's power; -100 at the failure, 100 once it
-    has come to rest anywhere, both of which end it.
+    The classic reward is Gym's: the increase of -100 (distance + speed + |angle|) + 10 for each leg on the
+    ground, minus 0.3 times the power of the main engine and 0.03 times that of the side engines. A failure
+    pays -100 and coming to rest anywhere pays 100; both end the episode.
 
-    It begins as in Gym: at the top, with a push, over a rough terrain that is new in every episode.
+    As in Gym, an episode starts at the top of the world with a random force on the hull, over a rough terrain
+    drawn for each episode.
 
     Attributes:
-        goal_distance: In units of the observation.
-        gravity: In m/s^2.
+        goal_distance: Distance from the pad within which the goal is reached, in units of the observation.
+        gravity: Gravity in m/s^2.
         main_power: Impulse of the main engine at full power, in N s for each metre between it and the origin.
-        side_power: The same of the side engines.
-        dispersion: Scale of the noise on direction and strength of an engine's impulse; 1 in Gym, 0 for none.
-        max_push: Bound on the force of the first step, in either direction, in N.
-        max_speed: Speed, in m/s, or spin, in rad/s, beyond which a simulation counts as diverged.
+        side_power: Impulse of the side engines at full power, in the same unit.
+        dispersion: Scale of the noise on direction and magnitude of an engine's impulse; 1 in Gym, 0 for
+            none.
+        max_push: Bound on each component of the initial force, in N.
+        max_speed: Speed in m/s, or spin in rad/s, above which a simulation counts as diverged.
         max_steps: See `Env`.
         reward: See `ControlTask`.
     """
@@ -53,9 +56,9 @@ class LunarLander(ControlTask):
 
     @property
     def observation_space(self) -> Box:
-        """Place from the pad and velocity, to the right and up; angle and spin; and whether each leg stands.
+        """Position relative to the pad, velocity, angle, spin, and ground contact of the right and left leg.
 
-        In Gym's units: 10 m, 6.67 m, 5 m/s, 7.5 m/s, 1 rad, 2.5 rad/s. The bounds are those of the author's
+        Units are Gym's: 10 m, 6.67 m, 5 m/s, 7.5 m/s, 1 rad, 2.5 rad/s. The bounds are those of the author's
         code.
         """
         low = jnp.asarray([-1.2, -0.2, -3.3, -2.8, -3.4, -4.0, 0.0, 0.0], self.gravity.dtype)
@@ -63,10 +66,10 @@ class LunarLander(ControlTask):
 
     @property
     def action_space(self) -> Box:
-        """Main and side engine.
+        """Commands of the main engine and of the side engines.
 
-        The main one is off below 0, and from there on has half its power to all of it; the side ones are off
-        within 0.5 of 0, and a positive number pushes to the right.
+        The main engine is off below 0; commands from 0 to 1 give half to full power. The side engines are off
+        between -0.5 and 0.5; a positive command pushes to the right.
         """
         one = jnp.ones((2,), self.gravity.dtype)
         return Box(-one, one)
@@ -75,30 +78,32 @@ class LunarLander(ControlTask):
         """See `Env`."""
         key_heights, key_push = jax.random.split(key)
         dtype = self.gravity.dtype
-        heights = jax.random.uniform(key_heights, (body.NUM_HEIGHTS + 1,), dtype, 0.0, 0.5 * body.HEIGHT)
+        heights = jax.random.uniform(
+            key_heights, (geometry.NUM_HEIGHTS + 1,), dtype, 0.0, 0.5 * geometry.HEIGHT
+        )
         push = self.max_push * jax.random.uniform(key_push, (2,), dtype, -1.0, 1.0)
-        return drifted(thrown(push, smoothed(heights)), self.gravity)
+        return dynamics.step(dynamics.reset(push, dynamics.smooth_terrain(heights)), self.gravity)
 
     def observe(self, state: LanderState) -> Float[Array, "8"]:
         """See `observation_space`."""
         x, y = state.origin
         horizontal, vertical = state.hull_velocity
         numbers = [
-            (x - body.ORIGIN[0]) / body.UNITS[0],
-            (y - body.ORIGIN[1]) / body.UNITS[1],
-            horizontal * body.UNITS[0] * body.TIME_STEP,
-            vertical * body.UNITS[1] * body.TIME_STEP,
+            (x - geometry.ORIGIN[0]) / geometry.UNITS[0],
+            (y - geometry.ORIGIN[1]) / geometry.UNITS[1],
+            horizontal * geometry.UNITS[0] * geometry.TIME_STEP,
+            vertical * geometry.UNITS[1] * geometry.TIME_STEP,
             state.angle,
-            state.spin * 20.0 * body.TIME_STEP,
+            state.spin * 20.0 * geometry.TIME_STEP,
         ]
         return jnp.concatenate([jnp.stack(numbers), state.contacts.astype(x.dtype)])
 
     def advance(self, key: Key[Array, ""], state: LanderState, action: Float[Array, "2"]) -> LanderState:
-        """The engines' impulses, then a step of the physics."""
+        """The state after the impulses of the engines and one step of the dynamics."""
         noise = self.dispersion * jax.random.uniform(key, (2,), self.gravity.dtype, -1.0, 1.0)
         main, side = _powers(action)
-        kicked = engines(state, self.main_power * main, self.side_power * side, noise)
-        return drifted(kicked, self.gravity)
+        fired = dynamics.apply_engines(state, self.main_power * main, self.side_power * side, noise)
+        return dynamics.step(fired, self.gravity)
 
     def is_goal(self, state: LanderState) -> Bool[Array, ""]:
         """See the class."""
@@ -107,7 +112,7 @@ class LunarLander(ControlTask):
 
     def is_failure(self, state: LanderState) -> Bool[Array, ""]:
         """See the class."""
-        return hull_touches(state) | (jnp.abs(self.observe(state)[0]) >= 1.0)
+        return dynamics.hull_touches_ground(state) | (jnp.abs(self.observe(state)[0]) >= 1.0)
 
     def has_diverged(self, state: LanderState) -> Bool[Array, ""]:
         """See `ControlTask`."""
@@ -132,7 +137,7 @@ class LunarLander(ControlTask):
         return jnp.where(is_still, jnp.full_like(paid, 100.0), paid), failure | is_still
 
     def frame(self, state: LanderState) -> Float[Array, "13"]:
-        """Angles of the legs, and the terrain."""
+        """Joint angles of the legs, and the heights of the terrain."""
         return jnp.concatenate([state.legs, state.terrain])
 
     def _shaping(self, state: LanderState) -> Float[Array, ""]:
@@ -142,7 +147,7 @@ class LunarLander(ControlTask):
 
 
 def _powers(action: Float[Array, "2"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Powers of the main engine and of the side ones, from -1 to 1, outside the dead zones."""
+    """Signed powers of the main and the side engines in [-1, 1]; 0 within the dead zones."""
     main, side = action
     off = jnp.zeros_like(main)
     return jnp.where(main > 0.0, 0.5 * (1.0 + main), off), jnp.where(jnp.abs(side) > 0.5, side, off)
