@@ -158,7 +158,7 @@ def _figures() -> Iterator[Finding]:
 def _films() -> Iterator[Finding]:
     from matplotlib.animation import FFMpegWriter
 
-    from bojax.robots.rendering import BACKENDS, CannotDraw, backend
+    from bojax.report.animations.rendering import BACKENDS, CannotDraw, backend
 
     has_ffmpeg = FFMpegWriter.isAvailable()
     yield Finding("ok" if has_ffmpeg else "note", "GIF and MP4" if has_ffmpeg else "GIF; with ffmpeg MP4 too")

@@ -1,12 +1,9 @@
-"""The model of the wheeled robot, its measures, and the place where it parks, to be drawn."""
+"""The MuJoCo model of the wheeled robot, and the parameters that its controller reads from it."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from math import tan
-from typing import Any
 
-from bojax.robots.models import MjModel, RobotModel, mujoco, packaged
-from bojax.robots.surroundings import domain_of, furnish
+from bojax.robots.models import MjModel, RobotModel, packaged
 
 
 def car_model() -> RobotModel:
@@ -47,26 +44,3 @@ def measures_of(model: MjModel) -> Measures:
         max_angle=float(model.actuator("steer_left").ctrlrange[1]),
         full_speed=float(radius * drive.gainprm[0] / -drive.biasprm[2]),
     )
-
-
-def scene_of(problem: Mapping[str, Any]) -> RobotModel:
-    """The robot on a floor as large as the domain, with its walls, and the lot if it has to park.
-
-    A camera named `side` goes along with the robot, which is small beside most domains.
-
-    Args:
-        problem: The settings of the problem, from a manifest.
-    """
-    spec = car_model().spec()
-    x_min, y_min, x_max, y_max = domain_of(problem)
-    floor = spec.geom("floor")
-    floor.pos = [0.5 * (x_min + x_max), 0.5 * (y_min + y_max), 0.0]
-    floor.size = [0.5 * (x_max - x_min), 0.5 * (y_max - y_min), 0.1]
-    spec.body("chassis").add_camera(
-        name="side",
-        mode=mujoco.mjtCamLight.mjCAMLIGHT_TRACK,
-        pos=[0.05, -1.02, 1.36],
-        xyaxes=[1.0, 0.0, 0.0, 0.0, 0.8, 0.6],
-    )
-    furnish(spec, problem)
-    return RobotModel(spec.to_xml())

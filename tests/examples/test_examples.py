@@ -75,7 +75,7 @@ def test_a_command_of_the_pages_runs(words, tmp_path):
 
 def _render(folder, model) -> None:
     """A robot of one's own can be watched, where this machine can draw."""
-    from bojax.robots.rendering import CannotDraw, backend
+    from bojax.report.animations.rendering import CannotDraw, backend
 
     try:
         backend()

@@ -17,7 +17,8 @@ from bojax.motions.settings import KernelTrajectories, Splines
 from bojax.problems.settings import RobotParking
 from bojax.problems.vehicles.settings import WheeledRobot
 from bojax.problems.vehicles.wheeled_robot import FRAME_EVERY
-from bojax.robots.car import car_model, measures_of, scene_of
+from bojax.report.animations.robot_worlds import car_world
+from bojax.robots.car import car_model, measures_of
 from tests.compiling import REPEATABLY
 from tests.reference import pure_pursuit as reference
 
@@ -246,11 +247,11 @@ def test_a_plan_is_made_from_where_the_robot_takes_itself_to_be():
 
 
 def test_the_parking_place_can_be_drawn():
-    model = scene_of(RobotParking(half_width=2.0, distance_tolerance=0.3).model_dump()).compiled()
+    model = car_world(RobotParking(half_width=2.0, distance_tolerance=0.3).model_dump()).compiled()
     assert model.nq == MODEL.nq and model.camera("overview") is not None
     np.testing.assert_allclose(model.geom("floor").size[:2], 2.0)
-    assert model.geom("lot").size[0] == pytest.approx(0.3)
-    field = scene_of({"domain": (0.0, 1.0, 6.0, 5.0)}).compiled()
+    assert model.geom("parking_spot").size[0] == pytest.approx(0.3)
+    field = car_world({"domain": (0.0, 1.0, 6.0, 5.0)}).compiled()
     np.testing.assert_allclose(field.geom("floor").pos, [3.0, 3.0, 0.0])
     np.testing.assert_allclose(field.geom("floor").size[:2], [3.0, 2.0])
 

@@ -164,7 +164,7 @@ def test_where_no_run_was_recorded_this_is_told(tmp_path, capsys):
 def rendering():
     """MuJoCo's drawing, where this machine can."""
     pytest.importorskip("mujoco")
-    from bojax.robots import rendering
+    from bojax.report.animations import rendering
 
     try:
         rendering.backend()
@@ -296,7 +296,7 @@ class TestWithoutAScreen:
     def works(self, monkeypatch):
         """Let only these ways work, and note which were tried."""
         pytest.importorskip("mujoco")
-        from bojax.robots import rendering
+        from bojax.report.animations import rendering
 
         def install(*names):
             tried = []
@@ -309,7 +309,7 @@ class TestWithoutAScreen:
         rendering._working.cache_clear()
 
     def test_osmesa_where_egl_fails(self, works, monkeypatch):
-        from bojax.robots.rendering import backend
+        from bojax.report.animations.rendering import backend
 
         monkeypatch.delenv("MUJOCO_GL", raising=False)
         tried = works("osmesa")
@@ -342,7 +342,7 @@ class TestWithoutAScreen:
 
     def test_a_probe_that_fails_is_no_way(self, monkeypatch):
         pytest.importorskip("mujoco")
-        from bojax.robots.rendering import _works
+        from bojax.report.animations.rendering import _works
 
         assert not _works("no-such-thing")
 

@@ -123,7 +123,7 @@ def frames_of(num_steps: int) -> NDArray[np.int64]:
 
 def _robot_of(env: Settings, path: Path | None) -> "RobotModel | None":
     from bojax.report.animations.robot import from_file, known
-    from bojax.robots.scenes import ENVS
+    from bojax.report.animations.robot_worlds import ENVS
 
     return known(ENVS, str(env["kind"]), "env", env) if path is None else from_file(path)
 

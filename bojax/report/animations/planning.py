@@ -250,13 +250,13 @@ def _is_free(model: "RobotModel") -> bool:
 
 def _robot_of(drive: Drive, path: Path | None) -> "RobotModel":
     from bojax.report.animations.robot import from_file, known
-    from bojax.robots.scenes import VEHICLES
+    from bojax.report.animations.robot_worlds import VEHICLES
 
     if path is not None:
         return from_file(path)
     problem = drive.point.problem
     kind = str(problem["vehicle"]["kind"])
-    model = known(VEHICLES, kind, "problem", problem)
+    model = known(VEHICLES, kind, "problem", problem, drive.belief.get("truth"))
     if model is None:
         raise ResultsError(f"nothing known how to draw {kind}: give its MJCF by --model FILE")
     return model

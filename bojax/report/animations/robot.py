@@ -2,16 +2,17 @@
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from bojax.report.animations.base import Moment, Scene, Settings
+from bojax.report.animations.rendering import Renderer
 from bojax.results.store import ResultsError
 from bojax.robots import models
 from bojax.robots.models import RobotModel
-from bojax.robots.rendering import Renderer
 
 
 class RobotScene(Scene):
@@ -44,15 +45,16 @@ class RobotScene(Scene):
 
 
 def known(
-    makers: Mapping[str, Callable[[Settings], RobotModel]], kind: str, part: str, settings: Settings
+    makers: Mapping[str, Callable[..., RobotModel]], kind: str, part: str, settings: Settings, *arguments: Any
 ) -> RobotModel | None:
-    """The model of this kind, if there is one.
+    """The model of an environment or vehicle of this kind; None if the kind is not among `makers`.
 
     Args:
-        makers: By kind, what makes them of settings.
-        kind: Of the environment or of the vehicle.
-        part: Where the manifest has the settings.
-        settings: What it has.
+        makers: Functions from settings and `arguments` to a model, by kind.
+        kind: Kind of the environment or of the vehicle.
+        part: Key of the manifest under which the settings are stored.
+        settings: The settings.
+        arguments: Further arguments of the function.
 
     Raises:
         ResultsError: A setting is missing, or MuJoCo refuses the model.
@@ -60,7 +62,7 @@ def known(
     if kind not in makers:
         return None
     try:
-        return _accepted(makers[kind](settings))
+        return _accepted(makers[kind](settings, *arguments))
     except KeyError as error:
         raise ResultsError(
             f"manifest.json: {part}: no {error.args[0]}, which drawing {kind} needs"
