@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from brax.envs.wrappers import training
 
-from bojax.config import envs
 from bojax.config.errors import ConfigError
 from bojax.engine.build import build
+from bojax.envs import settings as envs
 from bojax.envs.brax import BojaxEnv, BraxEnv
 from bojax.numerics.third_party import plain_jax
 from tests.envs.test_gymnasium import Walk

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bojax.config import envs
 from bojax.engine.build import build
+from bojax.envs import settings as envs
 
 SCHEMAS = (envs.SinglePendulum, envs.MountainCar, envs.DoublePendulum, envs.CartpoleSwingUp)
 VARIANTS = [

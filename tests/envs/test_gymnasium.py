@@ -10,9 +10,9 @@ import pytest
 from gymnasium import spaces
 from gymnasium.utils.env_checker import check_env
 
-from bojax.config import envs
 from bojax.config.errors import ConfigError
 from bojax.engine.build import build
+from bojax.envs import settings as envs
 from bojax.envs.base import Env, Transition
 from bojax.envs.gymnasium import GymnasiumEnv, Idling
 from bojax.envs.spaces import Box, Discrete

@@ -14,9 +14,9 @@ import pydantic
 import pytest
 from scipy import stats
 
-from bojax.config import envs
 from bojax.config.errors import ConfigError
 from bojax.engine.build import build
+from bojax.envs.robots import settings as envs
 from bojax.envs.robots.reacher import Reacher, fingertip
 from bojax.robots.jaco import jaco_model
 from bojax.robots.models import RobotModel

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bojax.config import motions as settings
 from bojax.config.component import Component
+from bojax.motions import settings
 from bojax.motions.base import DiscreteMotions, Motions
 from bojax.motions.kernel_trajectories import KernelTrajectories
 from bojax.motions.splines import CubicCurves, SplineSet

@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from bojax.cli.main import main
-from bojax.config import envs
 from bojax.config.component import registry
+from bojax.envs import settings as envs
 from bojax.report.animations import SCENES
 from bojax.report.animations.base import Moment
 from bojax.report.animations.choose import choose_film
