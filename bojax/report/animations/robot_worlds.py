@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import RectBivariateSpline
 
 from bojax.report.animations.base import Settings
 from bojax.robots.car import car_model
@@ -19,6 +20,7 @@ WALL_HEIGHT = 0.1
 """Height of walls above the highest ground, in metres; no problem has a setting for it."""
 
 _DEFAULT_DOMAIN = (-5.0, -5.0, 5.0, 5.0)
+_GROUND_POINTS = 81  # least number of points a side, so that hills look smooth
 _BASE = 0.05  # thickness of a height field below its lowest point, in metres
 _NO_CONTACT = {"contype": 0, "conaffinity": 0}
 _MATERIAL_COLOUR = [0.5, 0.5, 0.5, 1.0]  # MuJoCo's default: the colour of the material is shown
@@ -125,6 +127,7 @@ def domain_of(problem: Settings) -> tuple[float, float, float, float]:
 
 
 def _add_height_field(spec: Any, ground: Heights, middle: NDArray, half: NDArray) -> None:
+    ground = _refined(ground)
     bottom = float(np.min(ground))
     rise = max(float(np.max(ground)) - bottom, 1e-6)
     spec.add_hfield(
@@ -143,6 +146,14 @@ def _add_height_field(spec: Any, ground: Heights, middle: NDArray, half: NDArray
         rgba=_MATERIAL_COLOUR,
         **_NO_CONTACT,
     )
+
+
+def _refined(ground: Heights) -> Heights:
+    """Heights on a grid fine enough to look smooth, by bicubic splines."""
+    knots = [np.linspace(0.0, 1.0, size) for size in ground.shape]
+    fine = [np.linspace(0.0, 1.0, max(size, _GROUND_POINTS)) for size in ground.shape]
+    degrees = [min(3, size - 1) for size in ground.shape]
+    return RectBivariateSpline(*knots, ground, kx=degrees[0], ky=degrees[1])(*fine)
 
 
 def _add_surroundings(spec: Any, problem: Settings, lowest: float = 0.0, highest: float = 0.0) -> None:
