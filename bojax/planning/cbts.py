@@ -46,8 +46,20 @@ class NodeModels(eqx.Module):
     has_converged: Bool[Array, "N"]
 
 
-class ActionNote(eqx.Module):
-    """What a node's process remembers of a new action."""
+class CBTSDraws(eqx.Module):
+    """Random numbers of a plan, by iteration.
+
+    Attributes:
+        rollout: Indices of the candidates that the rollout follows.
+        initial: Index of the candidate that a node with fewer than `num_initial` actions tries.
+    """
+
+    rollout: Int[Array, "... H"]
+    initial: Int[Array, "..."]
+
+
+class NodeModelUpdate(eqx.Module):
+    """What a new action adds to the Gaussian process of its node, see `NodeModels`."""
 
     params: Float[Array, "D"]
     row: Float[Array, "A"]
@@ -55,7 +67,7 @@ class ActionNote(eqx.Module):
     has_converged: Bool[Array, ""]
 
 
-class ContinuousBeliefTreeSearch(TreeSearch[NodeModels, ContinuousMotions]):
+class ContinuousBeliefTreeSearch(TreeSearch[NodeModels, CBTSDraws, NodeModelUpdate, ContinuousMotions]):
     """CBTS; with kernel trajectories, kCBTS.
 
     A node with fewer than `max_actions` actions gets a new one, the maximiser of the acquisition under the
@@ -102,7 +114,7 @@ class ContinuousBeliefTreeSearch(TreeSearch[NodeModels, ContinuousMotions]):
         """See `TreeSearch`."""
         return self.max_actions
 
-    def begin(self, key: Key[Array, ""], dtype) -> tuple[NodeModels, dict[str, Array]]:
+    def begin(self, key: Key[Array, ""], dtype) -> tuple[NodeModels, CBTSDraws]:
         """See `TreeSearch`."""
         key_candidates, key_rollout, key_initial = jax.random.split(key, 3)
         candidates = shifted_kronecker(key_candidates, self.num_candidates, self.motions.num_params, dtype)
@@ -116,15 +128,15 @@ class ContinuousBeliefTreeSearch(TreeSearch[NodeModels, ContinuousMotions]):
             has_converged=jnp.zeros((num_nodes,), bool),
         )
         shape = (self.iterations, self.depth - 1)
-        draws = {
-            "rollout": jax.random.randint(key_rollout, shape, 0, self.num_candidates),
-            "initial": jax.random.randint(key_initial, (self.iterations,), 0, self.num_candidates),
-        }
+        draws = CBTSDraws(
+            rollout=jax.random.randint(key_rollout, shape, 0, self.num_candidates),
+            initial=jax.random.randint(key_initial, (self.iterations,), 0, self.num_candidates),
+        )
         return memory, draws
 
-    def rollout(self, memory: NodeModels, draws: dict[str, Array]) -> Float[Array, "H S 3"]:
+    def rollout(self, memory: NodeModels, draws: CBTSDraws) -> Float[Array, "H S 3"]:
         """See `TreeSearch`."""
-        return memory.paths[draws["rollout"]]
+        return memory.paths[draws.rollout]
 
     def select(self, tree: Tree, memory: NodeModels, node: Int[Array, ""]) -> Int[Array, ""]:
         """See `TreeSearch`."""
@@ -134,15 +146,15 @@ class ContinuousBeliefTreeSearch(TreeSearch[NodeModels, ContinuousMotions]):
         return jnp.where(is_full, best_by_uct(tree, node, self.exploration), UNVISITED)
 
     def propose(
-        self, tree: Tree, memory: NodeModels, node: Int[Array, ""], draws: dict[str, Array]
-    ) -> Proposal:
+        self, tree: Tree, memory: NodeModels, node: Int[Array, ""], draws: CBTSDraws
+    ) -> Proposal[NodeModelUpdate]:
         """See `TreeSearch`."""
         model, best = self._model(tree, memory, node)
         is_initial = model.count < self.num_initial
         # UNVISITED is -1: the last row, which no child has, stays zero.
         whitened_all = memory.whitened[tree.children[node]]
         choice = best_candidate(self.acquisition, model, best, memory.candidates, whitened_all)
-        choice = jnp.where(is_initial, draws["initial"], choice)
+        choice = jnp.where(is_initial, draws.initial, choice)
         params, path, whitened = memory.candidates[choice], memory.paths[choice], whitened_all[:, choice]
         if self.refine_steps > 0:
             refined = refine(self.acquisition, model, best, params, self.refine_steps)
@@ -151,27 +163,31 @@ class ContinuousBeliefTreeSearch(TreeSearch[NodeModels, ContinuousMotions]):
         previous = model.x[jnp.maximum(model.count - 1, 0)]
         distance = jnp.sqrt(jnp.sum((params - previous) ** 2))
         row = model.next_row(params, whitened)
-        note = ActionNote(
+        update = NodeModelUpdate(
             params=params,
             row=row,
             whitened=model.next_whitened(params, whitened, row, memory.candidates, whitened_all),
             has_converged=(model.count > 0) & (distance < self.convergence),
         )
-        return Proposal(path=path, slot=model.count, note=note)
+        return Proposal(path=path, index=model.count, update=update)
 
     def learn(
-        self, memory: NodeModels, child: Int[Array, ""], proposal: Proposal, is_new: Bool[Array, ""]
+        self,
+        memory: NodeModels,
+        child: Int[Array, ""],
+        proposal: Proposal[NodeModelUpdate],
+        is_new: Bool[Array, ""],
     ) -> NodeModels:
         """See `TreeSearch`."""
         del is_new
-        note = proposal.note
+        update = proposal.update
         return NodeModels(
             candidates=memory.candidates,
             paths=memory.paths,
-            params=memory.params.at[child].set(note.params),
-            row=memory.row.at[child].set(note.row),
-            whitened=memory.whitened.at[child].set(note.whitened),
-            has_converged=memory.has_converged.at[child].set(note.has_converged),
+            params=memory.params.at[child].set(update.params),
+            row=memory.row.at[child].set(update.row),
+            whitened=memory.whitened.at[child].set(update.whitened),
+            has_converged=memory.has_converged.at[child].set(update.has_converged),
         )
 
     def _model(

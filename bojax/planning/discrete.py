@@ -23,7 +23,19 @@ class DiscreteMemory(eqx.Module):
     action: Int[Array, "N"]
 
 
-class DiscreteTreeSearch(TreeSearch[DiscreteMemory, DiscreteMotions]):
+class DiscreteDraws(eqx.Module):
+    """Random numbers of a plan, by iteration.
+
+    Attributes:
+        rollout: Actions of the rollout.
+        order: Priorities in which untried actions are chosen.
+    """
+
+    rollout: Int[Array, "... H"]
+    order: Float[Array, "... A"]
+
+
+class DiscreteTreeSearch(TreeSearch[DiscreteMemory, DiscreteDraws, None, DiscreteMotions]):
     """Untried actions first, in random order, then the child of the best upper confidence bound.
 
     Attributes:
@@ -47,22 +59,22 @@ class DiscreteTreeSearch(TreeSearch[DiscreteMemory, DiscreteMotions]):
         """See `TreeSearch`."""
         return self.motions.num_actions
 
-    def begin(self, key: Key[Array, ""], dtype) -> tuple[DiscreteMemory, dict[str, Array]]:
+    def begin(self, key: Key[Array, ""], dtype) -> tuple[DiscreteMemory, DiscreteDraws]:
         """See `TreeSearch`."""
         key_rollout, key_order = jax.random.split(key)
         shape = (self.iterations, self.depth - 1)
-        draws = {
-            "rollout": jax.random.randint(key_rollout, shape, 0, self.num_actions),
-            "order": jax.random.uniform(key_order, (self.iterations, self.num_actions), dtype),
-        }
+        draws = DiscreteDraws(
+            rollout=jax.random.randint(key_rollout, shape, 0, self.num_actions),
+            order=jax.random.uniform(key_order, (self.iterations, self.num_actions), dtype),
+        )
         memory = DiscreteMemory(
             paths=self.motions.paths(), action=jnp.zeros((self.iterations + 1,), jnp.int32)
         )
         return memory, draws
 
-    def rollout(self, memory: DiscreteMemory, draws: dict[str, Array]) -> Float[Array, "H S 3"]:
+    def rollout(self, memory: DiscreteMemory, draws: DiscreteDraws) -> Float[Array, "H S 3"]:
         """See `TreeSearch`."""
-        return memory.paths[draws["rollout"]]
+        return memory.paths[draws.rollout]
 
     def select(self, tree: Tree, memory: DiscreteMemory, node: Int[Array, ""]) -> Int[Array, ""]:
         """See `TreeSearch`."""
@@ -71,19 +83,19 @@ class DiscreteTreeSearch(TreeSearch[DiscreteMemory, DiscreteMotions]):
         return jnp.where(is_open, UNVISITED, best_by_uct(tree, node, self.exploration))
 
     def propose(
-        self, tree: Tree, memory: DiscreteMemory, node: Int[Array, ""], draws: dict[str, Array]
-    ) -> Proposal:
+        self, tree: Tree, memory: DiscreteMemory, node: Int[Array, ""], draws: DiscreteDraws
+    ) -> Proposal[None]:
         """See `TreeSearch`."""
         is_untried = tree.children[node] == UNVISITED
-        action = jnp.argmax(jnp.where(is_untried, draws["order"], -1.0)).astype(jnp.int32)
-        return Proposal(path=memory.paths[action], slot=action)
+        action = jnp.argmax(jnp.where(is_untried, draws.order, -1.0)).astype(jnp.int32)
+        return Proposal(path=memory.paths[action], index=action, update=None)
 
     def learn(
-        self, memory: DiscreteMemory, child: Int[Array, ""], proposal: Proposal, is_new: Bool[Array, ""]
+        self, memory: DiscreteMemory, child: Int[Array, ""], proposal: Proposal[None], is_new: Bool[Array, ""]
     ) -> DiscreteMemory:
         """See `TreeSearch`."""
         del is_new
-        return DiscreteMemory(memory.paths, memory.action.at[child].set(proposal.slot))
+        return DiscreteMemory(memory.paths, memory.action.at[child].set(proposal.index))
 
     def recommend(self, tree: Tree, memory: DiscreteMemory) -> Int[Array, ""]:
         """See `TreeSearch`."""

@@ -63,7 +63,19 @@ class Walk(eqx.Module):
     most_visited: Int[Array, ""]
 
 
-class StencilNote(eqx.Module):
+class StencilDraws(eqx.Module):
+    """Random numbers of a plan, by iteration.
+
+    Attributes:
+        rollout: Indices of the paths that the rollout follows.
+        order: Priorities in which the unvisited points of a stencil are chosen.
+    """
+
+    rollout: Int[Array, "... H"]
+    order: Float[Array, "... P"]
+
+
+class StencilUpdate(eqx.Module):
     """What a new action changes in the stencils.
 
     Attributes:
@@ -87,7 +99,7 @@ class StencilNote(eqx.Module):
     member: Int[Array, "P"]
 
 
-class PatternSearch(TreeSearch[Stencils, ContinuousMotions]):
+class PatternSearch(TreeSearch[Stencils, StencilDraws, StencilUpdate, ContinuousMotions]):
     """The public ABT toolkit's pattern search, on the belief tree that all planners here share.
 
     At a node, any unvisited point of a stencil is tried first, in random order; otherwise the walk
@@ -136,7 +148,7 @@ class PatternSearch(TreeSearch[Stencils, ContinuousMotions]):
         """Actions that the tree lists for a node, the first ones; the search itself reads the stencils."""
         return self.max_levels * (2 * self.motions.num_params + 1)
 
-    def begin(self, key: Key[Array, ""], dtype) -> tuple[Stencils, dict[str, Array]]:
+    def begin(self, key: Key[Array, ""], dtype) -> tuple[Stencils, StencilDraws]:
         """See `TreeSearch`."""
         key_paths, key_rollout, key_order = jax.random.split(key, 3)
         num_nodes, num_params = self.iterations + 1, self.motions.num_params
@@ -151,17 +163,17 @@ class PatternSearch(TreeSearch[Stencils, ContinuousMotions]):
             finer=nobody,
         )
         shape = (self.iterations, self.depth - 1)
-        draws = {
-            "rollout": jax.random.randint(key_rollout, shape, 0, self.num_rollout_paths),
-            "order": jax.random.uniform(key_order, (self.iterations, num_points), dtype),
-        }
+        draws = StencilDraws(
+            rollout=jax.random.randint(key_rollout, shape, 0, self.num_rollout_paths),
+            order=jax.random.uniform(key_order, (self.iterations, num_points), dtype),
+        )
         return memory, draws
 
-    def rollout(self, memory: Stencils, draws: dict[str, Array]) -> Float[Array, "H S 3"]:
+    def rollout(self, memory: Stencils, draws: StencilDraws) -> Float[Array, "H S 3"]:
         """See `TreeSearch`."""
         if self.heuristic == "zero":
             return memory.paths[:0]
-        return memory.paths[draws["rollout"]]
+        return memory.paths[draws.rollout]
 
     def select(self, tree: Tree, memory: Stencils, node: Int[Array, ""]) -> Int[Array, ""]:
         """See `TreeSearch`."""
@@ -169,8 +181,8 @@ class PatternSearch(TreeSearch[Stencils, ContinuousMotions]):
         return jnp.where(walk.has_unvisited | walk.may_refine, UNVISITED, walk.best_ucb)
 
     def propose(
-        self, tree: Tree, memory: Stencils, node: Int[Array, ""], draws: dict[str, Array]
-    ) -> Proposal:
+        self, tree: Tree, memory: Stencils, node: Int[Array, ""], draws: StencilDraws
+    ) -> Proposal[StencilUpdate]:
         """See `TreeSearch`."""
         walk = self._walk(tree, memory, node)
         centre, radius, member = self._finer(memory, walk.stencil, walk.point)
@@ -179,8 +191,8 @@ class PatternSearch(TreeSearch[Stencils, ContinuousMotions]):
         member = jnp.where(walk.may_refine, member, memory.member[walk.stencil])
         points = _points(centre, radius)
         is_new = _is_inside(points) & (member == UNVISITED)
-        point = jnp.argmax(jnp.where(is_new, draws["order"], -1.0)).astype(jnp.int32)
-        note = StencilNote(
+        point = jnp.argmax(jnp.where(is_new, draws.order, -1.0)).astype(jnp.int32)
+        update = StencilUpdate(
             params=points[point],
             stencil=walk.stencil,
             point=point,
@@ -190,27 +202,31 @@ class PatternSearch(TreeSearch[Stencils, ContinuousMotions]):
             radius=radius,
             member=member,
         )
-        return Proposal(path=self.motions.path(points[point]), slot=tree.num_children(node), note=note)
+        return Proposal(path=self.motions.path(points[point]), index=tree.num_children(node), update=update)
 
     def learn(
-        self, memory: Stencils, child: Int[Array, ""], proposal: Proposal, is_new: Bool[Array, ""]
+        self,
+        memory: Stencils,
+        child: Int[Array, ""],
+        proposal: Proposal[StencilUpdate],
+        is_new: Bool[Array, ""],
     ) -> Stencils:
         """See `TreeSearch`."""
-        note: StencilNote = proposal.note
+        update = proposal.update
         added = memory.params.shape[0] + child
         nowhere = memory.radius.shape[0]
-        into_old = jnp.where(is_new & ~note.is_refinement, note.stencil, nowhere)
-        parent = jnp.where(is_new & note.is_refinement, note.stencil, nowhere)
+        into_old = jnp.where(is_new & ~update.is_refinement, update.stencil, nowhere)
+        parent = jnp.where(is_new & update.is_refinement, update.stencil, nowhere)
         return Stencils(
             paths=memory.paths,
-            params=memory.params.at[child].set(note.params),
-            centre=memory.centre.at[added].set(note.centre),
-            radius=memory.radius.at[added].set(note.radius),
+            params=memory.params.at[child].set(update.params),
+            centre=memory.centre.at[added].set(update.centre),
+            radius=memory.radius.at[added].set(update.radius),
             member=memory.member.at[added]
-            .set(note.member.at[note.point].set(child))
-            .at[into_old, note.point]
+            .set(update.member.at[update.point].set(child))
+            .at[into_old, update.point]
             .set(child, mode="drop"),
-            finer=memory.finer.at[parent, note.refined].set(added, mode="drop"),
+            finer=memory.finer.at[parent, update.refined].set(added, mode="drop"),
         )
 
     def recommend(self, tree: Tree, memory: Stencils) -> Int[Array, ""]:

@@ -1,7 +1,7 @@
-"""Tree search over beliefs: descend, expand, roll out, back up (Algorithms 2 and 4)."""
+"""Tree search in belief space: descend, expand, roll out, back up (Algorithms 2 and 4)."""
 
 import abc
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
 import equinox as eqx
 import jax
@@ -11,43 +11,46 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from bojax.motions.base import Path
 from bojax.planning.base import M, Plan, Planner
 from bojax.planning.tree import ROOT, UNVISITED, Tree
-from bojax.problems.base import Belief, Objective, Problem
+from bojax.problems.base import Belief, Objective, Problem, Root
 
-Memory = TypeVar("Memory")
-"""What a planner keeps of every node to choose actions there: node models, stencils."""
+Memory = TypeVar("Memory", bound=eqx.Module)
+"""What a planner stores for every node to choose actions there: node models, stencils."""
 
-Draws = Any
-"""Random numbers of a plan, drawn at its start: a tree of arrays with a leading axis of iterations."""
+Draws = TypeVar("Draws", bound=eqx.Module)
+"""Random numbers of all iterations, drawn before the first: arrays with a leading axis of iterations."""
+
+Update = TypeVar("Update", bound=eqx.Module | None)
+"""What a new action changes in the memory."""
 
 
-class Proposal(eqx.Module):
+class Proposal(eqx.Module, Generic[Update]):
     """A new action of a node.
 
     Attributes:
-        path: Its path.
-        slot: Its place among the node's actions.
-        note: What `learn` needs to remember it by.
+        path: Path of the action.
+        index: Index of the action among the actions of the node.
+        update: Change of the memory once the action has been simulated.
     """
 
     path: Path
-    slot: Int[Array, ""]
-    note: Any = None
+    index: Int[Array, ""]
+    update: Update
 
 
-class TreeSearch(Planner[M], Generic[Memory, M]):
-    """The search that all tree planners share; a planner says how a node chooses its actions.
+class TreeSearch(Planner[M], Generic[Memory, Draws, Update, M]):
+    """The tree search that all tree planners share; a planner defines how a node chooses its actions.
 
-    One iteration descends from the root while `select` names a child, expands the node where it does not
-    with the action that `propose` makes, plays that action and random ones to the horizon in one call of
-    `Problem.simulate`, and adds to every action on the way its own reward and all that follow (the
-    algorithms print that only the rollout's reward is backed up). Depth counts actions. A node where the
-    episode ended is not expanded.
+    An iteration descends from the root as long as `select` returns a child. At the first node where it does
+    not, the search adds the action of `propose`, simulates that action and a random rollout to the horizon by
+    one call of `Problem.simulate`, and backs up: every action on the way is credited with its own reward and
+    all later ones. (The published algorithms back up the reward of the rollout only.) Depth counts actions.
+    Terminal nodes are not expanded.
 
     Attributes:
-        discount: Discount a step.
-        iterations: Simulations a plan.
+        discount: Discount per step.
+        iterations: Simulations per plan.
         depth: Actions from the root to the horizon.
-        objective: What to maximise, if not the problem's own task.
+        objective: Objective to maximise; None for the problem's own task.
     """
 
     discount: eqx.AbstractVar[Float[Array, ""]]
@@ -58,37 +61,37 @@ class TreeSearch(Planner[M], Generic[Memory, M]):
     @property
     @abc.abstractmethod
     def num_actions(self) -> int:
-        """Most actions A that a node can have."""
+        """Largest number A of actions of a node."""
 
     @abc.abstractmethod
     def begin(self, key: Key[Array, ""], dtype) -> tuple[Memory, Draws]:
-        """The empty memory, and the random numbers of all iterations."""
+        """The initial memory, and the random numbers of all iterations."""
 
     @abc.abstractmethod
     def rollout(self, memory: Memory, draws: Draws) -> Float[Array, "H S 3"]:
-        """Random paths that follow a new action to the horizon, or none; `draws` are of one iteration."""
+        """Paths of the rollout after a new action, possibly none; `draws` are those of one iteration."""
 
     @abc.abstractmethod
     def select(self, tree: Tree, memory: Memory, node: Int[Array, ""]) -> Int[Array, ""]:
-        """The child of `node` to descend to, or `UNVISITED` to ask for a new action there."""
+        """The child of `node` to descend to, or `UNVISITED` to add a new action there."""
 
     @abc.abstractmethod
-    def propose(self, tree: Tree, memory: Memory, node: Int[Array, ""], draws: Draws) -> Proposal:
+    def propose(self, tree: Tree, memory: Memory, node: Int[Array, ""], draws: Draws) -> Proposal[Update]:
         """A new action of `node`."""
 
     @abc.abstractmethod
     def learn(
-        self, memory: Memory, child: Int[Array, ""], proposal: Proposal, is_new: Bool[Array, ""]
+        self, memory: Memory, child: Int[Array, ""], proposal: Proposal[Update], is_new: Bool[Array, ""]
     ) -> Memory:
-        """The memory with the action that leads to `child`.
+        """The memory after the action that leads to `child` has been simulated.
 
-        Unless `is_new` the action was not played: no node refers to `child`, whatever is stored for it,
-        but what is stored for other nodes must not change.
+        If `is_new` is false, the action is discarded: no node refers to `child`, so that any value may be
+        stored for it, but the values of other nodes must not change.
         """
 
     @abc.abstractmethod
     def recommend(self, tree: Tree, memory: Memory) -> Int[Array, ""]:
-        """The child of the root whose action is to be taken."""
+        """The child of the root whose action is executed."""
 
     @abc.abstractmethod
     def path_of(self, memory: Memory, child: Int[Array, ""]) -> Path:
@@ -106,7 +109,7 @@ class TreeSearch(Planner[M], Generic[Memory, M]):
         )
 
     def search(self, key: Key[Array, ""], problem: Problem, belief: Belief) -> tuple[Tree, Memory]:
-        """The tree after all iterations, and what the planner remembers of its nodes."""
+        """The tree and the planner's memory after all iterations."""
         dtype = self.discount.dtype
         key_begin, key_simulate = jax.random.split(key)
         root, root_node = problem.root(belief, self.depth)
@@ -123,11 +126,13 @@ class TreeSearch(Planner[M], Generic[Memory, M]):
         (tree, memory), _ = jax.lax.scan(iterate, (tree, memory), (children, draws, keys))
         return tree, memory
 
-    def _iterate(self, problem, root, tree: Tree, memory, child, draws, key) -> tuple[Tree, Any]:
-        # Descend: the depth is small and fixed, so the loop is unrolled and masked.
+    def _iterate(
+        self, problem: Problem, root: Root, tree: Tree, memory: Memory, child, draws: Draws, key
+    ) -> tuple[Tree, Memory]:
+        # Descend. The depth is small and static: the loop is unrolled and masked.
         node = jnp.asarray(ROOT, jnp.int32)
         is_descending = jnp.asarray(True)
-        visited = []  # (node reached, whether it was) for each level
+        visited = []  # per level: the node, and whether the descent reached it
         for _ in range(self.depth):
             selected = self.select(tree, memory, node)
             is_descending = is_descending & (selected != UNVISITED) & ~tree.is_terminal[node]
@@ -136,7 +141,7 @@ class TreeSearch(Planner[M], Generic[Memory, M]):
         level = sum(reached.astype(jnp.int32) for _, reached in visited)
         is_new = (level < self.depth) & ~tree.is_terminal[node]
 
-        # Expand and roll out in one simulation; what lies past the horizon or an end does not count.
+        # Expand and roll out in one simulation; rewards past the horizon or a terminal state do not count.
         proposal = self.propose(tree, memory, node, draws)
         paths = jnp.concatenate([proposal.path[None], self.rollout(memory, draws)])
         belief = jax.tree.map(lambda leaf: leaf[node], tree.belief)
@@ -149,7 +154,7 @@ class TreeSearch(Planner[M], Generic[Memory, M]):
             rest = jnp.where(ended, 0.0, self.discount * future)
             future = jnp.where(is_within, reward + rest, 0.0)
 
-        # Back up: from the new node, if there is one, through the nodes visited to the root.
+        # Back up from the new node, if there is one, along the nodes visited to the root.
         nodes, gains = [jnp.where(is_new, child, tree.visits.shape[0])], [future]
         gain = jnp.where(is_new, future, 0.0)
         for reached_node, reached in reversed(visited):
@@ -160,13 +165,13 @@ class TreeSearch(Planner[M], Generic[Memory, M]):
         gains.append(gain)
         indices = jnp.stack(nodes)
 
-        slot = jnp.where(is_new, proposal.slot, tree.children.shape[1])
+        index = jnp.where(is_new, proposal.index, tree.children.shape[1])
         tree = Tree(
             belief=jax.tree.map(lambda all, one: all.at[child].set(one), tree.belief, simulation.node),
             is_terminal=tree.is_terminal.at[child].set(simulation.terminated[0]),
             reward=tree.reward.at[child].set(simulation.rewards[0]),
             visits=tree.visits.at[indices].add(1, mode="drop"),
             total_return=tree.total_return.at[indices].add(jnp.stack(gains), mode="drop"),
-            children=tree.children.at[node, slot].set(child, mode="drop"),
+            children=tree.children.at[node, index].set(child, mode="drop"),
         )
         return tree, self.learn(memory, child, proposal, is_new)

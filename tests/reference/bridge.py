@@ -104,12 +104,12 @@ def reference_planner(planner, problem, memory, draws, problem_draws=None) -> mc
         "depth": planner.depth,
         "discount": float(planner.discount),
         "exploration": float(planner.exploration),
-        "rollout_paths": memory.paths[draws["rollout"]],
+        "rollout_paths": memory.paths[draws.rollout],
         "draws": [[None] * planner.depth] * planner.iterations if problem_draws is None else problem_draws,
     }
     match planner:
         case DiscreteTreeSearch():
-            return mcts.DiscreteTreeSearch(paths=memory.paths, order=draws["order"], **settings)
+            return mcts.DiscreteTreeSearch(paths=memory.paths, order=draws.order, **settings)
         case ContinuousBeliefTreeSearch():
             return kcbts.ContinuousBeliefTreeSearch(
                 kernel=reference_kernel(planner.kernel),
@@ -121,7 +121,7 @@ def reference_planner(planner, problem, memory, draws, problem_draws=None) -> mc
                 candidates=memory.candidates,
                 paths=memory.paths,
                 num_initial=planner.num_initial,
-                initial=draws["initial"],
+                initial=draws.initial,
                 **settings,
             )
         case PatternSearch():
@@ -131,7 +131,7 @@ def reference_planner(planner, problem, memory, draws, problem_draws=None) -> mc
             return gps_abt.PatternSearch(
                 motions_path=lambda params: np.asarray(path(params)),
                 num_params=planner.motions.num_params,
-                order=draws["order"],
+                order=draws.order,
                 growth=float(planner.growth),
                 min_visits=float(planner.min_visits),
                 min_radius=float(planner.min_radius),

@@ -150,10 +150,10 @@ def _add_height_field(spec: Any, ground: Heights, middle: NDArray, half: NDArray
 
 def _refined(ground: Heights) -> Heights:
     """Heights on a grid fine enough to look smooth, by bicubic splines."""
-    knots = [np.linspace(0.0, 1.0, size) for size in ground.shape]
-    fine = [np.linspace(0.0, 1.0, max(size, _GROUND_POINTS)) for size in ground.shape]
-    degrees = [min(3, size - 1) for size in ground.shape]
-    return RectBivariateSpline(*knots, ground, kx=degrees[0], ky=degrees[1])(*fine)
+    y, x = (np.linspace(0.0, 1.0, size) for size in ground.shape)
+    fine_y, fine_x = (np.linspace(0.0, 1.0, max(size, _GROUND_POINTS)) for size in ground.shape)
+    spline = RectBivariateSpline(y, x, ground, kx=min(3, len(y) - 1), ky=min(3, len(x) - 1))
+    return spline(fine_y, fine_x)
 
 
 def _add_surroundings(spec: Any, problem: Settings, lowest: float = 0.0, highest: float = 0.0) -> None:
