@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
-from bojax.envs.base import Env, Transition
+from bojax.envs.base import Env, TimeStep
 from bojax.envs.spaces import Box
 
 
@@ -43,7 +43,7 @@ class Puck(Env):
 
     def step(
         self, key: Key[Array, ""], state: Float[Array, "2"], action: Float[Array, "1"]
-    ) -> tuple[Float[Array, "2"], Transition]:
+    ) -> tuple[Float[Array, "2"], TimeStep]:
         """The puck bounces off the left end with half its speed; a reward of 1 once it is in the pocket."""
         position, velocity = state
         gained = self.push * jnp.clip(action[0], -1.0, 1.0)
@@ -53,4 +53,4 @@ class Puck(Env):
         after = jnp.stack([jnp.maximum(position + velocity, -1.0), velocity])
         success = after[0] > 1.0
         reward = success.astype(state.dtype)
-        return after, Transition(after, reward, success, jnp.zeros_like(success), success)
+        return after, TimeStep(after, reward, success, jnp.zeros_like(success), success)

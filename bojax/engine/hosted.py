@@ -15,7 +15,7 @@ from jaxtyping import Array, PyTree
 
 from bojax.engine.batch import BY_LANE, SAME, Compiled, Lanes, Status, outcome, total
 from bojax.engine.groups import StaticGroup
-from bojax.envs.base import Transition
+from bojax.envs.base import TimeStep
 from bojax.experiments.base import Carry
 from bojax.experiments.learning import LearningRun
 from bojax.numerics.lanes import LANES
@@ -105,10 +105,10 @@ class Hosted(Compiled):
         observation, _ = self._vector.reset(seed=seeds.tolist())
         return (self._put(observation),)
 
-    def _step(self, action: Array) -> Transition:
+    def _step(self, action: Array) -> TimeStep:
         observation, reward, terminated, truncated, _ = self._vector.step(np.asarray(action))
         reward, terminated = self._put(reward), self._put(terminated)
-        return Transition(
+        return TimeStep(
             observation=self._put(observation),
             reward=reward,
             terminated=terminated,

@@ -18,8 +18,8 @@ Action: TypeAlias = Array
 """The same of an action."""
 
 
-class Transition(eqx.Module):
-    """What a step leads to; or several, `[N, ...]`.
+class TimeStep(eqx.Module):
+    """What `Env.step` returns of the step, or of several, `[N, ...]`.
 
     Attributes:
         observation: Observation of the state that follows.
@@ -81,5 +81,5 @@ class Env(eqx.Module):
         return None
 
     @abc.abstractmethod
-    def step(self, key: Key[Array, ""], state: EnvState, action: Action) -> tuple[EnvState, Transition]:
+    def step(self, key: Key[Array, ""], state: EnvState, action: Action) -> tuple[EnvState, TimeStep]:
         """The state that an action leads to, and what that means."""

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from bojax.config.extras import MissingExtra
-from bojax.envs.base import Env, Transition
+from bojax.envs.base import Env, TimeStep
 from bojax.envs.spaces import Box
 from bojax.numerics.third_party import plain_jax, silenced, standard_jax
 
@@ -91,7 +91,7 @@ class BraxEnv(Env):
         """See `Env`."""
         return state.obs.astype(self.low.dtype)
 
-    def step(self, key: Key[Array, ""], state: Any, action: Float[Array, "A"]) -> tuple[Any, Transition]:
+    def step(self, key: Key[Array, ""], state: Any, action: Float[Array, "A"]) -> tuple[Any, TimeStep]:
         """See `Env`; Brax keeps its own keys."""
         del key
         action = jnp.clip(action, -jnp.ones_like(action), jnp.ones_like(action))
@@ -100,7 +100,7 @@ class BraxEnv(Env):
         done = state.done > 0.5
         never = jnp.zeros_like(done)
         success = never if self.success_reward is None else reward >= self.success_reward
-        return state, Transition(self.observe(state), reward, done, never, success)
+        return state, TimeStep(self.observe(state), reward, done, never, success)
 
 
 class BojaxEnv(brax_envs.Env):

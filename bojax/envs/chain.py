@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
-from bojax.envs.base import Transition
+from bojax.envs.base import TimeStep
 from bojax.envs.spaces import Discrete
 from bojax.envs.tabular import TabularEnv
 
@@ -65,14 +65,14 @@ class Chain(TabularEnv):
         free, paid = self.sparsity, 1.0 - self.sparsity
         return jnp.stack([(1.0 - slip) * free, (1.0 - slip) * paid, slip * free, slip * paid])
 
-    def outcome(self, state: Int[Array, ""], action: Int[Array, ""], branch: Int[Array, ""]) -> Transition:
+    def outcome(self, state: Int[Array, ""], action: Int[Array, ""], branch: Int[Array, ""]) -> TimeStep:
         """See `TabularEnv`."""
         goal = self.length.astype(jnp.int32) - 1
         is_right = (action == RIGHT) & (branch < 2)
         after = jnp.clip(jnp.where(is_right, state + 1, state - 1), 0, goal)
         is_goal = after == goal
         penalty = ((branch == 1) | (branch == 3)).astype(self.length.dtype)
-        return Transition(
+        return TimeStep(
             observation=after,
             reward=jnp.where(is_goal, 1.0, -penalty),
             terminated=is_goal,

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
-from bojax.envs.base import Transition
+from bojax.envs.base import TimeStep
 from bojax.envs.spaces import Discrete
 from bojax.envs.tabular import TabularEnv
 
@@ -62,7 +62,7 @@ class CliffWalking(TabularEnv):
         del state, action
         return jnp.append(1.0 - self.slip, jnp.broadcast_to(self.slip / 4.0, (4,)))
 
-    def outcome(self, state: Int[Array, ""], action: Int[Array, ""], branch: Int[Array, ""]) -> Transition:
+    def outcome(self, state: Int[Array, ""], action: Int[Array, ""], branch: Int[Array, ""]) -> TimeStep:
         """See `TabularEnv`."""
         direction = jnp.where(branch == 0, action, branch - 1)
         row = jnp.clip(state // COLUMNS + jnp.asarray(ROW_STEPS, jnp.int32)[direction], 0, ROWS - 1)
@@ -74,7 +74,7 @@ class CliffWalking(TabularEnv):
             reward = jnp.where(falls, -100.0, -1.0).astype(self.reward_scale.dtype)
         else:
             reward = is_goal.astype(self.reward_scale.dtype) - falls.astype(self.reward_scale.dtype)
-        return Transition(
+        return TimeStep(
             observation=jnp.where(falls, START, cell),
             reward=self.reward_scale * reward,
             terminated=is_goal,

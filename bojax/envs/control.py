@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 
-from bojax.envs.base import Env, EnvState, Transition
+from bojax.envs.base import Env, EnvState, TimeStep
 from bojax.envs.spaces import Box
 
 
@@ -70,7 +70,7 @@ class ControlTask(Env):
 
     def step(
         self, key: Key[Array, ""], state: EnvState, action: Float[Array, "A"]
-    ) -> tuple[EnvState, Transition]:
+    ) -> tuple[EnvState, TimeStep]:
         """See `Env`."""
         bounds = self.action_space
         dtype = bounds.low.dtype
@@ -85,7 +85,7 @@ class ControlTask(Env):
             reward, terminated = self.classic(state, clipped, success, failure, after)
         reward = jnp.where(self.has_diverged(after), jnp.nan, reward)
         never = jnp.zeros_like(terminated)
-        return after, Transition(self.observe(after), reward, terminated, never, success)
+        return after, TimeStep(self.observe(after), reward, terminated, never, success)
 
 
 def symmetric(*high: Float[Array, ""]) -> Box:

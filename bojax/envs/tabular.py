@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
-from bojax.envs.base import Env, Transition
+from bojax.envs.base import Env, TimeStep
 from bojax.envs.spaces import Discrete
 
 
@@ -37,7 +37,7 @@ class TabularEnv(Env):
         """Probability of each branch; they sum to 1."""
 
     @abc.abstractmethod
-    def outcome(self, state: Int[Array, ""], action: Int[Array, ""], branch: Int[Array, ""]) -> Transition:
+    def outcome(self, state: Int[Array, ""], action: Int[Array, ""], branch: Int[Array, ""]) -> TimeStep:
         """Where a branch leads."""
 
     def observe(self, state: Int[Array, ""]) -> Int[Array, ""]:
@@ -46,7 +46,7 @@ class TabularEnv(Env):
 
     def step(
         self, key: Key[Array, ""], state: Int[Array, ""], action: Int[Array, ""]
-    ) -> tuple[Int[Array, ""], Transition]:
+    ) -> tuple[Int[Array, ""], TimeStep]:
         """See `Env`; an environment with one branch draws nothing."""
         action = jnp.clip(action, 0, self.action_space.num - 1)
         branch = jnp.zeros((), jnp.int32)
@@ -58,7 +58,7 @@ class TabularEnv(Env):
         transition = self.outcome(state, action, branch)
         return transition.observation, transition
 
-    def transitions(self) -> tuple[Float[Array, "S A K"], Transition]:
+    def transitions(self) -> tuple[Float[Array, "S A K"], TimeStep]:
         """Probability and outcome of every branch of every action in every state, `[S, A, K]`."""
         nums = self.observation_space.num, self.action_space.num, self.num_branches
         states, actions, branches = (jnp.arange(num, dtype=jnp.int32) for num in nums)

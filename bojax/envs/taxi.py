@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
-from bojax.envs.base import Transition
+from bojax.envs.base import TimeStep
 from bojax.envs.spaces import Discrete
 from bojax.envs.tabular import TabularEnv
 
@@ -78,7 +78,7 @@ class Taxi(TabularEnv):
         del state, action
         return jnp.ones((1,), self.reward_scale.dtype)
 
-    def outcome(self, state: Int[Array, ""], action: Int[Array, ""], branch: Int[Array, ""]) -> Transition:
+    def outcome(self, state: Int[Array, ""], action: Int[Array, ""], branch: Int[Array, ""]) -> TimeStep:
         """See `TabularEnv`."""
         del branch
         cell, passenger, destination = state // 20, state // 4 % 5, state % 4
@@ -106,7 +106,7 @@ class Taxi(TabularEnv):
             is_wrong = (is_pick_up & ~picks_up) | (is_drop_off & ~arrives)
             right, wrong, else_ = 1.0, -0.1, 0.0
         reward = jnp.where(arrives, right, jnp.where(is_wrong, wrong, else_))
-        return Transition(
+        return TimeStep(
             observation=((cell + move) * 5 + passenger) * 4 + destination,
             reward=self.reward_scale * reward.astype(self.reward_scale.dtype),
             terminated=arrives,

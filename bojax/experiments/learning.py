@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key, Scalar, UInt32
 
-from bojax.envs.base import Action, Env, EnvState, Observation, Transition
+from bojax.envs.base import Action, Env, EnvState, Observation, TimeStep
 from bojax.envs.spaces import Box
 from bojax.experiments.base import Experiment, Records
 from bojax.experiments.trial import StepRows, Trial, is_outside
@@ -280,7 +280,7 @@ class LearningRun(Experiment):
         """Key of the state from which an episode starts."""
         return jax.random.fold_in(self._key(carry, number), 0)
 
-    def take(self, trial: Trial, transition: Transition, env: EnvState) -> tuple[Trial, Bool[Array, ""]]:
+    def take(self, trial: Trial, transition: TimeStep, env: EnvState) -> tuple[Trial, Bool[Array, ""]]:
         """What a transition means for an episode, and whether it counts and is a number."""
         numbers = jnp.append(jnp.ravel(transition.observation).astype(self._dtype), transition.reward)
         is_sound = jnp.all(jnp.isfinite(numbers))
@@ -315,7 +315,7 @@ class LearningRun(Experiment):
         trial: Trial,
         balance: Balance,
         chosen: tuple[Action, Float[Array, ""]],
-        led_to: tuple[EnvState, Transition],
+        led_to: tuple[EnvState, TimeStep],
         step: Int[Array, ""],
         slot: Int[Array, ""],
     ) -> Trial:

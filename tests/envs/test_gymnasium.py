@@ -13,7 +13,7 @@ from gymnasium.utils.env_checker import check_env
 from bojax.config.errors import ConfigError
 from bojax.engine.build import build
 from bojax.envs import settings as envs
-from bojax.envs.base import Env, Transition
+from bojax.envs.base import Env, TimeStep
 from bojax.envs.gymnasium import GymnasiumEnv, Idling
 from bojax.envs.spaces import Box, Discrete
 
@@ -83,7 +83,7 @@ class Walk(Env):
     def step(self, key, state, action):
         state = jnp.clip(state + 2 * action - 1, 0, 4)
         at_goal = state == 4
-        return state, Transition(state, at_goal.astype(jnp.float32), at_goal, jnp.zeros((), bool), at_goal)
+        return state, TimeStep(state, at_goal.astype(jnp.float32), at_goal, jnp.zeros((), bool), at_goal)
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 import bojax.config.catalog  # noqa: F401 (registers every kind)
 from bojax.engine.build import build
-from bojax.envs.base import Env, Transition
+from bojax.envs.base import Env, TimeStep
 from bojax.envs.spaces import Box, Discrete
 from bojax.envs.tabular import TabularEnv
 from bojax.experiments.learning import PHASES, LearningRun
@@ -117,7 +117,7 @@ class Corridor(TabularEnv):
         is_goal = after == self.cells - 1
         is_poisoned = after.astype(self.poisoned.dtype) == self.poisoned
         reward = jnp.where(is_poisoned, jnp.nan, self.reward)
-        return Transition(after, reward, is_goal, jnp.zeros((), bool), is_goal)
+        return TimeStep(after, reward, is_goal, jnp.zeros((), bool), is_goal)
 
 
 def corridor(cells=5, max_steps=10, reward=1.0, poisoned=-1.0):
@@ -153,7 +153,7 @@ class Lot(Env):
 
     def step(self, key, state, action):
         true = jnp.ones((), bool)
-        return state, Transition(jnp.int32(1), state, true, ~true, true)
+        return state, TimeStep(jnp.int32(1), state, true, ~true, true)
 
 
 # Episodes and steps.

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from bojax.envs.base import Transition
+from bojax.envs.base import TimeStep
 from bojax.envs.spaces import Discrete
 from bojax.envs.tabular import TabularEnv
 
@@ -34,7 +34,7 @@ class Bandit(TabularEnv):
 
     def outcome(self, state, action, branch):
         true = jnp.ones((), bool)
-        return Transition(jnp.int32(0), self.rewards[action], true, ~true, self.rewards[action] > 0)
+        return TimeStep(jnp.int32(0), self.rewards[action], true, ~true, self.rewards[action] > 0)
 
 
 class Loop(TabularEnv):
@@ -66,7 +66,7 @@ class Loop(TabularEnv):
 
     def outcome(self, state, action, branch):
         is_second = state == 1
-        return Transition(
+        return TimeStep(
             observation=1 - state,
             reward=jnp.where(is_second, self.reward, jnp.zeros_like(self.reward)),
             terminated=is_second & self.absorbs,
