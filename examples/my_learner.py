@@ -5,8 +5,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from bojax.learning.balance import best_action
 from bojax.learning.base import Learner
+from bojax.learning.policy import best_action
 
 
 class Table(eqx.Module):
@@ -29,7 +29,7 @@ class CountBonus(Learner):
 
     @property
     def exploration_weight(self):
-        """What a balance of 1 stands for: the column `kappa` of the results."""
+        """What a exploration of 1 stands for: the column `kappa` of the results."""
         return self.weight
 
     def init(self, key, observation_space, action_space, capacity):
@@ -37,20 +37,20 @@ class CountBonus(Learner):
         zeros = jnp.zeros((observation_space.num, action_space.num), self.weight.dtype)
         return Table(zeros, zeros)
 
-    def act(self, key, state, observation, balance):
-        """The best action, and the return that is expected of it; a test has a balance of 0."""
+    def act(self, key, state, observation, exploration):
+        """The best action, and the return that is expected of it; a test has a exploration of 0."""
         bonus = jax.lax.rsqrt(1.0 + state.visits[observation])
-        action = best_action(key, state.q[observation], bonus, balance.exploration * self.weight)
+        action = best_action(key, state.q[observation], bonus, exploration.scale * self.weight)
         return action, state.q[observation, action]
 
-    def observe(self, key, state, experience, balance, slot):
+    def observe(self, key, state, transition, exploration, slot):
         """Q-learning; an absorbing state is worth nothing, a time limit is none."""
-        place = experience.observation, experience.action
-        best = jnp.max(state.q[experience.next_observation])
-        target = experience.reward + self.discount * jnp.where(experience.terminated, 0.0, best)
-        rate = jnp.where(balance.is_learning, self.learning_rate, 0.0)
+        place = transition.observation, transition.action
+        best = jnp.max(state.q[transition.next_observation])
+        target = transition.reward + self.discount * jnp.where(transition.terminated, 0.0, best)
+        rate = jnp.where(exploration.is_learning, self.learning_rate, 0.0)
         q = state.q.at[place].add(rate * (target - state.q[place]))
-        return Table(q, state.visits.at[place].add(balance.is_learning.astype(q.dtype)))
+        return Table(q, state.visits.at[place].add(exploration.is_learning.astype(q.dtype)))
 
     def values(self, state, observation, action):
         """Q, and the bonus in the place of U, for maps."""

@@ -107,18 +107,18 @@ class Compiled:
         """The scalars of every lane."""
         return self._summary(carry, lanes, self._shared)
 
-    def keepsake(self, carry: Carry, lanes: Lanes) -> PyTree:
-        """What of every lane can be loaded and used again."""
-        return jax.jit(partial(_keepsake, self._group))(carry, lanes, self._shared)
+    def exported_state(self, carry: Carry, lanes: Lanes) -> PyTree:
+        """The state of every lane that a saved learner is restored from."""
+        return jax.jit(partial(_exported_state, self._group))(carry, lanes, self._shared)
 
     def snapshot(self, carry: Carry, lanes: Lanes) -> dict[str, dict[str, Array]]:
         """The named arrays of every lane; empty where the experiment has none or none are kept."""
         return {} if self._snapshot is None else self._snapshot(carry, lanes, self._shared)
 
 
-def _keepsake(group: StaticGroup, carry: Carry, lanes: Lanes, shared: PyTree) -> PyTree:
+def _exported_state(group: StaticGroup, carry: Carry, lanes: Lanes, shared: PyTree) -> PyTree:
     def one(carry, swept):
-        return group.experiment(swept, shared).keepsake(carry)
+        return group.experiment(swept, shared).exported_state(carry)
 
     return jax.vmap(one, axis_name=LANES)(carry, lanes.swept)
 

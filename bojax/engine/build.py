@@ -4,15 +4,20 @@ import dataclasses
 import importlib
 import inspect
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Literal, get_args
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import PyTree
 
 from bojax.config.component import IMPORT_PATH, Component, External
 from bojax.config.errors import ConfigError, dotted, shown
 from bojax.config.external import last_line
 from bojax.engine.devices import setting
+from bojax.experiments.settings import Learning
+from bojax.numerics.checkpoint import restore
 
 
 def build(component: Component, dtype: Literal["float64", "float32"] = "float64") -> Any:
@@ -28,13 +33,24 @@ def build(component: Component, dtype: Literal["float64", "float32"] = "float64"
 
     Raises:
         ConfigError: A constructor refuses its settings, or float64 is asked for while JAX has it off.
+        ResultsError: A saved learner cannot be read, or has another structure.
     """
     if dtype == "float64" and not setting("jax_enable_x64"):
         raise ConfigError(
             'dtype: got "float64"; JAX runs without 64-bit numbers: '
             'call jax.config.update("jax_enable_x64", True) first, or set dtype to "float32"'
         )
+    if isinstance(component, Learning) and component.saved is not None:
+        run = build(component.model_copy(update={"saved": None}), dtype)
+        return eqx.tree_at(lambda r: r.saved, run, _load(component.saved, run), is_leaf=lambda x: x is None)
     return _build(component, dtype, ())
+
+
+def _load(folder: str, run: Any) -> PyTree:
+    """The state of a saved learner, of the structure that this run needs."""
+    structure = jax.eval_shape(lambda key: run.new_learner(key, capacity=0), jax.random.key(0))
+    advice = "a saved learner keeps its kind, its features and the spaces of its environment"
+    return restore(Path(folder), structure, advice)
 
 
 def import_target(target: str) -> type:

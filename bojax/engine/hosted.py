@@ -1,11 +1,12 @@
-"""A static group whose environment steps on the host, while learner and bookkeeping are compiled.
+"""A static group of learning runs whose environments step on the host, between compiled programs.
 
-An episode begins with a reset by a seed that follows from the run's key, so that nothing of the environment
-has to be kept between episodes: a checkpoint is the same as that of a compiled group.
+An episode begins with a reset of the environment by a seed that is derived from the run's key: nothing of the
+environment has to be kept between episodes, and checkpoints are those of a compiled group.
 """
 
 from collections.abc import Callable
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,8 +18,20 @@ from bojax.engine.batch import BY_LANE, SAME, Compiled, Lanes, Status, outcome, 
 from bojax.engine.groups import StaticGroup
 from bojax.envs.base import TimeStep
 from bojax.experiments.base import Carry
+from bojax.experiments.episode import EpisodeState
 from bojax.experiments.learning import LearningRun
+from bojax.experiments.phases import Choice
 from bojax.numerics.lanes import LANES
+
+
+class PhasePrograms(NamedTuple):
+    """The methods of a `Phase` as programs for all lanes; their arguments begin with lanes, carry, number."""
+
+    seed: Callable[..., Array]
+    begin: Callable[..., EpisodeState]
+    act: Callable[..., Choice]
+    apply: Callable[..., EpisodeState]
+    flush: Callable[..., EpisodeState]
 
 
 class Hosted(Compiled):
@@ -38,41 +51,50 @@ class Hosted(Compiled):
         self._vector = self._env.make_vector(self.num_lanes)
 
     def advance(self, carry: Carry, lanes: Lanes) -> tuple[Carry, dict[str, dict[str, Array]], Status]:
-        """One episode of every lane, with its tests."""
-        trial = self._begin(lanes, carry, *self._reset(lanes, carry, 0))
-        step = 0
-        while np.asarray(trial.is_active).any():
-            chosen = self._act(lanes, carry, trial, self._all(step))
-            trial = self._learn(lanes, carry, trial, chosen, self._step(chosen[0]), self._all(step))
-            step += 1
-            if step % self._block == 0:
-                trial = self._consolidate(lanes, trial)
-        trial = self._consolidate(lanes, trial)
-        learner = self._end(lanes, carry, trial)
-        tests = [self._test(lanes, carry, learner, number + 1) for number in range(self._num_tests)]
+        """One training episode of every lane, and the tests after it: `LearningRun.advance`."""
+        episode = self._run_episode(self._training, lanes, carry, carry.learner, 0)
+        learner = self._end_episode(lanes, carry, episode)
+        tests = []
+        for number in range(1, self._num_tests + 1):
+            test = self._run_episode(self._test, lanes, carry, learner, number)
+            tests.append(self._test_row(lanes, carry, self._all(number), test))
         rows = (
             {name: jnp.stack([test[name] for test in tests], axis=1) for name in tests[0]} if tests else None
         )
-        after, tables, is_done, steps = self._close(lanes, carry, trial, learner, rows, lanes.is_real)
+        after, tables, is_done, steps = self._close(lanes, carry, episode, learner, rows, lanes.is_real)
         return after, tables, total(is_done, steps, lanes.is_real)
 
-    def _compile_advance(self, compiled: Callable, specs: tuple, *inputs: Any) -> Any:
-        """The pieces of an episode; each is compiled when it is first called."""
-        del compiled, specs, inputs
-        self._seeds = self._piece(_seeds)
-        self._begin = self._piece(_begin)
-        self._act = self._piece(_act)
-        self._learn = self._piece(_learn)
-        self._consolidate = self._piece(lambda run, trial: run.consolidate(trial))
-        self._end = self._piece(lambda run, carry, trial: run.end_episode(carry, trial, run.balance(carry)))
-        self._close = self._piece(_close)
-        self._begin_test = self._piece(_begin_test)
-        self._act_in_test = self._piece(_act_in_test)
-        self._watch = self._piece(lambda run, trial, transition: run.take(trial, transition, None)[0])
-        self._test_row = self._piece(lambda run, carry, trial: run.test_row(carry, trial))
+    def _run_episode(
+        self, phase: PhasePrograms, lanes: Lanes, carry: Carry, learner: PyTree, number: int
+    ) -> EpisodeState:
+        """`bojax.experiments.phases.run_episode`, with a vector environment in place of a compiled one."""
+        call = (lanes, carry, self._all(number))
+        episode = phase.begin(*call, learner, self._reset(phase, *call))
+        step = 0
+        while np.asarray(episode.is_active).any():
+            choice = phase.act(*call, episode, self._all(step))
+            time_step = self._step(choice.action)
+            episode = phase.apply(*call, episode, choice, time_step, self._all(step))
+            step += 1
+            if step % self._block == 0:
+                episode = phase.flush(*call, episode)
+        return phase.flush(*call, episode)
 
-    def _piece(self, function: Callable) -> Callable:
-        """`function(run, *arrays)` of one lane, for every lane."""
+    def _compile_advance(self, compiled: Callable, specs: tuple, *inputs: Any) -> Any:
+        """Make the programs of an episode; each is compiled when it is first called."""
+        del compiled, specs, inputs
+        self._training = self._phase_programs(lambda run, carry, number: run.training(carry))
+        self._test = self._phase_programs(lambda run, carry, number: run.test(carry, number))
+        self._end_episode = self._program(lambda run, carry, episode: run.end_episode(carry, episode))
+        self._test_row = self._program(lambda run, carry, number, test: run.test_row(carry, number, test))
+        self._close = self._program(_close)
+
+    def _phase_programs(self, phase_of: Callable) -> PhasePrograms:
+        functions = (_seed, _begin, _act, _apply, _flush)
+        return PhasePrograms(*(self._program(partial(function, phase_of)) for function in functions))
+
+    def _program(self, function: Callable) -> Callable:
+        """`function(run, *arrays)`, written for one lane, as a program for every lane."""
 
         def batched(swept: PyTree, shared: PyTree, arrays: tuple) -> PyTree:
             def one(swept, arrays):
@@ -91,21 +113,14 @@ class Hosted(Compiled):
         )
         return lambda lanes, *arrays: program(lanes.swept, self._shared, arrays)
 
-    def _test(self, lanes: Lanes, carry: Carry, learner: PyTree, number: int) -> dict[str, Array]:
-        trial = self._begin_test(lanes, carry, *self._reset(lanes, carry, number))
-        step = 0
-        while np.asarray(trial.is_active).any():
-            action = self._act_in_test(lanes, carry, learner, trial, self._all(step), self._all(number))
-            trial = self._watch(lanes, trial, self._step(action))
-            step += 1
-        return self._test_row(lanes, carry, trial)
-
-    def _reset(self, lanes: Lanes, carry: Carry, number: int) -> tuple[Array]:
-        seeds = np.asarray(self._seeds(lanes, carry, self._all(number)))
+    def _reset(self, phase: PhasePrograms, lanes: Lanes, carry: Carry, number: Array) -> Array:
+        """Reset the environments; the observations."""
+        seeds = np.asarray(phase.seed(lanes, carry, number))
         observation, _ = self._vector.reset(seed=seeds.tolist())
-        return (self._put(observation),)
+        return self._put(observation)
 
     def _step(self, action: Array) -> TimeStep:
+        """Step the environments."""
         observation, reward, terminated, truncated, _ = self._vector.step(np.asarray(action))
         reward, terminated = self._put(reward), self._put(terminated)
         return TimeStep(
@@ -117,7 +132,7 @@ class Hosted(Compiled):
         )
 
     def _put(self, values: Any) -> Array:
-        """Something of every lane, on the devices, in the precision of the learner."""
+        """An array of all lanes on the devices, in the precision of the learner."""
         values = np.asarray(values)
         if values.dtype.kind == "f":
             values = values.astype(self._dtype)
@@ -129,36 +144,31 @@ class Hosted(Compiled):
         return self._put(np.full(self.num_lanes, number))
 
 
-def _seeds(run: LearningRun, carry, number):
-    return jax.random.bits(run.reset_key(carry, number), dtype=jnp.uint32) >> 1
+def _seed(phase_of, run: LearningRun, carry, number):
+    return jax.random.bits(phase_of(run, carry, number).reset_key, dtype=jnp.uint32) >> 1
 
 
-def _begin(run: LearningRun, carry, observation):
-    return run.begin(carry, None, observation)
+def _begin(phase_of, run: LearningRun, carry, number, learner, observation):
+    return phase_of(run, carry, number).begin(learner, None, observation, ~carry.is_done)
 
 
-def _begin_test(run: LearningRun, carry, observation):
-    return run.begin(carry, None, observation, is_test=True)
+def _act(phase_of, run: LearningRun, carry, number, episode, step):
+    phase = phase_of(run, carry, number)
+    return phase.act(_keys(phase, step)[0], episode)
 
 
-def _keys(run: LearningRun, carry, step, number):
-    slot = step % run.learner.block
-    return jax.random.wrap_key_data(run.keys(carry, step - slot, number)[slot])
+def _apply(phase_of, run: LearningRun, carry, number, episode, choice, time_step, step):
+    phase = phase_of(run, carry, number)
+    return phase.apply(_keys(phase, step)[2], episode, choice, None, time_step, step)
 
 
-def _act(run: LearningRun, carry, trial, step):
-    key = _keys(run, carry, step, 0)[0]
-    return run.learner.act(key, trial.learner, trial.observation, run.balance(carry))
+def _flush(phase_of, run: LearningRun, carry, number, episode):
+    return phase_of(run, carry, number).flush(episode)
 
 
-def _act_in_test(run: LearningRun, carry, learner, trial, step, number):
-    return run.learner.act(_keys(run, carry, step, number)[0], learner, trial.observation, run.exploiting)[0]
+def _keys(phase, step):
+    return jax.random.wrap_key_data(phase.step_keys(step[None])[0])
 
 
-def _learn(run: LearningRun, carry, trial, chosen, transition, step):
-    key, slot = _keys(run, carry, step, 0)[2], step % run.learner.block
-    return run.go_on(key, trial, run.balance(carry), chosen, (None, transition), step, slot)
-
-
-def _close(run: LearningRun, carry, trial, learner, tests, is_real):
-    return outcome(run, carry, *run.close(carry, trial, learner, tests), is_real)
+def _close(run: LearningRun, carry, episode, learner, tests, is_real):
+    return outcome(run, carry, *run.close(carry, episode, learner, tests), is_real)

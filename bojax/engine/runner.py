@@ -132,7 +132,7 @@ class ChunkRunner:
     def _save_learners(
         self, chunk: Chunk, carry: Carry, lanes: Lanes, files: ChunkFolder, recorded: np.ndarray
     ) -> None:
-        learned = self.program.keepsake(carry, lanes)
+        learned = self.program.exported_state(carry, lanes)
         for lane in recorded if jax.tree.leaves(learned) else ():
             point, run = int(chunk.points[lane]), int(chunk.runs[lane])
             folder = files.learner_folder(point, run)

@@ -165,7 +165,7 @@ def _run(
     keys = {"point": points, "run": numbers}
     summary = {name: np.asarray(values)[:num_lanes] for name, values in program.summary(carry, lanes).items()}
     rows = fetch_rows(records, experiment.tables, points, numbers, {})["episodes"]
-    learned = jax.tree.map(lambda leaf: leaf[:num_lanes], program.keepsake(carry, lanes))
+    learned = jax.tree.map(lambda leaf: leaf[:num_lanes], program.exported_state(carry, lanes))
     return (
         to_arrow(KEYS + experiment.tables["runs"], keys | summary).drop_columns("point"),
         to_arrow(KEYS + experiment.tables["episodes"], rows).drop_columns("point"),

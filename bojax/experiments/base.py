@@ -81,7 +81,7 @@ class Experiment(eqx.Module):
         del carry
         return {}
 
-    def keepsake(self, carry: Carry) -> PyTree:
-        """What of a finished run can be loaded and used again: a tree of arrays, None where there is none."""
+    def exported_state(self, carry: Carry) -> PyTree:
+        """The state that a saved learner is restored from, a tree of arrays; None by default."""
         del carry
         return None

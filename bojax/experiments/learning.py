@@ -1,82 +1,45 @@
-"""A learning run: episodes of a learner in an environment, with test episodes in between."""
+"""A learning run (thesis, Algorithm 5): training episodes of a learner, each followed by test episodes."""
 
-from collections.abc import Callable, Mapping
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Literal
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, Key, Scalar, UInt32
+from jaxtyping import Array, Bool, Float, Int, Key, Scalar
 
-from bojax.envs.base import Action, Env, EnvState, Observation, TimeStep
+from bojax.envs.base import Env, EnvState, Observation
 from bojax.envs.spaces import Box
 from bojax.experiments.base import Experiment, Records
-from bojax.experiments.trial import StepRows, Trial, is_outside
-from bojax.learning.base import Balance, Episode, Experience, Learner, LearnerState
+from bojax.experiments.episode import EpisodeState
+from bojax.experiments.phases import PHASES, Phase, TestPhase, TrainingPhase, run_episode
+from bojax.experiments.step_rows import StepRows
+from bojax.experiments.targets import TargetProgress
+from bojax.experiments.value_maps import value_map
+from bojax.learning.base import ExplorationState, Learner, LearnerState
 from bojax.learning.schedules import Schedule
-from bojax.numerics.checkpoint import restore
-from bojax.numerics.lanes import any_lane
 from bojax.results.schema import Column, Table
 
-PHASES = ("train", "test")
-"""What an episode is for; the column `phase` holds the place in this list until it is stored."""
-
 _OF_RUN = 2**32 - 1
-"""Counter of the key for what all episodes of a run share: beyond that of any episode."""
+"""Counter of the key for what all episodes of a run share; episodes have smaller counters."""
 
 
-class Target(eqx.Module):
-    """How the test episodes of a run stand to the return that they are to reach.
-
-    Attributes:
-        episodes: Training episodes after which all tests of a round exceeded it; -1 before.
-        tests_after: Number of test episodes after that.
-        return_after: Sum of their returns.
-    """
-
-    episodes: Int[Array, ""]
-    tests_after: Int[Array, ""]
-    return_after: Float[Array, ""]
-
-    @property
-    def is_reached(self) -> Bool[Array, ""]:
-        """Whether they have."""
-        return self.episodes >= 0
-
-    def tested(
-        self,
-        returns: Float[Array, "N"],
-        target: Float[Array, ""],
-        episode: Int[Array, ""],
-        counts: Bool[Array, ""],
-    ) -> "Target":
-        """After a round of tests, if it counts."""
-        is_new = counts & ~self.is_reached & jnp.all(returns > target)
-        is_after = counts & self.is_reached
-        return Target(
-            episodes=jnp.where(is_new, episode, self.episodes),
-            tests_after=self.tests_after + jnp.where(is_after, len(returns), 0),
-            return_after=self.return_after + jnp.where(is_after, jnp.sum(returns), 0.0),
-        )
-
-
-class Run(eqx.Module):
+class RunState(eqx.Module):
     """The state of a run.
 
     Attributes:
-        key: Key of everything that the run draws.
-        learner: What has been learned.
-        episode: Training episodes done.
-        steps: Training steps made.
-        outside: Of these, the ones that led to an observation outside the declared bounds.
-        is_done: The run is over.
+        key: Key of the run.
+        learner: State of the learner.
+        episode: Number of training episodes so far.
+        steps: Number of training steps so far.
+        outside: Number of these steps to an observation outside the declared bounds.
+        is_done: Whether the run has ended.
         last_return: Return of the last training episode.
-        episodes_to_goal: Training episodes up to the first with success, that one included; -1 before.
-        steps_to_goal: Training steps up to that success; -1 before.
-        target: How the test episodes stand to their target.
-        maps: Q and U over the observations, after each of `map_episodes`; NaN before, None where none are
-            asked for.
+        episodes_to_goal: Training episodes up to and including the first success; -1 before.
+        steps_to_goal: Training steps up to the first success; -1 before.
+        target: Progress of the test episodes towards the target return.
+        maps: Q and U over the observations after each of `map_episodes`, NaN before; None if there are no
+            `map_episodes`.
     """
 
     key: Key[Array, ""]
@@ -88,49 +51,36 @@ class Run(eqx.Module):
     last_return: Float[Array, ""]
     episodes_to_goal: Int[Array, ""]
     steps_to_goal: Int[Array, ""]
-    target: Target
+    target: TargetProgress
     maps: Float[Array, "K 2 *grid"] | None
 
 
 class LearningRun(Experiment):
-    """Episodes of a learner in an environment (Algorithm 5); an advance is one of them, with its tests.
+    """Episodes of a learner in an environment; an advance is one training episode and the tests after it.
 
     Attributes:
-        env: The environment.
-        learner: Who learns.
-        schedule: How exploration changes from episode to episode.
+        env: Environment.
+        learner: Learner.
+        schedule: Schedule of exploration over the training episodes.
         target_return: Return that every test episode of a round has to exceed; None for no target.
-        episodes: Training episodes.
-        stop: When a run may end early: at its first success, or once the target is reached.
-        tests: Test episodes after each training episode: exploitation alone, without learning.
-        map_episodes: Training episodes after which Q and U are kept over the first two observations.
-        map_resolution: Cells of such a map along a dimension.
-        saved: Folder of a saved learner to begin with.
+        saved: State of a saved learner to start from; None for a new learner.
+        episodes: Number of training episodes.
+        stop: When a run may end early: at its first success, or when the target is reached.
+        tests: Number of test episodes after each training episode.
+        map_episodes: Training episodes after which a map of Q and U is kept.
+        map_resolution: Cells of a map along each dimension.
     """
 
     env: Env
     learner: Learner
     schedule: Schedule
     target_return: Float[Array, ""] | None
+    saved: LearnerState
     episodes: int = eqx.field(static=True)
     stop: Literal["never", "first-success", "target"] = eqx.field(static=True)
     tests: int = eqx.field(static=True)
     map_episodes: tuple[int, ...] = eqx.field(static=True)
     map_resolution: int = eqx.field(static=True)
-    saved: str | None = eqx.field(static=True)
-    learned: LearnerState = eqx.field(init=False)
-
-    def __post_init__(self):
-        """Read the saved learner.
-
-        Raises:
-            ResultsError: It cannot be read, or is of another structure.
-        """
-        self.learned = None
-        if self.saved is not None:
-            structure = jax.eval_shape(self._fresh, jax.random.key(0))
-            advice = "a saved learner keeps its kind, its features and the spaces of its environment"
-            self.learned = restore(Path(self.saved), structure, advice)
 
     @property
     def tables(self) -> Mapping[str, Table]:
@@ -143,7 +93,7 @@ class LearningRun(Experiment):
 
     @property
     def recorded_tables(self) -> frozenset[str]:
-        """See `Experiment`: all steps of all runs would be gigabytes."""
+        """See `Experiment`: the steps of all runs would take gigabytes."""
         return frozenset({"steps"})
 
     @property
@@ -161,16 +111,18 @@ class LearningRun(Experiment):
         """See `Experiment`."""
         return self.episodes
 
-    def init(self, key: Key[Array, ""]) -> Run:
+    def init(self, key: Key[Array, ""]) -> RunState:
         """See `Experiment`."""
-        learner = self._fresh(jax.random.fold_in(key, 0)) if self.learned is None else self.learned
+        learner = self.saved
+        if learner is None:
+            learner = self.new_learner(jax.random.fold_in(key, 0), self.episodes * self.env.max_steps)
         zero, never = jnp.zeros((), jnp.int32), jnp.full((), -1, jnp.int32)
         number = jnp.zeros((), self._dtype)
         maps = None
-        if self.map_episodes:  # else an array without a number, which cannot be spread over devices
+        if self.map_episodes:  # an empty array could not be spread over devices
             grid = jax.eval_shape(self._map, learner).shape
             maps = jnp.full((len(self.map_episodes), *grid), jnp.nan, self._dtype)
-        return Run(
+        return RunState(
             key=key,
             learner=learner,
             episode=zero,
@@ -180,33 +132,32 @@ class LearningRun(Experiment):
             last_return=number,
             episodes_to_goal=never,
             steps_to_goal=never,
-            target=Target(never, zero, number),
+            target=TargetProgress(never, zero, number),
             maps=maps,
         )
 
-    def advance(self, carry: Run) -> tuple[Run, Records]:
+    def advance(self, carry: RunState) -> tuple[RunState, Records]:
         """See `Experiment`."""
-        balance = self.balance(carry)
-
-        def step(keys, trial, number, slot):
-            chosen = self.learner.act(keys[0], trial.learner, trial.observation, balance)
-            led_to = self.env.step(keys[1], trial.env, chosen[0])
-            return self.go_on(keys[2], trial, balance, chosen, led_to, number, slot)
-
-        trial = self.begin(carry, *self._reset(carry, 0))
-        trial = self._until_over(carry, 0, trial, step, self.consolidate)
-        learner = self.end_episode(carry, trial, balance)
+        training = self.training(carry)
+        episode = training.begin(carry.learner, *self.reset(carry, training), ~carry.is_done)
+        episode = run_episode(training, episode)
+        learner = self.end_episode(carry, episode)
         tests = None
         if self.tests:
-            numbers = jnp.arange(1, self.tests + 1)
-            _, tests = jax.lax.scan(lambda _, n: (None, self._test(carry, learner, n)), None, numbers)
-        return self.close(carry, trial, learner, tests)
 
-    def is_done(self, carry: Run) -> Bool[Array, ""]:
+            def run_test(_, number):
+                test = self.test(carry, number)
+                episode = test.begin(learner, *self.reset(carry, test), ~carry.is_done)
+                return None, self.test_row(carry, number, run_episode(test, episode))
+
+            _, tests = jax.lax.scan(run_test, None, jnp.arange(1, self.tests + 1))
+        return self.close(carry, episode, learner, tests)
+
+    def is_done(self, carry: RunState) -> Bool[Array, ""]:
         """See `Experiment`."""
         return carry.is_done
 
-    def summary(self, carry: Run) -> dict[str, Scalar]:
+    def summary(self, carry: RunState) -> dict[str, Scalar]:
         """See `Experiment`."""
         summary = {
             "return": carry.last_return,
@@ -224,8 +175,8 @@ class LearningRun(Experiment):
             summary["return_after_target"] = target.return_after / target.tests_after.astype(self._dtype)
         return summary
 
-    def snapshot(self, carry: Run) -> dict[str, dict[str, Array]]:
-        """The maps of Q and U, where some are asked for, and the bounds of the observations they are over."""
+    def snapshot(self, carry: RunState) -> dict[str, dict[str, Array]]:
+        """See `Experiment`: the maps of Q and U, and the bounds of the observations."""
         if carry.maps is None:
             return {}
         values = {"maps": carry.maps, "episodes": jnp.asarray(self.map_episodes, jnp.int32)}
@@ -233,267 +184,113 @@ class LearningRun(Experiment):
             values |= {"low": space.low, "high": space.high}
         return {"values": values}
 
-    def keepsake(self, carry: Run) -> LearnerState:
-        """See `Experiment`: what has been learned, without the memory of how."""
-        return self.learner.without_memory(carry.learner)
+    def exported_state(self, carry: RunState) -> LearnerState:
+        """See `Experiment`: the state of the learner, without its memory of transitions."""
+        return self.learner.policy_state(carry.learner)
 
-    # The pieces of an advance, for whoever steps an environment by other means.
+    def new_learner(self, key: Key[Array, ""], capacity: int) -> LearnerState:
+        """A learner that has observed nothing; a saved one has the shapes of capacity 0."""
+        return self.learner.init(key, self.env.observation_space, self.env.action_space, capacity)
 
-    def balance(self, carry: Run) -> Balance:
-        """The balance of the next training episode; a finished run learns nothing more."""
-        balance = self.schedule(carry.episode, carry.target.is_reached)
-        return Balance(balance.exploration.astype(self._dtype), balance.is_learning & ~carry.is_done)
+    # The parts of an advance, for compiled and hosted environments.
 
-    def begin(self, carry: Run, env: EnvState, observation: Observation, *, is_test: bool = False) -> Trial:
-        """A new episode of the run, from a state of the environment and what is seen of it."""
-        length = -(-self.env.max_steps // self.learner.block) * self.learner.block
-        false = jnp.zeros((), bool)
-        return Trial(
-            env=env,
-            observation=observation,
-            learner=carry.learner,
-            is_active=~carry.is_done,
-            total=jnp.zeros((), self._dtype),
-            length=jnp.zeros((), jnp.int32),
-            terminated=false,
-            truncated=false,
-            success=false,
-            failed=false,
-            outside=jnp.zeros((), jnp.int32),
-            steps=jnp.zeros((0 if is_test else length, self._rows.width), self._dtype),
+    def training(self, carry: RunState) -> TrainingPhase:
+        """The next training episode; a run that has ended does not learn."""
+        exploration = self.schedule(carry.episode, carry.target.is_reached)
+        exploration = ExplorationState(
+            exploration.scale.astype(self._dtype), exploration.is_learning & ~carry.is_done
         )
+        return TrainingPhase(self.env, self.learner, exploration, self._episode_key(carry, 0))
 
-    def keys(
-        self, carry: Run, start: Int[Array, ""], number: Int[Array, ""] | int = 0
-    ) -> UInt32[Array, "B 3 W"]:
-        """Data of the keys of a block of steps: to act, to step the environment, to learn.
+    def test(self, carry: RunState, number: Int[Array, ""]) -> TestPhase:
+        """A test episode after the training episode; the first one has number 1."""
+        return TestPhase(self.env, self.learner, self.exploiting, self._episode_key(carry, number))
 
-        As data, since JAX's check of key reuse takes a batched scan over keys for a reuse. `number` is 0
-        for the training episode, 1 for the first test after it, and so on.
-        """
-        counters = 3 * start + jnp.arange(1, 3 * self.learner.block + 1, dtype=jnp.int32)
-        key = self._key(carry, number)
-        keys = jax.vmap(lambda counter: jax.random.fold_in(key, counter))(counters)
-        return jax.random.key_data(keys.reshape(-1, 3))
+    def reset(self, carry: RunState, phase: Phase) -> tuple[EnvState, Observation]:
+        """Initial state and observation of an episode of a compiled environment."""
+        env = self.env.of_run(jax.random.fold_in(carry.key, _OF_RUN))
+        state = env.reset(phase.reset_key)
+        return state, env.observe(state)
 
-    def reset_key(self, carry: Run, number: Int[Array, ""] | int) -> Key[Array, ""]:
-        """Key of the state from which an episode starts."""
-        return jax.random.fold_in(self._key(carry, number), 0)
+    def end_episode(self, carry: RunState, episode: EpisodeState) -> LearnerState:
+        """The learner after the training episode; its key follows those of the tests."""
+        return self.training(carry).end(self._episode_key(carry, self.tests + 1), episode)
 
-    def take(self, trial: Trial, transition: TimeStep, env: EnvState) -> tuple[Trial, Bool[Array, ""]]:
-        """What a transition means for an episode, and whether it counts and is a number."""
-        numbers = jnp.append(jnp.ravel(transition.observation).astype(self._dtype), transition.reward)
-        is_sound = jnp.all(jnp.isfinite(numbers))
-        counts = trial.is_active & is_sound
-        fails = trial.is_active & ~is_sound
-        length = trial.length + counts.astype(jnp.int32)
-        terminated = counts & transition.terminated
-        truncated = counts & ~transition.terminated & (transition.truncated | (length >= self.env.max_steps))
-        keep = lambda after, before: jax.tree.map(  # noqa: E731
-            lambda a, b: a if a is b else jnp.where(counts, a, b), after, before
-        )
-        after = Trial(
-            env=keep(env, trial.env),
-            observation=keep(transition.observation, trial.observation),
-            learner=trial.learner,
-            is_active=counts & ~terminated & ~truncated,
-            total=trial.total + jnp.where(counts, transition.reward, jnp.where(fails, jnp.nan, 0.0)),
-            length=length,
-            terminated=trial.terminated | terminated,
-            truncated=trial.truncated | truncated,
-            success=trial.success | (counts & transition.success),
-            failed=trial.failed | fails,
-            outside=trial.outside
-            + (counts & is_outside(self.env.observation_space, transition.observation)).astype(jnp.int32),
-            steps=trial.steps,
-        )
-        return after, counts
-
-    def go_on(
-        self,
-        key: Key[Array, ""],
-        trial: Trial,
-        balance: Balance,
-        chosen: tuple[Action, Float[Array, ""]],
-        led_to: tuple[EnvState, TimeStep],
-        step: Int[Array, ""],
-        slot: Int[Array, ""],
-    ) -> Trial:
-        """A step of a training episode, once it is known what the action led to: keep it, learn from it."""
-        (action, expected), (env, transition) = chosen, led_to
-        experience = Experience(
-            trial.observation, action, transition.reward, transition.observation, transition.terminated
-        )
-        frame = self.env.frame(trial.env)
-        trial, counts = self.take(trial, transition, env)
-        # What is no number teaches nothing, and leaves no trace.
-        experience = jax.tree.map(lambda x: jnp.where(counts, x, jnp.zeros((), x.dtype)), experience)
-        taught = Balance(balance.exploration, balance.is_learning & counts)
-        learner = self.learner.observe(key, trial.learner, experience, taught, slot)
-        row = self._rows.pack(experience, expected, frame)
-        steps = jax.lax.dynamic_update_index_in_dim(trial.steps, row, step, 0)
-        return eqx.tree_at(lambda t: (t.learner, t.steps), trial, (learner, steps))
-
-    def consolidate(self, trial: Trial) -> Trial:
-        """After every block of steps."""
-        return eqx.tree_at(lambda t: t.learner, trial, self.learner.consolidate(trial.learner))
-
-    def end_episode(self, carry: Run, trial: Trial, balance: Balance) -> LearnerState:
-        """What the learner makes of a whole training episode."""
-        key = self._key(carry, self.tests + 1)  # after those of the tests
-        balance = Balance(balance.exploration, balance.is_learning & (trial.length > 0))
-        episode = Episode(self._rows.unpack(trial.steps)[0], trial.length)
-        return self.learner.end_episode(key, trial.learner, episode, balance)
+    def test_row(self, carry: RunState, number: Int[Array, ""], episode: EpisodeState) -> dict[str, Array]:
+        """The row of a test episode in `episodes.parquet`."""
+        return self.test(carry, number).row(episode, carry.episode + 1)
 
     def close(
-        self, carry: Run, trial: Trial, learner: LearnerState, tests: Mapping[str, Array] | None
-    ) -> tuple[Run, Records]:
-        """The run after an episode, and what is reported of it."""
+        self,
+        carry: RunState,
+        episode: EpisodeState,
+        learner: LearnerState,
+        tests: Mapping[str, Array] | None,
+    ) -> tuple[RunState, Records]:
+        """The run after a training episode and its tests, and the records of all of them.
+
+        Args:
+            carry: The run before the training episode.
+            episode: The training episode at its end.
+            learner: The learner after the training episode.
+            tests: Rows of the test episodes, in columns of `tests` values; None if there are none.
+        """
         active = ~carry.is_done
-        episode, steps = carry.episode + active.astype(jnp.int32), carry.steps + trial.length
-        is_first = trial.success & (carry.episodes_to_goal < 0)
-        episodes_to_goal = jnp.where(is_first, episode, carry.episodes_to_goal)
-        done = trial.failed | (episode >= self.episodes)
+        number, steps = carry.episode + active.astype(jnp.int32), carry.steps + episode.length
+        is_first = episode.success & (carry.episodes_to_goal < 0)
+        episodes_to_goal = jnp.where(is_first, number, carry.episodes_to_goal)
+        done = episode.failed | (number >= self.episodes)
         if self.stop == "first-success":
             done = done | (episodes_to_goal >= 0)
 
-        rows = self._row(trial, episode, self.balance(carry))
-        rows = {name: value[None] for name, value in rows.items()}
-        target, num_steps = carry.target, trial.length
+        rows = {name: value[None] for name, value in self.training(carry).row(episode, number).items()}
+        target, num_steps = carry.target, episode.length
         if tests is not None:
             rows = {name: jnp.concatenate([rows[name], tests[name]]) for name in rows}
             num_steps = num_steps + jnp.sum(tests["length"], dtype=jnp.int32)
             if self.target_return is not None:
-                target = target.tested(tests["return"], self.target_return, episode, active)
+                target = target.after_tests(tests["return"], self.target_return, number, active)
         if self.stop == "target":
             done = done | target.is_reached
         rows["phase"] = (jnp.arange(1 + self.tests) > 0).astype(jnp.int32)
         rows["valid"] = jnp.broadcast_to(active, rows["phase"].shape)
         maps = carry.maps
         if maps is not None:
-            now = (episode == jnp.asarray(self.map_episodes, jnp.int32)) & active
+            now = (number == jnp.asarray(self.map_episodes, jnp.int32)) & active
             now = now.reshape(-1, *[1] * (maps.ndim - 1))
             maps = jnp.where(now, self._map(learner)[None], maps)
-        after = Run(
+        after = RunState(
             key=carry.key,
             learner=learner,
-            episode=episode,
+            episode=number,
             steps=steps,
-            outside=carry.outside + trial.outside,
+            outside=carry.outside + episode.outside,
             is_done=carry.is_done | done,
-            last_return=jnp.where(active, trial.total, carry.last_return),
+            last_return=jnp.where(active, episode.total, carry.last_return),
             episodes_to_goal=episodes_to_goal,
             steps_to_goal=jnp.where(is_first, steps, carry.steps_to_goal),
             target=target,
             maps=maps,
         )
-        tables = {"episodes": rows, "steps": self._rows.table(trial.steps, trial.length, episode)}
+        tables = {"episodes": rows, "steps": self._rows.table(episode.rows, episode.length, number)}
         return after, Records(tables=tables, active_steps=num_steps)
 
-    def _fresh(self, key: Key[Array, ""]) -> LearnerState:
-        capacity = 0 if self.saved else self.episodes * self.env.max_steps
-        return self.learner.init(key, self.env.observation_space, self.env.action_space, capacity)
+    @property
+    def exploiting(self) -> ExplorationState:
+        """The exploration state of a test."""
+        return ExplorationState(jnp.zeros((), self._dtype), jnp.zeros((), bool))
 
-    def test_row(self, carry: Run, trial: Trial) -> dict[str, Array]:
-        """What is reported of a test episode."""
-        return self._row(trial, carry.episode + 1, self.exploiting)
-
-    def _test(self, carry: Run, learner: LearnerState, number: Int[Array, ""]) -> dict[str, Array]:
-        def step(keys, trial, *_):
-            action, _ = self.learner.act(keys[0], learner, trial.observation, self.exploiting)
-            env, transition = self.env.step(keys[1], trial.env, action)
-            return self.take(trial, transition, env)[0]
-
-        trial = self.begin(carry, *self._reset(carry, number), is_test=True)
-        return self.test_row(carry, self._until_over(carry, number, trial, step, lambda trial: trial))
-
-    def _until_over(
-        self,
-        carry: Run,
-        number: Int[Array, ""] | int,
-        trial: Trial,
-        step: Callable[..., Trial],
-        after_block: Callable[[Trial], Trial],
-    ) -> Trial:
-        """Steps, `block` at a time, until no lane is in its episode any more.
-
-        Args:
-            carry: The run.
-            number: Which of its present episodes, see `keys`.
-            trial: The episode at its beginning.
-            step: A step of it, from its keys, the episode, and its number in the episode and in the block.
-            after_block: What follows a block.
-        """
-        slots = jnp.arange(self.learner.block, dtype=jnp.int32)
-
-        def block(loop):
-            start, trial = loop
-
-            def one(trial, at):
-                return step(jax.random.wrap_key_data(at[0]), trial, start + at[1], at[1]), None
-
-            trial, _ = jax.lax.scan(one, trial, (self.keys(carry, start, number), slots))
-            return start + self.learner.block, after_block(trial)
-
-        start = jnp.zeros((), jnp.int32), trial
-        return jax.lax.while_loop(lambda loop: any_lane(loop[1].is_active), block, start)[1]
-
-    def _reset(self, carry: Run, number: Int[Array, ""] | int) -> tuple[EnvState, Observation]:
-        env = self.env.of_run(jax.random.fold_in(carry.key, _OF_RUN))
-        state = env.reset(self.reset_key(carry, number))
-        return state, env.observe(state)
-
-    def _row(self, trial: Trial, episode: Int[Array, ""], balance: Balance) -> dict[str, Array]:
-        return {
-            "episode": episode,
-            "return": trial.total,
-            "length": trial.length,
-            "success": trial.success,
-            "terminated": trial.terminated,
-            "truncated": trial.truncated,
-            "kappa": balance.exploration * self.learner.exploration_weight,
-        }
+    def _episode_key(self, carry: RunState, number: Int[Array, ""] | int) -> Key[Array, ""]:
+        """Key of the next training episode, number 0, or of a test after it. Counter 0 made the learner."""
+        return jax.random.fold_in(jax.random.fold_in(carry.key, carry.episode + 1), number)
 
     def _map(self, learner: LearnerState) -> Float[Array, "2 *grid"]:
-        """Q and U at the middle action: of every state, or over the first two observations."""
-        space, actions = self.env.observation_space, self.env.action_space
-        if isinstance(actions, Box):
-            action = 0.5 * (actions.low + actions.high)
-        else:
-            action = jnp.asarray(actions.num // 2, jnp.int32)
-        if not isinstance(space, Box):
-            states = jnp.arange(space.num, dtype=jnp.int32)
-            values = jax.vmap(lambda s: self.learner.values(learner, s, action))(states)
-            return jnp.stack(values)
-        axis = (jnp.arange(self.map_resolution, dtype=self._dtype) + 0.5) / self.map_resolution
-        first, second = jnp.meshgrid(axis, axis, indexing="ij")
-        unit = jnp.full((self.map_resolution, self.map_resolution, space.num_dims), 0.5, self._dtype)
-        unit = unit.at[..., 0].set(first)
-        unit = unit.at[..., 1].set(second) if space.num_dims > 1 else unit
-        observations = space.from_unit(unit)
-        of_row = jax.vmap(lambda o: self.learner.values(learner, o, action))
-        return jnp.stack(jax.lax.map(of_row, observations))
-
-    def _key(self, carry: Run, number: Int[Array, ""] | int) -> Key[Array, ""]:
-        """Key of an episode: of training, or of a test after it. Counter 0 of the run made the learner."""
-        key = jax.random.fold_in(carry.key, carry.episode + 1)
-        return jax.random.fold_in(key, number)
+        env = self.env
+        return value_map(self.learner, learner, env.observation_space, env.action_space, self.map_resolution)
 
     @property
     def _rows(self) -> StepRows:
-        return StepRows(self.env.observation_space, self.env.action_space, self._frame_size, self._dtype)
-
-    @property
-    def _frame_size(self) -> int:
-        if self.env.is_hosted:
-            return 0
-        frame = jax.eval_shape(lambda key: self.env.frame(self.env.reset(key)), jax.random.key(0))
-        return 0 if frame is None else frame.size
-
-    @property
-    def exploiting(self) -> Balance:
-        """The balance of a test."""
-        return Balance(jnp.zeros((), self._dtype), jnp.zeros((), bool))
+        return StepRows.of(self.env, self._dtype)
 
     @property
     def _dtype(self) -> jnp.dtype:

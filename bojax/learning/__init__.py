@@ -1,1 +1,1 @@
-"""Who learns: learners, the balance of exploration and exploitation, and its schedules."""
+"""Learners, the features they use, and the schedules of their exploration."""

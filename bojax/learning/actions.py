@@ -1,23 +1,48 @@
-"""Some actions that stand for all, where a maximum or a mean over actions is wanted."""
+"""Finite sets of actions, over which learners take a maximum or a mean."""
+
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Key
+from jaxtyping import Array, Float, Key
 
 from bojax.envs.base import Action
-from bojax.envs.spaces import Discrete, Space
+from bojax.envs.spaces import Box, Discrete, Space
 from bojax.numerics.quasirandom import scrambled_halton
 
 
 def even_actions(key: Key[Array, ""], number: int, space: Space) -> Action:
-    """Actions that cover a box evenly, by a scrambled Halton sequence; of a discrete space, all of them."""
+    """Points of a scrambled Halton sequence in a box; all actions of a discrete space."""
     if isinstance(space, Discrete):
         return jnp.arange(space.num, dtype=jnp.int32)
     return space.from_unit(scrambled_halton(key, number, space.num_dims, space.low.dtype))
 
 
-def fresh_actions(key: Key[Array, ""], actions: Action, space: Space) -> Action:
-    """As many uniform draws from a box; of a discrete space, all actions as ever."""
+def uniform_actions(key: Key[Array, ""], actions: Action, space: Space) -> Action:
+    """Uniform draws from a box, as many as there are `actions`; of a discrete space, `actions` unchanged."""
     if isinstance(space, Discrete):
         return actions
     return space.from_unit(jax.random.uniform(key, actions.shape, actions.dtype))
+
+
+def refined_action(
+    scores: Callable[[Action], Float[Array, "J"]], action: Action, space: Box, spacing: Array, steps: int
+) -> Action:
+    """Pattern search from an action: each step moves to the best of both neighbours along each dimension.
+
+    Args:
+        scores: Objective at a set of actions, `[J, A] -> [J]`.
+        action: Action to start from.
+        space: Bounds of actions.
+        spacing: Distance of the neighbours in the first step, `[A]`; it is halved in every further step.
+        steps: Number of steps.
+    """
+
+    def improve(i, action):
+        step = (spacing * 0.5**i)[None, :] * jnp.concatenate(
+            [jnp.eye(space.num_dims), -jnp.eye(space.num_dims), jnp.zeros((1, space.num_dims))]
+        ).astype(action.dtype)
+        around = jnp.clip(action[None, :] + step, space.low[None, :], space.high[None, :])
+        return around[jnp.argmax(scores(around))]
+
+    return jax.lax.fori_loop(0, steps, improve, action)

@@ -1,4 +1,4 @@
-"""The protocol of a learner: Algorithm 5 of the thesis, one method a line."""
+"""The interface of a learner, one method for each line of Algorithm 5 of the thesis."""
 
 import abc
 from typing import Any, TypeAlias
@@ -10,31 +10,33 @@ from bojax.envs.base import Action, Observation
 from bojax.envs.spaces import Space
 
 LearnerState: TypeAlias = Any
-"""What a learner has learned: a tree of strongly typed arrays."""
+"""Everything a learner has learned: a tree of strongly typed arrays."""
 
 
-class Balance(eqx.Module):
-    """How a learner is to behave now; schedules make it, and a test episode is `Balance` 0, not learning.
+class ExplorationState(eqx.Module):
+    """How much a learner explores in an episode, and whether it learns; computed by a `Schedule`.
+
+    A test episode has scale 0 and does not learn.
 
     Attributes:
-        exploration: Factor of the learner's weight of exploration (kappa, xi or epsilon); 0 exploits.
-        is_learning: Whether the learner changes; where it is false, `observe` and `end_episode` leave every
-            number of its state as it is.
+        scale: Factor of the learner's exploration weight (kappa, xi or epsilon); 0 is pure exploitation.
+        is_learning: Whether the learner may change. Where it is false, `observe` and `end_episode` return
+            the state they were given.
     """
 
-    exploration: Float[Array, ""]
+    scale: Float[Array, ""]
     is_learning: Bool[Array, ""]
 
 
-class Experience(eqx.Module):
-    """One step, as the learner sees it; or several, `[N, ...]`.
+class Transition(eqx.Module):
+    """One transition (s, a, r, s'), or several, `[N, ...]`.
 
     Attributes:
-        observation: What it saw.
-        action: What it did.
-        reward: What it got.
-        next_observation: What it saw then.
-        terminated: That state is absorbing; a time limit is not.
+        observation: Observation of the state s.
+        action: Action a.
+        reward: Reward r.
+        next_observation: Observation of the next state s'.
+        terminated: Whether s' is terminal. A time limit truncates an episode; it is not terminal.
     """
 
     observation: Observation
@@ -45,22 +47,22 @@ class Experience(eqx.Module):
 
 
 class Episode(eqx.Module):
-    """All steps of an episode, `[T, ...]`.
+    """All transitions of an episode, padded to T rows.
 
     Attributes:
-        steps: The steps, in order.
-        length: Number of steps made; rows from there on mean nothing.
+        transitions: The transitions in order, `[T, ...]`.
+        length: Number of steps; rows from there on are padding.
     """
 
-    steps: Experience
+    transitions: Transition
     length: Int[Array, ""]
 
 
 class Learner(eqx.Module):
-    """A way to learn, written for one lane. All methods are pure; the state is the caller's to keep.
+    """A learning algorithm, written for a single run. All methods are pure; the caller keeps the state.
 
     Attributes:
-        block: Number of steps between two calls of `consolidate`.
+        block: Number of steps between two calls of `flush`.
     """
 
     block: eqx.AbstractVar[int]
@@ -68,60 +70,75 @@ class Learner(eqx.Module):
     @property
     @abc.abstractmethod
     def exploration_weight(self) -> Float[Array, ""]:
-        """Weight of exploration at a balance of 1: kappa, xi or epsilon."""
+        """Weight of exploration at scale 1: kappa, xi or epsilon."""
 
     @abc.abstractmethod
     def init(
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, capacity: int
     ) -> LearnerState:
-        """A learner that has seen nothing.
+        """The state of a learner that has observed nothing.
 
         Args:
-            key: Randomness.
+            key: Random key.
             observation_space: Space of observations.
             action_space: Space of actions.
-            capacity: Most steps that it will ever observe.
+            capacity: Largest number of transitions that the learner will observe.
         """
 
     @abc.abstractmethod
     def act(
-        self, key: Key[Array, ""], state: LearnerState, observation: Observation, balance: Balance
+        self,
+        key: Key[Array, ""],
+        state: LearnerState,
+        observation: Observation,
+        exploration: ExplorationState,
     ) -> tuple[Action, Float[Array, ""]]:
-        """An action, and the return Q that is expected of it."""
+        """The action to take, and the return Q that the learner expects of it."""
 
     @abc.abstractmethod
     def observe(
         self,
         key: Key[Array, ""],
         state: LearnerState,
-        experience: Experience,
-        balance: Balance,
-        slot: Int[Array, ""],
+        transition: Transition,
+        exploration: ExplorationState,
+        step_in_block: Int[Array, ""],
     ) -> LearnerState:
-        """Learn from one step; `slot` counts the steps since `consolidate`, the same in every lane."""
+        """Learn from one transition.
 
-    def consolidate(self, state: LearnerState) -> LearnerState:
-        """Called after every `block` steps, and at the end of an episode."""
+        Args:
+            key: Random key.
+            state: State of the learner.
+            transition: The transition.
+            exploration: Exploration state of the episode.
+            step_in_block: Number of steps since the last `flush`; the same in every lane of a batch.
+        """
+
+    def flush(self, state: LearnerState) -> LearnerState:
+        """Apply delayed updates; called after every `block` steps and at the end of an episode."""
         return state
 
     def end_episode(
-        self, key: Key[Array, ""], state: LearnerState, episode: Episode, balance: Balance
+        self, key: Key[Array, ""], state: LearnerState, episode: Episode, exploration: ExplorationState
     ) -> LearnerState:
-        """Learn from a whole episode, after the last of its steps has been observed."""
-        del key, episode, balance
+        """Learn from a whole episode, after its last transition has been observed."""
+        del key, episode, exploration
         return state
 
-    def without_memory(self, state: LearnerState) -> LearnerState:
-        """The state as `init` makes it at a capacity of 0: enough to act, not to learn on."""
+    def policy_state(self, state: LearnerState) -> LearnerState:
+        """The part of the state that is exported: with the shapes of `init` at a capacity of 0.
+
+        It is enough to act, but not to go on learning.
+        """
         return state
 
     @property
     def lanes_on_cpu(self) -> int:
-        """Most lanes per device of a CPU that are fast."""
+        """Largest number of lanes per CPU device at which a batch is still fast."""
         return 64
 
     @abc.abstractmethod
     def values(
         self, state: LearnerState, observation: Observation, action: Action
     ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        """Q and U of one pair; U is 0 where a learner has none."""
+        """Q and U of one state-action pair; U is 0 for learners without exploration values."""

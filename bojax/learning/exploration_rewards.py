@@ -1,4 +1,4 @@
-"""Exploration rewards of tabular learners (thesis, Section 5.4.3): what r_e a transition is worth."""
+"""Exploration rewards r_e of tabular learners (thesis, Section 5.4.3)."""
 
 import abc
 
@@ -9,20 +9,20 @@ from jaxtyping import Array, Float
 
 
 class ExplorationReward(eqx.Module):
-    """An exploration reward from counts of visits; at most 0, so that values begin optimistic at 0."""
+    """An exploration reward from visit counts; at most 0, so that initial values of 0 are optimistic."""
 
     @abc.abstractmethod
     def __call__(self, count: Float[Array, ""], next_counts: Float[Array, "A"]) -> Float[Array, ""]:
-        """The reward r_e of a transition.
+        """The exploration reward r_e of a transition.
 
         Args:
-            count: Visits of the state and action before this one.
-            next_counts: Visits of each action in the state that follows, before this transition.
+            count: Earlier visits of the state-action pair.
+            next_counts: Earlier visits of each action in the next state.
         """
 
 
 class FirstVisit(ExplorationReward):
-    """0 for the first visit of a state and action, -1 for any other (p. 118)."""
+    """0 for the first visit of a state-action pair, -1 for later visits (p. 118)."""
 
     def __call__(self, count: Float[Array, ""], next_counts: Float[Array, "A"]) -> Float[Array, ""]:
         """See `ExplorationReward`."""
@@ -31,10 +31,10 @@ class FirstVisit(ExplorationReward):
 
 
 class NextUncertainty(ExplorationReward):
-    """What there is left to explore in the next state: E_a'[sigma(s', a')] - 1, (5.9) with a uniform a'.
+    """Mean uncertainty of the next state's actions, E_a'[sigma(s', a')] - 1: (5.9) with a uniform a'.
 
-    The uncertainty is sigma = 1 / sqrt(1 + n), n the visits of the pair; 1 is its greatest value, and is
-    taken off to keep the reward at most 0. Nothing is ever done in an absorbing state: it stays uncertain.
+    The uncertainty of a pair visited n times is sigma = 1 / sqrt(1 + n). Its maximum, 1, is subtracted so
+    that the reward is at most 0. A terminal state has no visits and keeps the maximum.
     """
 
     def __call__(self, count: Float[Array, ""], next_counts: Float[Array, "A"]) -> Float[Array, ""]:

@@ -1,8 +1,8 @@
-"""Features of states and actions: products of features of the state and features of the action.
+"""Features phi(s, a) of states and actions, bilinear in features x(s) of the state and y(a) of the action.
 
-All maps here are bilinear, phi(s, a) = join(x(s), y(a)). So a linear value of all actions at a state is a
-product with x(s) alone: w'phi(s, a) = x(s)'split(w, y(a)), and a mean over actions of a quadratic form in
-phi is a quadratic form in x(s). `FeatureSpec.draw` makes a map for the spaces of an environment.
+Because phi(s, a) = join(x(s), y(a)) is bilinear, a linear function of phi is linear in x(s) for a fixed
+action, w'phi(s, a) = x(s)'split(w, y(a)), and the mean over actions of a quadratic form in phi is a quadratic
+form in x(s). `FeatureSpec.draw` makes a feature map for the spaces of an environment.
 """
 
 import abc
@@ -21,7 +21,7 @@ from bojax.numerics.linalg import matmul
 
 
 class StateActionFeatures(eqx.Module):
-    """A map phi from a state and an action to M features; P and R are the sizes of x and y.
+    """A feature map phi from a state and an action to M features; P and R are the sizes of x and y.
 
     Attributes:
         actions: Space of actions.
@@ -55,22 +55,22 @@ class StateActionFeatures(eqx.Module):
         return self.join(self.state(observation), self.action(action))
 
     def split_both(self, matrix: Float[Array, "M M"], y: Float[Array, "R"]) -> Float[Array, "P P"]:
-        """The form of x that equals phi'matrix phi at this action."""
+        """The matrix of the quadratic form in x that equals phi'matrix phi for the action with features y."""
         columns = jax.vmap(self.split, (1, None), 1)
         return columns(columns(matrix, y).T, y).T
 
 
-class Waves(StateActionFeatures):
-    """Cosines, or cosines and sines, of linear functions of state and action mapped to the unit cube.
+class FourierFeatures(StateActionFeatures):
+    """Cosines, or cosines and sines, of linear functions of the state and action, mapped to the unit cube.
 
     Attributes:
         observations: Bounds of observations.
         actions: Space of actions.
-        state_frequencies: Angular frequency along each observation, in radians per range of it.
-        action_frequencies: The same of actions.
+        state_frequencies: Angular frequencies along each observation, in radians per range.
+        action_frequencies: Angular frequencies along each action dimension.
         phases: Phase of each frequency, in radians.
         amplitude: Amplitude of every feature.
-        has_sines: Whether the sines are there too, after the cosines.
+        has_sines: Whether sines are appended to the cosines.
     """
 
     observations: Space
@@ -87,31 +87,31 @@ class Waves(StateActionFeatures):
         return len(self.phases) * (1 + self.has_sines)
 
     def state(self, observation: Observation) -> Float[Array, "P"]:
-        """See `StateActionFeatures`: cosines and sines of the state's share of the angles."""
+        """See `StateActionFeatures`: cosines and sines of the angles that the state contributes."""
         unit = self.observations.to_unit(observation).astype(self.phases.dtype)
         angles = matmul(self.state_frequencies, unit) + self.phases
         return self.amplitude * jnp.concatenate([jnp.cos(angles), jnp.sin(angles)])
 
     def action(self, action: Action) -> Float[Array, "R"]:
-        """See `StateActionFeatures`: the same of the action's share."""
+        """See `StateActionFeatures`: cosines and sines of the angles that the action contributes."""
         unit = self.actions.to_unit(action).astype(self.phases.dtype)
         angles = matmul(self.action_frequencies, unit)
         return jnp.concatenate([jnp.cos(angles), jnp.sin(angles)])
 
     def join(self, x: Float[Array, "P"], y: Float[Array, "R"]) -> Float[Array, "M"]:
-        """See `StateActionFeatures`: the cosine (and the sine) of a sum."""
+        """See `StateActionFeatures`: cosines (and sines) of the sums of the angles."""
         (cx, sx), (cy, sy) = jnp.split(x, 2), jnp.split(y, 2)
         cosines = cx * cy - sx * sy
         return jnp.concatenate([cosines, sx * cy + cx * sy]) if self.has_sines else cosines
 
     def __call__(self, observation: Observation, action: Action) -> Float[Array, "M"]:
-        """See `StateActionFeatures`: from the whole angles, half the cosines and sines."""
+        """See `StateActionFeatures`: computed from the whole angles, with half as many cosines and sines."""
         dtype = self.phases.dtype
         state = self.observations.to_unit(observation).astype(dtype)
         angles = matmul(self.state_frequencies, state) + self.phases
         angles = angles + matmul(self.action_frequencies, self.actions.to_unit(action).astype(dtype))
-        waves = [jnp.cos(angles), jnp.sin(angles)] if self.has_sines else [jnp.cos(angles)]
-        return self.amplitude * jnp.concatenate(waves)
+        parts = [jnp.cos(angles), jnp.sin(angles)] if self.has_sines else [jnp.cos(angles)]
+        return self.amplitude * jnp.concatenate(parts)
 
     def split(self, weights: Float[Array, "M"], y: Float[Array, "R"]) -> Float[Array, "P"]:
         """See `StateActionFeatures`."""
@@ -122,13 +122,13 @@ class Waves(StateActionFeatures):
         return jnp.concatenate([wc * cy + ws * sy, ws * cy - wc * sy])
 
 
-class Indicators(StateActionFeatures):
-    """One feature for each pair of a numbered state and a numbered action: 1 there, 0 elsewhere.
+class OneHotFeatures(StateActionFeatures):
+    """One-hot features of a discrete state and a discrete action: one feature for each pair.
 
     Attributes:
-        observations: The numbered states.
-        actions: The numbered actions.
-        one: The number 1, in the precision of the features.
+        observations: Space of states.
+        actions: Space of actions.
+        one: The number 1 in the precision of the features.
     """
 
     observations: Discrete
@@ -163,30 +163,31 @@ class Indicators(StateActionFeatures):
 
 
 class FeatureSpec(eqx.Module):
-    """Which features a learner uses; the map itself is drawn for a run."""
+    """Settings of a feature map; the map itself is drawn once for each run."""
 
     @abc.abstractmethod
     def draw(
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, dtype: jnp.dtype
     ) -> StateActionFeatures:
-        """A map for these spaces.
+        """Draw a feature map for the given spaces.
 
         Raises:
-            ValueError: It does not fit them.
+            ValueError: The features do not apply to these spaces.
         """
 
 
 class RandomFourierSpec(FeatureSpec):
-    """Random Fourier features of a stationary kernel (2.33), on bounds mapped to [0, 1].
+    """Random Fourier features of a stationary kernel (2.33), with bounds mapped to [0, 1].
 
     Attributes:
         state_lengthscale: Lengthscale along each observation, in units of its range (Table 5.2).
-        action_lengthscale: The same of actions.
+        action_lengthscale: Lengthscale along each action dimension, in units of its range.
         num_features: M; even.
-        kernel: Kernel that they approximate.
-        sampling: How frequencies are drawn.
-        form: Cosines and sines of M/2 frequencies, with phi'phi = 1; or `phase`, cosines of M frequencies
-            with random phases times sqrt(1/M), which the author's published code computes by a slip.
+        kernel: Kernel that the features approximate.
+        sampling: How the frequencies are drawn.
+        form: `cos-sin`: cosines and sines of M/2 frequencies, with phi'phi = 1. `phase`: cosines of M
+            frequencies with random phases, times sqrt(1/M), as in the author's published code, where the
+            factor should be sqrt(2/M).
     """
 
     state_lengthscale: Float[Array, ""]
@@ -198,7 +199,7 @@ class RandomFourierSpec(FeatureSpec):
 
     def draw(
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, dtype: jnp.dtype
-    ) -> Waves:
+    ) -> FourierFeatures:
         """See `FeatureSpec`."""
         num_observations, num_actions = observation_space.num_dims, action_space.num_dims
         key_frequencies, key_phases = jax.random.split(key)
@@ -220,7 +221,7 @@ class RandomFourierSpec(FeatureSpec):
         phases = jnp.zeros((number,), dtype)
         if not has_sines:
             phases = jax.random.uniform(key_phases, (number,), dtype, maxval=2.0 * jnp.pi)
-        return Waves(
+        return FourierFeatures(
             observations=observation_space,
             actions=action_space,
             state_frequencies=features.frequencies[:, :num_observations],
@@ -232,23 +233,23 @@ class RandomFourierSpec(FeatureSpec):
 
 
 class FourierBasisSpec(FeatureSpec):
-    """The Fourier basis (5.23) of state and action, on bounds mapped to [0, 1].
+    """The Fourier basis (5.23) of state and action, with bounds mapped to [0, 1].
 
     Attributes:
-        order: Highest number of half periods along a dimension: (order + 1)^D features.
+        order: Largest number of half periods along a dimension; there are (order + 1)^D features.
     """
 
     order: int = eqx.field(static=True)
 
     def draw(
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, dtype: jnp.dtype
-    ) -> Waves:
-        """See `FeatureSpec`; nothing is random."""
+    ) -> FourierFeatures:
+        """See `FeatureSpec`; the key is unused."""
         del key
         num_observations = observation_space.num_dims
         basis = FourierBasis(self.order, num_observations + action_space.num_dims)
         frequencies = jnp.asarray(basis.frequencies(), dtype)
-        return Waves(
+        return FourierFeatures(
             observations=observation_space,
             actions=action_space,
             state_frequencies=frequencies[:, :num_observations],
@@ -259,17 +260,17 @@ class FourierBasisSpec(FeatureSpec):
         )
 
 
-class IndicatorSpec(FeatureSpec):
-    """A feature for each pair of state and action: a table, as linear features."""
+class OneHotSpec(FeatureSpec):
+    """One-hot features of discrete states and actions: linear function approximation of a table."""
 
     def draw(
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, dtype: jnp.dtype
-    ) -> Indicators:
-        """See `FeatureSpec`; nothing is random."""
+    ) -> OneHotFeatures:
+        """See `FeatureSpec`; the key is unused."""
         del key
         if isinstance(observation_space, Box) or isinstance(action_space, Box):
-            raise ValueError("features: got indicators; allowed only where states and actions are numbered")
-        return Indicators(observation_space, action_space, jnp.ones((), dtype))
+            raise ValueError("features: got indicators; allowed only for discrete observations and actions")
+        return OneHotFeatures(observation_space, action_space, jnp.ones((), dtype))
 
 
 _KERNELS = {"rbf": RBF, "matern12": Matern12, "matern32": Matern32, "matern52": Matern52}

@@ -1,4 +1,4 @@
-"""The transitions of a run, kept as states and actions: features are computed again where they are needed."""
+"""A memory of all transitions of a run, as states and actions; features are recomputed where needed."""
 
 import equinox as eqx
 import jax
@@ -11,14 +11,14 @@ from bojax.numerics.lanes import largest_in_lanes
 
 
 class Memory(eqx.Module):
-    """Up to C transitions, in the order in which they were made.
+    """Up to C transitions (s, a, r, s'), in the order in which they were observed.
 
     Attributes:
-        observations: What was seen, `[C, ...]`.
-        actions: What was done.
-        rewards: What came of it.
-        next_observations: What was seen then.
-        terminated: Whether that state is absorbing.
+        observations: Observations of s, `[C, ...]`.
+        actions: Actions a, `[C, ...]`.
+        rewards: Rewards r.
+        next_observations: Observations of s', `[C, ...]`.
+        terminated: Whether s' is terminal.
         count: Number of transitions; later rows are zero.
     """
 
@@ -31,49 +31,50 @@ class Memory(eqx.Module):
 
     @classmethod
     def empty(cls, capacity: int, observation: Observation, action: Action, dtype: jnp.dtype) -> "Memory":
-        """Room for transitions with observations and actions of these shapes."""
+        """An empty memory for observations and actions of the given shapes."""
 
-        def room(example: Array) -> Array:
+        def zeros(example: Array) -> Array:
             return jnp.zeros((capacity, *example.shape), example.dtype)
 
         return cls(
-            observations=room(observation),
-            actions=room(action),
+            observations=zeros(observation),
+            actions=zeros(action),
             rewards=jnp.zeros((capacity,), dtype),
-            next_observations=room(observation),
+            next_observations=zeros(observation),
             terminated=jnp.zeros((capacity,), bool),
             count=jnp.zeros((), jnp.int32),
         )
 
     def add(self, episode: Episode, is_kept: Bool[Array, ""]) -> "Memory":
-        """The memory with an episode at its end, if it is to be kept; what does not fit is left out."""
-        steps = episode.steps
-        number = jnp.arange(len(steps.reward), dtype=jnp.int32)
+        """The memory with an episode appended if `is_kept`; transitions beyond the capacity are dropped."""
+        new = episode.transitions
+        number = jnp.arange(len(new.reward), dtype=jnp.int32)
         capacity = len(self.rewards)
         place = jnp.where((number < episode.length) & is_kept, self.count + number, capacity)
 
-        def put(room: Array, rows: Array) -> Array:
-            return room.at[place].set(rows.astype(room.dtype), mode="drop")
+        def put(stored: Array, rows: Array) -> Array:
+            return stored.at[place].set(rows.astype(stored.dtype), mode="drop")
 
         return Memory(
-            observations=put(self.observations, steps.observation),
-            actions=put(self.actions, steps.action),
-            rewards=put(self.rewards, steps.reward),
-            next_observations=put(self.next_observations, steps.next_observation),
-            terminated=put(self.terminated, steps.terminated),
+            observations=put(self.observations, new.observation),
+            actions=put(self.actions, new.action),
+            rewards=put(self.rewards, new.reward),
+            next_observations=put(self.next_observations, new.next_observation),
+            terminated=put(self.terminated, new.terminated),
             count=jnp.minimum(self.count + jnp.where(is_kept, episode.length, 0), capacity),
         )
 
     def fold(self, function, start, block: int):
-        """Fold a function over the transitions, some of them at a time.
+        """Fold a function over the transitions, a block at a time.
 
-        Only blocks that hold a transition of some lane are visited.
+        Blocks that are empty in every lane are skipped.
 
         Args:
-            function: `(carry, rows, index, is_there) -> carry`, with rows a `Memory` of `block` transitions,
-                their indices, and which of them are there; the others are zero, or repeat earlier ones.
-            start: The first carry.
-            block: Most transitions at a time.
+            function: `(carry, rows, index, is_valid) -> carry`, where `rows` is a `Memory` of `block`
+                transitions, `index` their positions, and `is_valid` marks the rows to count. The other rows
+                are zero or were part of an earlier block.
+            start: Initial carry.
+            block: Largest number of transitions in a block.
         """
         capacity = len(self.rewards)
         if not capacity:
@@ -84,10 +85,11 @@ class Memory(eqx.Module):
             first = jnp.minimum(number * block, capacity - block)
             index = first + jnp.arange(block, dtype=jnp.int32)
             rows = jax.tree.map(
-                lambda room: jax.lax.dynamic_slice_in_dim(room, first, block) if room.ndim else room, self
+                lambda stored: jax.lax.dynamic_slice_in_dim(stored, first, block) if stored.ndim else stored,
+                self,
             )
-            is_there = (index >= number * block) & (index < self.count)
-            return function(carry, rows, index, is_there)
+            is_valid = (index >= number * block) & (index < self.count)
+            return function(carry, rows, index, is_valid)
 
         num_blocks = (largest_in_lanes(self.count) + block - 1) // block
         return jax.lax.fori_loop(0, num_blocks, visit, start)

@@ -1,4 +1,4 @@
-"""Q-learning on linear features with an epsilon-greedy policy (thesis, Sections 5.6.4 and 5.7)."""
+"""Q-learning with linear features and an epsilon-greedy policy (thesis, Sections 5.6.4 and 5.7)."""
 
 import equinox as eqx
 import jax
@@ -7,20 +7,20 @@ from jaxtyping import Array, Float, Int, Key
 
 from bojax.envs.base import Action, Observation
 from bojax.envs.spaces import Space
-from bojax.learning.actions import even_actions, fresh_actions
-from bojax.learning.balance import best_action
-from bojax.learning.base import Balance, Experience, Learner
+from bojax.learning.actions import even_actions, uniform_actions
+from bojax.learning.base import ExplorationState, Learner, Transition
 from bojax.learning.features import FeatureSpec, StateActionFeatures
+from bojax.learning.policy import best_action
 from bojax.numerics.linalg import matmul
 
 
 class RFFQState(eqx.Module):
-    """What the learner knows.
+    """The state of `RFFQ`.
 
     Attributes:
-        features: The map phi of this run.
+        features: Feature map phi of this run.
         weights: Weights of Q.
-        candidates: As many actions as the argmax looks at, `[J, ...]`.
+        candidates: Actions of the same number and shape as the candidates of the maximum, `[J, ...]`.
     """
 
     features: StateActionFeatures
@@ -34,15 +34,15 @@ class RFFQ(Learner):
     The maximum is over fresh uniform draws, or over all actions of a discrete space.
 
     Attributes:
-        features: Which features.
+        features: Settings of the features.
         discount: Discount of rewards per step, gamma.
-        learning_rate: Rate.
+        learning_rate: Learning rate.
         epsilon: Probability of a random action.
-        initial_weight: Standard deviation of the weights at the start; with 0, nothing is known.
-        num_actions: Actions that the maximum is taken over, where they are continuous.
-        normalise: Whether the rate is divided by phi'phi: random Fourier features have 1, a Fourier basis
-            half its number, with which the same rate would diverge.
-        block: Steps between two looks at whether an episode is over.
+        initial_weight: Standard deviation of the initial weights.
+        num_actions: Number of candidates of the maximum over a continuous action space.
+        normalise: Whether the rate is divided by phi'phi, which is 1 for random Fourier features. For a
+            Fourier basis it is half the number of features, and the same rate would diverge.
+        block: Number of steps between two checks of whether the episode has ended.
     """
 
     features: FeatureSpec
@@ -61,7 +61,7 @@ class RFFQ(Learner):
 
     @property
     def lanes_on_cpu(self) -> int:
-        """See `Learner`: 18,000 steps/s on a core with 8 runs, 15,000 with 32 (300 features)."""
+        """See `Learner`: one core makes 18,000 steps/s with 8 lanes, 15,000 with 32 (300 features)."""
         return 8
 
     def init(
@@ -76,14 +76,18 @@ class RFFQ(Learner):
         return RFFQState(features, weights, even_actions(key_actions, self.num_actions, action_space))
 
     def act(
-        self, key: Key[Array, ""], state: RFFQState, observation: Observation, balance: Balance
+        self,
+        key: Key[Array, ""],
+        state: RFFQState,
+        observation: Observation,
+        exploration: ExplorationState,
     ) -> tuple[Action, Float[Array, ""]]:
-        """See `Learner`: a random candidate with probability epsilon, else the best."""
+        """See `Learner`: a random candidate with probability epsilon, else the best candidate."""
         keys = jax.random.split(key, 4)
-        candidates = fresh_actions(keys[0], state.candidates, state.features.actions)
+        candidates = uniform_actions(keys[0], state.candidates, state.features.actions)
         q = self._values(state, observation, candidates)
         best = best_action(keys[1], q, jnp.zeros_like(q), self.epsilon)
-        is_random = jax.random.uniform(keys[2], (), q.dtype) < balance.exploration * self.epsilon
+        is_random = jax.random.uniform(keys[2], (), q.dtype) < exploration.scale * self.epsilon
         place = jnp.where(is_random, jax.random.randint(keys[3], (), 0, len(candidates)), best)
         return candidates[place], q[place]
 
@@ -91,19 +95,19 @@ class RFFQ(Learner):
         self,
         key: Key[Array, ""],
         state: RFFQState,
-        experience: Experience,
-        balance: Balance,
-        slot: Int[Array, ""],
+        transition: Transition,
+        exploration: ExplorationState,
+        step_in_block: Int[Array, ""],
     ) -> RFFQState:
         """See `Learner`."""
-        del slot
-        candidates = fresh_actions(key, state.candidates, state.features.actions)
-        best = jnp.max(self._values(state, experience.next_observation, candidates))
-        target = experience.reward + self.discount * jnp.where(experience.terminated, 0.0, best)
-        phi = state.features(experience.observation, experience.action)
+        del step_in_block
+        candidates = uniform_actions(key, state.candidates, state.features.actions)
+        best = jnp.max(self._values(state, transition.next_observation, candidates))
+        target = transition.reward + self.discount * jnp.where(transition.terminated, 0.0, best)
+        phi = state.features(transition.observation, transition.action)
         rate = self.learning_rate / jnp.sum(phi * phi) if self.normalise else self.learning_rate
         step = rate * (target - matmul(phi, state.weights))
-        weights = state.weights + jnp.where(balance.is_learning, step, 0.0) * phi
+        weights = state.weights + jnp.where(exploration.is_learning, step, 0.0) * phi
         return eqx.tree_at(lambda s: s.weights, state, weights)
 
     def values(

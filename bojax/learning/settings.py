@@ -48,7 +48,7 @@ class FourierBasisFeatures(FeatureSettings, frozen=True):
 class Indicators(FeatureSettings, frozen=True):
     """One feature for each pair of a numbered state and a numbered action."""
 
-    target: ClassVar[str] = "bojax.learning.features:IndicatorSpec"
+    target: ClassVar[str] = "bojax.learning.features:OneHotSpec"
 
     kind: Literal["indicators"] = "indicators"
 

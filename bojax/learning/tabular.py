@@ -1,4 +1,4 @@
-"""Tabular Q-learning with three ways to explore (thesis, Sections 5.3 to 5.5): all share one update."""
+"""Tabular Q-learning with three ways to explore, which share one update (thesis, Sections 5.3 to 5.5)."""
 
 import abc
 from typing import Literal
@@ -9,20 +9,20 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
 from bojax.envs.spaces import Discrete, Space
-from bojax.learning.balance import Ties, best_action, one_of_the_best
-from bojax.learning.base import Balance, Experience, Learner
+from bojax.learning.base import ExplorationState, Learner, Transition
 from bojax.learning.exploration_rewards import ExplorationReward
+from bojax.learning.policy import Ties, best_action, random_argmax
 
 Q, U = 0, 1
-"""Columns of a table's values."""
+"""Columns of the table."""
 
 
 class Tables(eqx.Module):
-    """What a tabular learner knows; one array, since one write a step is faster than three.
+    """The state of a tabular learner, in one array: one write per step is faster than three.
 
     Attributes:
-        columns: For each state and action: the expected return Q; the expected exploration return U, where a
-            learner has one; and, in the last column, the number of visits.
+        columns: For each state and action: the expected return Q, the expected exploration return U where
+            the learner has one, and, in the last column, the number of visits.
     """
 
     columns: Float[Array, "S A C"]
@@ -39,22 +39,21 @@ class Tables(eqx.Module):
 
     @property
     def visits(self) -> Float[Array, "*N S A"]:
-        """Number of visits of each pair while learning."""
+        """Number of visits of each state-action pair while learning."""
         return self.columns[..., -1]
 
 
 class TabularLearner(Learner):
-    """Q-learning on a table: each value goes `learning_rate` of the way to its target after a step (2.43).
+    """Q-learning on a table: each step moves a value by `learning_rate` towards its TD target (2.43).
 
-    The target of a value is its reward plus the discounted value of what follows. An absorbing state is worth
-    0; a time limit is no absorbing state, and the target is continued past it.
+    The value of a terminal state is 0. A time limit is not terminal: the target bootstraps past it.
 
     Attributes:
-        discount: Discount of rewards, per step.
-        learning_rate: Share of the way to its target that a value goes.
-        initial_q: Q of what was never tried; above what can be reached, it is optimism.
-        ties: Which of several best actions is taken.
-        block: See `Learner`; a loop over steps asks for its end so often.
+        discount: Discount of rewards per step, gamma.
+        learning_rate: Learning rate.
+        initial_q: Initial Q; above the largest possible return, it is optimistic.
+        ties: How ties between the best actions are broken.
+        block: Number of steps between two checks of whether the episode has ended.
     """
 
     discount: Float[Array, ""]
@@ -66,25 +65,25 @@ class TabularLearner(Learner):
     @property
     @abc.abstractmethod
     def initial_values(self) -> Float[Array, "V"]:
-        """Q, and U where there is one, of what was never tried."""
+        """Initial Q, followed by the initial U where the learner has one."""
 
     @abc.abstractmethod
-    def lesson(
+    def td_target(
         self,
         key: Key[Array, ""],
-        experience: Experience,
-        balance: Balance,
+        transition: Transition,
+        exploration: ExplorationState,
         visits: Float[Array, ""],
         next_row: Float[Array, "A C"],
-    ) -> tuple[Float[Array, "V"], Float[Array, "V"]]:
-        """What each value learns from a step: its reward, and the value of the state that follows.
+    ) -> Float[Array, "V"]:
+        """The TD target of each value: its reward plus the discounted value of the next state.
 
         Args:
-            key: Randomness.
-            experience: The step.
-            balance: How much is explored.
-            visits: Visits of the state and action before.
-            next_row: Row of the table of the state that follows.
+            key: Random key.
+            transition: The transition.
+            exploration: Exploration state of the episode.
+            visits: Earlier visits of the state-action pair.
+            next_row: Row of the table for the next state.
         """
 
     def init(
@@ -101,32 +100,23 @@ class TabularLearner(Learner):
         entry = jnp.append(self.initial_values, 0.0)
         return Tables(jnp.broadcast_to(entry, (num_states, num_actions, *entry.shape)))
 
-    def act(
-        self, key: Key[Array, ""], state: Tables, observation: Int[Array, ""], balance: Balance
-    ) -> tuple[Int[Array, ""], Float[Array, ""]]:
-        """See `Learner`: the best action by Q alone, unless a learner explores by its choice of actions."""
-        del balance
-        q = _row(state, observation)[:, Q]
-        action = best_action(key, q, jnp.zeros_like(q), jnp.zeros_like(self.discount), self.ties)
-        return action, q[action]
-
     def observe(
         self,
         key: Key[Array, ""],
         state: Tables,
-        experience: Experience,
-        balance: Balance,
-        slot: Int[Array, ""],
+        transition: Transition,
+        exploration: ExplorationState,
+        step_in_block: Int[Array, ""],
     ) -> Tables:
-        """See `Learner`: the one update of all tabular learners."""
-        del slot
-        pair = experience.observation, experience.action
-        entry = _row(state, experience.observation)[experience.action]
-        next_row = _row(state, experience.next_observation)
-        reward, next_value = self.lesson(key, experience, balance, entry[-1], next_row)
-        change = self.learning_rate * (reward + self.discount * next_value - entry[:-1])
-        change = jnp.where(balance.is_learning, jnp.append(change, 1.0), 0.0)
-        # One entry is written, nothing is selected: a select would copy the table in every step.
+        """See `Learner`: the update that all tabular learners share."""
+        del step_in_block
+        pair = transition.observation, transition.action
+        entry = _row(state, transition.observation)[transition.action]
+        next_row = _row(state, transition.next_observation)
+        target = self.td_target(key, transition, exploration, entry[-1], next_row)
+        change = self.learning_rate * (target - entry[:-1])
+        change = jnp.where(exploration.is_learning, jnp.append(change, 1.0), 0.0)
+        # The entry is updated by adding 0 where nothing is learned: a select would copy the whole table.
         return Tables(state.columns.at[pair].add(change, mode="drop"))
 
     def values(
@@ -138,28 +128,27 @@ class TabularLearner(Learner):
 
     @property
     def lanes_on_cpu(self) -> int:
-        """See `Learner`: 200 runs of a point fill two cores, and none waits for another point."""
+        """See `Learner`: the 200 runs of a point of a sweep fill two cores."""
         return 100
 
 
 class ExplorationValues(TabularLearner):
-    """Two values, Q of rewards and U of exploration rewards; acts by argmax Q + kappa U (Algorithm 5).
+    """Separate values Q of rewards and U of exploration rewards; acts by argmax Q + kappa U (Algorithm 5).
 
     Attributes:
-        kappa: Weight of U in the choice of actions.
-        initial_u: U of what was never tried; exploration rewards are at most 0, so 0 is optimism.
-        exploration_reward: What exploring a transition is worth.
-        bootstrap: What follows a state. `"policy"`: Q and U of the action that argmax Q + kappa U takes there
-            (5.7); then Q + kappa U is the Q of `AdditiveRewards`, number by number, and Q is worth what the
-            exploring policy gets. `"greedy-q"`, the default: the greatest Q, as Q-learning has it, and U of
-            that action; then Q says what exploitation would get, and exploration can stop at any time.
-            `"max"`: the greatest Q and the greatest U of the actions. The last can stay where it is for ever:
-            an action that was punished is not taken again, so that its U stays high and goes on promising
-            that there is something to explore.
-        terminal_u: U of an absorbing state: `"masked"`: 0, as of Q; `"bootstrap"`: what its row of the table
-            says, which is never learned and stays `initial_u`. Masking is the default since nothing is left
-            to explore after the end of an episode. It makes an early end the best exploration; in the
-            domains of Section 5.5 only the goal ends an episode. At an `initial_u` of 0 both are the same.
+        kappa: Weight of U in the policy.
+        initial_u: Initial U; exploration rewards are at most 0, so 0 is optimistic.
+        exploration_reward: Exploration reward of a transition.
+        bootstrap: Values of the next state in the TD targets. `"policy"`: Q and U of the action
+            argmax Q + kappa U (5.7). Q + kappa U then equals the Q of `AdditiveRewards`, and Q is the return
+            of the exploring policy. `"greedy-q"`, the default: the maximum of Q, as in Q-learning, and U of
+            the action argmax Q + kappa U. Q is then the return of exploitation, and exploration can stop at
+            any time. `"max"`: the maximum of Q and the maximum of U. This one can get stuck: an action that
+            was punished is not taken again, its U stays high, and the state keeps promising exploration.
+        terminal_u: U of a terminal state. `"masked"`, the default: 0, like Q. `"bootstrap"`: the value in
+            the table, which is never updated and stays `initial_u`. With an `initial_u` of 0 the two are
+            equal. Masking makes an early end the best exploration, but in the domains of Section 5.5 only
+            the goal ends an episode.
     """
 
     kappa: Float[Array, ""]
@@ -179,47 +168,49 @@ class ExplorationValues(TabularLearner):
         return jnp.stack([self.initial_q, self.initial_u])
 
     def act(
-        self, key: Key[Array, ""], state: Tables, observation: Int[Array, ""], balance: Balance
+        self, key: Key[Array, ""], state: Tables, observation: Int[Array, ""], exploration: ExplorationState
     ) -> tuple[Int[Array, ""], Float[Array, ""]]:
         """See `Learner`."""
         row = _row(state, observation)
-        action = self._best(key, row, balance)
+        action = self._best(key, row, exploration)
         return action, row[action, Q]
 
-    def lesson(
+    def td_target(
         self,
         key: Key[Array, ""],
-        experience: Experience,
-        balance: Balance,
+        transition: Transition,
+        exploration: ExplorationState,
         visits: Float[Array, ""],
         next_row: Float[Array, "A 3"],
-    ) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
+    ) -> Float[Array, "2"]:
         """See `TabularLearner`."""
         bonus = self.exploration_reward(visits, next_row[:, -1])
         greatest = jnp.max(next_row[:, :-1], axis=0)
         if self.bootstrap == "max":
             next_value = greatest
         else:
-            next_value = next_row[self._best(key, next_row, balance), :-1]
+            next_value = next_row[self._best(key, next_row, exploration), :-1]
             if self.bootstrap == "greedy-q":
                 next_value = next_value.at[Q].set(greatest[Q])
-        is_worthless = jnp.stack(
-            [experience.terminated, experience.terminated & (self.terminal_u == "masked")]
-        )
-        return jnp.stack([experience.reward, bonus]), jnp.where(is_worthless, 0.0, next_value)
+        is_masked = jnp.stack([transition.terminated, transition.terminated & (self.terminal_u == "masked")])
+        rewards = jnp.stack([transition.reward, bonus])
+        return rewards + self.discount * jnp.where(is_masked, 0.0, next_value)
 
-    def _best(self, key: Key[Array, ""], row: Float[Array, "A 3"], balance: Balance) -> Int[Array, ""]:
-        return best_action(key, row[:, Q], row[:, U], self.kappa * balance.exploration, self.ties)
+    def _best(
+        self, key: Key[Array, ""], row: Float[Array, "A 3"], exploration: ExplorationState
+    ) -> Int[Array, ""]:
+        return best_action(key, row[:, Q], row[:, U], self.kappa * exploration.scale, self.ties)
 
 
 class AdditiveRewards(TabularLearner):
     """One value Q, of r + xi r_e (5.1); acts by argmax Q.
 
-    The balance of exploration multiplies xi when a step is learned from: what was learned before stays in Q.
+    The scale of the exploration state multiplies xi in the TD target: exploration rewards learned in earlier
+    episodes stay in Q.
 
     Attributes:
         xi: Weight of exploration rewards.
-        exploration_reward: What exploring a transition is worth.
+        exploration_reward: Exploration reward of a transition.
     """
 
     xi: Float[Array, ""]
@@ -235,26 +226,35 @@ class AdditiveRewards(TabularLearner):
         """See `TabularLearner`."""
         return self.initial_q[None]
 
-    def lesson(
+    def act(
+        self, key: Key[Array, ""], state: Tables, observation: Int[Array, ""], exploration: ExplorationState
+    ) -> tuple[Int[Array, ""], Float[Array, ""]]:
+        """See `Learner`."""
+        del exploration
+        q = _row(state, observation)[:, Q]
+        action = best_action(key, q, jnp.zeros_like(q), jnp.zeros_like(self.discount), self.ties)
+        return action, q[action]
+
+    def td_target(
         self,
         key: Key[Array, ""],
-        experience: Experience,
-        balance: Balance,
+        transition: Transition,
+        exploration: ExplorationState,
         visits: Float[Array, ""],
         next_row: Float[Array, "A 2"],
-    ) -> tuple[Float[Array, "1"], Float[Array, "1"]]:
+    ) -> Float[Array, "1"]:
         """See `TabularLearner`."""
         del key
         bonus = self.exploration_reward(visits, next_row[:, -1])
-        reward = experience.reward + self.xi * balance.exploration * bonus
-        return reward[None], _greedy_value(experience, next_row)
+        reward = transition.reward + self.xi * exploration.scale * bonus
+        return reward[None] + self.discount * _greedy_value(transition, next_row)
 
 
 class EpsilonGreedy(TabularLearner):
-    """One value Q of rewards; acts by argmax Q, but uniformly with probability epsilon.
+    """One value Q of rewards; acts by argmax Q, or uniformly at random with probability epsilon.
 
     Attributes:
-        epsilon: That probability.
+        epsilon: Probability of a random action.
     """
 
     epsilon: Float[Array, ""]
@@ -270,33 +270,33 @@ class EpsilonGreedy(TabularLearner):
         return self.initial_q[None]
 
     def act(
-        self, key: Key[Array, ""], state: Tables, observation: Int[Array, ""], balance: Balance
+        self, key: Key[Array, ""], state: Tables, observation: Int[Array, ""], exploration: ExplorationState
     ) -> tuple[Int[Array, ""], Float[Array, ""]]:
         """See `Learner`."""
         row = _row(state, observation)
-        # One lot does for both: whether to explore, and which action is taken.
-        lot = jax.random.uniform(key, (), row.dtype)
-        share = self.epsilon * balance.exploration
-        is_random = lot < share
-        # What is left of the lot is uniform again; a share of 0 or 1 leaves one of the cases alone.
-        of_random = lot / jnp.where(share > 0.0, share, 1.0)
-        of_best = (lot - share) / jnp.where(share < 1.0, 1.0 - share, 1.0)
-        of_best = jnp.zeros_like(lot) if self.ties == "first" else of_best
-        scores = jnp.where(is_random, 0.0, row[:, Q])  # any action is the best one of equals
-        action = one_of_the_best(jnp.where(is_random, of_random, of_best), scores)
+        # One uniform draw decides both whether to explore and which action to take: given either outcome of
+        # the first decision, the rescaled draw is uniform again.
+        draw = jax.random.uniform(key, (), row.dtype)
+        probability = self.epsilon * exploration.scale
+        is_random = draw < probability
+        random_draw = draw / jnp.where(probability > 0.0, probability, 1.0)
+        greedy_draw = (draw - probability) / jnp.where(probability < 1.0, 1.0 - probability, 1.0)
+        greedy_draw = jnp.zeros_like(draw) if self.ties == "first" else greedy_draw
+        scores = jnp.where(is_random, 0.0, row[:, Q])  # equal scores: every action is a tie
+        action = random_argmax(jnp.where(is_random, random_draw, greedy_draw), scores)
         return action, row[action, Q]
 
-    def lesson(
+    def td_target(
         self,
         key: Key[Array, ""],
-        experience: Experience,
-        balance: Balance,
+        transition: Transition,
+        exploration: ExplorationState,
         visits: Float[Array, ""],
         next_row: Float[Array, "A 2"],
-    ) -> tuple[Float[Array, "1"], Float[Array, "1"]]:
+    ) -> Float[Array, "1"]:
         """See `TabularLearner`."""
-        del key, balance, visits
-        return experience.reward[None], _greedy_value(experience, next_row)
+        del key, exploration, visits
+        return transition.reward[None] + self.discount * _greedy_value(transition, next_row)
 
 
 def _num(space: Space, name: str) -> int:
@@ -306,9 +306,9 @@ def _num(space: Space, name: str) -> int:
 
 
 def _row(state: Tables, observation: Int[Array, ""]) -> Float[Array, "A C"]:
-    """The row of a state; of the nearest one for a number outside."""
+    """The row of a state; an observation out of range is clipped."""
     return state.columns.at[observation].get(mode="clip")
 
 
-def _greedy_value(experience: Experience, next_row: Float[Array, "A 2"]) -> Float[Array, "1"]:
-    return jnp.where(experience.terminated, 0.0, jnp.max(next_row[:, Q]))[None]
+def _greedy_value(transition: Transition, next_row: Float[Array, "A 2"]) -> Float[Array, "1"]:
+    return jnp.where(transition.terminated, 0.0, jnp.max(next_row[:, Q]))[None]

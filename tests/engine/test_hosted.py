@@ -185,25 +185,25 @@ class OurHosted(Hosted):
 
     def _open(self, run):
         self._dtype = run.learner.exploration_weight.dtype
-        self._our_reset = self._piece(lambda run, carry, number: run._reset(carry, number))
-        self._our_step = self._piece(our_step)
+        self._our_reset = self._program(our_reset)
+        self._our_step = self._program(our_step)
 
-    def _reset(self, lanes, carry, number):
-        self._now = (lanes, carry, number)
+    def _reset(self, phase, lanes, carry, number):
+        self._call = (lanes, carry, number)
         self._count = 0
-        self._state, observation = self._our_reset(lanes, carry, self._all(number))
-        return (observation,)
+        self._state, observation = self._our_reset(lanes, carry, number)
+        return observation
 
     def _step(self, action):
-        lanes, carry, number = self._now
-        self._state, transition = self._our_step(
-            lanes, carry, self._state, action, self._all(self._count), self._all(number)
-        )
+        self._state, time_step = self._our_step(*self._call, self._state, action, self._all(self._count))
         self._count += 1
-        return transition
+        return time_step
 
 
-def our_step(run, carry, state, action, step, number):
-    slot = step % run.learner.block
-    key = jax.random.wrap_key_data(run.keys(carry, step - slot, number)[slot])[1]
-    return run.env.step(key, state, action)
+def our_reset(run, carry, number):
+    return run.reset(carry, run.test(carry, number))  # number 0 has the key of the training episode
+
+
+def our_step(run, carry, number, state, action, step):
+    keys = jax.random.wrap_key_data(run.test(carry, number).step_keys(step[None])[0])
+    return run.env.step(keys[1], state, action)

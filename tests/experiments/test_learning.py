@@ -15,9 +15,10 @@ from bojax.engine.build import build
 from bojax.envs.base import Env, TimeStep
 from bojax.envs.spaces import Box, Discrete
 from bojax.envs.tabular import TabularEnv
-from bojax.experiments.learning import PHASES, LearningRun
+from bojax.experiments.learning import LearningRun
+from bojax.experiments.phases import PHASES
 from bojax.experiments.settings import Learning
-from bojax.learning.base import Balance, Learner
+from bojax.learning.base import ExplorationState, Learner
 from bojax.numerics.lanes import LANES
 from tests.compiling import REPEATABLY
 
@@ -124,7 +125,7 @@ def corridor(cells=5, max_steps=10, reward=1.0, poisoned=-1.0):
     return Corridor(jnp.asarray(reward), jnp.asarray(poisoned), cells, max_steps)
 
 
-class Lot(Env):
+class RandomPayment(Env):
     """One step, which pays what was drawn for the run.
 
     Attributes:
@@ -143,7 +144,7 @@ class Lot(Env):
         return Discrete(1)
 
     def of_run(self, key):
-        return Lot(jax.random.uniform(key))
+        return RandomPayment(jax.random.uniform(key))
 
     def reset(self, key):
         return self.drawn
@@ -160,7 +161,7 @@ class Lot(Env):
 
 
 def test_episodes_and_tests_share_what_is_drawn_for_their_run():
-    history = History(run_of(Lot()))
+    history = History(run_of(RandomPayment()))
     paid = np.array([history.rows(lane=lane)["return"] for lane in range(3)])
     assert paid.shape == (3, 18) and np.all(paid == paid[:, :1])
     assert len(np.unique(paid)) == 3
@@ -486,10 +487,10 @@ class Plane(Learner):
     def init(self, key, observation_space, action_space, capacity):
         return jnp.zeros(())
 
-    def act(self, key, state, observation, balance: Balance):
+    def act(self, key, state, observation, exploration: ExplorationState):
         return jnp.zeros(1), jnp.zeros(())
 
-    def observe(self, key, state, experience, balance, slot):
+    def observe(self, key, state, transition, exploration, step_in_block):
         return state
 
     def values(self, state, observation, action):

@@ -8,22 +8,22 @@ import pytest
 
 from bojax.engine.build import build
 from bojax.envs.spaces import Box, Discrete
-from bojax.learning.base import Balance, Episode, Experience
+from bojax.learning.base import Episode, ExplorationState, Transition
 from bojax.learning.settings import EMUQ, EMUQPublished, FourierBasisFeatures, RandomFourierFeatures
 from tests.reference.emu_q import Algorithm6, PublishedCode
 
 NUM_STEPS = 40
 OBSERVATIONS = Box(jnp.asarray([-1.0, -2.0]), jnp.asarray([1.0, 2.0]))
 ACTIONS = Box(jnp.asarray([-3.0]), jnp.asarray([3.0]))
-EXPLORING = Balance(jnp.asarray(1.0), jnp.asarray(True))
+EXPLORING = ExplorationState(jnp.asarray(1.0), jnp.asarray(True))
 
 
-def transitions(seed: int = 0, num: int = NUM_STEPS) -> Experience:
+def transitions(seed: int = 0, num: int = NUM_STEPS) -> Transition:
     """A walk through the box, with two rewards and an absorbing state at its end."""
     rng = np.random.default_rng(seed)
     walk = np.clip(np.cumsum(rng.normal(size=(num + 1, 2)) * 0.3, axis=0), -1.2, 1.2)
     rewards = np.where(np.isin(np.arange(num), [num // 2, num - 1]), 1.0, 0.0)
-    return Experience(
+    return Transition(
         jnp.asarray(walk[:-1]),
         jnp.asarray(rng.uniform(-3.0, 3.0, size=(num, 1))),
         jnp.asarray(rewards),
@@ -40,26 +40,26 @@ def make(schema=EMUQ, **settings):
     return learner, learner.init(jax.random.key(1), OBSERVATIONS, ACTIONS, 4 * NUM_STEPS)
 
 
-def learn(learner, state, steps: Experience, balance=EXPLORING):
+def learn(learner, state, steps: Transition, exploration=EXPLORING):
     """Observe all steps, then end the episode: the state before and after that."""
 
     def one(i, state):
         step = jax.tree.map(lambda x: x[i], steps)
         state = learner.observe(
-            jax.random.fold_in(jax.random.key(7), i), state, step, balance, i % learner.block
+            jax.random.fold_in(jax.random.key(7), i), state, step, exploration, i % learner.block
         )
-        flushed = learner.consolidate(state)
+        flushed = learner.flush(state)
         is_full = i % learner.block == learner.block - 1
         return jax.tree.map(lambda a, b: jnp.where(is_full, a, b), flushed, state)
 
     online = jax.jit(lambda state: jax.lax.fori_loop(0, len(steps.reward), one, state))(state)
-    online = learner.consolidate(online)
+    online = learner.flush(online)
     episode = Episode(steps, jnp.asarray(len(steps.reward), jnp.int32))
-    after = eqx.filter_jit(learner.end_episode)(jax.random.key(9), online, episode, balance)
+    after = eqx.filter_jit(learner.end_episode)(jax.random.key(9), online, episode, exploration)
     return online, after
 
 
-def follow(reference, steps: Experience, after_step=None):
+def follow(reference, steps: Transition, after_step=None):
     rows = [np.asarray(leaf) for leaf in jax.tree.leaves(steps)]
     for i in range(len(rows[0])):
         reference.step(*(row[i] for row in rows))
@@ -155,7 +155,9 @@ def test_blocks_of_a_refit_do_not_matter():
 def test_without_learning_nothing_changes(schema):
     learner, state = make(schema)
     _, state = learn(learner, state, transitions())
-    online, after = learn(learner, state, transitions(1), Balance(jnp.asarray(1.0), jnp.asarray(False)))
+    online, after = learn(
+        learner, state, transitions(1), ExplorationState(jnp.asarray(1.0), jnp.asarray(False))
+    )
     for before, now in zip(jax.tree.leaves(state), jax.tree.leaves(after), strict=True):
         np.testing.assert_array_equal(before, now)
     assert int(online.memory.count) == NUM_STEPS
@@ -171,7 +173,7 @@ def test_the_exploration_reward_is_never_positive_and_highest_where_nothing_was_
     rows = {}
     for name, where in (("seen", seen), ("unseen", unseen)):
         phi = jax.vmap(lambda a, where=where: after.features(where, a))(after.samples)
-        rows[name] = learner.bonus(jnp.mean(after.posterior.predict(phi)[1]))
+        rows[name] = learner.model.exploration_reward(jnp.mean(after.posterior.predict(phi)[1]))
     assert rows["seen"] < rows["unseen"] <= 0.0
 
 

@@ -1,4 +1,4 @@
-"""The balance of every episode under each schedule (thesis, Section 5.5)."""
+"""The exploration state of every episode under each schedule (thesis, Section 5.5)."""
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ def balances(schema, num=12, reached=False, dtype="float64"):
     schedule = build(schema, dtype)
     episodes = jnp.arange(num, dtype=jnp.int32)
     found = jax.vmap(lambda e: schedule(e, jnp.asarray(reached)))(episodes)
-    return np.asarray(found.exploration), np.asarray(found.is_learning)
+    return np.asarray(found.scale), np.asarray(found.is_learning)
 
 
 def test_constant_explores_and_learns_always():

@@ -11,7 +11,7 @@ from bojax.envs.settings import Chain, CliffWalking, Taxi
 from bojax.envs.spaces import Box, Discrete
 from bojax.experiments.learning import LearningRun
 from bojax.experiments.settings import Learning
-from bojax.learning.base import Balance, Experience
+from bojax.learning.base import ExplorationState, Transition
 from bojax.learning.settings import AdditiveRewards, EpsilonGreedy, ExplorationValues
 from tests.envs.tables import part, tables
 from tests.learning.probes import Bandit, Loop
@@ -21,8 +21,8 @@ LEARNERS = [ExplorationValues, AdditiveRewards, EpsilonGreedy]
 NUM_STATES, NUM_ACTIONS = 6, 3
 
 
-def balance(exploration=1.0, is_learning=True, dtype=jnp.float64):
-    return Balance(jnp.asarray(exploration, dtype), jnp.asarray(is_learning))
+def exploring(scale=1.0, is_learning=True, dtype=jnp.float64):
+    return ExplorationState(jnp.asarray(scale, dtype), jnp.asarray(is_learning))
 
 
 def fresh(learner, num_states=NUM_STATES, num_actions=NUM_ACTIONS):
@@ -46,15 +46,15 @@ def learn(learner, state, steps, is_learning=True):
     """Observe steps one after the other."""
 
     def one(state, step):
-        experience = Experience(
+        transition = Transition(
             step["observation"].astype(jnp.int32),
             step["action"].astype(jnp.int32),
             step["reward"],
             step["next_observation"].astype(jnp.int32),
             step["terminated"],
         )
-        told = Balance(step["exploration"], jnp.asarray(is_learning))
-        return learner.observe(jax.random.key(1), state, experience, told, jnp.int32(0)), None
+        exploration = ExplorationState(step["exploration"], jnp.asarray(is_learning))
+        return learner.observe(jax.random.key(1), state, transition, exploration, jnp.int32(0)), None
 
     return jax.lax.scan(one, state, jax.tree.map(jnp.asarray, steps))[0]
 
@@ -130,7 +130,7 @@ def test_a_learner_computes_in_its_precision(schema, dtype):
     }
     assert learn(learner, fresh(learner), steps).columns.dtype == dtype
     action, expected = learner.act(
-        jax.random.key(0), fresh(learner), jnp.int32(0), balance(dtype=jnp.dtype(dtype))
+        jax.random.key(0), fresh(learner), jnp.int32(0), exploring(dtype=jnp.dtype(dtype))
     )
     assert (action.dtype, expected.dtype) == (jnp.int32, dtype)
 
@@ -139,7 +139,7 @@ def test_a_learner_computes_in_its_precision(schema, dtype):
 def test_a_test_acts_greedily(schema):
     learner = part(schema())
     state = learn(learner, fresh(learner), random_steps())
-    act = jax.vmap(lambda key, s: learner.act(key, state, s, balance(0.0, False)), in_axes=(0, None))
+    act = jax.vmap(lambda key, s: learner.act(key, state, s, exploring(0.0, False)), in_axes=(0, None))
     for s in range(NUM_STATES):
         actions, expected = act(jax.random.split(jax.random.key(s), 50), jnp.int32(s))
         assert set(np.asarray(actions).tolist()) == {int(np.argmax(state.q[s]))}
@@ -154,7 +154,7 @@ def test_exploration_values_weigh_u_by_kappa_and_balance():
         jnp.asarray([[[1.0, -1.0, 3.0], [0.0, -0.4, 1.0]]]),  # Q, U and visits of two actions
     )
     act = lambda exploration: int(  # noqa: E731
-        learner.act(jax.random.key(0), state, jnp.int32(0), balance(exploration))[0]
+        learner.act(jax.random.key(0), state, jnp.int32(0), exploring(exploration))[0]
     )
     assert act(1.0) == 1  # 1 - 2 < 0 - 0.8
     assert act(0.5) == 0  # 1 - 1 > 0 - 0.4
@@ -165,7 +165,7 @@ def test_epsilon_greedy_draws_any_action_with_probability_epsilon(ties):
     learner = part(EpsilonGreedy(epsilon=0.4, ties=ties))
     state = eqx.tree_at(lambda t: t.columns, fresh(learner, 1, 4), jnp.zeros((1, 4, 2)).at[0, 2, 0].set(1.0))
     keys = jax.random.split(jax.random.key(0), 10_000)
-    actions, _ = jax.vmap(lambda key: learner.act(key, state, jnp.int32(0), balance(0.5)))(keys)
+    actions, _ = jax.vmap(lambda key: learner.act(key, state, jnp.int32(0), exploring(0.5)))(keys)
     shares = np.bincount(np.asarray(actions), minlength=4) / 10_000
     assert shares == pytest.approx([0.05, 0.05, 0.85, 0.05], abs=0.015)
 
@@ -264,4 +264,4 @@ def test_observations_outside_the_table_are_no_error(env):
         "observation": np.asarray([num + 3])
     }
     np.testing.assert_array_equal(learn(learner, state, steps).columns, state.columns)
-    assert int(learner.act(jax.random.key(0), state, jnp.int32(num + 3), balance())[0]) >= 0
+    assert int(learner.act(jax.random.key(0), state, jnp.int32(num + 3), exploring())[0]) >= 0

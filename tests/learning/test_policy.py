@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bojax.learning.balance import best_action, one_of_the_best
+from bojax.learning.policy import best_action, random_argmax
 
 
 def choices(q, u, kappa, ties, draws=3000):
@@ -34,8 +34,8 @@ def test_all_best_actions_are_equally_likely_and_no_other_is_taken():
 
 @pytest.mark.parametrize("num", [1, 2, 3, 6, 17, 1000])
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
-def test_lots_span_the_best_actions_from_first_to_last(num, dtype):
+def test_draws_span_the_best_actions_from_first_to_last(num, dtype):
     scores = jnp.zeros(2 * num, dtype).at[::2].set(-1.0)  # every second one is a best one
     least, greatest = jnp.zeros((), dtype), jnp.nextafter(jnp.ones((), dtype), jnp.zeros((), dtype))
-    assert int(one_of_the_best(least, scores)) == 1
-    assert int(one_of_the_best(greatest, scores)) == 2 * num - 1
+    assert int(random_argmax(least, scores)) == 1
+    assert int(random_argmax(greatest, scores)) == 2 * num - 1

@@ -1,4 +1,4 @@
-"""The policy argmax Q + kappa U (5.10), with the tie rule in one place."""
+"""The policy argmax Q + kappa U (5.10), and the rule that breaks its ties."""
 
 from typing import Literal
 
@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
 Ties = Literal["random", "first"]
-"""Which of several best actions is taken."""
+"""How ties between the best actions are broken."""
 
 
 def best_action(
@@ -21,14 +21,14 @@ def best_action(
     scores = q + kappa * u
     if ties == "first":
         return jnp.argmax(scores).astype(jnp.int32)
-    return one_of_the_best(jax.random.uniform(key, (), scores.dtype), scores)
+    return random_argmax(jax.random.uniform(key, (), scores.dtype), scores)
 
 
-def one_of_the_best(lot: Float[Array, ""], scores: Float[Array, "A"]) -> Int[Array, ""]:
-    """Index of one of those scores that are exactly the greatest: which one is up to a lot in [0, 1).
+def random_argmax(draw: Float[Array, ""], scores: Float[Array, "A"]) -> Int[Array, ""]:
+    """Index of a largest score, where ties are broken by a uniform draw in [0, 1).
 
-    A lot of 0 takes the first, and a uniform lot each of them alike.
+    A draw of 0 selects the first of the tied scores.
     """
     rank = jnp.cumsum(scores == jnp.max(scores), dtype=jnp.int32)
-    chosen = (lot * rank[-1].astype(lot.dtype)).astype(jnp.int32)
+    chosen = (draw * rank[-1].astype(draw.dtype)).astype(jnp.int32)
     return jnp.argmax(rank > jnp.minimum(chosen, rank[-1] - 1)).astype(jnp.int32)

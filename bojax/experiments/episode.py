@@ -1,0 +1,92 @@
+"""The state of an episode of learning, and what a step of its environment does to it."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from bojax.envs.base import Env, EnvState, Observation, TimeStep
+from bojax.envs.spaces import Box, Space
+from bojax.learning.base import LearnerState
+
+
+class EpisodeState(eqx.Module):
+    """The state of an episode.
+
+    Attributes:
+        env: State of the environment; None if it steps on the host.
+        observation: Last observation.
+        learner: State of the learner.
+        is_active: Whether the episode has not ended.
+        total: Sum of the rewards so far.
+        length: Number of steps so far.
+        terminated: Whether the episode ended in a terminal state.
+        truncated: Whether the episode was truncated.
+        success: Whether the goal was reached.
+        failed: Whether the environment returned a non-finite value.
+        outside: Number of steps to an observation outside the declared bounds.
+        rows: The steps so far, see `StepRows`; T is 0 in a test.
+    """
+
+    env: EnvState
+    observation: Observation
+    learner: LearnerState
+    is_active: Bool[Array, ""]
+    total: Float[Array, ""]
+    length: Int[Array, ""]
+    terminated: Bool[Array, ""]
+    truncated: Bool[Array, ""]
+    success: Bool[Array, ""]
+    failed: Bool[Array, ""]
+    outside: Int[Array, ""]
+    rows: Float[Array, "T R"]
+
+
+def apply_transition(
+    env: Env, episode: EpisodeState, env_state: EnvState, time_step: TimeStep
+) -> tuple[EpisodeState, Bool[Array, ""]]:
+    """The episode after a step, and whether the step counts.
+
+    A step counts if the episode was active and all values are finite; a non-finite value ends the episode as
+    failed. The learner and the rows of the episode stay the same.
+    """
+    dtype = episode.total.dtype
+    values = jnp.append(jnp.ravel(time_step.observation).astype(dtype), time_step.reward)
+    is_finite = jnp.all(jnp.isfinite(values))
+    counts = episode.is_active & is_finite
+    fails = episode.is_active & ~is_finite
+    length = episode.length + counts.astype(jnp.int32)
+    terminated = counts & time_step.terminated
+    truncated = counts & ~time_step.terminated & (time_step.truncated | (length >= env.max_steps))
+    is_outside = outside_bounds(env.observation_space, time_step.observation)
+
+    def keep(after, before):
+        return jax.tree.map(lambda a, b: a if a is b else jnp.where(counts, a, b), after, before)
+
+    after = EpisodeState(
+        env=keep(env_state, episode.env),
+        observation=keep(time_step.observation, episode.observation),
+        learner=episode.learner,
+        is_active=counts & ~terminated & ~truncated,
+        total=episode.total + jnp.where(counts, time_step.reward, jnp.where(fails, jnp.nan, 0.0)),
+        length=length,
+        terminated=episode.terminated | terminated,
+        truncated=episode.truncated | truncated,
+        success=episode.success | (counts & time_step.success),
+        failed=episode.failed | fails,
+        outside=episode.outside + (counts & is_outside).astype(jnp.int32),
+        rows=episode.rows,
+    )
+    return after, counts
+
+
+_TOLERANCE = 1e-4
+"""Rounding errors beyond its bounds, in units of their range, that do not make an observation outside."""
+
+
+def outside_bounds(space: Space, observation: Observation) -> Bool[Array, ""]:
+    """Whether an observation is outside its declared bounds."""
+    if not isinstance(space, Box):
+        return (observation < 0) | (observation >= space.num)
+    unit = space.to_unit(observation)
+    return jnp.any((unit < -_TOLERANCE) | (unit > 1.0 + _TOLERANCE))

@@ -1,0 +1,251 @@
+"""The two phases of a learning run, training and test: what happens in an episode around its environment.
+
+A phase is everything that Algorithm 5 does apart from stepping the environment. Two loops call its methods in
+the same order: `run_episode`, for environments that are compiled with the learner, and
+`bojax.engine.hosted.Hosted`, for environments that step on the host.
+
+    begin
+    while the episode is active:
+        act
+        (step the environment)
+        apply
+        flush, after every `learner.block` steps and at the end
+"""
+
+import abc
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, Key, UInt32
+
+from bojax.envs.base import Action, Env, EnvState, Observation, TimeStep
+from bojax.experiments.episode import EpisodeState, apply_transition
+from bojax.experiments.step_rows import StepRows
+from bojax.learning.base import Episode, ExplorationState, Learner, LearnerState, Transition
+from bojax.numerics.lanes import any_lane
+
+PHASES = ("train", "test")
+"""Values of the column `phase`, which holds the index into this list until it is stored."""
+
+
+class Choice(NamedTuple):
+    """An action, and the return Q that the learner expects of it."""
+
+    action: Action
+    expected: Float[Array, ""]
+
+
+class Phase(eqx.Module):
+    """An episode of one phase, around the steps of its environment.
+
+    Attributes:
+        env: Environment.
+        learner: Learner.
+        exploration: Exploration state of the episode.
+        key: Key of the episode.
+    """
+
+    env: Env
+    learner: Learner
+    exploration: ExplorationState
+    key: Key[Array, ""]
+
+    @property
+    @abc.abstractmethod
+    def num_rows(self) -> int:
+        """Number of steps that are kept, T."""
+
+    @abc.abstractmethod
+    def apply(
+        self,
+        key: Key[Array, ""],
+        episode: EpisodeState,
+        choice: Choice,
+        env_state: EnvState,
+        time_step: TimeStep,
+        step: Int[Array, ""],
+    ) -> EpisodeState:
+        """The episode after a step of the environment.
+
+        Args:
+            key: Random key.
+            episode: State of the episode before the step.
+            choice: The action taken.
+            env_state: State of the environment after the step; None if it steps on the host.
+            time_step: What the environment returned.
+            step: Number of the step in the episode, from 0.
+        """
+
+    @abc.abstractmethod
+    def flush(self, episode: EpisodeState) -> EpisodeState:
+        """The episode after a block of steps."""
+
+    @property
+    def rows(self) -> StepRows:
+        """The layout of the steps that are kept."""
+        return StepRows.of(self.env, self.learner.exploration_weight.dtype)
+
+    @property
+    def reset_key(self) -> Key[Array, ""]:
+        """Key of the initial state of the environment."""
+        return jax.random.fold_in(self.key, 0)
+
+    def step_keys(self, steps: Int[Array, "B"]) -> UInt32[Array, "B 3 W"]:
+        """Data of the keys of some steps: to act, to step the environment, to learn.
+
+        As data, since JAX's check of key reuse takes a batched scan over keys for a reuse.
+        """
+        counters = (3 * steps[:, None] + jnp.arange(1, 4, dtype=jnp.int32)[None, :]).ravel()
+        keys = jax.vmap(lambda counter: jax.random.fold_in(self.key, counter))(counters)
+        return jax.random.key_data(keys.reshape(-1, 3))
+
+    def begin(
+        self,
+        learner: LearnerState,
+        env_state: EnvState,
+        observation: Observation,
+        is_active: Bool[Array, ""],
+    ) -> EpisodeState:
+        """A new episode from the initial state and observation of the environment."""
+        false, zero = jnp.zeros((), bool), jnp.zeros((), jnp.int32)
+        dtype = self.learner.exploration_weight.dtype
+        return EpisodeState(
+            env=env_state,
+            observation=observation,
+            learner=learner,
+            is_active=is_active,
+            total=jnp.zeros((), dtype),
+            length=zero,
+            terminated=false,
+            truncated=false,
+            success=false,
+            failed=false,
+            outside=zero,
+            rows=jnp.zeros((self.num_rows, self.rows.width), dtype),
+        )
+
+    def act(self, key: Key[Array, ""], episode: EpisodeState) -> Choice:
+        """The action that the learner takes."""
+        return Choice(*self.learner.act(key, episode.learner, episode.observation, self.exploration))
+
+    def row(self, episode: EpisodeState, number: Int[Array, ""]) -> dict[str, Array]:
+        """The row of the episode in `episodes.parquet`; `number` is that of the training episode."""
+        return {
+            "episode": number,
+            "return": episode.total,
+            "length": episode.length,
+            "success": episode.success,
+            "terminated": episode.terminated,
+            "truncated": episode.truncated,
+            "kappa": self.exploration.scale * self.learner.exploration_weight,
+        }
+
+
+class TrainingPhase(Phase):
+    """A training episode: the learner learns from every step, and from the whole episode at its end."""
+
+    @property
+    def num_rows(self) -> int:
+        """See `Phase`: the time limit, rounded up to whole blocks."""
+        block = self.learner.block
+        return -(-self.env.max_steps // block) * block
+
+    def apply(
+        self,
+        key: Key[Array, ""],
+        episode: EpisodeState,
+        choice: Choice,
+        env_state: EnvState,
+        time_step: TimeStep,
+        step: Int[Array, ""],
+    ) -> EpisodeState:
+        """See `Phase`: `learn_step` and `apply_transition`."""
+        after, counts = apply_transition(self.env, episode, env_state, time_step)
+        transition = Transition(
+            observation=episode.observation,
+            action=choice.action,
+            reward=time_step.reward,
+            next_observation=time_step.observation,
+            terminated=time_step.terminated,
+        )
+        # Non-finite values must not reach the learner: 0 times NaN is NaN.
+        transition = jax.tree.map(lambda x: jnp.where(counts, x, jnp.zeros((), x.dtype)), transition)
+        learner = self.learn_step(key, episode.learner, transition, counts, step)
+        row = self.rows.pack(transition, choice.expected, self.env.frame(episode.env))
+        rows = jax.lax.dynamic_update_index_in_dim(episode.rows, row, step, 0)
+        return eqx.tree_at(lambda e: (e.learner, e.rows), after, (learner, rows))
+
+    def learn_step(
+        self,
+        key: Key[Array, ""],
+        learner: LearnerState,
+        transition: Transition,
+        counts: Bool[Array, ""],
+        step: Int[Array, ""],
+    ) -> LearnerState:
+        """The learner after a transition; unchanged if the transition does not count."""
+        exploration = self._exploration_if(counts)
+        return self.learner.observe(key, learner, transition, exploration, step % self.learner.block)
+
+    def flush(self, episode: EpisodeState) -> EpisodeState:
+        """See `Phase`."""
+        return eqx.tree_at(lambda e: e.learner, episode, self.learner.flush(episode.learner))
+
+    def end(self, key: Key[Array, ""], episode: EpisodeState) -> LearnerState:
+        """The learner after the whole episode."""
+        transitions, _, _ = self.rows.unpack(episode.rows)
+        exploration = self._exploration_if(episode.length > 0)
+        return self.learner.end_episode(
+            key, episode.learner, Episode(transitions, episode.length), exploration
+        )
+
+    def _exploration_if(self, learns: Bool[Array, ""]) -> ExplorationState:
+        return ExplorationState(self.exploration.scale, self.exploration.is_learning & learns)
+
+
+class TestPhase(Phase):
+    """A test episode: the learner exploits and does not learn."""
+
+    @property
+    def num_rows(self) -> int:
+        """See `Phase`: no step is kept."""
+        return 0
+
+    def apply(
+        self,
+        key: Key[Array, ""],
+        episode: EpisodeState,
+        choice: Choice,
+        env_state: EnvState,
+        time_step: TimeStep,
+        step: Int[Array, ""],
+    ) -> EpisodeState:
+        """See `Phase`."""
+        del key, choice, step
+        return apply_transition(self.env, episode, env_state, time_step)[0]
+
+    def flush(self, episode: EpisodeState) -> EpisodeState:
+        """See `Phase`: there is nothing to flush."""
+        return episode
+
+
+def run_episode(phase: Phase, episode: EpisodeState) -> EpisodeState:
+    """Run an episode of a compiled environment, a block of steps at a time, until no lane is active."""
+    block = jnp.arange(phase.learner.block, dtype=jnp.int32)
+
+    def run_step(episode, inputs):
+        key_data, step = inputs
+        keys = jax.random.wrap_key_data(key_data)
+        choice = phase.act(keys[0], episode)
+        env_state, time_step = phase.env.step(keys[1], episode.env, choice.action)
+        return phase.apply(keys[2], episode, choice, env_state, time_step, step), None
+
+    def run_block(loop):
+        start, episode = loop
+        episode, _ = jax.lax.scan(run_step, episode, (phase.step_keys(start + block), start + block))
+        return start + phase.learner.block, phase.flush(episode)
+
+    loop = jnp.zeros((), jnp.int32), episode
+    return jax.lax.while_loop(lambda loop: any_lane(loop[1].is_active), run_block, loop)[1]

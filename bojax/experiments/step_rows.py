@@ -1,0 +1,112 @@
+"""The steps of an episode as rows of numbers, and their columns in `steps.parquet`."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from bojax.envs.base import Env
+from bojax.envs.spaces import Box, Space
+from bojax.learning.base import Transition
+from bojax.results.schema import Column, Table
+
+
+class StepRows(eqx.Module):
+    """A layout of transitions as rows of numbers, so that a step is one write instead of six.
+
+    Attributes:
+        observations: Space of observations.
+        actions: Space of actions.
+        frame_size: Size of `Env.frame`; 0 if there is none.
+        dtype: Precision of the rows; integers below 2^24 are exact.
+    """
+
+    observations: Space
+    actions: Space
+    frame_size: int = eqx.field(static=True)
+    dtype: jnp.dtype = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, env: Env, dtype: jnp.dtype) -> "StepRows":
+        """The layout for the transitions of an environment."""
+        frame = None
+        if not env.is_hosted:
+            frame = jax.eval_shape(lambda key: env.frame(env.reset(key)), jax.random.key(0))
+        return cls(env.observation_space, env.action_space, 0 if frame is None else frame.size, dtype)
+
+    @property
+    def width(self) -> int:
+        """Size of a row, R."""
+        return 2 * self.observations.num_dims + self.actions.num_dims + 3 + self.frame_size
+
+    def pack(
+        self, transition: Transition, expected: Float[Array, ""], frame: Float[Array, "Q"] | None
+    ) -> Float[Array, "R"]:
+        """Pack a transition, the return expected of its action, and the frame of its state."""
+        parts = [
+            transition.observation,
+            transition.action,
+            transition.next_observation,
+            transition.reward,
+            transition.terminated,
+            expected,
+        ]
+        parts += [] if frame is None else [frame]
+        return jnp.concatenate([jnp.ravel(part).astype(self.dtype) for part in parts])
+
+    def unpack(self, rows: Float[Array, "T R"]) -> tuple[Transition, Float[Array, "T"], Float[Array, "T Q"]]:
+        """The transitions, the returns expected of their actions, and the frames of their states."""
+        spaces = self.observations, self.actions, self.observations
+        ends = np.cumsum([space.num_dims for space in spaces]).tolist()
+        *vectors, rest = jnp.split(rows, ends, axis=1)
+        observation, action, after = (
+            part if isinstance(space, Box) else part[:, 0].astype(jnp.int32)
+            for part, space in zip(vectors, spaces, strict=True)
+        )
+        return Transition(observation, action, rest[:, 0], after, rest[:, 1] > 0.5), rest[:, 2], rest[:, 3:]
+
+    def table(
+        self, rows: Float[Array, "T R"], length: Int[Array, ""], episode: Int[Array, ""]
+    ) -> dict[str, Array]:
+        """The rows of an episode in `steps.parquet`."""
+        transitions, expected, frames = self.unpack(rows)
+        number = jnp.arange(len(expected), dtype=jnp.int32) + 1
+        columns = {
+            "episode": jnp.broadcast_to(episode, number.shape),
+            "step": number,
+            "reward": transitions.reward,
+            "planned_reward": expected,
+            "accumulated_reward": jnp.cumsum(transitions.reward),
+            "done": number == length,
+            "valid": number <= length,
+        }
+        vectors = {"observation": transitions.observation, "action": transitions.action, "qpos": frames}
+        for name, values in vectors.items():
+            flat = values.reshape(len(number), -1).astype(self.dtype)
+            columns |= {f"{name}_{i}": flat[:, i] for i in range(flat.shape[1])}
+        return columns
+
+    @property
+    def columns(self) -> Table:
+        """The columns of `table`."""
+        sizes = {
+            "observation": self.observations.num_dims,
+            "action": self.actions.num_dims,
+            "qpos": self.frame_size,
+        }
+        return _STEP_COLUMNS + tuple(
+            Column(f"{name}_{i}", "float32", "", f"{name}, component {i}, in which the step was taken")
+            for name, size in sizes.items()
+            for i in range(size)
+        )
+
+
+_STEP_COLUMNS: Table = (
+    Column("episode", "int32", "", "number of the training episode, from 1"),
+    Column("step", "int32", "", "number of the step in it, from 1"),
+    Column("reward", "float64", "", "reward"),
+    Column("planned_reward", "float64", "", "return Q that the learner expected of the action"),
+    Column("accumulated_reward", "float64", "", "sum of the episode's rewards so far"),
+    Column("done", "bool", "", "the episode ended with this step"),
+)

@@ -1,0 +1,48 @@
+"""The target return of a learning run: when its test episodes reached it, and what they returned since."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+
+class TargetProgress(eqx.Module):
+    """Progress of the test episodes of a run towards a target return.
+
+    Attributes:
+        episodes: Training episodes before the first round of tests that all exceeded the target; -1 until
+            then.
+        tests_after: Number of test episodes since then.
+        return_after: Sum of their returns.
+    """
+
+    episodes: Int[Array, ""]
+    tests_after: Int[Array, ""]
+    return_after: Float[Array, ""]
+
+    @property
+    def is_reached(self) -> Bool[Array, ""]:
+        """Whether the target has been reached."""
+        return self.episodes >= 0
+
+    def after_tests(
+        self,
+        returns: Float[Array, "N"],
+        target: Float[Array, ""],
+        episode: Int[Array, ""],
+        is_active: Bool[Array, ""],
+    ) -> "TargetProgress":
+        """The progress after a round of tests; unchanged if the run is not active.
+
+        Args:
+            returns: Returns of the test episodes.
+            target: Target return; every test has to exceed it.
+            episode: Number of training episodes so far.
+            is_active: Whether the run is active.
+        """
+        is_new = is_active & ~self.is_reached & jnp.all(returns > target)
+        is_after = is_active & self.is_reached
+        return TargetProgress(
+            episodes=jnp.where(is_new, episode, self.episodes),
+            tests_after=self.tests_after + jnp.where(is_after, len(returns), 0),
+            return_after=self.return_after + jnp.where(is_after, jnp.sum(returns), 0.0),
+        )

@@ -1,0 +1,184 @@
+"""The linear model of EMU-Q: values, exploration rewards and TD targets (thesis, Section 5.6).
+
+Each method states what Algorithm 6 computes, and then the options: other readings of terminal states, and the
+deviations of the author's published code.
+"""
+
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from bojax.envs.base import Action
+from bojax.envs.spaces import Box
+from bojax.learning.features import StateActionFeatures
+from bojax.learning.memory import Memory
+from bojax.learning.policy import Ties
+from bojax.models.bayesian_linear_regression import BayesianLinearRegression
+from bojax.numerics.linalg import matmul
+
+Q, U = 0, 1
+"""Columns of the mean of the weights."""
+
+
+class EMUQState(eqx.Module):
+    """The state of `EMUQ`.
+
+    Attributes:
+        features: Feature map phi of this run.
+        posterior: Posterior of the weights of Q and U, which share one covariance S.
+        memory: All transitions.
+        candidates: Actions over which the policy maximises, `[J, ...]`.
+        samples: Actions over which the exploration reward averages, `[K, ...]`.
+    """
+
+    features: StateActionFeatures
+    posterior: BayesianLinearRegression
+    memory: Memory
+    candidates: Action
+    samples: Action
+
+    def phi(self, x: Float[Array, "P"], actions: Action) -> Float[Array, "J M"]:
+        """Features of several actions in the state with features x."""
+        features = self.features
+        return jax.vmap(lambda action: features.join(x, features.action(action)))(actions)
+
+
+class EMUQModel(eqx.Module):
+    """What Algorithm 6 computes from the posterior of the weights. The fields are those of `EMUQ`."""
+
+    prior_precision: Float[Array, ""]
+    noise_precision: Float[Array, ""]
+    discount: Float[Array, ""]
+    state_lengthscale: Float[Array, ""]
+    draw_actions: Literal["once", "always"] = eqx.field(static=True)
+    reward_order: Literal["before", "after"] = eqx.field(static=True)
+    terminal_q: Literal["zero", "bootstrap"] = eqx.field(static=True)
+    terminal_u: Literal["absorbing", "bootstrap", "zero"] = eqx.field(static=True)
+    optimistic_u: bool = eqx.field(static=True)
+    has_noise: bool = eqx.field(static=True)
+    mixes_transitions: bool = eqx.field(static=True)
+
+    # Actions.
+
+    def actions(self, key: Key[Array, ""], state: EMUQState) -> tuple[Action, Action]:
+        """Candidates and samples: uniform draws, or those of the run with `draw_actions="once"`."""
+        if not self._draws_anew(state):
+            return state.candidates, state.samples
+        space, number = state.features.actions, len(state.candidates)
+        assert isinstance(space, Box)
+        shape = (number + len(state.samples), *state.candidates.shape[1:])
+        drawn = space.from_unit(jax.random.uniform(key, shape, state.candidates.dtype))
+        return drawn[:number], drawn[number:]
+
+    def ties(self, state: EMUQState) -> Ties:
+        """How the policy breaks ties: fresh draws are in random order, so the first one is as good as any."""
+        return "first" if self._draws_anew(state) else "random"
+
+    def _draws_anew(self, state: EMUQState) -> bool:
+        return self.draw_actions == "always" and isinstance(state.features.actions, Box)
+
+    # Values.
+
+    def values(self, posterior: BayesianLinearRegression, phi: Float[Array, "J M"]) -> Float[Array, "J 2"]:
+        """Q and U: phi'm_Q and phi'm_U."""
+        values = matmul(phi, posterior.mean)
+        if not self.optimistic_u:
+            return values
+        variances = jnp.sum(phi * posterior.covariance_times(phi), axis=1)
+        return values.at[:, U].multiply(self.u_factor(variances))
+
+    def u_factor(self, variances: Float[Array, "*N"]) -> Float[Array, "*N"]:
+        """With `optimistic_u`, the factor 1 - rho of U at features of the given variances; 1 in Algorithm 6.
+
+        rho is 0 at the smallest variance and 1 where nothing was observed. The smallest variance of random
+        Fourier features is an empirical formula of the published code.
+        """
+        if not self.optimistic_u:
+            return jnp.ones_like(variances)
+        smallest = 1.0 / (self.state_lengthscale * (8.0 * self.noise_precision + self.prior_precision))
+        rho = jnp.maximum((variances - smallest) / (1.0 / self.prior_precision - smallest), 0.0)
+        return 1.0 - rho
+
+    # Exploration rewards.
+
+    def exploration_reward(self, variance: Float[Array, "*N"]) -> Float[Array, "*N"]:
+        """The exploration reward (5.12): the mean variance of Q at s', less its maximum V_max = 1/alpha.
+
+        With `has_noise` the variance includes that of the noise, 1/beta.
+        """
+        noise = 1.0 / self.noise_precision if self.has_noise else 0.0
+        return variance + noise - 1.0 / self.prior_precision
+
+    def sample_variances(
+        self,
+        posterior: BayesianLinearRegression,
+        phi: Float[Array, "1+K M"],
+        products: Float[Array, "1+K M"],
+        weight: Float[Array, ""],
+    ) -> Float[Array, "K"]:
+        """Variances of Q at s' with every sampled action, before the covariance is updated.
+
+        With `reward_order="after"`, after it is updated.
+
+        Args:
+            posterior: Posterior before the transition.
+            phi: Features of (s, a), followed by those of s' with every sampled action.
+            products: Covariance times each of them.
+            weight: 1, or 0 if the covariance is not going to be updated.
+        """
+        variances = jnp.sum(phi * products, axis=1)
+        if self.reward_order == "after":
+            row = posterior.row(phi[0], sample_weight=weight, product=products[0])
+            variances = variances - matmul(phi, row) ** 2
+        return variances[1:]
+
+    def mean_variances(self, variances: Float[Array, "C K"], count: Int[Array, ""]) -> Float[Array, "C"]:
+        """Mean over the K sampled actions of each of the first `count` transitions, for the refit.
+
+        With `mixes_transitions` the mean is over the wrong axis: the published code reads the N x K
+        variances, stored transition by transition, as K rows of N, and averages the columns.
+        """
+        capacity, number = variances.shape
+        if not self.mixes_transitions or number == 1:
+            return jnp.mean(variances, axis=1)
+        index, action = jnp.arange(capacity, dtype=jnp.int32), jnp.arange(number, dtype=jnp.int32)
+        place = index[:, None] + action[None, :] * count
+        return jnp.mean(variances.ravel().at[place].get(mode="fill", fill_value=0.0), axis=1)
+
+    # TD targets. Q of a terminal state is 0, and U is as if the state went on paying r_e for ever.
+
+    def td_target(
+        self,
+        reward: Float[Array, ""],
+        bonus: Float[Array, ""],
+        next_values: Float[Array, "2"],
+        terminated: Bool[Array, ""],
+    ) -> Float[Array, "2"]:
+        """R + gamma Q(s', a') and r_e + gamma U(s', a')."""
+        q, u = next_values[Q], next_values[U]
+        if self.terminal_q == "zero":
+            q = jnp.where(terminated, 0.0, q)
+        if self.terminal_u == "zero":
+            u = jnp.where(terminated, 0.0, u)
+        elif self.terminal_u == "absorbing":
+            u = jnp.where(terminated, bonus / (1.0 - self.discount), u)
+        return jnp.stack([reward + self.discount * q, bonus + self.discount * u], axis=-1)
+
+    def q_discount(self, terminated: Bool[Array, "B"], is_valid: Bool[Array, "B"]) -> Float[Array, "B"]:
+        """Factor of Q(s', a') in the TD target of Q; 0 for rows that are not valid."""
+        continues = is_valid if self.terminal_q == "bootstrap" else is_valid & ~terminated
+        return self.discount * continues.astype(self.discount.dtype)
+
+    def u_terms(
+        self, bonus: Float[Array, "B"], factor: Float[Array, "B"], terminated: Bool[Array, "B"]
+    ) -> tuple[Float[Array, "B"], Float[Array, "B"]]:
+        """Constant term of the TD target of U, and its factor of phi(s', a')'m_U."""
+        constant, discount = bonus, self.discount * factor
+        if self.terminal_u != "bootstrap":
+            discount = jnp.where(terminated, 0.0, discount)
+        if self.terminal_u == "absorbing":
+            constant = jnp.where(terminated, bonus / (1.0 - self.discount), bonus)
+        return constant, discount
