@@ -96,3 +96,18 @@ def test_every_truncated_file_is_noticed(tmp_path, program, carry):
             assert bits(restored.position) == bits(carry.position)
         path.write_bytes(whole)
     assert needed
+
+
+def test_a_flipped_bit_of_any_file_is_noticed(tmp_path):
+    checkpoint.save(tmp_path / "one", jnp.arange(1000.0))
+    structure = jax.ShapeDtypeStruct((1000,), jnp.float64)
+    files = [path for path in (tmp_path / "one").rglob("*") if path.is_file() and path.stat().st_size]
+    assert len(files) > 3
+    for path in files:
+        whole = bytearray(path.read_bytes())
+        path.write_bytes(bytes([whole[0] ^ 4]) + whole[1:])
+        with pytest.raises(ResultsError, match="checkpoint cannot be read") as error:
+            checkpoint.restore(tmp_path / "one", structure)
+        assert "\n" not in str(error.value)
+        path.write_bytes(whole)
+    assert checkpoint.restore(tmp_path / "one", structure).tolist() == list(range(1000))
