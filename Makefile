@@ -15,7 +15,7 @@ run: $(STAMP)
 	$(BIN)/bojax sweep sweeps/parking.yaml
 
 test: $(TEST_STAMP)
-	JAX_PLATFORMS=cpu $(BIN)/python -m pytest -n auto -m "not slow"
+	JAX_PLATFORMS=cpu $(BIN)/python -m pytest -n auto --dist loadfile -m "not slow" $(if $(CI),--durations=40)
 
 check: $(TEST_STAMP)
 	$(BIN)/ruff format --check .

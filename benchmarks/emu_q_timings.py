@@ -14,7 +14,6 @@ from timing import Row, median_seconds, on_gpu, print_rows, time_runs, write_rec
 from bojax.engine.build import build
 from bojax.envs.settings import MountainCar
 from bojax.experiments.settings import Learning
-from bojax.learning.refit import refit
 from bojax.learning.settings import EMUQ, RandomFourierFeatures
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
@@ -83,7 +82,7 @@ def refit_row(args, lanes: int, how: Literal["sweeps", "direct"]) -> Row:
 
     def end(index, state):
         key = jax.random.fold_in(jax.random.key(args.seed), index)
-        return refit(learner, key, state, learner.exploration_weight, jnp.asarray(True))
+        return learner.refitter(key, state, learner.exploration_weight, jnp.asarray(True))
 
     what = f"bojax, {how}, {lanes} at once"
     return time_runs(

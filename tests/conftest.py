@@ -1,5 +1,7 @@
 """Strict settings for every test: promotions raise, keys are used once, shapes are checked."""
 
+import ctypes
+import gc
 import os
 from pathlib import Path
 
@@ -44,14 +46,22 @@ for flag, value in STRICT.items():
     jax.config.update(flag, value)
 install_import_hook([f"bojax.{package}" for package in CHECKED], "beartype.beartype")
 
+_MOST_MEMORY = 1_200_000
+"""KiB of a worker after which compiled programs are dropped."""
+
 _MOST_MAPS = 30_000
-"""Mappings of memory after which programs are forgotten; Linux ends a process that wants 65,530 of them."""
+"""Memory mappings after which they are; Linux ends a process that wants 65,530 of them."""
 
 
 @pytest.fixture(autouse=True, scope="module")
-def forget_programs():
-    """Every compiled program keeps mappings of memory, and some thousands are compiled in the whole suite."""
+def drop_programs():
+    """Every compiled program keeps memory and mappings, and some thousands are compiled in the whole suite."""
     yield
-    maps = Path("/proc/self/maps")
-    if maps.exists() and len(maps.read_bytes().splitlines()) > _MOST_MAPS:
+    status, maps = Path("/proc/self/status"), Path("/proc/self/maps")
+    if not status.exists():
+        return
+    (memory,) = [line.split()[1] for line in status.read_text().splitlines() if line.startswith("VmRSS")]
+    if int(memory) > _MOST_MEMORY or len(maps.read_bytes().splitlines()) > _MOST_MAPS:
         jax.clear_caches()
+        gc.collect()
+        ctypes.CDLL(None).malloc_trim(0)
