@@ -55,7 +55,7 @@ _MOST_MAPS = 30_000
 
 @pytest.fixture(autouse=True, scope="module")
 def drop_programs():
-    """Every compiled program keeps memory and mappings, and some thousands are compiled in the whole suite."""
+    """Bound what a worker keeps: the suite compiles some thousands of programs."""
     yield
     status, maps = Path("/proc/self/status"), Path("/proc/self/maps")
     if not status.exists():
