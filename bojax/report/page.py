@@ -10,6 +10,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from bojax.report import tables
 from bojax.report.source import Results
+from bojax.report.statistics import GROUPS, resampled
 from bojax.report.text import MISSING, counted, joined, percent, plain, seconds, with_bounds
 
 VERDICTS = ("reproduced", "not reproduced", "inconclusive")
@@ -64,6 +65,7 @@ def render(
         has_thesis=bool(results.settings.get("thesis")),
         speeds=tables.speeds(results),
         is_learning=any(point.is_learning for point in results.points),
+        resampling=_resampling(results),
         common=tables.common_settings(results),
         own=tables.own_settings(results),
         notes=[*_paragraphs(results.settings.get("notes")), *notes],
@@ -146,6 +148,12 @@ def _claim(claim: Mapping[str, Any]) -> dict[str, Any]:
         "method": test.get("method", ""),
         "chosen": [f"{variant} stands for {label}" for label, variant in (test.get("chosen") or {}).items()],
     }
+
+
+def _resampling(results: Results) -> str:
+    """What the bootstrap resamples, where that is not every run by itself."""
+    most = max(results.runs_of(point)["run"].size for point in results.points)
+    return f" The bootstrap resamples {resampled(most)}." if most > GROUPS else ""
 
 
 def _share_bounds(estimate: float, low: float, high: float) -> tuple[str, str]:

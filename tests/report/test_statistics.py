@@ -58,18 +58,33 @@ def test_columns_are_resampled_together():
     np.testing.assert_allclose(means[:, 1] - means[:, 0], 1.0, rtol=1e-12)
 
 
-def test_strata_keep_their_sizes():
-    strata = np.repeat([0, 1, 2], [5, 20, 3])
-    means = statistics.bootstrap_means(strata.astype(float), strata, resamples=50)
-    np.testing.assert_allclose(means, strata.mean(), rtol=1e-12)
+def test_many_rows_are_resampled_in_groups_with_the_same_distribution(monkeypatch):
+    values = np.random.default_rng(0).lognormal(0.0, 1.2, size=12_345)
+    grouped = statistics.bootstrap_means(values, resamples=4000)
+    monkeypatch.setattr(statistics, "GROUPS", values.size)
+    single = statistics.bootstrap_means(values, resamples=4000)
+    assert grouped.mean() == pytest.approx(values.mean(), rel=1e-3)
+    assert grouped.std() == pytest.approx(single.std(), rel=0.08)
+    assert scipy.stats.skew(grouped) == pytest.approx(scipy.stats.skew(single), abs=0.15)
 
 
-def test_stratification_removes_the_variance_between_strata():
-    random = np.random.default_rng(0)
-    strata = np.repeat([0, 1], 50)
-    values = 10.0 * strata + random.normal(size=100)
-    plain, stratified = statistics.mean_interval(values), statistics.mean_interval(values, strata)
-    assert stratified.high - stratified.low < 0.3 * (plain.high - plain.low)
+def test_rare_events_stay_rare_events_in_groups():
+    flags = np.zeros(30_001)
+    flags[[7, 20_000, 29_999]] = 1.0
+    hits = np.round(statistics.bootstrap_means(flags) * flags.size)
+    for count in range(6):  # three events, resampled: Poisson of mean 3
+        assert np.mean(hits == count) == pytest.approx(scipy.stats.poisson.pmf(count, 3), abs=0.02)
+
+
+def test_the_bootstrap_draws_no_more_than_its_groups(monkeypatch):
+    drawn = []
+    counts = statistics._counts
+    monkeypatch.setattr(statistics, "_counts", lambda rows, *rest: drawn.append(rows) or counts(rows, *rest))
+    statistics.bootstrap_means(np.arange(100_000.0), resamples=10)
+    statistics.bootstrap_means(np.arange(1000.0), resamples=10)
+    assert drawn == [statistics.GROUPS, 1000]
+    assert statistics.resampled(1000) == "whole runs"
+    assert "5,000 groups into which 100,000 runs" in statistics.resampled(100_000)
 
 
 @pytest.mark.parametrize(("successes", "trials"), [(0, 200), (1, 7), (103, 200), (200, 200)])

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bojax.report import statistics
-from bojax.report.claims.finding import BOOTSTRAP, TAIL, Comparison, Finding, Verdict, within
+from bojax.report.claims.finding import TAIL, Comparison, Finding, Verdict, bootstrap, within
 from bojax.report.claims.samples import Measure, Undecidable, paired, score, stand_ins
 from bojax.report.source import Results
 from bojax.report.text import counted, number
@@ -66,7 +66,7 @@ def order(results: Results, test: Mapping[str, Any]) -> Finding:
         runs=len(table),
         method=f"mean difference of {measure} between equal runs{' plus the margin' if margin else ''}, "
         f"each pair of neighbours, one-sided at {TAIL:.1%} with Holm's correction over "
-        f"{counted(len(comparisons), 'pair')}, intervals at the levels that it gives; {BOOTSTRAP}"
+        f"{counted(len(comparisons), 'pair')}, intervals at the levels that it gives; {bootstrap(len(table))}"
         f"{', one run added in each direction' if is_share else ''}",
         chosen=chosen,
     )
@@ -97,7 +97,7 @@ def ratio(results: Results, test: Mapping[str, Any]) -> Finding:
         runs=len(table),
         method=f"ratio of the means of {measure} over equal runs, 95% interval against "
         f"[{number(bounds[0])}, {number(bounds[1])}], which is {expected:g} up to a factor of {factor:g}; "
-        f"the interval lies {side}; {BOOTSTRAP}",
+        f"the interval lies {side}; {bootstrap(len(table))}",
         chosen=chosen,
     )
 
@@ -144,7 +144,7 @@ def similar(results: Results, test: Mapping[str, Any]) -> Finding:
         decisive=comparisons[int(np.argmax(extreme))],
         runs=len(at),
         method=f"differences of the means of {measure}{unit}, within equal runs, simultaneous "
-        f"95% intervals (Bonferroni over {counted(len(pairs), 'pair')}) against ±{margin:g}; {BOOTSTRAP}",
+        f"95% intervals (Bonferroni over {counted(len(pairs), 'pair')}) against ±{margin:g}; {bootstrap(len(at))}",
         chosen=chosen,
     )
 

@@ -11,8 +11,6 @@ Verdict = Literal["reproduced", "not reproduced", "inconclusive"]
 TAIL = (1 - statistics.LEVEL) / 2
 """What a 95% interval leaves out on either side."""
 
-BOOTSTRAP = f"percentile bootstrap, {statistics.RESAMPLES:,} resamples of whole runs"
-
 
 @dataclass(frozen=True)
 class Comparison:
@@ -43,6 +41,11 @@ class Finding:
     runs: int
     method: str
     chosen: Mapping[str, str] = field(default_factory=dict)
+
+
+def bootstrap(runs: int) -> str:
+    """The bootstrap of a number of runs, in words."""
+    return f"percentile bootstrap, {statistics.RESAMPLES:,} resamples of {statistics.resampled(runs)}"
 
 
 def within(interval: statistics.Interval, low: float = -float("inf"), high: float = float("inf")) -> Verdict:

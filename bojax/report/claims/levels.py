@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from bojax.report import statistics
-from bojax.report.claims.finding import BOOTSTRAP, Comparison, Finding, within
+from bojax.report.claims.finding import Comparison, Finding, bootstrap, within
 from bojax.report.claims.samples import (
     Measure,
     Undecidable,
@@ -71,7 +71,7 @@ def mean(results: Results, test: Mapping[str, Any]) -> Finding:
         decisive=comparison,
         runs=int(values.size),
         method=f"mean over runs of {measure}, 95% interval against "
-        f"{' and '.join(f'{side} {bound:g}' for side, bound in bounds.items())}; {BOOTSTRAP}",
+        f"{' and '.join(f'{side} {bound:g}' for side, bound in bounds.items())}; {bootstrap(values.size)}",
         chosen=chosen,
     )
 
@@ -94,7 +94,7 @@ def trend(results: Results, test: Mapping[str, Any]) -> Finding:
         decisive=comparison,
         runs=int(changes.size),
         method=f"mean change of {test['column']} {between} within a run, 95% interval "
-        f"against 0 (the claim: it {direction}); {BOOTSTRAP}",
+        f"against 0 (the claim: it {direction}); {bootstrap(changes.size)}",
         chosen=chosen,
     )
 

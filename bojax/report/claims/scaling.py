@@ -7,7 +7,7 @@ import numpy as np
 
 from bojax.report import growth as laws
 from bojax.report import statistics
-from bojax.report.claims.finding import BOOTSTRAP, TAIL, Comparison, Finding, Verdict
+from bojax.report.claims.finding import TAIL, Comparison, Finding, Verdict, bootstrap
 from bojax.report.claims.samples import Undecidable, column, enough, most_present, named
 from bojax.report.source import Point, Results
 from bojax.report.text import counted, percent
@@ -69,7 +69,7 @@ def growth(results: Results, test: Mapping[str, Any]) -> Finding:
         method=f"mean {name} over {over} x of {', '.join(f'{number:g}' for number in x)}, each with its "
         f"standard error and {laws.FLOOR:.0%} of it, fitted by weighted least squares; nearest of all laws "
         f"in a share of resamples: {told} (95% decide); the nearest is off by {percent(off)} (root mean "
-        f"square){power}{left_out}; {BOOTSTRAP}",
+        f"square){power}{left_out}; {bootstrap(len(values))}",
     )
 
 

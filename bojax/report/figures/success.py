@@ -62,7 +62,7 @@ def _curves(
     curves = {}
     for point in points:
         rows = results.runs_of(point)
-        hits = (when(rows)[:, None] <= np.arange(last + 1)).sum(axis=0)
+        hits = np.searchsorted(np.sort(when(rows)), np.arange(last + 1), side="right")
         low, high = statistics.wilson(hits, rows["run"].size)
         high[0] = 0.0  # nothing can have succeeded before the first step: that is no estimate
         curves[point.index] = (hits / rows["run"].size, low, high)
