@@ -51,15 +51,22 @@ def main(name: str, words: Sequence[str]) -> int:
     from bojax.report.animations.choose import choose_film
     from bojax.report.animations.film import render, write_still
     from bojax.report.source import load
+    from bojax.results.store import ResultsError, one_line
 
-    film = choose_film(load(args.folder), args.point, args.run, args.episode, args.model)
-    if args.still is not None:
-        write_still(film, args.still, args.at)
-        print(args.still)
-        return 0
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("drawing", total=film.num_images)
-        paths = render(film, args.folder / "animations", lambda: progress.advance(task))
+    try:
+        film = choose_film(load(args.folder), args.point, args.run, args.episode, args.model)
+        if args.still is not None:
+            write_still(film, args.still, args.at)
+            print(args.still)
+            return 0
+        console = Console(stderr=True)
+        with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+            task = progress.add_task("drawing", total=film.num_images)
+            paths = render(film, args.folder / "animations", lambda: progress.advance(task))
+    except (ResultsError, BrokenPipeError):
+        raise
+    except Exception as error:  # settings and numbers of a folder may be anything: no type says what is drawn
+        raise ResultsError(f"{args.folder}: cannot be drawn: {one_line(error)}") from error
     print(*paths, sep="\n")
     return 0
 

@@ -13,7 +13,7 @@ from bojax.report.page import Plate, plate, render
 from bojax.report.source import Results, load
 from bojax.report.tables import count_nan_runs, thesis_gaps
 from bojax.report.text import counted, joined
-from bojax.results.store import explained, write_atomically
+from bojax.results.store import ResultsError, explained, one_line, write_atomically
 
 _TABLES = ("latency",)
 """Names that `report.figures` may hold and that are tables of every page."""
@@ -81,6 +81,11 @@ def _figures(results: Results) -> tuple[dict[str, Any], list[Plate], list[str]]:
         except Undrawable as reason:
             if asked:
                 notes.append(f"The figure {name} is not drawn: {reason}.")
+            continue
+        except ResultsError:
+            raise
+        except Exception as error:  # one figure is no reason to lose the page
+            notes.append(f"The figure {name} could not be drawn: {one_line(error)}.")
             continue
         plates.append(plate(name, drawing.title, drawing.caption, drawing.alt, images[name]["svg"]))
     return images, plates, notes

@@ -1,14 +1,6 @@
 """What a report reads of a results folder: manifest, tables, arrays; every other part asks here.
 
-Of `manifest.json` these keys are read, and only `points` and `status` have to be there:
-
-- `points`: `index`, `label`, `variant`, `swept`, `config`; `status`: `finished`, or `failed` where only
-  some chunks were run; `chunks`: `error`;
-- `name`, `title`, `runs`, `seed`, `claims`, `report` (`figures`, `notes`, `thesis`, `relative_to`,
-  `by_step`);
-- `groups`: `points`, `lanes_per_device`, `devices`, `compile_seconds`, `run_seconds`, `active_steps`,
-  `latency_seconds` (`{point: seconds}`);
-- `command`, `written`, `versions`, `git`, `device`, `config_hash`.
+The keys of `manifest.json` that are read are those of `bojax.report.manifest`.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,13 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 
-from bojax.results.store import ARRAYS, MANIFEST, WORK, ResultsError, array_file, read_manifest, read_table
-
-Columns = dict[str, NDArray[Any]]
-"""A table as one array per column; a null is NaN in a number and None elsewhere."""
+from bojax.report.columns import Columns, check_runs, read_columns
+from bojax.report.manifest import check
+from bojax.report.snapshots import Arrays, read_snapshot
+from bojax.results.store import ARRAYS, MANIFEST, WORK, ResultsError, array_file, read_manifest
 
 
 @dataclass(frozen=True)
@@ -77,7 +68,7 @@ class Results:
 
     Attributes:
         folder: Where it is.
-        manifest: `manifest.json` as it stands.
+        manifest: `manifest.json`, checked.
         points: The points of the sweep, in order.
     """
 
@@ -131,19 +122,24 @@ class Results:
     @cached_property
     def runs(self) -> Columns:
         """`runs.parquet`."""
-        return _read_columns(self.folder / "runs.parquet", ("point", "run"))
+        return read_columns(self.folder, "runs", [point.index for point in self.points])
 
     @cached_property
     def steps(self) -> Columns:
         """`steps.parquet`; empty where the experiment has no steps."""
-        path = self.folder / "steps.parquet"
-        return _read_columns(path, ("point", "run", "step")) if path.exists() else {}
+        return self._rows_of_runs("steps")
 
     @cached_property
     def episodes(self) -> Columns:
         """`episodes.parquet`; empty where the experiment has no episodes."""
-        path = self.folder / "episodes.parquet"
-        return _read_columns(path, ("point", "run", "episode", "phase")) if path.exists() else {}
+        return self._rows_of_runs("episodes")
+
+    def _rows_of_runs(self, name: str) -> Columns:
+        if not (self.folder / f"{name}.parquet").exists():
+            return {}
+        columns = read_columns(self.folder, name, [point.index for point in self.points])
+        check_runs(self.folder, name, columns, self.runs)
+        return columns
 
     def by_episode(self, point: Point, column: str, phase: str = "train") -> NDArray[np.float64]:
         """A column of `episodes.parquet` by run and episode, `[runs, episodes]`, the first episode first.
@@ -198,48 +194,46 @@ class Results:
         shared, tables = self.shared_runs(points), [self.runs_of(point) for point in points]
         return np.stack([table[column][np.searchsorted(table["run"], shared)] for table in tables], axis=1)
 
-    def arrays(self, point: Point, name: str) -> Iterable[tuple[int, Mapping[str, NDArray[Any]]]]:
+    def arrays(self, point: Point, name: str) -> Iterable[tuple[int, Arrays]]:
         """Run index and arrays of every kept snapshot `name` of a point, by run index."""
-        runs = sorted(int(run) for run in self.runs_of(point)["run"])
-        for run in runs:
-            path = self.folder / ARRAYS / array_file(point.index, run, name, "end")
-            if path.exists():
-                yield run, _read_arrays(path)
+        for run in sorted(self.runs_of(point)["run"].tolist()) if self._snapshots else ():
+            file = array_file(point.index, run, name, "end")
+            if file in self._snapshots:
+                yield run, read_snapshot(self.folder / ARRAYS / file, name)
+
+    @cached_property
+    def _snapshots(self) -> set[str]:
+        folder = self.folder / ARRAYS
+        return {path.name for path in folder.iterdir()} if folder.is_dir() else set()
 
 
 def load(folder: Path) -> Results:
     """A results folder; its tables are read when they are asked for.
 
     Raises:
-        ResultsError: If the folder is missing, is none of results, or its sweep has not finished. Reading
-            a truncated table raises it too, later.
+        ResultsError: If the folder is missing, is none of results, its manifest is not what a report reads,
+            or its sweep has not finished. Reading a damaged table or snapshot raises it too, later.
     """
     if not folder.is_dir():
         raise ResultsError(f"{folder}: no such results folder")
     if (folder / WORK).is_dir() and not (folder / MANIFEST).exists():
         raise _unfinished(folder)
-    manifest = read_manifest(folder)
-    entries = _mapping(manifest).get("points")
-    if not isinstance(entries, list) or not entries:
-        raise ResultsError(f"{folder / MANIFEST}: points: missing or empty: not a results folder of bojax")
-    if manifest.get("status") not in ("finished", "failed"):
+    manifest = check(read_manifest(folder), str(folder / MANIFEST))
+    if manifest["status"] not in ("finished", "failed"):
         raise _unfinished(folder)
-    return Results(folder, manifest, _points(entries, folder / MANIFEST))
+    return Results(folder, manifest, _points(manifest["points"]))
 
 
 def _unfinished(folder: Path) -> ResultsError:
     return ResultsError(f"{folder}: this sweep has not finished: run it again with --resume --out {folder}")
 
 
-def _points(entries: Sequence[Any], path: Path) -> tuple[Point, ...]:
-    for position, entry in enumerate(entries):
-        if not isinstance(entry, Mapping) or not {"index", "label"} <= entry.keys():
-            raise ResultsError(f"{path}: points[{position}]: needs at least index and label")
-    variants = [str(entry.get("variant") or entry["label"]) for entry in entries]
+def _points(entries: Sequence[Mapping[str, Any]]) -> tuple[Point, ...]:
+    variants = [entry.get("variant") or entry["label"] for entry in entries]
     swept = [_mapping(entry.get("swept")) for entry in entries]
     names = _names(variants, swept)
     return tuple(
-        Point(int(entry["index"]), str(entry["label"]), variant, name, values, _mapping(entry.get("config")))
+        Point(entry["index"], entry["label"], variant, name, values, _mapping(entry.get("config")))
         for entry, variant, name, values in zip(entries, variants, names, swept, strict=True)
     )
 
@@ -256,27 +250,6 @@ def _names(variants: Sequence[str], swept: Sequence[Mapping[str, Any]]) -> list[
         ]
         names.append(", ".join([variant, *differing]))
     return names
-
-
-def _read_columns(path: Path, keys: Sequence[str]) -> Columns:
-    table = read_table(path)
-    for key in keys:
-        if key not in table.column_names:
-            raise ResultsError(f"{path}: no column {key}: not a table of bojax")
-    columns = {}
-    for name, column in zip(table.column_names, table.columns, strict=True):
-        if pa.types.is_dictionary(column.type):
-            column = column.cast(column.type.value_type)
-        columns[name] = column.to_numpy()
-    return columns
-
-
-def _read_arrays(path: Path) -> dict[str, NDArray[Any]]:
-    try:
-        with np.load(path, allow_pickle=False) as arrays:
-            return {name: arrays[name] for name in arrays.files}
-    except Exception as error:  # a damaged archive raises whatever the decoder of that byte raises
-        raise ResultsError(f"{path}: cannot be read: was it truncated?") from error
 
 
 def _rows(table: Columns, point: Point) -> Columns:

@@ -76,7 +76,7 @@ def bootstrap_means(values: ArrayLike, *, resamples: int = RESAMPLES, seed: int 
 
 @lru_cache(maxsize=2)
 def _counts(num_rows: int, resamples: int, block: int, seed: int) -> NDArray[np.uint16]:
-    """How often each resample draws each row, `[resamples, rows]`: the same for every table of equal length."""
+    """How often each resample draws each row, `[resamples, rows]`: the same for all tables of a length."""
     random = np.random.default_rng(seed)
     counts = np.empty((resamples, num_rows), dtype=np.uint16)
     for start in range(0, resamples, block):

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from bojax.report import statistics
-from bojax.report.source import Columns, Point, Results
+from bojax.report.columns import Columns
+from bojax.report.source import Point, Results
 from bojax.report.text import MISSING, counted, joined, number, percent, plain, seconds, with_bounds
 
 BY_STEP = 6

@@ -181,11 +181,16 @@ def test_many_points_are_drawn_by_the_best_of_each_label(tmp_path):
     def repeat(manifest):
         points = manifest["points"]
         manifest["points"] = [
-            {**points[index % 5], "index": index % 5, "swept": {"planner.kappa": index}}
-            for index in range(15)
+            {**points[index % 5], "index": index, "swept": {"planner.kappa": index}} for index in range(15)
         ]
 
     edit_manifest(folder, repeat)
+    for name in ("runs", "steps"):
+        table = pq.read_table(folder / f"{name}.parquet")
+        copies = [
+            table.set_column(0, "point", pa.array(table["point"].to_numpy() + 5 * copy)) for copy in range(3)
+        ]
+        pq.write_table(pa.concat_tables(copies), folder / f"{name}.parquet")
     build_report([folder])
     text = Page((folder / "report.html").read_text()).text
     assert "Of 15 points, the one with the best mean return of each label is drawn." in text

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from bojax.report.animations.episode import pick, where
-from bojax.report.source import Columns, Point, Results
+from bojax.report.columns import Columns
+from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats
 from bojax.results.store import ResultsError
 

@@ -2,11 +2,13 @@
 
 A test kind is one function of the results and the claim's `test` mapping, in `TESTS`. A claim holds
 (`reproduced`) or fails (`not reproduced`) where an interval excludes the opposite, else it is
-`inconclusive`; so it is, with the reason, where data are missing or too few.
+`inconclusive`; so it is, with the reason, where data are missing or too few, or where the test fails.
 """
 
 from collections.abc import Callable, Mapping
 from typing import Any
+
+import numpy as np
 
 from bojax.report import statistics
 from bojax.report.claims.comparisons import order, ratio, similar
@@ -16,6 +18,7 @@ from bojax.report.claims.published import agrees
 from bojax.report.claims.samples import MIN_RUNS, Undecidable
 from bojax.report.claims.scaling import growth
 from bojax.report.source import Results
+from bojax.results.store import ResultsError, one_line
 
 __all__ = ["MIN_RUNS", "TESTS", "Undecidable", "evaluate"]
 
@@ -43,15 +46,18 @@ def _entry(results: Results, claim: Mapping[str, Any]) -> dict[str, Any]:
         if test.get("kind") not in TESTS:
             raise Undecidable(f"no test of kind {test.get('kind')!r}")
         finding = TESTS[test["kind"]](results, test)
-    except (Undecidable, KeyError) as error:
-        reason = f"the claim's test has no {error}" if isinstance(error, KeyError) else str(error)
+        if not _is_finite(finding):
+            raise Undecidable("the numbers are too large for their mean to be one")
+    except ResultsError:
+        raise
+    except Exception as error:  # one claim is no reason to lose the others
         return {
             **entry,
             "ours": None,
             "interval": None,
             "runs": 0,
             "verdict": "inconclusive",
-            "test": {**test, "reason": reason},
+            "test": {**test, "reason": _reason(error)},
         }
     return {
         **entry,
@@ -69,6 +75,20 @@ def _entry(results: Results, claim: Mapping[str, Any]) -> dict[str, Any]:
             "chosen": dict(finding.chosen),
         },
     }
+
+
+def _is_finite(finding: Finding) -> bool:
+    intervals = [finding.decisive.interval, *(comparison.interval for comparison in finding.comparisons)]
+    numbers = [number for each in intervals for number in (each.estimate, each.low, each.high)]
+    return bool(np.isfinite([*numbers, 0.0 if isinstance(finding.ours, str) else finding.ours]).all())
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, Undecidable):
+        return str(error)
+    if isinstance(error, KeyError):
+        return f"the claim's test has no {error}"
+    return f"the test failed: {one_line(error)}"
 
 
 def _bounds(interval: statistics.Interval) -> list[float]:

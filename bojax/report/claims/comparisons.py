@@ -144,7 +144,8 @@ def similar(results: Results, test: Mapping[str, Any]) -> Finding:
         decisive=comparisons[int(np.argmax(extreme))],
         runs=len(at),
         method=f"differences of the means of {measure}{unit}, within equal runs, simultaneous "
-        f"95% intervals (Bonferroni over {counted(len(pairs), 'pair')}) against ±{margin:g}; {bootstrap(len(at))}",
+        f"95% intervals (Bonferroni over {counted(len(pairs), 'pair')}) against ±{margin:g}; "
+        f"{bootstrap(len(at))}",
         chosen=chosen,
     )
 

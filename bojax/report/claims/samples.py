@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bojax.report import statistics
-from bojax.report.source import Columns, Point, Results
+from bojax.report.columns import Columns
+from bojax.report.source import Point, Results
 from bojax.report.text import counted
 
 MIN_RUNS = 20

@@ -9,6 +9,7 @@ from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.image import AxesImage
 from matplotlib.patches import Rectangle
 
+from bojax.report.snapshots import BELIEF
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats
 
@@ -21,7 +22,7 @@ Belief = Mapping[str, Floats]
 def beliefs(results: Results, point: Point) -> dict[int, Belief]:
     """The final beliefs recorded of a point, by run; those without a true field are left out."""
     found = results.arrays(point, "belief")
-    return {run: arrays for run, arrays in found if {"x", "y", "truth", "mean", "std"} <= arrays.keys()}
+    return {run: arrays for run, arrays in found if BELIEF <= arrays.keys()}
 
 
 def draw_map(axes: Axes, belief: Belief, values: Floats, norm: Normalize, cmap: Any) -> AxesImage:

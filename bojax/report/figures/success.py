@@ -5,9 +5,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from bojax.report import statistics
+from bojax.report.columns import Columns
 from bojax.report.figures.base import Drawing, Undrawable, drawn_points
 from bojax.report.figures.curves import Band, draw_curves
-from bojax.report.source import Columns, Point, Results
+from bojax.report.source import Point, Results
 from bojax.report.text import percent
 
 

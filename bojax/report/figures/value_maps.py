@@ -11,8 +11,9 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
 from bojax.report import style
+from bojax.report.columns import Columns
 from bojax.report.figures.base import Drawing, Undrawable
-from bojax.report.source import Columns, Point, Results
+from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats
 from bojax.report.text import joined, number
 

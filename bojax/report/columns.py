@@ -1,0 +1,144 @@
+"""Tables of a results folder as arrays, in the order of their keys, checked for the types and rows that a report needs."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from bojax.results.store import ResultsError, read_table
+
+Columns = dict[str, NDArray[Any]]
+"""A table as one array per column; a null is NaN in a number and None elsewhere."""
+
+KEYS: Mapping[str, tuple[str, ...]] = {
+    "runs": ("point", "run"),
+    "steps": ("point", "run", "step"),
+    "episodes": ("point", "run", "episode"),
+}
+"""Columns that every row of a table is found by. Steps of a learner have an `episode` as well."""
+
+_BOOLEANS = {"success", "reached", "terminated", "truncated", "done"}
+_NUMBERS = {
+    *("return", "steps", "exits", "nans", "rmse", "wrmse", "mnll", "collisions", "sampled_gradient"),
+    *("episodes", "outside", "episodes_to_goal", "steps_to_goal", "episodes_to_target"),
+    *("return_after_target", "length", "kappa", "trajectories"),
+    *("reward", "planned_reward", "accumulated_reward", "x", "y", "heading"),
+}
+_NUMBERED = ("observation_", "action_", "qpos_")
+
+
+def read_columns(folder: Path, name: str, points: Sequence[int]) -> Columns:
+    """A table of a results folder.
+
+    Args:
+        folder: The results folder.
+        name: `runs`, `steps` or `episodes`.
+        points: Points that the manifest knows.
+
+    Raises:
+        ResultsError: The file cannot be read, a column has another type, a row stands for an unknown point
+            or for no run at all, or rows are missing or doubled.
+    """
+    path = folder / f"{name}.parquet"
+    table = read_table(path)
+    keys = list(KEYS[name])
+    if name == "steps" and "episode" in table.column_names:
+        keys.insert(2, "episode")
+    for column in (*keys, *(["phase"] if name == "episodes" else [])):
+        if column not in table.column_names:
+            raise ResultsError(f"{path}: no column {column}: not a table of bojax")
+    if len(set(table.column_names)) < len(table.column_names):
+        raise ResultsError(f"{path}: two columns have the same name")
+    columns: Columns = {}
+    for column, values in zip(table.column_names, table.columns, strict=True):
+        if pa.types.is_dictionary(values.type):
+            values = values.cast(values.type.value_type)
+        _check_type(path, column, values, is_key=column in keys)
+        try:
+            columns[column] = (values.cast(pa.int64()) if column in keys else values).to_numpy()
+        except (pa.ArrowException, NotImplementedError, ValueError) as error:
+            raise ResultsError(f"{path}: {column}: its {values.type} cannot be read") from error
+    columns = _sorted(columns, keys)
+    unknown = np.setdiff1d(columns["point"], points)
+    if unknown.size:
+        raise ResultsError(f"{path}: point: got {unknown[0]}, which the manifest does not have")
+    if name == "episodes":
+        _check_phases(path, columns, keys)
+    else:
+        _check_rows(path, columns, keys)
+    return columns
+
+
+def check_runs(folder: Path, name: str, columns: Columns, runs: Columns) -> None:
+    """Refuse rows of a run that `runs.parquet` does not have."""
+    known, used = (np.unique(table["point"] << 32 | table["run"]) for table in (runs, columns))
+    stray = np.setdiff1d(used, known, assume_unique=True)
+    if stray.size:
+        point, run = int(stray[0]) >> 32, int(stray[0]) & (2**32 - 1)
+        raise ResultsError(f"{folder / name}.parquet: run: point {point} has no run {run} in runs.parquet")
+
+
+def _check_type(path: Path, column: str, values: pa.ChunkedArray, *, is_key: bool) -> None:
+    kind = values.type
+    wanted = None
+    if is_key:
+        wanted = None if pa.types.is_integer(kind) else "integers"
+    elif column == "phase":
+        wanted = None if pa.types.is_string(kind) or pa.types.is_large_string(kind) else "text"
+    elif column in _BOOLEANS:
+        wanted = None if pa.types.is_boolean(kind) else "true or false"
+    elif column in _NUMBERS or column.startswith(_NUMBERED):
+        is_number = pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)
+        wanted = None if is_number else "numbers"
+    if wanted is not None:
+        raise ResultsError(f"{path}: {column}: got a column of {kind}; allowed: {wanted}")
+    if values.null_count and (is_key or column == "phase" or column in _BOOLEANS):
+        raise ResultsError(f"{path}: {column}: got {values.null_count} nulls; allowed: none")
+
+
+def _check_phases(path: Path, columns: Columns, keys: Sequence[str]) -> None:
+    """Training episodes are numbered without a gap; tests stand with the episode that they follow."""
+    is_training = columns["phase"] == "train"
+    if not (is_training | (columns["phase"] == "test")).all():
+        raise ResultsError(f"{path}: phase: allowed: train, test")
+    _check_rows(path, {key: columns[key][is_training] for key in keys}, keys)
+    most = columns["episode"][is_training].max(initial=0)
+    if columns["episode"].max(initial=0) > most or columns["episode"].min(initial=1) < 1:
+        raise ResultsError(f"{path}: episode: allowed in a test: 1 to {most}, those of training")
+
+
+def _check_rows(path: Path, columns: Columns, keys: Sequence[str]) -> None:
+    """Every row once; steps and episodes count from 1 without a gap."""
+    run, above, number = columns["run"], keys[:-1], columns[keys[-1]]
+    if not run.size:
+        return
+    if run.min() < 0 or run.max() >= 2**31:
+        raise ResultsError(f"{path}: run: allowed: 0 to {2**31 - 1}")
+    is_same = np.logical_and.reduce([columns[key][1:] == columns[key][:-1] for key in above])
+    is_twin = np.concatenate([[False], is_same & (number[1:] == number[:-1])])
+    if is_twin.any():
+        raise ResultsError(f"{path}: two rows for {_told(columns, keys, is_twin)}; allowed: one")
+    expected = np.concatenate([[1], np.where(is_same, number[:-1] + 1, 1)])
+    is_wrong = number != expected
+    if keys[-1] != "run" and is_wrong.any():
+        raise ResultsError(
+            f"{path}: {keys[-1]}: got {number[is_wrong][0]} of {_told(columns, above, is_wrong)}, where "
+            f"{expected[is_wrong][0]} should come"
+        )
+
+
+def _told(columns: Columns, keys: Sequence[str], where: NDArray[np.bool_]) -> str:
+    """The keys of the first such row."""
+    return ", ".join(f"{key} {columns[key][where][0]}" for key in keys)
+
+
+def _sorted(columns: Columns, keys: Sequence[str]) -> Columns:
+    """Rows in the order of their keys, in which they are unless the file was edited."""
+    num = len(columns["run"])
+    order = np.lexsort([columns[key] for key in reversed(keys)])
+    if (order == np.arange(num)).all():
+        return columns
+    return {name: values[order] for name, values in columns.items()}
