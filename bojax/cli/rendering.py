@@ -63,9 +63,11 @@ def main(name: str, words: Sequence[str]) -> int:
         with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
             task = progress.add_task("drawing", total=film.num_images)
             paths = render(film, args.folder / "animations", lambda: progress.advance(task))
-    except (ResultsError, BrokenPipeError):
+    except BrokenPipeError:
         raise
-    except Exception as error:  # settings and numbers of a folder may be anything: no type says what is drawn
+    except Exception as error:  # the settings in a manifest may be anything
+        if hasattr(error, "exit_code"):
+            raise
         raise ResultsError(f"{args.folder}: cannot be drawn: {one_line(error)}") from error
     print(*paths, sep="\n")
     return 0

@@ -68,6 +68,7 @@ def _figures(results: Results) -> tuple[dict[str, Any], list[Plate], list[str]]:
     asked = results.settings.get("figures")
     names = list(dict.fromkeys(asked or FIGURES))
     images, plates, notes = {}, [], []
+    missing: list[str] = []
     for name in names:
         if name in _TABLES:
             continue
@@ -75,9 +76,10 @@ def _figures(results: Results) -> tuple[dict[str, Any], list[Plate], list[str]]:
             notes.append(f"No figure is called {name}: the figures are {joined(list(FIGURES))}.")
             continue
         try:
-            with style.settings():
+            with style.settings() as unwritten:
                 drawing = FIGURES[name](results)
                 images[name] = style.encode(drawing.figure)
+            missing += unwritten
         except Undrawable as reason:
             if asked:
                 notes.append(f"The figure {name} is not drawn: {reason}.")
@@ -88,6 +90,11 @@ def _figures(results: Results) -> tuple[dict[str, Any], list[Plate], list[str]]:
             notes.append(f"The figure {name} could not be drawn: {one_line(error)}.")
             continue
         plates.append(plate(name, drawing.title, drawing.caption, drawing.alt, images[name]["svg"]))
+    if missing:
+        notes.append(
+            "Some characters of the names stand as boxes in the figures: no font of this machine has them. "
+            "With one that does, such as Noto Sans CJK, bojax report draws them."
+        )
     return images, plates, notes
 
 

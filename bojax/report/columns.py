@@ -1,4 +1,4 @@
-"""Tables of a results folder as arrays, in the order of their keys, checked for the types and rows that a report needs."""
+"""Tables of a results folder as arrays, sorted, checked for the types and rows that a report needs."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

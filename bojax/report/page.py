@@ -58,6 +58,9 @@ def render(
             (verdict, _MARKS[verdict], sum(claim["verdict"] == verdict for claim in claims))
             for verdict in VERDICTS
         ],
+        changed=[
+            (key, *(_line(value) or "none" for value in values)) for key, values in results.changed.items()
+        ],
         claims=[_claim(claim) for claim in claims],
         plates=plates,
         outcomes=tables.outcomes(results),
@@ -146,7 +149,11 @@ def _claim(claim: Mapping[str, Any]) -> dict[str, Any]:
         "comparisons": [] if is_single else listed,
         "reason": test.get("reason", ""),
         "method": test.get("method", ""),
-        "chosen": [f"{variant} stands for {label}" for label, variant in (test.get("chosen") or {}).items()],
+        "chosen": [
+            f"{variant} stands for {label}"
+            for label, variant in (test.get("chosen") or {}).items()
+            if variant != label
+        ],
     }
 
 

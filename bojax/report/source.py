@@ -92,6 +92,11 @@ class Results:
         return str(self.manifest.get("title") or self.name)
 
     @property
+    def changed(self) -> Mapping[str, Any]:
+        """Settings that differ from the shipped sweep of this name: dotted path, then its value and ours."""
+        return _mapping(self.manifest.get("changed"))
+
+    @property
     def reference(self) -> Point | None:
         """The point that `report.relative_to` names, if it is one."""
         name = self.settings.get("relative_to")

@@ -1,14 +1,18 @@
 """How figures look: one colour per identifier everywhere, sizes that survive a phone, files without dates."""
 
 import io
+import re
 import textwrap
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.font_manager import fontManager
 from matplotlib.transforms import offset_copy
 
 from bojax.report.source import Point
@@ -53,7 +57,8 @@ WIDTH = 4.7
 INK, FAINT = "#222222", "#8A8A8A"
 
 _SETTINGS: Mapping[str, Any] = {
-    "font.family": "DejaVu Sans",  # comes with matplotlib: the same glyphs on every machine
+    "font.family": ["DejaVu Sans"],  # comes with matplotlib: the same glyphs on every machine
+    "text.parse_math": False,  # names are the user's: a dollar sign is one
     "font.size": 10.5,
     "axes.titlesize": 10.5,
     "axes.labelsize": 10.5,
@@ -82,10 +87,39 @@ _SETTINGS: Mapping[str, Any] = {
 }
 
 
-def settings() -> Any:
-    """Context in which figures are made and saved; matplotlib's defaults come back after it."""
-    settings: dict[Any, Any] = {**matplotlib.rcParamsDefault, **_SETTINGS, "backend": "agg"}
-    return matplotlib.rc_context(settings)
+_FALLBACKS = (
+    *("Noto Sans CJK SC", "Noto Sans CJK JP", "Source Han Sans SC", "WenQuanYi Zen Hei"),
+    *("PingFang SC", "Hiragino Sans", "Microsoft YaHei", "SimHei", "Yu Gothic", "Malgun Gothic"),
+    *("Arial Unicode MS", "Noto Sans Devanagari", "Noto Sans Thai"),
+)
+"""Fonts for what DejaVu Sans has no glyphs of, used where they are installed."""
+
+_NO_GLYPH = "Glyph .* missing from"
+
+
+@contextmanager
+def settings() -> Iterator[list[str]]:
+    """Context in which figures are made and saved; matplotlib's defaults come back after it.
+
+    Yields:
+        A list that holds, after the context, matplotlib's warnings of characters that no font has; they are
+        not shown, other warnings are.
+    """
+    fonts = [
+        *_SETTINGS["font.family"],
+        *(name for name in _FALLBACKS if name in fontManager.get_font_names()),
+    ]
+    settings: dict[Any, Any] = {**matplotlib.rcParamsDefault, **_SETTINGS, "font.family": fonts}
+    missing: list[str] = []
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.filterwarnings("always", message=_NO_GLYPH)
+        with matplotlib.rc_context({**settings, "backend": "agg"}):
+            yield missing
+    for warning in caught:
+        if re.match(_NO_GLYPH, str(warning.message)):
+            missing.append(str(warning.message))
+        else:
+            warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
 
 
 def figure(height: float, rows: int = 1, columns: int = 1, **options: Any) -> tuple[Figure, np.ndarray]:

@@ -42,6 +42,7 @@ def evaluate(results: Results) -> list[dict[str, Any]]:
 def _entry(results: Results, claim: Mapping[str, Any]) -> dict[str, Any]:
     test = {key: value for key, value in (claim.get("test") or {}).items() if value is not None}
     entry: dict[str, Any] = {key: claim.get(key) for key in ("id", "source", "claim", "thesis")}
+    entry["changed"] = dict(results.changed)
     try:
         if test.get("kind") not in TESTS:
             raise Undecidable(f"no test of kind {test.get('kind')!r}")

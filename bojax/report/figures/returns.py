@@ -22,7 +22,7 @@ def draw(results: Results) -> Drawing:
     everything = np.concatenate(samples)
     if not everything.size:
         raise Undrawable("no run has a finite return")
-    edges = np.histogram_bin_edges(everything, bins=_BINS)
+    edges = np.linspace(everything.min(), everything.max(), _BINS + 1)
     figure, grid = style.figure(0.95 + 0.62 * len(points))
     axes = grid[0, 0]
     means = []
@@ -32,7 +32,6 @@ def draw(results: Results) -> Drawing:
         if sample.size:
             mean = statistics.mean_interval(sample)
             means.append(f"{point.name} {number(mean.estimate)}")
-            axes.plot([mean.low, mean.high], [row, row], color="white", linewidth=5, zorder=3)
             axes.plot([mean.low, mean.high], [row, row], color=style.INK, linewidth=2.2, zorder=4)
             axes.scatter(
                 [mean.estimate], [row], marker="D", s=30, color=style.INK, edgecolors="white", zorder=5
@@ -68,10 +67,11 @@ def swarm(sample: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray
     if dots.size > _MAX_DOTS:
         dots = np.quantile(dots, (np.arange(_MAX_DOTS) + 0.5) / _MAX_DOTS, method="inverted_cdf")
     bins = np.clip(np.searchsorted(edges, dots, side="right") - 1, 0, len(edges) - 2)
+    middles = edges[:-1] + np.diff(edges) / 2
     counts = np.bincount(bins, minlength=len(edges) - 1)
     rank = np.arange(dots.size) - np.concatenate([[0], np.cumsum(counts)[:-1]])[bins]
     height = min(0.07, 2 * _HALF_ROW / max(1, counts.max(initial=1) - 1))
-    return (edges[bins] + edges[bins + 1]) / 2, (rank - (counts[bins] - 1) / 2) * height
+    return middles[bins], (rank - (counts[bins] - 1) / 2) * height
 
 
 def _finite(values: np.ndarray) -> np.ndarray:

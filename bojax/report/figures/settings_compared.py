@@ -26,6 +26,8 @@ def draw(results: Results) -> Drawing:
     names = _curve_names(points, keys)
     curves = list(dict.fromkeys(names))
     means = np.array([np.mean(results.runs_of(point)["return"]) for point in points])
+    if not np.isfinite(means).any():
+        raise Undrawable("no point has a finite mean return")
     rows, columns = panel_grid(len(keys))
     figure, grid = style.figure(0.8 + 2.0 * rows, rows, columns, sharey=True)
     labels = [point.label for point in points]
