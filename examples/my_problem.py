@@ -7,6 +7,7 @@ from jaxtyping import Array, Float, Key
 
 from bojax.motions.base import Pose
 from bojax.problems.pose import Outcome, PoseProblem
+from bojax.results.outline import Outline
 
 
 class Dock(PoseProblem):
@@ -20,6 +21,10 @@ class Dock(PoseProblem):
     position_noise: Float[Array, ""]  # standard deviation of a reading, m
     heading_noise: Float[Array, ""]  # rad
     max_steps: int = eqx.field(static=True, default=10)
+
+    def outline(self) -> Outline:
+        """What figures and films draw: discs are x, y and radius, boxes x_min, y_min, x_max, y_max."""
+        return Outline(obstacles=[self.pillar], goals=[(0.0, 0.0, self.dock_radius)])
 
     def start(self, key: Key[Array, ""]) -> Pose:
         """A start 3 m to the left, at a random height, facing the pillar and the dock behind it."""

@@ -6,12 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 
+from bojax.config.errors import ConfigError
 from bojax.engine.chunks import Chunk, digest
 from bojax.engine.devices import setting
 from bojax.engine.groups import StaticGroup
 from bojax.engine.plan import plain
 from bojax.engine.provenance import git_revision, versions
 from bojax.results.parts import ChunkState
+from bojax.results.store import one_line
 
 if TYPE_CHECKING:
     from bojax.config.sweep import Sweep
@@ -22,8 +24,28 @@ States = Sequence[tuple[Chunk, ChunkState]]
 """Every chunk of the sweep, with what of it is done."""
 
 
-def describe_sweep(sweep: "Sweep", plan: Mapping[str, Any], command: str, status: str) -> dict[str, Any]:
+def outline_of(module: Any) -> dict[str, Any]:
+    """What figures draw of the world of an experiment: `{"outline": ...}`, or nothing.
+
+    Raises:
+        ConfigError: The problem's outline fails, or is none.
+    """
+    try:
+        outline = module.problem.outline() if hasattr(module, "problem") else None
+        return {} if outline is None else {"outline": outline.as_numbers()}
+    except Exception as error:  # the user's code
+        raise ConfigError(f"{type(module.problem).__name__}.outline: {one_line(error)}") from error
+
+
+def describe_sweep(
+    sweep: "Sweep",
+    plan: Mapping[str, Any],
+    outlines: Sequence[Mapping[str, Any]],
+    command: str,
+    status: str,
+) -> dict[str, Any]:
     """What was run, how it was asked for, and what it was run with."""
+    points = zip(plan["points"], outlines, strict=True)
     return {
         "name": sweep.name,
         "title": sweep.title,
@@ -34,7 +56,7 @@ def describe_sweep(sweep: "Sweep", plan: Mapping[str, Any], command: str, status
         "seed": sweep.seed,
         "config": plan["config"],
         "config_hash": digest({key: plan[key] for key in ("runs", "seed", "record", "points")}),
-        "points": [{"index": index, **point} for index, point in enumerate(plan["points"])],
+        "points": [{"index": index, **point, **outline} for index, (point, outline) in enumerate(points)],
         "report": plain(sweep.report),
         "claims": plain(sweep.claims),
         "changed": plain(sweep.changed),

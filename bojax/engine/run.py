@@ -18,7 +18,7 @@ from bojax.engine.errors import FAILURE, EngineError, out_of_memory
 from bojax.engine.groups import StaticGroup, static_groups
 from bojax.engine.hosted import Hosted
 from bojax.engine.latency import measure_latency
-from bojax.engine.manifest import describe_chunk, describe_group, describe_sweep, timings
+from bojax.engine.manifest import describe_chunk, describe_group, describe_sweep, outline_of, timings
 from bojax.engine.plan import make_plan
 from bojax.engine.progress import SweepProgress
 from bojax.engine.provenance import device_description
@@ -94,6 +94,7 @@ class SweepRun:
         self._modules = [
             build(point.config, getattr(point.config, "dtype", "float64")) for point in sweep.points
         ]
+        self._outlines = [outline_of(module) for module in self._modules]
         self.groups = static_groups(self._modules)
         self._lanes = [self._choose_lanes(group) for group in self.groups]
         self.plan = make_plan(sweep, self._modules, self._device, self._lanes)
@@ -265,7 +266,7 @@ class SweepRun:
             by_point[str(point)] = by_point.get(str(point), 0) + count
         groups = zip(self.groups, self._facts, strict=True)
         manifest = {
-            **describe_sweep(self._sweep, self.plan, shlex.join(self._command), status),
+            **describe_sweep(self._sweep, self.plan, self._outlines, shlex.join(self._command), status),
             "device": self._device,
             "groups": [describe_group(group, self._name(group), states, facts) for group, facts in groups],
             "chunks": [describe_chunk(*state, self._errors.get(state[0].index)) for state in states],

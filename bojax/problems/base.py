@@ -7,6 +7,7 @@ import equinox as eqx
 from jaxtyping import Array, Bool, Float, Key, Scalar
 
 from bojax.motions.base import Path, Pose
+from bojax.results.outline import Outline
 from bojax.results.schema import Column, Table
 
 World = Any
@@ -118,6 +119,10 @@ class Problem(eqx.Module):
     @abc.abstractmethod
     def pose(self, world: World) -> Pose:
         """The robot's true pose."""
+
+    def outline(self) -> Outline | None:
+        """What figures and films draw of the world; None where they know it, or draw nothing."""
+        return None
 
     @property
     def lanes_on_cpu(self) -> int:

@@ -21,6 +21,18 @@ class _Part(pydantic.BaseModel):
     model_config = pydantic.ConfigDict(extra="allow", strict=True)
 
 
+Box = Annotated[list[pydantic.FiniteFloat], Field(min_length=4, max_length=4)]
+Shape = Annotated[list[pydantic.FiniteFloat], Field(min_length=3, max_length=4)]
+
+
+class OutlineEntry(_Part):
+    """What stands in the world, see `bojax.results.outline.Outline`."""
+
+    border: Box | None = None
+    obstacles: list[Shape] = []
+    goals: list[Shape] = []
+
+
 class PointEntry(_Part):
     """A point of the sweep."""
 
@@ -29,6 +41,7 @@ class PointEntry(_Part):
     variant: str | None = None
     swept: dict[str, Any] | None = None
     config: dict[str, Any] | None = None
+    outline: OutlineEntry | None = None
 
 
 class Report(_Part):

@@ -4,7 +4,7 @@ The keys of `manifest.json` that are read are those of `bojax.report.manifest`.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, reduce
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ class Point:
         name: What a report calls it: the variant, with the swept numbers where variants repeat.
         swept: Value of every swept key, by dotted path.
         config: The resolved experiment.
+        outline: What its problem says of its world, see `bojax.results.outline.Outline`; empty where nothing.
     """
 
     index: int
@@ -37,6 +38,7 @@ class Point:
     name: str
     swept: Mapping[str, Any]
     config: Mapping[str, Any]
+    outline: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def problem(self) -> Mapping[str, Any]:
@@ -219,14 +221,32 @@ def load(folder: Path) -> Results:
         ResultsError: If the folder is missing, is none of results, its manifest is not what a report reads,
             or its sweep has not finished. Reading a damaged table or snapshot raises it too, later.
     """
-    if not folder.is_dir():
-        raise ResultsError(f"{folder}: no such results folder")
+    try:
+        if not folder.is_dir():
+            what = "a file, not a results folder" if folder.exists() else "no such results folder"
+            raise ResultsError(f"{_short(folder)}: {what}")
+    except (OSError, ValueError) as error:  # a name that no file can have
+        raise ResultsError(f"{_short(folder)}: no such results folder") from error
+    if not (folder / MANIFEST).exists() and (newest := _newest_below(folder)):
+        raise ResultsError(f"{folder}: not a results folder; the newest below it is {newest}")
     if (folder / WORK).is_dir() and not (folder / MANIFEST).exists():
         raise _unfinished(folder)
     manifest = check(read_manifest(folder), str(folder / MANIFEST))
     if manifest["status"] not in ("finished", "failed"):
         raise _unfinished(folder)
     return Results(folder, manifest, _points(manifest["points"]))
+
+
+def _newest_below(folder: Path) -> Path | None:
+    """The results folder that was written last, at most two levels below: `results/NAME/TIME`."""
+    found = [*folder.glob(f"*/{MANIFEST}"), *folder.glob(f"*/*/{MANIFEST}")]
+    return max(found, key=lambda path: path.stat().st_mtime).parent if found else None
+
+
+def _short(path: Path) -> str:
+    """A path, its middle left out where it is too long to be read."""
+    text = str(path)
+    return text if len(text) <= 200 else f"{text[:100]}...{text[-60:]}"
 
 
 def _unfinished(folder: Path) -> ResultsError:
@@ -238,7 +258,15 @@ def _points(entries: Sequence[Mapping[str, Any]]) -> tuple[Point, ...]:
     swept = [_mapping(entry.get("swept")) for entry in entries]
     names = _names(variants, swept)
     return tuple(
-        Point(entry["index"], entry["label"], variant, name, values, _mapping(entry.get("config")))
+        Point(
+            entry["index"],
+            entry["label"],
+            variant,
+            name,
+            values,
+            _mapping(entry.get("config")),
+            _mapping(entry.get("outline")),
+        )
         for entry, variant, name, values in zip(entries, variants, names, swept, strict=True)
     )
 

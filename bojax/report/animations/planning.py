@@ -100,6 +100,9 @@ class PlanningFilm(Film):
         figure.text(edge, 0.945, title, color=INK, fontsize=10)
         status = figure.text(edge, 0.89, "", color=INK, fontsize=10)
         outcome = figure.text(1.0 - edge, 0.945, "", color=BLUE, fontsize=10, ha="right", weight="bold")
+        if any(leg.plan is not None for leg in legs) and any(view.shows_plan for view in views):
+            planned = {"color": ORANGE, "fontsize": 10, "ha": "right"}
+            figure.text(1.0 - edge, 0.89, "dashed: planned path", **planned)
         for index in range(len(legs)):
             is_last = index == len(legs) - 1
             for share in (np.arange(self._per_step + is_last) / self._per_step).tolist():
@@ -148,8 +151,8 @@ class _Map:
         self.name = name
         self._drive = drive
         problem = drive.point.problem
-        draw_domain(axes, problem)
-        if problem.get("kind") not in DOMAINS:
+        draw_domain(axes, problem, drive.point.outline)
+        if problem.get("kind") not in DOMAINS and drive.point.outline.get("border") is None:
             _fit(axes, drive)
         axes.set_xticks([])
         axes.set_yticks([])
@@ -171,6 +174,11 @@ class _Map:
         axes.plot(*start[:2], "o", ms=5 * scale, mfc="white", mec=line, mew=1.2 * scale, zorder=4.8)
         (self._robot,) = axes.plot([], [], color=spot, markersize=13 * scale, mec=INK, mew=0.8, zorder=7)
 
+    @property
+    def shows_plan(self) -> bool:
+        """Whether way and plan are drawn: over the standard deviation they would hide what is not known."""
+        return self.name != "std"
+
     def believe(self, step: int) -> None:
         """Show what is believed after so many steps."""
         if self._image is not None and self.name in _BELIEF:
@@ -181,7 +189,7 @@ class _Map:
         """The robot has come here by this way, and follows the plan of this leg, or has come to the end."""
         self._robot.set_data([pose[0]], [pose[1]])
         self._robot.set_marker(MarkerStyle(_ARROW, transform=Affine2D().rotate(float(pose[2]))))
-        if self.name == "std":  # what lies dark is what is not known: nothing is drawn over it
+        if not self.shows_plan:
             return
         self._way.set_data(*way.T)
         line = smooth(leg.before, leg.plan) if leg is not None and leg.plan is not None else np.zeros((0, 2))
@@ -236,6 +244,8 @@ def _fit(axes: Axes, drive: Drive) -> None:
     """Limits that show all that was driven and planned, of a problem whose domain is not known."""
     shown = [leg.poses for leg in drive.legs] + [leg.plan for leg in drive.legs if leg.plan is not None]
     points = np.concatenate([drive.legs[0].before[None], *shown])[:, :2]
+    if axes.patches:  # obstacles and goals
+        points = np.concatenate([points, axes.dataLim.get_points()])
     middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
     half = 0.55 * max(float(np.ptp(points, axis=0).max()), 1.0)
     axes.set_xlim(middle[0] - half, middle[0] + half)

@@ -38,7 +38,7 @@ def draw(results: Results) -> Drawing:
     looks = style.looks(points)
     for row, point, look, (_, belief), values in zip(grid, points, looks, chosen, maps, strict=True):
         for axes, (panel, colours) in zip(row, _PANELS.items(), strict=True):
-            draw_domain(axes, {**point.problem, "target_area": None})
+            draw_domain(axes, {**point.problem, "target_area": None}, point.outline)
             draw_map(axes, belief, values[panel], norms[panel], colours)
             axes.set_xticks([])
             axes.set_yticks([])

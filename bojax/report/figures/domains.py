@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from matplotlib.axes import Axes
-from matplotlib.patches import Circle, Rectangle
+from matplotlib.patches import Circle, Patch, Rectangle
 
 from bojax.report import style
 
@@ -61,17 +61,47 @@ DOMAINS: Mapping[str, Callable[[Axes, Mapping[str, Any]], None]] = {
     "hilly-terrain": monitoring,
     "indoor-props": monitoring,
 }
-"""By the problem's kind; other problems are drawn without a domain."""
+"""By the problem's kind; of other problems, what their outline declares is drawn."""
 
 
-def draw_domain(axes: Axes, problem: Mapping[str, Any]) -> None:
-    """The domain of a problem, in metres on both axes alike, without a box around it."""
+def has_parking_goal(problem: Mapping[str, Any]) -> bool:
+    """Whether the goal is drawn as a disc in a ring."""
+    return DOMAINS.get(str(problem.get("kind"))) is parking
+
+
+def outlined(axes: Axes, outline: Mapping[str, Any]) -> None:
+    """The shapes that a problem declares: border, obstacles, goals."""
+    border = outline.get("border")
+    if border is not None:
+        _limits(axes, border, 0.03 * max(border[2] - border[0], border[3] - border[1]))
+        axes.add_patch(_box(border, facecolor=FLOOR, edgecolor=EDGE, linewidth=1.1, zorder=0))
+    for shape in outline.get("obstacles") or ():
+        axes.add_patch(_shape(shape, facecolor=WALL, edgecolor="none", zorder=2.5))
+    for shape in outline.get("goals") or ():
+        axes.add_patch(_shape(shape, **TARGET, linewidth=1.2, zorder=2.4))
+
+
+def draw_domain(axes: Axes, problem: Mapping[str, Any], outline: Mapping[str, Any]) -> None:
+    """The domain of a problem, in metres on both axes alike, without a box around it.
+
+    Args:
+        axes: Where it is drawn.
+        problem: Settings of the problem, which tell the domain of a built-in one.
+        outline: What a problem of the user's declares.
+    """
     if problem.get("kind") in DOMAINS:
         DOMAINS[str(problem["kind"])](axes, problem)
+    outlined(axes, outline)
     axes.set_aspect("equal")
     axes.tick_params(length=0)
     for side in axes.spines.values():
         side.set_visible(False)
+
+
+def _shape(numbers: Sequence[float], **options: Any) -> Patch:
+    if len(numbers) == 3:
+        return Circle((numbers[0], numbers[1]), numbers[2], **options)
+    return _box(numbers, **options)
 
 
 def _box(bounds: Sequence[float], **options: Any) -> Rectangle:

@@ -29,7 +29,7 @@ def draw(results: Results) -> Drawing:
     looks = style.looks([point for point, _, _ in maps])
     norm = Normalize(-most, most)
     for axes, (point, _, belief), error, look in zip(grid.flat, maps, errors, looks, strict=False):
-        draw_domain(axes, point.problem)
+        draw_domain(axes, point.problem, point.outline)
         draw_map(axes, belief, error, norm, "RdBu_r")
         for x_min, y_min, x_max, y_max in point.problem["field"].get("boxes", ()):
             edge = {"facecolor": "none", "edgecolor": style.INK, "linewidth": 0.9, "zorder": 2.5}

@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 
 from bojax.report import style
 from bojax.report.figures.base import Drawing, Undrawable, drawn_points, panel_grid
-from bojax.report.figures.domains import TARGET, WALL, draw_domain
+from bojax.report.figures.domains import TARGET, WALL, draw_domain, has_parking_goal
 from bojax.report.figures.maps import QUIET, beliefs, draw_map
 from bojax.report.figures.smooth import smooth
 from bojax.report.source import Point, Results
@@ -49,12 +49,14 @@ def draw(results: Results) -> Drawing:
     fields = {point.index: beliefs(results, point) for point in points}
     truths = [belief["truth"] for found in fields.values() for belief in found.values()]
     norm = Normalize(np.min(truths), np.max(truths)) if truths else None
-    told, is_outcome_shown, stops = [], False, 0
+    told, is_outcome_shown, stops, outcomes = [], False, 0, set[bool]()
     for axes, point, look in zip(grid.flat, points, style.looks(points), strict=False):
-        draw_domain(axes, point.problem)
+        draw_domain(axes, point.problem, point.outline)
         if point.ends_at_success:
             is_outcome_shown = True
-            told.append(_outcomes_drawn(axes, results, point, kept[point.index], look["color"]))
+            shown = _outcomes_drawn(axes, results, point, kept[point.index], look["color"])
+            outcomes |= {outcome for outcome, count in shown.items() if count}
+            told.append(f"{point.name}: {shown[True]} successful and {shown[False]} failed")
         else:
             run, arrays = kept[point.index][0]
             if norm is not None and run in fields[point.index]:
@@ -75,7 +77,8 @@ def draw(results: Results) -> Drawing:
         axes.set_ylabel("y (m)", labelpad=1)
     for axes in grid[-1]:
         axes.set_xlabel("x (m)", labelpad=1)
-    legend = _legend() if is_outcome_shown else _monitoring_legend(points, has_stops=stops > 0)
+    legend = _run_legend(outcomes) if is_outcome_shown else _monitoring_legend(has_stops=stops > 0)
+    legend += _domain_legend(points)
     figure.legend(
         *zip(*legend, strict=True),
         handler_map={tuple: HandlerTuple(ndivide=1)},
@@ -101,15 +104,15 @@ def draw(results: Results) -> Drawing:
 
 def _outcomes_drawn(
     axes: Axes, results: Results, point: Point, kept: Sequence[tuple[int, Mapping[str, Any]]], colour: str
-) -> str:
-    """Draw the first runs of each outcome; how many there were."""
+) -> dict[bool, int]:
+    """Draw the first runs of each outcome; how many were drawn."""
     outcomes, shown = _outcomes(results, point), {True: 0, False: 0}
     for run, arrays in kept:
         succeeded = outcomes.get(run, False)
         if shown[succeeded] < EXAMPLES and "paths" in arrays:
             shown[succeeded] += 1
             _run(axes, arrays, colour if succeeded else style.FAINT, is_success=succeeded)
-    return f"{point.name}: {shown[True]} successful and {shown[False]} failed"
+    return shown
 
 
 def _outcomes(results: Results, point: Point) -> dict[int, bool]:
@@ -174,7 +177,7 @@ def stops(ends: Sequence[Floats], steps: Sequence[Floats]) -> Floats:
     return np.array([last for before, last in last_two if (before == last).all()]).reshape(-1, 2)
 
 
-def _monitoring_legend(points: Sequence[Point], *, has_stops: bool) -> list[tuple[Any, str]]:
+def _monitoring_legend(*, has_stops: bool) -> list[tuple[Any, str]]:
     entries: list[tuple[Any, str]] = [
         (Line2D([], [], color=style.INK, linewidth=1.4), "path"),
         (Line2D([], [], **_RING, markersize=5, markerfacecolor="white"), "start"),
@@ -182,21 +185,33 @@ def _monitoring_legend(points: Sequence[Point], *, has_stops: bool) -> list[tupl
     if has_stops:
         red = {"markeredgecolor": _RED, "markerfacecolor": "none", "markeredgewidth": 1.5}
         entries.append((Line2D([], [], linestyle="", marker="o", markersize=8, **red), "stopped"))
+    return entries
+
+
+def _run_legend(outcomes: set[bool]) -> list[tuple[Any, str]]:
+    entries: list[tuple[Any, str]] = []
+    if True in outcomes:
+        entries.append((Line2D([], [], color=style.INK, linewidth=1.4), "success"))
+    if False in outcomes:
+        entries.append((Line2D([], [], color=style.FAINT, linewidth=1.1, linestyle=_DASHES), "failure"))
+    return [*entries, (Line2D([], [], **_RING, markersize=5, markerfacecolor="white"), "start")]
+
+
+def _domain_legend(points: Sequence[Point]) -> list[tuple[Any, str]]:
+    """What is drawn of the domains."""
+    entries: list[tuple[Any, str]] = []
+    if any(has_parking_goal(point.problem) for point in points):
+        goal = (
+            Line2D([], [], **_RING, markersize=9, markerfacecolor="none"),
+            Line2D([], [], **_RING, markersize=2.5),
+        )
+        entries.append((goal, "goal"))
     if any(point.problem.get("walls") for point in points):
         entries.append((Patch(facecolor=WALL), "wall"))
     if any(point.problem.get("target_area") is not None for point in points):
         entries.append((Patch(**TARGET), "target area"))
+    if any(point.outline.get("obstacles") for point in points):
+        entries.append((Patch(facecolor=WALL), "obstacle"))
+    if any(point.outline.get("goals") for point in points):
+        entries.append((Patch(**TARGET), "goal"))
     return entries
-
-
-def _legend() -> list[tuple[Any, str]]:
-    goal = (
-        Line2D([], [], **_RING, markersize=9, markerfacecolor="none"),
-        Line2D([], [], **_RING, markersize=2.5),
-    )
-    return [
-        (Line2D([], [], color=style.INK, linewidth=1.4), "success"),
-        (Line2D([], [], color=style.FAINT, linewidth=1.1, linestyle=_DASHES), "failure"),
-        (Line2D([], [], **_RING, markersize=5, markerfacecolor="white"), "start"),
-        (goal, "goal"),
-    ]
