@@ -23,8 +23,8 @@ def main(name: str, words: Sequence[str]) -> int:
     parser.add_argument("folders", nargs="+", metavar="DIR", type=Path, help="results folders")
     args = parser.parse_intermixed_args(list(words))
 
-    from bojax.report.build import build_report
+    from bojax.report.progress import report
 
     for folder in args.folders:
-        print(build_report([folder]))
+        print(report(folder))
     return 0

@@ -92,6 +92,6 @@ def _run(sweeps: Sequence[Sweep], args: Namespace, command: list[str]) -> int:
 
 
 def _report(folder: Path) -> None:
-    from bojax.report.build import build_report
+    from bojax.report.progress import report
 
-    print(build_report([folder]))
+    print(report(folder))

@@ -1,7 +1,7 @@
 """Results folders in; figures, `claims.json` and `report.html` out, each written whole or not at all."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ _TABLES = ("latency",)
 """Names that `report.figures` may hold and that are tables of every page."""
 
 
-def build_report(folders: Sequence[Path]) -> Path:
+def build_report(folders: Sequence[Path], at: Callable[[str], None] = lambda stage: None) -> Path:
     """Write the report of each folder into it, replacing what an earlier report left there.
 
     Figures, claims and page are derived from the tables alone: equal tables and manifest give equal
@@ -27,6 +27,7 @@ def build_report(folders: Sequence[Path]) -> Path:
 
     Args:
         folders: Results folders.
+        at: Called with the name of each stage before it begins.
 
     Returns:
         The last folder's `report.html`.
@@ -36,14 +37,17 @@ def build_report(folders: Sequence[Path]) -> Path:
     """
     page = Path()
     for folder in folders:
-        page = _build(Path(folder))
+        page = _build(Path(folder), at)
     return page
 
 
-def _build(folder: Path) -> Path:
+def _build(folder: Path, at: Callable[[str], None]) -> Path:
+    at("tables")
     results = load(folder)
+    at(f"claims of {counted(results.runs['run'].size, 'run')}")
     claims = evaluate(results)
-    images, plates, notes = _figures(results)
+    images, plates, notes = _figures(results, at)
+    at("page")
     page = render(results, claims, plates, [*notes, *thesis_gaps(results), *_gaps(results)])
 
     figures = folder / "figures"
@@ -63,7 +67,7 @@ def _build(folder: Path) -> Path:
     return folder / "report.html"
 
 
-def _figures(results: Results) -> tuple[dict[str, Any], list[Plate], list[str]]:
+def _figures(results: Results, at: Callable[[str], None]) -> tuple[dict[str, Any], list[Plate], list[str]]:
     """Files by figure, figures on the page, and why a figure that was asked for is not there."""
     asked = results.settings.get("figures")
     names = list(dict.fromkeys(asked or FIGURES))
@@ -75,6 +79,7 @@ def _figures(results: Results) -> tuple[dict[str, Any], list[Plate], list[str]]:
         if name not in FIGURES:
             notes.append(f"No figure is called {name}: the figures are {joined(list(FIGURES))}.")
             continue
+        at(f"figure {name}")
         try:
             with style.settings() as unwritten:
                 drawing = FIGURES[name](results)

@@ -8,9 +8,9 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from bojax.report import tables
+from bojax.report import statistics, tables
+from bojax.report.dark import adapted
 from bojax.report.source import Results
-from bojax.report.statistics import GROUPS, resampled
 from bojax.report.text import MISSING, counted, joined, percent, plain, seconds, with_bounds
 
 VERDICTS = ("reproduced", "not reproduced", "inconclusive")
@@ -30,9 +30,8 @@ class Plate:
 
 def plate(name: str, title: str, caption: str, alt: str, svg: bytes) -> Plate:
     """A figure with its SVG inline as a data address: nothing is loaded from elsewhere."""
-    return Plate(
-        name, title, caption, alt, f"data:image/svg+xml;base64,{base64.b64encode(svg).decode('ascii')}"
-    )
+    code = base64.b64encode(adapted(svg)).decode("ascii")
+    return Plate(name, title, caption, alt, f"data:image/svg+xml;base64,{code}")
 
 
 def render(
@@ -99,13 +98,21 @@ def summary(results: Results) -> str:
         else f"{numbers[0]:,} to {counted(numbers[-1], 'run')}"
     )
     each = " each" if len(names) > 1 else ""
-    length = (results.num_episodes, "episode") if results.episodes else (results.num_steps, "step")
-    steps = f" of up to {counted(*length)}" if length[0] else ""
+    length = _most(configs, ("episodes",), "episode") or _most(configs, ("problem", "max_steps"), "step")
+    steps = f" of up to {length}" if length else ""
     groups = results.manifest.get("groups") or []
     run = sum(group.get("run_seconds") or 0 for group in groups)
     build = sum(group.get("compile_seconds") or 0 for group in groups)
     time = f", in {seconds(run)} of run time and {seconds(build)} of compilation" if run else ""
     return f"{what}{listed}{where}: {runs}{each}{steps}{time}."
+
+
+def _most(configs: Sequence[Mapping[str, Any]], path: Sequence[str], noun: str) -> str:
+    """The largest number of that setting, with its noun; empty where some point does not have it."""
+    found: list[Any] = list(configs)
+    for key in path:
+        found = [value.get(key) if isinstance(value, Mapping) else None for value in found]
+    return counted(max(found), noun) if all(isinstance(value, int) for value in found) else ""
 
 
 def provenance(results: Results) -> list[tuple[str, str]]:
@@ -160,7 +167,7 @@ def _claim(claim: Mapping[str, Any]) -> dict[str, Any]:
 def _resampling(results: Results) -> str:
     """What the bootstrap resamples, where that is not every run by itself."""
     most = max(results.runs_of(point)["run"].size for point in results.points)
-    return f" The bootstrap resamples {resampled(most)}." if most > GROUPS else ""
+    return f" The bootstrap resamples {statistics.resampled(most)}." if most > statistics.GROUPS else ""
 
 
 def _share_bounds(estimate: float, low: float, high: float) -> tuple[str, str]:

@@ -11,6 +11,7 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.font_manager import fontManager
 from matplotlib.transforms import offset_copy
@@ -28,6 +29,8 @@ BLUE, ORANGE, GREEN, PINK, SKY, YELLOW, GREY, BROWN = (
     "#7A4B2A",
 )
 """Okabe and Ito's palette for all kinds of colour vision, the light ones darkened to carry text."""
+
+PALETTE = (BLUE, ORANGE, GREEN, PINK, SKY, YELLOW, GREY, BROWN)
 
 COLOURS: Mapping[str, str] = {
     "kcbts": BLUE,
@@ -51,6 +54,9 @@ COLOURS: Mapping[str, str] = {
 LINES = ("-", (0, (5, 1.6)), (0, (1.2, 1.4)), (0, (6, 1.5, 1.2, 1.5)), (0, (2.5, 1.2)))
 """Line styles that tell variants of one identifier apart."""
 
+SHADES = (("white", 0.0), ("black", 0.45), ("white", 0.4), ("black", 0.25), ("white", 0.2))
+"""What the colour of an identifier is mixed with for its variants, and by which share."""
+
 WIDTH = 4.7
 """Width of every figure in inches: on a phone, 340 CSS pixels, its text is still 10 pixels high."""
 
@@ -63,6 +69,7 @@ _SETTINGS: Mapping[str, Any] = {
     "axes.titlesize": 10.5,
     "axes.labelsize": 10.5,
     "axes.edgecolor": "#555555",
+    "axes.facecolor": "none",  # one background for the whole figure, see `bojax.report.dark`
     "axes.labelcolor": INK,
     "axes.linewidth": 0.8,
     "axes.spines.top": False,
@@ -151,14 +158,22 @@ def colour(label: str, labels: Sequence[str]) -> str:
     return free[unknown.index(label) % len(free)]
 
 
+def look(label: str, labels: Sequence[str], variant: int) -> dict[str, Any]:
+    """Colour and line style of a variant of a label: a shade of the label's colour, and its own style."""
+    ink = mixed(colour(label, labels), *SHADES[variant % len(SHADES)])
+    return {"color": ink, "linestyle": LINES[variant % len(LINES)]}
+
+
+def mixed(ink: str, other: str, share: float) -> str:
+    """A colour with a share of another one in it."""
+    return to_hex((1 - share) * np.array(to_rgb(ink)) + share * np.array(to_rgb(other))).upper()
+
+
 def looks(points: Sequence[Point]) -> list[dict[str, Any]]:
-    """Colour and line style of each point: the label's colour, and a style per variant of that label."""
+    """Colour and line style of each point; the first variant of a label has the label's own colour."""
     labels = [point.label for point in points]
     return [
-        {
-            "color": colour(point.label, labels),
-            "linestyle": LINES[labels[:position].count(point.label) % len(LINES)],
-        }
+        look(point.label, labels, labels[:position].count(point.label))
         for position, point in enumerate(points)
     ]
 

@@ -54,8 +54,9 @@ class _Measure:
 
 def outcomes(results: Results) -> Table:
     """One row per point: means and shares of its runs with 95% intervals, beside the thesis's numbers."""
-    measures = _measures(results)
-    rows = []
+    measures, rows = _measures(results), []
+    # A gallery of trajectories computes nothing that could fail to be a number.
+    has_numbers = any(point.config.get("kind") != "trajectories" for point in results.points)
     for point in results.points:
         runs = results.runs_of(point)
         cells = [Cell(f"{runs['run'].size:,}")]
@@ -63,9 +64,11 @@ def outcomes(results: Results) -> Table:
             cell = measure.cell(runs) if runs["run"].size else Cell(MISSING)
             value = results.thesis(point, measure.column)
             cells.append(Cell(cell.text, cell.interval, "" if value is None else plain(value)))
-        cells.append(Cell(f"{count_nan_runs(results, point):,}"))
+        if has_numbers:
+            cells.append(Cell(f"{count_nan_runs(results, point):,}"))
         rows.append((point.name, cells))
-    return Table(["runs", *(measure.heading for measure in measures), "runs with NaN"], rows)
+    last = ["runs with NaN"] if has_numbers else []
+    return Table(["runs", *(measure.heading for measure in measures), *last], rows)
 
 
 def ratios(results: Results) -> Table | None:

@@ -1,17 +1,23 @@
 """A report is written whatever the names and the numbers of the results are, and says what it left out."""
 
+import base64
 import json
 import warnings
+from xml.etree import ElementTree
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from bojax.report import claims, style
+from bojax.cli.main import main
+from bojax.report import claims, dark, progress, statistics, style
 from bojax.report.build import build_report
 from bojax.report.figures import FIGURES
 from bojax.report.figures.base import Drawing
+from bojax.report.source import load
+from bojax.results.outline import Outline
+from bojax.results.store import ResultsError
 from tests.report.synthetic import edit_manifest, write_results
 
 
@@ -151,3 +157,138 @@ def test_a_label_is_not_said_to_stand_for_itself(tmp_path):
     text = build_report([folder]).read_text()
     assert "sbo stands for sbo" not in text
     assert "variant with the best mean" not in text
+
+
+def test_variants_of_a_label_differ_in_colour():
+    colours = [style.look("sbo", ["sbo"], variant)["color"] for variant in range(5)]
+    assert colours[0] == style.COLOURS["sbo"] and len(set(colours)) == 5
+
+
+def test_plates_are_dark_on_a_dark_page(tmp_path):
+    folder = write_results(tmp_path / "results", runs=4, recorded=0, report={"figures": ["returns"]})
+    page = build_report([folder]).read_text()
+    code = page.partition("data:image/svg+xml;base64,")[2].partition('"')[0]
+    drawn = base64.b64decode(code).decode()
+    assert "<style>@media (prefers-color-scheme: dark){#patch_1 path{fill:" in drawn
+    assert f'[style*="stroke: {style.INK}"]' in drawn and f"stroke: {style.INK}" in drawn
+    ElementTree.fromstring(drawn)
+    assert "prefers-color-scheme" not in (folder / "figures" / "returns.svg").read_text()
+
+
+def test_lines_on_maps_keep_their_colours():
+    figure, grid = style.figure(1.0)
+    grid[0, 0].imshow(np.eye(3))
+    with style.settings():
+        drawn = dark.adapted(style.encode(figure)["svg"]).decode()
+    assert f'[style*="stroke: {style.INK}"]' not in drawn.replace("[id^=text_] [style", "")
+
+
+def test_the_summary_says_the_limit_of_an_episode(tmp_path):
+    folder = write_results(tmp_path / "results", runs=4, recorded=0)
+    edit_manifest(folder, lambda m: [p["config"]["problem"].update(max_steps=40) for p in m["points"]])
+    assert "4 runs each of up to 40 steps" in build_report([folder]).read_text()
+
+
+def test_a_gallery_has_no_column_of_nans(tmp_path):
+    folder = write_results(tmp_path / "results", runs=2, recorded=0)
+    edit_manifest(folder, lambda m: [p.update(config={"kind": "trajectories"}) for p in m["points"]])
+    assert "runs with NaN" not in build_report([folder]).read_text()
+
+
+def drawn_labels(folder):
+    results = load(folder)
+    with style.settings():
+        figure = FIGURES["paths"](results).figure
+    return [text.get_text() for text in figure.legends[0].get_texts()], figure.axes[0].patches
+
+
+def test_an_outline_is_drawn_and_the_legend_lists_what_is_drawn(tmp_path):
+    folder = write_results(tmp_path / "results", runs=8, recorded=8)
+    outline = {"border": [-4, -4, 4, 4], "obstacles": [[1, 1, 0.5], [0, 0, 1, 2]], "goals": [[2, 2, 0.3]]}
+
+    def declare(manifest):
+        for point in manifest["points"]:
+            point["config"]["problem"]["kind"] = "mine:Dock"
+            point["outline"] = outline
+
+    def undeclare(manifest):
+        for point in manifest["points"]:
+            del point["outline"]
+
+    edit_manifest(folder, declare)
+    labels, patches = drawn_labels(folder)
+    assert labels == ["success", "failure", "start", "obstacle", "goal"] and len(patches) == 4
+    edit_manifest(folder, undeclare)
+    labels, patches = drawn_labels(folder)
+    assert labels == ["success", "failure", "start"] and not patches
+
+
+def test_an_outline_of_other_shapes_is_refused(tmp_path):
+    folder = write_results(tmp_path / "results", runs=2, recorded=0)
+    edit_manifest(folder, lambda m: m["points"][0].update(outline={"goals": [[1.0]]}))
+    with pytest.raises(ResultsError, match=r"points\[0\].outline.goals\[0\]: got \[1.0\]; allowed: >= 3"):
+        load(folder)
+
+
+def test_outlines_are_plain_numbers():
+    outline = Outline(border=np.array([0, 0, 1, 1]), goals=[(0.0, np.float32(2.0), np.array(0.5))])
+    assert outline.as_numbers() == {
+        "border": [0.0, 0.0, 1.0, 1.0],
+        "obstacles": [],
+        "goals": [[0.0, 2.0, 0.5]],
+    }
+    with pytest.raises(ValueError, match="obstacles: got .* allowed: 3 or 4 finite numbers"):
+        Outline(obstacles=[(1.0, np.nan, 0.5)]).as_numbers()
+
+
+def test_the_intervals_hide_no_dots(tmp_path):
+    results = load(write_results(tmp_path / "results", runs=40, recorded=0))
+    axes = FIGURES["returns"](results).figure.axes[0]
+    bars = [line.get_ydata()[0] for line in axes.lines]
+    dots = [points.get_offsets()[:, 1] for points in axes.collections[::2]]
+    for row, (bar, heights) in enumerate(zip(bars, dots, strict=True)):
+        assert heights.max() + 0.1 < bar < row + 0.6
+
+
+@pytest.mark.parametrize("below", ["1", "parking/1"])
+def test_a_folder_of_results_names_the_newest_below(tmp_path, capsys, below):
+    folder = tmp_path / "all" / below
+    folder.parent.mkdir(parents=True)
+    write_results(folder, runs=2, recorded=0)
+    assert main(["report", str(tmp_path / "all")]) == 2
+    error = capsys.readouterr().err
+    assert error == f"error: {tmp_path}/all: not a results folder; the newest below it is {folder}\n"
+
+
+@pytest.mark.parametrize("name", ["nowhere", "x" * 5000, "a" * 100 + "/" + "b" * 300])
+def test_what_is_no_folder_is_told_in_a_line(tmp_path, capsys, name):
+    assert main(["report", str(tmp_path / name)]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and len(error) < 300 and "no such results folder" in error
+
+
+def test_a_file_is_no_results_folder(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert main(["report", str(tmp_path / "file")]) == 2
+    assert capsys.readouterr().err == f"error: {tmp_path}/file: a file, not a results folder\n"
+
+
+@pytest.mark.parametrize(("patience", "lines"), [(0.0, 1), (1e9, 0)])
+def test_a_slow_report_says_one_line_where_there_is_no_terminal(
+    tmp_path, capsys, monkeypatch, patience, lines
+):
+    monkeypatch.setattr(progress, "PATIENCE", patience)
+    folder = write_results(tmp_path / "results", runs=2, recorded=0)
+    assert main(["report", str(folder)]) == 0
+    out, error = capsys.readouterr()
+    assert out == f"{folder}/report.html\n" and error.count("\n") == lines
+    assert not lines or error == f"writing the report of {folder} ...\n"
+
+
+def test_many_runs_are_told_to_be_resampled_in_groups(tmp_path, monkeypatch):
+    monkeypatch.setattr(statistics, "GROUPS", 10)
+    folder = write_results(tmp_path / "results", runs=20, recorded=0)
+    text = build_report([folder]).read_text()
+    assert "The bootstrap resamples 10 groups into which 20 runs were dealt." in text
+    claim = json.loads((folder / "claims.json").read_text())[0]
+    assert claim["test"]["method"].count("10,000 resamples of 10 groups into which 20 runs were dealt") == 1

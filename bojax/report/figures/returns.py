@@ -14,7 +14,7 @@ _MAX_DOTS = 400
 
 
 def draw(results: Results) -> Drawing:
-    """A swarm per point over the final return, its mean with the 95% interval on top."""
+    """A swarm per point over the final return, its mean with the 95% interval below it."""
     if "return" not in results.runs:
         raise Undrawable("runs.parquet has no return")
     points, note = drawn_points(results)
@@ -32,11 +32,10 @@ def draw(results: Results) -> Drawing:
         if sample.size:
             mean = statistics.mean_interval(sample)
             means.append(f"{point.name} {number(mean.estimate)}")
-            axes.plot([mean.low, mean.high], [row, row], color=style.INK, linewidth=2.2, zorder=4)
-            axes.scatter(
-                [mean.estimate], [row], marker="D", s=30, color=style.INK, edgecolors="white", zorder=5
-            )
-    axes.set_ylim(len(points) - 0.5, -0.5)
+            below = row + float(offsets.max()) + 0.11  # over the dots it would hide them
+            axes.plot([mean.low, mean.high], [below, below], color=style.INK, linewidth=1.8, zorder=4)
+            axes.scatter([mean.estimate], [below], marker="D", s=22, color=style.INK, linewidths=0, zorder=5)
+    axes.set_ylim(len(points) - 0.4, -0.5)
     axes.set_yticks(range(len(points)), [style.wrapped(point.name, 14) for point in points])
     for tick, look in zip(axes.get_yticklabels(), style.looks(points), strict=True):
         tick.set_color(look["color"])
@@ -53,7 +52,7 @@ def draw(results: Results) -> Drawing:
         figure=figure,
         title="Distribution of returns",
         caption=f"{what.capitalize()} (dots, stacked where they coincide) and the mean with its 95% "
-        f"bootstrap interval (diamond and bar).{note}",
+        f"bootstrap interval (diamond and bar, below the dots).{note}",
         alt=f"Dot plot of the {what}. Means: {', '.join(means)}.",
     )
 

@@ -37,11 +37,10 @@ def draw(results: Results) -> Drawing:
         for curve in curves:
             best, mean = marginals(points, means, key, values, [name == curve for name in names])
             first = points[names.index(curve)]
-            ink = style.colour(first.label, labels)
             variants = [name for name in curves if points[names.index(name)].label == first.label]
-            line = style.LINES[variants.index(curve) % len(style.LINES)]
-            axes.plot(places, best, color=ink, linestyle=line, marker="o", markersize=3.5, label=curve)
-            axes.plot(places, mean, color=ink, linestyle=line, alpha=0.35)
+            look = style.look(first.label, labels, variants.index(curve))
+            axes.plot(places, best, **look, marker="o", markersize=3.5, label=curve)
+            axes.plot(places, mean, **look, alpha=0.35)
         axes.set_xticks(places, [_short(value) for value in values], fontsize=8 if len(values) > 6 else 9.5)
         axes.set_title(style.wrapped(key.removeprefix("planner."), 26))
         style.quiet_grid(axes)

@@ -1,0 +1,36 @@
+"""A report that says on standard error what it is at, where it takes more than a moment."""
+
+import time
+from pathlib import Path
+
+from rich.console import Console
+from rich.status import Status
+
+from bojax.report.build import build_report
+
+PATIENCE = 1.0
+"""Seconds before anything is said."""
+
+
+def report(folder: Path) -> Path:
+    """Write the report of a folder, see `build_report`; a terminal shows its stage, a file gets one line."""
+    console, begin = Console(stderr=True), time.monotonic()
+    status, has_spoken = Status("", console=console), False
+
+    def at(stage: str) -> None:
+        nonlocal has_spoken
+        if time.monotonic() - begin < PATIENCE:
+            return
+        if console.is_terminal:
+            status.update(f"report: {stage}")
+            status.start()
+        elif not has_spoken:
+            console.print(
+                f"writing the report of {folder} ...", markup=False, highlight=False, soft_wrap=True
+            )
+        has_spoken = True
+
+    try:
+        return build_report([folder], at)
+    finally:
+        status.stop()
