@@ -11,14 +11,14 @@ from jaxtyping import Array, Float, Key
 
 from bojax.config.component import Component, Slot
 from bojax.motions.base import Pose
-from bojax.problems.vehicles.base import Ride, Vehicle
+from bojax.problems.vehicles.base import TrackingResult, Vehicle
 from bojax.robots.models import from_file
 from bojax.robots.settings import MJX
 from bojax.robots.simulator import Physics, RobotState, Simulator
 
 
 class Base(Vehicle):
-    """Planners know nothing of it: they plan paths, and see where it came to."""
+    """A base that planners know only through the paths that they plan and the poses that they observe."""
 
     class Config(pydantic.BaseModel):
         """What a file may set."""
@@ -34,32 +34,33 @@ class Base(Vehicle):
         """The MJCF beside this file."""
         return Simulator(self.physics, from_file(Path(__file__).with_suffix(".xml")), self.substeps)
 
-    def place(self, pose: Pose) -> RobotState:
-        """At rest at a pose: x and y in m, heading in rad."""
+    def reset(self, pose: Pose) -> RobotState:
+        """The base at rest at a pose: x and y in m, heading in rad."""
         return self.simulator.state(pose, jnp.zeros_like(pose))
 
-    def pose(self, body: RobotState) -> Pose:
-        """Where it is; the physics has 32-bit numbers, a problem 64."""
-        return body.qpos.astype(self.physics.max_speed.dtype)
+    def pose(self, state: RobotState) -> Pose:
+        """True pose; the simulation runs in 32 bits, a problem in 64."""
+        return state.qpos.astype(self.physics.max_speed.dtype)
 
-    def estimate(self, body: RobotState) -> Pose:
-        """It always knows where it is."""
-        return self.pose(body)
+    def estimate(self, state: RobotState) -> Pose:
+        """The true pose."""
+        return self.pose(state)
 
     def follow(
         self,
         key: Key[Array, ""],
-        body: RobotState,
+        state: RobotState,
         path: Float[Array, "S 3"],
         end: Pose,
         noise: Float[Array, "3"] | None,
-    ) -> Ride:
-        """Tell the servos one pose after the other."""
+    ) -> TrackingResult:
+        """Send the poses of the path to the servos, one after the other."""
 
-        def drive(body: RobotState, pose: Pose) -> tuple[RobotState, RobotState]:
-            body = self.simulator.advance(body, pose)
-            return body, body
+        def step(state: RobotState, pose: Pose) -> tuple[RobotState, RobotState]:
+            state = self.simulator.advance(state, pose)
+            return state, state
 
-        body, way = jax.lax.scan(drive, body, path.astype(jnp.float32))
-        poses = jax.vmap(self.pose)(way)
-        return Ride(body, poses, poses, frames=way.qpos, failed=self.simulator.has_diverged(body))
+        state, states = jax.lax.scan(step, state, path.astype(jnp.float32))
+        poses = jax.vmap(self.pose)(states)
+        failed = self.simulator.has_diverged(state)
+        return TrackingResult(state, poses, poses, frames=states.qpos, failed=failed)

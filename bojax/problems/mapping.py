@@ -1,4 +1,4 @@
-"""Mapping heights: field monitoring whose map is looked at as a surface (thesis, Figs. 3.5, 3.7 and 3.8)."""
+"""Height mapping: learn a surface from the air (thesis, Figs. 3.5, 3.7 and 3.8)."""
 
 from typing import ClassVar
 
@@ -8,33 +8,48 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Scalar
 
 from bojax.fields.blocks import Blocks
-from bojax.problems.monitoring import FieldBelief, FieldMonitoring, FieldWorld
-from bojax.problems.walls import is_free
+from bojax.problems.field_belief import FieldBelief
+from bojax.problems.field_problem import FIELD_COLUMNS, FieldProblem, FieldWorld
 from bojax.results.schema import Column, Table
 
 CORNER = 0.2
-"""Side of a corner, as a share of the domain's."""
+"""Side of a corner region, as a share of the side of the domain."""
 
 SPARSE = 0.25
 """Share of the area, farthest from all samples, in which data count as sparse."""
 
 EDGE = 0.1
-"""Distance up to which a place counts as at an edge, in metres."""
+"""Distance from the border of a prop within which a point counts as at an edge, in metres."""
 
 AROUND = 0.2
-"""Distance from a block within which its reconstruction is looked for, in metres."""
+"""Distance from a prop within which its reconstruction is looked for, in metres."""
+
+MAP_COLUMNS: Table = (
+    Column("offset", "float64", "m", "mean error of the final map; positive where it is too high"),
+    Column("spread", "float64", "m", "standard deviation of its error over the area"),
+    Column("explained_variance", "float64", "", "share of the variance of the heights that it explains"),
+    Column("corner_error", "float64", "m", "centred root mean square error in the corners less elsewhere"),
+    Column("corner_std", "float64", "m", "mean standard deviation in the corners less elsewhere"),
+    Column("sparse_error", "float64", "m", "the error on the quarter of the area farthest from samples"),
+)
+
+PROP_COLUMNS: Table = (
+    Column("edge_error", "float64", "m", "centred root mean square error at the edges of props"),
+    Column("edge_excess", "float64", "m", "the same less that elsewhere"),
+    Column("props_found", "float64", "", "share of the props that the final map shows, in their place"),
+)
 
 
 class Map(eqx.Module):
-    """The final map, on the grid.
+    """The final map on the grid.
 
     Attributes:
-        points: Positions, in metres.
+        points: Grid points, in metres.
         mean: Posterior mean, in metres.
         std: Posterior standard deviation, in metres.
-        error: Mean less truth, centred: without `offset`.
+        error: Error of the mean minus `offset`, in metres.
         offset: Mean error, in metres.
-        is_open: Whether the point counts.
+        is_open: Whether a point counts; points in walls do not.
     """
 
     points: Float[Array, "G 2"]
@@ -45,121 +60,76 @@ class Map(eqx.Module):
     is_open: Bool[Array, "G"]
 
 
-class HeightMapping(FieldMonitoring):
-    """Learn heights, in metres, from above.
+def final_map(problem: FieldProblem, belief: FieldBelief) -> Map:
+    """The map that a belief contains."""
+    points = problem.grid()
+    mean, variance = belief.predict_grid(points, problem.resolution)
+    is_open = problem.arena.is_free(points)
+    error = mean - problem.field.values(points)
+    offset = _mean(error, is_open)
+    return Map(points, mean, jnp.sqrt(variance), error - offset, offset, is_open)
 
-    Beside the scores of field monitoring there are those that a map of heights is judged by. The error is
-    centred, as in Fig. 3.8: an offset of the whole map is told apart. A corner is a square with a fifth of
-    the domain's side.
+
+class HeightMapping(FieldProblem):
+    """Learn heights in metres from the air.
+
+    The scores of field monitoring are complemented by those of a height map, `MAP_COLUMNS`. Errors are
+    centred as in Fig. 3.8; the mean error is a score of its own. A corner region is a square with a fifth of
+    the side of the domain.
     """
 
-    scores: ClassVar[Table] = (
-        *FieldMonitoring.scores,
-        Column("offset", "float64", "m", "mean error of the final map; positive where it is too high"),
-        Column("spread", "float64", "m", "standard deviation of its error over the area"),
-        Column("explained_variance", "float64", "", "share of the variance of the heights that it explains"),
-        Column(
-            "corner_error", "float64", "m", "centred root mean square error in the corners less elsewhere"
-        ),
-        Column("corner_std", "float64", "m", "mean standard deviation in the corners less elsewhere"),
-        Column("sparse_error", "float64", "m", "the error on the quarter of the area farthest from samples"),
-    )
+    scores: ClassVar[Table] = FIELD_COLUMNS + MAP_COLUMNS
 
     def __check_init__(self):
-        """A robot that flies has to fly above the ground.
+        """Check that a flying robot flies above the ground.
 
         Raises:
-            ValueError: It does not everywhere in the domain.
+            ValueError: The ground is higher than the flight altitude somewhere in the domain.
         """
-        altitude = self.vehicle.flight_altitude
-        highest = float(jnp.max(self.field.values(self.grid())))
-        if altitude is not None and altitude <= highest:
-            raise ValueError(
-                f"vehicle.altitude: got {altitude:g}; the ground rises to {highest:.2f} m: fly higher"
-            )
+        _check_altitude(self)
 
     def score(self, world: FieldWorld, belief: FieldBelief) -> dict[str, Scalar]:
         """See the class."""
-        found = self.map(belief)
-        truth = found.mean - found.error - found.offset
-        spread = _rms(found.error, found.is_open)
-        relief = _rms(truth - _mean(truth, found.is_open), found.is_open)
-        corner = found.is_open & self._is_corner(found.points)
-        rest = found.is_open & ~corner
-        distance = self._distance(found.points, belief)
-        sparse = found.is_open & (distance >= jnp.quantile(distance, 1.0 - SPARSE))
-        return super().score(world, belief) | {
-            "offset": found.offset,
-            "spread": spread,
-            "explained_variance": 1.0 - (spread / relief) ** 2,
-            "corner_error": _rms(found.error, corner) - _rms(found.error, rest),
-            "corner_std": _mean(found.std, corner) - _mean(found.std, rest),
-            "sparse_error": _rms(found.error, sparse),
-        }
-
-    def map(self, belief: FieldBelief) -> Map:
-        """What is believed at the end."""
-        points = self.grid()
-        mean, variance = self._predict(belief, points)
-        is_open = is_free(points, self.domain, self.walls)
-        error = mean - self.field.values(points)
-        offset = _mean(error, is_open)
-        return Map(points, mean, jnp.sqrt(variance), error - offset, offset, is_open)
-
-    def _is_corner(self, points: Float[Array, "G 2"]) -> Bool[Array, "G"]:
-        low, high = self.domain[None, :2], self.domain[None, 2:]
-        part = (points - low) / (high - low)
-        return jnp.all((part <= CORNER) | (part >= 1.0 - CORNER), axis=-1)
-
-    def _distance(self, points: Float[Array, "G 2"], belief: FieldBelief) -> Float[Array, "G"]:
-        """To the nearest sample, in metres; a row of the grid at a time."""
-        posterior = belief.posterior
-
-        def nearest(row: Float[Array, "R 2"]) -> Float[Array, "R"]:
-            squared = jnp.sum((row[:, None] - posterior.x[None]) ** 2, axis=-1)
-            return jnp.sqrt(jnp.min(jnp.where(posterior.is_held()[None], squared, jnp.inf), axis=1))
-
-        return jax.lax.map(nearest, points.reshape(self.resolution, self.resolution, 2)).ravel()
+        return self.field_score(world, belief) | map_score(self, belief, final_map(self, belief))
 
 
-class PropMapping(HeightMapping):
+class PropMapping(FieldProblem):
     """Learn the heights of a floor with sharp-edged props (thesis, Section 3.5.2).
 
-    A place is at an edge within 0.1 m of the border of a prop. A prop is found where the map within 0.2 m of
-    it is above half its height in the right place: the area that it shares with the prop is more than half
-    of what one of them covers. What other props cover does not count.
+    The scores of `HeightMapping` are complemented by `PROP_COLUMNS`. A point is at an edge within 0.1 m of
+    the border of a prop. A prop is found if, within 0.2 m of it, the region in which the map exceeds half its
+    height overlaps the prop by more than half of their union; regions covered by other props do not count.
     """
 
-    scores: ClassVar[Table] = (
-        *HeightMapping.scores,
-        Column("edge_error", "float64", "m", "centred root mean square error at the edges of props"),
-        Column("edge_excess", "float64", "m", "the same less that elsewhere"),
-        Column("props_found", "float64", "", "share of the props that the final map shows, in their place"),
-    )
+    scores: ClassVar[Table] = FIELD_COLUMNS + MAP_COLUMNS + PROP_COLUMNS
 
     def __check_init__(self):
-        """Props are blocks.
+        """Check that the field consists of blocks, and that a flying robot flies above them.
 
         Raises:
-            ValueError: The field is something else.
+            ValueError: The field is of another kind, or higher than the flight altitude somewhere.
         """
-        if not isinstance(self.field, Blocks):
-            raise ValueError("field: props are blocks; a map of another field is hilly-terrain's")
+        _ = self._blocks
+        _check_altitude(self)
 
     def score(self, world: FieldWorld, belief: FieldBelief) -> dict[str, Scalar]:
         """See the class."""
-        found = self.map(belief)
+        found = final_map(self, belief)
         outside = self._outside(found.points)
         edge = found.is_open & jnp.any(jnp.abs(outside) <= EDGE, axis=1)
         at_edges = _rms(found.error, edge)
-        return super().score(world, belief) | {
-            "edge_error": at_edges,
-            "edge_excess": at_edges - _rms(found.error, found.is_open & ~edge),
-            "props_found": jnp.mean(self._is_found(found, outside).astype(at_edges.dtype)),
-        }
+        return (
+            self.field_score(world, belief)
+            | map_score(self, belief, found)
+            | {
+                "edge_error": at_edges,
+                "edge_excess": at_edges - _rms(found.error, found.is_open & ~edge),
+                "props_found": jnp.mean(self._is_found(found, outside).astype(at_edges.dtype)),
+            }
+        )
 
     def _outside(self, points: Float[Array, "G 2"]) -> Float[Array, "G K"]:
-        """Distance of each point from each block, in metres; negative inside."""
+        """Signed distance of each point from each block, in metres; negative inside."""
         low, high = self._blocks.boxes[None, :, :2], self._blocks.boxes[None, :, 2:]
         beyond = jnp.maximum(low - points[:, None], points[:, None] - high)
         away = jnp.sqrt(jnp.sum(jnp.maximum(beyond, 0.0) ** 2, axis=-1))
@@ -175,8 +145,56 @@ class PropMapping(HeightMapping):
 
     @property
     def _blocks(self) -> Blocks:
-        assert isinstance(self.field, Blocks)
+        if not isinstance(self.field, Blocks):
+            raise ValueError("field: prop mapping needs a field of kind blocks; hilly-terrain maps any field")
         return self.field
+
+
+def map_score(problem: FieldProblem, belief: FieldBelief, found: Map) -> dict[str, Scalar]:
+    """The columns of `MAP_COLUMNS`."""
+    truth = found.mean - found.error - found.offset
+    spread = _rms(found.error, found.is_open)
+    relief = _rms(truth - _mean(truth, found.is_open), found.is_open)
+    corner = found.is_open & _is_corner(found.points, problem.domain)
+    rest = found.is_open & ~corner
+    distance = _distance_to_samples(found.points, belief, problem.resolution)
+    sparse = found.is_open & (distance >= jnp.quantile(distance, 1.0 - SPARSE))
+    return {
+        "offset": found.offset,
+        "spread": spread,
+        "explained_variance": 1.0 - (spread / relief) ** 2,
+        "corner_error": _rms(found.error, corner) - _rms(found.error, rest),
+        "corner_std": _mean(found.std, corner) - _mean(found.std, rest),
+        "sparse_error": _rms(found.error, sparse),
+    }
+
+
+def _check_altitude(problem: FieldProblem) -> None:
+    altitude = problem.vehicle.flight_altitude
+    highest = float(jnp.max(problem.field.values(problem.grid())))
+    if altitude is not None and altitude <= highest:
+        raise ValueError(
+            f"vehicle.altitude: got {altitude:g}; the ground rises to {highest:.2f} m: set a larger altitude"
+        )
+
+
+def _is_corner(points: Float[Array, "G 2"], domain: Float[Array, "4"]) -> Bool[Array, "G"]:
+    low, high = domain[None, :2], domain[None, 2:]
+    part = (points - low) / (high - low)
+    return jnp.all((part <= CORNER) | (part >= 1.0 - CORNER), axis=-1)
+
+
+def _distance_to_samples(
+    points: Float[Array, "G 2"], belief: FieldBelief, resolution: int
+) -> Float[Array, "G"]:
+    """Distance to the nearest sample, in metres, computed row by row of the grid."""
+    posterior = belief.posterior
+
+    def nearest(row: Float[Array, "R 2"]) -> Float[Array, "R"]:
+        squared = jnp.sum((row[:, None] - posterior.x[None]) ** 2, axis=-1)
+        return jnp.sqrt(jnp.min(jnp.where(posterior.is_held()[None], squared, jnp.inf), axis=1))
+
+    return jax.lax.map(nearest, points.reshape(resolution, resolution, 2)).ravel()
 
 
 def _mean(values: Float[Array, "G"], where: Bool[Array, "G"]) -> Scalar:

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int, Key, Scalar
 
 from bojax.motions.base import Path, Pose, place
 from bojax.problems.base import Events, Objective, Problem, Simulation
-from bojax.problems.vehicles.base import Body, Exact, Vehicle
+from bojax.problems.vehicles.base import Exact, Vehicle, VehicleState
 
 
 class Outcome(eqx.Module):
@@ -55,22 +55,24 @@ class PoseProblem(Problem):
     def outcome(self, start: Pose, path: Float[Array, "S 3"]) -> Outcome:
         """What happens when the robot drives from `start` through the poses of `path` (world frame)."""
 
-    def reset(self, key: Key[Array, ""]) -> Body:
+    def reset(self, key: Key[Array, ""]) -> VehicleState:
         """The vehicle at a start."""
-        return self.vehicle.place(self.start(key))
+        return self.vehicle.reset(self.start(key))
 
-    def prior(self, key: Key[Array, ""], world: Body, num_samples: int) -> Pose:
+    def prior(self, key: Key[Array, ""], world: VehicleState, num_samples: int) -> Pose:
         """The first reading."""
         del num_samples
-        return self.vehicle.read(key, world, self._noise)
+        return self.vehicle.measure(key, world, self._noise)
 
-    def execute(self, key: Key[Array, ""], world: Body, path: Path) -> tuple[Body, Pose, Events]:
+    def execute(
+        self, key: Key[Array, ""], world: VehicleState, path: Path
+    ) -> tuple[VehicleState, Pose, Events]:
         """Drive a path from where the vehicle takes itself to be, and read the pose it ends in."""
         planned = place(path, self.vehicle.estimate(world))
-        ride = self.vehicle.follow(jax.random.fold_in(key, 0), world, planned, planned[-1], self._noise)
-        outcome = self.outcome(self.pose(world), ride.poses)
+        tracked = self.vehicle.follow(jax.random.fold_in(key, 0), world, planned, planned[-1], self._noise)
+        outcome = self.outcome(self.pose(world), tracked.poses)
         index = jnp.arange(planned.shape[0], dtype=outcome.last.dtype)
-        driven = ride.poses[jnp.minimum(index, outcome.last)]
+        driven = tracked.poses[jnp.minimum(index, outcome.last)]
         events = Events(
             reward=outcome.reward,
             terminated=outcome.terminated,
@@ -78,11 +80,11 @@ class PoseProblem(Problem):
             exited=outcome.exited,
             driven=driven,
             is_driven=index <= outcome.last,
-            frames=ride.frames,
-            failed=ride.failed,
+            frames=tracked.frames,
+            failed=tracked.failed,
         )
-        body = self.vehicle.stopped_at(ride.body, driven[-1])
-        return body, self.vehicle.read(key, body, self._noise), events
+        state = self.vehicle.stopped_at(tracked.state, driven[-1])
+        return state, self.vehicle.measure(key, state, self._noise), events
 
     def update(self, belief: Pose, path: Path, observation: Pose) -> Pose:
         """The last reading."""
@@ -120,7 +122,7 @@ class PoseProblem(Problem):
         outcome = jax.vmap(lambda start, path: self.outcome(start, place(path, start)))(begin, paths)
         return Simulation(starts[1], outcome.reward, outcome.terminated)
 
-    def pose(self, world: Body) -> Pose:
+    def pose(self, world: VehicleState) -> Pose:
         """See `Problem`."""
         return self.vehicle.pose(world)
 

@@ -1,4 +1,4 @@
-"""How a robot measures a field."""
+"""Sensors with which a robot measures a field."""
 
 import abc
 from typing import Literal
@@ -14,13 +14,13 @@ from bojax.robots.range_sensor import cone, ranges
 
 
 class Sensor(eqx.Module):
-    """Measures a field where a robot is."""
+    """A sensor on board of a robot."""
 
     def check(self, field: Field, points: Float[Array, "N 2"], altitude: float | None) -> None:
-        """Compare with the field at some points, and with the altitude of the robot; None on the ground.
+        """Check that the sensor can measure the field at some points from an altitude; None on the ground.
 
         Raises:
-            ValueError: The sensor cannot measure it from there.
+            ValueError: It cannot.
         """
         del field, points, altitude
 
@@ -30,53 +30,53 @@ class Sensor(eqx.Module):
         key: Key[Array, ""],
         field: Field,
         poses: Float[Array, "S 3"],
-        mounts: Float[Array, "S 7"] | None,
+        sensor_poses: Float[Array, "S 7"] | None,
         noise: Float[Array, ""],
     ) -> Float[Array, "S"]:
-        """Measurements.
+        """Noisy measurements.
 
         Args:
-            key: What the noise is drawn from.
-            field: The field as it is.
-            poses: Where the robot really was.
-            mounts: Where its sensor was, see `Ride`.
+            key: Key of the noise.
+            field: The true field.
+            poses: True poses of the robot.
+            sensor_poses: True poses of the sensor, see `TrackingResult`.
             noise: Standard deviation of a measurement, in units of the field.
         """
 
 
 class PointSensor(Sensor):
-    """Reads the value at the robot's position."""
+    """A sensor that measures the value of the field at the robot's position."""
 
     def __call__(
         self,
         key: Key[Array, ""],
         field: Field,
         poses: Float[Array, "S 3"],
-        mounts: Float[Array, "S 7"] | None,
+        sensor_poses: Float[Array, "S 7"] | None,
         noise: Float[Array, ""],
     ) -> Float[Array, "S"]:
         """See `Sensor`."""
-        del mounts
+        del sensor_poses
         points = poses[:, :2]
         return field.values(points) + noise * jax.random.normal(key, points.shape[:1], points.dtype)
 
 
 class RangeSensor(Sensor):
-    """Measures the height of the ground from above, by the distance to it (thesis, Section 3.5.2).
+    """A downward range finder that measures the height of the ground (thesis, Section 3.5.2).
 
-    A reading is the `"mean"` distance along rays that fill the beam, or the `"minimum"`, plus noise; what is
-    farther than `max_range` reads as that. The height is what is left of the robot's altitude, of which it
-    has a reading too, after the distance along the beam, by default put upright with the robot's attitude,
-    which it knows. It counts as measured at the robot's own position, as in the thesis, although a robot
-    that leans by 3 degrees 1.5 m above the ground sees a place 8 cm away.
+    The range is the `"mean"` or the `"minimum"` of the distances along the rays of a beam, plus noise, and at
+    most `max_range`. The measured height is a noisy measurement of the altitude minus the range, projected
+    onto the vertical by the known attitude if `upright` is set. As in the thesis, the height is assigned to
+    the position of the robot, although a robot that tilts by 3 degrees 1.5 m above the ground measures a
+    point 8 cm away.
 
     Attributes:
         beam: Full opening angle of the beam, in rad.
-        max_range: How far it sees, in metres.
-        altitude_noise: Standard deviation of a reading of the altitude, in metres.
-        rays: Rays in the beam.
-        reading: Which distance it tells.
-        upright: Whether the height takes account of the attitude.
+        max_range: Maximum range, in metres.
+        altitude_noise: Standard deviation of a measurement of the altitude, in metres.
+        rays: Number of rays in the beam.
+        reading: Statistic of the distances that the sensor reports.
+        upright: Whether the range is projected onto the vertical.
     """
 
     beam: Float[Array, ""]
@@ -89,12 +89,14 @@ class RangeSensor(Sensor):
     def check(self, field: Field, points: Float[Array, "N 2"], altitude: float | None) -> None:
         """See `Sensor`."""
         if altitude is None:
-            raise ValueError("sensor: range looks down from above: vehicle has to be one that flies")
+            raise ValueError(
+                'sensor: got "range", which measures from the air; set a vehicle that flies: quadrotor'
+            )
         depth = altitude - float(jnp.min(field.values(points)))
         if depth > float(self.max_range):
             raise ValueError(
-                f"sensor.max_range: got {float(self.max_range):g}; the ground is up to {depth:.2f} m below: "
-                "fly lower, or see farther"
+                f"sensor.max_range: got {float(self.max_range):g}; the ground is up to {depth:.2f} m below "
+                "the robot: set a larger max_range or a lower vehicle.altitude"
             )
 
     def __call__(
@@ -102,22 +104,22 @@ class RangeSensor(Sensor):
         key: Key[Array, ""],
         field: Field,
         poses: Float[Array, "S 3"],
-        mounts: Float[Array, "S 7"] | None,
+        sensor_poses: Float[Array, "S 7"] | None,
         noise: Float[Array, ""],
     ) -> Float[Array, "S"]:
-        """See `Sensor`; `noise` is that of a distance."""
-        assert mounts is not None, "see `check`"
+        """See `Sensor`; `noise` is the standard deviation of a range."""
+        assert sensor_poses is not None, "see `check`"
         del poses
-        mounts = mounts.astype(noise.dtype)
+        sensor_poses = sensor_poses.astype(noise.dtype)
         rays = cone(self.beam, self.rays)
 
-        def measure(mount: Float[Array, "7"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
-            rotation = rotation_of(mount[3:])
-            distances = ranges(field.values, mount[:3], rotation, rays, self.max_range)
+        def measure(pose: Float[Array, "7"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+            rotation = rotation_of(pose[3:])
+            distances = ranges(field.values, pose[:3], rotation, rays, self.max_range)
             reading = jnp.mean(distances) if self.reading == "mean" else jnp.min(distances)
             return reading, rotation[2, 2] if self.upright else jnp.ones_like(reading)
 
-        distances, drop = jax.vmap(measure)(mounts)
+        distances, drop = jax.vmap(measure)(sensor_poses)
         errors = jax.random.normal(key, (2, *distances.shape), distances.dtype)
         distances = jnp.clip(distances + noise * errors[0], 0.0, self.max_range)
-        return mounts[:, 2] + self.altitude_noise * errors[1] - drop * distances
+        return sensor_poses[:, 2] + self.altitude_noise * errors[1] - drop * distances

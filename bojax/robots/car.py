@@ -7,19 +7,19 @@ from bojax.robots.models import MjModel, RobotModel, packaged
 
 
 def car_model() -> RobotModel:
-    """The robot alone, on a floor."""
+    """The robot on a floor."""
     return packaged("car")
 
 
 @dataclass(frozen=True)
-class Measures:
-    """What a controller knows of the robot.
+class CarParameters:
+    """Parameters of the robot that its controller uses.
 
     Attributes:
-        wheelbase: Distance of the axles, in metres.
-        half_track: Half the distance of the axes about which the front wheels are turned, in metres.
-        max_angle: Largest angle of a front wheel, in radians.
-        full_speed: Speed at the control 1, in m/s.
+        wheelbase: Distance between the axles, in metres.
+        half_track: Half the distance between the steering axes of the front wheels, in metres.
+        max_angle: Largest steering angle of a front wheel, in radians.
+        full_speed: Speed for a drive command of 1, in m/s.
     """
 
     wheelbase: float
@@ -29,16 +29,16 @@ class Measures:
 
     @property
     def turning_radius(self) -> float:
-        """Radius of the tightest curve of the middle of the rear axle, in metres: the inner wheel's limit."""
+        """Smallest turning radius of the midpoint of the rear axle, in metres; the inner wheel limits it."""
         return self.wheelbase / tan(self.max_angle) + self.half_track
 
 
-def measures_of(model: MjModel) -> Measures:
-    """The measures of a compiled model of the robot."""
+def car_parameters(model: MjModel) -> CarParameters:
+    """The parameters of a compiled model of the robot."""
     wheelbase, half_track, _ = model.body("front_left").pos
     drive = model.actuator("drive")
     radius = model.geom("rear_left").size[0]
-    return Measures(
+    return CarParameters(
         wheelbase=float(wheelbase),
         half_track=float(half_track),
         max_angle=float(model.actuator("steer_left").ctrlrange[1]),

@@ -104,7 +104,7 @@ def control(
     return airframe.thrusts(airframe.mass * jnp.sum(acceleration * rotation[:, 2]), torque)
 
 
-def way(
+def reference_trajectory(
     start: Float[Array, "3"],
     path: Float[Array, "S 3"],
     end_heading: Float[Array, ""],

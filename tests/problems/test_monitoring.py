@@ -15,6 +15,7 @@ from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Matern32, Scaled
 from bojax.models.means import ConstantMean
 from bojax.motions.base import place
+from bojax.problems.field_errors import error_weights
 from bojax.problems.settings import Monitoring
 from bojax.problems.vehicles.base import Exact
 from bojax.problems.vehicles.settings import WheeledRobot
@@ -80,11 +81,13 @@ def test_a_path_is_driven_until_walls_or_border_stop_the_robot(name):
     with_start = np.concatenate([poses[:, None], paths], axis=1)
     last = with_start[np.arange(NUM), number]
     np.testing.assert_allclose(events.driven[:, -1], last, atol=1e-14)
-    np.testing.assert_allclose(after.body[:, :2], last[:, :2], atol=1e-14)
+    np.testing.assert_allclose(after.vehicle[:, :2], last[:, :2], atol=1e-14)
     turned = np.pi * (collided | exited) * (problem.after_collision == "turn")
-    np.testing.assert_allclose(np.exp(1j * after.body[:, 2]), np.exp(1j * (last[:, 2] + turned)), atol=1e-12)
-    assert np.all(after.body[:, 2] >= 0.0) and np.all(after.body[:, 2] <= 2.0 * np.pi)
-    np.testing.assert_array_equal(samples.pose, after.body)
+    np.testing.assert_allclose(
+        np.exp(1j * after.vehicle[:, 2]), np.exp(1j * (last[:, 2] + turned)), atol=1e-12
+    )
+    assert np.all(after.vehicle[:, 2] >= 0.0) and np.all(after.vehicle[:, 2] <= 2.0 * np.pi)
+    np.testing.assert_array_equal(samples.pose, after.vehicle)
     assert exited.sum() > 50 and (name == "no walls") == (collided.sum() == 0)
     assert len(set(number)) == SIZE + 1
 
@@ -94,7 +97,7 @@ def test_the_robot_never_leaves_the_free_space(name):
     problem = PROBLEMS[name]
     low, high = np.asarray(problem.domain).reshape(2, 2)
     _, _, (after, _, events) = executed(problem)
-    for points in (after.body[:, :2], *events.driven[..., :2]):
+    for points in (after.vehicle[:, :2], *events.driven[..., :2]):
         assert np.all((points >= low) & (points <= high))
         if problem.walls is not None:
             assert not np.any(segments_touch_boxes(points, points, np.asarray(problem.walls)))
@@ -131,12 +134,12 @@ def test_reaching_the_target_area_is_success_and_passing_through_counts():
 
 def test_the_start_is_the_given_one():
     world = monitoring(start=(0.5, 0.6, 7.0)).reset(jax.random.key(0))
-    np.testing.assert_array_equal(world.body, [0.5, 0.6, 7.0])
+    np.testing.assert_array_equal(world.vehicle, [0.5, 0.6, 7.0])
     assert world.collisions == 0 and world.gradient == 0.0
 
 
 def test_random_starts_are_uniform_over_the_free_space():
-    starts = np.asarray(jax.jit(jax.vmap(WALLED.reset))(keys_of(0, 8000)).body)
+    starts = np.asarray(jax.jit(jax.vmap(WALLED.reset))(keys_of(0, 8000)).vehicle)
     x, y, heading = starts.T
     walls = np.asarray(WALLED.walls)
     assert not np.any(segments_touch_boxes(starts[:, :2], starts[:, :2], walls))
@@ -154,7 +157,7 @@ def test_random_starts_are_uniform_over_the_free_space():
 
 def test_a_start_is_found_where_little_is_free():
     crowded = monitoring(walls=((0.0, 0.0, 3.0, 1.1), (0.0, 1.25, 3.0, 2.4)))
-    y = np.asarray(jax.jit(jax.vmap(crowded.reset))(keys_of(1, 500)).body)[:, 1]
+    y = np.asarray(jax.jit(jax.vmap(crowded.reset))(keys_of(1, 500)).vehicle)[:, 1]
     assert np.all((y > 1.1) & (y < 1.25))
 
 
@@ -190,7 +193,7 @@ def test_the_belief_is_the_prior_conditioned_on_the_samples_taken():
         found = jax.jit(type(belief.posterior).predict)(belief.posterior, f64(queries))
         np.testing.assert_allclose(found[0], mean, atol=1e-9)
         np.testing.assert_allclose(found[1], np.diag(covariance), atol=1e-9)
-    np.testing.assert_array_equal(belief.pose, world.body)
+    np.testing.assert_array_equal(belief.pose, world.vehicle)
     assert 0 < len(x) < problem.max_steps * SIZE  # some paths were cut short
 
 
@@ -301,16 +304,14 @@ def test_the_weights_are_their_definitions(field):
         "gradient": np.linalg.norm(scaled, axis=1),  # (3.7) as printed: signs included
     }
     for weighting, weights in expected.items():
-        problem = monitoring(field=field, weighting=weighting)
-        np.testing.assert_allclose(problem.weights(f64(grid)), weights, atol=1e-12)
+        np.testing.assert_allclose(error_weights(field, f64(grid), weighting), weights, atol=1e-12)
 
 
 def test_as_printed_a_flat_area_weighs_about_07():
     # One bump far from the border: slopes up and down are equally steep, flat is in the middle of both.
     bump = Bumps(f64([1.0]), f64([[1.5, 1.2]]), f64([0.2]))
-    problem = monitoring(field=bump, weighting="gradient", resolution=61)
     corner = f64([[0.0, 0.0]])
-    weights = problem.weights(jnp.concatenate([corner, problem.grid()]))
+    weights = error_weights(bump, jnp.concatenate([corner, monitoring(resolution=61).grid()]), "gradient")
     np.testing.assert_allclose(weights[0], 0.5**0.5, atol=0.01)
     assert 0.6 < np.median(weights) < 0.8 and weights.max() <= 2.0**0.5
 
@@ -318,8 +319,7 @@ def test_as_printed_a_flat_area_weighs_about_07():
 def test_of_a_constant_field_all_weights_are_equal():
     flat = Bumps(f64([0.0]), f64([[1.5, 1.2]]), f64([0.2]))
     for weighting, expected in (("value", 1.0), ("gradient-norm", 1.0), ("gradient", 2.0**0.5)):
-        problem = monitoring(field=flat, weighting=weighting)
-        np.testing.assert_allclose(problem.weights(problem.grid()), expected)
+        np.testing.assert_allclose(error_weights(flat, monitoring().grid(), weighting), expected)
 
 
 @each_problem
@@ -328,7 +328,7 @@ def test_the_scores_are_errors_over_the_open_cells_of_the_grid(name, count):
     problem = PROBLEMS[name]
     belief = field_belief(problem, (0.5, 0.5, 0.0), count)
     world = problem.reset(jax.random.key(0))
-    world = type(world)(world.body, world.collisions + 3, world.gradient + 6.0)
+    world = type(world)(world.vehicle, world.collisions + 3, world.gradient + 6.0)
     found = jax.jit(lambda problem, world, belief: problem.score(world, belief))(problem, world, belief)
 
     grid = np.stack(np.meshgrid(np.linspace(0.0, 3.0, 12), np.linspace(0.0, 2.4, 12)), axis=-1).reshape(-1, 2)

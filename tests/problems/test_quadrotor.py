@@ -16,7 +16,7 @@ from bojax.fields.settings import Bumps
 from bojax.models.settings import ConstantMean
 from bojax.motions.base import place
 from bojax.motions.splines import SplineSet
-from bojax.problems.mapping import Map
+from bojax.problems.mapping import Map, final_map
 from bojax.problems.sensors import RangeSensor
 from bojax.problems.settings import HillyTerrain, IndoorProps, TwoPits
 from bojax.robots.quaternions import rotation_of
@@ -75,14 +75,14 @@ def ride(quadrotor, follow):
     """Paths flown with noise, and a turn by pi after them."""
     starts = starts_of()
     paths, ends = paths_from(starts, turn=np.pi)
-    bodies = jax.vmap(quadrotor.place)(starts)
+    bodies = jax.vmap(quadrotor.reset)(starts)
     found = follow(quadrotor, keys_of(1), bodies, paths, ends, f64(NOISE))
     return starts, paths, ends, jax.tree.map(np.asarray, found)
 
 
 def test_it_starts_where_it_is_placed_and_knows_it(quadrotor):
     starts = starts_of()
-    bodies = jax.vmap(quadrotor.place)(starts)
+    bodies = jax.vmap(quadrotor.reset)(starts)
     pose, estimate = jax.vmap(quadrotor.pose)(bodies), jax.vmap(quadrotor.estimate)(bodies)
     np.testing.assert_allclose(pose[:, :2], starts[:, :2], atol=1e-6)
     assert apart(pose[:, 2], starts[:, 2]).max() < 1e-5 and pose.dtype == jnp.float64
@@ -97,17 +97,17 @@ def test_it_flies_near_the_path_and_stops_at_its_end(ride):
     assert gap.max() < 0.06 and np.sqrt(np.mean(gap**2)) < 0.025
     # The heading lags behind where a path bends most.
     assert apart(found.poses[..., 2], paths[..., 2]).max() < 0.2
-    last = found.body.state
+    last = found.state.robot
     assert np.abs(last.qvel[:, :3]).max() < 0.08 and np.abs(last.qvel[:, 3:]).max() < 0.5
     np.testing.assert_allclose(last.qpos[:, :2], ends[:, :2], atol=0.04)
     assert not found.failed.any()
-    for part in (found.poses, found.estimates, found.mounts, found.body.reading):
+    for part in (found.poses, found.estimates, found.sensor_poses, found.state.reading):
         assert part.dtype == np.float64
 
 
 def test_it_turns_on_the_spot(quadrotor, ride):
     _, paths, ends, found = ride
-    pose = jax.vmap(quadrotor.pose)(jax.tree.map(jnp.asarray, found.body))
+    pose = jax.vmap(quadrotor.pose)(jax.tree.map(jnp.asarray, found.state))
     assert apart(pose[:, 2], ends[:, 2]).max() < 0.05
     assert apart(paths[:, -1, 2], ends[:, 2]).min() > 3.0
     assert np.all((pose[:, 2] >= 0.0) & (pose[:, 2] <= 2.0 * np.pi))
@@ -120,13 +120,15 @@ def test_estimates_are_readings_of_the_stated_spread(quadrotor, ride):
     spread = wrong.reshape(-1, 3)
     assert spread.std(axis=0) == pytest.approx(NOISE, rel=0.15)
     assert np.abs(spread.mean(axis=0)).max() < 0.004
-    reading = found.body.reading - np.asarray(jax.vmap(quadrotor.pose)(jax.tree.map(jnp.asarray, found.body)))
+    reading = found.state.reading - np.asarray(
+        jax.vmap(quadrotor.pose)(jax.tree.map(jnp.asarray, found.state))
+    )
     assert 0.01 < reading[:, :2].std() < 0.03
 
 
 def test_mounts_are_where_the_sensor_is(ride):
     _, _, _, found = ride
-    position, quaternion = found.mounts[..., :3], found.mounts[..., 3:]
+    position, quaternion = found.sensor_poses[..., :3], found.sensor_poses[..., 3:]
     np.testing.assert_allclose(np.linalg.norm(quaternion, axis=-1), 1.0, atol=1e-5)
     rotation = np.asarray(jax.vmap(jax.vmap(rotation_of))(f64(quaternion)))
     body = position + 0.04 * rotation[..., 2]
@@ -139,7 +141,7 @@ def test_mounts_are_where_the_sensor_is(ride):
 def test_frames_are_ten_a_second(ride):
     _, _, _, found = ride
     assert found.frames.shape[1:] == ((PATH_STEPS + REST_STEPS) // 10, 7)
-    np.testing.assert_array_equal(found.frames[:, -1], found.body.state.qpos)
+    np.testing.assert_array_equal(found.frames[:, -1], found.state.robot.qpos)
     moved = np.linalg.norm(np.diff(found.frames[..., :3], axis=1), axis=-1)
     assert moved.max() < 0.1 * 1.0  # a metre in three seconds, never faster than 1 m/s
 
@@ -147,14 +149,14 @@ def test_frames_are_ten_a_second(ride):
 def test_readings_do_not_matter_where_there_is_no_noise(quadrotor, follow):
     starts = starts_of()
     paths, ends = paths_from(starts)
-    found = follow(quadrotor, keys_of(2), jax.vmap(quadrotor.place)(starts), paths, ends, 0.0 * f64(NOISE))
+    found = follow(quadrotor, keys_of(2), jax.vmap(quadrotor.reset)(starts), paths, ends, 0.0 * f64(NOISE))
     np.testing.assert_array_equal(found.estimates, found.poses)
-    np.testing.assert_allclose(found.body.reading, jax.vmap(quadrotor.pose)(found.body), atol=2e-6)
+    np.testing.assert_allclose(found.state.reading, jax.vmap(quadrotor.pose)(found.state), atol=2e-6)
 
 
 def test_a_robot_that_diverges_fails_alone(quadrotor, follow, ride):
     starts, paths, ends, before = ride
-    bodies = jax.vmap(quadrotor.place)(f64(starts))
+    bodies = jax.vmap(quadrotor.reset)(f64(starts))
     broken = eqx.tree_at(
         lambda b: b.state.qvel, bodies, bodies.state.qvel.at[5, 0].set(jnp.nan).at[7, 3].set(1e7)
     )
@@ -225,9 +227,11 @@ def test_it_sees_no_farther_than_its_range():
 
 def test_it_has_to_be_carried_by_something_that_flies():
     for vehicle in (vehicles.Exact(), vehicles.WheeledRobot()):
-        with pytest.raises(ConfigError, match="sensor: range looks down from above: vehicle has to be one"):
+        with pytest.raises(
+            ConfigError, match="sensor: got .range., which measures from the air; set a vehicle that flies"
+        ):
             build(HillyTerrain(vehicle=vehicle))
-    with pytest.raises(ConfigError, match="sensor: range looks down from above"):
+    with pytest.raises(ConfigError, match="sensor: got .range., which measures from the air"):
         build(TwoPits(sensor=vehicles.Range()))
     assert isinstance(build(HillyTerrain()).sensor, RangeSensor)
 
@@ -269,8 +273,8 @@ def test_samples_are_learned_where_the_robot_takes_itself_to_be():
     assert samples.values[taken].std() == pytest.approx(np.hypot(0.01, 0.02), rel=0.2)
     off = (samples.points - events.driven[..., :2])[taken]
     assert off.std() == pytest.approx(0.02, rel=0.15)
-    np.testing.assert_array_equal(samples.pose, after.body.reading)
-    np.testing.assert_array_equal(belief.pose, after.body.reading)
+    np.testing.assert_array_equal(samples.pose, after.vehicle.reading)
+    np.testing.assert_array_equal(belief.pose, after.vehicle.reading)
     for lane in range(LANES):
         number = taken[lane].sum()
         assert int(belief.posterior.count[lane]) == number
@@ -278,10 +282,10 @@ def test_samples_are_learned_where_the_robot_takes_itself_to_be():
     is_stopped = events.exited
     assert is_stopped.any() and not is_stopped.all() and not events.failed.any()
     # Where the border stopped it, it has turned round.
-    turn = apart(after.body.reading[:, 2], events.driven[:, -1, 2])
+    turn = apart(after.vehicle.reading[:, 2], events.driven[:, -1, 2])
     assert turn[is_stopped].min() > 2.8 and turn[~is_stopped].max() < 0.3
     assert events.frames.shape == (LANES, (PATH_STEPS + REST_STEPS) // 10, 7)
-    assert np.all(world.body.reading[:, :2] >= 0.0)
+    assert np.all(world.vehicle.reading[:, :2] >= 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -302,7 +306,7 @@ def scored(problem, points, values):
     world, belief = belief_of(problem, points, values)
     score = jax.jit(lambda world, belief: problem.score(world, belief))(world, belief)
     assert set(score) == {column.name for column in problem.scores}
-    return {name: float(value) for name, value in score.items()}, problem.map(belief)
+    return {name: float(value) for name, value in score.items()}, final_map(problem, belief)
 
 
 def test_scores_are_those_of_the_grid(room):
@@ -364,7 +368,7 @@ def test_props_are_blocks():
     with pytest.raises(pydantic.ValidationError, match="unknown kind"):
         IndoorProps(field=Bumps())
     problem = build(IndoorProps())
-    with pytest.raises(ValueError, match="props are blocks"):
+    with pytest.raises(ValueError, match="prop mapping needs a field of kind blocks"):
         dataclasses.replace(problem, field=HILL)
 
 

@@ -18,7 +18,7 @@ from bojax.problems.settings import RobotParking
 from bojax.problems.vehicles.settings import WheeledRobot
 from bojax.problems.vehicles.wheeled_robot import FRAME_EVERY
 from bojax.report.animations.robot_worlds import car_world
-from bojax.robots.car import car_model, measures_of
+from bojax.robots.car import car_model, car_parameters
 from tests.compiling import REPEATABLY
 from tests.reference import pure_pursuit as reference
 
@@ -48,12 +48,12 @@ def drives(follow):
     params = jnp.asarray(rng.uniform(-1.0, 1.0, (2, NUM_LANES, 3)))
     paths = jax.jit(jax.vmap(jax.vmap(MOTIONS.path)))(params)
     noise = jnp.where(jnp.arange(NUM_LANES)[:, None] < QUIET, 0.0, jnp.asarray([[0.02, 0.02, 0.02]]))
-    body, done = jax.vmap(ROBOT.place)(starts), []
+    body, done = jax.vmap(ROBOT.reset)(starts), []
     for number, path in enumerate(paths):
         placed = jax.vmap(place)(path, jax.vmap(ROBOT.estimate)(body))
         lanes = (jax.random.split(jax.random.key(number), NUM_LANES), body, placed, placed[:, -1], noise)
         done.append((lanes, follow(*lanes)))
-        body = done[-1][1].body
+        body = done[-1][1].state
     return done
 
 
@@ -73,7 +73,7 @@ def references(drives):
         done = []
         for lane, errors in enumerate(errors_of(lanes)):
             data = mujoco.MjData(MODEL)
-            data.qpos, data.qvel = body.state.qpos[lane], body.state.qvel[lane]
+            data.qpos, data.qvel = body.robot.qpos[lane], body.robot.qvel[lane]
             mujoco.mj_kinematics(MODEL, data)
             settings = (SETTINGS.look_ahead, SETTINGS.speed, SETTINGS.gain, SETTINGS.substeps)
             done.append(
@@ -93,7 +93,7 @@ def test_following_is_the_loop_of_the_reference(drives, references, number):
         np.testing.assert_allclose(ride.poses[lane, :, :2], expected[:, :2], atol=2e-3)
         np.testing.assert_allclose(wrapped(ride.poses[lane, :, 2] - expected[:, 2]), 0.0, atol=2e-2)
         np.testing.assert_allclose(ride.frames[lane, :, :7], places[FRAME_EVERY::FRAME_EVERY, :7], atol=1e-2)
-        np.testing.assert_allclose(ride.body.reading[lane, :2], reading[:2], atol=2e-3)
+        np.testing.assert_allclose(ride.state.reading[lane, :2], reading[:2], atol=2e-3)
 
 
 def test_paths_are_tracked_within_centimetres(drives):
@@ -122,24 +122,24 @@ def test_it_drives_forward_and_comes_to_rest(drives):
             middle = heading[:-1] + 0.5 * wrapped(np.diff(heading))
             along = moved[:, 0] * np.cos(middle) + moved[:, 1] * np.sin(middle)
             assert along.min() > -1e-3 and along.sum() > 0.9
-        speed = np.linalg.norm(ride.body.state.qvel[:, :2], axis=1)
+        speed = np.linalg.norm(ride.state.robot.qvel[:, :2], axis=1)
         assert np.all(speed[:QUIET] < 0.01) and np.all(speed < 0.1)
         assert not np.any(ride.failed)
 
 
 def test_a_ride_begins_where_the_one_before_ended(drives):
     (_, first), (lanes, second) = drives
-    np.testing.assert_array_equal(lanes[1].state.qpos, first.body.state.qpos)
-    poses = jax.vmap(ROBOT.pose)(second.body)
+    np.testing.assert_array_equal(lanes[1].robot.qpos, first.state.robot.qpos)
+    poses = jax.vmap(ROBOT.pose)(second.state)
     np.testing.assert_allclose(poses, second.poses[:, -1], atol=1e-12)
-    np.testing.assert_allclose(second.frames[:, -1], second.body.state.qpos, atol=1e-12)
+    np.testing.assert_allclose(second.frames[:, -1], second.state.robot.qpos, atol=1e-12)
 
 
 def test_readings_are_poses_with_noise(drives):
     for lanes, ride in drives:
         quiet = wrapped(ride.estimates - ride.poses)[:QUIET]
         np.testing.assert_allclose(quiet, 0.0, atol=1e-6)
-        np.testing.assert_array_equal(jax.vmap(ROBOT.estimate)(ride.body), ride.estimates[:, -1])
+        np.testing.assert_array_equal(jax.vmap(ROBOT.estimate)(ride.state), ride.estimates[:, -1])
         off = np.asarray(ride.estimates - ride.poses)[QUIET:]
         errors = errors_of(lanes)[QUIET:]
         np.testing.assert_allclose(off[:, -1], errors[:, -1], atol=1e-6)
@@ -148,7 +148,7 @@ def test_readings_are_poses_with_noise(drives):
 
 def test_it_stands_where_it_is_placed():
     poses = jnp.asarray([[0.3, -1.2, 0.0], [-1.0, 0.5, 2.5], [0.0, 0.0, 6.0]])
-    bodies = jax.vmap(ROBOT.place)(poses)
+    bodies = jax.vmap(ROBOT.reset)(poses)
     np.testing.assert_allclose(jax.vmap(ROBOT.pose)(bodies), poses, atol=1e-6)
     np.testing.assert_array_equal(jax.vmap(ROBOT.estimate)(bodies), poses)
     data = mujoco.MjData(MODEL)
@@ -161,7 +161,7 @@ def test_it_stands_where_it_is_placed():
 
 @pytest.mark.parametrize("side", [1, -1])
 def test_the_turning_radius_is_that_of_the_steady_circle(side):
-    measures = measures_of(MODEL)
+    measures = car_parameters(MODEL)
     bend = side / ROBOT.turning_radius
     angles = [atan(measures.wheelbase * bend / (1 - left * measures.half_track * bend)) for left in (1, -1)]
     assert max(np.abs(angles)) == pytest.approx(measures.max_angle)
@@ -185,7 +185,7 @@ def test_the_trajectories_of_fig_4_8_can_be_driven(motions):
 
 def test_a_lane_that_diverges_fails_alone(follow, drives):
     (key, body, path, end, noise), before = drives[0]
-    wrong = eqx.tree_at(lambda b: b.state.qvel, body, body.state.qvel.at[2, 0].set(jnp.nan))
+    wrong = eqx.tree_at(lambda b: b.robot.qvel, body, body.robot.qvel.at[2, 0].set(jnp.nan))
     ride = follow(jax.random.clone(key), wrong, path, end, noise)
     others = np.arange(NUM_LANES) != 2
     np.testing.assert_array_equal(ride.failed, ~others)
@@ -217,7 +217,7 @@ def test_it_reaches_the_end_of_every_path_within_its_reach():
         path = jnp.outer(jnp.linspace(0.0, length, 11)[1:], jnp.asarray([1.0, 0.0, 0.0]))
         paths = jnp.stack([path, 2.0 * path])
         ride = jax.vmap(
-            lambda path: robot.follow(jax.random.key(0), robot.place(jnp.zeros(3)), path, path[-1], None)
+            lambda path: robot.follow(jax.random.key(0), robot.reset(jnp.zeros(3)), path, path[-1], None)
         )(paths)
         return paths[:, -1, 0] - ride.poses[:, -1, 0]
 

@@ -14,7 +14,8 @@ from bojax.planning.cbts import ContinuousBeliefTreeSearch
 from bojax.planning.discrete import DiscreteTreeSearch
 from bojax.planning.gps_abt import PatternSearch
 from bojax.problems import objectives
-from bojax.problems.monitoring import FieldBelief, FieldMonitoring
+from bojax.problems.field_belief import FieldBelief
+from bojax.problems.monitoring import FieldMonitoring
 from tests.reference import acquisition, field_gp, gps_abt, kcbts, mcts, monitoring, node_gp, parking
 
 PROFILES = {

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 
 from bojax.planning.tree import UNVISITED
-from bojax.problems.monitoring import FieldNode
+from bojax.problems.field_simulation import FieldNode
 
 TOLERANCE = 1e-9
 

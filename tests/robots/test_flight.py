@@ -11,7 +11,7 @@ import pytest
 from bojax.engine.build import build
 from bojax.motions.splines import SplineSet
 from bojax.problems.vehicles.settings import Quadrotor
-from bojax.robots.flight import Reference, control, way
+from bojax.robots.flight import Reference, control, reference_trajectory
 from bojax.robots.quadrotor import quadrotor_model
 from bojax.robots.quaternions import rotation_of, turned, yaw_of
 
@@ -65,7 +65,9 @@ def at(x, y, yaw=0.0):
 
 @jax.jit
 def plan(start, path, end_heading):
-    return way(start, path, end_heading, jnp.full_like(end_heading, ALTITUDE), STEP, PATH, REST)
+    return reference_trajectory(
+        start, path, end_heading, jnp.full_like(end_heading, ALTITUDE), STEP, PATH, REST
+    )
 
 
 def spline(action, start):

@@ -1,1 +1,1 @@
-"""How a robot follows a path in the world: exactly, or as its physics and its controller do."""
+"""Vehicles: how a robot follows a planned path in the world, exactly or simulated with a controller."""

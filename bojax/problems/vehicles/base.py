@@ -1,4 +1,4 @@
-"""What a vehicle is, and the one that follows every path exactly."""
+"""The protocol of a vehicle, and the vehicle that follows every path exactly."""
 
 import abc
 from typing import Any
@@ -10,127 +10,132 @@ from jaxtyping import Array, Bool, Float, Key
 from bojax.motions.base import Pose
 from bojax.numerics.angles import wrap_to_2pi
 
-Body = Any
-"""The true state of a vehicle: a tree of arrays."""
+VehicleState = Any
+"""True state of a vehicle: a tree of arrays."""
 
 
-class Ride(eqx.Module):
-    """What following a path led to.
+class TrackingResult(eqx.Module):
+    """Result of tracking a path.
 
     Attributes:
-        body: The vehicle after it.
-        poses: Where it really was, once for every pose of the path; world frame.
-        estimates: Where it took itself to be then.
-        mounts: Position in metres and orientation (w, x, y, z) of its sensor then; None on the ground.
-        frames: Generalised positions along the way, for an animation; None where there is nothing to draw.
-        failed: Its simulation has diverged; None where it cannot.
+        state: State of the vehicle afterwards.
+        poses: True pose of the vehicle at each pose of the path, in the world frame.
+        estimates: The vehicle's own estimates of these poses.
+        sensor_poses: Position in metres and orientation (w, x, y, z) of its sensor at these poses; None on
+            the ground.
+        frames: Generalised positions during the motion, for an animation; None if there is nothing to
+            animate.
+        failed: Whether the simulation has diverged; None if it cannot diverge.
     """
 
-    body: Body
+    state: VehicleState
     poses: Float[Array, "S 3"]
     estimates: Float[Array, "S 3"]
-    mounts: Float[Array, "S 7"] | None = None
+    sensor_poses: Float[Array, "S 7"] | None = None
     frames: Float[Array, "F Q"] | None = None
     failed: Bool[Array, ""] | None = None
 
 
 class Vehicle(eqx.Module):
-    """A robot in the world behind a planning problem; planners know it by its paths alone."""
+    """The robot that executes paths in the world; planners assume that every path is followed exactly."""
 
     @abc.abstractmethod
-    def place(self, pose: Pose) -> Body:
-        """The vehicle at rest at a pose, which it knows."""
+    def reset(self, pose: Pose) -> VehicleState:
+        """The state of the vehicle at rest at a pose, which the vehicle knows."""
 
     @abc.abstractmethod
-    def pose(self, body: Body) -> Pose:
-        """Where it really is."""
+    def pose(self, state: VehicleState) -> Pose:
+        """True pose of the vehicle."""
 
     @abc.abstractmethod
-    def estimate(self, body: Body) -> Pose:
-        """Where it takes itself to be: what it begins its next path from."""
+    def estimate(self, state: VehicleState) -> Pose:
+        """The vehicle's estimate of its pose, from which its next path begins."""
 
     @abc.abstractmethod
     def follow(
         self,
         key: Key[Array, ""],
-        body: Body,
+        state: VehicleState,
         path: Float[Array, "S 3"],
         end: Pose,
         noise: Float[Array, "3"] | None,
-    ) -> Ride:
-        """Follow a path.
+    ) -> TrackingResult:
+        """Track a path.
 
         Args:
-            key: What readings draw their noise from.
-            body: The vehicle before it.
-            path: Poses of the path, in the world's frame, as it was planned from `estimate(body)`.
-            end: Pose to come to rest at: the path's last position, with the heading wanted there.
-            noise: Standard deviations of a reading of its pose, in m and rad; None for exact readings.
+            key: Key of the measurement noise.
+            state: State of the vehicle at the start.
+            path: Poses in the world frame, starting from `estimate(state)`.
+            end: Pose at which to come to rest: the last position of the path, with the desired heading.
+            noise: Standard deviations of a pose measurement, in m and rad; None for exact measurements.
         """
 
-    def read(self, key: Key[Array, ""], body: Body, noise: Float[Array, "3"]) -> Pose:
-        """A reading of its pose, to plan from.
+    def measure(self, key: Key[Array, ""], state: VehicleState, noise: Float[Array, "3"]) -> Pose:
+        """Measurement of the pose, from which the next path is planned.
 
         Args:
-            key: What the reading draws its noise from.
-            body: The vehicle.
-            noise: Its standard deviations, in m and rad.
+            key: Key of the measurement noise.
+            state: State of the vehicle.
+            noise: Standard deviations of the measurement, in m and rad.
         """
-        pose = self.pose(body)
+        pose = self.pose(state)
         return pose + noise * jax.random.normal(key, (3,), pose.dtype)
 
-    def stopped_at(self, body: Body, pose: Pose) -> Body:
-        """The vehicle, where its task ended at a pose on the way; what has physics has driven on."""
+    def stopped_at(self, state: VehicleState, pose: Pose) -> VehicleState:
+        """The state if the task has ended at a pose along the path.
+
+        A simulated vehicle keeps its own state: it has driven on.
+        """
         del pose
-        return body
+        return state
 
     @property
     def turning_radius(self) -> float:
-        """Radius of the tightest curve that it can drive, in metres."""
+        """Smallest radius of a curve that the vehicle can follow, in metres."""
         return 0.0
 
     @property
     def reach(self) -> float:
-        """Length of the longest path that it can follow to its end, in metres."""
+        """Length of the longest path that the vehicle can complete, in metres."""
         return float("inf")
 
     @property
     def flight_altitude(self) -> float | None:
-        """Altitude in metres at which it flies; None on the ground."""
+        """Flight altitude in metres; None on the ground."""
         return None
 
 
 class Exact(Vehicle):
-    """Follows every path exactly, and turns on the spot; its body is its pose."""
+    """A vehicle that follows every path exactly and can turn on the spot; its state is its pose."""
 
-    def place(self, pose: Pose) -> Pose:
+    def reset(self, pose: Pose) -> Pose:
         """See `Vehicle`."""
         return pose
 
-    def pose(self, body: Pose) -> Pose:
+    def pose(self, state: Pose) -> Pose:
         """See `Vehicle`."""
-        return body
+        return state
 
-    def estimate(self, body: Pose) -> Pose:
-        """The pose itself."""
-        return body
+    def estimate(self, state: Pose) -> Pose:
+        """The true pose."""
+        return state
 
     def follow(
         self,
         key: Key[Array, ""],
-        body: Pose,
+        state: Pose,
         path: Float[Array, "S 3"],
         end: Pose,
         noise: Float[Array, "3"] | None,
-    ) -> Ride:
+    ) -> TrackingResult:
         """See `Vehicle`."""
-        del body
+        del state
         estimates = path
         if noise is not None:
             estimates = path + noise[None] * jax.random.normal(key, path.shape, path.dtype)
-        return Ride(end, path, estimates)
+        return TrackingResult(end, path, estimates)
 
-    def stopped_at(self, body: Pose, pose: Pose) -> Pose:
-        """It stands there."""
-        del body
+    def stopped_at(self, state: Pose, pose: Pose) -> Pose:
+        """The pose, with its heading in [0, 2 pi)."""
+        del state
         return pose.at[2].set(wrap_to_2pi(pose[2]))

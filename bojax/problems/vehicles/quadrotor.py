@@ -10,30 +10,30 @@ from jaxtyping import Array, Float, Key
 
 from bojax.motions.base import Pose
 from bojax.numerics.angles import wrap_to_2pi
-from bojax.problems.vehicles.base import Ride
-from bojax.problems.vehicles.simulated import SimulatedBody, SimulatedVehicle, planar
-from bojax.robots.flight import Airframe, control, way
+from bojax.problems.vehicles.base import TrackingResult
+from bojax.problems.vehicles.simulated import SimulatedState, SimulatedVehicle, planar
+from bojax.robots.flight import Airframe, control, reference_trajectory
 from bojax.robots.quadrotor import quadrotor_model
 from bojax.robots.quaternions import rotation_of, turned
 from bojax.robots.simulator import Physics, RobotState, Simulator
 
 FRAME_EVERY = 10
-"""Control steps between two frames of an animation."""
+"""Number of control steps between two frames of an animation."""
 
 
 class Quadrotor(SimulatedVehicle):
-    """Flies a path from rest to rest, and then turns on the spot to the heading wanted there.
+    """A quadrotor that flies a path from rest to rest, then turns on the spot to the desired heading.
 
-    MJX steps the robot, the controller of `bojax.robots.flight` steers it, once a step of the physics of
-    10 ms. Position and heading are known by a reading each step (thesis: PTAM on the frontal camera), the
-    altitude with the noise of a horizontal coordinate; velocities, roll and pitch, which are those of
-    inertial sensors, are known exactly.
+    MJX simulates the robot with a step of 10 ms, and the controller of `bojax.robots.flight` acts at every
+    step. Position and heading are measured at every step (thesis: by PTAM on the frontal camera), the
+    altitude with the noise of a horizontal coordinate. Velocities, roll and pitch, which a real robot has
+    from inertial sensors, are known exactly.
 
     Attributes:
-        altitude: Altitude of flight, in metres.
-        physics: How MJX computes.
-        path_steps: Steps of the physics for a path.
-        rest_steps: Steps of the physics after it, to turn and to come to rest.
+        altitude: Flight altitude, in metres.
+        physics: Settings of the simulation.
+        path_steps: Simulation steps per path.
+        rest_steps: Simulation steps after a path, to turn and come to rest.
     """
 
     altitude: Float[Array, ""]
@@ -43,12 +43,12 @@ class Quadrotor(SimulatedVehicle):
 
     @property
     def simulator(self) -> Simulator:
-        """The physics."""
+        """See `SimulatedVehicle`."""
         return Simulator(self.physics, quadrotor_model(), 1)
 
     @property
     def airframe(self) -> Airframe:
-        """What the controller knows, from the model."""
+        """Parameters of the controller, read from the model."""
         model = self.simulator.mujoco_model
         rotors = model.site_pos[model.actuator_trnid[:, 0]]
         yaw_ratio = model.actuator_gear[:, 5]
@@ -61,23 +61,23 @@ class Quadrotor(SimulatedVehicle):
             max_thrust=_f32(model.actuator_ctrlrange[0, 1]),
         )
 
-    def place(self, pose: Pose) -> SimulatedBody:
-        """See `Vehicle`: hovering."""
+    def reset(self, pose: Pose) -> SimulatedState:
+        """The quadrotor hovering at a pose."""
         return self.at_rest(pose, self.altitude)
 
     def follow(
         self,
         key: Key[Array, ""],
-        body: SimulatedBody,
+        state: SimulatedState,
         path: Float[Array, "S 3"],
         end: Pose,
         noise: Float[Array, "3"] | None,
-    ) -> Ride:
+    ) -> TrackingResult:
         """See `Vehicle`."""
         simulator, airframe = self.simulator, self.airframe
         num_steps = self.path_steps + self.rest_steps
-        reference, at = way(
-            body.reading.astype(jnp.float32),
+        reference, at = reference_trajectory(
+            state.reading.astype(jnp.float32),
             path.astype(jnp.float32),
             end[2].astype(jnp.float32),
             self.altitude.astype(jnp.float32),
@@ -90,33 +90,33 @@ class Quadrotor(SimulatedVehicle):
             spread = noise[jnp.asarray([0, 1, 0, 2])].astype(jnp.float32)
             errors = spread[None] * jax.random.normal(key, errors.shape, jnp.float32)
 
-        def fly(state: RobotState, now):
+        def fly(robot: RobotState, now):
             reference, error = now
-            position = state.qpos[:3] + error[:3]
-            rotation = rotation_of(turned(state.qpos[3:], error[3]))
-            thrusts = control(airframe, reference, position, state.qvel[:3], rotation, state.qvel[3:])
-            return simulator.advance(state, thrusts), state.qpos
+            position = robot.qpos[:3] + error[:3]
+            rotation = rotation_of(turned(robot.qpos[3:], error[3]))
+            thrusts = control(airframe, reference, position, robot.qvel[:3], rotation, robot.qvel[3:])
+            return simulator.advance(robot, thrusts), robot.qpos
 
-        state, flown = jax.lax.scan(fly, body.state, (reference, errors[:-1]))
-        flown = jnp.concatenate([flown, state.qpos[None]])
+        robot, flown = jax.lax.scan(fly, state.robot, (reference, errors[:-1]))
+        flown = jnp.concatenate([flown, robot.qpos[None]])
         poses = jax.vmap(planar)(flown)
         readings = poses + errors[:, jnp.asarray([0, 1, 3])]
         reading = readings[-1].at[2].set(wrap_to_2pi(readings[-1, 2]))
         dtype = path.dtype
-        return Ride(
-            body=SimulatedBody(state, reading.astype(dtype)),
+        return TrackingResult(
+            state=SimulatedState(robot, reading.astype(dtype)),
             poses=poses[at].astype(dtype),
             estimates=readings[at].astype(dtype),
-            mounts=jax.vmap(self._mount)(flown[at]).astype(dtype),
+            sensor_poses=jax.vmap(self._sensor_pose)(flown[at]).astype(dtype),
             frames=flown[FRAME_EVERY::FRAME_EVERY],
-            failed=simulator.has_diverged(state),
+            failed=simulator.has_diverged(robot),
         )
 
     @property
     def reach(self) -> float:
-        """See `Vehicle`: what full thrust carries at this altitude, from rest to rest with the least jerk.
+        """Length of the minimum-jerk flight from rest to rest that takes full thrust at constant altitude.
 
-        Its largest acceleration is 10 / sqrt(3) times the length over the square of the time.
+        The largest acceleration of such a flight is 10 / sqrt(3) times its length over its squared duration.
         """
         airframe = self.airframe
         upward = 4.0 * float(airframe.max_thrust) / float(airframe.mass)
@@ -128,7 +128,7 @@ class Quadrotor(SimulatedVehicle):
         """See `Vehicle`."""
         return float(self.altitude)
 
-    def _mount(self, qpos: Float[Array, "7"]) -> Float[Array, "7"]:
+    def _sensor_pose(self, qpos: Float[Array, "7"]) -> Float[Array, "7"]:
         below = _f32(self.simulator.mujoco_model.site("range").pos)
         turned_below = jnp.sum(rotation_of(qpos[3:]) * below[None], axis=1)
         return jnp.concatenate([qpos[:3] + turned_below, qpos[3:]])

@@ -1,4 +1,4 @@
-"""What vehicles that MJX steps share."""
+"""The common part of vehicles that MJX simulates."""
 
 import abc
 
@@ -13,60 +13,61 @@ from bojax.robots.quaternions import turned, yaw_of
 from bojax.robots.simulator import Physics, RobotState, Simulator
 
 
-class SimulatedBody(eqx.Module):
-    """A simulated vehicle between two paths.
+class SimulatedState(eqx.Module):
+    """State of a simulated vehicle between two paths.
 
     Attributes:
-        state: Its true state.
-        reading: The last reading of its pose.
+        robot: State of the simulation.
+        reading: Last measurement of the pose.
     """
 
-    state: RobotState
+    robot: RobotState
     reading: Pose
 
 
 class SimulatedVehicle(Vehicle):
-    """A robot with a free joint, of whose pose a tracking system tells; a subclass says how it follows paths.
+    """A simulated robot with a free joint whose pose a tracking system measures.
 
-    What it takes its pose to be, and what plans are made from, is the last reading, not a filter's estimate.
+    Subclasses define how the robot follows paths. The vehicle's estimate of its pose, from which paths are
+    planned, is the last measurement; measurements are not filtered.
 
     Attributes:
-        physics: How MJX computes.
+        physics: Settings of the simulation.
     """
 
     physics: eqx.AbstractVar[Physics]
 
     def __check_init__(self):
-        """See `Simulator`."""
+        """Compile the model, see `Simulator`."""
         _ = self.simulator
 
     @property
     @abc.abstractmethod
     def simulator(self) -> Simulator:
-        """The physics."""
+        """Simulator of the robot."""
 
-    def pose(self, body: SimulatedBody) -> Pose:
+    def pose(self, state: SimulatedState) -> Pose:
         """See `Vehicle`."""
-        return planar(body.state.qpos).astype(body.reading.dtype)
+        return planar(state.robot.qpos).astype(state.reading.dtype)
 
-    def estimate(self, body: SimulatedBody) -> Pose:
-        """The last reading."""
-        return body.reading
+    def estimate(self, state: SimulatedState) -> Pose:
+        """The last measurement."""
+        return state.reading
 
-    def read(self, key: Key[Array, ""], body: SimulatedBody, noise: Float[Array, "3"]) -> Pose:
-        """The last reading: it had its noise when it was made."""
+    def measure(self, key: Key[Array, ""], state: SimulatedState, noise: Float[Array, "3"]) -> Pose:
+        """The last measurement, whose noise was drawn when it was made."""
         del key, noise
-        return body.reading
+        return state.reading
 
-    def at_rest(self, pose: Pose, height: Float[Array, ""]) -> SimulatedBody:
-        """The robot upright and at rest at a pose, at a height in metres, other joints as in the model."""
+    def at_rest(self, pose: Pose, height: Float[Array, ""]) -> SimulatedState:
+        """The robot upright and at rest at a pose and a height in metres; other joints as in the model."""
         model = self.simulator.mujoco_model
         level = jnp.asarray([1.0, 0.0, 0.0, 0.0], pose.dtype)
         others = jnp.asarray(model.qpos0[7:], pose.dtype)
         qpos = jnp.concatenate([pose[:2], height.astype(pose.dtype)[None], turned(level, pose[2]), others])
-        return SimulatedBody(self.simulator.state(qpos, jnp.zeros((model.nv,), jnp.float32)), pose)
+        return SimulatedState(self.simulator.state(qpos, jnp.zeros((model.nv,), jnp.float32)), pose)
 
 
 def planar(qpos: Float[Array, "Q"]) -> Float[Array, "3"]:
-    """Position in metres and heading in rad, in [0, 2 pi), of a robot with a free joint."""
+    """Position in metres and heading in [0, 2 pi) of a robot with a free joint."""
     return jnp.concatenate([qpos[:2], wrap_to_2pi(yaw_of(qpos[3:7]))[None]])

@@ -1,0 +1,75 @@
+"""The area that a field robot moves in: border, walls, target area, and the cost of running into them."""
+
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Key, Scalar
+
+from bojax.motions.base import Path, Pose, place
+from bojax.numerics.angles import wrap_to_2pi
+from bojax.problems.walls import Boxes, Drive, drive_until_blocked, is_free
+
+START_TRIES = 256
+"""Number of random poses of which the first free one is a random start."""
+
+
+class Arena(eqx.Module):
+    """Geometry of a field problem, see `FieldProblem` for the attributes."""
+
+    domain: Float[Array, "4"]
+    walls: Boxes | None
+    target_area: Float[Array, "4"] | None
+    collision_reward: Float[Array, ""]
+    exit_reward: Float[Array, ""]
+    after_collision: Literal["stop", "turn"] = eqx.field(static=True)
+
+    def random_pose(self, key: Key[Array, ""]) -> Pose:
+        """A pose drawn uniformly from the free space and all headings."""
+        low_x, low_y, high_x, high_y = self.domain
+        low, high = (
+            jnp.stack([low_x, low_y, jnp.zeros_like(low_x)]),
+            jnp.stack([high_x, high_y, 2.0 * jnp.pi]),
+        )
+        poses = jax.random.uniform(key, (START_TRIES, 3), low.dtype, low, high)
+        return poses[jnp.argmax(self.is_free(poses[:, :2]))]
+
+    def is_free(self, points: Float[Array, "N 2"]) -> Bool[Array, "N"]:
+        """Whether points lie in the domain and outside all walls."""
+        return is_free(points, self.domain, self.walls)
+
+    def drive(self, pose: Pose, path: Path) -> Drive:
+        """The part of a path that can be driven from a pose."""
+        return drive_until_blocked(pose, place(path, pose), self.domain, self.walls)
+
+    def end(self, driven: Drive) -> Pose:
+        """Pose after a drive: its last pose, turned round if the robot was stopped and turns on the spot."""
+        end = driven.poses[-1]
+        is_turned = (driven.collided | driven.exited) & (self.after_collision == "turn")
+        heading = end[2] + jnp.where(is_turned, jnp.pi, 0.0)
+        return end.at[2].set(wrap_to_2pi(heading))
+
+    def cost(self, driven: Drive) -> Scalar:
+        """Reward, usually negative, for a collision or for leaving the domain."""
+        return jnp.where(driven.collided, self.collision_reward, 0.0) + jnp.where(
+            driven.exited, self.exit_reward, 0.0
+        )
+
+    def reaches_target(self, driven: Drive) -> Bool[Array, ""]:
+        """Whether a drive passes through the target area; false if there is none."""
+        if self.target_area is None:
+            return jnp.zeros((), bool)
+        points, low, high = driven.poses[:, :2], self.target_area[None, :2], self.target_area[None, 2:]
+        is_there = jnp.all((points >= low) & (points <= high), axis=-1)
+        return jnp.any(is_there & driven.is_driven)
+
+    def axes(self, resolution: int) -> tuple[Float[Array, "R"], Float[Array, "R"]]:
+        """Coordinates x and y of a regular grid over the domain."""
+        low_x, low_y, high_x, high_y = self.domain
+        return jnp.linspace(low_x, high_x, resolution), jnp.linspace(low_y, high_y, resolution)
+
+    def grid(self, resolution: int) -> Float[Array, "G 2"]:
+        """Points of a regular grid over the domain, in rows of equal y."""
+        x, y = self.axes(resolution)
+        return jnp.stack([g.ravel() for g in jnp.meshgrid(x, y)], axis=-1)

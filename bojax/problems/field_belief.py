@@ -1,0 +1,84 @@
+"""The belief of a robot that learns a field: its pose, and a Gaussian process conditioned on its samples."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, Key, Scalar
+
+from bojax.models.gaussian_process import GaussianProcess
+from bojax.motions.base import Pose
+
+
+class Samples(eqx.Module):
+    """Observation of a path: the samples taken along it.
+
+    Attributes:
+        points: Estimated positions of the samples.
+        values: Measured values.
+        is_taken: Whether the robot reached the sample's pose.
+        pose: Estimated pose of the robot at the end.
+    """
+
+    points: Float[Array, "S 2"]
+    values: Float[Array, "S"]
+    is_taken: Bool[Array, "S"]
+    pose: Pose
+
+
+class FieldBelief(eqx.Module):
+    """The robot's belief.
+
+    Attributes:
+        pose: Estimated pose of the robot.
+        posterior: Gaussian process over the field.
+        step: Number of paths driven.
+        counts: Number of samples held at the start and after each path; 0 for future paths.
+        key: Key from which hyper-parameter learning draws its starting points.
+        num_samples: Largest number of samples per path.
+    """
+
+    pose: Pose
+    posterior: GaussianProcess
+    step: Int[Array, ""]
+    counts: Int[Array, "N"]
+    key: Key[Array, ""]
+    num_samples: int = eqx.field(static=True)
+
+    def after(self, posterior: GaussianProcess, pose: Pose) -> "FieldBelief":
+        """The belief after one more path, which led to this posterior and pose."""
+        step = self.step + 1
+        return FieldBelief(
+            pose=pose,
+            posterior=posterior,
+            step=step,
+            counts=self.counts.at[step].set(posterior.count, mode="drop"),
+            key=self.key,
+            num_samples=self.num_samples,
+        )
+
+    def predict_grid(
+        self, grid: Float[Array, "G 2"], resolution: int
+    ) -> tuple[Float[Array, "G"], Float[Array, "G"]]:
+        """Posterior mean and variance on a grid, row by row: at once they would take N G numbers per run."""
+        rows = grid.reshape(resolution, resolution, 2)
+        mean, variance = jax.lax.map(self.posterior.predict, rows)
+        return mean.ravel(), variance.ravel()
+
+    def history(
+        self, x: Float[Array, "R"], y: Float[Array, "R"]
+    ) -> tuple[Float[Array, "N R R"], Float[Array, "N R R"]]:
+        """Means and standard deviations on a grid after every path, in 32 bits; NaN for future paths.
+
+        All of them are conditioned under the current hyper-parameters. The grid is processed row by row.
+        """
+        is_made = jnp.arange(self.counts.shape[0], dtype=self.step.dtype) <= self.step
+
+        def row(y: Scalar) -> tuple[Float[Array, "N R"], Float[Array, "N R"]]:
+            points = jnp.stack([x, jnp.full_like(x, y)], axis=-1)
+            mean, variance = self.posterior.predict_first(points, self.counts)
+            kept = (jnp.where(is_made[:, None], part, jnp.nan) for part in (mean, jnp.sqrt(variance)))
+            mean, std = (part.astype(jnp.float32) for part in kept)
+            return mean, std
+
+        means, stds = jax.lax.map(row, y)
+        return jnp.swapaxes(means, 0, 1), jnp.swapaxes(stds, 0, 1)

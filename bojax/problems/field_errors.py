@@ -1,0 +1,73 @@
+"""Error measures of a learned field on a grid: RMSE, weighted RMSE (3.7) and negative log likelihood."""
+
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Scalar
+
+from bojax.fields.base import Field
+from bojax.results.schema import Column, Table
+
+Weighting = Literal["gradient", "gradient-norm", "value"]
+"""Weights of the weighted RMSE, see `error_weights`."""
+
+ERROR_COLUMNS: Table = (
+    Column("rmse", "float64", "", "root mean square error of the final belief"),
+    Column("wrmse", "float64", "", "the same, weighted towards what matters"),
+    Column("mnll", "float64", "", "mean negative log likelihood of the field under the final belief"),
+)
+
+
+def field_errors(
+    field: Field,
+    grid: Float[Array, "G 2"],
+    mean: Float[Array, "G"],
+    variance: Float[Array, "G"],
+    is_open: Bool[Array, "G"],
+    weighting: Weighting,
+) -> dict[str, Scalar]:
+    """The columns of `ERROR_COLUMNS`.
+
+    Args:
+        field: The true field.
+        grid: Points of a regular grid.
+        mean: Mean of the belief at these points.
+        variance: Variance of the belief at these points.
+        is_open: Whether a point counts; points in walls do not.
+        weighting: Weights of the weighted RMSE.
+    """
+    truth = field.values(grid)
+    counts = is_open.astype(truth.dtype)
+    number = jnp.sum(counts)
+    squared = counts * (mean - truth) ** 2
+    variance = jnp.maximum(variance, jnp.finfo(variance.dtype).eps)
+    nll = 0.5 * jnp.log(2.0 * jnp.pi * variance) + (mean - truth) ** 2 / (2.0 * variance)
+    return {
+        "rmse": jnp.sqrt(jnp.sum(squared) / number),
+        "wrmse": jnp.sqrt(jnp.sum(squared * error_weights(field, grid, weighting)) / number),
+        "mnll": jnp.sum(counts * nll) / number,
+    }
+
+
+def error_weights(field: Field, points: Float[Array, "N 2"], weighting: Weighting) -> Float[Array, "N"]:
+    """Weights in [0, sqrt(2)] from the true field at the points of a grid.
+
+    - `"gradient"`: as (3.7) prints it, the norm of the gradient's components, each scaled to [0, 1] by its
+      smallest and largest signed value over the grid; a flat area weighs about 0.7;
+    - `"gradient-norm"`: the norm of the gradient, scaled to [0, 1];
+    - `"value"`: the value, scaled to [0, 1] (Section 4.7.1: errors at locations of high value).
+    """
+    if weighting == "value":
+        return _unit(field.values(points))
+    gradients = field.gradients(points)
+    if weighting == "gradient-norm":
+        return _unit(jnp.sqrt(jnp.sum(gradients**2, axis=-1)))
+    return jnp.sqrt(jnp.sum(jax.vmap(_unit, 1, 1)(gradients) ** 2, axis=-1))
+
+
+def _unit(values: Float[Array, "N"]) -> Float[Array, "N"]:
+    """Values scaled to [0, 1]; ones if they are all equal."""
+    low, high = jnp.min(values), jnp.max(values)
+    is_flat = high == low
+    return jnp.where(is_flat, 1.0, (values - low) / jnp.where(is_flat, 1.0, high - low))

@@ -1,0 +1,310 @@
+"""Learning a field from noisy samples along trajectories: all of the problem but its scores."""
+
+import abc
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, Key, Scalar
+
+from bojax.fields.base import Field
+from bojax.models.evidence import log_normal_prior, relearn
+from bojax.models.gaussian_process import GaussianProcess
+from bojax.models.kernels import Kernel
+from bojax.models.lookahead import LookaheadRoot
+from bojax.models.means import Mean
+from bojax.motions.base import Path, Pose
+from bojax.numerics.lanes import any_lane
+from bojax.problems.arena import Arena
+from bojax.problems.base import Events, Problem, Simulation
+from bojax.problems.field_belief import FieldBelief, Samples
+from bojax.problems.field_errors import ERROR_COLUMNS, Weighting, field_errors
+from bojax.problems.field_simulation import FieldNode, root_node, simulate_paths
+from bojax.problems.objectives import FieldObjective
+from bojax.problems.sensors import PointSensor, Sensor
+from bojax.problems.vehicles.base import Exact, Vehicle, VehicleState
+from bojax.problems.walls import Boxes
+from bojax.results.schema import Column, Table
+
+FILM_RESOLUTION = 31
+"""Largest number of grid points per side at which the belief after every step is recorded."""
+
+RELEARN_STARTS = 2
+"""Number of starts of hyper-parameter learning: the current values, and a draw around them."""
+
+FIELD_COLUMNS: Table = (
+    *ERROR_COLUMNS,
+    Column("collisions", "int32", "", "times that a wall stopped the robot"),
+    Column("sampled_gradient", "float64", "1/m", "mean norm of the field's gradient at the samples"),
+)
+
+
+class FieldWorld(eqx.Module):
+    """True state of an episode.
+
+    Attributes:
+        vehicle: State of the vehicle.
+        collisions: Number of collisions with a wall.
+        gradient: Sum of the norm of the true field's gradient over the samples taken.
+    """
+
+    vehicle: VehicleState
+    collisions: Int[Array, ""]
+    gradient: Float[Array, ""]
+
+
+class FieldProblem(Problem):
+    """Learn a field from noisy samples along trajectories; subclasses define the scores of the final belief.
+
+    The reward of a path is the sum of the worth of its samples under the belief before the path (3.2, 4.11),
+    plus the cost of collisions and of leaving the domain. The planner knows the walls, the border and the
+    pose of the robot, but not the field. A wall or the border stops the robot at the last reachable pose of
+    the path; later samples are neither taken nor rewarded. The robot then keeps its heading
+    (`after_collision: "stop"`) or turns round on the spot (`"turn"`, not available to a vehicle with a
+    turning radius). The same rules hold in the world and in the simulations of every planner.
+
+    Attributes:
+        field: The true field.
+        domain: Border, `[x_min, y_min, x_max, y_max]` in metres.
+        walls: Walls.
+        start: Initial pose; None for a random pose, uniform over the free space.
+        target_area: Area to reach for success, `[x_min, y_min, x_max, y_max]` in metres.
+        objective: Worth of a sample for the task.
+        kernel: Prior covariance of the field.
+        mean: Prior mean of the field.
+        noise_variance: Variance of the observation noise that the belief assumes.
+        noise: Standard deviation of the true observation noise.
+        pose_noise: Standard deviations of a pose measurement, in m and rad; None for exact measurements.
+        collision_reward: Reward when a wall stops the robot.
+        exit_reward: Reward when the border stops the robot.
+        relearn_spread: Standard deviation of the log-normal prior of each hyper-parameter about its setting.
+        vehicle: Robot that executes the paths; planners assume that paths are followed exactly.
+        sensor: Sensor that measures the field.
+        max_steps: Actions per episode.
+        resolution: Points per side of the grid on which the final belief is scored.
+        relearn_every: Steps between updates of the hyper-parameters; 0 for none.
+        imagined: Whether simulated observations are drawn from the belief (`"sample"`) or are its `"mean"`.
+        after_collision: Behaviour of the robot after a wall or the border has stopped it.
+        weighting: Weights of `wrmse`, see `error_weights`.
+    """
+
+    field: Field
+    domain: Float[Array, "4"]
+    walls: Boxes | None
+    start: Float[Array, "3"] | None
+    target_area: Float[Array, "4"] | None
+    objective: FieldObjective
+    kernel: Kernel
+    mean: Mean
+    noise_variance: Float[Array, ""]
+    noise: Float[Array, ""]
+    pose_noise: Float[Array, "2"] | None = eqx.field(default=None, kw_only=True)
+    collision_reward: Float[Array, ""]
+    exit_reward: Float[Array, ""]
+    relearn_spread: Float[Array, ""]
+    vehicle: Vehicle = eqx.field(default_factory=Exact, kw_only=True)
+    sensor: Sensor = eqx.field(default_factory=PointSensor, kw_only=True)
+    max_steps: int = eqx.field(static=True)
+    resolution: int = eqx.field(static=True)
+    relearn_every: int = eqx.field(static=True)
+    imagined: Literal["sample", "mean"] = eqx.field(static=True)
+    after_collision: Literal["stop", "turn"] = eqx.field(static=True)
+    weighting: Weighting = eqx.field(static=True)
+
+    def __check_init__(self):
+        """Check that sensor, field and vehicle fit together, see `Sensor.check`.
+
+        Raises:
+            ValueError: The sensor cannot measure the field, or the vehicle cannot turn on the spot but has
+            to.
+        """
+        self.sensor.check(self.field, self.grid(), self.vehicle.flight_altitude)
+        radius = self.vehicle.turning_radius
+        if radius > 0.0 and self.after_collision == "turn":
+            raise ValueError(
+                f'after_collision: got "turn"; the vehicle cannot turn on the spot, its turning radius is '
+                f'{radius:.2f} m: set "stop"'
+            )
+
+    @abc.abstractmethod
+    def score(self, world: FieldWorld, belief: FieldBelief) -> dict[str, Scalar]:
+        """Scores of the final belief: `field_score`, and others that a subclass adds."""
+
+    @property
+    def arena(self) -> Arena:
+        """The area that the robot moves in."""
+        return Arena(
+            domain=self.domain,
+            walls=self.walls,
+            target_area=self.target_area,
+            collision_reward=self.collision_reward,
+            exit_reward=self.exit_reward,
+            after_collision=self.after_collision,
+        )
+
+    def reset(self, key: Key[Array, ""]) -> FieldWorld:
+        """See `Problem`."""
+        pose = self.arena.random_pose(key) if self.start is None else self.start
+        zero = jnp.zeros((), self.domain.dtype)
+        return FieldWorld(self.vehicle.reset(pose), jnp.zeros((), jnp.int32), zero)
+
+    def prior(self, key: Key[Array, ""], world: FieldWorld, num_samples: int) -> FieldBelief:
+        """The prior of the field, and the initial pose, which is known."""
+        capacity = self.max_steps * num_samples
+        return FieldBelief(
+            pose=self.vehicle.estimate(world.vehicle),
+            posterior=GaussianProcess.prior(self.kernel, self.noise_variance, capacity, 2, self.mean),
+            step=jnp.zeros((), jnp.int32),
+            counts=jnp.zeros((self.max_steps + 1,), jnp.int32),
+            key=key,
+            num_samples=num_samples,
+        )
+
+    def execute(
+        self, key: Key[Array, ""], world: FieldWorld, path: Path
+    ) -> tuple[FieldWorld, Samples, Events]:
+        """Drive a path and take its samples."""
+        arena = self.arena
+        driven = arena.drive(self.vehicle.estimate(world.vehicle), path)
+        noise = None if self.pose_noise is None else self.pose_noise[jnp.asarray([0, 0, 1])]
+        tracked = self.vehicle.follow(
+            jax.random.fold_in(key, 0), world.vehicle, driven.poses, arena.end(driven), noise
+        )
+        values = self.sensor(key, self.field, tracked.poses, tracked.sensor_poses, self.noise)
+        slope = jnp.sqrt(jnp.sum(self.field.gradients(tracked.poses[:, :2]) ** 2, axis=-1))
+        after = FieldWorld(
+            vehicle=tracked.state,
+            collisions=world.collisions + driven.collided.astype(jnp.int32),
+            gradient=world.gradient + jnp.sum(jnp.where(driven.is_driven, slope, 0.0)),
+        )
+        events = Events(
+            reward=arena.cost(driven),
+            terminated=jnp.zeros((), bool),
+            success=arena.reaches_target(driven),
+            exited=driven.exited,
+            driven=tracked.poses,
+            is_driven=driven.is_driven,
+            frames=tracked.frames,
+            failed=tracked.failed,
+        )
+        pose = self.vehicle.estimate(tracked.state)
+        return after, Samples(tracked.estimates[:, :2], values, driven.is_driven, pose), events
+
+    def update(self, belief: FieldBelief, path: Path, observation: Samples) -> FieldBelief:
+        """The belief after the samples of a path, with updated hyper-parameters where they are due."""
+        del path
+        posterior = belief.posterior.extend(observation.points, observation.values, observation.is_taken)
+        if self.relearn_every > 0:
+            step = belief.step + 1
+            is_due = step % self.relearn_every == 0
+            key = jax.random.fold_in(belief.key, step)
+            # The lanes of a batch are at the same step: without any due lane the branch is skipped.
+            learned = jax.lax.cond(
+                any_lane(is_due),
+                lambda key, old: self._relearned(key, old),
+                lambda key, old: old,
+                key,
+                posterior,
+            )
+            posterior = jax.tree.map(lambda new, old: jnp.where(is_due, new, old), learned, posterior)
+        return belief.after(posterior, observation.pose)
+
+    def reward(
+        self, objective: FieldObjective | None, belief: FieldBelief, path: Path, events: Events
+    ) -> Scalar:
+        """Worth of the samples taken under the belief before the path, plus the cost of the path."""
+        del path
+        objective = self.objective if objective is None else objective
+        points = events.driven[:, :2]
+        mean, variance = belief.posterior.predict(points)
+        gradient = belief.posterior.predict_gradient(points) if objective.needs_gradient else None
+        worth = objective(mean, variance, gradient)
+        return events.reward + jnp.sum(jnp.where(events.is_driven, worth, 0.0))
+
+    def root(self, belief: FieldBelief, horizon: int) -> tuple[LookaheadRoot, FieldNode]:
+        """The factored posterior, and the root node."""
+        node = root_node(belief.pose, horizon, belief.num_samples, self.domain.dtype)
+        return LookaheadRoot.of(belief.posterior), node
+
+    def simulate(
+        self,
+        key: Key[Array, ""],
+        root: LookaheadRoot,
+        node: FieldNode,
+        paths: Float[Array, "H S 3"],
+        objective: FieldObjective | None,
+    ) -> Simulation:
+        """See `simulate_paths`."""
+        objective = self.objective if objective is None else objective
+        return simulate_paths(key, root, node, paths, objective, self.arena, self.imagined)
+
+    def pose(self, world: FieldWorld) -> Pose:
+        """See `Problem`."""
+        return self.vehicle.pose(world.vehicle)
+
+    @property
+    def lanes_on_cpu(self) -> int:
+        """See `Problem`: the factors of a few hundred samples fill the cache; 8 to 16 lanes are fastest."""
+        return 16
+
+    @property
+    def turning_radius(self) -> float:
+        """See `Problem`."""
+        return self.vehicle.turning_radius
+
+    @property
+    def reach(self) -> float:
+        """See `Problem`."""
+        return self.vehicle.reach
+
+    def grid(self) -> Float[Array, "G 2"]:
+        """Points of the grid on which the final belief is scored, in rows of equal y."""
+        return self.arena.grid(self.resolution)
+
+    def field_score(self, world: FieldWorld, belief: FieldBelief) -> dict[str, Scalar]:
+        """The columns of `FIELD_COLUMNS`."""
+        grid = self.grid()
+        mean, variance = belief.predict_grid(grid, self.resolution)
+        is_open = self.arena.is_free(grid)
+        taken = jnp.maximum(belief.posterior.count, 1).astype(mean.dtype)
+        return field_errors(self.field, grid, mean, variance, is_open, self.weighting) | {
+            "collisions": world.collisions,
+            "sampled_gradient": world.gradient / taken,
+        }
+
+    def snapshot(self, world: FieldWorld, belief: FieldBelief) -> dict[str, dict[str, Array]]:
+        """The field and the belief on the grid, the samples, and the belief after every step.
+
+        `means` and `stds`, `[T + 1, R, R]` from the prior on, are on a grid of at most `FILM_RESOLUTION`
+        points per side over the same domain, see `FieldBelief.history`.
+        """
+        del world
+        x, y = self.arena.axes(self.resolution)
+        grid = self.grid()
+        mean, variance = belief.predict_grid(grid, self.resolution)
+        posterior = belief.posterior
+        samples = jnp.concatenate([posterior.x, posterior.y[:, None]], axis=-1)
+        shape = (self.resolution, self.resolution)
+        means, stds = belief.history(*self.arena.axes(min(self.resolution, FILM_RESOLUTION)))
+        return {
+            "belief": {
+                "x": x,
+                "y": y,
+                "truth": self.field.values(grid).reshape(shape),
+                "mean": mean.reshape(shape),
+                "std": jnp.sqrt(variance).reshape(shape),
+                "samples": jnp.where(posterior.is_held()[:, None], samples, jnp.nan),
+                "means": means,
+                "stds": stds,
+            }
+        }
+
+    def _relearned(self, key: Key[Array, ""], posterior: GaussianProcess) -> GaussianProcess:
+        """The posterior under the maximum a posteriori hyper-parameters.
+
+        Each hyper-parameter has a log-normal prior about its setting: a few samples alone hardly constrain a
+        lengthscale.
+        """
+        log_prior = log_normal_prior(self.kernel, self.noise_variance, self.relearn_spread)
+        return relearn(posterior, key, log_prior=log_prior, num_starts=RELEARN_STARTS)[0]

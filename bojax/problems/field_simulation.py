@@ -1,0 +1,110 @@
+"""Simulation of action sequences from a belief about a field, without refitting it (one Schur complement)."""
+
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, Key
+
+from bojax.models.lookahead import LookaheadRoot, look_ahead
+from bojax.motions.base import Pose
+from bojax.problems.arena import Arena
+from bojax.problems.base import Simulation
+from bojax.problems.objectives import FieldObjective
+
+
+class FieldNode(eqx.Module):
+    """A belief of the search tree: the samples imagined since the root.
+
+    Attributes:
+        pose: Pose of the robot.
+        level: Number of actions since the root.
+        samples: Imagined samples, action by action; those of the last action are never conditioned on. A row
+            holds x and y, the imagined innovation (see `look_ahead`), and 1 for a sample that was taken, else
+            0. They are one array because each further array costs a kernel in every iteration.
+    """
+
+    pose: Pose
+    level: Int[Array, ""]
+    samples: Float[Array, "*N B 4"]
+
+    @property
+    def points(self) -> Float[Array, "*N B 2"]:
+        """Positions of the samples."""
+        return self.samples[..., :2]
+
+    @property
+    def innovations(self) -> Float[Array, "*N B"]:
+        """Imagined innovations of the samples."""
+        return self.samples[..., 2]
+
+    @property
+    def is_taken(self) -> Bool[Array, "*N B"]:
+        """Whether each sample was taken."""
+        return self.samples[..., 3] > 0.0
+
+
+def root_node(pose: Pose, horizon: int, num_samples: int, dtype) -> FieldNode:
+    """The root, with room for the samples of all actions up to the horizon but the last."""
+    samples = jnp.zeros(((horizon - 1) * num_samples, 4), dtype)
+    return FieldNode(pose, jnp.zeros((), jnp.int32), samples)
+
+
+def simulate_paths(
+    key: Key[Array, ""],
+    root: LookaheadRoot,
+    node: FieldNode,
+    paths: Float[Array, "H S 3"],
+    objective: FieldObjective,
+    arena: Arena,
+    imagined: Literal["sample", "mean"],
+) -> Simulation:
+    """Drive paths one after the other from a node, and imagine their samples.
+
+    All samples since the root, those of the node first, enter one look-ahead: no posterior is refitted.
+    Samples past the horizon are dropped.
+    """
+    num_paths, size = paths.shape[:2]
+    room = node.samples.shape[0]
+    horizon = room // size + 1
+    pose, drives = node.pose, []
+    for path in paths:
+        drives.append(arena.drive(pose, path))
+        pose = arena.end(drives[-1])
+    innovations = jnp.zeros((num_paths, size), paths.dtype)
+    if imagined == "sample":
+        innovations = jax.random.normal(key, (num_paths * size,), paths.dtype).reshape(num_paths, size)
+    new = [
+        jnp.column_stack([drive.poses[:, :2], seen, drive.is_driven.astype(seen.dtype)])
+        for drive, seen in zip(drives, innovations, strict=True)
+    ]
+    # For each possible level of the node: its samples, then the new ones, cut at the horizon.
+    nothing = [jnp.zeros((size, 4), paths.dtype)] * horizon
+    by_level = [
+        jnp.concatenate([node.samples[: level * size], *new, *nothing])[: horizon * size]
+        for level in range(horizon)
+    ]
+    all_samples = FieldNode(pose, node.level, _choose(node.level, by_level))
+    is_taken = all_samples.is_taken
+    ahead = look_ahead(
+        root, all_samples.points, is_taken, all_samples.innovations, horizon, objective.needs_gradient
+    )
+    worth = jnp.where(is_taken, objective(ahead.mean, ahead.variance, ahead.gradient), 0.0)
+    by_stage = jnp.pad(jnp.sum(worth.reshape(horizon, size), axis=-1), (0, num_paths))
+    paid = _choose(node.level, [by_stage[level : level + num_paths] for level in range(horizon)])
+    rewards = paid + jnp.stack([arena.cost(drive) for drive in drives])
+
+    # The child holds the samples of the node and of the first path.
+    stage = jnp.arange(room, dtype=jnp.int32) // size
+    samples = jnp.where((stage <= node.level)[:, None], all_samples.samples[:room], 0.0)
+    child = FieldNode(arena.end(drives[0]), node.level + 1, samples)
+    return Simulation(child, rewards, jnp.zeros((num_paths,), bool))
+
+
+def _choose(level: Int[Array, ""], options: list[Array]) -> Array:
+    """`options[level]`, the last one past the end; elementwise arithmetic is cheaper than a gather."""
+    chosen = options[-1]
+    for index in range(len(options) - 2, -1, -1):
+        chosen = jnp.where(level == index, options[index], chosen)
+    return chosen
