@@ -1,0 +1,70 @@
+"""`python -m tests.campaign`: runs the cases and prints how many held; exit code 1 if any fell short."""
+
+import argparse
+import importlib
+import os
+import sys
+import time
+from pathlib import Path
+
+KINDS = {"configs": 600, "kills": 110, "damage": 220, "disk": 24, "results": 150, "numbers": 60}
+"""Kinds of cases, each a module of this package, with how many are run by default."""
+
+_CASES_PER_SEED = 1_000_000
+
+
+def main() -> int:
+    """Run what the command line asks for."""
+    args = _arguments()
+    os.environ.setdefault("JAX_PLATFORMS", "cpu")
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    os.environ.setdefault("MPLBACKEND", "agg")
+    os.environ.setdefault("BOJAX_CACHE", str(Path(__file__).parents[2] / ".pytest_cache" / "jax"))
+    from tests.campaign.case import Tally, table
+    from tests.campaign.process import import_all
+
+    import_all()
+    if args.case:
+        kind, _, seed = args.case.partition(":")
+        wanted = {kind: [int(seed)]}
+    else:
+        first = args.seed * _CASES_PER_SEED
+        wanted = {
+            kind: list(range(first, first + (count if args.count is None else args.count)))
+            for kind, count in KINDS.items()
+            if args.only in (None, kind)
+        }
+    tallies: dict[str, Tally] = {}
+    for kind, seeds in wanted.items():
+        check = importlib.import_module(f"tests.campaign.{kind}").check
+        start, short = time.monotonic(), []
+        for number, seed in enumerate(seeds, 1):
+            outcome = check(seed)
+            if args.case:
+                print(f"tried: {outcome.tried}")
+            if outcome.fault:
+                short.append((seed, outcome))
+                print(f"\r--case {kind}:{seed}  {outcome.tried}\n    {outcome.fault}", flush=True)
+            if sys.stderr.isatty():
+                spent = time.monotonic() - start
+                print(f"\r{kind} {number}/{len(seeds)}, {spent:.0f} s", end="", file=sys.stderr, flush=True)
+        tallies[kind] = Tally(len(seeds), short)
+    print(f"\n{table(tallies, markdown=args.markdown)}")
+    failed = any(tally.short for tally in tallies.values())
+    if failed:
+        print("\nto run a case again: python -m tests.campaign --case KIND:SEED")
+    return int(failed)
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m tests.campaign", description=__doc__)
+    parser.add_argument("--seed", type=int, default=0, metavar="S", help="seed of all cases; 0")
+    parser.add_argument("--only", choices=KINDS, help="cases of this kind alone")
+    parser.add_argument("--count", type=int, metavar="N", help="cases of each kind")
+    parser.add_argument("--case", metavar="KIND:SEED", help="one case, as a failure names it")
+    parser.add_argument("--markdown", action="store_true", help="print the table in Markdown")
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,104 @@
+"""Sweeps killed at a random moment, and resumed until they are done: the results are those of one never killed."""
+
+import functools
+import random
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+from tests.campaign import tripwire
+from tests.campaign.case import Outcome, fault_of, raised
+from tests.campaign.process import Ended, run, scratch
+from tests.campaign.workloads import WORKLOADS, Workload, contents, difference, finished
+
+_WORKLOADS = ("toy", "toy", "toy", "tabular", "planning", "monitoring", "learner", "hosted")
+_SIGNALS = (signal.SIGKILL, signal.SIGKILL, signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
+_MOST_KILLS = 3
+
+Wire = Callable[[int | None, int, str], tripwire.Counter]
+
+_WIRES: dict[str, Wire] = {
+    "line": lambda at, number, folder: tripwire.at_line(at, number),
+    "operation on files": tripwire.at_file,
+}
+
+
+def check(seed: int) -> Outcome:
+    """Kill a sweep, and most often its resumption too, at moments that follow from the seed."""
+    draw = random.Random(f"kills {seed}")
+    workload = WORKLOADS[draw.choice(_WORKLOADS)]
+    wanted = contents(finished(workload.name))
+    tried = workload.name
+    with scratch() as place:
+        out = place / "out"
+        for attempt in range(draw.randint(1, _MOST_KILLS)):
+            number = draw.choice(_SIGNALS)
+            ended, moment = _killed(draw, workload, number, out, place, resume=attempt > 0)
+            tried += f", {signal.Signals(number).name} {moment}"
+            allowed = (0, -number, 128 + number, 130)
+            if fault := _fault_of_killed(ended, allowed):
+                return Outcome(tried, fault)
+            if ended.code == 0:
+                break
+        ended = run(workload.start(out, resume=True), place)
+        if fault := fault_of(ended, (0,)):
+            return Outcome(tried, f"resuming: {fault}")
+        return Outcome(tried, difference(contents(out), wanted))
+
+
+def _killed(
+    draw: random.Random, workload: Workload, number: int, out: Path, place: Path, *, resume: bool
+) -> tuple[Ended, str]:
+    """The end of a sweep that a signal reached, and when that was, in words."""
+    start = workload.start(out, resume=resume)
+    how = draw.choice(["time", *_WIRES])
+    if how == "time":
+        delay = draw.uniform(0.0, _duration(workload.name))
+        signals = [(delay, number)]
+        if number != signal.SIGKILL and draw.random() < 0.2:
+            signals.append((delay + draw.uniform(0.0, 0.5), number))
+        ended = run(start, place, signals=signals)
+        return ended, f"after {' and '.join(f'{delay:.2f}' for delay, _ in signals)} s"
+    # Resumed, a sweep has fewer of them: late moments may not come any more.
+    at = draw.randrange(_count(workload.name, how))
+
+    def with_wire() -> int:
+        _WIRES[how](at, number, str(out))
+        return start()
+
+    return run(with_wire, place), f"at {how} {at}"
+
+
+def _fault_of_killed(ended: Ended, allowed: tuple[int, ...]) -> str:
+    if ended.is_late:
+        return f"not over after {ended.wall:.0f} s"
+    if "Traceback" in ended.err:
+        return f"traceback: {raised(ended.err)}"
+    if ended.code not in allowed:
+        return f"exit code {ended.code}: {ended.err.splitlines()[-1:]}"
+    return ""
+
+
+@functools.cache
+def _duration(name: str) -> float:
+    """Seconds that a workload takes here, with its programs cached."""
+    with scratch() as place:
+        finished(name)
+        return run(WORKLOADS[name].start(place / "out"), place).wall
+
+
+@functools.cache
+def _count(name: str, how: str) -> int:
+    """How many events of a kind an uninterrupted run of a workload has."""
+    with scratch() as place:
+
+        def count() -> int:
+            counter = _WIRES[how](None, 0, str(place / "out"))
+            code = WORKLOADS[name].start(place / "out")()
+            (place / "count").write_text(str(counter.count))
+            return code
+
+        finished(name)
+        ended = run(count, place)
+        assert ended.code == 0, ended.err
+        return int((place / "count").read_text())
