@@ -1,1 +1,1 @@
-"""A campaign against bojax: bad input, kills, damaged folders, full disks and extreme numbers, from a seed."""
+"""A campaign against bojax, from a seed: bad input, kills, damaged folders, full disks, extreme numbers."""

@@ -325,7 +325,7 @@ def _bytes(draw: random.Random, place: Path) -> Given:
     elif change == "delete":
         del content[middle : middle + draw.randint(1, 20)]
     elif change == "indent":
-        lines = content.split(b"\n")
+        lines: list[bytes] = list(bytes(content).split(b"\n"))
         index = draw.randrange(len(lines))
         lines[index] = b" " * draw.randint(1, 5) + lines[index]
         content = bytearray(b"\n".join(lines))
@@ -441,7 +441,7 @@ def _npy(draw: random.Random, place: Path) -> tuple[str, str, bool]:
         "wide": np.zeros((4, 3), np.longdouble) + np.finfo(np.longdouble).max,
     }
     fine: dict[str, Any] = {
-        "huge": good * 1e308 / 12,
+        "huge": good * 1e307,
         "integers": good.astype(np.int8),
         "flags": good > 3,
         "big-endian": good.astype(">f8"),
@@ -453,7 +453,7 @@ def _npy(draw: random.Random, place: Path) -> tuple[str, str, bool]:
         [*arrays, *fine, "npz", "pickle", "shape", "header", "cut", "version", "garbage", "text file"]
     )
     if change in arrays or change in fine:
-        np.save(path, arrays.get(change, fine.get(change)), allow_pickle=True)
+        np.save(path, (arrays | fine)[change], allow_pickle=True)
         return path.name, change, change in arrays
     if change == "npz":
         with path.open("wb") as file:
@@ -686,7 +686,8 @@ _MODULES = {
     "group": "raise ExceptionGroup('a', [ValueError('b')])",
     "abstract": "class Thing(Base):\n  pass",
     "signature": "class Thing(Base):\n  def __init__(self, *args, **kwargs):\n    pass",
-    "metaclass": "class M(type):\n  def __getattr__(c, n):\n    raise RuntimeError(n)\nclass Thing(metaclass=M):\n  pass",
+    "metaclass": "class M(type):\n  def __getattr__(c, n):\n    raise RuntimeError(n)\n"
+    "class Thing(metaclass=M):\n  pass",
     "str": "class E(Exception):\n  def __str__(self):\n    raise RuntimeError('inner')\nraise E",
 }
 """User's modules that go wrong when they are imported or used."""
@@ -722,8 +723,8 @@ def _gymnasium(draw: random.Random, place: Path) -> Given:
         "exit": "raise SystemExit(0)",
         "raises": "raise RuntimeError('a\\nb')",
         "nothing": "",
-        "constructor": "import gymnasium\nclass E(gymnasium.Env):\n  def __init__(self, **k):\n    raise SystemExit(0)\n"
-        "gymnasium.register('Mine-v0', E)",
+        "constructor": "import gymnasium\nclass E(gymnasium.Env):\n  def __init__(self, **k):\n"
+        "    raise SystemExit(0)\ngymnasium.register('Mine-v0', E)",
         "no spaces": "import gymnasium\nclass E(gymnasium.Env):\n  def __init__(self, **k):\n    pass\n"
         "gymnasium.register('Mine-v0', E)",
     }

@@ -1,4 +1,4 @@
-"""Interrupted folders with one thing damaged: resuming ends in the right bytes, or in one line and no tables."""
+"""Interrupted folders with one thing damaged: a resumed one ends in the right bytes, or in one line."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Disks that fill up in the middle of a sweep: one line, and with free space it goes on to the same results."""
+"""Disks that fill up during a sweep: one line, and with free space the sweep goes on to the same results."""
 
 import contextlib
 import random

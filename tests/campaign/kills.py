@@ -1,4 +1,4 @@
-"""Sweeps killed at a random moment, and resumed until they are done: the results are those of one never killed."""
+"""Sweeps killed at random moments and resumed: the results are those of a sweep that was never killed."""
 
 import functools
 import random

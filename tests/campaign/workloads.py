@@ -70,6 +70,10 @@ WORKLOADS = {
                 *("env.max_steps=20", "learner.features.num_features=20", "record.learners=false", *OFTEN),
             ),
         ),
+        Workload(
+            "variants",
+            ("sweep", "fig-5.2a", "--runs", "4", "episodes=40", "env.max_steps=60", "engine.latency=false"),
+        ),
     )
 }
 
