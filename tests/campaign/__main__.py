@@ -5,7 +5,13 @@ import importlib
 import os
 import sys
 import time
+import traceback
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from tests.campaign.case import Outcome
 
 KINDS = {"configs": 600, "kills": 110, "damage": 220, "disk": 24, "results": 150, "numbers": 60}
 """Kinds of cases, each a module of this package, with how many are run by default."""
@@ -39,7 +45,7 @@ def main() -> int:
         check = importlib.import_module(f"tests.campaign.{kind}").check
         start, short = time.monotonic(), []
         for number, seed in enumerate(seeds, 1):
-            outcome = check(seed)
+            outcome = _checked(check, seed)
             if args.case:
                 print(f"tried: {outcome.tried}")
             if outcome.fault:
@@ -54,6 +60,16 @@ def main() -> int:
     if failed:
         print("\nto run a case again: python -m tests.campaign --case KIND:SEED")
     return int(failed)
+
+
+def _checked(check: "Callable[[int], Outcome]", seed: int) -> "Outcome":
+    """The outcome of a case; a mistake in the campaign itself falls short too, and does not end it."""
+    from tests.campaign.case import Outcome
+
+    try:
+        return check(seed)
+    except Exception:
+        return Outcome("", f"the case itself failed: {traceback.format_exc()}")
 
 
 def _arguments() -> argparse.Namespace:

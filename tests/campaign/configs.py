@@ -315,7 +315,7 @@ def _bytes(draw: random.Random, place: Path) -> Given:
     elif change == "control":
         content[middle:middle] = draw.choice([b"\x1b[31m", b"\x07", b"\x7f", b"\x85", b"\xe2\x80\xa8"])
     elif change == "twice":
-        content += content
+        content = content + content
     elif change == "documents":
         content += b"\n---\n" + content
     elif change in ("empty", "spaces", "comment"):

@@ -62,7 +62,7 @@ def run(
     place: Path,
     *,
     signals: Sequence[tuple[float, int]] = (),
-    seconds: float = 120.0,
+    seconds: float = 90.0,
 ) -> Ended:
     """Call a function in a child whose working folder is `place`; its result is the exit code.
 
