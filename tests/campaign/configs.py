@@ -50,7 +50,7 @@ class Given:
 def check(seed: int) -> Outcome:
     """Start `bojax` on an input that follows from the seed."""
     draw = random.Random(f"configs {seed}")
-    family = draw.choices(list(_FAMILIES), weights=list(_FAMILIES.values()))[0]
+    family = draw.choices(list(FAMILIES), weights=list(FAMILIES.values()))[0]
     with scratch() as place:
         given = family(draw, place)
         before = _listing(place)
@@ -746,7 +746,7 @@ def _gymnasium(draw: random.Random, place: Path) -> Given:
     return Given(f"gymnasium id {name[:40]!r}, {change}", words, True)
 
 
-_FAMILIES: dict[Callable[[random.Random, Path], Given], int] = {
+FAMILIES: dict[Callable[[random.Random, Path], Given], int] = {
     _setting: 20,
     _override: 14,
     _parts: 5,

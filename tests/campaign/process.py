@@ -5,6 +5,7 @@ seconds of imports. No backend of JAX may be started in this process, since a fo
 """
 
 import contextlib
+import ctypes
 import os
 import resource
 import signal
@@ -16,7 +17,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-MEGABYTE = 1 << 20
+_PR_SET_PDEATHSIG = 1
+
 _SPARE_MEMORY = 4 << 30
 """Address space beyond that of this process; XLA's threads reserve more than they use."""
 
@@ -108,6 +110,7 @@ def run(
 def _be_child(function: Callable[[], int], place: Path, out: int, err: int) -> None:
     code = 1
     try:
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)  # a campaign that is ended leaves nothing
         os.setsid()
         os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
         os.dup2(out, 1)
