@@ -39,12 +39,14 @@ class Given:
         words: The arguments of `bojax`.
         is_bad: Whether it has to be refused; otherwise it may be valid.
         stops: Whether a valid one stops short of running.
+        traces: Whether the experiment of a valid one is traced: parts that do not fit may only fail there.
     """
 
     tried: str
     words: tuple[str, ...]
     is_bad: bool = False
     stops: bool = True
+    traces: bool = False
 
 
 def check(seed: int) -> Outcome:
@@ -86,9 +88,29 @@ def _command(given: Given) -> int:
         import bojax.engine.run
         import bojax.report.build
 
+        run_sweep = bojax.engine.run.run_sweep
+
+        def stop_before_it_runs(sweep: Any, *options: Any, **named: Any) -> int:
+            code = run_sweep(sweep, *options, **named)
+            return _trace(sweep) if given.traces and code == 0 else code
+
+        bojax.engine.run.run_sweep = stop_before_it_runs
         bojax.engine.run.SweepRun.execute = lambda self, **options: 0
         bojax.report.build.build_report = lambda folders: folders[0]
     return main(list(given.words))
+
+
+def _trace(sweep: Any) -> int:
+    """Trace a run of the first point; what goes wrong there is found after the folder was made."""
+    import jax
+
+    from bojax.engine.build import build
+
+    config = sweep.points[0].config
+    experiment: Any = build(config, getattr(config, "dtype", "float64"))
+    if not experiment.is_hosted:
+        jax.eval_shape(experiment.advance, jax.eval_shape(experiment.init, jax.random.key(0)))
+    return 0
 
 
 def _setting(draw: random.Random, place: Path) -> Given:
@@ -127,7 +149,7 @@ def _parts(draw: random.Random, place: Path) -> Given:
     if draw.random() < 0.5:
         other = draw.choice(("env", "planner", "learner", "problem"))
         words.append(f"{other}={draw.choice(sorted(registry[other]))}")
-    return Given(f"{name} {' '.join(words)}", ("run", name, *words))
+    return Given(f"{name} {' '.join(words)}", ("run", name, *words), traces=True)
 
 
 def _fitting(draw: random.Random, place: Path) -> Given:
@@ -160,7 +182,7 @@ def _fitting(draw: random.Random, place: Path) -> Given:
         ]
     )
     words += [extra] if extra else []
-    return Given(f"{base} {' '.join(words)}", ("run", base, *words))
+    return Given(f"{base} {' '.join(words)}", ("run", base, *words), traces=True)
 
 
 def _structure(draw: random.Random, place: Path) -> Given:
