@@ -166,7 +166,8 @@ def look(label: str, labels: Sequence[str], variant: int) -> dict[str, Any]:
 
 def mixed(ink: str, other: str, share: float) -> str:
     """A colour with a share of another one in it."""
-    return to_hex((1 - share) * np.array(to_rgb(ink)) + share * np.array(to_rgb(other))).upper()
+    red, green, blue = ((1 - share) * a + share * b for a, b in zip(to_rgb(ink), to_rgb(other), strict=True))
+    return to_hex((red, green, blue)).upper()
 
 
 def looks(points: Sequence[Point]) -> list[dict[str, Any]]:
