@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float, Int
 
-from bojax.numerics.linalg import matmul, noise_floor
+from bojax.numerics.linalg import covariance_floor, matmul
 
 NUM_RATIOS = 128
 """Ratios of the precisions at which `maximise_evidence` looks before it refines the best of them."""
@@ -21,8 +21,12 @@ class BayesianLinearRegression(eqx.Module):
     `flush`, at least once in `block` updates, or the covariance forgets the oldest of them: a count that is
     the same for every run of a batch needs no branch for each of them.
 
-    A noise variance below `noise_floor` times the prior variance of the observed value counts as that: with
-    less, a covariance kept by differences loses its sign to rounding, and the next gains blow up.
+    The noise variance has a floor, `covariance_floor` times the prior variance phi'phi / alpha of the
+    observed value. With less noise, rounding of the covariance would be as large as the predictive variance,
+    and updates would diverge. `update` and `row` raise the noise variance of their observation to this floor.
+    `fit` and `update_batch` take the largest prior variance of their observations and multiply all noise
+    variances by the same factor, so that the relative weights of the observations stay what they are. Where
+    feature vectors of unequal length are given one by one and the floor binds, longer ones weigh less.
 
     Attributes:
         mean: Mean of the weights, a column for each target where several share the features.
@@ -89,14 +93,15 @@ class BayesianLinearRegression(eqx.Module):
         """The posterior given all observations at once (2.14, 2.15); differentiable.
 
         By the triangular factor of the features with the prior below them, whose condition number is the
-        square root of that of the precision matrix. The arguments are those of `prior` and `update`.
+        square root of that of the precision matrix.
+        The arguments are those of `prior` and `update`.
         """
         num_observations, num_features = features.shape
         prior = cls.prior(num_features, prior_precision, noise_precision, block=block)
         if sample_weight is None:
             sample_weight = jnp.ones((num_observations,), features.dtype)
         features, targets = _where_seen(sample_weight, features), _where_seen(sample_weight, targets)
-        scale = jnp.sqrt(jax.vmap(prior._precision)(features, sample_weight))
+        scale = jnp.sqrt(prior._precisions(features, sample_weight))
         factor, rotated = _triangular(
             _times_rows(scale, features), _times_rows(scale, targets), prior_precision
         )
@@ -186,7 +191,7 @@ class BayesianLinearRegression(eqx.Module):
         if sample_weight is None:
             sample_weight = jnp.ones((len(features),), features.dtype)
         features, targets = _where_seen(sample_weight, features), _where_seen(sample_weight, targets)
-        scale = jnp.sqrt(jax.vmap(self._precision)(features, sample_weight))
+        scale = jnp.sqrt(self._precisions(features, sample_weight))
         scaled = _times_rows(scale, features)
         products = self.covariance_times(scaled)
         innovation = matmul(scaled, products.T) + jnp.eye(len(features), dtype=features.dtype)
@@ -222,17 +227,22 @@ class BayesianLinearRegression(eqx.Module):
         else:
             features = jnp.where(sample_weight > 0.0, features, 0.0)
             product = jnp.where(sample_weight > 0.0, product, 0.0)
-        precision = self._precision(features, sample_weight)
+        precision = sample_weight * self.noise_precision
+        precision = precision / jnp.maximum(1.0, self._excess(features, precision))
         variance = jnp.maximum(jnp.sum(features * product), 0.0)
         scale = jnp.sqrt(precision / (1.0 + precision * variance))
         row = scale * product
         return row, scale * row
 
-    def _precision(self, features, sample_weight) -> Float[Array, ""]:
-        """Precision with which an observation is taken; see the class for its bound."""
+    def _precisions(self, features, sample_weight) -> Float[Array, "N"]:
+        """Precisions with which observations are taken that are given together; see the class."""
         precision = sample_weight * self.noise_precision
+        return precision / jnp.max(jax.vmap(self._excess)(features, precision), initial=1.0)
+
+    def _excess(self, features, precision) -> Float[Array, ""]:
+        """By which factor the noise variance of an observation is below its floor; below 1, it is above."""
         prior_variance = jnp.sum(features * features) / self.prior_precision
-        return precision / jnp.maximum(1.0, precision * noise_floor(features.dtype) * prior_variance)
+        return precision * covariance_floor(features.dtype) * prior_variance
 
     def _with(self, mean, base, rows) -> "BayesianLinearRegression":
         return BayesianLinearRegression(mean, base, rows, self.prior_precision, self.noise_precision)
@@ -266,8 +276,8 @@ def maximise_evidence(
 
     Where the evidence has its maximum, the noise variance is a function of the ratio of the two precisions;
     with it put in, the evidence is a function of that ratio alone, at the price of O(M) once the singular
-    values of the features are known. The best of many ratios, from `noise_floor` to its inverse in units of
-    the mean square of a row of features, is refined by bisection on the derivative. So the result is the
+    values of the features are known. The best of many ratios, from `covariance_floor` to its inverse in units
+    of the mean square of a row of features, is refined by bisection on the derivative. So the result is the
     global maximum on that range, without a step size or a start; at either end, it is that end.
 
     Raises:
@@ -276,7 +286,7 @@ def maximise_evidence(
     num_observations = len(targets)
     if not num_observations:
         raise ValueError("observations: got 0; allowed: >= 1, for the evidence says nothing without any")
-    floor = noise_floor(features.dtype)
+    floor = covariance_floor(features.dtype)
     u, singular, _ = jnp.linalg.svd(features, full_matrices=False)
     rotated = matmul(targets, u)
     unexplained = jnp.sum((targets - matmul(u, rotated)) ** 2)

@@ -28,6 +28,15 @@ def noise_floor(dtype) -> float:
     return 1e4 * float(jnp.finfo(dtype).eps)
 
 
+def covariance_floor(dtype) -> float:
+    """Least noise variance of a Bayesian linear regression, relative to the prior variance of the value.
+
+    Its covariance matrix is stored, so that each entry is off by a rounding error of the prior variance, and
+    every observation subtracts from it. At the floor these errors are 1e-4 of the noise variance.
+    """
+    return 1e4 * float(jnp.finfo(dtype).eps)
+
+
 def one_by_one_on_cpu(function: Callable[[Array], Any]) -> Callable[[Array], Any]:
     """A function of a matrix that calls LAPACK, which in a batch goes from matrix to matrix on a CPU.
 

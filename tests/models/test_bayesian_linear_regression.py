@@ -16,7 +16,7 @@ from bojax.models.bayesian_linear_regression import (
     maximise_evidence,
 )
 from bojax.models.linear_regression import LinearRegression
-from bojax.numerics.linalg import noise_floor
+from bojax.numerics.linalg import covariance_floor
 from tests.reference import bayesian_linear_regression as reference
 
 PRIOR, NOISE = jnp.asarray(0.5), jnp.asarray(4.0)
@@ -274,7 +274,7 @@ def test_extreme_precisions_keep_the_posterior(block, prior_precision, noise_pre
     features, targets = clustered(60, 10, 0.3, jnp.float64)
     alpha, beta = jnp.asarray(prior_precision), jnp.asarray(noise_precision)
     # The only bound: a noise below the floor of its prior variance counts as that; features have length 1.
-    seen = min(noise_precision, prior_precision / noise_floor(jnp.float64))
+    seen = min(noise_precision, prior_precision / covariance_floor(jnp.float64))
     mean, covariance = reference.posterior(features, targets, prior_precision, seen)
     models = {
         "fit": fit(features, targets, alpha, beta),
@@ -291,6 +291,33 @@ def test_extreme_precisions_keep_the_posterior(block, prior_precision, noise_pre
         np.testing.assert_allclose(variance, expected, rtol=1e-9, atol=1e-13 / prior_precision)
 
 
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+@pytest.mark.parametrize("way", ["fit", "batch"])
+def test_observations_given_together_share_the_floor_of_the_noise(dtype, way):
+    # Feature vectors of lengths from 0.03 to 1, nearly collinear, with noise far below the floor.
+    rng = np.random.default_rng(4)
+    features = rng.normal(size=(40, 4)) * 10.0 ** rng.uniform(-1.5, 0.0, (40, 1))
+    features[:, 3] = features[:, 0] + features[:, 1] + 1e-3 * features[:, 3]
+    features = jnp.asarray(features / np.sqrt(np.max(np.sum(features**2, axis=1))), dtype)
+    weights = jnp.asarray(rng.uniform(0.1, 1.0, 40), dtype)
+    targets = jnp.asarray(features @ rng.normal(size=4) + 0.1 * rng.normal(size=40), dtype)
+    alpha, beta = jnp.asarray(1e-2, dtype), jnp.asarray(1e15, dtype)
+    if way == "fit":
+        model = fit(features, targets, alpha, beta, sample_weight=weights)
+    else:
+        model = BayesianLinearRegression.prior(4, alpha, beta)
+        model = update_batch(model, features, targets, sample_weight=weights)
+    exact = [np.asarray(values, np.float64) for values in (features, targets, weights)]
+    longest = np.max(exact[2] * np.sum(exact[0] ** 2, axis=1))
+    root = np.sqrt(exact[2] * 1e-2 / (covariance_floor(dtype) * longest))
+    mean, covariance = reference.posterior(exact[0] * root[:, None], exact[1] * root, 1e-2, 1.0)
+    found_mean, variance = predict(model, features)
+    np.testing.assert_allclose(found_mean, exact[0] @ mean, atol=2e-4)
+    expected = np.sum(exact[0] * (exact[0] @ covariance), axis=1)
+    noise = covariance_floor(dtype) * longest / 1e-2
+    np.testing.assert_allclose(variance, expected, atol=3e-3 * noise)
+
+
 @pytest.mark.parametrize("block", [0, 16])
 @pytest.mark.parametrize("spread", [0.0, 1e-3, 0.3])
 def test_the_worst_precisions_in_single_precision_stay_finite(block, spread):
@@ -301,7 +328,7 @@ def test_the_worst_precisions_in_single_precision_stay_finite(block, spread):
     model = condition(model, features, targets)
     mean, variance = predict(model, features)
     np.testing.assert_allclose(mean, targets, atol=2e-2)
-    assert np.all(variance >= 0.0) and np.all(variance <= 2.0 * noise_floor(jnp.float32) * 1e6)
+    assert np.all(variance >= 0.0) and np.all(variance <= 2.0 * covariance_floor(jnp.float32) * 1e6)
 
 
 def test_duplicate_observations_average_out_their_noise():
@@ -320,7 +347,7 @@ def test_a_block_keeps_more_digits_in_single_precision(prior_precision, bounds):
     features, targets = clustered(3000, 40, 0.05, jnp.float32)
     alpha, beta = jnp.asarray(prior_precision, jnp.float32), jnp.asarray(1.0, jnp.float32)
     seen = np.asarray(features, np.float64)
-    precision = min(1.0, prior_precision / noise_floor(jnp.float32))
+    precision = min(1.0, prior_precision / covariance_floor(jnp.float32))
     _, covariance = reference.posterior(seen, targets, prior_precision, precision)
     exact = np.sum(seen @ covariance * seen, axis=1)
     worst = []
@@ -477,7 +504,7 @@ def test_the_best_precisions_are_finite_whatever_the_data(case, dtype):
     assert all(precision.dtype == dtype for precision in found)
     assert np.all(np.isfinite(found)) and np.all(np.asarray(found) > 0.0)
     if case == "noiseless":
-        np.testing.assert_allclose(found[1], 1.0 / (noise_floor(dtype) * np.mean(targets**2)), rtol=1e-3)
+        np.testing.assert_allclose(found[1], 1.0 / (covariance_floor(dtype) * np.mean(targets**2)), rtol=1e-3)
 
 
 def test_precisions_of_a_batch_are_a_loop():
