@@ -23,8 +23,8 @@ class GaussianProcess(eqx.Module):
 
     Attributes:
         kernel: Prior covariance.
-        noise_variance: Variance of the noise of an observation that comes without its own; below
-            `noise_floor` it counts as that.
+        noise_variance: Variance of the noise of an observation that comes without its own; 0 or more. Less
+            than `noise_floor` times the prior variance at a point counts as that product.
         x: Inputs.
         y: Observed values.
         inverse_cholesky: `L^-1`, with `L L' = K + diag(noise variances)`.
@@ -171,8 +171,9 @@ class GaussianProcess(eqx.Module):
     ) -> Float[Array, "M"]:
         """Variances of the noise of observations at `xs`, as they enter the factor.
 
-        The floor is part of the noise of every row: if only the pivots were kept above it, L would belong to
-        no matrix, and a third observation of one point without noise would make it explode.
+        The floor is `noise_floor` times the prior variance at each point, and is part of the noise of every
+        row: if only the pivots were kept above it, L would belong to no matrix, and a third observation of
+        one point without noise would make it explode.
         """
         noise_variances = self.noise_variance if noise_variances is None else noise_variances
         return jnp.maximum(noise_variances, noise_floor(xs.dtype) * self._prior_variance(xs))
