@@ -5,6 +5,7 @@ from typing import ClassVar, Literal
 from pydantic import Field
 
 from bojax.config.component import Component
+from bojax.models.settings import GREATEST
 
 
 class AcquisitionSettings(Component, frozen=True):
@@ -21,7 +22,7 @@ class UpperConfidenceBound(AcquisitionSettings, frozen=True):
     target: ClassVar[str] = "bojax.acquisition.functions:UpperConfidenceBound"
 
     kind: Literal["ucb"] = "ucb"
-    kappa: float = Field(default=10.0, ge=0, description="weight of the standard deviation")
+    kappa: float = Field(default=10.0, ge=0, le=GREATEST, description="weight of the standard deviation")
 
 
 class ProbabilityOfImprovement(AcquisitionSettings, frozen=True):
@@ -30,7 +31,9 @@ class ProbabilityOfImprovement(AcquisitionSettings, frozen=True):
     target: ClassVar[str] = "bojax.acquisition.functions:ProbabilityOfImprovement"
 
     kind: Literal["pi"] = "pi"
-    xi: float = Field(default=0.01, ge=0, description="improvement that is asked for, in units of the target")
+    xi: float = Field(
+        default=0.01, ge=0, le=GREATEST, description="improvement that is asked for, in units of the target"
+    )
 
 
 class LogExpectedImprovement(AcquisitionSettings, frozen=True):
@@ -39,4 +42,6 @@ class LogExpectedImprovement(AcquisitionSettings, frozen=True):
     target: ClassVar[str] = "bojax.acquisition.functions:LogExpectedImprovement"
 
     kind: Literal["log-ei"] = "log-ei"
-    xi: float = Field(default=0.01, ge=0, description="improvement that is asked for, in units of the target")
+    xi: float = Field(
+        default=0.01, ge=0, le=GREATEST, description="improvement that is asked for, in units of the target"
+    )

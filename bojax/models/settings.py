@@ -1,19 +1,21 @@
 """Settings of kernels and prior means."""
 
-import math
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, PlainSerializer, PlainValidator
 
 from bojax.config.component import Component, Slot
 
+LEAST, GREATEST = 1e-15, 1e15
+"""Range of lengthscales and variances: between them, means and variances are finite in 32-bit numbers too."""
+
 
 def _positive(value: Any) -> float | tuple[float, ...]:
     """A positive number, or some of them."""
     numbers = tuple(value) if isinstance(value, list | tuple) else (value,)
     are_numbers = all(isinstance(n, int | float) and not isinstance(n, bool) for n in numbers)
-    if not (numbers and are_numbers and all(0 < n < math.inf for n in numbers)):
-        raise ValueError("allowed: a number > 0 or a list of them")
+    if not (numbers and are_numbers and all(LEAST <= n <= GREATEST for n in numbers)):
+        raise ValueError(f"allowed: a number from {LEAST:g} to {GREATEST:g} or a list of them")
     return tuple(map(float, numbers)) if isinstance(value, list | tuple) else float(value)
 
 
@@ -34,7 +36,7 @@ class KernelSettings(Component, frozen=True):
 
 class _Stationary(KernelSettings, frozen=True):
     lengthscale: PositiveNumbers = Field(
-        default=0.5, description="lengthscale, in units of the input: one number, or one a dimension; > 0"
+        default=0.5, description="lengthscale, in units of the input: one number, or one a dimension"
     )
 
 
@@ -73,7 +75,9 @@ class Scaled(KernelSettings, frozen=True):
 
     kind: Literal["scaled"] = "scaled"
     kernel: Annotated[Component, Slot("kernel")] = Field(default=RBF(), description="the kernel")
-    variance: float = Field(default=1.0, gt=0, description="the constant, in units of the value, squared")
+    variance: float = Field(
+        default=1.0, ge=LEAST, le=GREATEST, description="the constant, in units of the value, squared"
+    )
 
 
 class _Composite(KernelSettings, frozen=True):

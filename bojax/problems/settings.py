@@ -231,6 +231,14 @@ class FieldProblem(ProblemSettings, frozen=True):
         return walls if walls is None else tuple(map(proper_box, walls))
 
     @pydantic.model_validator(mode="after")
+    def _can_relearn(self) -> "FieldProblem":
+        if self.relearn_every > 0 and self.noise_variance == 0.0:
+            raise ValueError(
+                "noise_variance: got 0; allowed: > 0 where relearn_every is: it is the median of a prior"
+            )
+        return self
+
+    @pydantic.model_validator(mode="after")
     def _target_in_domain(self) -> "FieldProblem":
         if self.target_area is not None:
             low_x, low_y, high_x, high_y = self.target_area

@@ -67,6 +67,20 @@ EXPERIMENTS = {
         "planner: {kind: sbo, discount: 1.5}",
         "x.yaml: planner.discount: got 1.5; allowed: <= 1",
     ),
+    "a lengthscale that 32-bit numbers do not hold": (
+        "planner: {kernel: {lengthscale: 1.0e-40}}",
+        "x.yaml: planner.kernel.lengthscale: got 1e-40; allowed: a number from 1e-15 to 1e+15 or a list of "
+        "them",
+    ),
+    "a prior variance out of range": (
+        "{problem: {kind: monitoring, kernel: {variance: 1.0e+30}}, planner: sbo}",
+        "x.yaml: problem.kernel.variance: got 1e+30; allowed: <= 1e+15",
+    ),
+    "relearning around no noise": (
+        "{problem: {kind: diagonal, noise_variance: 0, relearn_every: 5}, planner: sbo}",
+        "x.yaml: problem: got {…; noise_variance: got 0; allowed: > 0 where relearn_every is: it is the "
+        "median of a prior",
+    ),
     "NaN": ("problem: {half_width: .nan}", "x.yaml: problem.half_width: got NaN; allowed: a finite number"),
     "infinity": (
         "problem: {half_width: .inf}",
