@@ -7,6 +7,8 @@ import jax.numpy as jnp
 from jax.scipy.stats import norm
 from jaxtyping import Array, Float
 
+from bojax.models.checks import as_numbers
+
 
 class Acquisition(eqx.Module):
     """A score of points from their posterior mean and standard deviation."""
@@ -21,7 +23,7 @@ class Acquisition(eqx.Module):
 class UpperConfidenceBound(Acquisition):
     """Mean plus `kappa` standard deviations (2.37)."""
 
-    kappa: Float[Array, ""]
+    kappa: Float[Array, ""] = eqx.field(converter=as_numbers("kappa"))
 
     def __call__(
         self, mean: Float[Array, "*N"], std: Float[Array, "*N"], best: Float[Array, ""]
@@ -34,7 +36,7 @@ class UpperConfidenceBound(Acquisition):
 class ProbabilityOfImprovement(Acquisition):
     """Probability that the value exceeds `best + xi`, xi >= 0 (2.36; 2.35 is printed for minimisation)."""
 
-    xi: Float[Array, ""]
+    xi: Float[Array, ""] = eqx.field(converter=as_numbers("xi"))
 
     def __call__(
         self, mean: Float[Array, "*N"], std: Float[Array, "*N"], best: Float[Array, ""]
@@ -50,7 +52,7 @@ class LogExpectedImprovement(Acquisition):
     Beyond the thesis. Finite wherever the standard score is above -1e150 in float64 (-1e18 in float32).
     """
 
-    xi: Float[Array, ""]
+    xi: Float[Array, ""] = eqx.field(converter=as_numbers("xi"))
 
     def __call__(
         self, mean: Float[Array, "*N"], std: Float[Array, "*N"], best: Float[Array, ""]

@@ -9,11 +9,17 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Scalar
 
+from bojax.models.checks import as_numbers
+
+FAR = 1e3
+"""Scaled distance from which on points count as that far apart: every covariance underflows to 0 before."""
+
 
 class Kernel(eqx.Module):
     """A covariance function k(x, y); `+` and `*` of two of them are covariance functions again.
 
     Those named after their shape have k(x, x) = 1, and lengthscales that are one number or one a dimension.
+    Numbers may be given as Python numbers or lists.
     """
 
     @abc.abstractmethod
@@ -36,7 +42,7 @@ class Kernel(eqx.Module):
 class RBF(Kernel):
     """Squared exponential, exp(-r^2/2) with r the scaled distance (2.26, whose sign is printed wrong)."""
 
-    lengthscale: Float[Array, ""] | Float[Array, "D"]
+    lengthscale: Float[Array, ""] | Float[Array, "D"] = eqx.field(converter=as_numbers("lengthscale"))
 
     def __call__(self, x: Float[Array, "D"], y: Float[Array, "D"]) -> Scalar:
         """See `Kernel`."""
@@ -46,7 +52,7 @@ class RBF(Kernel):
 class Matern12(Kernel):
     """Matern kernel of smoothness 1/2, exp(-r): the exponential kernel."""
 
-    lengthscale: Float[Array, ""] | Float[Array, "D"]
+    lengthscale: Float[Array, ""] | Float[Array, "D"] = eqx.field(converter=as_numbers("lengthscale"))
 
     def __call__(self, x: Float[Array, "D"], y: Float[Array, "D"]) -> Scalar:
         """See `Kernel`."""
@@ -56,7 +62,7 @@ class Matern12(Kernel):
 class Matern32(Kernel):
     """Matern kernel of smoothness 3/2, (1 + s) exp(-s) with s = sqrt(3) r."""
 
-    lengthscale: Float[Array, ""] | Float[Array, "D"]
+    lengthscale: Float[Array, ""] | Float[Array, "D"] = eqx.field(converter=as_numbers("lengthscale"))
 
     def __call__(self, x: Float[Array, "D"], y: Float[Array, "D"]) -> Scalar:
         """See `Kernel`."""
@@ -67,7 +73,7 @@ class Matern32(Kernel):
 class Matern52(Kernel):
     """Matern kernel of smoothness 5/2, (1 + s + s^2/3) exp(-s) with s = sqrt(5) r."""
 
-    lengthscale: Float[Array, ""] | Float[Array, "D"]
+    lengthscale: Float[Array, ""] | Float[Array, "D"] = eqx.field(converter=as_numbers("lengthscale"))
 
     def __call__(self, x: Float[Array, "D"], y: Float[Array, "D"]) -> Scalar:
         """See `Kernel`."""
@@ -79,7 +85,7 @@ class Scaled(Kernel):
     """A kernel times a constant: of a correlation, `variance` is the prior variance."""
 
     kernel: Kernel
-    variance: Float[Array, ""]
+    variance: Float[Array, ""] = eqx.field(converter=as_numbers("variance"))
 
     def __call__(self, x: Float[Array, "D"], y: Float[Array, "D"]) -> Scalar:
         """See `Kernel`."""
@@ -109,6 +115,10 @@ class Product(Kernel):
 
 
 def _squared_distance(x, y, lengthscale) -> Scalar:
+    if lengthscale.size not in (1, x.size):
+        raise ValueError(
+            f"lengthscale: got {lengthscale.size} numbers; allowed: 1, or one a dimension: {x.size}"
+        )
     scaled = (x - y) / lengthscale
     # A sum over a short last axis is slow on a CPU: unrolled, it is elementwise arithmetic over all pairs.
     if scaled.shape[0] <= 8:
@@ -118,7 +128,8 @@ def _squared_distance(x, y, lengthscale) -> Scalar:
 
 
 def _distance(x, y, lengthscale) -> Scalar:
-    squared = _squared_distance(x, y, lengthscale)
+    # Of an infinite distance, a polynomial times an exponential would be infinity times 0.
+    squared = jnp.minimum(_squared_distance(x, y, lengthscale), FAR**2)
     # The gradient of sqrt at 0 is infinite; where the points coincide it is defined as 0 instead.
     is_positive = squared > 0.0
     return jnp.where(is_positive, jnp.sqrt(jnp.where(is_positive, squared, 1.0)), 0.0)

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Scalar
 
+from bojax.models.checks import as_numbers
 from bojax.numerics.linalg import matmul
 
 
@@ -28,7 +29,7 @@ class ZeroMean(Mean):
 class ConstantMean(Mean):
     """The same value everywhere."""
 
-    value: Float[Array, ""]
+    value: Float[Array, ""] = eqx.field(converter=as_numbers("value"))
 
     def __call__(self, x: Float[Array, "D"]) -> Scalar:
         """See `Mean`."""
@@ -39,8 +40,8 @@ class ConstantMean(Mean):
 class LinearMean(Mean):
     """m(x) = weights' x + bias."""
 
-    weights: Float[Array, "D"]
-    bias: Float[Array, ""]
+    weights: Float[Array, "D"] = eqx.field(converter=as_numbers("weights"))
+    bias: Float[Array, ""] = eqx.field(converter=as_numbers("bias"))
 
     def __call__(self, x: Float[Array, "D"]) -> Scalar:
         """See `Mean`."""

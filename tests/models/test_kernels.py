@@ -105,3 +105,30 @@ def test_a_batch_of_composite_kernels_is_a_loop():
     for lane in range(2):
         alone = covariances(lengthscales[lane], variances[lane])
         np.testing.assert_allclose(batch[lane], alone, rtol=1e-14)
+
+
+@each_kernel
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_points_that_are_endlessly_far_apart_are_independent(kernel, dtype):
+    # Squares of their distances overflow.
+    xs = jnp.asarray([[0.0] * 3, [1e30] * 3, [-3e38] * 3, [1.0, 0.0, 3e38]], dtype)
+    covariances = gram(kernel(jnp.asarray(1e-3, dtype)), xs, xs)
+    np.testing.assert_array_equal(covariances, np.eye(4))
+
+
+@each_kernel
+def test_a_lengthscale_for_another_number_of_dimensions_is_refused(kernel):
+    # One coordinate and two lengthscales would be broadcast in silence.
+    with pytest.raises(ValueError, match="lengthscale: got 2 numbers; allowed: 1, or one a dimension: 1"):
+        kernel([0.5, 1.0]).gram(jnp.zeros((4, 1)), jnp.zeros((4, 1)))
+
+
+@each_kernel
+def test_numbers_and_lists_become_arrays(kernel):
+    for given, shape in ((2, ()), (0.5, ()), ([1, 2], (2,)), (np.ones(3), (3,)), (jnp.asarray(1), ())):
+        lengthscale = kernel(given).lengthscale
+        assert lengthscale.shape == shape and lengthscale.dtype == jnp.float64 and not lengthscale.weak_type
+    assert kernel(np.float32(2.0)).lengthscale.dtype == jnp.float32
+    for wrong in ("a", None, 1j, True, [[1.0], [2.0, 3.0]]):
+        with pytest.raises(ValueError, match="lengthscale: got .*; allowed: numbers"):
+            kernel(wrong)
