@@ -1,15 +1,27 @@
 """Bayesian optimisation (Algorithm 1): ask where to evaluate, tell what was seen, or one compiled loop."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key, Scalar
 
 from bojax.acquisition.functions import Acquisition
 from bojax.acquisition.maximise import best_candidate, refine
 from bojax.acquisition.scaling import standardise
+from bojax.models.checks import (
+    as_numbers,
+    check_count,
+    check_finite,
+    check_key,
+    check_kind,
+    check_number,
+    check_positive,
+    check_takes,
+    is_known,
+)
 from bojax.models.evidence import log_normal_prior, relearn
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Kernel
@@ -68,9 +80,9 @@ class BayesianOptimisation(eqx.Module):
 
     kernel: Kernel
     acquisition: Acquisition
-    noise_variance: Float[Array, ""]
-    low: Float[Array, "D"]
-    high: Float[Array, "D"]
+    noise_variance: Float[Array, ""] = eqx.field(converter=as_numbers("noise_variance"))
+    low: Float[Array, "D"] = eqx.field(converter=as_numbers("low"))
+    high: Float[Array, "D"] = eqx.field(converter=as_numbers("high"))
     capacity: int = eqx.field(static=True)
     num_candidates: int = eqx.field(static=True, default=512)
     num_initial: int = eqx.field(static=True, default=4)
@@ -78,14 +90,49 @@ class BayesianOptimisation(eqx.Module):
     relearn_every: int = eqx.field(static=True, default=0)
 
     def __check_init__(self):
-        """Sizes are at least one; what can be left out is at least zero."""
+        """Parts are of their classes and of one precision, sizes are integers, and the box is one.
+
+        Raises:
+            ValueError: One of them is not; one line says what is allowed.
+        """
+        check_kind("kernel", self.kernel, Kernel, "Matern52(0.5)")
+        check_kind("acquisition", self.acquisition, Acquisition, "LogExpectedImprovement(0.0)")
         least = {"capacity": 1, "num_candidates": 1, "num_initial": 1, "refine_steps": 0, "relearn_every": 0}
         for name, number in least.items():
-            if getattr(self, name) < number:
-                raise ValueError(f"{name}: {getattr(self, name)}; has to be at least {number}")
+            check_count(name, getattr(self, name), number)
+        if self.noise_variance.shape:
+            raise ValueError(f"noise_variance: got shape {self.noise_variance.shape}; allowed: one number")
+        for name, corner in (("low", self.low), ("high", self.high)):
+            if corner.ndim != 1 or not corner.size or corner.shape != self.low.shape:
+                raise ValueError(
+                    f"{name}: got shape {corner.shape}; allowed: one number a dimension, as many in both"
+                )
+        for path, leaf in jax.tree_util.tree_leaves_with_path(self):
+            if leaf.dtype != self.low.dtype:
+                name = jax.tree_util.keystr(path).removeprefix(".")
+                raise ValueError(f"{name}: got {leaf.dtype}; allowed: {self.low.dtype}, that of `low`")
+        check_takes("kernel", self.kernel, 2, self.low.size, self.low.dtype, "those of the box")
+        if is_known(self):
+            self._check_numbers()
+
+    def _check_numbers(self) -> None:
+        check_positive("kernel", self.kernel)
+        check_finite("acquisition", self.acquisition)
+        check_number(
+            "noise_variance", self.noise_variance, 0.0, str(self.low.dtype), is_above=self.relearn_every > 0
+        )
+        low, high = np.asarray(self.low), np.asarray(self.high)
+        with np.errstate(over="ignore"):
+            width = high - low
+        for i in range(len(low)):
+            if not (np.isfinite(width[i]) and width[i] >= np.finfo(low.dtype).tiny):
+                raise ValueError(
+                    f"high[{i}]: got {high[i]:g}; allowed: > low[{i}], which is {low[i]:g}, and finite"
+                )
 
     def init(self, key: Key[Array, ""]) -> OptimisationState:
         """No observation yet."""
+        check_key("key", key)
         return OptimisationState(
             key=key,
             model=GaussianProcess.prior(self.kernel, self.noise_variance, self.capacity, self.low.shape[0]),
@@ -108,8 +155,22 @@ class BayesianOptimisation(eqx.Module):
         is_initial = (model.count < self.num_initial) | state.was_missing
         return self._from_unit(jnp.where(is_initial, initial, point))
 
-    def tell(self, state: OptimisationState, x: Float[Array, "D"], y: Float[Array, ""]) -> OptimisationState:
-        """The state after `y` was observed at `x`, which may be another point than the one asked for."""
+    def tell(
+        self,
+        state: OptimisationState,
+        x: Float[Array, "D"] | Float[np.ndarray, "D"] | Sequence[float],
+        y: Float[Array, ""] | Float[np.ndarray, ""] | float,
+    ) -> OptimisationState:
+        """The state after `y` was observed at `x`, which may be another point than the one asked for.
+
+        Raises:
+            ValueError: `x` is no point, or `y` no number.
+        """
+        x, y = (as_numbers(name)(value).astype(self.low.dtype) for name, value in (("x", x), ("y", y)))
+        if x.shape != self.low.shape or y.shape:
+            raise ValueError(
+                f"x, y: got shapes {x.shape} and {y.shape}; allowed: {self.low.shape} and one number"
+            )
         is_missing = ~(jnp.isfinite(y) & jnp.all(jnp.isfinite(x)))
         model = state.model.extend(self._to_unit(x)[None, :], y[None], ~is_missing[None])
         num_told = state.num_told + 1
@@ -150,6 +211,8 @@ class BayesianOptimisation(eqx.Module):
         Raises:
             ValueError: If the capacity is less than `num_iterations`.
         """
+        check_key("key", key)
+        check_count("num_iterations", num_iterations, 1)
         if num_iterations > self.capacity:
             raise ValueError(f"num_iterations: {num_iterations}; the capacity is {self.capacity}")
         key_search, key_noise = jax.random.split(key)

@@ -2,19 +2,28 @@
 
 import abc
 import inspect
-import math
 from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import PyTree
 
 from bojax.models.bayesian_linear_regression import (
     BayesianLinearRegression,
     log_marginal_likelihood,
     maximise_evidence,
+)
+from bojax.models.checks import (
+    cast,
+    check_array,
+    check_count,
+    check_finite,
+    check_flag,
+    check_kind,
+    check_number,
+    check_positive,
+    check_takes,
 )
 from bojax.models.evidence import relearn
 from bojax.models.features import Features, Polynomial
@@ -55,7 +64,7 @@ class _Regressor(abc.ABC):
     def score(self, X: Any, y: Any) -> float:
         """R^2, the share of the variance of `y` that the predicted means explain."""
         mean = self.predict(X)
-        y = _vector("y", y, len(mean))
+        y = _vector("y", y, len(mean), "float64")
         residual, total = np.sum((y - mean) ** 2), np.sum((y - np.mean(y)) ** 2)
         if total == 0.0:
             return 1.0 if residual == 0.0 else 0.0
@@ -75,24 +84,28 @@ class _Regressor(abc.ABC):
         settings = ", ".join(f"{name}={value}" for name, value in self.get_params().items())
         return f"{type(self).__name__}({settings})"
 
-    def _data(self, X: Any, y: Any) -> tuple[np.ndarray, np.ndarray]:
-        X = _matrix("X", X)
+    def _data(self, X: Any, y: Any, dtype: str) -> tuple[np.ndarray, np.ndarray]:
+        X = _matrix("X", X, dtype)
         self.n_features_in_ = X.shape[1]
-        return X, _vector("y", y, len(X))
+        return X, _vector("y", y, len(X), dtype)
 
     def _queries(self, X: Any) -> np.ndarray:
         if not hasattr(self, "posterior_"):
             raise ValueError(f"{type(self).__name__} has not been fitted: call fit first")
-        X = _matrix("X", X)
+        X = _matrix("X", X, self._fitted_dtype())
         if X.shape[1] != self.n_features_in_:
             raise ValueError(f"X: got {X.shape[1]} columns; allowed: {self.n_features_in_}, as in fit")
         return X
+
+    @abc.abstractmethod
+    def _fitted_dtype(self) -> str:
+        """Precision of the posterior."""
 
     def _dtype(self) -> str:
         has_float64 = jax.dtypes.canonicalize_dtype(np.float64) == np.float64
         if self.dtype is None:
             return "float64" if has_float64 else "float32"
-        if self.dtype not in ("float64", "float32"):
+        if not isinstance(self.dtype, str) or self.dtype not in ("float64", "float32"):
             raise ValueError(f'dtype: got "{self.dtype}"; allowed: "float64", "float32" or None')
         if self.dtype == "float64" and not has_float64:
             raise ValueError(
@@ -153,21 +166,25 @@ class GaussianProcessRegressor(_Regressor):
         Raises:
             ValueError: Something is not finite, not positive or of the wrong shape; one line says what.
         """
-        X, y = self._data(X, y)
         dtype = self._dtype()
+        X, y = self._data(X, y, dtype)
         number, num_dims = X.shape
         kernel = Scaled(RBF(jnp.ones(num_dims)), jnp.ones(())) if self.kernel is None else self.kernel
-        kernel = _cast(kernel, dtype)
-        mean = _cast(ZeroMean() if self.mean is None else self.mean, dtype)
-        _check_positive("kernel", kernel)
-        _check_finite("mean", mean)
-        _check_takes("kernel", kernel, 2, num_dims, dtype)
-        _check_takes("mean", mean, 1, num_dims, dtype)
-        noise_variance = _number("noise_variance", self.noise_variance, 0.0)
-        for name in ("num_starts", "num_steps"):
-            _number(name, getattr(self, name), 1.0)
+        mean = ZeroMean() if self.mean is None else self.mean
+        check_kind("kernel", kernel, Kernel, "RBF(1.0)")
+        check_kind("mean", mean, Mean, "ConstantMean(1.0)")
+        kernel, mean = cast(kernel, dtype), cast(mean, dtype)
+        check_positive("kernel", kernel)
+        check_finite("mean", mean)
+        check_takes("kernel", kernel, 2, num_dims, dtype)
+        check_takes("mean", mean, 1, num_dims, dtype)
+        noise_variance = check_number("noise_variance", self.noise_variance, 0.0, dtype)
+        is_learned = check_flag("optimise", self.optimise)
+        num_starts = check_count("num_starts", self.num_starts, 1)
+        num_steps = check_count("num_steps", self.num_steps, 1)
+        seed = check_count("seed", self.seed, 0)
         if noise_variances is not None:
-            noise_variances = _vector("noise_variances", noise_variances, number)
+            noise_variances = _vector("noise_variances", noise_variances, number, dtype)
             if np.any(noise_variances < 0.0):
                 raise ValueError(f"noise_variances: got {noise_variances.min():g}; allowed: >= 0")
             noise_variances = jnp.asarray(_padded(noise_variances), dtype)
@@ -181,13 +198,13 @@ class GaussianProcessRegressor(_Regressor):
             noise_variances=noise_variances,
         )
         self.has_converged_ = None
-        if self.optimise:
+        if is_learned:
             posterior, optimum = _relearn(
                 posterior,
-                jax.random.key(self.seed),
+                jax.random.key(seed),
                 noise_variances=noise_variances,
-                num_starts=self.num_starts,
-                num_steps=self.num_steps,
+                num_starts=num_starts,
+                num_steps=num_steps,
             )
             self.has_converged_ = bool(optimum.has_converged)
         self.posterior_ = posterior
@@ -205,6 +222,9 @@ class GaussianProcessRegressor(_Regressor):
         X = self._queries(X)
         mean, variance = _predict(self.posterior_, jnp.asarray(X, self.posterior_.x.dtype))
         return (np.asarray(mean), np.sqrt(np.asarray(variance))) if return_std else np.asarray(mean)
+
+    def _fitted_dtype(self) -> str:
+        return str(self.posterior_.x.dtype)
 
 
 class BayesianLinearRegressor(_Regressor):
@@ -243,17 +263,20 @@ class BayesianLinearRegressor(_Regressor):
         Raises:
             ValueError: Something is not finite, not positive or of the wrong shape; one line says what.
         """
-        X, y = self._data(X, y)
         dtype = self._dtype()
-        features = Polynomial(1, X.shape[1]) if self.features is None else _cast(self.features, dtype)
-        _check_finite("features", features)
-        _check_takes("features", features, 1, X.shape[1], dtype)
+        X, y = self._data(X, y, dtype)
+        features = Polynomial(1, X.shape[1]) if self.features is None else self.features
+        check_kind("features", features, Features, "Polynomial(2, num_dims=1)")
+        features = cast(features, dtype)
+        check_finite("features", features)
+        check_takes("features", features, 1, X.shape[1], dtype)
+        is_learned = check_flag("optimise", self.optimise)
         precisions = tuple(
-            jnp.asarray(_number(name, getattr(self, name), 0.0, is_above=True), dtype)
+            jnp.asarray(check_number(name, getattr(self, name), 0.0, dtype, is_above=True), dtype)
             for name in ("prior_precision", "noise_precision")
         )
-        design, y = features.design(jnp.asarray(X, dtype)), jnp.asarray(y, dtype)
-        if self.optimise and len(X):
+        design, y = _design(features, X, dtype), jnp.asarray(y, dtype)
+        if is_learned and len(X):
             precisions = _maximise_evidence(design, y)
         self.features_ = features
         self.posterior_ = _fit_linear(design, y, *precisions)
@@ -268,9 +291,12 @@ class BayesianLinearRegressor(_Regressor):
             ValueError: There was no `fit`, or X does not fit to it.
         """
         X = self._queries(X)
-        design = self.features_.design(jnp.asarray(X, self.posterior_.mean.dtype))
+        design = _design(self.features_, X, self._fitted_dtype())
         mean, variance = self.posterior_.predict(design)
         return (np.asarray(mean), np.sqrt(np.asarray(variance))) if return_std else np.asarray(mean)
+
+    def _fitted_dtype(self) -> str:
+        return str(self.posterior_.mean.dtype)
 
 
 _fit = eqx.filter_jit(GaussianProcess.fit)
@@ -280,66 +306,23 @@ _relearn = eqx.filter_jit(relearn)
 _predict = eqx.filter_jit(lambda posterior, xs: posterior.predict(xs))
 
 
-def _matrix(name: str, values: Any) -> np.ndarray:
-    return _finite(name, values, 2, "[rows, columns]")
+def _matrix(name: str, values: Any, dtype: str) -> np.ndarray:
+    return check_array(name, values, 2, "[rows, columns]", dtype)
 
 
-def _vector(name: str, values: Any, length: int) -> np.ndarray:
-    vector = _finite(name, values, 1, "[rows]")
+def _vector(name: str, values: Any, length: int, dtype: str) -> np.ndarray:
+    vector = check_array(name, values, 1, "[rows]", dtype)
     if len(vector) != length:
         raise ValueError(f"{name}: got {len(vector)} numbers; allowed: {length}, one for each row of X")
     return vector
 
 
-def _finite(name: str, values: Any, num_axes: int, axes: str) -> np.ndarray:
-    try:
-        array = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{name}: is no array of numbers: {' '.join(str(error).split())}") from error
-    if array.ndim != num_axes:
-        raise ValueError(f"{name}: got shape {array.shape}; allowed: {axes}")
-    bad = int(np.sum(~np.isfinite(array)))
-    if bad:
-        raise ValueError(f"{name}: {bad} of {array.size} numbers are not finite")
-    return array
-
-
-def _number(name: str, value: Any, least: float, is_above: bool = False) -> float:
-    number = float(value)
-    if not math.isfinite(number) or number < least or (is_above and number == least):
-        raise ValueError(f"{name}: got {number:g}; allowed: {'>' if is_above else '>='} {least:g}")
-    return number
+def _design(features: Features, X: np.ndarray, dtype: str) -> jax.Array:
+    design = features.design(jnp.asarray(X, dtype))
+    check_array("features of X", design, 2, "[rows, features]", dtype)
+    return design
 
 
 def _padded(rows: np.ndarray) -> np.ndarray:
     """At least one row, of zeros if there is none: a posterior has room for one."""
     return rows if len(rows) else np.zeros((1, *rows.shape[1:]))
-
-
-def _cast(module: PyTree, dtype: str) -> PyTree:
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype) if eqx.is_inexact_array(leaf) else leaf, module)
-
-
-def _check_positive(name: str, module: PyTree) -> None:
-    _check_finite(name, module)
-    for path, leaf in jax.tree_util.tree_leaves_with_path(module):
-        if np.any(np.asarray(leaf) <= 0.0):
-            raise ValueError(
-                f"{name}{jax.tree_util.keystr(path)}: got {np.asarray(leaf).min():g}; allowed: > 0"
-            )
-
-
-def _check_finite(name: str, module: PyTree) -> None:
-    for path, leaf in jax.tree_util.tree_leaves_with_path(module):
-        if not np.all(np.isfinite(np.asarray(leaf))):
-            raise ValueError(f"{name}{jax.tree_util.keystr(path)}: got a number that is not finite")
-
-
-def _check_takes(name: str, function: Any, num_points: int, num_dims: int, dtype: str) -> None:
-    point = jax.ShapeDtypeStruct((num_dims,), dtype)
-    try:
-        if getattr(function, "num_dims", num_dims) != num_dims:
-            raise ValueError(f"it is made for {function.num_dims}")
-        jax.eval_shape(function, *[point] * num_points)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{name}: does not take points of {num_dims} numbers, the columns of X") from error

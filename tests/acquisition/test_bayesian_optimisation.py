@@ -1,6 +1,8 @@
 """Algorithm 1 against plain NumPy, and on functions whose maximum is known."""
 
 import functools
+import subprocess
+import sys
 from collections import Counter
 from functools import partial
 
@@ -376,5 +378,110 @@ def test_more_iterations_than_the_capacity_are_refused():
     [("capacity", 0), ("num_candidates", 0), ("num_initial", 0), ("refine_steps", -1), ("relearn_every", -1)],
 )
 def test_sizes_that_make_no_sense_are_refused(name, number):
-    with pytest.raises(ValueError, match=f"{name}: {number}; has to be at least {number + 1}"):
+    with pytest.raises(ValueError, match=f"{name}: got {number}; allowed: an integer >= {number + 1}"):
         optimisation(**{name: number})
+
+
+def test_python_numbers_and_lists_are_as_good_as_arrays():
+    arrays = optimisation(LogExpectedImprovement(jnp.asarray(0.0)), low=(-5.0, 0.0), high=(10.0, 15.0))
+    numbers = BayesianOptimisation(
+        kernel=RBF(0.5),
+        acquisition=LogExpectedImprovement(0),
+        noise_variance=1e-4,
+        low=[-5, 0],
+        high=(10, 15),
+        capacity=NUM_ITERATIONS,
+        num_candidates=64,
+        num_initial=3,
+        refine_steps=8,
+    )
+    assert_equal_leaves(arrays, numbers)
+    state = numbers.init(jax.random.key(0))
+    told = numbers.tell(state, [1, 2.5], 3)
+    assert_equal_leaves(told, arrays.tell(state, jnp.asarray([1.0, 2.5]), jnp.asarray(3.0)))
+    x, value = numbers.best(told)
+    np.testing.assert_allclose(x, [1.0, 2.5], rtol=1e-14)
+    assert value == 3.0
+
+
+@pytest.mark.parametrize(
+    "settings, message",
+    [
+        ({"kernel": RBF([0.5] * 3)}, "kernel: does not take points of 2 numbers, those of the box"),
+        ({"kernel": RBF(0.0)}, "kernel.lengthscale: got 0; allowed: > 0"),
+        (
+            {"kernel": RBF(np.float32(0.5))},
+            "kernel.lengthscale: got float32; allowed: float64, that of `low`",
+        ),
+        ({"acquisition": UpperConfidenceBound(np.nan)}, "acquisition.kappa: got a number that is not finite"),
+        ({"noise_variance": -1}, "noise_variance: got -1.0; allowed: a number >= 0 that float64 holds"),
+        ({"noise_variance": "0.1"}, 'noise_variance: got "0.1"; allowed: numbers'),
+        ({"noise_variance": None}, "noise_variance: got None; allowed: numbers"),
+        # The median of a log-normal prior.
+        ({"noise_variance": 0, "relearn_every": 5}, "noise_variance: got 0.0; allowed: a number > 0"),
+        ({"low": [0.0, 1.0]}, r"high\[1\]: got 1; allowed: > low\[1\], which is 1, and finite"),
+        ({"low": [-1.7e308, 0.0], "high": [1.7e308, 1.0]}, r"high\[0\]: got 1.7e\+308; allowed: > low"),
+        ({"low": [0, "a"]}, r"low: got \[0, 'a'\]; allowed: numbers"),
+        ({"low": [[0.0], [1.0, 2.0]]}, "low: got .*; allowed: numbers"),
+    ],
+)
+def test_numbers_that_make_no_sense_are_refused(settings, message):
+    box = {"low": [-1.0, -1.0], "high": [1.0, 1.0], "noise_variance": 0.1, "kernel": RBF(0.5)}
+    with pytest.raises(ValueError, match=message) as caught:
+        BayesianOptimisation(
+            **{"acquisition": ACQUISITIONS["ucb"], **box, **settings}, capacity=NUM_ITERATIONS
+        )
+    assert "\n" not in str(caught.value)
+
+
+UNTYPED = """
+import jax
+from bojax.acquisition.bayesian_optimisation import BayesianOptimisation
+from bojax.acquisition.functions import UpperConfidenceBound
+from bojax.models.kernels import RBF
+
+right = {"kernel": RBF(0.5), "acquisition": UpperConfidenceBound(2), "noise_variance": 0.1}
+right |= {"low": [0, 0], "high": [1, 1], "capacity": 5}
+for name, value in [
+    ("kernel", "rbf"), ("kernel", RBF), ("acquisition", "ei"), ("acquisition", None),
+    ("noise_variance", [0.1]), ("low", 0), ("high", [1, 1, 1]),
+    ("capacity", 5.0), ("capacity", "5"), ("num_candidates", None),
+]:
+    try:
+        print(f"{name}={value!r} is taken", BayesianOptimisation(**{**right, name: value}))
+    except ValueError as error:
+        print(error)
+search = BayesianOptimisation(**right)
+state = search.init(jax.random.key(0))
+for wrong in (
+    lambda: search.init(0), lambda: search.tell(state, [1], 1), lambda: search.tell(state, [1, 2], None),
+    lambda: search.maximise(0, lambda key, x: x[0], 2),
+    lambda: search.maximise(jax.random.key(0), lambda key, x: x[0], 2.0),
+):
+    try:
+        print(f"is taken: {wrong()}")
+    except ValueError as error:
+        print(error)
+"""
+
+
+def test_values_of_wrong_types_end_in_one_line_each():
+    # In a process of its own: here annotations are checked first.
+    done = subprocess.run([sys.executable, "-c", UNTYPED], capture_output=True, text=True, check=True)
+    assert [line.split("; allowed: ")[0] for line in done.stdout.splitlines()] == [
+        'kernel: got "rbf"',
+        "kernel: got <class 'bojax....kernels.RBF'>",
+        'acquisition: got "ei"',
+        "acquisition: got None",
+        "noise_variance: got shape (1,)",
+        "low: got shape ()",
+        "high: got shape (3,)",
+        "capacity: got 5.0",
+        'capacity: got "5"',
+        "num_candidates: got None",
+        "key: got 0",
+        "x, y: got shapes (1,) and ()",
+        "y: got None",
+        "key: got 0",
+        "num_iterations: got 2.0",
+    ]

@@ -16,7 +16,7 @@ from sklearn.model_selection import cross_val_score
 from bojax.models.bayesian_linear_regression import log_marginal_likelihood
 from bojax.models.estimators import BayesianLinearRegressor, GaussianProcessRegressor
 from bojax.models.features import Polynomial
-from bojax.models.kernels import RBF, Scaled
+from bojax.models.kernels import RBF, Matern12, Matern32, Matern52, Scaled
 from bojax.models.means import ConstantMean, LinearMean
 
 rng = np.random.default_rng(0)
@@ -126,6 +126,10 @@ HOLES = np.where(np.arange(20) == 3, np.nan, Y)
         (X[:, 0], Y, r"X: got shape \(20,\); allowed: \[rows, columns\]"),
         (X, Y[:, None], r"y: got shape \(20, 1\); allowed: \[rows\]"),
         ([["a", "b"]], [1.0], "X: is no array of numbers: "),
+        (X + 0j, Y, "X: is no array of numbers: complex or masked values"),
+        (np.ma.masked_array(X, X > 0.5), Y, "X: is no array of numbers: complex or masked values"),
+        (1e300 * X, Y, r"X: got .*e\+2..; allowed: up to 1.3e\+150, whose sums of squares float64 holds"),
+        (X, -1e300 * Y, r"y: got .*e\+...; allowed: up to 1.3e\+150, whose sums of squares float64 holds"),
     ],
 )
 def test_refuses_data_that_are_no_data(name, x, y, message):
@@ -152,22 +156,49 @@ def test_refuses_data_that_are_no_data(name, x, y, message):
             "mean: does not take points of 2 numbers, the columns of X",
         ),
         ({"mean": ConstantMean(jnp.asarray(jnp.inf))}, "mean.value: got a number that is not finite"),
-        ({"noise_variance": -0.1}, "noise_variance: got -0.1; allowed: >= 0"),
-        ({"noise_variance": float("nan")}, "noise_variance: got nan; allowed: >= 0"),
-        ({"num_starts": 0}, "num_starts: got 0; allowed: >= 1"),
+        ({"kernel": "rbf"}, 'kernel: got "rbf"; allowed: an instance of Kernel, such as RBF'),
+        ({"kernel": RBF}, "kernel: got <class .*; allowed: an instance of Kernel, such as RBF"),
+        ({"mean": 0.0}, "mean: got 0.0; allowed: an instance of Mean, such as ConstantMean"),
+        ({"noise_variance": -0.1}, "noise_variance: got -0.1; allowed: a number >= 0 that float64 holds"),
+        ({"noise_variance": float("nan")}, "noise_variance: got nan; allowed: a number >= 0"),
+        ({"noise_variance": "0.1"}, 'noise_variance: got "0.1"; allowed: a number >= 0'),
+        ({"noise_variance": [0.1]}, r"noise_variance: got \[0.1\]; allowed: a number >= 0"),
+        (
+            {"noise_variance": 1e39, "dtype": "float32"},
+            "noise_variance: got 1e.39; allowed: .* float32 holds",
+        ),
+        ({"optimise": "no"}, 'optimise: got "no"; allowed: True or False'),
+        ({"num_starts": 0}, "num_starts: got 0; allowed: an integer >= 1"),
+        ({"num_steps": 2.5}, "num_steps: got 2.5; allowed: an integer >= 1"),
+        ({"seed": None}, "seed: got None; allowed: an integer >= 0"),
         ({"dtype": "float16"}, 'dtype: got "float16"; allowed: "float64", "float32" or None'),
     ],
 )
 def test_refuses_settings_that_cannot_be(settings, message):
-    with pytest.raises(ValueError, match=message):
-        GaussianProcessRegressor(**settings).fit(X, Y)
+    # Not by the constructor, whose annotations are checked first.
+    with pytest.raises(ValueError, match=message) as caught:
+        GaussianProcessRegressor().set_params(**settings).fit(X, Y)
+    assert "\n" not in str(caught.value)
 
 
 def test_refuses_settings_of_a_linear_model_that_cannot_be():
-    with pytest.raises(ValueError, match="prior_precision: got 0; allowed: > 0"):
+    with pytest.raises(
+        ValueError, match="prior_precision: got 0.0; allowed: a number > 0 that float64 holds"
+    ):
         BayesianLinearRegressor(prior_precision=0.0).fit(X, Y)
     with pytest.raises(ValueError, match="features: does not take points of 2 numbers"):
         BayesianLinearRegressor(Polynomial(1, 3)).fit(X, Y)
+    for settings, message in (
+        ({"features": "poly"}, 'features: got "poly"; allowed: an instance of Features'),
+        ({"noise_precision": None}, "noise_precision: got None; allowed: a number > 0"),
+        (
+            {"prior_precision": 1e-60, "dtype": "float32"},
+            "prior_precision: got 1e-60; allowed: .* float32 holds",
+        ),
+        ({"optimise": 1}, "optimise: got 1; allowed: True or False"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            BayesianLinearRegressor().set_params(**settings).fit(X, Y)
 
 
 @each_estimator
@@ -194,3 +225,51 @@ def test_the_precision_is_asked_for():
 def test_bojax_needs_no_scikit_learn():
     program = "import sys, bojax.models.estimators; sys.exit('sklearn' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+
+
+def test_a_kernel_of_python_numbers_is_learned_like_one_of_arrays():
+    ours, theirs = (
+        GaussianProcessRegressor(kernel, num_starts=2, num_steps=5).fit(X, Y)
+        for kernel in (Scaled(RBF([0.5, 0.8]), 2), FIXED)
+    )
+    assert ours.noise_variance_ == theirs.noise_variance_ != 0.1
+    np.testing.assert_array_equal(ours.predict(QUERIES), theirs.predict(QUERIES))
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+@pytest.mark.parametrize("kernel", [RBF, Matern12, Matern32, Matern52])
+@pytest.mark.parametrize("lengthscale", [1e-12, 1e12])
+@pytest.mark.parametrize("variance", [1e-12, 1e12])
+def test_extreme_kernels_without_noise_predict_numbers(dtype, kernel, lengthscale, variance):
+    x = np.concatenate([X, X])  # every point twice
+    gp = GaussianProcessRegressor(Scaled(kernel(lengthscale), variance), 0.0, optimise=False, dtype=dtype)
+    scale = variance**0.5
+    mean, std = gp.fit(x, scale * np.concatenate([Y, Y])).predict(
+        np.concatenate([X, 1e9 * X]), return_std=True
+    )
+    assert np.all(np.isfinite(mean)) and np.all(std <= 1.001 * scale)
+    assert np.isfinite(gp.log_marginal_likelihood_)
+    if lengthscale < 1.0:
+        np.testing.assert_allclose(mean[:20] / scale, Y, atol=2e-3)
+        np.testing.assert_array_equal(mean[20:], 0.0)
+    else:
+        np.testing.assert_allclose(mean[:20] / scale, np.mean(Y), atol=2e-2)
+
+
+@each_estimator
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+@pytest.mark.parametrize("size", [1e-300, 1e-7, 1e7])
+def test_inputs_and_values_of_extreme_size_are_answered_with_numbers(name, dtype, size):
+    for x, y in ((size * X, Y), (X, size * Y), (X[:1], size * Y[:1]), (np.tile(X[:1], (20, 1)), size * Y)):
+        fitted = clone(ESTIMATORS[name]).set_params(dtype=dtype).fit(x, y)
+        mean, std = fitted.predict(x, return_std=True)
+        assert np.all(np.isfinite(mean)) and np.all(np.isfinite(std)) and np.isfinite(fitted.score(x, y))
+
+
+def test_features_that_overflow_are_refused():
+    linear = clone(ESTIMATORS["blr"]).set_params(dtype="float32")
+    message = r"features of X: got .*e\+23; allowed: up to 1.8e\+15, whose sums of squares float32 holds"
+    with pytest.raises(ValueError, match=message):
+        linear.fit(1e12 * X, Y)
+    with pytest.raises(ValueError, match=message):
+        linear.fit(X, Y).predict(1e12 * X)
