@@ -1,4 +1,4 @@
-"""A learner of my own: Q-learning on a table, with a bonus for what was rarely done."""
+"""A learner of my own: tabular Q-learning with a bonus for rarely taken actions."""
 
 import equinox as eqx
 import jax
@@ -10,7 +10,7 @@ from bojax.learning.policy import best_action
 
 
 class Table(eqx.Module):
-    """What it knows of every state and action, `[S, A]`: expected return, and number of visits."""
+    """The state of the learner: expected return and number of visits of every state and action."""
 
     q: Float[Array, "S A"]
     visits: Float[Array, "S A"]
@@ -25,26 +25,26 @@ class CountBonus(Learner):
     learning_rate: Float[Array, ""]
     discount: Float[Array, ""]  # of rewards, per step
     weight: Float[Array, ""]  # of the bonus
-    block: int = eqx.field(static=True, default=16)  # steps between two looks at whether an episode is over
+    block: int = eqx.field(static=True, default=16)  # steps between two checks for the end of an episode
 
     @property
     def exploration_weight(self):
-        """What a exploration of 1 stands for: the column `kappa` of the results."""
+        """Weight of exploration at scale 1, for the column `kappa` of the results."""
         return self.weight
 
     def init(self, key, observation_space, action_space, capacity):
-        """Nothing is known yet."""
+        """A learner that has observed nothing."""
         zeros = jnp.zeros((observation_space.num, action_space.num), self.weight.dtype)
         return Table(zeros, zeros)
 
     def act(self, key, state, observation, exploration):
-        """The best action, and the return that is expected of it; a test has a exploration of 0."""
+        """The best action, and the return expected of it; a test has the scale 0."""
         bonus = jax.lax.rsqrt(1.0 + state.visits[observation])
         action = best_action(key, state.q[observation], bonus, exploration.scale * self.weight)
         return action, state.q[observation, action]
 
-    def observe(self, key, state, transition, exploration, slot):
-        """Q-learning; an absorbing state is worth nothing, a time limit is none."""
+    def observe(self, key, state, transition, exploration, step_in_block):
+        """Q-learning; the value of a terminal state is 0, a time limit is not terminal."""
         place = transition.observation, transition.action
         best = jnp.max(state.q[transition.next_observation])
         target = transition.reward + self.discount * jnp.where(transition.terminated, 0.0, best)
@@ -53,5 +53,5 @@ class CountBonus(Learner):
         return Table(q, state.visits.at[place].add(exploration.is_learning.astype(q.dtype)))
 
     def values(self, state, observation, action):
-        """Q, and the bonus in the place of U, for maps."""
+        """Q, and the bonus in place of U, for maps."""
         return state.q[observation, action], jax.lax.rsqrt(1.0 + state.visits[observation, action])

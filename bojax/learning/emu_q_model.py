@@ -115,8 +115,8 @@ class EMUQModel(eqx.Module):
     def sample_variances(
         self,
         posterior: BayesianLinearRegression,
-        phi: Float[Array, "1+K M"],
-        products: Float[Array, "1+K M"],
+        phi: Float[Array, "N M"],
+        products: Float[Array, "N M"],
         weight: Float[Array, ""],
     ) -> Float[Array, "K"]:
         """Variances of Q at s' with every sampled action, before the covariance is updated.

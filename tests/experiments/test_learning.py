@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 import bojax.config.catalog  # noqa: F401 (registers every kind)
 from bojax.engine.build import build
+from bojax.engine.groups import static_groups
 from bojax.envs.base import Env, TimeStep
 from bojax.envs.spaces import Box, Discrete
 from bojax.envs.tabular import TabularEnv
@@ -19,7 +20,9 @@ from bojax.experiments.learning import LearningRun
 from bojax.experiments.phases import PHASES
 from bojax.experiments.settings import Learning
 from bojax.learning.base import ExplorationState, Learner
+from bojax.numerics import checkpoint
 from bojax.numerics.lanes import LANES
+from bojax.results.store import ResultsError
 from tests.compiling import REPEATABLY
 
 CLIFF = {"kind": "cliff-walking", "max_steps": 60}
@@ -525,3 +528,34 @@ def test_a_map_of_a_box_spans_its_first_two_dimensions_at_the_middle_action():
     assert q.shape == (4, 4)
     assert np.array_equal(q, np.tile([[0.5], [1.5], [2.5], [3.5]], (1, 4)))
     assert np.array_equal(u, np.tile([-0.5, 0.5, 1.5, 2.5], (4, 1)) + 1.0)
+
+
+# Saved learners.
+
+EVALUATED = {"env": CHAIN, "schedule": "exploit", "tests": 0, "learner": "exploration-values"}
+
+
+def learned(seed: int):
+    """What a run on the chain has learned."""
+    history = History(run_of(env=CHAIN), lanes=1, seed=seed)
+    return lane_of(history.carry.learner, 0)
+
+
+def test_saved_learners_enter_as_arrays_and_share_a_program(tmp_path):
+    states = [learned(seed) for seed in (1, 2)]
+    assert not np.array_equal(states[0].columns, states[1].columns)
+    for number, state in enumerate(states):
+        checkpoint.save(tmp_path / str(number), state)
+    runs = [run_of(**EVALUATED, saved=str(tmp_path / str(number))) for number in range(2)]
+    for run, state in zip(runs, states, strict=True):
+        begun = lane_of(_start(run, jax.random.split(jax.random.key(0), 1)), 0)
+        np.testing.assert_array_equal(begun.learner.columns, state.columns)
+    (group,) = static_groups(runs)
+    assert group.points == (0, 1)
+
+
+def test_a_saved_learner_of_other_spaces_is_refused_in_one_line(tmp_path):
+    checkpoint.save(tmp_path / "learned", learned(1))
+    with pytest.raises(ResultsError, match="keeps its kind, its features and the spaces") as error:
+        run_of(**EVALUATED | {"env": CHAIN | {"max_length": 7}}, saved=str(tmp_path / "learned"))
+    assert "\n" not in str(error.value) and error.value.exit_code == 2

@@ -215,7 +215,7 @@ def test_indicators_are_a_table():
     features = spec.draw(jax.random.key(0), Discrete(4), Discrete(3), jnp.dtype(jnp.float64))
     phi = features(jnp.asarray(2), jnp.asarray(1))
     np.testing.assert_array_equal(np.nonzero(phi)[0], [2 * 3 + 1])
-    with pytest.raises(ValueError, match="numbered"):
+    with pytest.raises(ValueError, match="discrete"):
         spec.draw(jax.random.key(0), OBSERVATIONS, Discrete(3), jnp.dtype(jnp.float64))
 
 
