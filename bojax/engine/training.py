@@ -1,6 +1,6 @@
-"""Training from Python: some runs of a learner in an environment, in memory, without files.
+"""Training from Python: runs of a learner in an environment, in memory.
 
-What files and the command line add to it: sweeps, targets, checkpoints, reports.
+Sweeps, target returns, checkpoints and reports are features of the command line.
 """
 
 from collections.abc import Callable, Mapping
@@ -32,18 +32,18 @@ from bojax.learning.schedules import Schedule
 from bojax.results.tables import KEYS, sort_rows, to_arrow
 
 Settings: TypeAlias = str | Mapping[str, Any] | Component
-"""A built-in part, as in a file: its kind, its kind with settings, or its schema class."""
+"""A built-in part as in a config file: its kind, its kind with settings, or its schema class."""
 
 
 @dataclass(frozen=True)
 class Training:
-    """What came of a training.
+    """The results of `train`.
 
     Attributes:
-        runs: One row a run, as in `runs.parquet`.
-        episodes: One row an episode, as in `episodes.parquet`.
-        experiment: What was run, with environment and learner.
-        learned: What the learner of each run knows at the end: arrays `[runs, ...]`.
+        runs: One row for each run, as in `runs.parquet`.
+        episodes: One row for each episode, as in `episodes.parquet`.
+        experiment: The experiment, with its environment and learner.
+        learned: Exported state of the learner of each run, in arrays `[runs, ...]`.
     """
 
     runs: pa.Table
@@ -52,11 +52,11 @@ class Training:
     learned: LearnerState
 
     def policy(self, run: int = 0, seed: int = 0) -> Callable[[Any], np.ndarray]:
-        """What a run has learned, as a function of an observation, in NumPy: exploitation alone.
+        """The policy that a run has learned, without exploration: a NumPy function of the observation.
 
         Args:
-            run: Which run.
-            seed: Seed of what the policy draws: ties, or candidate actions.
+            run: Index of the run.
+            seed: Seed of the random draws of the policy, which break ties or propose candidate actions.
         """
         state = jax.tree.map(lambda leaf: leaf[run], self.learned)
         space = self.experiment.env.observation_space
@@ -84,25 +84,25 @@ def train(
     tests: int = 0,
     dtype: Literal["float64", "float32"] = "float32",
 ) -> Training:
-    """Let a learner learn in an environment, in some runs at once on the devices that JAX sees.
+    """Train a learner in an environment, in several independent runs on the devices that JAX sees.
 
-    A run has the random numbers of the run with its index of `bojax run` with the same seed.
+    A run has the same random numbers as the run of that index in `bojax run` with the same seed.
 
     Args:
         env: The environment: a module, or settings, such as `"mountain-car"` or
-            `{"kind": "gymnasium", "id": "MountainCar-v0"}`. A class of your own is given as a module.
-        learner: Who learns, likewise.
-        episodes: Training episodes of a run.
+            `{"kind": "gymnasium", "id": "MountainCar-v0"}`. An instance of your own class is a module.
+        learner: The learner, as a module or settings.
+        episodes: Number of training episodes of a run.
         runs: Number of runs.
         seed: Seed of all runs.
-        schedule: How exploration changes over the episodes.
+        schedule: Schedule of exploration over the episodes.
         stop: Whether a run ends at its first success.
-        tests: Test episodes, which exploit and learn nothing, after each training episode.
-        dtype: Precision of what is built from settings; float64 needs JAX's 64-bit numbers.
+        tests: Number of test episodes, without exploration or learning, after each training episode.
+        dtype: Precision of parts that are built from settings; float64 requires `jax_enable_x64`.
 
     Raises:
-        ValueError: A number is too small, or learner and environment do not fit.
-        ConfigError: Settings are wrong, or a part cannot be built from them.
+        ValueError: A number is too small, or the learner does not support the spaces of the environment.
+        ConfigError: The settings are invalid.
     """
     for name, number, least in (("episodes", episodes, 1), ("runs", runs, 1), ("tests", tests, 0)):
         if number < least:
@@ -152,7 +152,7 @@ def _compiled(experiment: LearningRun, runs: int, seed: int) -> Compiled:
 def _run(
     program: Compiled, experiment: LearningRun, first: int, runs: int
 ) -> tuple[pa.Table, pa.Table, LearnerState]:
-    """As many runs as there are lanes, from a first one on."""
+    """Run one batch: as many runs as there are lanes, starting with the run of index `first`."""
     numbers = np.arange(first, min(first + program.num_lanes, runs))
     num_lanes, every = len(numbers), np.arange(program.num_lanes)
     lanes = program.place(np.zeros_like(every), np.resize(numbers, len(every)), every < num_lanes)
