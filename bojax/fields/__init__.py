@@ -1,1 +1,1 @@
-"""Scalar fields over the plane, which a robot monitors."""
+"""Fields: scalar functions of the plane that a robot monitors."""

@@ -1,4 +1,4 @@
-"""What a field is: a number at every point of the plane."""
+"""The protocol of a field: a scalar function of the plane."""
 
 import abc
 
@@ -8,7 +8,7 @@ from jaxtyping import Array, Float, Scalar
 
 
 class Field(eqx.Module):
-    """An environmental variable, as it is: a function of the position in metres."""
+    """An environmental variable as a function of the position in metres."""
 
     @abc.abstractmethod
     def __call__(self, x: Float[Array, "2"]) -> Scalar:
@@ -19,5 +19,5 @@ class Field(eqx.Module):
         return jax.vmap(self)(xs)
 
     def gradients(self, xs: Float[Array, "N 2"]) -> Float[Array, "N 2"]:
-        """Gradients at many points, in units of the value a metre."""
+        """Gradients at many points, in units of the value per metre."""
         return jax.vmap(jax.grad(self))(xs)

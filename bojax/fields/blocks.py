@@ -7,23 +7,23 @@ from bojax.fields.base import Field
 
 
 class Blocks(Field):
-    """Heights of axis-parallel blocks on a floor of height 0; where blocks overlap, of the highest.
+    """Height of axis-parallel blocks on a floor at height 0; the highest of overlapping blocks counts.
 
-    It is constant but for the edges, and its gradient is 0 everywhere.
+    The field is piecewise constant; its gradient is 0 everywhere.
 
     Attributes:
-        boxes: Where the blocks stand, rows of `[x_min, y_min, x_max, y_max]` in metres.
-        heights: Their heights; negative ones are not seen.
+        boxes: Footprints of the blocks, `[x_min, y_min, x_max, y_max]` in metres.
+        heights: Heights of the blocks in metres; blocks of negative height have no effect.
     """
 
     boxes: Float[Array, "K 4"]
     heights: Float[Array, "K"]
 
     def __check_init__(self):
-        """Every block has a height.
+        """Check that there are as many heights as boxes.
 
         Raises:
-            ValueError: There are more of one than of the other.
+            ValueError: There are not.
         """
         if self.boxes.shape[0] != self.heights.shape[0]:
             raise ValueError(
@@ -36,6 +36,6 @@ class Blocks(Field):
         return jnp.max(jnp.where(is_on, self.heights, 0.0), initial=0.0)
 
     def covers(self, x: Float[Array, "2"]) -> Bool[Array, "K"]:
-        """Whether a point is on each of the blocks, borders included."""
+        """Whether a point lies on each of the blocks, borders included."""
         low, high = self.boxes[:, :2], self.boxes[:, 2:]
         return jnp.all((x[None] >= low) & (x[None] <= high), axis=-1)

@@ -1,4 +1,4 @@
-"""Fields given by a formula: the thesis shows its fields as pictures only (Figs. 3.1, 3.2, 4.3)."""
+"""Fields in closed form; the thesis shows its fields only as pictures (Figs. 3.1, 3.2, 4.3)."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Scalar
@@ -7,9 +7,9 @@ from bojax.fields.base import Field
 
 
 class Bumps(Field):
-    """A sum of Gaussian bumps; a negative height makes a pit.
+    """A sum of Gaussian bumps; a bump of negative height is a pit.
 
-    The steepest slope of a bump is 0.61 |height| / width, at the distance of one width from its centre.
+    The steepest slope of a bump is 0.61 |height| / width, at a distance of one width from its centre.
 
     Attributes:
         heights: Values at the centres.
@@ -22,7 +22,7 @@ class Bumps(Field):
     widths: Float[Array, "K"]
 
     def __check_init__(self):
-        """Every bump has a height, a centre and a width."""
+        """Check that there are as many heights as centres and widths."""
         if not self.heights.shape[0] == self.centres.shape[0] == self.widths.shape[0]:
             raise ValueError(
                 f"heights, centres and widths: got {self.heights.shape[0]}, {self.centres.shape[0]} and "
@@ -36,10 +36,10 @@ class Bumps(Field):
 
 
 class Step(Field):
-    """A smooth step across a straight line, `height` tanh(d / width) with d the signed distance to it.
+    """A smooth step across a straight line: `height` tanh(d / width), where d is the signed distance from it.
 
     Attributes:
-        point: A point of the line, in metres.
+        point: A point on the line, in metres.
         direction: Direction in which the field rises, in radians.
         height: Half the difference between the two levels.
         width: Width of the transition, in metres; the slope on the line is height / width.

@@ -1,4 +1,4 @@
-"""Fields given by data: values on a grid, or measurements scattered over the plane."""
+"""Fields from data: values on a grid, or measurements at scattered points."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,21 +11,21 @@ from bojax.fields.data import read_array
 
 
 class GridField(Field):
-    """Values on a regular grid, with bilinear interpolation; the border's values hold outside.
+    """Bilinear interpolation of values on a regular grid, extended by the values on its border.
 
     Attributes:
-        table: Values; the first axis is y, from the lowest, the second x.
-        extent: Position of the outermost grid points, `[x_min, y_min, x_max, y_max]` in metres.
+        table: Values; the first axis is y, the second x, both increasing.
+        extent: Positions of the outermost grid points, `[x_min, y_min, x_max, y_max]` in metres.
     """
 
     table: Float[Array, "H W"]
     extent: Float[Array, "4"]
 
     def __init__(self, file: str, extent: Float[Array, "4"], sha256: str | None = None):
-        """Read the grid from a `.npy` or `.csv` file; `sha256` was checked with the settings.
+        """Read the grid from a `.npy` or `.csv` file; `sha256` is checked with the settings.
 
         Raises:
-            ValueError: The file is no grid of at least 2 x 2 finite numbers.
+            ValueError: The file is not a grid of at least 2 x 2 finite numbers.
         """
         del sha256
         self.table = jnp.asarray(read_array(file), extent.dtype)
@@ -37,13 +37,13 @@ class GridField(Field):
 
 
 class ScatteredField(Field):
-    """Measurements at scattered points: linear interpolation between them, the nearest one around them.
+    """Measurements at scattered points: linear interpolation between them, the nearest one outside.
 
-    They are interpolated once, on a grid over the extent.
+    The interpolation is evaluated once, on a grid over the extent.
 
     Attributes:
         table: Values on the grid; the first axis is y, from the lowest, the second x.
-        extent: Position of the outermost grid points, `[x_min, y_min, x_max, y_max]` in metres.
+        extent: Positions of the outermost grid points, `[x_min, y_min, x_max, y_max]` in metres.
     """
 
     table: Float[Array, "H W"]
@@ -55,7 +55,7 @@ class ScatteredField(Field):
         """Read rows of x, y and value from a `.npy` or `.csv` file.
 
         Raises:
-            ValueError: The file is no table of three columns of finite numbers.
+            ValueError: The file is not a table of three columns of finite numbers.
         """
         del sha256
         rows = read_array(file)
