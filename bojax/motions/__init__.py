@@ -1,1 +1,1 @@
-"""Families of trajectories in the robot's own frame."""
+"""Motions: families of trajectories in the robot's frame."""

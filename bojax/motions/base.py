@@ -1,4 +1,4 @@
-"""What a motion is: a path in the robot's frame, and the families that planners choose from."""
+"""Paths in the robot's frame, and the families of trajectories that planners choose from."""
 
 import abc
 import dataclasses
@@ -11,14 +11,14 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
 Path = Float[Array, "S 3"]
-"""Poses (x, y in metres, heading in radians) at equal arc lengths, without the start, with the end."""
+"""Poses (x and y in metres, heading in radians) at equal arc lengths, excluding the start."""
 
 Pose = Float[Array, "3"]
 """x and y in metres, heading in radians."""
 
 
 def place(path: Float[Array, "*S 3"], pose: Pose) -> Float[Array, "*S 3"]:
-    """A path of the robot's frame, driven from `pose`; headings are not wrapped."""
+    """A path in the frame of a robot at `pose`, transformed to the world frame; headings are not wrapped."""
     cos, sin = jnp.cos(pose[2]), jnp.sin(pose[2])
     x, y = path[..., 0], path[..., 1]
     return jnp.stack(
@@ -26,22 +26,22 @@ def place(path: Float[Array, "*S 3"], pose: Pose) -> Float[Array, "*S 3"]:
     )
 
 
-def drive(
+def sample_by_arc_length(
     curve: Callable[[Float[Array, ""]], Float[Array, "2"]],
     length: Float[Array, ""],
     num_samples: int,
     num_knots: int = 65,
 ) -> Path:
-    """A plane curve over [0, 1], scaled about its start to `length` and sampled at equal arc lengths.
+    """A plane curve over [0, 1], scaled to `length` and sampled at equal arc lengths.
 
-    Constant velocity and constant length, as Section 4.7.2 asks of every trajectory. Arc length is the
-    trapezoid rule over `num_knots`; positions and headings are the curve's own at the parameters found.
+    Section 4.7.2 requires constant velocity and constant length of every trajectory. Arc length is computed
+    by the trapezoidal rule; positions and headings are exact at the parameters found.
 
     Args:
-        curve: Position at a parameter in [0, 1], starting at the origin; differentiable.
+        curve: Differentiable position on [0, 1], starting at the origin.
         length: Arc length of the result, in metres.
-        num_samples: Number of poses, at the arc lengths length/S, 2 length/S, ..., length.
-        num_knots: Points of the quadrature.
+        num_samples: Number S of poses, at the arc lengths length/S, 2 length/S, ..., length.
+        num_knots: Number of points of the quadrature.
     """
 
     def position_and_velocity(u):
@@ -59,7 +59,7 @@ def drive(
 
 
 class ContinuousMotions(eqx.Module):
-    """Trajectories with parameters in the box [-1, 1]^D."""
+    """A family of trajectories with parameters in the box [-1, 1]^D."""
 
     length: eqx.AbstractVar[Float[Array, ""]]
     num_samples: eqx.AbstractVar[int]
@@ -104,16 +104,16 @@ Motions = ContinuousMotions | DiscreteMotions
 
 
 DENSE = 400
-"""Poses of a path on which its curvature is looked at: more change no family's radius by half a percent."""
+"""Number of poses of a path for computing its curvature; more change no family's radius by half a percent."""
 
 
 def tightest_radius(motions: Motions) -> float:
-    """Radius in metres of the tightest curve in a family; computed on the host, before anything runs.
+    """Radius in metres of the tightest curve in a family, computed on the host before anything runs.
 
-    Curvature is the turn of the heading between poses a known arc length apart: `DENSE` poses a path, so that
-    the radius is that of the curves, however few poses of them are used. A family whose paths have the poses
-    that they have, whatever `num_samples`, is judged by those. Of a continuous family the corners of the box,
-    the middles of its sides and its centre are looked at.
+    Curvature is the change of heading per arc length between `DENSE` poses of a path, so that the radius does
+    not depend on `num_samples`. A family that ignores `num_samples` is judged by the poses that its paths
+    have. Of a continuous family, the corners of the box, the midpoints of its edges and faces, and its centre
+    are evaluated.
     """
     if any(field.name == "num_samples" and field.init for field in dataclasses.fields(motions)):
         motions = dataclasses.replace(motions, num_samples=max(motions.num_samples, DENSE))

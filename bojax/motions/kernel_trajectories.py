@@ -8,7 +8,7 @@ from jax.scipy.special import erf
 from jaxtyping import Array, Float
 
 from bojax.models.kernels import RBF
-from bojax.motions.base import ContinuousMotions, Path, drive
+from bojax.motions.base import ContinuousMotions, Path, sample_by_arc_length
 from bojax.numerics.linalg import matmul, solve_small
 
 
@@ -34,28 +34,30 @@ def posterior_coefficients(
 
 
 class KernelTrajectories(ContinuousMotions):
-    """Kernel trajectories from equally spaced anchor points, one turning angle a segment (Fig. 4.1).
+    """Kernel trajectories from equally spaced anchor points, with one turning angle per segment (Fig. 4.1).
 
-    Everything happens in the robot's frame: a weighted sum of world positions (4.7) would shrink towards
-    the world's origin. The uniform prior of Section 4.6 is taken over the square of all points within one
-    length along each axis, with its mean embedding in closed form instead of samples.
+    Trajectories are computed in the robot's frame, because the weighted sum of world positions in (4.7) would
+    shrink towards the origin of the world frame. The uniform prior of Section 4.6 covers the square of all
+    points within one length along each axis; its mean embedding is computed in closed form instead of from
+    samples.
 
-    (4.8)-(4.9) regularise, so the raw curve starts a little off the robot and off its heading, whatever
-    anchors are added. With `start="pose"` both are imposed: T(y) - T(0) + (length e_x - T'(0)) y (1-y)^2
-    has its start at the robot, its tangent along the heading and the end where it was relative to the
-    start. With `start="relaxed"` only the position is (Fig. 4.2d). The curve is then scaled to `length`.
+    Because of the regularisation in (4.8)-(4.9), the raw curve starts slightly off the robot's position and
+    heading, whatever anchors are added. With `start="pose"` both are imposed: T(y) - T(0) + (length e_x -
+    T'(0)) y (1-y)^2 starts at the robot, tangential to its heading, and has the same end relative to its
+    start. With `start="relaxed"` only the position is imposed (Fig. 4.2d). The curve is then scaled to
+    `length`.
 
     Attributes:
         length: Arc length in metres.
-        first_angle: Largest turn of the first segment against the heading, in radians.
-        turn_angle: Largest turn between two segments, in radians.
+        first_angle: Largest angle between the heading and the first segment, in radians.
+        turn_angle: Largest angle between consecutive segments, in radians.
         space_lengthscale: Lengthscale of the kernel on positions, in units of `length`.
-        time_lengthscale: Lengthscale of the kernel on time; a trajectory lasts 1.
+        time_lengthscale: Lengthscale of the kernel on time; the duration of a trajectory is 1.
         epsilon: Regulariser of (4.9).
         delta: Regulariser of (4.8).
         num_segments: Number of segments and of parameters.
         start: `"pose"` or `"relaxed"`.
-        num_samples: Poses a path.
+        num_samples: Poses per path.
     """
 
     length: Float[Array, ""]
@@ -108,7 +110,7 @@ class KernelTrajectories(ContinuousMotions):
         def curve(u):
             return expected(u) - origin + u * (1.0 - u) ** 2 * misfit
 
-        return drive(curve, self.length, self.num_samples)
+        return sample_by_arc_length(curve, self.length, self.num_samples)
 
 
 def _uniform_embedding(points: Float[Array, "N 2"], lengthscale: Float[Array, ""]) -> Float[Array, "N"]:

@@ -5,11 +5,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from bojax.motions.base import ContinuousMotions, DiscreteMotions, Path, drive
+from bojax.motions.base import ContinuousMotions, DiscreteMotions, Path, sample_by_arc_length
 
-# Coefficients (b_x, c_x, b_y, c_y) of x = b_x u^2 + c_x u, y = b_y u^2 + c_y u: turning left, each with a
-# mirror image turning right. Sets of 9 and 17 add to the set before them. The numbers are those of the
-# copies of the author's planning code; the thesis shows the sets only as a figure.
+# Coefficients (b_x, c_x, b_y, c_y) of left turns x = b_x u^2 + c_x u, y = b_y u^2 + c_y u; each has a mirror
+# image that turns right. The sets of 9 and 17 extend the smaller ones. The coefficients are from copies of
+# the author's planning code; the thesis shows the sets only in a figure.
 _STRAIGHT = (0.0, 0.72, 0.0, 0.0)
 _LEFT_TURNS = {
     5: ((0.0, 0.55, 0.5, -0.1), (-0.33, 0.71, 0.52, 0.0)),
@@ -24,15 +24,15 @@ _LEFT_TURNS = {
 
 
 class SplineSet(DiscreteMotions):
-    """The 5, 9 or 17 spline actions of Fig. 4.2a, of equal arc length and along the heading at the start.
+    """The 5, 9 or 17 spline actions of Fig. 4.2a, of equal arc length and starting along the heading.
 
-    The published coefficients with c_y other than 0 leave the start 1.6 to 10.3 degrees off the heading:
-    those curves are rotated onto it.
+    Published curves with c_y other than 0 start 1.6 to 10.3 degrees off the heading; they are rotated onto
+    it.
 
     Attributes:
         length: Arc length in metres.
-        actions: 5, 9 or 17.
-        num_samples: Poses a path.
+        actions: Number of actions: 5, 9 or 17.
+        num_samples: Poses per path.
     """
 
     length: Float[Array, ""]
@@ -45,7 +45,7 @@ class SplineSet(DiscreteMotions):
         return self.actions
 
     def paths(self) -> Float[Array, "A S 3"]:
-        """All paths: straight on first, then each left turn followed by its mirror image."""
+        """All paths: the straight line, then each left turn followed by its mirror image."""
         rows = [_STRAIGHT]
         for size, turns in _LEFT_TURNS.items():
             if size <= self.actions:
@@ -62,20 +62,20 @@ class SplineSet(DiscreteMotions):
             x, y = (b_x * u + c_x) * u, (b_y * u + c_y) * u
             return jnp.stack([cos * x + sin * y, cos * y - sin * x])
 
-        return drive(curve, self.length, self.num_samples)
+        return sample_by_arc_length(curve, self.length, self.num_samples)
 
 
 class CubicCurves(ContinuousMotions):
     """Cubic Hermite curves with two parameters: the bearing and the heading of the end.
 
-    The continuous counterpart of the spline sets, for CBTS without kernel trajectories. Zero parameters
-    give a straight line.
+    This is the continuous counterpart of the spline sets, for CBTS without kernel trajectories. Zero
+    parameters give a straight line.
 
     Attributes:
         length: Arc length in metres.
-        bearing: Largest bearing of the end seen from the start, in radians.
-        heading: Largest deviation of the end's heading from that of a circular arc, in radians.
-        num_samples: Poses a path.
+        bearing: Largest bearing of the end as seen from the start, in radians.
+        heading: Largest deviation of the final heading from that of a circular arc, in radians.
+        num_samples: Poses per path.
     """
 
     length: Float[Array, ""]
@@ -103,4 +103,4 @@ class CubicCurves(ContinuousMotions):
                 - u**2 * (1.0 - u) * end_tangent
             )
 
-        return drive(curve, self.length, self.num_samples)
+        return sample_by_arc_length(curve, self.length, self.num_samples)
