@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
 from bojax.fields.base import Field
-from bojax.robots.quaternions import rotation_of
+from bojax.robots.quaternions import rotation_matrix
 from bojax.robots.range_sensor import cone, ranges
 
 
@@ -114,7 +114,7 @@ class RangeSensor(Sensor):
         rays = cone(self.beam, self.rays)
 
         def measure(pose: Float[Array, "7"]) -> tuple[Float[Array, ""], Float[Array, ""]]:
-            rotation = rotation_of(pose[3:])
+            rotation = rotation_matrix(pose[3:])
             distances = ranges(field.values, pose[:3], rotation, rays, self.max_range)
             reading = jnp.mean(distances) if self.reading == "mean" else jnp.min(distances)
             return reading, rotation[2, 2] if self.upright else jnp.ones_like(reading)

@@ -1,1 +1,1 @@
-"""Robots in MuJoCo: models, their simulation by MJX, sensors and controllers."""
+"""Simulated robots: MuJoCo models, their simulation by MJX, sensors and controllers."""

@@ -1,8 +1,8 @@
-"""Flight of a quadrotor: a smooth way through planned poses, and the controller that follows it.
+"""Flight of a quadrotor: a smooth reference trajectory through planned poses, and the tracking controller.
 
 The controller is that of Lee, Leok and McClamroch, "Geometric tracking control of a quadrotor UAV on SE(3)"
-(CDC 2010), equations 15 to 19, with gains for a unit of mass and of inertia. Its angular acceleration is
-fed forward about the vertical only, which is what a way at a constant altitude prescribes.
+(CDC 2010), equations 15 to 19, with gains per unit of mass and inertia. Angular acceleration is fed forward
+about the vertical axis only, since a trajectory at constant altitude prescribes no other.
 """
 
 import equinox as eqx
@@ -13,23 +13,23 @@ from bojax.numerics.angles import wrap_to_pi
 from bojax.numerics.linalg import matmul
 
 POSITION_GAIN, VELOCITY_GAIN = 9.0, 5.4
-"""Of the position, in 1/s^2 and 1/s: 3 rad/s, damped by 0.9."""
+"""Gains of the position loop in 1/s^2 and 1/s: natural frequency 3 rad/s, damping ratio 0.9."""
 
 ATTITUDE_GAIN, RATE_GAIN = (144.0, 144.0, 16.0), (20.0, 20.0, 7.0)
-"""Of the attitude about x, y and z, in 1/s^2 and 1/s: 12 rad/s, and 4 about z, where torque is scarce."""
+"""Gains of the attitude loop about x, y and z in 1/s^2 and 1/s: 12 rad/s, and 4 rad/s about z."""
 
 _LEAST_LENGTH = 1e-6
-"""What is shorter is no piece of a way, in metres."""
+"""Shorter segments count as standing still, in metres."""
 
 
 class Airframe(eqx.Module):
-    """What the controller knows of the robot.
+    """Parameters of the robot that the controller uses.
 
     Attributes:
-        mass: Its mass, in kg.
-        inertia: Moments of inertia about its axes, in kg m^2.
-        gravity: Acceleration of free fall, in m/s^2.
-        mixer: Thrust of each rotor in N for 1 N of thrust and 1 N m about x, y and z.
+        mass: Mass in kg.
+        inertia: Principal moments of inertia, in kg m^2.
+        gravity: Gravity in m/s^2.
+        mixer: Rotor thrusts in N for 1 N of total thrust and 1 N m of torque about x, y and z.
         max_thrust: Largest thrust of a rotor, in N.
     """
 
@@ -40,21 +40,21 @@ class Airframe(eqx.Module):
     max_thrust: Float[Array, ""]
 
     def thrusts(self, thrust: Float[Array, ""], torque: Float[Array, "3"]) -> Float[Array, "4"]:
-        """Thrusts of the rotors that make a thrust and a torque, as far as each can."""
+        """Rotor thrusts that produce a total thrust and a torque, clipped to the range of the rotors."""
         wanted = jnp.concatenate([thrust[None], torque])
         return jnp.clip(matmul(self.mixer, wanted), 0.0, self.max_thrust)
 
 
 class Reference(eqx.Module):
-    """Where the robot should be at a time, or at many.
+    """Reference of the controller at one time or at several.
 
     Attributes:
-        position: In metres.
-        velocity: In m/s.
-        acceleration: In m/s^2.
-        yaw: Heading, in rad.
-        yaw_rate: In rad/s.
-        yaw_acceleration: In rad/s^2.
+        position: Position in metres.
+        velocity: Velocity in m/s.
+        acceleration: Acceleration in m/s^2.
+        yaw: Heading in rad.
+        yaw_rate: Rate of the heading in rad/s.
+        yaw_acceleration: Angular acceleration of the heading in rad/s^2.
     """
 
     position: Float[Array, "*N 3"]
@@ -73,15 +73,15 @@ def control(
     rotation: Float[Array, "3 3"],
     rates: Float[Array, "3"],
 ) -> Float[Array, "4"]:
-    """Thrusts of the rotors, in N.
+    """Rotor thrusts in N that track a reference.
 
     Args:
-        airframe: The robot.
-        reference: Where it should be.
-        position: Where it is, in metres.
-        velocity: In the world's frame, in m/s.
-        rotation: From the robot's frame, x forward and z up, to the world's.
-        rates: Angular velocity in the robot's frame, in rad/s.
+        airframe: Parameters of the robot.
+        reference: Reference at this time.
+        position: Measured position in metres.
+        velocity: Velocity in the world frame, in m/s.
+        rotation: Rotation from the body frame (x forward, z up) to the world frame.
+        rates: Angular velocity in the body frame, in rad/s.
     """
     up = jnp.asarray([0.0, 0.0, 1.0], position.dtype)
     acceleration = (
@@ -93,7 +93,7 @@ def control(
     wanted = _attitude(acceleration, reference.yaw)
     turn = matmul(wanted.T, rotation)
     error = 0.5 * _vee(turn - turn.T)
-    vertical = rotation[2]  # seen from the robot
+    vertical = rotation[2]  # in the body frame
     stiffness, damping = jnp.asarray(ATTITUDE_GAIN, error.dtype), jnp.asarray(RATE_GAIN, error.dtype)
     angular = (
         reference.yaw_acceleration * vertical
@@ -113,23 +113,23 @@ def reference_trajectory(
     path_steps: int,
     rest_steps: int,
 ) -> tuple[Reference, Int[Array, "S"]]:
-    """A way from rest at a pose through others to rest, and then a turn on the spot.
+    """Trajectory from rest at a pose through further poses to rest, followed by a turn on the spot.
 
-    Positions are cubic Hermite curves between the poses, along their headings; the arc length is that of
-    least jerk from rest to rest, and so is the angle of the turn. Between poses the heading is linear in
-    the arc length. Where a path stands still (a robot that was stopped), so does the way.
+    Positions follow cubic Hermite curves between the poses, tangential to their headings. Arc length and the
+    angle of the final turn have minimum-jerk profiles from rest to rest. The heading is linear in arc length
+    between poses. Repeated poses, the end of a path on which the robot was stopped, are no motion.
 
     Args:
-        start: Pose at the start.
-        path: Poses, at about equal distances.
-        end_heading: Heading after the turn.
-        altitude: Of all of it, in metres.
-        time_step: Seconds of a control step.
+        start: Initial pose.
+        path: Poses at approximately equal distances.
+        end_heading: Heading after the turn, in rad.
+        altitude: Constant altitude, in metres.
+        time_step: Duration of a control step, in seconds.
         path_steps: Control steps of the flight.
         rest_steps: Control steps of the turn.
 
     Returns:
-        The way at every control step, and the steps at which it is at each pose of the path.
+        The reference at every control step, and the control step at which it reaches each pose of the path.
     """
     dtype = path.dtype
     knots = jnp.concatenate([start[None], path])
@@ -139,7 +139,7 @@ def reference_trajectory(
     ends = jnp.cumsum(pieces)
     length = ends[-1]
 
-    share, share_rate, share_acceleration = _least_jerk(path_steps, rest_steps, time_step, dtype)
+    share, share_rate, share_acceleration = _minimum_jerk(path_steps, rest_steps, time_step, dtype)
     arc, speed, gain = length * share, length * share_rate, length * share_acceleration
     is_past = arc[:, None] >= ends[None, :]
     piece = jnp.minimum(jnp.sum(is_past, axis=1, dtype=jnp.int32), path.shape[0] - 1)
@@ -156,7 +156,7 @@ def reference_trajectory(
     yaw_slope = jnp.where(is_short, 0.0, turns[piece] / chord)
 
     turn = wrap_to_pi(end_heading - yaws[-1])
-    swing, swing_rate, swing_acceleration = _least_jerk(rest_steps, 0, time_step, dtype, path_steps)
+    swing, swing_rate, swing_acceleration = _minimum_jerk(rest_steps, 0, time_step, dtype, path_steps)
     flat = jnp.zeros_like(arc)[:, None]
     reference = Reference(
         position=jnp.concatenate([place, flat + altitude], axis=1),
@@ -166,14 +166,14 @@ def reference_trajectory(
         yaw_rate=yaw_slope * speed + turn * swing_rate,
         yaw_acceleration=turn * swing_acceleration,
     )
-    # Rounding must not put off the end of the path, where the arc length hardly grows.
+    # A tolerance: near the end arc length hardly grows, and rounding must not delay the arrival there.
     is_there = arc[None, :] >= (ends * (1.0 - 1e-6))[:, None]
     first = jnp.argmax(is_there, axis=1).astype(jnp.int32)
     return reference, jnp.where(length < _LEAST_LENGTH, jnp.full_like(first, path_steps), first)
 
 
 def _attitude(acceleration: Float[Array, "3"], yaw: Float[Array, ""]) -> Float[Array, "3 3"]:
-    """The attitude whose thrust makes an acceleration, gravity included, with the nose at a heading."""
+    """The attitude with a heading in which thrust produces an acceleration that includes gravity."""
     z = acceleration / jnp.linalg.norm(acceleration)
     heading = jnp.stack([jnp.cos(yaw), jnp.sin(yaw), jnp.zeros_like(yaw)])
     y = jnp.cross(z, heading)
@@ -186,10 +186,10 @@ def _vee(matrix: Float[Array, "3 3"]) -> Float[Array, "3"]:
     return jnp.stack([matrix[2, 1], matrix[0, 2], matrix[1, 0]])
 
 
-def _least_jerk(
+def _minimum_jerk(
     num_steps: int, after: int, time_step: float, dtype: jnp.dtype, before: int = 0
 ) -> tuple[Float[Array, "N"], Float[Array, "N"], Float[Array, "N"]]:
-    """From 0 to 1 from rest to rest in `num_steps`: values, their rates and accelerations in seconds."""
+    """Minimum-jerk profile from 0 to 1 in `num_steps` steps: values, their rates and accelerations."""
     step = jnp.arange(before + num_steps + after, dtype=dtype) - before
     t = jnp.clip(step / num_steps, 0.0, 1.0)
     seconds = num_steps * time_step
@@ -208,7 +208,7 @@ def _hermite(
     arriving: Float[Array, "N 2"],
     chord: Float[Array, "N"],
 ) -> tuple[Float[Array, "N 2"], Float[Array, "N 2"], Float[Array, "N 2"]]:
-    """Places on curves of unit slope at both ends, their slopes and second derivatives, a metre of arc."""
+    """Points on Hermite curves with unit tangents; first and second derivatives by arc length."""
     u, chord = u[:, None], chord[:, None]
     jump = end - begin
     place = (

@@ -8,9 +8,9 @@ NUM_JOINTS = 6
 
 
 def jaco_model(joints: Collection[int]) -> RobotModel:
-    """The arm of which these joints move, from 1 at the base to 6 at the hand.
+    """The arm with only these joints movable, numbered from 1 at the base to 6 at the hand.
 
-    The others are stuck as they are with the arm pointing straight up, and have no motor.
+    The other joints are fixed in the upright configuration of the arm and have no motor.
     """
     spec = packaged("jaco").spec()
     for number in range(1, NUM_JOINTS + 1):

@@ -1,4 +1,4 @@
-"""Models of robots: MJCF text, compiled by MuJoCo. JAX is not needed here, so that reports can draw them."""
+"""Robot models: MJCF text compiled by MuJoCo, without JAX, so that reports can draw them."""
 
 import functools
 import importlib
@@ -10,31 +10,31 @@ from typing import Any, TypeAlias
 from bojax.config.extras import MissingExtra
 
 try:
-    mujoco: Any = importlib.import_module("mujoco")  # it has no types
+    mujoco: Any = importlib.import_module("mujoco")  # MuJoCo has no type stubs
 except ImportError as error:
     raise MissingExtra("mujoco", "robots") from error
 
 MjModel: TypeAlias = Any
-"""A model as C MuJoCo computes with it."""
+"""A compiled model of C MuJoCo."""
 
 
 @dataclass(frozen=True)
 class RobotModel:
-    """A robot and the world around it, as text; two of the same text are the same.
+    """A robot and its world as text; models with equal text are equal.
 
     Attributes:
         xml: The MJCF.
-        path: The file that it was read from; what it includes, and meshes, are looked for beside it.
+        path: File that the MJCF was read from; included files and meshes are resolved relative to it.
     """
 
     xml: str
     path: str | None = None
 
     def spec(self) -> Any:
-        """The model as it can be edited.
+        """The editable specification of the model.
 
         Raises:
-            ValueError: It is no MJCF.
+            ValueError: The text is not valid MJCF.
         """
         try:
             if self.path is None:
@@ -44,21 +44,21 @@ class RobotModel:
             raise ValueError(_one_line(error)) from error
 
     def compiled(self) -> MjModel:
-        """The model as MuJoCo computes with it; the same object every time.
+        """The compiled model, cached.
 
         Raises:
-            ValueError: MuJoCo refuses it.
+            ValueError: MuJoCo refuses the model.
         """
         return _compiled(self)
 
 
 def packaged(name: str) -> RobotModel:
-    """A model that comes with bojax, such as `hopper`."""
+    """A model shipped with bojax, such as `hopper`."""
     return RobotModel(resources.files("bojax.robots").joinpath("mjcf", f"{name}.xml").read_text("utf-8"))
 
 
 def from_file(path: str | Path) -> RobotModel:
-    """A model of one's own.
+    """A model from an MJCF file.
 
     Raises:
         ValueError: The file cannot be read.

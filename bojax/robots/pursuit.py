@@ -1,19 +1,19 @@
-"""Pure pursuit: steer along the circle through a point of the path some way ahead (Coulter, 1992)."""
+"""Pure pursuit: steer along the circle through a look-ahead point of the path (Coulter, 1992)."""
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 PIECES = 8
-"""Pieces of a route between two poses of its path."""
+"""Number of route segments between two poses of a path."""
 
 
 class Route(eqx.Module):
-    """A path as the tracker sees it: many points, and straight on after the last.
+    """A densely sampled path, continued along a straight line past its end.
 
     Attributes:
-        points: Positions in metres, the start first.
-        arc: Arc length from the start to each of them, in metres.
+        points: Positions in metres, from the start.
+        arc: Arc length of each point, in metres.
         heading: Heading at the end, in radians.
     """
 
@@ -23,11 +23,11 @@ class Route(eqx.Module):
 
     @property
     def length(self) -> Float[Array, ""]:
-        """Arc length in metres."""
+        """Total arc length in metres."""
         return self.arc[-1]
 
     def at(self, arc: Float[Array, ""]) -> Float[Array, "2"]:
-        """The position at an arc length; beyond the end along the heading there."""
+        """The position at an arc length; past the end, on the straight continuation."""
         x, y = (jnp.interp(arc, self.arc, self.points[:, axis]) for axis in range(2))
         beyond = jnp.maximum(arc - self.length, 0.0)
         along = jnp.stack([jnp.cos(self.heading), jnp.sin(self.heading)])
@@ -36,9 +36,9 @@ class Route(eqx.Module):
     def nearest(
         self, position: Float[Array, "2"], after: Int[Array, ""], ahead: Float[Array, ""]
     ) -> Int[Array, ""]:
-        """Index of the nearest point, from the point `after` to `ahead` metres along the route from there.
+        """Index of the nearest point from index `after` to `ahead` metres further along the route.
 
-        The next point is among them however far it is: else nothing would ever be passed on a coarse route.
+        The next point is always included; otherwise a robot would never advance along a coarse route.
         """
         index = jnp.arange(self.arc.shape[0], dtype=after.dtype)
         is_near = (index >= after) & ((self.arc <= self.arc[after] + ahead) | (index == after + 1))
@@ -47,9 +47,9 @@ class Route(eqx.Module):
 
 
 def route(start: Float[Array, "3"], path: Float[Array, "S 3"]) -> Route:
-    """The route from a pose through all poses of a path, with their headings, by cubic Hermite curves.
+    """The route from a pose through the poses of a path: cubic Hermite curves tangential to the headings.
 
-    The pose of the path with index s is the point with index `(s + 1) * PIECES`.
+    Pose s of the path is the point with index `(s + 1) * PIECES`.
     """
     poses = jnp.concatenate([start[None], path])
     before, after = poses[:-1, None], poses[1:, None]
@@ -68,9 +68,9 @@ def route(start: Float[Array, "3"], path: Float[Array, "S 3"]) -> Route:
 
 
 def curvature(pose: Float[Array, "3"], goal: Float[Array, "2"]) -> Float[Array, ""]:
-    """Curvature 2 y / d^2 of the circle along the heading of a pose that passes through a point, in 1/m.
+    """Curvature 2 y / d^2 of the circle that is tangential to a pose and passes through a point, in 1/m.
 
-    y is how far the point is to the left, d how far away.
+    y is the lateral offset of the point to the left, d its distance.
     """
     ahead = goal - pose[:2]
     left = jnp.cos(pose[2]) * ahead[1] - jnp.sin(pose[2]) * ahead[0]
@@ -81,12 +81,13 @@ def curvature(pose: Float[Array, "3"], goal: Float[Array, "2"]) -> Float[Array, 
 def wheel_angles(
     curvature: Float[Array, ""], wheelbase: Float[Array, ""], half_track: Float[Array, ""]
 ) -> Float[Array, "2"]:
-    """Angles of the left and the right front wheel at which neither of them slips (Ackermann), in rad.
+    """Ackermann angles of the left and the right front wheel, at which neither slips, in rad.
 
     Args:
-        curvature: Of the way of the middle of the rear axle, to the left, in 1/m; below 1 / `half_track`.
-        wheelbase: Distance of the axles, in metres.
-        half_track: Half the distance of the axes about which the front wheels are turned, in metres.
+        curvature: Curvature of the path of the midpoint of the rear axle, positive to the left, in 1/m; its
+            magnitude must be below 1 / `half_track`.
+        wheelbase: Distance between the axles, in metres.
+        half_track: Half the distance between the steering axes of the front wheels, in metres.
     """
     turn = wheelbase * curvature
     return jnp.stack(

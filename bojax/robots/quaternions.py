@@ -1,11 +1,11 @@
-"""Attitudes as unit quaternions (w, x, y, z), which is how MuJoCo writes them."""
+"""Attitudes as unit quaternions (w, x, y, z), the convention of MuJoCo."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 
-def rotation_of(quaternion: Float[Array, "4"]) -> Float[Array, "3 3"]:
-    """The rotation of a unit quaternion (w, x, y, z)."""
+def rotation_matrix(quaternion: Float[Array, "4"]) -> Float[Array, "3 3"]:
+    """Rotation matrix of a unit quaternion (w, x, y, z)."""
     w, x, y, z = quaternion
     return jnp.stack(
         [
@@ -17,13 +17,13 @@ def rotation_of(quaternion: Float[Array, "4"]) -> Float[Array, "3 3"]:
 
 
 def yaw_of(quaternion: Float[Array, "*N 4"]) -> Float[Array, "*N"]:
-    """Heading of a unit quaternion (w, x, y, z), in rad, in [-pi, pi]."""
+    """Heading of a unit quaternion (w, x, y, z), in [-pi, pi] rad."""
     w, x, y, z = (quaternion[..., index] for index in range(4))
     return jnp.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
-def turned(quaternion: Float[Array, "4"], yaw: Float[Array, ""]) -> Float[Array, "4"]:
-    """An attitude turned about the vertical by an angle in rad."""
+def rotate_yaw(quaternion: Float[Array, "4"], yaw: Float[Array, ""]) -> Float[Array, "4"]:
+    """The attitude rotated about the vertical axis of the world by an angle in rad."""
     w, x, y, z = quaternion
     cos, sin = jnp.cos(0.5 * yaw), jnp.sin(0.5 * yaw)
     return jnp.stack([cos * w - sin * z, cos * x - sin * y, cos * y + sin * x, cos * z + sin * w])

@@ -1,7 +1,7 @@
-"""A range sensor that looks at a surface: rays of a narrow cone, marched to where they meet it.
+"""A range finder over a surface: rays of a narrow cone, marched to their first intersection.
 
-MJX's own range finder does not see height fields. A surface here is any function of the plane, so that what
-is measured is exactly the field that a reconstruction is compared with.
+MJX's own range finder does not support height fields. A surface here is any function of the plane, so that
+the sensor measures exactly the field with which a reconstruction is compared.
 """
 
 from collections.abc import Callable
@@ -14,22 +14,22 @@ from jaxtyping import Array, Bool, Float
 from bojax.numerics.linalg import matmul
 
 Surface = Callable[[Float[Array, "N 2"]], Float[Array, "N"]]
-"""Heights at points of the plane, in metres."""
+"""Function from points of the plane to heights in metres."""
 
 NUM_MARCHED = 64
-"""Points at which a ray is compared with the surface before the first crossing is narrowed down."""
+"""Number of segments of a ray among which the first crossing of the surface is searched for."""
 
 NUM_HALVINGS = 18
-"""Halvings of the interval that the march leaves: of 5 cm, 0.2 micrometres are left."""
+"""Number of bisections of the crossing segment, which reduce 5 cm to 0.2 micrometres."""
 
 _GOLDEN_ANGLE = np.pi * (3.0 - 5.0**0.5)
 
 
 def cone(opening: Float[Array, ""], num_rays: int) -> Float[Array, "K 3"]:
-    """Unit vectors that fill a cone around -z evenly, the first along its axis, the last on its rim.
+    """Unit vectors evenly distributed over a cone about -z, the first on its axis, the last on its rim.
 
     Args:
-        opening: Full angle of the cone, in rad.
+        opening: Full opening angle of the cone, in rad.
         num_rays: Number of rays.
     """
     index = np.arange(num_rays)
@@ -49,15 +49,15 @@ def ranges(
 ) -> Float[Array, "K"]:
     """Distances along rays to the first point at or below a surface; `max_range` where there is none.
 
-    Each ray is marched in 64 equal pieces, and the first piece that crosses the surface is halved. What a
-    ray passes within one piece, it does not see.
+    Each ray is marched in 64 equal segments, and the first segment that ends below the surface is bisected.
+    An obstacle that a ray enters and leaves within one segment is missed.
 
     Args:
         surface: The surface.
-        origin: Where the rays begin, in metres.
-        rotation: From the sensor's frame to the world's.
-        rays: Unit vectors in the sensor's frame.
-        max_range: How far it sees, in metres.
+        origin: Origin of the rays, in metres.
+        rotation: Rotation from the sensor frame to the world frame.
+        rays: Unit vectors in the sensor frame.
+        max_range: Maximum range, in metres.
     """
     directions = matmul(rays, rotation.T)
 

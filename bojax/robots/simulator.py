@@ -1,4 +1,4 @@
-"""Physics of one robot on an accelerator: MuJoCo's MJX, with a state that is small between steps."""
+"""Simulation of one robot by MJX, with a small state between steps."""
 
 import functools
 import importlib.util
@@ -27,12 +27,12 @@ _INTEGRATORS = {
 
 
 class RobotState(eqx.Module):
-    """What has to be kept between steps; MJX's own data are a hundred times as large.
+    """State between steps; MJX's own data are a hundred times as large.
 
     Attributes:
-        qpos: Generalised positions, in m and rad; quaternions have four numbers.
-        qvel: Generalised velocities, in m/s and rad/s.
-        qacc_warmstart: Accelerations from which the solver of contacts starts, in m/s^2 and rad/s^2.
+        qpos: Generalised positions in m and rad; quaternions have four components.
+        qvel: Generalised velocities in m/s and rad/s.
+        qacc_warmstart: Initial accelerations of the constraint solver, in m/s^2 and rad/s^2.
     """
 
     qpos: Float[Array, "Q"]
@@ -41,14 +41,14 @@ class RobotState(eqx.Module):
 
 
 class Physics(eqx.Module):
-    """How MJX computes; what is None is as the model has it.
+    """Settings of the simulation; None keeps the value of the model.
 
     Attributes:
-        max_speed: Generalised velocity beyond which a simulation counts as diverged, in m/s or rad/s.
-        iterations: Most iterations of the solver of contacts and limits.
-        ls_iterations: Most iterations of its line search.
-        integrator: How time goes on.
-        impl: Which of MJX's implementations.
+        max_speed: Generalised velocity above which a simulation counts as diverged, in m/s or rad/s.
+        iterations: Largest number of iterations of the constraint solver.
+        ls_iterations: Largest number of iterations of its line search.
+        integrator: Integration scheme.
+        impl: Implementation of MJX.
     """
 
     max_speed: Float[Array, ""]
@@ -59,15 +59,15 @@ class Physics(eqx.Module):
 
 
 class Simulator(eqx.Module):
-    """A robot, stepped by MJX in 32-bit numbers whatever the precision of the rest.
+    """A robot simulated by MJX, in 32 bits whatever the precision of the surrounding program.
 
-    The model is part of the compiled program, its state a handful of numbers a lane. A lane that diverges
-    has no influence on the others.
+    The model is a constant of the compiled program; only the state is carried per lane. A lane that diverges
+    does not affect the others.
 
     Attributes:
-        physics: How MJX computes.
+        physics: Settings of the simulation.
         model: The robot and its world.
-        substeps: Steps of the physics for one of ours.
+        substeps: Simulation steps per call of `advance`.
     """
 
     physics: Physics
@@ -75,21 +75,21 @@ class Simulator(eqx.Module):
     substeps: int = eqx.field(static=True)
 
     def __check_init__(self):
-        """Let MJX look at the model.
+        """Compile the model.
 
         Raises:
-            ValueError: MuJoCo or MJX refuse it.
+            ValueError: MuJoCo or MJX refuse the model.
         """
         _ = self._compiled
 
     @property
     def mujoco_model(self) -> MjModel:
-        """The model as C MuJoCo steps it, with the same settings."""
+        """The compiled model of C MuJoCo, with the same settings."""
         return self._compiled[0]
 
     @property
     def time_step(self) -> float:
-        """Seconds of one of our steps."""
+        """Duration of a call of `advance`, in seconds."""
         return self.substeps * float(self.mujoco_model.opt.timestep)
 
     def state(self, qpos: Float[Array, "Q"], qvel: Float[Array, "V"]) -> RobotState:
@@ -98,7 +98,7 @@ class Simulator(eqx.Module):
         return RobotState(qpos, qvel, jnp.zeros_like(qvel))
 
     def advance(self, state: RobotState, control: Float[Array, "U"]) -> RobotState:
-        """The state `substeps` later, under constant controls, which MuJoCo clips to their ranges."""
+        """The state after `substeps` steps under constant controls, which MuJoCo clips to their ranges."""
         return self._advance(state, control)
 
     def sites(self, state: RobotState) -> Float[Array, "N 3"]:
@@ -106,7 +106,7 @@ class Simulator(eqx.Module):
         return self._sites(state)
 
     def has_diverged(self, state: RobotState) -> Bool[Array, ""]:
-        """Whether something is no number, or faster than any body."""
+        """Whether the state has a non-finite value, or a velocity above `max_speed`."""
         numbers = jnp.concatenate([state.qpos, state.qvel, state.qacc_warmstart])
         fastest = jnp.max(jnp.abs(state.qvel)).astype(self.physics.max_speed.dtype)
         return ~jnp.all(jnp.isfinite(numbers)) | (fastest > self.physics.max_speed)
@@ -125,7 +125,7 @@ class Simulator(eqx.Module):
                 after = mjx.step(model, before)
                 return RobotState(after.qpos, after.qvel, after.qacc_warmstart)
 
-            # One call of `step` in the program, whatever the number of substeps: it takes long to compile.
+            # A single call site of `step`, whatever the number of substeps: each one takes long to compile.
             return jax.lax.fori_loop(0, substeps, small_step, state)
 
         return advance
@@ -151,7 +151,7 @@ class Simulator(eqx.Module):
 def _compiled(
     model: RobotModel, iterations: int | None, ls_iterations: int | None, integrator: str | None, impl: str
 ) -> tuple[MjModel, Any, Any]:
-    """The model for C MuJoCo and for MJX, and MJX's data of it; made once, outside of any trace."""
+    """The model of C MuJoCo and of MJX, and MJX's data; created once, outside of any trace."""
     spec = model.spec()
     if iterations is not None:
         spec.option.iterations = iterations
@@ -176,7 +176,7 @@ def _compiled(
 
 
 def _unsupported(model: MjModel) -> str:
-    """What of a model would be left out of the simulation without a word; empty if there is nothing."""
+    """Features of a model that MJX would silently ignore, as text; empty if there are none."""
     found = {
         "plugins": model.nplugin > 0,
         "actuators with an activation of their own (filters, integrators, muscles)": model.na > 0,

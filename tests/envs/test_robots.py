@@ -366,7 +366,7 @@ def test_a_jaco_that_begins_at_its_goal_is_refused_in_one_line():
     env = build(envs.Jaco(joints=(5,)), "float32")
     with pytest.raises(ValueError, match="60 m"):
         dataclasses.replace(env, goal_distance=jnp.asarray(30.0))
-    given = dataclasses.replace(env, place=jnp.zeros(3))  # a target of one's own
+    given = dataclasses.replace(env, target=jnp.zeros(3))  # a target of one's own
     assert dataclasses.replace(given, goal_distance=jnp.asarray(30.0)).goal_distance == 30.0
 
 

@@ -19,7 +19,7 @@ from bojax.motions.splines import SplineSet
 from bojax.problems.mapping import Map, final_map
 from bojax.problems.sensors import RangeSensor
 from bojax.problems.settings import HillyTerrain, IndoorProps, TwoPits
-from bojax.robots.quaternions import rotation_of
+from bojax.robots.quaternions import rotation_matrix
 
 LANES, SIZE = 48, 8
 ALTITUDE = 1.4
@@ -130,7 +130,7 @@ def test_mounts_are_where_the_sensor_is(ride):
     _, _, _, found = ride
     position, quaternion = found.sensor_poses[..., :3], found.sensor_poses[..., 3:]
     np.testing.assert_allclose(np.linalg.norm(quaternion, axis=-1), 1.0, atol=1e-5)
-    rotation = np.asarray(jax.vmap(jax.vmap(rotation_of))(f64(quaternion)))
+    rotation = np.asarray(jax.vmap(jax.vmap(rotation_matrix))(f64(quaternion)))
     body = position + 0.04 * rotation[..., 2]
     np.testing.assert_allclose(body[..., :2], found.poses[..., :2], atol=1e-5)
     np.testing.assert_allclose(body[..., 2], ALTITUDE, atol=0.03)

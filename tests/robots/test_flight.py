@@ -13,7 +13,7 @@ from bojax.motions.splines import SplineSet
 from bojax.problems.vehicles.settings import Quadrotor
 from bojax.robots.flight import Reference, control, reference_trajectory
 from bojax.robots.quadrotor import quadrotor_model
-from bojax.robots.quaternions import rotation_of, turned, yaw_of
+from bojax.robots.quaternions import rotate_yaw, rotation_matrix, yaw_of
 
 STEP, PATH, REST = 0.01, 300, 250
 ALTITUDE = 1.2
@@ -34,7 +34,7 @@ def airframe():
 
 @jax.jit
 def steer(airframe, reference, qpos, qvel):
-    return control(airframe, reference, qpos[:3], qvel[:3], rotation_of(qpos[3:]), qvel[3:])
+    return control(airframe, reference, qpos[:3], qvel[:3], rotation_matrix(qpos[3:]), qvel[3:])
 
 
 def fly(reference, qpos, qvel=(0.0,) * 6, push=None):
@@ -144,10 +144,10 @@ def test_rotations_are_mujocos():
         quaternion /= np.linalg.norm(quaternion)
         matrix, product = np.zeros(9), np.zeros(4)
         mujoco.mju_quat2Mat(matrix, quaternion)
-        np.testing.assert_allclose(rotation_of(f64(quaternion)), matrix.reshape(3, 3), atol=1e-12)
+        np.testing.assert_allclose(rotation_matrix(f64(quaternion)), matrix.reshape(3, 3), atol=1e-12)
         yaw = rng.uniform(-3.0, 3.0)
         mujoco.mju_mulQuat(product, np.array([np.cos(yaw / 2), 0, 0, np.sin(yaw / 2)]), quaternion)
-        np.testing.assert_allclose(turned(f64(quaternion), f64(yaw)), product, atol=1e-12)
+        np.testing.assert_allclose(rotate_yaw(f64(quaternion), f64(yaw)), product, atol=1e-12)
         assert yaw_of(f64(quaternion)) == pytest.approx(np.arctan2(matrix[3], matrix[0]), abs=1e-12)
 
 

@@ -60,7 +60,7 @@ class Jaco(RobotTask):
         substeps: See `RobotTask`; a step of the physics is 4 ms.
         max_steps: See `Env`.
         reward: See `ControlTask`.
-        place: The target of all episodes, see `of_run`; without one every episode has its own.
+        target: Target of all episodes, see `of_run`; None for a new target in each episode.
     """
 
     goal_distance: Float[Array, ""]
@@ -70,7 +70,7 @@ class Jaco(RobotTask):
     substeps: int = eqx.field(static=True)
     max_steps: int = eqx.field(static=True)
     reward: Literal["goal-only", "classic"] = eqx.field(static=True)
-    place: Float[Array, "3"] | None = None
+    target: Float[Array, "3"] | None = None
 
     def __check_init__(self):
         """Compare `goal_distance` with how far the joints bring the finger tips, at 1000 random angles.
@@ -78,7 +78,7 @@ class Jaco(RobotTask):
         Raises:
             ValueError: Less than half of them are far enough, see the class.
         """
-        if self.place is not None:  # nothing is drawn
+        if self.target is not None:  # nothing is drawn
             return
         model = self.simulator.mujoco_model
         low, high = np.asarray(self._limits, np.float64)
@@ -115,16 +115,16 @@ class Jaco(RobotTask):
 
     def of_run(self, key: Key[Array, ""]) -> "Jaco":
         """See `Env`: with its target, where there is one for all episodes."""
-        return dataclasses.replace(self, place=self.draw(key)) if self.targets == "per-run" else self
+        return dataclasses.replace(self, target=self.draw_target(key)) if self.targets == "per-run" else self
 
     def reset(self, key: Key[Array, ""]) -> JacoState:
         """See `Env`."""
         keys = jax.random.split(key)
-        turned = jax.random.uniform(keys[0], self._rest.shape, jnp.float32, -_NOISE, _NOISE)
-        robot = self.simulator.state(self._rest + turned, jnp.zeros_like(turned))
-        return JacoState(robot, self.draw(keys[1]) if self.place is None else self.place)
+        offsets = jax.random.uniform(keys[0], self._rest.shape, jnp.float32, -_NOISE, _NOISE)
+        robot = self.simulator.state(self._rest + offsets, jnp.zeros_like(offsets))
+        return JacoState(robot, self.draw_target(keys[1]) if self.target is None else self.target)
 
-    def draw(self, key: Key[Array, ""]) -> Float[Array, "3"]:
+    def draw_target(self, key: Key[Array, ""]) -> Float[Array, "3"]:
         """A random target, see the class."""
         low, high = self._limits
         angles = jax.random.uniform(key, (_CANDIDATES, len(self.joints)), jnp.float32)

@@ -14,7 +14,7 @@ from bojax.problems.vehicles.base import TrackingResult
 from bojax.problems.vehicles.simulated import SimulatedState, SimulatedVehicle, planar
 from bojax.robots.flight import Airframe, control, reference_trajectory
 from bojax.robots.quadrotor import quadrotor_model
-from bojax.robots.quaternions import rotation_of, turned
+from bojax.robots.quaternions import rotate_yaw, rotation_matrix
 from bojax.robots.simulator import Physics, RobotState, Simulator
 
 FRAME_EVERY = 10
@@ -93,7 +93,7 @@ class Quadrotor(SimulatedVehicle):
         def fly(robot: RobotState, now):
             reference, error = now
             position = robot.qpos[:3] + error[:3]
-            rotation = rotation_of(turned(robot.qpos[3:], error[3]))
+            rotation = rotation_matrix(rotate_yaw(robot.qpos[3:], error[3]))
             thrusts = control(airframe, reference, position, robot.qvel[:3], rotation, robot.qvel[3:])
             return simulator.advance(robot, thrusts), robot.qpos
 
@@ -130,7 +130,7 @@ class Quadrotor(SimulatedVehicle):
 
     def _sensor_pose(self, qpos: Float[Array, "7"]) -> Float[Array, "7"]:
         below = _f32(self.simulator.mujoco_model.site("range").pos)
-        turned_below = jnp.sum(rotation_of(qpos[3:]) * below[None], axis=1)
+        turned_below = jnp.sum(rotation_matrix(qpos[3:]) * below[None], axis=1)
         return jnp.concatenate([qpos[:3] + turned_below, qpos[3:]])
 
 

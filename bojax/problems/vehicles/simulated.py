@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, Key
 from bojax.motions.base import Pose
 from bojax.numerics.angles import wrap_to_2pi
 from bojax.problems.vehicles.base import Vehicle
-from bojax.robots.quaternions import turned, yaw_of
+from bojax.robots.quaternions import rotate_yaw, yaw_of
 from bojax.robots.simulator import Physics, RobotState, Simulator
 
 
@@ -64,7 +64,9 @@ class SimulatedVehicle(Vehicle):
         model = self.simulator.mujoco_model
         level = jnp.asarray([1.0, 0.0, 0.0, 0.0], pose.dtype)
         others = jnp.asarray(model.qpos0[7:], pose.dtype)
-        qpos = jnp.concatenate([pose[:2], height.astype(pose.dtype)[None], turned(level, pose[2]), others])
+        qpos = jnp.concatenate(
+            [pose[:2], height.astype(pose.dtype)[None], rotate_yaw(level, pose[2]), others]
+        )
         return SimulatedState(self.simulator.state(qpos, jnp.zeros((model.nv,), jnp.float32)), pose)
 
 
