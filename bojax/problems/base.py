@@ -1,4 +1,4 @@
-"""The protocol between a problem, the planners that plan on it, and the experiment that plays it."""
+"""The protocol between a problem, the planners that solve it, and the experiment that runs it."""
 
 import abc
 from typing import Any, ClassVar
@@ -11,36 +11,39 @@ from bojax.results.outline import Outline
 from bojax.results.schema import Column, Table
 
 World = Any
-"""The true state."""
+"""True state of the world."""
 
 Belief = Any
-"""What the planner knows."""
+"""Belief of the planner."""
 
 Node = Any
-"""A belief inside the search tree: a tree of arrays that the search stores for every node."""
+"""Belief at a node of the search tree: a tree of arrays that the search stores for every node."""
 
 Root = Any
-"""What all nodes of one plan share, computed once a plan (the factored posterior of a field, say)."""
+"""Data shared by all nodes of a plan, computed once per plan, such as the factored posterior of a field."""
 
 Observation = Any
+"""Observation after the execution of a path."""
 
 Objective = Any
-"""What a planner maximises, if not the problem's own task: `None` stands for the task."""
+"""Objective that a planner maximises; None for the problem's own task."""
 
 
 class Events(eqx.Module):
-    """What happened while the world executed a path.
+    """Outcome of the execution of a path in the world.
 
     Attributes:
-        reward: The task's reward, if the world pays it; what a belief pays, `Problem.reward` adds.
-        terminated: The episode is over.
-        success: The task is solved.
-        exited: The robot left the domain.
-        driven: Poses that the robot went through, in the world's frame.
-        is_driven: Whether the robot reached that pose of the path; where it stopped before, `driven`
-            repeats the pose that it stopped at.
-        frames: Generalised positions along the way, for an animation; None where there is nothing to draw.
-        failed: The simulation of the world has diverged, and the run with it; None where it cannot.
+        reward: Part of the reward that depends on the world; `Problem.reward` adds the part that depends on
+            the belief.
+        terminated: Whether the episode has ended.
+        success: Whether the task is solved.
+        exited: Whether the robot left the domain.
+        driven: Poses of the robot in the world frame; past the pose at which it stopped, that pose is
+            repeated.
+        is_driven: Whether the robot reached each pose of the path.
+        frames: Generalised positions during the motion, for an animation; None if there is nothing to
+            animate.
+        failed: Whether the simulation has diverged, which ends the run as failed; None if it cannot diverge.
     """
 
     reward: Float[Array, ""]
@@ -54,12 +57,12 @@ class Events(eqx.Module):
 
 
 class Simulation(eqx.Module):
-    """An action sequence played on a belief of the tree.
+    """Result of simulating an action sequence from a node of the search tree.
 
     Attributes:
-        node: The belief after the first action.
+        node: Belief after the first action.
         rewards: Reward of each action.
-        terminated: Whether the episode ended with each action; what follows does not count.
+        terminated: Whether the episode ends with each action; later actions are ignored.
     """
 
     node: Node
@@ -68,14 +71,14 @@ class Simulation(eqx.Module):
 
 
 class Problem(eqx.Module):
-    """A partially observable planning problem of a robot that drives paths.
+    """A partially observable planning problem in which the actions of a robot are paths.
 
-    A path is always in the robot's frame; the problem places it. `simulate` takes a whole action
-    sequence, so that a problem can do a node and its rollout in one shot.
+    Paths are given in the robot's frame; the problem transforms them to the world frame. `simulate` takes a
+    whole action sequence, so that a problem can evaluate a node and its rollout at once.
 
     Attributes:
-        max_steps: Actions an episode.
-        scores: The columns that `score` adds to a run.
+        max_steps: Actions per episode.
+        scores: Columns of `runs.parquet` that `score` computes.
     """
 
     max_steps: eqx.AbstractVar[int]
@@ -83,15 +86,15 @@ class Problem(eqx.Module):
 
     @abc.abstractmethod
     def reset(self, key: Key[Array, ""]) -> World:
-        """A start of an episode."""
+        """Initial state of an episode."""
 
     @abc.abstractmethod
     def prior(self, key: Key[Array, ""], world: World, num_samples: int) -> Belief:
-        """What the planner knows at the start; a path brings at most `num_samples` observations."""
+        """Initial belief; a path yields at most `num_samples` observations."""
 
     @abc.abstractmethod
     def execute(self, key: Key[Array, ""], world: World, path: Path) -> tuple[World, Observation, Events]:
-        """Drive a path in the world."""
+        """Execute a path in the world."""
 
     @abc.abstractmethod
     def update(self, belief: Belief, path: Path, observation: Observation) -> Belief:
@@ -99,11 +102,11 @@ class Problem(eqx.Module):
 
     @abc.abstractmethod
     def reward(self, objective: Objective, belief: Belief, path: Path, events: Events) -> Scalar:
-        """Reward of a path executed from `belief`, the belief before it."""
+        """Reward of a path; `belief` is the belief before its execution."""
 
     @abc.abstractmethod
     def root(self, belief: Belief, horizon: int) -> tuple[Root, Node]:
-        """What the nodes of a plan share, and the root node."""
+        """The data shared by the nodes of a plan, and the root node."""
 
     @abc.abstractmethod
     def simulate(
@@ -114,11 +117,11 @@ class Problem(eqx.Module):
         paths: Float[Array, "H S 3"],
         objective: Objective,
     ) -> Simulation:
-        """Play an action sequence on a belief of the tree."""
+        """Simulate an action sequence from a node of the search tree."""
 
     @abc.abstractmethod
     def pose(self, world: World) -> Pose:
-        """The robot's true pose."""
+        """True pose of the robot."""
 
     def outline(self) -> Outline | None:
         """What figures and films draw of the world; None where they know it, or draw nothing."""
@@ -126,30 +129,30 @@ class Problem(eqx.Module):
 
     @property
     def lanes_on_cpu(self) -> int:
-        """Most lanes per device of a CPU where the config says nothing, see `Experiment`.
+        """Default for the largest number of lanes per CPU device, see `Experiment`.
 
         Measured on one core with 200 runs of SBO on the parking problem: 2,400 steps/s at 50 lanes, 1,500
-        to 1,800 at 100 and 200, 1,600 at 4. Many lanes leave the cache, and wait longer for the slowest.
+        to 1,800 at 100 and 200, 1,600 at 4. More lanes exceed the cache and wait longer for the slowest lane.
         """
         return 64
 
     @property
     def turning_radius(self) -> float:
-        """Radius of the tightest curve that the robot can drive, in metres."""
+        """Smallest radius of a curve that the robot can follow, in metres."""
         return 0.0
 
     @property
     def reach(self) -> float:
-        """Length of the longest path that the robot can follow to its end, in metres."""
+        """Length of the longest path that the robot can complete, in metres."""
         return float("inf")
 
     def snapshot(self, world: World, belief: Belief) -> dict[str, dict[str, Array]]:
-        """Arrays worth keeping of the end of an episode: `{name: {array name: array}}`."""
+        """Arrays recorded at the end of an episode: `{name: {array name: array}}`."""
         del world, belief
         return {}
 
     def score(self, world: World, belief: Belief) -> dict[str, Scalar]:
-        """How good the final belief is: the values of `scores`."""
+        """Scores of the final belief, one per column of `scores`."""
         del world, belief
         return {}
 

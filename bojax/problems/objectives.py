@@ -1,4 +1,4 @@
-"""What a sample of a field is worth to who monitors it: the acquisition h of (3.1) and (4.10)."""
+"""Objectives of field monitoring: the worth of a sample, the acquisition h of (3.1) and (4.10)."""
 
 import abc
 from typing import ClassVar, Literal
@@ -9,10 +9,10 @@ from jaxtyping import Array, Float
 
 
 class FieldObjective(eqx.Module):
-    """Worth of a sample, from the belief about the field before the path that takes it.
+    """Worth of a sample under the belief before the path along which it is taken.
 
     Attributes:
-        needs_gradient: Whether the gradient of the mean enters; computing it is not free.
+        needs_gradient: Whether the gradient of the mean is needed; it is computed only then.
     """
 
     needs_gradient: ClassVar[bool] = False
@@ -25,7 +25,7 @@ class FieldObjective(eqx.Module):
 
 
 Uncertainty = Literal["std", "variance"]
-"""How a variance enters: Chapter 3 calls sigma the variance, (2.37) the standard deviation."""
+"""Measure of uncertainty: Chapter 3 defines sigma as the variance, (2.37) as the standard deviation."""
 
 
 def _spread(variance: Float[Array, "S"], uncertainty: Uncertainty) -> Float[Array, "S"]:
@@ -33,7 +33,7 @@ def _spread(variance: Float[Array, "S"], uncertainty: Uncertainty) -> Float[Arra
 
 
 class GradientObjective(FieldObjective):
-    """Norm of the mean's gradient plus `kappa` standard deviations (3.2): BO-POMDP and the myopic planner."""
+    """Norm of the mean's gradient plus `kappa` standard deviations (3.2); BO-POMDP, the myopic planner."""
 
     needs_gradient: ClassVar[bool] = True
 
@@ -51,7 +51,7 @@ class GradientObjective(FieldObjective):
 
 
 class ValueObjective(FieldObjective):
-    """Mean plus `kappa` standard deviations (4.11): SBO, and all planners of Section 4.7.1."""
+    """Mean plus `kappa` standard deviations (4.11); SBO, all planners of Section 4.7.1."""
 
     kappa: Float[Array, ""]
     uncertainty: Uncertainty = eqx.field(static=True, default="std")
@@ -65,7 +65,7 @@ class ValueObjective(FieldObjective):
 
 
 class UncertaintyObjective(FieldObjective):
-    """The standard deviation alone: the myopic explorer of Section 3.5.1."""
+    """Standard deviation; the myopic explorer of Section 3.5.1."""
 
     uncertainty: Uncertainty = eqx.field(static=True, default="std")
 

@@ -1,4 +1,4 @@
-"""Robot parking (Section 4.7.2): reach a small area from anywhere, heading along its axis."""
+"""Robot parking (Section 4.7.2): reach a parking spot from a random pose, with the heading along its axis."""
 
 from typing import Literal
 
@@ -12,38 +12,38 @@ from bojax.problems.pose import Outcome, PoseProblem
 
 
 class Parking(PoseProblem):
-    """Drive from a random pose of a square to the pose (0, 0, 0), rewarded by (4.13).
+    """Drive from a random pose in a square to the pose (0, 0, 0), with the rewards of (4.13).
 
-    Before it parks, the robot is paid in three levels: get onto the axis of the parking lot, then turn
-    along it, then come closer. With alpha the heading, beta the bearing and d the distance to the lot, the
-    reward of a path is that of its end:
+    The shaped reward has three levels: reach the axis of the parking spot, then align with it, then approach
+    the spot. With the heading alpha, the bearing beta and the distance d from the spot at the end of a path,
+    the reward of the path is
 
-    - `-|sin beta| - d_max - 1` where `|sin beta| > bearing_tolerance`,
-    - `-|sin alpha| - d_max` else where `|sin alpha| > heading_tolerance`,
-    - `-d` else, and `success_reward` once parked.
+    - `-|sin beta| - d_max - 1` if `|sin beta| > bearing_tolerance`,
+    - otherwise `-|sin alpha| - d_max` if `|sin alpha| > heading_tolerance`,
+    - otherwise `-d`; a parked robot is paid `success_reward`.
 
-    What the thesis leaves open is a setting: the bearing's frame, whether the bearing matters within
-    `distance_tolerance` (where it is nearly arbitrary), whether passing through the lot parks the robot,
-    and whether leaving the domain ends the episode (the text says that it does; but then no return is far
-    below -1100, and the axis of Fig. 4.6 reaches -2400).
+    Four points that the thesis leaves open are settings: the frame of the bearing; whether the bearing
+    matters within `distance_tolerance`, where it is nearly arbitrary; whether passing through the spot parks
+    the robot; and whether leaving the domain ends the episode. (According to the text it does, but then no
+    return could be far below -1100, while the axis of Fig. 4.6 reaches -2400.)
 
     Attributes:
         half_width: Half the side of the domain, in metres.
-        distance_tolerance: Largest distance to the lot of a parked robot, in metres.
-        heading_tolerance: Bound on |sin alpha|; the opposite heading is accepted too, as printed.
+        distance_tolerance: Largest distance of a parked robot from the spot, in metres.
+        heading_tolerance: Bound on |sin alpha|; as printed, the opposite heading is accepted too.
         bearing_tolerance: Bound on |sin beta|.
         success_reward: Reward for parking.
         exit_reward: Reward for leaving the domain.
-        position_noise: Standard deviation of a position reading, per axis, in metres.
-        heading_noise: Standard deviation of a heading reading, in radians.
+        position_noise: Standard deviation of a position measurement per axis, in metres.
+        heading_noise: Standard deviation of a heading measurement, in radians.
         vehicle: See `PoseProblem`.
-        max_steps: Actions an episode.
-        bearing: `"world"`: beta is the direction of the robot seen from the lot; `"robot"`: beta is the
-            direction of the lot relative to the robot's heading.
-        success_needs_bearing: Parking needs the bearing condition too, as (4.13) prints it.
-        exit_terminates: Leaving the domain ends the episode; otherwise the robot drives on, and pays each
-            time that a path leads from the inside to the outside.
-        park_along_path: Any pose of a path can park the robot, not only its end.
+        max_steps: Actions per episode.
+        bearing: `"world"`: beta is the direction of the robot as seen from the spot; `"robot"`: beta is the
+            direction of the spot relative to the robot's heading.
+        success_needs_bearing: Whether parking also requires the bearing condition, as printed in (4.13).
+        exit_terminates: Whether leaving the domain ends the episode; otherwise the robot drives on and
+            receives `exit_reward` whenever a path leads out of the domain.
+        park_along_path: Whether any pose of a path can park the robot, not only its end.
     """
 
     half_width: Float[Array, ""]
@@ -61,13 +61,13 @@ class Parking(PoseProblem):
     park_along_path: bool = eqx.field(static=True)
 
     def start(self, key: Key[Array, ""]) -> Pose:
-        """A pose uniform over the domain and over all headings."""
+        """A pose drawn uniformly from the domain and all headings."""
         low = jnp.stack([-self.half_width, -self.half_width, jnp.zeros_like(self.half_width)])
         high = jnp.stack([self.half_width, self.half_width, jnp.full_like(self.half_width, 2.0 * jnp.pi)])
         return jax.random.uniform(key, (3,), self.half_width.dtype, low, high)
 
     def outcome(self, start: Pose, path: Float[Array, "S 3"]) -> Outcome:
-        """See `PoseProblem`; a path ends where it parks or leaves the domain, whichever comes first."""
+        """See `PoseProblem`; a path ends at the first pose that parks or leaves the domain."""
         index = jnp.arange(path.shape[0], dtype=jnp.int32)
         end = path.shape[0] - 1
         is_outside = jnp.max(jnp.abs(path[:, :2]), axis=-1) > self.half_width
@@ -102,7 +102,7 @@ class Parking(PoseProblem):
         return Outcome(reward, terminated, success, exited, last)
 
     def _off_axis(self, path: Float[Array, "S 3"], distance: Float[Array, "S"]) -> Float[Array, "S"]:
-        """|sin beta|, 0 at the lot itself."""
+        """|sin beta|; 0 at the spot itself."""
         safe = jnp.where(distance > 0.0, distance, 1.0)
         across = path[:, 1]
         if self.bearing == "robot":

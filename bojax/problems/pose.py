@@ -1,4 +1,4 @@
-"""Problems whose state is the robot's pose, known to the planner through a noisy reading of it."""
+"""Problems whose state is the pose of the robot, observed through a noisy measurement."""
 
 import abc
 
@@ -13,13 +13,13 @@ from bojax.problems.vehicles.base import Exact, Vehicle, VehicleState
 
 
 class Outcome(eqx.Module):
-    """What driving a path leads to.
+    """Outcome of a path.
 
     Attributes:
         reward: Reward of the path.
-        terminated: The episode is over; the robot drives every other path to its end.
-        success: The task is solved.
-        exited: The robot left the domain.
+        terminated: Whether the episode ends; only then may the robot stop before the end of the path.
+        success: Whether the task is solved.
+        exited: Whether the robot left the domain.
         last: Index of the last pose driven.
     """
 
@@ -31,16 +31,16 @@ class Outcome(eqx.Module):
 
 
 class PoseProblem(Problem):
-    """A problem told by its start and by the outcome of a path; a subclass writes these two methods.
+    """A problem defined by its initial pose and the outcome of a path, which subclasses implement.
 
-    The planner knows the model, in which paths are followed exactly, and sees only a reading of the pose
-    with Gaussian noise: its belief is the last reading, and it simulates as if that were the pose. In the
-    world the `vehicle` follows the paths, by default exactly.
+    The planner knows the model, in which paths are followed exactly, and observes the pose with Gaussian
+    noise. Its belief is the last measurement, which it takes for the true pose in simulations. In the world
+    the `vehicle` follows the paths, by default exactly.
 
     Attributes:
-        position_noise: Standard deviation of a position reading, per axis, in metres.
-        heading_noise: Standard deviation of a heading reading, in radians.
-        vehicle: Who follows the paths.
+        position_noise: Standard deviation of a position measurement per axis, in metres.
+        heading_noise: Standard deviation of a heading measurement, in radians.
+        vehicle: Robot that executes the paths.
     """
 
     position_noise: eqx.AbstractVar[Float[Array, ""]]
@@ -49,25 +49,25 @@ class PoseProblem(Problem):
 
     @abc.abstractmethod
     def start(self, key: Key[Array, ""]) -> Pose:
-        """A pose to start from."""
+        """Initial pose."""
 
     @abc.abstractmethod
     def outcome(self, start: Pose, path: Float[Array, "S 3"]) -> Outcome:
-        """What happens when the robot drives from `start` through the poses of `path` (world frame)."""
+        """Outcome of driving from `start` through the poses of `path`, in the world frame."""
 
     def reset(self, key: Key[Array, ""]) -> VehicleState:
-        """The vehicle at a start."""
+        """The vehicle at a random initial pose."""
         return self.vehicle.reset(self.start(key))
 
     def prior(self, key: Key[Array, ""], world: VehicleState, num_samples: int) -> Pose:
-        """The first reading."""
+        """The first measurement."""
         del num_samples
         return self.vehicle.measure(key, world, self._noise)
 
     def execute(
         self, key: Key[Array, ""], world: VehicleState, path: Path
     ) -> tuple[VehicleState, Pose, Events]:
-        """Drive a path from where the vehicle takes itself to be, and read the pose it ends in."""
+        """Drive a path from the vehicle's estimate of its pose, and measure the final pose."""
         planned = place(path, self.vehicle.estimate(world))
         tracked = self.vehicle.follow(jax.random.fold_in(key, 0), world, planned, planned[-1], self._noise)
         outcome = self.outcome(self.pose(world), tracked.poses)
@@ -87,17 +87,17 @@ class PoseProblem(Problem):
         return state, self.vehicle.measure(key, state, self._noise), events
 
     def update(self, belief: Pose, path: Path, observation: Pose) -> Pose:
-        """The last reading."""
+        """The last measurement."""
         del belief, path
         return observation
 
     def reward(self, objective: Objective, belief: Pose, path: Path, events: Events) -> Scalar:
-        """The world's own reward."""
+        """The reward of the world."""
         del objective, belief, path
         return events.reward
 
     def root(self, belief: Pose, horizon: int) -> tuple[None, Pose]:
-        """Nodes are poses and share nothing."""
+        """A pose; nodes share no data."""
         del horizon
         return None, belief
 
@@ -111,8 +111,8 @@ class PoseProblem(Problem):
     ) -> Simulation:
         """Drive the paths one after the other, without noise.
 
-        The starts follow from the ends of the paths alone, so that all outcomes are one batch: what comes
-        after a terminated path does not count.
+        The initial pose of each path depends only on the ends of the paths before it, so that all outcomes
+        are computed as one batch. Outcomes after termination are ignored.
         """
         del key, root, objective
         starts = [node]

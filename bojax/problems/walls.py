@@ -1,4 +1,4 @@
-"""Walls and the border of the domain: how far along a path a robot comes."""
+"""Collisions with walls and the border of the domain: how far a robot can drive along a path."""
 
 import functools
 
@@ -13,13 +13,13 @@ Boxes = Float[Array, "W 4"]
 
 
 class Drive(eqx.Module):
-    """How far a robot came along a path.
+    """The part of a path that was driven.
 
     Attributes:
-        poses: Poses of the path; from where the robot was stopped on, the one it stopped at.
-        is_driven: Whether the robot reached that pose of the path.
-        collided: It was stopped by a wall.
-        exited: It was stopped by the border.
+        poses: Poses of the path; past the pose at which the robot was stopped, that pose is repeated.
+        is_driven: Whether the robot reached each pose of the path.
+        collided: Whether a wall stopped the robot.
+        exited: Whether the border stopped the robot.
     """
 
     poses: Float[Array, "S 3"]
@@ -31,16 +31,17 @@ class Drive(eqx.Module):
 def drive_until_blocked(
     start: Pose, poses: Float[Array, "S 3"], domain: Float[Array, "4"], walls: Boxes | None
 ) -> Drive:
-    """Drive through `poses` up to the last one that can be reached in a straight line from the one before.
+    """Drive through `poses` up to the last one that straight line segments between poses reach.
 
-    A piece that touches a wall or ends outside the domain is not driven, nor is anything after it. A
-    piece that does both counts as a collision.
+    A segment that touches a wall or ends outside the domain, and all later ones, are not driven. A segment
+    that does both counts as a collision.
 
-    A robot beside a wall may read a pose inside it. So the first piece does not touch a wall that it begins
-    inside of if it ends beyond the nearest face; on the face itself nothing is forgiven.
+    A robot beside a wall may measure a pose inside the wall. The first segment therefore does not collide
+    with a wall inside which it starts, provided that it ends beyond the nearest face. This does not apply to
+    a start exactly on the face.
     """
-    # Unrolled over a handful of poses and walls, XLA makes it elementwise arithmetic in one kernel, where
-    # every reduction and every shifted copy would be one more on a GPU.
+    # Unrolled over the few poses and walls, this becomes elementwise arithmetic in one kernel; each reduction
+    # and each shifted copy would be a further kernel on a GPU.
     is_on, collided = jnp.ones((), bool), jnp.zeros((), bool)
     before = stop = start
     is_driven = []
@@ -62,7 +63,7 @@ def drive_until_blocked(
 
 
 def is_free(points: Float[Array, "N 2"], domain: Float[Array, "4"], walls: Boxes | None) -> Bool[Array, "N"]:
-    """Whether points lie in the domain and in no wall."""
+    """Whether points lie in the domain and outside all walls."""
     return _is_inside(points, domain) & ~_touches_any(points, points, walls)
 
 
@@ -74,10 +75,9 @@ def _is_inside(points: Float[Array, "*N _"], domain: Float[Array, "4"]) -> Bool[
 def _touches_any(
     begin: Float[Array, "*N _"], end: Float[Array, "*N _"], walls: Boxes | None, is_first: bool = False
 ) -> Bool[Array, "*N"]:
-    """Whether line pieces have a point in common with a wall: no axis separates the two.
+    """Whether line segments intersect a wall: the separating axis test with x, y and the segment's normal.
 
-    The axes are x, y and the piece's normal; `across` is twice an area, so that nothing is divided. First
-    pieces of a path may leave a wall.
+    `across` is twice an area, which avoids a division. The first segment of a path may leave a wall.
     """
     touches = jnp.zeros(begin.shape[:-1], bool)
     low_x, high_x = jnp.minimum(begin[..., 0], end[..., 0]), jnp.maximum(begin[..., 0], end[..., 0])
@@ -99,7 +99,7 @@ def _touches_any(
 def _leaves(
     begin: Float[Array, "*N _"], end: Float[Array, "*N _"], wall: Float[Array, "4"]
 ) -> Bool[Array, "*N"]:
-    """Whether line pieces begin inside a wall, not on its faces, and end beyond the face nearest to that."""
+    """Whether segments start strictly inside a wall and end beyond the face nearest to their start."""
     x_min, y_min, x_max, y_max = wall
     depths = begin[..., 0] - x_min, x_max - begin[..., 0], begin[..., 1] - y_min, y_max - begin[..., 1]
     is_beyond = end[..., 0] < x_min, end[..., 0] > x_max, end[..., 1] < y_min, end[..., 1] > y_max
