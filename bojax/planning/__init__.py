@@ -1,1 +1,1 @@
-"""Planners: how a robot chooses its next path from a belief."""
+"""Planners: algorithms that choose the next path of a robot from its belief."""

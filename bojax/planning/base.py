@@ -1,4 +1,4 @@
-"""What a planner is: a function from a belief to the next path."""
+"""The protocol of a planner: a function from a belief to the next path."""
 
 import abc
 from typing import Generic, TypeVar
@@ -11,13 +11,13 @@ from bojax.problems.base import Belief, Problem
 
 
 class Plan(eqx.Module):
-    """The path to drive next, and what the planner expects of it.
+    """The next path, and the planner's predictions for it.
 
     Attributes:
         path: The path, in the robot's frame.
-        reward: Reward that the planner expects of this path.
-        value: Mean simulated return of starting with this path.
-        visits: Number of simulations that started with this path.
+        reward: Predicted reward of the path.
+        value: Mean simulated return of action sequences that start with the path.
+        visits: Number of simulations that start with the path.
     """
 
     path: Path
@@ -31,14 +31,14 @@ M = TypeVar("M", bound=Motions)
 
 
 class Planner(eqx.Module, Generic[M]):
-    """A way to choose the next path.
+    """An algorithm that chooses the next path.
 
     Attributes:
-        motions: The family that the path is of.
+        motions: Family of trajectories that the path is chosen from.
     """
 
     motions: eqx.AbstractVar[M]
 
     @abc.abstractmethod
     def plan(self, key: Key[Array, ""], problem: Problem, belief: Belief) -> Plan:
-        """The path to drive from `belief`."""
+        """The next path for a belief."""

@@ -23,19 +23,19 @@ Scaling = Literal["standardise", "rank", "none"]
 class NodeModels(eqx.Module):
     """The Gaussian processes of all nodes, from action parameters to rewards.
 
-    An observation of a node's process is an action of that node, so it is stored with the child that the
-    action leads to: the rows that it appended to the inverse Cholesky factor and to the whitened covariances
-    of the candidates, and its parameters (its value is the tree's). That takes N (A + C) numbers, where
-    factors and covariances for every node would take N A (A + C); and a new action costs A C products,
-    where whitening the candidates anew would take A^2 C.
+    The observations of a node's process are the node's actions. Each one is stored with the child that the
+    action leads to: its parameters, and the rows that it appended to the inverse Cholesky factor and to the
+    whitened covariances of the candidates; its value is the reward in the tree. This takes N (A + C) numbers
+    instead of N A (A + C) for separate factors and covariances of every node, and a new action costs A C
+    products instead of A^2 C for whitening the candidates again.
 
     Attributes:
-        candidates: Parameters that acquisitions are maximised over, and that rollouts draw from.
-        paths: Their paths.
+        candidates: Parameters over which acquisitions are maximised and from which rollouts draw.
+        paths: Paths of the candidates.
         params: Parameters of the action that leads to each node.
-        row: Row of that action in the inverse Cholesky factor of its parent's process.
-        whitened: Row of that action in the whitened covariances of the candidates; zero in the last row.
-        has_converged: Whether that action was nearly the one before it.
+        row: Row of that action in the inverse Cholesky factor of the parent's process.
+        whitened: Row of that action in the whitened covariances of the candidates; the last row is zero.
+        has_converged: Whether that action was within `convergence` of the action before it.
     """
 
     candidates: Float[Array, "C D"]
@@ -70,27 +70,28 @@ class NodeModelUpdate(eqx.Module):
 class ContinuousBeliefTreeSearch(TreeSearch[NodeModels, CBTSDraws, NodeModelUpdate, ContinuousMotions]):
     """CBTS; with kernel trajectories, kCBTS.
 
-    A node with fewer than `max_actions` actions gets a new one, the maximiser of the acquisition under the
-    node's Gaussian process from action parameters to immediate rewards; otherwise the search descends to
-    the child of the best upper confidence bound.
+    A node with fewer than `max_actions` actions adds the action that maximises the acquisition under the
+    node's Gaussian process from action parameters to immediate rewards. Otherwise the search descends to the
+    child with the highest upper confidence bound.
 
     Attributes:
-        motions: Trajectories and their parameters.
-        kernel: Covariance of the node's rewards, over parameters in [-1, 1]^D.
-        acquisition: How a new action is chosen.
-        noise_variance: Noise of the node's process, relative to the variance of its rewards.
+        motions: Parametrised family of trajectories.
+        kernel: Covariance of the rewards of a node over parameters in [-1, 1]^D.
+        acquisition: Acquisition function that new actions maximise.
+        noise_variance: Noise variance of a node's process, relative to the variance of its rewards.
         exploration: kappa_MC of (4.1), in units of the return.
-        convergence: Stop generating actions at a node once two in a row are closer than this; 0 for never.
-        discount: Discount a step.
-        iterations: Simulations a plan.
-        depth: Actions to the horizon.
-        max_actions: A_max, the most actions of a node.
-        num_candidates: Parameters among which the acquisition is maximised, drawn anew for each plan.
-        num_initial: First actions of a node that are random candidates instead.
+        convergence: Distance between consecutive actions of a node below which it adds no more; 0 to disable.
+        discount: Discount per step.
+        iterations: Simulations per plan.
+        depth: Actions from the root to the horizon.
+        max_actions: A_max, the largest number of actions of a node.
+        num_candidates: Number of parameter vectors among which the acquisition is maximised, drawn for each
+            plan.
+        num_initial: Number of first actions of a node that are random candidates.
         refine_steps: Gradient steps from the best candidate; 0 for none.
-        scaling: How a node's rewards enter its process: `"standardise"` to mean 0 and variance 1, `"rank"`
-            for their ranks spread evenly over [-1, 1], or `"none"`.
-        objective: What to maximise, if not the problem's own task.
+        scaling: Scaling of a node's rewards before they enter its process: `"standardise"` to mean 0 and
+            variance 1, `"rank"` to ranks spread evenly over [-1, 1], or `"none"`.
+        objective: Objective to maximise; None for the problem's own task.
     """
 
     motions: ContinuousMotions
@@ -151,7 +152,7 @@ class ContinuousBeliefTreeSearch(TreeSearch[NodeModels, CBTSDraws, NodeModelUpda
         """See `TreeSearch`."""
         model, best = self._model(tree, memory, node)
         is_initial = model.count < self.num_initial
-        # UNVISITED is -1: the last row, which no child has, stays zero.
+        # UNVISITED is -1, which reads the last row; no child has this row, and it stays zero.
         whitened_all = memory.whitened[tree.children[node]]
         choice = best_candidate(self.acquisition, model, best, memory.candidates, whitened_all)
         choice = jnp.where(is_initial, draws.initial, choice)
@@ -193,7 +194,7 @@ class ContinuousBeliefTreeSearch(TreeSearch[NodeModels, CBTSDraws, NodeModelUpda
     def _model(
         self, tree: Tree, memory: NodeModels, node: Int[Array, ""]
     ) -> tuple[GaussianProcess, Float[Array, ""]]:
-        """The Gaussian process of a node, and the best value it has seen."""
+        """The Gaussian process of a node, and the best value observed."""
         children = tree.children[node]
         exists = children != UNVISITED
         count = jnp.sum(exists, dtype=jnp.int32)
@@ -219,16 +220,16 @@ class ContinuousBeliefTreeSearch(TreeSearch[NodeModels, CBTSDraws, NodeModelUpda
 
 
 def _scale(rewards: Float[Array, "A"], exists: Bool[Array, "A"], scaling: Scaling) -> Float[Array, "A"]:
-    """A node's rewards as its process sees them; meaningless where `exists` is false."""
+    """Scaled rewards of a node; undefined where `exists` is false."""
     number = jnp.maximum(jnp.sum(exists), 1).astype(rewards.dtype)
     if scaling == "none":
         return rewards
     if scaling == "rank":
-        # Twice the mean rank: one for each reward below and one for each reward not above, itself included.
+        # Twice the mean rank: the number of smaller rewards plus that of rewards not larger, itself included.
         below = jnp.sum(exists[None, :] & (rewards[None, :] < rewards[:, None]), axis=1)
         not_above = jnp.sum(exists[None, :] & (rewards[None, :] <= rewards[:, None]), axis=1)
         return (below + not_above).astype(rewards.dtype) / number - 1.0
     mean = jnp.sum(jnp.where(exists, rewards, 0.0)) / number
     variance = jnp.sum(jnp.where(exists, (rewards - mean) ** 2, 0.0)) / number
-    # Equal rewards say nothing about the surface: they stay 0.
+    # Equal rewards carry no information about the surface: they are scaled to 0.
     return (rewards - mean) / jnp.where(variance > 1e-12 * mean**2, jnp.sqrt(variance), 1.0)

@@ -12,7 +12,7 @@ from bojax.problems.base import Objective
 
 
 class DiscreteMemory(eqx.Module):
-    """The action of every node, and the paths of all actions.
+    """The action that leads to each node, and the paths of all actions.
 
     Attributes:
         paths: Paths of the actions.
@@ -36,15 +36,15 @@ class DiscreteDraws(eqx.Module):
 
 
 class DiscreteTreeSearch(TreeSearch[DiscreteMemory, DiscreteDraws, None, DiscreteMotions]):
-    """Untried actions first, in random order, then the child of the best upper confidence bound.
+    """A node tries its untried actions first, in random order, then follows the upper confidence bound.
 
     Attributes:
-        motions: The set of actions.
+        motions: Set of actions.
         exploration: kappa_MC of (4.1), in units of the return.
-        discount: Discount a step.
-        iterations: Simulations a plan.
-        depth: Actions to the horizon.
-        objective: What to maximise, if not the problem's own task.
+        discount: Discount per step.
+        iterations: Simulations per plan.
+        depth: Actions from the root to the horizon.
+        objective: Objective to maximise; None for the problem's own task.
     """
 
     motions: DiscreteMotions

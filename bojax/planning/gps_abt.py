@@ -13,22 +13,22 @@ from bojax.planning.tree import ROOT, UNVISITED, Tree
 from bojax.problems.base import Objective
 
 CENTRE = 0
-"""Index of a stencil's centre among its points."""
+"""Index of the centre among the points of a stencil."""
 
 
 class Stencils(eqx.Module):
-    """The stencil trees of all nodes: G stencils of P = 2D + 1 points, a centre and a step each way.
+    """The stencil trees of all nodes: G stencils of P = 2D + 1 points, a centre and two steps per dimension.
 
-    Stencil v < N is the first one of node v; stencil N + c was added together with node c. Points are
-    actions: their places follow from the centre and the radius, and `member` says which were simulated.
+    Stencil v < N is the initial one of node v; stencil N + c was added together with node c. Points are
+    actions. Their positions follow from centre and radius, and `member` holds those that have been simulated.
 
     Attributes:
-        paths: Random paths, for rollouts.
+        paths: Random paths for rollouts.
         params: Parameters of the action that leads to each node.
-        centre: Centres, in the box [-1, 1]^D.
-        radius: Length of a step.
-        member: Nodes that the points lead to, `UNVISITED` where there is none yet.
-        finer: Stencils that refine the points, `UNVISITED` where there is none yet.
+        centre: Centres in the box [-1, 1]^D.
+        radius: Step lengths.
+        member: Nodes that the points lead to; `UNVISITED` for points that have not been simulated.
+        finer: Stencils that refine the points; `UNVISITED` for points without one.
     """
 
     paths: Float[Array, "C S 3"]
@@ -39,20 +39,20 @@ class Stencils(eqx.Module):
     finer: Int[Array, "G P"]
 
     def points(self, stencil: Int[Array, ""]) -> Float[Array, "P D"]:
-        """Places of a stencil's points."""
+        """Positions of the points of a stencil."""
         return _points(self.centre[stencil], self.radius[stencil])
 
 
 class Walk(eqx.Module):
-    """Where a walk down a node's stencil tree, from best mean to best mean, ended.
+    """Result of the descent through a node's stencil tree along the points of highest mean return.
 
     Attributes:
         stencil: The last stencil.
-        point: Its best point by mean return.
-        has_unvisited: That stencil has points that were never simulated.
-        may_refine: It has none, and its best point may get a finer stencil.
-        best_ucb: The child of the highest upper confidence bound of all points on the way.
-        most_visited: The most visited of the best points on the way.
+        point: Its point of highest mean return.
+        has_unvisited: Whether the last stencil has points that have not been simulated.
+        may_refine: Whether it has none, and its best point may be refined.
+        best_ucb: Child with the highest upper confidence bound among all points on the way.
+        most_visited: Most visited child among the best points on the way.
     """
 
     stencil: Int[Array, ""]
@@ -76,17 +76,17 @@ class StencilDraws(eqx.Module):
 
 
 class StencilUpdate(eqx.Module):
-    """What a new action changes in the stencils.
+    """Change of the stencils by a new action.
 
     Attributes:
-        params: Its parameters.
-        stencil: The stencil that it is a point of, if that stencil existed.
-        point: Its place there, or in the finer stencil.
-        refined: The point that gets a finer stencil.
-        is_refinement: Whether it does.
+        params: Parameters of the action.
+        stencil: Last stencil of the descent, to which the action belongs unless it refines a point.
+        point: Index of the action in that stencil, or in the finer stencil.
+        refined: Index of the point that is refined.
+        is_refinement: Whether a point is refined.
         centre: Centre of the finer stencil.
-        radius: Its radius.
-        member: Its points that were simulated before.
+        radius: Radius of the finer stencil.
+        member: Members of the finer stencil that have been simulated before.
     """
 
     params: Float[Array, "D"]
@@ -100,33 +100,33 @@ class StencilUpdate(eqx.Module):
 
 
 class PatternSearch(TreeSearch[Stencils, StencilDraws, StencilUpdate, ContinuousMotions]):
-    """The public ABT toolkit's pattern search, on the belief tree that all planners here share.
+    """The pattern search of the public ABT toolkit, on the belief tree that all planners here share.
 
-    At a node, any unvisited point of a stencil is tried first, in random order; otherwise the walk
-    descends to the best point by mean return and into its finer stencil. Where there is none, the point
-    is refined if every best point on the way was visited `min_visits` times, the number of levels is below
-    ln N / ln(growth) for a node visited N times, and the radius exceeds `min_radius`; if not, the action
-    is the one of the best upper confidence bound on the way, with a bonus of `exploration` sqrt(ln N / n).
-    Refining the centre halves the radius, refining another point moves the centre there; points outside
-    the box are dropped, and where a moved stencil has no new point inside the radius halves instead. The
-    plan is the most visited of the best points on the way through the root's stencils.
+    At a node, unvisited points of a stencil are tried first, in random order. Otherwise the search descends
+    to the point of highest mean return and into the stencil that refines it. A point without such a stencil
+    is refined if every best point on the way has been visited `min_visits` times, the number of levels is
+    below ln N / ln(growth) for a node visited N times, and the radius exceeds `min_radius`. If it is not
+    refined, the action is the one with the highest upper confidence bound on the way, with a bonus of
+    `exploration` sqrt(ln N / n). Refining the centre halves the radius; refining another point moves the
+    centre there. Points outside the box are dropped; if a moved stencil has no new point inside the box, the
+    radius is halved instead. The plan is the most visited of the best points on the descent from the root.
 
-    Deviation: the toolkit's simulations are full histories of particles; here a belief is one node.
+    Deviation: the toolkit simulates histories of particles; here a node holds a belief.
 
     Attributes:
-        motions: Trajectories and their parameters.
-        exploration: The square root of the toolkit's C, in units of the return.
+        motions: Parametrised family of trajectories.
+        exploration: Square root of the toolkit's C, in units of the return.
         growth: The k of ln N / ln k.
-        min_visits: Visits of every best point on the way before a refinement.
-        min_radius: Smallest radius that is refined, for the box [-1, 1]^D.
-        initial_radius: Radius of a node's first stencil, for the box [-1, 1]^D.
-        discount: Discount a step.
-        iterations: Simulations a plan.
-        depth: Actions to the horizon.
-        max_levels: Most stencils on one walk.
-        num_rollout_paths: Random paths that rollouts draw from, drawn anew for each plan.
-        heuristic: Value past a new action: `"rollout"` to the horizon, or `"zero"`.
-        objective: What to maximise, if not the problem's own task.
+        min_visits: Number of visits of every best point on the way that a refinement requires.
+        min_radius: Radius at and below which stencils are not refined, in the box [-1, 1]^D.
+        initial_radius: Radius of the initial stencil of a node, in the box [-1, 1]^D.
+        discount: Discount per step.
+        iterations: Simulations per plan.
+        depth: Actions from the root to the horizon.
+        max_levels: Largest number of stencils on a descent.
+        num_rollout_paths: Number of random paths that rollouts draw from, drawn for each plan.
+        heuristic: Value after a new action: that of a `"rollout"` to the horizon, or `"zero"`.
+        objective: Objective to maximise; None for the problem's own task.
     """
 
     motions: ContinuousMotions
@@ -145,7 +145,7 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, StencilUpdate, Continuous
 
     @property
     def num_actions(self) -> int:
-        """Actions that the tree lists for a node, the first ones; the search itself reads the stencils."""
+        """Number of actions of a node that the tree lists; the search itself reads the stencils."""
         return self.max_levels * (2 * self.motions.num_params + 1)
 
     def begin(self, key: Key[Array, ""], dtype) -> tuple[Stencils, StencilDraws]:
@@ -230,7 +230,7 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, StencilUpdate, Continuous
         )
 
     def recommend(self, tree: Tree, memory: Stencils) -> Int[Array, ""]:
-        """See `TreeSearch`: the toolkit's "robust" choice."""
+        """The most visited child, which the toolkit calls robust."""
         return self._walk(tree, memory, jnp.asarray(ROOT, jnp.int32)).most_visited
 
     def path_of(self, memory: Stencils, child: Int[Array, ""]) -> Path:
@@ -251,7 +251,7 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, StencilUpdate, Continuous
             member = jnp.where(is_inside, memory.member[stencil], UNVISITED)
             visits = jnp.where(member == UNVISITED, 0, tree.visits[member])
             mean = tree.mean_return(member)
-            # A stencil with unvisited points is where the walk ends.
+            # The descent ends at a stencil with unvisited points.
             unvisited = is_walking & jnp.any(is_inside & (member == UNVISITED))
 
             bound = mean + self.exploration * jnp.sqrt(
@@ -288,11 +288,11 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, StencilUpdate, Continuous
     def _finer(
         self, memory: Stencils, stencil: Int[Array, ""], point: Int[Array, ""]
     ) -> tuple[Float[Array, "D"], Float[Array, ""], Int[Array, "P"]]:
-        """Centre, radius and known members of the stencil that refines a point."""
+        """Centre, radius and previously simulated members of the stencil that refines a point."""
         radius, member = memory.radius[stencil], memory.member[stencil]
         centre = memory.points(stencil)[point]
         index = jnp.arange(member.shape[0], dtype=jnp.int32)
-        # Points 1, 2 step up and down the first dimension, 3, 4 the second: the way back is the other one.
+        # Points 1 and 2 step up and down the first dimension, 3 and 4 the second: the opposite one leads back.
         back = jnp.where(point % 2 == 1, point + 1, point - 1)
         known = jnp.where(index == CENTRE, member[point], UNVISITED)
         moved = jnp.where(index == back, member[CENTRE], known)

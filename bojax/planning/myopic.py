@@ -1,4 +1,4 @@
-"""The myopic planner and the myopic explorer: the best next path, and nothing after it (Section 3.3.1)."""
+"""The myopic planner and the myopic explorer: the best next path, without look-ahead (Section 3.3.1)."""
 
 import jax
 import jax.numpy as jnp
@@ -10,11 +10,11 @@ from bojax.problems.base import Belief, Objective, Problem
 
 
 class MyopicPlanner(Planner[DiscreteMotions]):
-    """The path of highest simulated reward, of all of a finite set (3.3); the first of equal ones.
+    """The path of a finite set with the highest simulated reward (3.3); the first one of ties.
 
     Attributes:
-        motions: The paths.
-        objective: What to maximise, if not the problem's own task.
+        motions: Set of paths.
+        objective: Objective to maximise; None for the problem's own task.
     """
 
     motions: DiscreteMotions

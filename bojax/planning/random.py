@@ -1,4 +1,4 @@
-"""The baseline that draws a path at random."""
+"""The random baseline."""
 
 import jax
 import jax.numpy as jnp
@@ -10,16 +10,16 @@ from bojax.problems.base import Belief, Problem
 
 
 class RandomPlanner(Planner[Motions]):
-    """Any path of its motions, each as likely as another.
+    """A path drawn uniformly from a family of trajectories.
 
     Attributes:
-        motions: The paths.
+        motions: Family of trajectories.
     """
 
     motions: Motions
 
     def plan(self, key: Key[Array, ""], problem: Problem, belief: Belief) -> Plan:
-        """See `Planner`; the path is simulated once, to say what the model expects of it."""
+        """See `Planner`; the path is simulated once to predict its reward."""
         key_path, key_simulate = jax.random.split(key)
         path = self.motions.sample(key_path)
         root, node = problem.root(belief, 1)

@@ -8,27 +8,27 @@ from jaxtyping import Array, Bool, Float, Int
 from bojax.problems.base import Node
 
 ROOT = 0
-"""Index of the root."""
+"""Index of the root node."""
 
 UNVISITED = -1
-"""The child of an action that was never simulated."""
+"""Marks an action that has not been simulated."""
 
 
 class Tree(eqx.Module):
     """N belief nodes with at most A actions each.
 
-    Each action has one observation branch, so an action and the belief that it leads to share an index:
-    `reward`, `visits` and `total_return` of a node are those of the action that leads to it. Iteration i
-    of a search can only create node i + 1, in every run of a batch: writes to a new node go to the same
-    index everywhere, which costs no scatter.
+    Each action has one observation branch, so that an action and the belief that it leads to share an index:
+    `reward`, `visits` and `total_return` of a node are those of the action that leads to it. Iteration i of a
+    search can create only node i + 1, in every run of a batch: a new node is written at the same index in all
+    lanes, without a scatter.
 
     Attributes:
-        belief: The beliefs.
-        is_terminal: The episode ended on the way to this node.
-        reward: Reward of the action that leads to this node.
-        visits: Simulations through this node; for the root, all of them.
-        total_return: Sum over these simulations of the action's reward and all that followed.
-        children: Nodes that a node's actions lead to, `UNVISITED` where there is none yet.
+        belief: Beliefs of the nodes.
+        is_terminal: Whether the episode has ended at a node.
+        reward: Reward of the action that leads to a node.
+        visits: Number of simulations through a node; for the root, of all simulations.
+        total_return: Sum of the returns of these simulations, from the action that leads to the node on.
+        children: Nodes that the actions of a node lead to; `UNVISITED` for actions that do not exist yet.
     """
 
     belief: Node
@@ -40,7 +40,7 @@ class Tree(eqx.Module):
 
     @classmethod
     def rooted(cls, belief: Node, num_nodes: int, num_actions: int, dtype) -> "Tree":
-        """A tree of one node."""
+        """A tree with only a root."""
         beliefs = jax.tree.map(
             lambda leaf: jnp.zeros((num_nodes, *leaf.shape), leaf.dtype).at[ROOT].set(leaf), belief
         )
@@ -54,11 +54,11 @@ class Tree(eqx.Module):
         )
 
     def num_children(self, node: Int[Array, ""]) -> Int[Array, ""]:
-        """Number of actions simulated from `node`."""
+        """Number of actions that have been simulated from `node`."""
         return jnp.sum(self.children[node] != UNVISITED, dtype=jnp.int32)
 
     def mean_return(self, nodes: Int[Array, "*K"]) -> Float[Array, "*K"]:
-        """Mean return of the actions that lead to `nodes`; minus infinity where there is no node."""
+        """Mean return of the actions that lead to `nodes`; minus infinity for `UNVISITED`."""
         visits = self.visits[nodes].astype(self.total_return.dtype)
         mean = self.total_return[nodes] / jnp.maximum(visits, 1.0)
         return jnp.where(nodes == UNVISITED, -jnp.inf, mean)
@@ -67,7 +67,8 @@ class Tree(eqx.Module):
 def best_by_mean(tree: Tree) -> Int[Array, ""]:
     """Child of the root with the highest mean return.
 
-    Algorithms 2 and 4 print the largest sum; of negative returns that is the least visited child.
+    Deviation: Algorithms 2 and 4 choose the largest sum of returns, which for negative returns favours the
+    least visited child.
     """
     children = tree.children[ROOT]
     return children[jnp.argmax(tree.mean_return(children))]
@@ -76,7 +77,7 @@ def best_by_mean(tree: Tree) -> Int[Array, ""]:
 def best_by_uct(tree: Tree, node: Int[Array, ""], exploration: Float[Array, ""]) -> Int[Array, ""]:
     """Child of `node` that maximises the mean return plus `exploration` sqrt(ln n_p / n_i) (4.1).
 
-    Algorithm 2 has a factor 2 under the root, which is absorbed by `exploration`.
+    The factor 2 under the square root in Algorithm 2 is absorbed by `exploration`.
     """
     children = tree.children[node]
     visits = jnp.maximum(tree.visits[children], 1).astype(tree.total_return.dtype)
