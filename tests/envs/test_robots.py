@@ -361,7 +361,7 @@ def test_a_state_that_diverged_pays_no_number():
 def test_a_jaco_that_begins_at_its_goal_is_refused_in_one_line():
     """Joint 6 moves the finger tips by 4 cm; within 0.6 m most targets are as good as reached."""
     for schema in (envs.Jaco(joints=(6,)), envs.Jaco(joints=(1,)), envs.Jaco(goal_distance=0.6)):
-        with pytest.raises(ConfigError, match=r"^jaco: joints, goal_distance: the joints [^\n]*$"):
+        with pytest.raises(ConfigError, match=r"^jaco: joints, goal_distance: joints [^\n]*$"):
             build(schema, "float32")
     env = build(envs.Jaco(joints=(5,)), "float32")
     with pytest.raises(ValueError, match="60 m"):

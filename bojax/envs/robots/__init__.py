@@ -1,1 +1,1 @@
-"""Robots simulated by MJX that a learner acts in."""
+"""Environments of robots that MJX simulates."""

@@ -1,4 +1,4 @@
-"""What the robots that are learned on share."""
+"""The common part of environments of simulated robots."""
 
 import abc
 
@@ -14,28 +14,29 @@ from bojax.robots.simulator import Physics, Simulator
 
 
 class RobotTask(ControlTask):
-    """A control task of a robot that MJX steps; a subclass says where it starts and what is seen and paid.
+    """A control task of a robot that MJX simulates.
 
-    Actions are the model's controls, within its ranges. A state that the simulation cannot have reached
-    soundly pays NaN, which ends the run as failed. A state is that of the simulator, unless a subclass adds
-    to it what does not move.
+    Subclasses define the initial state, the observations and the rewards. Actions are the controls of the
+    model, within their ranges. A diverged simulation pays NaN, which ends the run as failed. The state is
+    that of the simulator, to which a subclass may add constants of the episode.
 
     Attributes:
-        physics: How MJX computes.
-        substeps: Steps of the physics for one action.
+        physics: Settings of the simulation.
+        substeps: Simulation steps per action.
     """
 
     physics: eqx.AbstractVar[Physics]
     substeps: eqx.AbstractVar[int]
 
     def __check_init__(self):
-        """Look at the model before anything runs; see also `Simulator`.
+        """Compile the model and check its actuators, see also `Simulator`.
 
         Raises:
-            ValueError: MuJoCo or MJX refuse it, or an actuator has no `ctrlrange`, which bounds actions.
+            ValueError: MuJoCo or MJX refuse the model, or an actuator has no `ctrlrange`, which bounds
+            actions.
         """
         model = self.simulator.mujoco_model
-        # MuJoCo has (0, 0) where there is none: all actions would be clipped to 0.
+        # A missing range is (0, 0) in MuJoCo: all actions would be clipped to 0.
         low, high = model.actuator_ctrlrange.T
         free = [model.actuator(number).name or str(number) for number in (low >= high).nonzero()[0]]
         if free:
@@ -48,22 +49,22 @@ class RobotTask(ControlTask):
 
     @property
     def simulator(self) -> Simulator:
-        """The physics."""
+        """Simulator of the robot."""
         return Simulator(self.physics, self.model, self.substeps)
 
     @property
     def action_space(self) -> Box:
-        """The controls of the model, in its order."""
+        """The controls of the model, in the order of its actuators."""
         ranges = jnp.asarray(self.simulator.mujoco_model.actuator_ctrlrange, self.dtype)
         return Box(ranges[:, 0], ranges[:, 1])
 
     @property
     def dtype(self) -> jnp.dtype:
-        """Precision of observations and rewards; the physics itself has 32 bits."""
+        """Precision of observations and rewards; the simulation runs in 32 bits."""
         return self.physics.max_speed.dtype
 
     def advance(self, key: Key[Array, ""], state: EnvState, action: Float[Array, "A"]) -> EnvState:
-        """See `ControlTask`; nothing is random."""
+        """See `ControlTask`; the dynamics are deterministic."""
         del key
         return self.simulator.advance(state, action)
 
@@ -72,5 +73,5 @@ class RobotTask(ControlTask):
         return self.simulator.has_diverged(state)
 
     def frame(self, state: EnvState) -> Float[Array, "Q"]:
-        """The positions, and behind them those of the model's mocap bodies where it has some."""
+        """Generalised positions, followed by the positions of the model's mocap bodies if it has any."""
         return state.qpos

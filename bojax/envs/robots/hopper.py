@@ -1,4 +1,4 @@
-"""A leg that has to jump (thesis, p. 107): Gym's Hopper with a goal."""
+"""Jumping with one leg (thesis, p. 107): Gym's Hopper with a goal."""
 
 from typing import Literal
 
@@ -16,22 +16,23 @@ _FASTEST, _UNHEALTHY = 10.0, 100.0
 
 
 class Hopper(RobotTask):
-    """A torso on a leg of three segments, in a vertical plane; actions are the torques of its joints.
+    """A torso on a leg of three segments in a vertical plane; actions are the torques of the joints.
 
-    The goal is a height of the torso above `goal_height`, the failure an angle of the torso beyond
-    `failure_angle`, to either side (p. 107). The author's code also fails below a height of 0.7 m
+    The goal is a height of the torso above `goal_height`; an angle of the torso beyond `failure_angle` in
+    either direction is a failure (p. 107). In the author's code a height below 0.7 m is a failure too
     (`failure_height`). The classic reward is that of Gym's Hopper-v5: forward velocity + 1 - 0.001 times the
-    sum of the squared actions, without the 1 once unhealthy, which ends it: a height below 0.7 m, an angle
-    beyond 0.2 rad, or any other number of the state beyond 100.
+    sum of the squared actions. An unhealthy state (height below 0.7 m, |angle| above 0.2 rad, or any other
+    component of the state above 100 in magnitude) loses the 1 and ends the episode.
 
-    It begins as in Gym: standing, with noise uniform in [-0.005, 0.005] on every position and velocity.
+    As in Gym, an episode starts in the standing configuration, with noise uniform in [-0.005, 0.005] on every
+    position and velocity.
 
     Attributes:
-        goal_height: Height of the torso to be exceeded, in metres; it stands at 1.25.
+        goal_height: Height of the torso to exceed, in metres; the standing height is 1.25.
         failure_angle: Largest |angle| of the torso, in radians.
-        failure_height: Least height of the torso, in metres.
+        failure_height: Smallest height of the torso, in metres.
         physics: See `RobotTask`.
-        substeps: See `RobotTask`; a step of the physics is 2 ms.
+        substeps: See `RobotTask`; a simulation step is 2 ms.
         max_steps: See `Env`.
         reward: See `ControlTask`.
     """
@@ -51,7 +52,7 @@ class Hopper(RobotTask):
 
     @property
     def observation_space(self) -> Box:
-        """Height and angle of the torso, angles of the three joints, and the velocities of all six, clipped.
+        """Height and angle of the torso, angles of the three joints, and all six velocities, clipped.
 
         The bounds are those of the author's code, in m and rad, m/s and rad/s.
         """

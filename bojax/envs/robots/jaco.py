@@ -1,4 +1,4 @@
-"""A damaged Jaco arm that has to bring its finger tips to a point (thesis, Section 5.7.3)."""
+"""Reaching a point with a damaged Jaco arm (thesis, Section 5.7.3)."""
 
 import dataclasses
 from typing import Literal
@@ -22,11 +22,11 @@ _REACH = (-1.0, -1.0, -0.7), (1.0, 1.0, 1.3)
 
 
 class JacoState(eqx.Module):
-    """The arm and where it has to go.
+    """State of the arm and position of the target.
 
     Attributes:
-        robot: The arm.
-        target: Where the finger tips are to be brought, in metres, from the foot of the arm.
+        robot: State of the arm.
+        target: Target position of the fingertips relative to the base of the arm, in metres.
     """
 
     robot: RobotState
@@ -34,30 +34,33 @@ class JacoState(eqx.Module):
 
 
 class Jaco(RobotTask):
-    """A Jaco of six joints of which some are immobilised; actions are the torques of the others.
+    """A Jaco arm with six joints, some of them immobilised; actions are the torques of the others.
 
-    The goal is the middle of the finger tips within `goal_distance` of the target, at any speed; nothing is a
-    failure. It begins at rest with the arm pointing straight up, every joint that moves turned by a uniform
-    angle in [-0.1, 0.1] rad. A target is where the finger tips are with these joints anywhere within their
-    limits (uniform), so that it can be reached; the first of eight such that is more than twice
-    `goal_distance` away from where they are at rest, or the first of all if none is. Joints that bring the
-    finger tips that far in less than half of their angles are refused: one target in 256 at most is nearer.
+    The goal is a distance between the mean fingertip position and the target below `goal_distance`, at any
+    speed. There is no failure. An episode starts at rest in the upright configuration, with every movable
+    joint rotated by a uniform angle in [-0.1, 0.1] rad. A target is the fingertip position for uniform joint
+    angles within their limits, so that it can be reached. It is the first of eight such positions that is
+    farther than twice `goal_distance` from the upright fingertip position, or the first one if none is.
+    Joints that move the fingertips this far in less than half of their configurations are refused, so that at
+    most one target in 256 is nearer.
 
-    The thesis says neither which two joints move nor how near is near, and that the arm is learned "solely
-    from observing joint configuration" while targets are random. Joints 1 and 2 are the default because they
-    sweep the most: 1259 cells of 10 cm; the next best pairs, 1 and 3 and 2 and 3, sweep 511 and 301. A target
-    is drawn once for each run and not observed; with `targets` `"per-episode"`, at every reset, and is
-    observed. With 40 ms an action a PD controller that knows the angles of the target gets within 0.1 m of
-    99% of them in 50 steps, and uniformly random actions of 4% (of 22% and 1% with 20 ms).
+    The thesis specifies neither which two joints move nor the distance of the goal, and states that the arm
+    learns "solely from observing joint configuration" although targets are random. Joints 1 and 2 are the
+    default because they sweep the largest volume: 1259 cells of 10 cm, against 511 and 301 for the next
+    pairs, 1 and 3, and 2 and 3. By default a target is drawn once per run and not observed; with `targets`
+    `"per-episode"` it is drawn at every reset and observed. With actions of 40 ms, a PD controller that knows
+    the joint angles of the target comes within 0.1 m of 99% of the targets in 50 steps, and uniformly random
+    actions of 4%; with actions of 20 ms, of 22% and 1%.
 
-    There is no classic reward of Gym; ours is minus the distance in metres, and ends at the goal.
+    Gym has no such environment; the classic reward is minus the distance in metres, and the goal terminates
+    the episode.
 
     Attributes:
-        goal_distance: Distance of finger tips and target that has to be undercut, in metres.
+        goal_distance: Distance between fingertips and target below which the goal is reached, in metres.
         physics: See `RobotTask`.
-        joints: The joints that move, from 1 at the base to 6 at the hand.
-        targets: How often there is a new target.
-        substeps: See `RobotTask`; a step of the physics is 4 ms.
+        joints: Movable joints, numbered from 1 at the base to 6 at the hand.
+        targets: Whether a target is drawn per run or per episode.
+        substeps: See `RobotTask`; a simulation step is 4 ms.
         max_steps: See `Env`.
         reward: See `ControlTask`.
         target: Target of all episodes, see `of_run`; None for a new target in each episode.
@@ -73,12 +76,12 @@ class Jaco(RobotTask):
     target: Float[Array, "3"] | None = None
 
     def __check_init__(self):
-        """Compare `goal_distance` with how far the joints bring the finger tips, at 1000 random angles.
+        """Compare `goal_distance` with the reach of the joints in 1000 random configurations.
 
         Raises:
-            ValueError: Less than half of them are far enough, see the class.
+            ValueError: Less than half of the configurations are far enough, see the class.
         """
-        if self.target is not None:  # nothing is drawn
+        if self.target is not None:  # no target is drawn
             return
         model = self.simulator.mujoco_model
         low, high = np.asarray(self._limits, np.float64)
@@ -92,9 +95,9 @@ class Jaco(RobotTask):
         share = np.mean(np.linalg.norm(np.asarray(tips[1:]) - tips[0], axis=-1) > far)
         if share < 0.5:
             raise ValueError(
-                f"joints, goal_distance: the joints {', '.join(map(str, self.joints))} bring the finger tips "
-                f"farther than twice goal_distance, {far:g} m, in {share:.0%} of their angles, not in half: "
-                f"other joints, or a smaller distance"
+                f"joints, goal_distance: joints {', '.join(map(str, self.joints))} move the fingertips "
+                f"farther than twice goal_distance, {far:g} m, in {share:.0%} of their configurations, less "
+                f"than half; set other joints or a smaller goal_distance"
             )
 
     @property
@@ -104,7 +107,7 @@ class Jaco(RobotTask):
 
     @property
     def observation_space(self) -> Box:
-        """Cosines and sines of the joints, their velocities in rad/s, and the target where it is observed."""
+        """Cosines and sines of the joint angles, joint velocities in rad/s, and the target if observed."""
         one = jnp.ones((2 * len(self.joints),), self.dtype)
         speed = jnp.full((len(self.joints),), _FASTEST, self.dtype)
         low, high = jnp.concatenate([-one, -speed]), jnp.concatenate([one, speed])
@@ -114,7 +117,7 @@ class Jaco(RobotTask):
         return Box(low, high)
 
     def of_run(self, key: Key[Array, ""]) -> "Jaco":
-        """See `Env`: with its target, where there is one for all episodes."""
+        """The environment with the target of the run, if targets are drawn per run."""
         return dataclasses.replace(self, target=self.draw_target(key)) if self.targets == "per-run" else self
 
     def reset(self, key: Key[Array, ""]) -> JacoState:
@@ -135,7 +138,7 @@ class Jaco(RobotTask):
         return tips[1:][jnp.argmax(is_far)].astype(self.dtype)
 
     def finger_tips(self, angles: Float[Array, "J"]) -> Float[Array, "3"]:
-        """The middle of the finger tips with the joints at these angles, in metres."""
+        """Mean fingertip position for joint angles, in metres."""
         return self.simulator.sites(self.simulator.state(angles, jnp.zeros_like(angles)))[0]
 
     def observe(self, state: JacoState) -> Float[Array, "D"]:
@@ -154,7 +157,7 @@ class Jaco(RobotTask):
         return super().has_diverged(state.robot)
 
     def frame(self, state: JacoState) -> Float[Array, "Q"]:
-        """See `Env`: the angles, and where the model's target has to be drawn."""
+        """Joint angles, and the position at which the target is drawn."""
         return jnp.concatenate([state.robot.qpos, state.target.astype(jnp.float32)])
 
     def is_goal(self, state: JacoState) -> Bool[Array, ""]:
@@ -162,7 +165,7 @@ class Jaco(RobotTask):
         return self.distance(state) < self.goal_distance
 
     def distance(self, state: JacoState) -> Float[Array, ""]:
-        """From the finger tips to the target, in metres."""
+        """Distance between fingertips and target, in metres."""
         gap = self.finger_tips(state.robot.qpos).astype(self.dtype) - state.target
         return jnp.sqrt(jnp.sum(gap * gap))
 
@@ -184,7 +187,7 @@ class Jaco(RobotTask):
 
     @property
     def _limits(self) -> Float[Array, "2 J"]:
-        """Least and largest angles; a full turn where there are none."""
+        """Lower and upper joint limits; a full turn for joints without limits."""
         model = self.simulator.mujoco_model
         ends = [
             ends if is_limited else (-jnp.pi, jnp.pi)

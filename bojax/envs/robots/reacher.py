@@ -1,4 +1,4 @@
-"""An arm of two links that has to reach a point in its plane (thesis, p. 107): Gym's Reacher with a goal."""
+"""Reaching a point with a planar arm of two links (thesis, p. 107): Gym's Reacher with a goal."""
 
 from typing import Literal
 
@@ -13,24 +13,24 @@ from bojax.robots.models import RobotModel, packaged
 from bojax.robots.simulator import Physics, RobotState
 
 _LINKS = 0.1, 0.11
-"""Lengths up to the elbow, and from there to the finger tip, in metres."""
+"""Lengths of the upper arm and of the forearm, in metres."""
 
 
 class Reacher(RobotTask):
-    """Two links over a table and a target beside them; actions are the torques of shoulder and elbow.
+    """Two links over a table with a target; actions are the torques of shoulder and elbow.
 
-    The goal is a finger tip within `goal_distance` of the target (p. 107), at any speed; nothing is a
-    failure. The classic reward is that of Gym's Reacher-v5: minus the distance after the step, minus the sum
-    of the squared actions. It ends at nothing, as in Gym.
+    The goal is a distance between fingertip and target below `goal_distance` (p. 107), at any speed. There is
+    no failure. The classic reward is that of Gym's Reacher-v5: minus the distance after the step, minus the
+    sum of the squared actions. As in Gym, nothing terminates an episode with the classic reward.
 
-    It begins as in Gym: angles uniform in [-0.1, 0.1] rad, their velocities in [-0.005, 0.005] rad/s, and a
-    target at rest, uniform in the disc of radius `target_radius` around the shoulder.
+    As in Gym, initial angles are uniform in [-0.1, 0.1] rad and their velocities in [-0.005, 0.005] rad/s.
+    The target is at rest, uniform in the disc of radius `target_radius` about the shoulder.
 
     Attributes:
-        goal_distance: Distance of finger tip and target that has to be undercut, in metres.
+        goal_distance: Distance between fingertip and target below which the goal is reached, in metres.
         target_radius: Largest distance of the target from the shoulder, in metres; the arm reaches 0.21.
         physics: See `RobotTask`.
-        substeps: See `RobotTask`; a step of the physics is 10 ms.
+        substeps: See `RobotTask`; a simulation step is 10 ms.
         max_steps: See `Env`.
         reward: See `ControlTask`.
     """
@@ -51,8 +51,8 @@ class Reacher(RobotTask):
     def observation_space(self) -> Box:
         """The observations of Gym's Reacher-v4, with the bounds of the author's code.
 
-        Cosines of shoulder and elbow, their sines, the target's x and y in metres, the velocities of the
-        joints in rad/s, and from the target to the finger tip x, y and z in metres; z is always 0.
+        Cosines of shoulder and elbow, their sines, x and y of the target in metres, the joint velocities in
+        rad/s, and the vector from the target to the fingertip in metres, whose z component is 0.
         """
         low = [-1.0, -1.0, -1.0, -0.17, -0.2, -0.2, -49.0, -5.6, -0.22, -0.2, 0.0]
         high = [1.0, 1.0, 1.0, 1.0, 0.2, 0.2, 87.0, 33.0, 0.4, 0.35, 1e-4]
@@ -84,7 +84,7 @@ class Reacher(RobotTask):
         return self.distance(state) < self.goal_distance
 
     def distance(self, state: RobotState) -> Float[Array, ""]:
-        """From the finger tip to the target, in metres."""
+        """Distance between fingertip and target, in metres."""
         gap = fingertip(state.qpos[:2]) - state.qpos[2:]
         return jnp.sqrt(jnp.sum(gap * gap)).astype(self.dtype)
 
@@ -102,7 +102,7 @@ class Reacher(RobotTask):
 
 
 def fingertip(angles: Float[Array, "2"]) -> Float[Array, "2"]:
-    """Where the tip is, in metres, with the shoulder and the elbow at these angles."""
+    """Position of the fingertip in metres for angles of shoulder and elbow."""
     upper, lower = _LINKS
     first, second = angles[0], angles[0] + angles[1]
     along = jnp.stack([jnp.cos(first), jnp.sin(first)]), jnp.stack([jnp.cos(second), jnp.sin(second)])
