@@ -1,4 +1,4 @@
-"""A planning episode: plan, drive, observe, until the task ends."""
+"""A planning episode: plan, execute and observe until the task ends."""
 
 from collections.abc import Mapping
 from math import isfinite
@@ -17,24 +17,24 @@ from bojax.results.schema import Column, Table
 
 
 class Episode(eqx.Module):
-    """The state of an episode.
+    """State of an episode.
 
     Attributes:
-        key_world: Key of what the world draws.
-        key_planner: Key of what the planner draws; a stream of its own, so that all planners meet the
-            same starts and the same noise.
-        world: The true state.
-        belief: What the planner knows.
-        step: Steps done.
+        key_world: Key of the world's random numbers.
+        key_planner: Key of the planner's random numbers, a separate stream, so that all planners face the
+            same initial states and the same noise.
+        world: True state of the world.
+        belief: Belief of the planner.
+        step: Number of steps taken.
         accumulated: Sum of the rewards so far.
-        success: The task was solved.
-        exited: Number of times that the robot left the domain.
-        is_done: The episode is over.
-        failed: The simulation of the world has diverged.
-        start: Pose at the start.
-        paths: Paths driven, in the world's frame; NaN where there is none.
-        plans: What was planned in their place, in the robot's frame.
-        frames: What an animation shows of the ways, see `Events`; NaN where there is none.
+        success: Whether the task has been solved.
+        exited: Number of times that the robot has left the domain.
+        is_done: Whether the episode has ended.
+        failed: Whether the simulation has diverged.
+        start: Initial pose.
+        paths: Poses driven, in the world frame; NaN for steps not taken.
+        plans: Planned paths, in the robot's frame; NaN for steps not taken.
+        frames: Frames of an animation, see `Events`; NaN for steps not taken.
     """
 
     key_world: Key[Array, ""]
@@ -54,27 +54,28 @@ class Episode(eqx.Module):
 
 
 class PlanningEpisode(Experiment):
-    """One episode of a planner on a problem; an advance is one plan and the drive that follows.
+    """One episode of a planner on a problem; an advance is one plan and its execution.
 
     Attributes:
         problem: The world and its task.
-        planner: The planner, which knows the problem's model and sees its observations only.
+        planner: The planner, which knows the model of the problem and receives its observations.
     """
 
     problem: Problem
     planner: Planner
 
     def __check_init__(self):
-        """Compare the planner's trajectories with what the robot can drive.
+        """Compare the trajectories of the planner with the abilities of the robot.
 
         Raises:
-            ValueError: They are longer than it can follow, or one is tighter than its turning radius.
+            ValueError: The trajectories are longer than the robot can complete, or tighter than its turning
+                radius.
         """
         reach = self.problem.reach
         if isfinite(reach) and (length := float(self.planner.motions.length)) > reach:
             raise ValueError(
-                f"planner.motions.length: got {length:g}; the robot can follow {reach:.2f} m to the end: "
-                "shorter trajectories, or more time for them"
+                f"planner.motions.length: got {length:g}; the robot can follow {reach:.2f} m to the end; "
+                "set a shorter length, or more time per path"
             )
         radius = self.problem.turning_radius
         if radius == 0.0:
@@ -83,7 +84,7 @@ class PlanningEpisode(Experiment):
         if tightest < radius:
             raise ValueError(
                 f"planner.motions: the tightest trajectory has a radius of {tightest:.2f} m; the robot can "
-                f"drive {radius:.2f} m: longer trajectories, or smaller angles"
+                f"drive {radius:.2f} m; set longer trajectories or smaller angles"
             )
 
     @property
@@ -108,7 +109,7 @@ class PlanningEpisode(Experiment):
         start = self.problem.pose(world)
         num_samples = self.planner.motions.num_samples
         path = jax.ShapeDtypeStruct((num_samples, 3), start.dtype)
-        # The problem is an argument, not closed over: its arrays may be tracers.
+        # The problem is passed as an argument, since arrays that a closure captures may be tracers.
         _, _, events = eqx.filter_eval_shape(type(self.problem).execute, self.problem, key, world, path)
         return Episode(
             key_world=key_world,
@@ -134,14 +135,14 @@ class PlanningEpisode(Experiment):
         active = ~carry.is_done
         key = jax.random.fold_in(carry.key_planner, carry.step)
         plan = self.planner.plan(key, self.problem, carry.belief)
-        # Counters 0 and 1 of the world's stream made the start.
+        # Counters 0 and 1 of the world's stream were used by `init`.
         key = jax.random.fold_in(carry.key_world, carry.step + 2)
         world, observation, events = self.problem.execute(key, carry.world, plan.path)
         reward = self.problem.reward(None, carry.belief, plan.path, events)
         belief = self.problem.update(carry.belief, plan.path, observation)
         failed = jnp.zeros((), bool) if events.failed is None else events.failed
         success, exited = events.success & ~failed, events.exited & ~failed
-        if events.failed is not None:  # what is no number is reported, and leaves no trace
+        if events.failed is not None:  # a diverged step pays NaN and leaves the state unchanged
             reward = jnp.where(failed, jnp.nan, reward)
             world, belief = _where(~failed, (world, belief), (carry.world, carry.belief))
 
@@ -197,7 +198,7 @@ class PlanningEpisode(Experiment):
         }
 
     def snapshot(self, carry: Episode) -> dict[str, dict[str, Array]]:
-        """The paths planned and driven, and what the problem keeps: for figures and animations."""
+        """The planned and driven paths, and the arrays of the problem, for figures and animations."""
         paths = {"paths": carry.paths, "plans": carry.plans, "start": carry.start}
         if carry.frames is not None:
             paths |= {"frames": carry.frames}
@@ -208,7 +209,7 @@ T = TypeVar("T")
 
 
 def _where(active: Bool[Array, ""], after: T, before: T) -> T:
-    # What an advance leaves alone is not selected: choosing between a key and itself would use it twice.
+    # Leaves that an advance does not change are not selected: a select would use a key twice.
     return jax.tree.map(lambda a, b: a if a is b else jnp.where(active, a, b), after, before)
 
 

@@ -292,7 +292,7 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, StencilUpdate, Continuous
         radius, member = memory.radius[stencil], memory.member[stencil]
         centre = memory.points(stencil)[point]
         index = jnp.arange(member.shape[0], dtype=jnp.int32)
-        # Points 1 and 2 step up and down the first dimension, 3 and 4 the second: the opposite one leads back.
+        # Points 1 and 2 step up and down the first dimension, 3 and 4 the second: the opposite one returns.
         back = jnp.where(point % 2 == 1, point + 1, point - 1)
         known = jnp.where(index == CENTRE, member[point], UNVISITED)
         moved = jnp.where(index == back, member[CENTRE], known)
