@@ -171,21 +171,25 @@ class LunarLander(ControlTask, frozen=True):
 
     kind: Literal["lunar-lander"] = "lunar-lander"
     goal_distance: float = Field(
-        default=0.05, gt=0, description="distance to the pad's centre at the goal, in units of observations"
+        default=0.05,
+        gt=0,
+        description="distance to the pad below which the goal is reached, in units of observations",
     )
     gravity: float = Field(default=10.0, ge=0, description="gravity, m/s^2")
     main_power: float = Field(
-        default=13.0, ge=0, description="impulse of the main engine, N s, for each metre to the hull's origin"
+        default=13.0, ge=0, description="impulse of the main engine, N s per metre from the hull's origin"
     )
-    side_power: float = Field(default=0.6, ge=0, description="the same of the side engines")
+    side_power: float = Field(
+        default=0.6, ge=0, description="impulse of the side engines, N s per metre from the hull's origin"
+    )
     dispersion: float = Field(
         default=1.0, ge=0, description="scale of the noise of the engines' impulses; 1 in Gym"
     )
     max_push: float = Field(
-        default=1000.0, ge=0, description="bound on the force of the first step, in either direction, N"
+        default=1000.0, ge=0, description="bound on each component of the initial force, N"
     )
     max_speed: float = Field(
-        default=1000.0, gt=0, description="speed, m/s or rad/s, beyond which a simulation has diverged"
+        default=1000.0, gt=0, description="speed, m/s or rad/s, above which a simulation has diverged"
     )
 
 

@@ -1,4 +1,4 @@
-"""Settings of the fields that are monitored."""
+"""Settings of the fields that robots monitor."""
 
 import abc
 import math
@@ -16,7 +16,7 @@ Box = Annotated[tuple[float, float, float, float], Field(strict=False)]
 
 
 def proper_box(box: tuple[float, ...]) -> tuple[float, ...]:
-    """A box whose bounds are in order.
+    """The box, if its bounds are in order.
 
     Raises:
         ValueError: They are not.
@@ -82,10 +82,10 @@ class Blocks(FieldSettings, frozen=True):
         default=((0.0, 0.0, 1.0, 1.0),),
         strict=False,
         min_length=1,
-        description="where they stand, a list of [x_min, y_min, x_max, y_max], m",
+        description="footprints, a list of [x_min, y_min, x_max, y_max], m",
     )
     heights: tuple[Annotated[float, Field(gt=0)], ...] = Field(
-        default=(1.0,), strict=False, min_length=1, description="how high they are, m"
+        default=(1.0,), strict=False, min_length=1, description="heights, m"
     )
 
     @pydantic.field_validator("boxes")
@@ -105,7 +105,7 @@ class Blocks(FieldSettings, frozen=True):
 
 class _Measured(FieldSettings, frozen=True):
     file: str = Field(min_length=1, description="a .npy or .csv file; relative to where the command runs")
-    extent: Box = Field(description="where the data lie, [x_min, y_min, x_max, y_max], m")
+    extent: Box = Field(description="extent of the data, [x_min, y_min, x_max, y_max], m")
     sha256: str | None = Field(default=None, description="SHA-256 of the file, filled in if left out")
 
     @pydantic.field_validator("extent")
@@ -119,7 +119,7 @@ class _Measured(FieldSettings, frozen=True):
         self._check(table.shape)
         digest = sha256_of(self.file)
         if self.sha256 is None:
-            # The results say which data they were made from, and refuse to go on with others.
+            # Results record the data that they were computed from; a run resumes with the same data only.
             object.__setattr__(self, "sha256", digest)
         elif self.sha256 != digest:
             raise ValueError(f"{self.file}: its content is not what it was: another SHA-256")
@@ -131,7 +131,7 @@ class _Measured(FieldSettings, frozen=True):
 
 
 class Grid(_Measured, frozen=True):
-    """Values on a regular grid; the first axis is y, from the lowest, the second x."""
+    """Values on a regular grid; the first axis is y, the second x, both increasing."""
 
     target: ClassVar[str] = "bojax.fields.measured:GridField"
 
@@ -148,7 +148,7 @@ class Scattered(_Measured, frozen=True):
     target: ClassVar[str] = "bojax.fields.measured:ScatteredField"
 
     kind: Literal["scattered"] = "scattered"
-    resolution: int = Field(default=101, ge=2, description="points a side of the grid of interpolation")
+    resolution: int = Field(default=101, ge=2, description="points per side of the interpolation grid")
 
     def _check(self, shape: tuple[int, ...]) -> None:
         if shape[1] != 3:

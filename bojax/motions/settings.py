@@ -28,7 +28,7 @@ class Splines(MotionSettings, frozen=True):
     kind: Literal["splines"] = "splines"
     actions: Literal[5, 9, 17] = Field(default=5, description="number of splines in the set")
     length: float = Field(default=1.0, gt=0, description="arc length, m")
-    num_samples: int = Field(default=10, ge=2, description="poses along a trajectory")
+    num_samples: int = Field(default=10, ge=2, description="poses per trajectory")
 
 
 class CubicCurves(MotionSettings, frozen=True):
@@ -40,9 +40,11 @@ class CubicCurves(MotionSettings, frozen=True):
     length: float = Field(default=1.0, gt=0, description="arc length, m")
     bearing: float = Field(default=0.8, gt=0, description="largest bearing of the end, rad")
     heading: float = Field(
-        default=1.5, gt=0, description="largest deviation of the end's heading from a circular arc's, rad"
+        default=1.5,
+        gt=0,
+        description="largest deviation of the final heading from that of a circular arc, rad",
     )
-    num_samples: int = Field(default=10, ge=2, description="poses along a trajectory")
+    num_samples: int = Field(default=10, ge=2, description="poses per trajectory")
 
 
 class KernelTrajectories(MotionSettings, frozen=True):
@@ -63,7 +65,7 @@ class KernelTrajectories(MotionSettings, frozen=True):
         default=0.5, gt=0, description="lengthscale of the kernel on positions, in units of the length"
     )
     time_lengthscale: float = Field(
-        default=1.0, gt=0, description="lengthscale of the kernel on time; a trajectory lasts 1"
+        default=1.0, gt=0, description="lengthscale of the kernel on time; the duration of a trajectory is 1"
     )
     epsilon: float = Field(
         default=0.1, gt=0, description="regulariser of the first inversion in kernel Bayes' rule"
@@ -73,6 +75,6 @@ class KernelTrajectories(MotionSettings, frozen=True):
     )
     start: Literal["pose", "relaxed"] = Field(
         default="pose",
-        description="whether a path starts along the heading of the pose, or is free to turn at once",
+        description="whether a path starts along the robot's heading, or in a free direction",
     )
-    num_samples: int = Field(default=10, ge=2, description="poses along a trajectory")
+    num_samples: int = Field(default=10, ge=2, description="poses per trajectory")

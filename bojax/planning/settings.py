@@ -19,39 +19,42 @@ class PlannerSettings(Component, frozen=True):
     protocol: ClassVar[str] = "bojax.planning.base:Planner"
 
 
-_OBJECTIVE: Any = Field(default=None, description="what the planner maximises; null for the problem's task")
+_OBJECTIVE: Any = Field(default=None, description="objective to maximise; null for the problem's task")
 
 
 class _TreeSearch(PlannerSettings, frozen=True):
-    iterations: int = Field(default=300, ge=1, description="simulations for one decision")
-    depth: int = Field(default=3, ge=1, description="horizon, actions")
+    iterations: int = Field(default=300, ge=1, description="simulations per plan")
+    depth: int = Field(default=3, ge=1, description="actions from the root to the horizon")
     exploration: float = Field(
-        default=300.0, ge=0, description="weight of rarely tried branches (kappa_MC), in units of the return"
+        default=300.0, ge=0, description="exploration weight kappa_MC, in units of the return"
     )
-    discount: float = Field(default=1.0, gt=0, le=1, description="discount of rewards per action")
+    discount: float = Field(default=1.0, gt=0, le=1, description="discount per step")
     objective: Annotated[Component | None, Slot("objective", optional=True)] = _OBJECTIVE
 
 
 class _ContinuousBeliefTreeSearch(_TreeSearch, frozen=True):
     target: ClassVar[str] = "bojax.planning.cbts:ContinuousBeliefTreeSearch"
 
-    max_actions: int = Field(default=20, ge=1, description="actions that a node may try (A_max)")
+    max_actions: int = Field(default=20, ge=1, description="largest number of actions of a node (A_max)")
     kernel: Annotated[Component, Slot("kernel")] = Field(default=RBF(), description="kernel of a node's GP")
     acquisition: Annotated[Component, Slot("acquisition")] = Field(
-        default=UpperConfidenceBound(kappa=100.0), description="how a node chooses its next action"
+        default=UpperConfidenceBound(kappa=100.0),
+        description="acquisition function that new actions maximise",
     )
     convergence: float = Field(
-        default=0.0, ge=0, description="no new actions at a node once two in a row are closer; 0 for never"
+        default=0.0,
+        ge=0,
+        description="distance of consecutive actions below which a node adds no more; 0 to disable",
     )
     scaling: Literal["standardise", "rank", "none"] = Field(
-        default="standardise", description="how a node's rewards enter its GP"
+        default="standardise", description="scaling of a node's rewards before they enter its GP"
     )
-    num_initial: int = Field(default=2, ge=1, description="first actions of a node that are random")
+    num_initial: int = Field(default=2, ge=1, description="number of first actions of a node that are random")
     noise_variance: float = Field(
-        default=0.01, gt=0, description="noise variance of a node's GP, on its rewards as scaled"
+        default=0.01, gt=0, description="noise variance of a node's GP, on scaled rewards"
     )
     num_candidates: int = Field(
-        default=128, ge=1, description="quasi-random candidates of an acquisition search"
+        default=128, ge=1, description="quasi-random candidates among which the acquisition is maximised"
     )
     refine_steps: int = Field(default=0, ge=0, description="gradient steps that refine the best candidate")
 
@@ -61,7 +64,7 @@ class KCBTS(_ContinuousBeliefTreeSearch, frozen=True):
 
     kind: Literal["kcbts"] = "kcbts"
     motions: Annotated[Component, Slot("motions", only=CONTINUOUS)] = Field(
-        default=KernelTrajectories(), description="trajectories to choose from"
+        default=KernelTrajectories(), description="family of trajectories"
     )
 
 
@@ -70,7 +73,7 @@ class CBTS(_ContinuousBeliefTreeSearch, frozen=True):
 
     kind: Literal["cbts"] = "cbts"
     motions: Annotated[Component, Slot("motions", only=CONTINUOUS)] = Field(
-        default=CubicCurves(), description="trajectories to choose from"
+        default=CubicCurves(), description="family of trajectories"
     )
 
 
@@ -78,7 +81,7 @@ class _DiscreteTreeSearch(_TreeSearch, frozen=True):
     target: ClassVar[str] = "bojax.planning.discrete:DiscreteTreeSearch"
 
     motions: Annotated[Component, Slot("motions", only=DISCRETE)] = Field(
-        default=Splines(), description="trajectories to choose from"
+        default=Splines(), description="family of trajectories"
     )
 
 
@@ -89,11 +92,11 @@ class SBO(_DiscreteTreeSearch, frozen=True):
 
 
 class BOPOMDP(_DiscreteTreeSearch, frozen=True):
-    """Tree search over a discrete set that seeks the steep areas of a field (thesis, Algorithm 2)."""
+    """Tree search over a discrete set that samples the steep areas of a field (thesis, Algorithm 2)."""
 
     kind: Literal["bo-pomdp"] = "bo-pomdp"
     objective: Annotated[Component | None, Slot("objective", optional=True)] = Field(
-        default=Gradient(), description="what the planner maximises; null for the problem's task"
+        default=Gradient(), description="objective to maximise; null for the problem's task"
     )
 
 
@@ -101,7 +104,7 @@ class _MyopicPlanner(PlannerSettings, frozen=True):
     target: ClassVar[str] = "bojax.planning.myopic:MyopicPlanner"
 
     motions: Annotated[Component, Slot("motions", only=DISCRETE)] = Field(
-        default=Splines(), description="trajectories to choose from"
+        default=Splines(), description="family of trajectories"
     )
     objective: Annotated[Component | None, Slot("objective", optional=True)] = _OBJECTIVE
 
@@ -113,11 +116,11 @@ class Myopic(_MyopicPlanner, frozen=True):
 
 
 class Explorer(_MyopicPlanner, frozen=True):
-    """The next trajectory of a discrete set along which a field is least known (thesis, Section 3.5.1)."""
+    """The next trajectory of a discrete set with the largest uncertainty (thesis, Section 3.5.1)."""
 
     kind: Literal["explorer"] = "explorer"
     objective: Annotated[Component | None, Slot("objective", optional=True)] = Field(
-        default=Uncertainty(), description="what the planner maximises; null for the problem's task"
+        default=Uncertainty(), description="objective to maximise; null for the problem's task"
     )
 
 
@@ -128,23 +131,25 @@ class GpsAbt(_TreeSearch, frozen=True):
 
     kind: Literal["gps-abt"] = "gps-abt"
     exploration: float = Field(
-        default=100.0, ge=0, description="weight of rarely tried actions (sqrt C), in units of the return"
+        default=100.0, ge=0, description="exploration weight sqrt(C), in units of the return"
     )
     growth: float = Field(
         default=5.0, gt=1, description="k: a node of N visits has at most ln N / ln k levels"
     )
     min_visits: float = Field(default=2.0, ge=0, description="visits of every best point before a refinement")
     min_radius: float = Field(
-        default=0.1, gt=0, description="smallest radius that is refined; the box is [-1, 1]"
+        default=0.1,
+        gt=0,
+        description="radius at and below which stencils are not refined; the box is [-1, 1]",
     )
     initial_radius: float = Field(
-        default=1.0, gt=0, description="radius of a first stencil; the box is [-1, 1]"
+        default=1.0, gt=0, description="radius of a node's initial stencil; the box is [-1, 1]"
     )
-    max_levels: int = Field(default=6, ge=1, description="most stencils on one walk")
+    max_levels: int = Field(default=6, ge=1, description="largest number of stencils on a descent")
     num_rollout_paths: int = Field(default=128, ge=1, description="random paths that rollouts draw from")
-    heuristic: Literal["rollout", "zero"] = Field(default="rollout", description="value past a new action")
+    heuristic: Literal["rollout", "zero"] = Field(default="rollout", description="value after a new action")
     motions: Annotated[Component, Slot("motions", only=CONTINUOUS)] = Field(
-        default=KernelTrajectories(), description="trajectories to choose from"
+        default=KernelTrajectories(), description="family of trajectories"
     )
 
 
@@ -155,5 +160,5 @@ class Random(PlannerSettings, frozen=True):
 
     kind: Literal["random"] = "random"
     motions: Annotated[Component, Slot("motions")] = Field(
-        default=Splines(), description="trajectories to choose from"
+        default=Splines(), description="family of trajectories"
     )

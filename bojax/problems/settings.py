@@ -1,4 +1,4 @@
-"""Settings of the problems that are planned on, of their objectives and sensors."""
+"""Settings of planning problems, their objectives and their sensors."""
 
 from math import pi
 from typing import Annotated, Any, ClassVar, Literal
@@ -13,14 +13,14 @@ from bojax.problems.vehicles.settings import Exact, Quadrotor, WheeledRobot
 
 
 class ObjectiveSettings(Component, frozen=True):
-    """What a sample of a field is worth."""
+    """Worth of a sample of a field."""
 
     role: ClassVar[str] = "objective"
     plural: ClassVar[str] = "worths of a sample of a field"
     protocol: ClassVar[str] = "bojax.problems.objectives:FieldObjective"
 
     uncertainty: Literal["std", "variance"] = Field(
-        default="std", description="whether the standard deviation or the variance counts"
+        default="std", description="measure of uncertainty: standard deviation or variance"
     )
 
 
@@ -59,7 +59,7 @@ class SensorSettings(Component, frozen=True):
 
 
 class Point(SensorSettings, frozen=True):
-    """A sensor that reads the field at the robot's position."""
+    """A sensor that measures the field at the robot's position."""
 
     target: ClassVar[str] = "bojax.problems.sensors:PointSensor"
 
@@ -67,27 +67,25 @@ class Point(SensorSettings, frozen=True):
 
 
 class Range(SensorSettings, frozen=True):
-    """A range sensor that looks down: the height of the ground, by the distance to it (thesis, p. 76-78)."""
+    """A downward range finder that measures the height of the ground (thesis, p. 76-78)."""
 
     target: ClassVar[str] = "bojax.problems.sensors:RangeSensor"
 
     kind: Literal["range"] = "range"
     beam: float = Field(default=pi / 60, ge=0, lt=pi, description="full opening angle of the beam, rad")
-    max_range: float = Field(default=5.0, gt=0, description="how far it sees, m")
+    max_range: float = Field(default=5.0, gt=0, description="maximum range, m")
     altitude_noise: float = Field(
-        default=0.02, ge=0, description="standard deviation of a reading of the altitude, m"
+        default=0.02, ge=0, description="standard deviation of a measurement of the altitude, m"
     )
-    rays: int = Field(default=7, ge=1, description="rays in the beam")
+    rays: int = Field(default=7, ge=1, description="number of rays in the beam")
     reading: Literal["mean", "minimum"] = Field(
-        default="mean", description="which distance of those along the rays it tells"
+        default="mean", description="statistic of the distances along the rays that is reported"
     )
-    upright: bool = Field(
-        default=True, description="whether the height takes account of how far the robot leans"
-    )
+    upright: bool = Field(default=True, description="whether the range is projected onto the vertical")
 
 
 class ProblemSettings(Component, frozen=True):
-    """A problem to plan on."""
+    """A planning problem."""
 
     role: ClassVar[str] = "problem"
     plural: ClassVar[str] = "problems"
@@ -97,37 +95,38 @@ class ProblemSettings(Component, frozen=True):
 class _Parking(ProblemSettings, frozen=True):
     target: ClassVar[str] = "bojax.problems.parking:Parking"
 
-    half_width: float = Field(default=4.0, gt=0, description="half the width of the square domain, m")
-    max_steps: int = Field(default=15, ge=1, description="steps after which an episode ends")
+    half_width: float = Field(default=4.0, gt=0, description="half the side of the square domain, m")
+    max_steps: int = Field(default=15, ge=1, description="steps per episode")
     distance_tolerance: float = Field(
-        default=0.1, gt=0, description="largest distance from the goal when parked, m"
+        default=0.1, gt=0, description="largest distance of a parked robot from the goal, m"
     )
     heading_tolerance: float = Field(
-        default=pi / 10, gt=0, description="largest |sin| of the heading when parked"
+        default=pi / 10, gt=0, description="largest |sin| of the heading of a parked robot"
     )
     bearing_tolerance: float = Field(
-        default=pi / 10, gt=0, description="largest |sin| of the bearing when parked"
+        default=pi / 10, gt=0, description="largest |sin| of the bearing of a parked robot"
     )
-    success_reward: float = Field(default=1000.0, description="reward of parking")
-    exit_reward: float = Field(default=-1000.0, description="reward of leaving the domain")
+    success_reward: float = Field(default=1000.0, description="reward for parking")
+    exit_reward: float = Field(default=-1000.0, description="reward for leaving the domain")
     position_noise: float = Field(
-        default=0.02, ge=0, description="standard deviation of the observed position, m"
+        default=0.02, ge=0, description="standard deviation of a position measurement per axis, m"
     )
     heading_noise: float = Field(
-        default=0.02, ge=0, description="standard deviation of the observed heading, rad"
+        default=0.02, ge=0, description="standard deviation of a heading measurement, rad"
     )
     bearing: Literal["world", "robot"] = Field(
-        default="world", description="whether the robot is seen from the lot, or the lot from the robot"
+        default="world",
+        description="whether the bearing is that of the robot from the spot, or of the spot from the robot",
     )
     success_needs_bearing: bool = Field(
-        default=False, description="whether parking also needs the bearing condition"
+        default=False, description="whether parking also requires the bearing condition"
     )
     exit_terminates: bool = Field(default=True, description="whether leaving the domain ends the episode")
     park_along_path: bool = Field(
         default=True, description="whether passing through the goal region counts as parking"
     )
     vehicle: Annotated[Component, Slot("vehicle")] = Field(
-        default=Exact(), description="who drives the paths"
+        default=Exact(), description="robot that executes the paths"
     )
 
 
@@ -141,9 +140,9 @@ class RobotParking(_Parking, frozen=True):
     """Parking of a wheeled robot that drives forward only, in 3 x 3 m (thesis, p. 101-102, Fig. 4.8)."""
 
     kind: Literal["robot-parking"] = "robot-parking"
-    half_width: float = Field(default=1.5, gt=0, description="half the width of the square domain, m")
+    half_width: float = Field(default=1.5, gt=0, description="half the side of the square domain, m")
     vehicle: Annotated[Component, Slot("vehicle")] = Field(
-        default=WheeledRobot(), description="who drives the paths"
+        default=WheeledRobot(), description="robot that executes the paths"
     )
 
 
@@ -158,11 +157,9 @@ class FieldProblem(ProblemSettings, frozen=True):
     target: ClassVar[str] = "bojax.problems.monitoring:FieldMonitoring"
 
     field: Annotated[Component, Slot("field")] = Field(
-        default=Bumps(centres=((3.0, 3.0),)), description="the field"
+        default=Bumps(centres=((3.0, 3.0),)), description="true field"
     )
-    domain: Box = Field(
-        default=(0.0, 0.0, 6.0, 6.0), description="the border, [x_min, y_min, x_max, y_max], m"
-    )
+    domain: Box = Field(default=(0.0, 0.0, 6.0, 6.0), description="border, [x_min, y_min, x_max, y_max], m")
     walls: tuple[Box, ...] | None = Field(
         default=None,
         strict=False,
@@ -170,13 +167,13 @@ class FieldProblem(ProblemSettings, frozen=True):
         description="walls, a list of [x_min, y_min, x_max, y_max], m",
     )
     start: Pose | None = Field(
-        default=None, description="pose at the start, [x, y, heading], m and rad; null: random in free space"
+        default=None, description="initial pose, [x, y, heading], m and rad; null: random in the free space"
     )
     target_area: Box | None = Field(
-        default=None, description="area that has to be reached for success, [x_min, y_min, x_max, y_max], m"
+        default=None, description="area to reach for success, [x_min, y_min, x_max, y_max], m"
     )
     objective: Annotated[Component, Slot("objective")] = Field(
-        default=Value(), description="what a sample is worth, for the task"
+        default=Value(), description="worth of a sample for the task"
     )
     kernel: Annotated[Component, Slot("kernel")] = Field(
         default=Scaled(kernel=RBF(lengthscale=1.0)), description="prior covariance of the field"
@@ -188,32 +185,33 @@ class FieldProblem(ProblemSettings, frozen=True):
     noise: float = Field(default=0.1, ge=0, description="standard deviation of the observation noise")
     pose_noise: PoseNoise | None = Field(
         default=None,
-        description="standard deviations of a reading of the pose, [m, rad]; null: it is known exactly",
+        description="standard deviations of a pose measurement, [m, rad]; null: exact measurements",
     )
     vehicle: Annotated[Component, Slot("vehicle")] = Field(
-        default=Exact(), description="who drives the paths"
+        default=Exact(), description="robot that executes the paths"
     )
     sensor: Annotated[Component, Slot("sensor")] = Field(
-        default=Point(), description="how the field is measured"
+        default=Point(), description="sensor that measures the field"
     )
-    collision_reward: float = Field(default=-100.0, le=0, description="paid when a wall stops the robot")
-    exit_reward: float = Field(default=-100.0, le=0, description="paid when the border stops the robot")
-    max_steps: int = Field(default=25, ge=1, description="steps after which an episode ends")
-    resolution: int = Field(default=31, ge=2, description="points a side of the grid of the error measures")
+    collision_reward: float = Field(default=-100.0, le=0, description="reward when a wall stops the robot")
+    exit_reward: float = Field(default=-100.0, le=0, description="reward when the border stops the robot")
+    max_steps: int = Field(default=25, ge=1, description="steps per episode")
+    resolution: int = Field(default=31, ge=2, description="points per side of the grid of the error measures")
     relearn_every: int = Field(
         default=0,
         ge=0,
-        description="steps after which the belief learns its hyper-parameters anew; 0 for never",
+        description="steps between updates of the belief's hyper-parameters; 0 for none",
     )
     relearn_spread: float = Field(
-        default=0.5, gt=0, description="how far it expects them from their settings: std of the logarithm"
+        default=0.5, gt=0, description="standard deviation of their log-normal priors about the settings"
     )
     imagined: Literal["sample", "mean"] = Field(
-        default="sample", description="whether simulated observations are drawn from the belief, or its mean"
+        default="sample",
+        description="whether simulated observations are drawn from the belief or are its mean",
     )
     after_collision: Literal["stop", "turn"] = Field(
         default="turn",
-        description="whether a robot that was stopped stands still, or turns round on the spot",
+        description="whether a robot that was stopped keeps its heading or turns round on the spot",
     )
     weighting: Literal["gradient", "gradient-norm", "value"] = Field(
         default="value",
@@ -266,17 +264,17 @@ class FieldProblem(ProblemSettings, frozen=True):
 
 
 class Monitoring(FieldProblem, frozen=True):
-    """Learn a field by driving trajectories on which samples are taken (thesis, Chapters 3 and 4.7.1)."""
+    """Learn a field from samples along trajectories (thesis, Chapter 3 and Section 4.7.1)."""
 
     kind: Literal["monitoring"] = "monitoring"
 
 
 class _Gradients(FieldProblem, frozen=True):
     objective: Annotated[Component, Slot("objective")] = Field(
-        default=Gradient(kappa=5.0), description="what a sample is worth, for the task"
+        default=Gradient(kappa=5.0), description="worth of a sample for the task"
     )
     exit_reward: float = Field(
-        default=0.0, le=0, description="paid when the border stops the robot; Chapter 3 names no such cost"
+        default=0.0, le=0, description="reward when the border stops the robot; Chapter 3 has no such cost"
     )
     weighting: Literal["gradient", "gradient-norm", "value"] = Field(
         default="gradient",
@@ -289,12 +287,13 @@ class Diagonal(_Gradients, frozen=True):
 
     kind: Literal["diagonal"] = "diagonal"
     field: Annotated[Component, Slot("field")] = Field(
-        default=Step(point=(3.0, 3.0), direction=pi / 4, height=1.0, width=0.6), description="the field"
+        default=Step(point=(3.0, 3.0), direction=pi / 4, height=1.0, width=0.6), description="true field"
     )
     start: Pose | None = Field(
-        default=(1.0, 1.0, 0.0), description="pose at the start, [x, y, heading], m and rad; null: random"
+        default=(1.0, 1.0, 0.0),
+        description="initial pose, [x, y, heading], m and rad; null: random in the free space",
     )
-    max_steps: int = Field(default=35, ge=1, description="steps after which an episode ends")
+    max_steps: int = Field(default=35, ge=1, description="steps per episode")
 
 
 class TwoPits(_Gradients, frozen=True):
@@ -303,9 +302,9 @@ class TwoPits(_Gradients, frozen=True):
     kind: Literal["two-pits"] = "two-pits"
     field: Annotated[Component, Slot("field")] = Field(
         default=Bumps(heights=(-0.8, -1.0), centres=((1.5, 4.5), (4.5, 1.5)), widths=(0.8, 0.4)),
-        description="the field",
+        description="true field",
     )
-    max_steps: int = Field(default=50, ge=1, description="steps after which an episode ends")
+    max_steps: int = Field(default=50, ge=1, description="steps per episode")
 
 
 class SpaceModelling(FieldProblem, frozen=True):
@@ -314,7 +313,7 @@ class SpaceModelling(FieldProblem, frozen=True):
     kind: Literal["space-modelling"] = "space-modelling"
     field: Annotated[Component, Slot("field")] = Field(
         default=Bumps(heights=(1.0, 1.0), centres=((1.2, 4.5), (4.8, 1.5)), widths=(1.0, 1.0)),
-        description="the field",
+        description="true field",
     )
     walls: tuple[Box, ...] | None = Field(
         default=((2.9, 0.0, 3.1, 2.85), (2.9, 3.15, 3.1, 6.0)),
@@ -323,29 +322,30 @@ class SpaceModelling(FieldProblem, frozen=True):
         description="walls, a list of [x_min, y_min, x_max, y_max], m",
     )
     start: Pose | None = Field(
-        default=(1.0, 1.0, pi / 2), description="pose at the start, [x, y, heading], m and rad; null: random"
+        default=(1.0, 1.0, pi / 2),
+        description="initial pose, [x, y, heading], m and rad; null: random in the free space",
     )
     target_area: Box | None = Field(
-        default=(3.1, 0.0, 6.0, 6.0), description="area that has to be reached for success, m"
+        default=(3.1, 0.0, 6.0, 6.0), description="area to reach for success, [x_min, y_min, x_max, y_max], m"
     )
 
 
 class _Heights(_Gradients, frozen=True):
     vehicle: Annotated[Component, Slot("vehicle")] = Field(
-        default=Quadrotor(altitude=2.0), description="who flies the paths"
+        default=Quadrotor(altitude=2.0), description="robot that executes the paths"
     )
     sensor: Annotated[Component, Slot("sensor")] = Field(
-        default=Range(), description="how the heights are measured"
+        default=Range(), description="sensor that measures the heights"
     )
-    noise: float = Field(default=0.04, ge=0, description="standard deviation of a distance measured, m")
+    noise: float = Field(default=0.04, ge=0, description="standard deviation of a range measurement, m")
     pose_noise: PoseNoise | None = Field(
         default=(0.02, 0.02),
-        description="standard deviations of a reading of the pose, [m, rad]; null: it is known exactly",
+        description="standard deviations of a pose measurement, [m, rad]; null: exact measurements",
     )
 
 
 class HillyTerrain(_Heights, frozen=True):
-    """A terrain with hills, mapped from the air (thesis, Section 3.5.1, Fig. 3.5)."""
+    """Map a terrain with hills from the air (thesis, Section 3.5.1, Fig. 3.5)."""
 
     target: ClassVar[str] = "bojax.problems.mapping:HeightMapping"
 
@@ -356,13 +356,11 @@ class HillyTerrain(_Heights, frozen=True):
             centres=((1.5, 3.5), (3.7, 3.8), (3.3, 1.4), (1.2, 1.2)),
             widths=(0.7, 0.5, 0.75, 0.45),
         ),
-        description="the terrain, m",
+        description="true heights of the terrain, m",
     )
-    domain: Box = Field(
-        default=(0.0, 0.0, 5.0, 5.0), description="the border, [x_min, y_min, x_max, y_max], m"
-    )
+    domain: Box = Field(default=(0.0, 0.0, 5.0, 5.0), description="border, [x_min, y_min, x_max, y_max], m")
     objective: Annotated[Component, Slot("objective")] = Field(
-        default=Gradient(kappa=10.0), description="what a sample is worth, for the task"
+        default=Gradient(kappa=10.0), description="worth of a sample for the task"
     )
     mean: Annotated[Component, Slot("mean")] = Field(
         default=ConstantMean(value=0.4), description="prior mean of the terrain, m"
@@ -374,7 +372,7 @@ class HillyTerrain(_Heights, frozen=True):
 
 
 class IndoorProps(_Heights, frozen=True):
-    """A room with sharp-edged props, mapped from the air (thesis, Section 3.5.2, Figs. 3.7 and 3.8)."""
+    """Map a room with sharp-edged props from the air (thesis, Section 3.5.2, Figs. 3.7 and 3.8)."""
 
     target: ClassVar[str] = "bojax.problems.mapping:PropMapping"
 
@@ -384,16 +382,14 @@ class IndoorProps(_Heights, frozen=True):
             boxes=((0.4, 0.5, 1.0, 1.2), (0.4, 1.6, 1.0, 2.4), (1.9, 1.2, 2.5, 1.9)),
             heights=(0.2, 0.25, 0.15),
         ),
-        description="the props, m",
+        description="true props, m",
     )
-    domain: Box = Field(
-        default=(0.0, 0.0, 3.0, 3.0), description="the border, [x_min, y_min, x_max, y_max], m"
-    )
+    domain: Box = Field(default=(0.0, 0.0, 3.0, 3.0), description="border, [x_min, y_min, x_max, y_max], m")
     vehicle: Annotated[Component, Slot("vehicle")] = Field(
-        default=Quadrotor(), description="who flies the paths"
+        default=Quadrotor(), description="robot that executes the paths"
     )
     objective: Annotated[Component, Slot("objective")] = Field(
-        default=Gradient(kappa=10.0), description="what a sample is worth, for the task"
+        default=Gradient(kappa=10.0), description="worth of a sample for the task"
     )
     mean: Annotated[Component, Slot("mean")] = Field(
         default=ConstantMean(value=0.05), description="prior mean of the heights, m"
@@ -402,8 +398,8 @@ class IndoorProps(_Heights, frozen=True):
         default=Scaled(kernel=RBF(lengthscale=0.3), variance=0.01), description="prior covariance, m and m^2"
     )
     noise_variance: float = Field(default=0.0025, ge=0, description="noise variance that the belief assumes")
-    max_steps: int = Field(default=15, ge=1, description="steps after which an episode ends")
-    resolution: int = Field(default=61, ge=2, description="points a side of the grid of the error measures")
+    max_steps: int = Field(default=15, ge=1, description="steps per episode")
+    resolution: int = Field(default=61, ge=2, description="points per side of the grid of the error measures")
     weighting: Literal["gradient", "gradient-norm", "value"] = Field(
         default="value",
         description="weights of wrmse: the gradient as (3.7) prints it, its norm, or the value",

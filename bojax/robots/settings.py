@@ -1,4 +1,4 @@
-"""Settings of the physics engine that steps robots."""
+"""Settings of the physics engine that simulates robots."""
 
 from typing import ClassVar, Literal
 
@@ -8,24 +8,26 @@ from bojax.config.component import Component
 
 
 class PhysicsSettings(Component, frozen=True):
-    """An engine of physics."""
+    """A physics engine."""
 
     role: ClassVar[str] = "physics"
-    plural: ClassVar[str] = "engines of physics"
+    plural: ClassVar[str] = "physics engines"
 
 
 class MJX(PhysicsSettings, frozen=True):
-    """MuJoCo on the accelerator, in 32-bit numbers; what is null is as the robot's model has it."""
+    """MuJoCo's MJX, in 32 bits; null keeps the value of the robot's model."""
 
     target: ClassVar[str] = "bojax.robots.simulator:Physics"
 
     kind: Literal["mjx"] = "mjx"
     max_speed: float = Field(
-        default=1000.0, gt=0, description="velocity beyond which a run has diverged, m/s or rad/s"
+        default=1000.0, gt=0, description="generalised velocity above which a run has diverged, m/s or rad/s"
     )
-    iterations: int | None = Field(default=None, ge=1, description="most iterations of the contact solver")
-    ls_iterations: int | None = Field(default=None, ge=1, description="most iterations of its line search")
+    iterations: int | None = Field(default=None, ge=1, description="largest number of solver iterations")
+    ls_iterations: int | None = Field(
+        default=None, ge=1, description="largest number of line search iterations"
+    )
     integrator: Literal["euler", "rk4", "implicitfast"] | None = Field(
-        default=None, description="how time goes on"
+        default=None, description="integration scheme"
     )
-    impl: Literal["jax", "warp"] = Field(default="jax", description="which implementation of MJX")
+    impl: Literal["jax", "warp"] = Field(default="jax", description="implementation of MJX")

@@ -198,7 +198,7 @@ def test_the_finger_tip_of_the_reacher_is_its_models():
         (envs.Reacher, {"target_radius": 0.22}, "less than or equal to 0.21"),
         (envs.Reacher, {"target_radius": 0.0}, "greater than 0"),
         (envs.Jaco, {"joints": (1, 7)}, "less than or equal to 6"),
-        (envs.Jaco, {"joints": (2, 2)}, "stands there twice"),
+        (envs.Jaco, {"joints": (2, 2)}, "duplicate entry"),
         (envs.Jaco, {"joints": ()}, "at least 1"),
         (envs.Hopper, {"goal_height": 1.2}, "greater than 1.26"),
     ],

@@ -1,4 +1,4 @@
-"""Settings of the simulated robots that are learned on."""
+"""Settings of the environments of simulated robots."""
 
 from typing import Annotated, ClassVar, Literal
 
@@ -11,10 +11,12 @@ from bojax.robots.settings import MJX
 
 
 class Robot(ControlTask, frozen=True):
-    """What the robots that MJX steps can be told."""
+    """An environment of a robot that MJX simulates."""
 
-    physics: Annotated[Component, Slot("physics")] = Field(default=MJX(), description="how MJX computes")
-    substeps: int = Field(default=1, ge=1, description="steps of the physics for one action")
+    physics: Annotated[Component, Slot("physics")] = Field(
+        default=MJX(), description="settings of the simulation"
+    )
+    substeps: int = Field(default=1, ge=1, description="simulation steps per action")
 
 
 class Hopper(Robot, frozen=True):
@@ -23,29 +25,31 @@ class Hopper(Robot, frozen=True):
     target: ClassVar[str] = "bojax.envs.robots.hopper:Hopper"
 
     kind: Literal["hopper"] = "hopper"
-    goal_height: float = Field(default=1.3, gt=1.26, description="height of the torso to be exceeded, m")
+    goal_height: float = Field(default=1.3, gt=1.26, description="height of the torso to exceed, m")
     failure_angle: float = Field(default=0.2, gt=0, description="largest |angle| of the torso, rad")
     failure_height: float = Field(
-        default=0.0, ge=0, lt=1.24, description="least height of the torso, m; 0.7 in the author's code"
+        default=0.0, ge=0, lt=1.24, description="smallest height of the torso, m; 0.7 in the author's code"
     )
-    substeps: int = Field(default=4, ge=1, description="steps of the physics, of 2 ms, for one action")
+    substeps: int = Field(default=4, ge=1, description="simulation steps of 2 ms per action")
 
 
 class Reacher(Robot, frozen=True):
-    """Bring the tip of an arm of two links to a target (thesis, p. 107; Gym's Reacher)."""
+    """Bring the fingertip of an arm of two links to a target (thesis, p. 107; Gym's Reacher)."""
 
     target: ClassVar[str] = "bojax.envs.robots.reacher:Reacher"
 
     kind: Literal["reacher"] = "reacher"
-    goal_distance: float = Field(default=0.015, gt=0, description="distance to the target to be undercut, m")
+    goal_distance: float = Field(
+        default=0.015, gt=0, description="distance to the target below which the goal is reached, m"
+    )
     target_radius: float = Field(
         default=0.2, gt=0, le=0.21, description="largest distance of the target from the shoulder, m"
     )
-    substeps: int = Field(default=2, ge=1, description="steps of the physics, of 10 ms, for one action")
+    substeps: int = Field(default=2, ge=1, description="simulation steps of 10 ms per action")
 
 
 class Jaco(Robot, frozen=True):
-    """Bring the finger tips of a damaged arm to a target (thesis, Section 5.7.3)."""
+    """Bring the fingertips of a damaged arm to a target (thesis, Section 5.7.3)."""
 
     target: ClassVar[str] = "bojax.envs.robots.jaco:Jaco"
 
@@ -55,17 +59,19 @@ class Jaco(Robot, frozen=True):
         strict=False,
         min_length=1,
         max_length=6,
-        description="joints that move, from 1 at the base to 6 at the hand; the others are stuck",
+        description="movable joints, from 1 at the base to 6 at the hand; the others are fixed",
     )
     targets: Literal["per-run", "per-episode"] = Field(
-        default="per-run", description="one target for a run, not observed; or one for an episode, observed"
+        default="per-run", description="one target per run, not observed; or one per episode, observed"
     )
-    goal_distance: float = Field(default=0.1, gt=0, description="distance to the target to be undercut, m")
-    substeps: int = Field(default=10, ge=1, description="steps of the physics, of 4 ms, for one action")
+    goal_distance: float = Field(
+        default=0.1, gt=0, description="distance to the target below which the goal is reached, m"
+    )
+    substeps: int = Field(default=10, ge=1, description="simulation steps of 4 ms per action")
     max_steps: int = Field(default=50, ge=1, description="steps after which an episode is cut off")
 
     @pydantic.model_validator(mode="after")
     def _distinct(self) -> "Jaco":
         if len(set(self.joints)) < len(self.joints):
-            raise ValueError("joints: one stands there twice")
+            raise ValueError("joints: duplicate entry")
         return self
