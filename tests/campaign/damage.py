@@ -175,7 +175,7 @@ def edit_json(draw: random.Random, path: Path) -> str:
     """Give one entry of a JSON file another value, another name, or take it away."""
     try:
         tree = json.loads(path.read_text())
-    except ValueError:
+    except (ValueError, RecursionError):  # damaged before
         return _flip(draw, path)
     places = list(_places(tree))
     where, parent, key = draw.choice(places) if places else ("", [tree], 0)
