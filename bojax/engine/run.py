@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bojax.config.errors import ConfigError, printable
+from bojax.config.files import display
 from bojax.config.limits import CHUNKS
 from bojax.engine.batch import Compiled
 from bojax.engine.build import build
@@ -24,13 +25,14 @@ from bojax.engine.progress import SweepProgress
 from bojax.engine.provenance import device_description
 from bojax.engine.runner import ChunkRunner
 from bojax.engine.signals import StopRequest
+from bojax.experiments.base import Experiment
 from bojax.results.folder import RunFolder, check_finished, choose_folder, drop_leftovers, is_unfinished
 from bojax.results.merge import RUNS, PointInfo, merge
 from bojax.results.parts import ChunkFolder
 from bojax.results.store import MANIFEST, ResultsError, one_line, write_atomically, write_json, write_table
 
 if TYPE_CHECKING:
-    from bojax.config.sweep import Sweep
+    from bojax.config.sweep import Point, Sweep
 
 NaNs = dict[tuple[int, int], int]
 """Number of NaNs by (point, run), where there are any."""
@@ -91,9 +93,7 @@ class SweepRun:
         self._sweep, self._folder, self._command, self._stop = sweep, folder, command, stop
         self._devices = find_devices(sweep.engine.device)
         self._device = device_description(self._devices)
-        self._modules = [
-            build(point.config, getattr(point.config, "dtype", "float64")) for point in sweep.points
-        ]
+        self._modules = [self._build(point) for point in sweep.points]
         self._outlines = [outline_of(module) for module in self._modules]
         self.groups = static_groups(self._modules)
         self._lanes = [self._choose_lanes(group) for group in self.groups]
@@ -128,6 +128,14 @@ class SweepRun:
         finally:
             self._folder.close(finished=is_finished)
         return self._conclude(nans)
+
+    def _build(self, point: "Point") -> Experiment:
+        """The module of a point; what its parts refuse names the file."""
+        try:
+            return build(point.config, getattr(point.config, "dtype", "float64"))
+        except ConfigError as error:
+            number = f" (point {point.index})" if len(self._sweep.points) > 1 else ""
+            raise ConfigError(f"{display(self._sweep.source)}: {error}{number}") from error
 
     def _choose_lanes(self, group: StaticGroup) -> int:
         num_lanes, given = len(group.points) * self._sweep.runs, self._sweep.engine.lanes_per_device

@@ -82,6 +82,14 @@ class LearningRun(Experiment):
     map_episodes: tuple[int, ...] = eqx.field(static=True)
     map_resolution: int = eqx.field(static=True)
 
+    def __check_init__(self):
+        """Compare the learner with the environment.
+
+        Raises:
+            ValueError: The learner does not take such observations or actions.
+        """
+        self.learner.check_spaces(self.env.observation_space, self.env.action_space)
+
     @property
     def tables(self) -> Mapping[str, Table]:
         """See `Experiment`."""

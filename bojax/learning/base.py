@@ -72,6 +72,14 @@ class Learner(eqx.Module):
     def exploration_weight(self) -> Float[Array, ""]:
         """Weight of exploration at scale 1: kappa, xi or epsilon."""
 
+    def check_spaces(self, observation_space: Space, action_space: Space) -> None:
+        """Refuse an environment on which it cannot learn; here nothing is refused.
+
+        Raises:
+            ValueError: The observations or actions are of a kind that the learner does not take.
+        """
+        del observation_space, action_space
+
     @abc.abstractmethod
     def init(
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, capacity: int

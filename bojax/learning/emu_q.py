@@ -80,6 +80,10 @@ class EMUQ(Learner):
 
     # Algorithm 6.
 
+    def check_spaces(self, observation_space: Space, action_space: Space) -> None:
+        """See `Learner`: its features decide."""
+        self.features.check_spaces(observation_space, action_space)
+
     def init(
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, capacity: int
     ) -> EMUQState:

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
 from bojax.envs.base import Action, Observation
-from bojax.envs.spaces import Box, Discrete, Space
+from bojax.envs.spaces import Discrete, Space
 from bojax.models.features import FourierBasis, RandomFourier, Sampling
 from bojax.models.kernels import RBF, Matern12, Matern32, Matern52
 from bojax.numerics.linalg import matmul
@@ -165,6 +165,14 @@ class OneHotFeatures(StateActionFeatures):
 class FeatureSpec(eqx.Module):
     """Settings of a feature map; the map itself is drawn once for each run."""
 
+    def check_spaces(self, observation_space: Space, action_space: Space) -> None:
+        """Refuse spaces for which the features cannot be drawn; by default all are accepted.
+
+        Raises:
+            ValueError: The spaces do not fit.
+        """
+        del observation_space, action_space
+
     @abc.abstractmethod
     def draw(
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, dtype: jnp.dtype
@@ -263,14 +271,23 @@ class FourierBasisSpec(FeatureSpec):
 class OneHotSpec(FeatureSpec):
     """One-hot features of discrete states and actions: linear function approximation of a table."""
 
+    def check_spaces(self, observation_space: Space, action_space: Space) -> None:
+        """See `FeatureSpec`."""
+        _discrete(observation_space)
+        _discrete(action_space)
+
     def draw(
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, dtype: jnp.dtype
     ) -> OneHotFeatures:
         """See `FeatureSpec`; the key is unused."""
         del key
-        if isinstance(observation_space, Box) or isinstance(action_space, Box):
-            raise ValueError("features: got indicators; allowed only for discrete observations and actions")
-        return OneHotFeatures(observation_space, action_space, jnp.ones((), dtype))
+        return OneHotFeatures(_discrete(observation_space), _discrete(action_space), jnp.ones((), dtype))
+
+
+def _discrete(space: Space) -> Discrete:
+    if not isinstance(space, Discrete):
+        raise ValueError("features: got indicators; allowed only for discrete observations and actions")
+    return space
 
 
 _KERNELS = {"rbf": RBF, "matern12": Matern12, "matern32": Matern32, "matern52": Matern52}

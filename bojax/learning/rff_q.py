@@ -64,6 +64,10 @@ class RFFQ(Learner):
         """See `Learner`: one core makes 18,000 steps/s with 8 lanes, 15,000 with 32 (300 features)."""
         return 8
 
+    def check_spaces(self, observation_space: Space, action_space: Space) -> None:
+        """See `Learner`: its features decide."""
+        self.features.check_spaces(observation_space, action_space)
+
     def init(
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, capacity: int
     ) -> RFFQState:

@@ -86,6 +86,11 @@ class TabularLearner(Learner):
             next_row: Row of the table for the next state.
         """
 
+    def check_spaces(self, observation_space: Space, action_space: Space) -> None:
+        """See `Learner`: a table has a row for each number."""
+        _num(observation_space, "observation_space")
+        _num(action_space, "action_space")
+
     def init(
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, capacity: int
     ) -> Tables:
@@ -301,7 +306,10 @@ class EpsilonGreedy(TabularLearner):
 
 def _num(space: Space, name: str) -> int:
     if not isinstance(space, Discrete):
-        raise ValueError(f"{name}: a tabular learner needs a Discrete space, got a {type(space).__name__}")
+        raise ValueError(
+            f"{name}: a tabular learner needs a Discrete space, got a {type(space).__name__}; allowed: "
+            "an environment such as chain, cliff-walking or taxi, or another learner"
+        )
     return space.num
 
 

@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from bojax.acquisition.functions import Acquisition
 from bojax.acquisition.maximise import best_candidate, refine
+from bojax.models.dimensions import check_dimensions
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Kernel
 from bojax.motions.base import ContinuousMotions, Path
@@ -109,6 +110,14 @@ class ContinuousBeliefTreeSearch(TreeSearch[NodeModels, CBTSDraws, NodeModelUpda
     refine_steps: int = eqx.field(static=True)
     scaling: Scaling = eqx.field(static=True)
     objective: Objective = None
+
+    def __check_init__(self):
+        """Compare the kernel with the trajectories' parameters.
+
+        Raises:
+            ValueError: The kernel has another number of dimensions.
+        """
+        check_dimensions("kernel", self.kernel, self.motions.num_params, "parameter of the motions")
 
     @property
     def num_actions(self) -> int:

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key, Scalar
 
 from bojax.fields.base import Field
+from bojax.models.dimensions import check_dimensions
 from bojax.models.evidence import log_normal_prior, relearn
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Kernel
@@ -113,12 +114,14 @@ class FieldProblem(Problem):
     weighting: Weighting = eqx.field(static=True)
 
     def __check_init__(self):
-        """Check that sensor, field and vehicle fit together, see `Sensor.check`.
+        """Check that kernel, mean, sensor, field and vehicle fit together, see `Sensor.check`.
 
         Raises:
-            ValueError: The sensor cannot measure the field, or the vehicle cannot turn on the spot but has
+            ValueError: The kernel or the mean is not one of the plane, the sensor cannot measure the field, or the vehicle cannot turn on the spot but has
             to.
         """
+        check_dimensions("kernel", self.kernel, 2, "coordinate of the plane")
+        check_dimensions("mean", self.mean, 2, "coordinate of the plane")
         self.sensor.check(self.field, self.grid(), self.vehicle.flight_altitude)
         radius = self.vehicle.turning_radius
         if radius > 0.0 and self.after_collision == "turn":
