@@ -44,4 +44,13 @@ def integer(text: str) -> int:
     try:
         return int(text)
     except ValueError:
-        raise argparse.ArgumentTypeError(f"got {text}; an integer is expected") from None
+        hint = f": write {float(text):.0f}" if _is_integral(text) else ""
+        raise argparse.ArgumentTypeError(f"got {text}; an integer is expected{hint}") from None
+
+
+def _is_integral(text: str) -> bool:
+    """Whether a text is an integer in the writing of floats, such as 1e3."""
+    try:
+        return float(text).is_integer()
+    except (ValueError, OverflowError):
+        return False

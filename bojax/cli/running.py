@@ -1,12 +1,20 @@
 """`bojax run` and `bojax sweep`: validate everything, run it, write the report."""
 
 import os
+import re
+import sys
 from argparse import Namespace
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 
 from bojax.cli.parser import Parser, UsageError, integer
+from bojax.config.errors import printable
+from bojax.config.files import SUFFIXES, display, find, shadowed
+from bojax.config.overrides import parse_overrides
 from bojax.config.sweep import Sweep, load_config, load_sweep
+
+_DOTTED = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)+")
 
 _OVERRIDES = """\
 key=value sets one setting by its dotted path, whatever the order: planner.iterations=100 problem=parking.
@@ -33,6 +41,10 @@ def main(name: str, words: Sequence[str]) -> int:
     args = _parser(name).parse_intermixed_args(list(words))
     overrides = [word for word in args.words if "=" in word and not os.path.isfile(word)]
     sources = [word for word in args.words if word not in overrides]
+    parse_overrides(overrides)  # refused before the sources: a value that the shell has cut leaves words over
+    for word, value in pairwise(sources):
+        if _DOTTED.fullmatch(word) and not word.endswith(SUFFIXES):
+            raise UsageError(f"bojax {name}: got {word} {value}; did you mean {word}={value}?")
     if not sources or (name == "run" and len(sources) > 1):
         expected = "one config" if name == "run" else "at least one sweep"
         got = ", ".join(sources) or "none"
@@ -42,6 +54,11 @@ def main(name: str, words: Sequence[str]) -> int:
     names = [sweep.name for sweep in sweeps]
     if twins := {twin for twin in names if names.count(twin) > 1}:
         raise UsageError(f"bojax {name}: {min(twins)} stands there twice")
+    folder = "configs" if name == "run" else "sweeps"
+    for source in sources:
+        if hidden := shadowed(source, folder):
+            own = display(find(source, folder))
+            print(printable(f"note: {own} stands in the place of {hidden}, which differs"), file=sys.stderr)
     return _run([_resolve(sweep) for sweep in sweeps], args, ["bojax", name, *words])
 
 

@@ -30,7 +30,9 @@ class Schema(pydantic.BaseModel, frozen=True):
         unknown = [name for name in data if name not in names]
         if unknown:
             name, names = unknown[0], [name for name in names if name != "kind"]
-            context = {"names": names, "others": len(unknown) - 1}
+            kin = registry.get(getattr(cls, "role", ""), {})
+            having = [kind for kind, schema in kin.items() if name in schema.model_fields]
+            context = {"names": names, "others": len(unknown) - 1, "kinds": having}
             error = PydanticCustomError("unknown_key", "unknown key", context)
             details = InitErrorDetails(type=error, loc=(name,), input=data[name])
             raise pydantic.ValidationError.from_exception_data(cls.__name__, [details])
@@ -178,7 +180,14 @@ class Slot:
 
     def _refusal(self, kind: Any) -> PydanticCustomError:
         is_known = isinstance(kind, str) and kind in registry.get(self.role, {})
-        context = {"role": self.role, "kind": kind, "names": self._fitting(), "is_known": is_known}
+        roles = [role for role, kinds in registry.items() if isinstance(kind, str) and kind in kinds]
+        context = {
+            "role": self.role,
+            "kind": kind,
+            "names": self._fitting(),
+            "is_known": is_known,
+            "roles": roles,
+        }
         return PydanticCustomError("unknown_kind", "unknown kind", context)
 
 

@@ -148,13 +148,19 @@ def _complaint(line: Any, siblings: Sequence[str]) -> str:
     kind, context, value = line["type"], line.get("ctx", {}), line["input"]
     if kind == "unknown_key":
         names = [*context["names"], *(siblings if len(line["loc"]) == 1 else ())]
-        return "unknown key" + one_of(line["loc"][-1], names)
+        name, kinds = line["loc"][-1], context["kinds"]
+        owners = f"; it is one of kind={listed(name, kinds)}" if kinds else ""
+        return "unknown key" + owners + one_of(name, names)
     if kind == "missing":
         return "missing, and it has no default"
     got = f"got {shown(value)}; "
     if kind == "unknown_kind":
         got = f"got {shown(value.get('kind', value) if isinstance(value, dict) else value)}; "
         what = "not possible here" if context["is_known"] else "unknown " + context["role"]
+        if not context["is_known"] and context["roles"]:
+            what = f"no {context['role']}, but one of: {', '.join(context['roles'])}"
+            if {context["role"], *context["roles"]} >= {"problem", "env"}:
+                what += "; a problem is planned on, an env is learned on (experiment: learning)"
         return got + what + one_of(context["kind"], context["names"])
     if kind == "literal_error":
         allowed = context["expected"].replace("'", '"')
@@ -167,6 +173,8 @@ def _complaint(line: Any, siblings: Sequence[str]) -> str:
         sign, key = (">=", "min_length") if kind == "too_short" else ("<=", "max_length")
         return got + f"allowed: {sign} {context[key]} entries"
     if kind in _EXPECTED:
+        if _EXPECTED[kind] == "an integer" and isinstance(value, float) and value.is_integer():
+            return got + f"allowed: an integer: write {value:.0f}"
         return got + f"allowed: {_EXPECTED[kind]}"
     message = " ".join(line["msg"].removeprefix("Value error, ").split())
     return got + message

@@ -52,10 +52,22 @@ def find(source: str, folder: str, beside: Sequence[Path] = ()) -> Path:
         raise ConfigError(f"{source}: a file that ends in .yaml is expected")
     names = available(folder)
     stem = path.stem if path.suffix in SUFFIXES else path.name
+    other, command = ("sweeps", "sweep") if folder == "configs" else ("configs", "run")
+    if source in available(other):
+        raise ConfigError(
+            f"{source}: is in {other}/, not in {folder}/; start it by: bojax {command} {source}"
+        )
     known = f"; there are: {listed(stem, names)}" if names else ""
     raise ConfigError(
         f"{source}: no such file, and no such name in {folder}/{known}{did_you_mean(stem, names)}"
     )
+
+
+def shadowed(source: str, folder: str) -> Path | None:
+    """The file that bojax brings under a name, where another one beside the user stands in its place."""
+    path, hidden = find(source, folder), shipped(folder) / f"{source}.yaml"
+    is_hidden = path.suffix in SUFFIXES and path.stem == source and os.path.isfile(hidden)
+    return hidden if is_hidden and hidden.read_bytes() != path.read_bytes() else None
 
 
 def available(folder: str) -> dict[str, Path]:

@@ -37,11 +37,15 @@ def parse_overrides(texts: Iterable[str]) -> list[Override]:
         if not equals or not all(path):
             raise ConfigError(f"{SOURCE}: {text}: an override is key=value, such as planner.iterations=100")
         if path in overrides:
-            raise ConfigError(f"{SOURCE}: {key}: given twice")
+            hint = "; a value with braces has to be quoted" if ":" in value else ""  # a shell expands them
+            raise ConfigError(f"{SOURCE}: {key}: given twice{hint}")
         try:
             overrides[path] = Override(path, parse(value, SOURCE))
         except ConfigError as error:
-            raise ConfigError(f"{SOURCE}: {key}: got {value}; a YAML value is expected") from error
+            is_cut = any(value.count(left) > value.count(right) for left, right in ("{}", "[]"))
+            hint = f"; a value with braces or spaces has to be quoted: '{key}={value} ...'" if is_cut else ""
+            reason = str(error).removeprefix(SOURCE).lstrip(":0123456789 ")
+            raise ConfigError(f"{SOURCE}: {key}: got {value}; {reason}{hint}") from error
     return sorted(overrides.values(), key=lambda override: (len(override.path), override.path[-1] != "kind"))
 
 

@@ -153,7 +153,7 @@ EXPERIMENTS = {
     ),
     "an objective that is another part": (
         "{problem: {kind: diagonal, objective: rbf}, planner: sbo}",
-        'x.yaml: problem.objective: got "rbf"; unknown objective; allowed: gradient, uncertainty, value',
+        'x.yaml: problem.objective: got "rbf"; no objective, but one of: kernel; allowed: gradient, …',
     ),
     "a problem without a task": (
         "{problem: {kind: diagonal, objective: null}, planner: sbo}",
@@ -260,7 +260,11 @@ OVERRIDES = {
         "command line: planner..depth=3: an override is key=value, such as planner.iterations=100",
     ),
     "an empty value": (["planner.depth="], "command line: planner.depth: got null; allowed: an integer"),
-    "no YAML": (["planner={a"], "command line: planner: got {a; a YAML value is expected"),
+    "no YAML": (
+        ["planner={a"],
+        "command line: planner: got {a; is not YAML: …; a value with braces or spaces has to be quoted: "
+        "'planner={a ...'",
+    ),
     "twice": (["runs=1", "runs=2"], "command line: runs: given twice"),
     "below a number": (
         ["problem.half_width.x=1"],

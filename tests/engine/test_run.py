@@ -171,7 +171,7 @@ def test_settings_that_a_constructor_refuses(tmp_path, capsys, monkeypatch):
 
     monkeypatch.setattr("bojax.engine.run.build", refuse)
     assert run_toy(tmp_path / "toy") == 2
-    assert errors(capsys) == ["error: problem.size: got -1; allowed: > 0"]
+    assert errors(capsys) == ["error: toy.yaml: problem.size: got -1; allowed: > 0 (point 0)"]
     assert not (tmp_path / "toy").exists()
 
 

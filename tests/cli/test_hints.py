@@ -1,0 +1,87 @@
+"""What people type by mistake is answered with what they mean."""
+
+import pytest
+
+from bojax.cli.main import main
+from bojax.config.files import shipped
+
+HINTS = {
+    "a space for the equals sign": (
+        ["run", "parking", "planner.iterations", "50"],
+        "did you mean planner.iterations=50?",
+    ),
+    "the same in a sweep": (
+        ["sweep", "planner.iterations", "50", "parking"],
+        "did you mean planner.iterations=50?",
+    ),
+    "braces cut by spaces": (
+        ["run", "parking", "planner={kind:", "sbo,", "depth:", "2}"],
+        "command line: planner: got {kind:; is not YAML",
+    ),
+    "the advice": (
+        ["run", "parking", "planner={kind:", "sbo}"],
+        "a value with braces or spaces has to be quoted: 'planner={kind: ...'",
+    ),
+    "braces expanded by the shell": (
+        ["run", "parking", "planner=kind:sbo", "planner=depth:2"],
+        "planner: given twice; a value with braces has to be quoted",
+    ),
+    "a sweep for a config": (
+        ["run", "fig-4.2"],
+        "is in sweeps/, not in configs/; start it by: bojax sweep fig-4.2",
+    ),
+    "a config for a sweep": (
+        ["sweep", "taxi"],
+        "is in configs/, not in sweeps/; start it by: bojax run taxi",
+    ),
+    "an environment for a problem": (
+        ["run", "parking", "problem=mountain-car"],
+        "no problem, but one of: env; a problem is planned on, an env is learned on (experiment: learning)",
+    ),
+    "a problem for an environment": (
+        ["run", "mountain-car", "env=diagonal"],
+        "no env, but one of: problem; a problem is planned on, an env is learned on",
+    ),
+    "a learner for a planner": (
+        ["run", "parking", "planner=emu-q"],
+        "no planner, but one of: learner; allowed: ",
+    ),
+    "a setting of another kind": (
+        ["run", "parking", "planner.motions.actions=9"],
+        "unknown key; it is one of kind=splines; allowed: ",
+    ),
+    "a float for an integer": (
+        ["run", "parking", "planner.iterations=1e3"],
+        "got 1000.0; allowed: an integer: write 1000",
+    ),
+    "a fraction": (["run", "parking", "planner.iterations=1.5"], "got 1.5; allowed: an integer\n"),
+    "a float for an option": (["run", "parking", "--runs", "1e3"], "an integer is expected: write 1000"),
+}
+
+
+@pytest.mark.parametrize("case", HINTS)
+def test_hints(write, capsys, case):
+    words, hint = HINTS[case]
+    assert main(words) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and err.count("\n") == 1 and hint in err
+
+
+@pytest.fixture
+def ran(monkeypatch):
+    """Runs nothing."""
+    monkeypatch.setattr("bojax.engine.run.run_sweep", lambda *_: 1)
+
+
+@pytest.mark.parametrize(("command", "folder"), [("run", "configs"), ("sweep", "sweeps")])
+def test_a_file_in_the_place_of_a_shipped_one_is_mentioned(ran, write, capsys, command, folder):
+    text = (shipped(folder) / "two-pits.yaml").read_text()
+    write(f"{folder}/two-pits.yaml", text)
+    assert main([command, "two-pits"]) == 1
+    assert capsys.readouterr().err == "", "the same content"
+    write(f"{folder}/two-pits.yaml", "{planner: sbo}" if folder == "configs" else "{base: {planner: sbo}}")
+    for source, is_mentioned in (("two-pits", True), (f"{folder}/two-pits.yaml", False)):
+        assert main([command, source]) == 1
+        err = capsys.readouterr().err
+        assert err.startswith(f"note: {folder}/two-pits.yaml stands in the place of ") is is_mentioned
+        assert err.count("\n") == is_mentioned
