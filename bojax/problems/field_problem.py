@@ -117,8 +117,8 @@ class FieldProblem(Problem):
         """Check that kernel, mean, sensor, field and vehicle fit together, see `Sensor.check`.
 
         Raises:
-            ValueError: The kernel or the mean is not one of the plane, the sensor cannot measure the field, or the vehicle cannot turn on the spot but has
-            to.
+            ValueError: The kernel or the mean has another number of dimensions, the sensor cannot measure
+                the field, or the vehicle cannot turn on the spot but has to.
         """
         check_dimensions("kernel", self.kernel, 2, "coordinate of the plane")
         check_dimensions("mean", self.mean, 2, "coordinate of the plane")
