@@ -1,4 +1,4 @@
-"""Maximise a function that is costly to evaluate: ask and tell, and 100 whole optimisations at once."""
+"""Bayesian optimisation of an expensive function: step by step (ask and tell), and 100 runs in a batch."""
 
 import equinox as eqx
 import jax
@@ -10,7 +10,7 @@ from bojax.models.kernels import Matern52
 
 jax.config.update("jax_enable_x64", True)
 search = BayesianOptimisation(
-    kernel=Matern52(jnp.asarray(0.5)),  # of values standardised, over a box mapped to [-1, 1]^D
+    kernel=Matern52(jnp.asarray(0.5)),  # in units of the box, mapped to [-1, 1]^D, and of standardised values
     acquisition=LogExpectedImprovement(xi=jnp.asarray(0.0)),
     noise_variance=jnp.asarray(1e-4),
     low=jnp.asarray([-5.0, 0.0]),
@@ -20,13 +20,13 @@ search = BayesianOptimisation(
 
 
 def branin(key, x):
-    """Branin's function with its sign turned: its three maxima are -0.398."""
+    """Branin's function, negated: its three maxima are -0.398."""
     del key  # no noise
     bowl = x[1] - 5.1 / (4.0 * jnp.pi**2) * x[0] ** 2 + 5.0 / jnp.pi * x[0] - 6.0
     return -(bowl**2 + 10.0 * (1.0 - 1.0 / (8.0 * jnp.pi)) * jnp.cos(x[0]) + 10.0)
 
 
-# Ask and tell: for an experiment outside of JAX.
+# Ask and tell: the function may be evaluated outside of JAX.
 ask, tell = eqx.filter_jit(search.ask), eqx.filter_jit(search.tell)
 state = search.init(jax.random.key(0))
 for _ in range(30):
@@ -35,7 +35,7 @@ for _ in range(30):
 x, value = search.best(state)
 print("best:", value, "at", x)
 
-# One compiled loop, and 100 of them in a batch.
+# The whole loop in one compiled program, and 100 runs in a batch.
 keys = jax.random.split(jax.random.key(1), 100)
 states, points, values = jax.jit(jax.vmap(lambda key: search.maximise(key, branin, 30)))(keys)
 print("best of 100 runs, median:", jnp.median(jnp.max(values, axis=1)))

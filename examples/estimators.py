@@ -1,4 +1,4 @@
-"""The models behind the interface of scikit-learn: NumPy in, NumPy out."""
+"""Models with the interface of scikit-learn, on NumPy arrays."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""A Gaussian process: fit it, let it grow, learn its hyper-parameters, ask it for everything it knows."""
+"""Gaussian process regression: fit, add observations, learn hyper-parameters, predict and sample."""
 
 import equinox as eqx
 import jax
@@ -29,7 +29,7 @@ print("mean:", mean, "standard deviation:", jnp.sqrt(variance))
 print("gradient of the mean:", learned.predict_gradient(queries).ravel())
 print("two draws:", learned.sample(key_sample, queries, 2).ravel())
 
-# Noise of its own for every observation: the right half was measured with a worse sensor.
+# A noise variance for each observation: the right half was measured with a worse sensor.
 own_noise = jnp.where(x[:, 0] < 0.0, 0.01, 0.25)
 uneven = GaussianProcess.fit(learned.kernel, noise_variance, x, y, noise_variances=own_noise)
 print("mean with uneven noise:", uneven.predict(queries)[0])

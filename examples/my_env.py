@@ -22,7 +22,7 @@ class Puck(Env):
 
     @property
     def observation_space(self) -> Box:
-        """Position and velocity: the bounds that a learner scales by."""
+        """Position and velocity; learners scale observations by these bounds."""
         high = jnp.asarray([1.0, 0.1], self.push.dtype)
         return Box(-high, high)
 
@@ -33,18 +33,18 @@ class Puck(Env):
         return Box(-one, one)
 
     def reset(self, key: Key[Array, ""]) -> Float[Array, "2"]:
-        """At rest, somewhere in the left half."""
+        """A puck at rest, at a random position in the left half."""
         position = jax.random.uniform(key, (), self.push.dtype, -1.0, 0.0)
         return jnp.stack([position, jnp.zeros_like(position)])
 
     def observe(self, state: Float[Array, "2"]) -> Float[Array, "2"]:
-        """All of it."""
+        """The whole state."""
         return state
 
     def step(
         self, key: Key[Array, ""], state: Float[Array, "2"], action: Float[Array, "1"]
     ) -> tuple[Float[Array, "2"], TimeStep]:
-        """The puck bounces off the left end with half its speed; a reward of 1 once it is in the pocket."""
+        """The puck bounces off the left end with half its speed, and is paid 1 when it reaches the pocket."""
         position, velocity = state
         gained = self.push * jnp.clip(action[0], -1.0, 1.0)
         gained = gained + self.draught * jax.random.normal(key, (), state.dtype)

@@ -1,4 +1,4 @@
-"""Monitor a field of my own: how well kCBTS comes to know a ridge, in 8 runs at once."""
+"""Monitor a field of my own: the errors of kCBTS on a ridge, in 8 runs at once."""
 
 import equinox as eqx
 import jax
@@ -29,7 +29,7 @@ if __name__ == "__main__":
     episode = PlanningEpisode(problem, build(KCBTS(iterations=50, exploration=100.0)))
 
     def run(key):
-        """One episode: the row that a sweep would write of it."""
+        """One episode, as its row of `runs.parquet`."""
         end, _ = jax.lax.scan(lambda carry, _: episode.advance(carry), episode.init(key), length=20)
         return episode.summary(end)
 

@@ -1,4 +1,4 @@
-"""A planner of my own: of a set of actions, the one with the best simulated reward, one step ahead."""
+"""A planner of my own: the action with the highest simulated reward, one step ahead."""
 
 from typing import Annotated
 
@@ -15,12 +15,12 @@ from bojax.problems.base import Belief, Problem
 
 
 class Greedy(Planner):
-    """One step ahead, every action tried."""
+    """Exhaustive search over a set of actions, one step ahead."""
 
     motions: DiscreteMotions
 
     class Config(pydantic.BaseModel):
-        """What a file may set. Without one, the annotations of the constructor say it."""
+        """Settings of the planner; without `Config`, they are the annotated arguments of the constructor."""
 
         motions: Annotated[Component, Slot("motions", only=("splines",))] = Splines()
 

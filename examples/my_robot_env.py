@@ -21,10 +21,10 @@ POCKET = 0.6, 0.6  # m
 
 
 class AirTable(RobotTask):
-    """Actions are the model's controls; the episode is won in the pocket, at any speed."""
+    """Actions are the controls of the model; the goal is the pocket, at any speed."""
 
     class Config(Robot, frozen=True):
-        """What a file may set: the physics, reward and max_steps of every robot, and these."""
+        """Settings: those of every robot (`physics`, `reward`, `max_steps`), and the following."""
 
         pocket_radius: float = 0.2
         substeps: int = 5
@@ -37,7 +37,7 @@ class AirTable(RobotTask):
 
     @property
     def model(self) -> RobotModel:
-        """The MJCF beside this file."""
+        """The MJCF file beside this module."""
         return from_file(Path(__file__).with_suffix(".xml"))
 
     @property
@@ -47,12 +47,12 @@ class AirTable(RobotTask):
         return Box(-high, high)
 
     def reset(self, key: Key[Array, ""]) -> RobotState:
-        """At rest in the opposite corner."""
+        """The puck at rest in the opposite corner."""
         qpos = jax.random.uniform(key, (2,), jnp.float32, -0.8, -0.6)
         return self.simulator.state(qpos, jnp.zeros_like(qpos))
 
     def observe(self, state: RobotState) -> Float[Array, "4"]:
-        """See `observation_space`."""
+        """Position and velocity."""
         return jnp.concatenate([state.qpos, state.qvel]).astype(self.dtype)
 
     def is_goal(self, state: RobotState) -> Bool[Array, ""]:
@@ -60,12 +60,12 @@ class AirTable(RobotTask):
         return self.distance(state) < self.pocket_radius
 
     def distance(self, state: RobotState) -> Float[Array, ""]:
-        """From the pocket, in m; the physics has 32-bit numbers, everything else the experiment's."""
+        """Distance to the pocket in m, in the precision of the experiment; the physics has 32 bits."""
         away = state.qpos.astype(self.dtype) - jnp.asarray(POCKET, self.dtype)
         return jnp.sqrt(jnp.sum(away**2))
 
     def classic(self, state, action, success, failure, after):
-        """Reward of a step and whether it ends the episode, where `reward` is "classic"."""
+        """Reward of a step, and whether the step ends the episode, if `reward` is "classic"."""
         return -self.distance(after), success
 
 

@@ -1,4 +1,4 @@
-"""A robot of my own behind a planning problem: a base whose servos are sent from pose to pose of a path."""
+"""A robot of my own that follows a planner: a base whose servos are sent from pose to pose of a path."""
 
 from pathlib import Path
 from typing import Annotated
@@ -21,7 +21,7 @@ class Base(Vehicle):
     """A base that planners know only through the paths that they plan and the poses that they observe."""
 
     class Config(pydantic.BaseModel):
-        """What a file may set."""
+        """Settings of the vehicle."""
 
         physics: Annotated[Component, Slot("physics")] = MJX()
         substeps: int = 20
@@ -31,7 +31,7 @@ class Base(Vehicle):
 
     @property
     def simulator(self) -> Simulator:
-        """The MJCF beside this file."""
+        """The MJCF file beside this module."""
         return Simulator(self.physics, from_file(Path(__file__).with_suffix(".xml")), self.substeps)
 
     def reset(self, pose: Pose) -> RobotState:
