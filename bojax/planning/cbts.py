@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from bojax.acquisition.functions import Acquisition
 from bojax.acquisition.maximise import best_candidate, refine
-from bojax.models.dimensions import check_dimensions
+from bojax.models.checks import check_takes
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Kernel
 from bojax.motions.base import ContinuousMotions, Path
@@ -117,7 +117,8 @@ class ContinuousBeliefTreeSearch(TreeSearch[NodeModels, CBTSDraws, NodeModelUpda
         Raises:
             ValueError: The kernel has another number of dimensions.
         """
-        check_dimensions("kernel", self.kernel, self.motions.num_params, "parameter of the motions")
+        num_params, dtype = self.motions.num_params, self.motions.length.dtype
+        check_takes("kernel", self.kernel, 2, num_params, dtype, "the parameters of the motions")
 
     @property
     def num_actions(self) -> int:

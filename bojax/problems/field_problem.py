@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key, Scalar
 
 from bojax.fields.base import Field
-from bojax.models.dimensions import check_dimensions
+from bojax.models.checks import check_takes
 from bojax.models.evidence import log_normal_prior, relearn
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Kernel
@@ -120,8 +120,8 @@ class FieldProblem(Problem):
             ValueError: The kernel or the mean has another number of dimensions, the sensor cannot measure
                 the field, or the vehicle cannot turn on the spot but has to.
         """
-        check_dimensions("kernel", self.kernel, 2, "coordinate of the plane")
-        check_dimensions("mean", self.mean, 2, "coordinate of the plane")
+        check_takes("kernel", self.kernel, 2, 2, self.domain.dtype, "the coordinates of the plane")
+        check_takes("mean", self.mean, 1, 2, self.domain.dtype, "the coordinates of the plane")
         self.sensor.check(self.field, self.grid(), self.vehicle.flight_altitude)
         radius = self.vehicle.turning_radius
         if radius > 0.0 and self.after_collision == "turn":

@@ -70,7 +70,7 @@ def test_hints(write, capsys, case):
 @pytest.fixture
 def ran(monkeypatch):
     """Runs nothing."""
-    monkeypatch.setattr("bojax.engine.run.run_sweep", lambda *_: 1)
+    monkeypatch.setattr("bojax.engine.run.run_sweep", lambda *_, **__: 1)
 
 
 @pytest.mark.parametrize(("command", "folder"), [("run", "configs"), ("sweep", "sweeps")])

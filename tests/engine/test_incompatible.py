@@ -24,19 +24,19 @@ REFUSED = {
     ),
     "lengthscales of a planner": (
         ["parking", "planner.kernel.lengthscale=[1, 1, 1, 1, 1, 1, 1]"],
-        "planner: kernel.lengthscale: got 7 numbers; allowed: one number, or 3, one for each parameter",
+        "planner: kernel: does not take points of 3 numbers, the parameters of the motions",
     ),
-    "lengthscales of a single parameter": (  # they would have been broadcast, without a word
+    "lengthscales of a single parameter": (
         ["parking", "planner.motions.num_segments=1", "planner.kernel.lengthscale=[1, 2]"],
-        "planner: kernel.lengthscale: got 2 numbers; allowed: one number, or 1,",
+        "planner: kernel: does not take points of 1 numbers, the parameters of the motions",
     ),
     "lengthscales deep inside": (
         ["diagonal", f"problem.kernel={KERNEL}"],
-        "problem: kernel.second.kernel.lengthscale: got 3 numbers; allowed: one number, or 2, one",
+        "problem: kernel: does not take points of 2 numbers, the coordinates of the plane",
     ),
     "weights of a mean": (
         ["diagonal", "problem.mean={kind: linear, weights: [1, 2, 3]}"],
-        "problem: mean.weights: got 3 numbers; allowed: 2, one for each coordinate of the plane",
+        "problem: mean: does not take points of 2 numbers, the coordinates of the plane",
     ),
 }
 
