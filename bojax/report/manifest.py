@@ -1,6 +1,5 @@
 """What a report reads of `manifest.json`, as a schema: a wrong type or shape ends in one line."""
 
-from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 import pydantic
@@ -118,7 +117,7 @@ def check(manifest: Any, path: str) -> dict[str, Any]:
         ResultsError: A key has another type or shape; one line that names it.
     """
     manifest = _encodable(manifest, MAX_DEPTH, path)
-    if not isinstance(manifest, Mapping) or not manifest.get("points"):
+    if not manifest.get("points"):
         raise ResultsError(f"{path}: points: missing or empty: not a results folder of bojax")
     try:
         Manifest.model_validate(manifest)
@@ -128,7 +127,7 @@ def check(manifest: Any, path: str) -> dict[str, Any]:
     if len(set(indices)) < len(indices):
         twin = next(index for index in indices if indices.count(index) > 1)
         raise ResultsError(f"{path}: points: two have the index {twin}; allowed: every index once")
-    return dict(manifest)
+    return manifest
 
 
 def _encodable(value: Any, depth: int, path: str) -> Any:

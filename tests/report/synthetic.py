@@ -290,6 +290,7 @@ def write_learning(
             index = len(points)
             swept = {"learner": learner} | ({"env.length": length} if length else {})
             config = {"kind": "learning", "env": {"kind": "mountain-car"}, "learner": {"kind": learner}}
+            config["episodes"] = episodes
             points.append(
                 {"index": index, "label": learner, "variant": learner, "swept": swept, "config": config}
             )

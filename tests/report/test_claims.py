@@ -48,7 +48,7 @@ def test_verdicts_of_clear_cases(entries):
 
 
 def test_entries_hold_the_keys_of_the_results_format(entries):
-    keys = {"id", "source", "claim", "thesis", "ours", "interval", "runs", "verdict", "test"}
+    keys = {"id", "source", "claim", "thesis", "changed", "ours", "interval", "runs", "verdict", "test"}
     assert all(set(entry) == keys for entry in entries.values())
     json.dumps(list(entries.values()), allow_nan=False)
 
