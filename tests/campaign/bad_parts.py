@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 
-from bojax.envs.base import Env, Transition
+from bojax.envs.base import Env, TimeStep
 from bojax.envs.spaces import Box
 from bojax.motions.base import Pose
 from bojax.problems.pose import Outcome, PoseProblem
@@ -71,7 +71,7 @@ class Rail(Env):
 
     def step(
         self, key: Key[Array, ""], state: Float[Array, "1"], action: Float[Array, "1"]
-    ) -> tuple[Float[Array, "1"], Transition]:
+    ) -> tuple[Float[Array, "1"], TimeStep]:
         """The puck moves a tenth of the push."""
         after = jnp.clip(state + 0.1 * jnp.clip(action, -1.0, 1.0), -1.0, 1.0)
         success = after[0] > 0.9
@@ -80,4 +80,4 @@ class Rail(Env):
             reward = _some(key, reward, self.share, self.wrong)
         else:
             after = _some(key, after[0], self.share, self.wrong)[None]
-        return after, Transition(after, reward, success, jnp.zeros_like(success), success)
+        return after, TimeStep(after, reward, success, jnp.zeros_like(success), success)

@@ -96,7 +96,7 @@ def _command(given: Given) -> int:
 
         bojax.engine.run.run_sweep = stop_before_it_runs
         bojax.engine.run.SweepRun.execute = lambda self, **options: 0
-        bojax.report.build.build_report = lambda folders: folders[0]
+        bojax.report.build.build_report = lambda folders, *_: folders[0]
     return main(list(given.words))
 
 

@@ -53,12 +53,17 @@ def _killed(
     start = workload.start(out, resume=resume)
     how = draw.choice(["time", *_WIRES])
     if how == "time":
-        delay = draw.uniform(0.0, _duration(workload.name))
+        is_fresh = bool(workload.words) and draw.random() < 0.3
+        # Before half a second is over it is Python that starts, not bojax.
+        delay = draw.uniform(0.5 if is_fresh else 0.0, _duration(workload.name))
         signals = [(delay, number)]
         if number != signal.SIGKILL and draw.random() < 0.2:
             signals.append((delay + draw.uniform(0.0, 0.5), number))
+        if is_fresh:
+            start = workload.start_afresh(out, resume=resume)
         ended = run(start, place, signals=signals)
-        return ended, f"after {' and '.join(f'{delay:.2f}' for delay, _ in signals)} s"
+        where = "in a new process " if is_fresh else ""
+        return ended, f"{where}after {' and '.join(f'{delay:.2f}' for delay, _ in signals)} s"
     # Resumed, a sweep has fewer of them: late moments may not come any more.
     at = draw.randrange(_count(workload.name, how))
 

@@ -1,8 +1,10 @@
 """Small sweeps that the campaign interrupts, and what must be the same after an interruption."""
 
 import functools
+import os
 import shutil
 import signal
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -36,6 +38,19 @@ class Workload:
     def start(self, out: Path, *, resume: bool = False, report: bool = False) -> Callable[[], int]:
         """A function that runs or resumes it, writing into `out`, with or without its report."""
         return functools.partial(_start, self, out, resume, report)
+
+    def start_afresh(self, out: Path, *, resume: bool = False) -> Callable[[], int]:
+        """The same as `python -m bojax`, imports and report included; not for the toy."""
+        words = [
+            sys.executable,
+            "-m",
+            "bojax",
+            *self.words,
+            "--out",
+            str(out),
+            *(["--resume"] if resume else []),
+        ]
+        return lambda: os.execve(sys.executable, words, {**os.environ, "PYTHONPATH": str(_ROOT)})
 
 
 WORKLOADS = {
@@ -129,7 +144,6 @@ def resume(name: str, out: Path, place: Path) -> Ended:
 
 def _interrupt_at(out: Path, parts: int) -> None:
     """Have this process interrupted as soon as its folder has some parts."""
-    import os
     import threading
 
     def watch() -> None:
@@ -145,7 +159,7 @@ def _start(workload: Workload, out: Path, resume: bool, report: bool) -> int:
         import bojax.report.build
 
         # Patched by name, where the command line imports it: a report takes longer than these sweeps.
-        bojax.report.build.build_report = lambda folders: folders[0] / "report.html"
+        bojax.report.build.build_report = lambda folders, *_: folders[0] / "report.html"
     if not workload.words:
         from bojax.engine.run import run_sweep
         from tests.toy import toy_sweep
