@@ -5,12 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bojax.config import schedules as settings
 from bojax.engine.build import build
+from bojax.learning import settings
 
 
-def balances(schema, num=12, reached=False, dtype="float64"):
-    """Exploration and learning in each of the first episodes."""
+def exploration_states(schema, num=12, reached=False, dtype="float64"):
+    """Scale and is_learning of the first episodes."""
     schedule = build(schema, dtype)
     episodes = jnp.arange(num, dtype=jnp.int32)
     found = jax.vmap(lambda e: schedule(e, jnp.asarray(reached)))(episodes)
@@ -18,20 +18,20 @@ def balances(schema, num=12, reached=False, dtype="float64"):
 
 
 def test_constant_explores_and_learns_always():
-    exploration, learns = balances(settings.Constant())
+    exploration, learns = exploration_states(settings.Constant())
     assert np.all(exploration == 1.0) and np.all(learns)
 
 
 @pytest.mark.parametrize("rate", [0.0, 1e-3, 0.1, 1e4, 1e5])
 def test_decay_is_1_over_1_plus_c_t_with_t_the_episodes_before(rate):
-    exploration, learns = balances(settings.Decay(rate=rate))
+    exploration, learns = exploration_states(settings.Decay(rate=rate))
     assert exploration == pytest.approx([1.0 / (1.0 + rate * t) for t in range(12)])
     assert exploration[0] == 1.0 and np.all(learns)
 
 
 @pytest.mark.parametrize("learns_without", [True, False])
 def test_a_budget_explores_then_does_not(learns_without):
-    exploration, learns = balances(settings.Budget(episodes=3, learns_without=learns_without))
+    exploration, learns = exploration_states(settings.Budget(episodes=3, learns_without=learns_without))
     assert exploration.tolist() == [1.0] * 3 + [0.0] * 9
     assert learns.tolist() == [True] * 3 + [learns_without] * 9
 
@@ -39,13 +39,13 @@ def test_a_budget_explores_then_does_not(learns_without):
 @pytest.mark.parametrize("learns_without", [True, False])
 def test_a_budget_can_go_on_after_a_pause(learns_without):
     schema = settings.Budget(episodes=3, resume_after=4, learns_without=learns_without)
-    exploration, learns = balances(schema)
+    exploration, learns = exploration_states(schema)
     assert exploration.tolist() == [1.0] * 3 + [0.0] * 4 + [1.0] * 5
     assert learns.tolist() == [True] * 3 + [learns_without] * 4 + [True] * 5
 
 
 def test_a_budget_of_nothing_never_explores():
-    exploration, learns = balances(settings.Budget(episodes=0))
+    exploration, learns = exploration_states(settings.Budget(episodes=0))
     assert not np.any(exploration) and not np.any(learns)
 
 
@@ -53,11 +53,11 @@ def test_a_budget_of_nothing_never_explores():
 def test_until_target_explores_while_the_target_is_not_reached(learns_after):
     schema = settings.UntilTarget(learns_after=learns_after)
     for reached in (False, True):
-        exploration, learns = balances(schema, reached=reached)
+        exploration, learns = exploration_states(schema, reached=reached)
         assert np.all(exploration == (0.0 if reached else 1.0))
         assert np.all(learns == (learns_after or not reached))
 
 
 def test_exploit_does_neither():
-    exploration, learns = balances(settings.Exploit())
+    exploration, learns = exploration_states(settings.Exploit())
     assert not np.any(exploration) and not np.any(learns)
