@@ -10,7 +10,7 @@ from bojax.envs.base import EnvState
 from bojax.envs.control import ControlTask
 from bojax.envs.spaces import Box
 from bojax.robots.models import RobotModel
-from bojax.robots.simulator import Physics, Simulator
+from bojax.robots.simulator import Physics, RobotState, Simulator
 
 
 class RobotTask(ControlTask):
@@ -18,7 +18,7 @@ class RobotTask(ControlTask):
 
     Subclasses define the initial state, the observations and the rewards. Actions are the controls of the
     model, within their ranges. A diverged simulation pays NaN, which ends the run as failed. The state is
-    that of the simulator, to which a subclass may add constants of the episode.
+    that of the robot; a subclass that adds to it overrides `robot` and `moved`.
 
     Attributes:
         physics: Settings of the simulation.
@@ -63,15 +63,30 @@ class RobotTask(ControlTask):
         """Precision of observations and rewards; the simulation runs in 32 bits."""
         return self.physics.max_speed.dtype
 
+    def robot(self, state: EnvState) -> RobotState:
+        """State of the robot within a state of the environment, by default all of it."""
+        return state
+
+    def moved(self, state: EnvState, robot: RobotState) -> EnvState:
+        """The state of the environment after the robot has moved."""
+        del state
+        return robot
+
+    def mocap_positions(self, state: EnvState) -> Float[Array, "M"] | None:
+        """Positions of the model's mocap bodies, for an animation; None if it has none."""
+        del state
+        return None
+
     def advance(self, key: Key[Array, ""], state: EnvState, action: Float[Array, "A"]) -> EnvState:
         """See `ControlTask`; the dynamics are deterministic."""
         del key
-        return self.simulator.advance(state, action)
+        return self.moved(state, self.simulator.advance(self.robot(state), action))
 
     def has_diverged(self, state: EnvState) -> Bool[Array, ""]:
         """See `ControlTask`."""
-        return self.simulator.has_diverged(state)
+        return self.simulator.has_diverged(self.robot(state))
 
     def frame(self, state: EnvState) -> Float[Array, "Q"]:
-        """Generalised positions, followed by the positions of the model's mocap bodies if it has any."""
-        return state.qpos
+        """Generalised positions, followed by the positions of the mocap bodies if there are any."""
+        qpos, mocap = self.robot(state).qpos, self.mocap_positions(state)
+        return qpos if mocap is None else jnp.concatenate([qpos, mocap.astype(jnp.float32)])

@@ -148,17 +148,17 @@ class Jaco(RobotTask):
         seen = jnp.concatenate(parts).astype(self.dtype)
         return jnp.concatenate([seen, state.target]) if self.targets == "per-episode" else seen
 
-    def advance(self, key: Key[Array, ""], state: JacoState, action: Float[Array, "J"]) -> JacoState:
-        """See `ControlTask`."""
-        return JacoState(super().advance(key, state.robot, action), state.target)
+    def robot(self, state: JacoState) -> RobotState:
+        """The arm."""
+        return state.robot
 
-    def has_diverged(self, state: JacoState) -> Bool[Array, ""]:
-        """See `ControlTask`."""
-        return super().has_diverged(state.robot)
+    def moved(self, state: JacoState, robot: RobotState) -> JacoState:
+        """The arm has moved, the target has not."""
+        return JacoState(robot, state.target)
 
-    def frame(self, state: JacoState) -> Float[Array, "Q"]:
-        """Joint angles, and the position at which the target is drawn."""
-        return jnp.concatenate([state.robot.qpos, state.target.astype(jnp.float32)])
+    def mocap_positions(self, state: JacoState) -> Float[Array, "3"]:
+        """The position at which the target is drawn."""
+        return state.target
 
     def is_goal(self, state: JacoState) -> Bool[Array, ""]:
         """See the class."""
