@@ -26,12 +26,12 @@ def calls(tmp_path, monkeypatch):
             finish(out or FOLDER)
         return code
 
-    def build_report(folders):
+    def build_report(folders, watch):
         made.append(("report", *folders))
         return folders[0] / "report.html"
 
     monkeypatch.setattr("bojax.engine.run.run_sweep", run_sweep)
-    monkeypatch.setattr("bojax.report.build.build_report", build_report)
+    monkeypatch.setattr("bojax.report.progress.build_report", build_report)
     return made, codes
 
 
