@@ -1,8 +1,14 @@
 """What the manifest says of a sweep."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
-from bojax.engine.manifest import describe_sweep
+import jax.numpy as jnp
+import pytest
+
+from bojax.config.errors import ConfigError
+from bojax.engine.manifest import describe_sweep, outline_of
+from bojax.results.outline import Outline
 from tests.toy import toy_sweep
 
 
@@ -12,3 +18,21 @@ def test_settings_changed_from_the_published_sweep_are_stated():
     manifest = describe_sweep(sweep, plan, [], "bojax sweep toy", "running")
     assert manifest["changed"] == {"problem.half_width": [4.0, 3.0]}
     assert describe_sweep(toy_sweep(), plan, [], "bojax sweep toy", "running")["changed"] == {}
+
+
+def experiment(outline):
+    """An experiment whose problem has this method."""
+    return SimpleNamespace(problem=SimpleNamespace(outline=outline))
+
+
+def test_a_declared_outline_is_written_as_plain_numbers():
+    disc = (jnp.zeros(()), 0.0, jnp.asarray(0.5))
+    declared = outline_of(experiment(lambda: Outline(goals=[disc])))
+    assert declared == {"outline": {"border": None, "obstacles": [], "goals": [[0.0, 0.0, 0.5]]}}
+    assert outline_of(experiment(lambda: None)) == {} == outline_of(SimpleNamespace())
+
+
+@pytest.mark.parametrize("outline", [lambda: Outline(obstacles=[(1.0, 2.0)]), lambda: 3, lambda: 1 / 0])
+def test_an_outline_that_is_none_is_refused_in_a_line(outline):
+    with pytest.raises(ConfigError, match=r"^SimpleNamespace\.outline: .+$"):
+        outline_of(experiment(outline))
