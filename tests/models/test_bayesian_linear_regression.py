@@ -300,7 +300,9 @@ def test_observations_given_together_share_the_floor_of_the_noise(dtype, way):
     features[:, 3] = features[:, 0] + features[:, 1] + 1e-3 * features[:, 3]
     features = jnp.asarray(features / np.sqrt(np.max(np.sum(features**2, axis=1))), dtype)
     weights = jnp.asarray(rng.uniform(0.1, 1.0, 40), dtype)
-    targets = jnp.asarray(features @ rng.normal(size=4) + 0.1 * rng.normal(size=40), dtype)
+    targets = jnp.asarray(
+        np.asarray(features, np.float64) @ rng.normal(size=4) + 0.1 * rng.normal(size=40), dtype
+    )
     alpha, beta = jnp.asarray(1e-2, dtype), jnp.asarray(1e15, dtype)
     if way == "fit":
         model = fit(features, targets, alpha, beta, sample_weight=weights)
