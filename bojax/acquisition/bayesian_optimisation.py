@@ -158,8 +158,8 @@ class BayesianOptimisation(eqx.Module):
     def tell(
         self,
         state: OptimisationState,
-        x: Float[Array, "D"] | Float[np.ndarray, "D"] | Sequence[float],
-        y: Float[Array, ""] | Float[np.ndarray, ""] | float,
+        x: Float[Array, "D"] | Float[np.ndarray, "D"] | Sequence[int | float],
+        y: Float[Array, ""] | Float[np.ndarray, ""] | int | float,
     ) -> OptimisationState:
         """The state after `y` was observed at `x`, which may be another point than the one asked for.
 
