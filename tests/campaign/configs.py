@@ -687,7 +687,6 @@ _MODULES = {
     "exit 0": "import sys; sys.exit(0)",
     "exit 1": "import sys; sys.exit('bye')",
     "hard exit": "raise SystemExit",
-    "interrupt": "raise KeyboardInterrupt",
     "missing import": "import no_such_module_at_all",
     "no class": "Thing = 3",
     "absent": "",
