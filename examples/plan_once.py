@@ -1,4 +1,4 @@
-"""Plan once: the first path that kCBTS would drive towards the parking lot."""
+"""Plan once: the first path that kCBTS would drive towards the parking spot."""
 
 import equinox as eqx
 import jax
