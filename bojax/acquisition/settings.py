@@ -17,7 +17,7 @@ class AcquisitionSettings(Component, frozen=True):
 
 
 class UpperConfidenceBound(AcquisitionSettings, frozen=True):
-    """Mean plus kappa standard deviations."""
+    """Mean plus kappa standard deviations (thesis, equation 2.37)."""
 
     target: ClassVar[str] = "bojax.acquisition.functions:UpperConfidenceBound"
 
@@ -26,22 +26,28 @@ class UpperConfidenceBound(AcquisitionSettings, frozen=True):
 
 
 class ProbabilityOfImprovement(AcquisitionSettings, frozen=True):
-    """Probability of exceeding the best value so far."""
+    """Probability of improving on the best value so far by more than xi (thesis, equation 2.36)."""
 
     target: ClassVar[str] = "bojax.acquisition.functions:ProbabilityOfImprovement"
 
     kind: Literal["pi"] = "pi"
     xi: float = Field(
-        default=0.01, ge=0, le=GREATEST, description="improvement that is asked for, in units of the target"
+        default=0.01,
+        ge=0,
+        le=GREATEST,
+        description="required improvement over the best value, in units of the target",
     )
 
 
 class LogExpectedImprovement(AcquisitionSettings, frozen=True):
-    """Logarithm of the expected improvement over the best value so far."""
+    """Logarithm of the expected improvement over the best value so far plus xi (Ament et al., 2023)."""
 
     target: ClassVar[str] = "bojax.acquisition.functions:LogExpectedImprovement"
 
     kind: Literal["log-ei"] = "log-ei"
     xi: float = Field(
-        default=0.01, ge=0, le=GREATEST, description="improvement that is asked for, in units of the target"
+        default=0.01,
+        ge=0,
+        le=GREATEST,
+        description="required improvement over the best value, in units of the target",
     )

@@ -9,31 +9,41 @@ from bojax.config.component import Schema
 
 
 class Record(Schema, frozen=True):
-    """Which runs leave more than their tables."""
+    """Runs of which more than their tables is saved."""
 
-    runs: int = Field(default=8, ge=0, description="arrays are kept of runs with an index below this")
-    learners: bool = Field(default=False, description="whether what those runs learned is kept too")
+    runs: int = Field(
+        default=8,
+        ge=0,
+        description="number of runs of every point, from the first, whose arrays and steps are saved",
+    )
+    learners: bool = Field(default=False, description="whether the learners of these runs are saved too")
 
 
 class EngineConfig(Schema, frozen=True):
-    """How runs are executed; none of it changes what they compute, up to rounding."""
+    """How runs are executed. These settings change the results by rounding at most."""
 
-    device: Literal["auto", "cpu", "gpu"] = Field(default="auto", description="what to run on")
+    device: Literal["auto", "cpu", "gpu"] = Field(default="auto", description="device to run on")
     lanes_per_device: int | None = Field(
-        default=None, ge=1, description="runs in one program on each device; null: a measured default"
+        default=None,
+        ge=1,
+        description="number of runs advanced together on each device; null for a measured default",
     )
-    segment_seconds: float = Field(default=2.0, gt=0, description="time between reports of progress, s")
+    segment_seconds: float = Field(default=2.0, gt=0, description="time between progress reports, s")
     checkpoint_seconds: float = Field(default=60.0, gt=0, description="time between checkpoints, s")
-    latency: bool = Field(default=True, description="whether a single run is timed apart at the end")
+    latency: bool = Field(
+        default=True, description="whether the latency of a single run is measured at the end"
+    )
 
 
 class Settings(Schema, frozen=True):
     """The reserved top-level keys of an experiment file."""
 
-    title: str = Field(default="", description="one line for lists and reports")
-    runs: int = Field(ge=1, description="runs of every point, each with a key of its own")
-    seed: int = Field(default=0, ge=0, le=2**32 - 1, description="seed of all run keys")
-    record: Record = Field(default=Record(), description="which runs leave arrays")
+    title: str = Field(default="", description="title in lists and reports, one line")
+    runs: int = Field(ge=1, description="number of runs of every point, each with its own random key")
+    seed: int = Field(
+        default=0, ge=0, le=2**32 - 1, description="seed from which the keys of all runs are derived"
+    )
+    record: Record = Field(default=Record(), description="runs of which arrays are saved")
     engine: EngineConfig = Field(default=EngineConfig(), description="how runs are executed")
 
 

@@ -1,4 +1,4 @@
-"""Settings of the environments with continuous states."""
+"""Settings of the environments, those of simulated robots excepted."""
 
 import json
 from typing import Annotated, Any, ClassVar, Literal
@@ -20,14 +20,17 @@ class EnvironmentSettings(Component, frozen=True):
 class Environment(EnvironmentSettings, frozen=True):
     """An environment that is stepped inside the compiled program."""
 
-    max_steps: int = Field(default=500, ge=1, description="steps after which an episode is cut off")
+    max_steps: int = Field(
+        default=500, ge=1, description="number of steps after which an episode is truncated"
+    )
 
 
 class ControlTask(Environment, frozen=True):
-    """What the domains of Section 5.7.2 can be told."""
+    """Settings of all domains of Section 5.7.2."""
 
     reward: Literal["goal-only", "classic"] = Field(
-        default="goal-only", description="1 at the goal, -1 at a failure, 0 else; or what Gym pays"
+        default="goal-only",
+        description="reward: 1 at the goal, -1 at a failure and 0 otherwise; or that of Gym",
     )
 
 
@@ -37,16 +40,18 @@ class SinglePendulum(ControlTask, frozen=True):
     target: ClassVar[str] = "bojax.envs.single_pendulum:SinglePendulum"
 
     kind: Literal["single-pendulum"] = "single-pendulum"
-    goal_angle: float = Field(default=0.05, gt=0, description="largest angle from upright at the goal, rad")
+    goal_angle: float = Field(default=0.05, gt=0, description="largest |angle| from upright at the goal, rad")
     classic_ends_at_goal: bool = Field(
         default=True,
         description="whether the goal ends an episode with the classic reward; in Gym it does not",
     )
-    gravity: float = Field(default=10.0, ge=0, description="gravity, m/s^2")
+    gravity: float = Field(default=10.0, ge=0, description="gravitational acceleration, m/s^2")
     mass: float = Field(default=1.0, gt=0, description="mass of the rod, kg")
     length: float = Field(default=1.0, gt=0, description="length of the rod, m")
-    max_torque: float = Field(default=2.0, gt=0, description="bound on the torque, N m")
-    max_speed: float = Field(default=8.0, gt=0, description="bound on the angular velocity, rad/s")
+    max_torque: float = Field(default=2.0, gt=0, description="largest torque, N m")
+    max_speed: float = Field(
+        default=8.0, gt=0, description="largest angular velocity, rad/s; the joint goes no faster"
+    )
     time_step: float = Field(default=0.05, gt=0, description="time step, s")
 
 
@@ -57,17 +62,20 @@ class MountainCar(ControlTask, frozen=True):
 
     kind: Literal["mountain-car"] = "mountain-car"
     goal_position: float = Field(
-        default=0.5, gt=-1.2, le=0.6, description="least position at the goal; 0.42 in Fig. 5.7"
+        default=0.5, gt=-1.2, le=0.6, description="smallest position at the goal; 0.42 in Fig. 5.7"
     )
     actions: Literal["continuous", "thresholded"] = Field(
-        default="continuous", description="whether an action is a force, or picks left, coast or right"
+        default="continuous",
+        description="whether an action in [-1, 1] is a force, or selects left, coast or right",
     )
     threshold: float = Field(
-        default=0.33, ge=0, le=1, description="least |action| that drives, where actions are thresholded"
+        default=0.33, ge=0, le=1, description="smallest |action| that drives, if actions are thresholded"
     )
-    power: float = Field(default=0.001, gt=0, description="velocity gained by an action of 1, per step")
+    power: float = Field(
+        default=0.001, gt=0, description="change of the velocity by an action of 1, per step"
+    )
     gravity: float = Field(
-        default=0.0025, ge=0, description="velocity gained on the steepest slope, per step"
+        default=0.0025, ge=0, description="change of the velocity on the steepest slope, per step"
     )
 
 
@@ -78,35 +86,44 @@ class DoublePendulum(ControlTask, frozen=True):
 
     kind: Literal["double-pendulum"] = "double-pendulum"
     actuated: Literal["base", "elbow"] = Field(
-        default="base", description="the driven joint; in Gym it is the elbow"
+        default="base",
+        description="driven joint: the base (p. 107), or the elbow (Gym, and the author's code)",
     )
     goal: Literal["distance", "height"] = Field(
-        default="distance", description="whether the goal is a distance to the highest point, or a height"
+        default="distance",
+        description="quantity measured at the goal: distance of the tip to the highest point (p. 107), or "
+        "height of the tip (Gym)",
     )
     goal_distance: float = Field(
-        default=1.0, gt=0, description="largest distance to the highest point, or largest depth below it, m"
+        default=1.0,
+        gt=0,
+        description="largest distance to the highest point, or largest depth below it, at the goal, m",
     )
     actions: Literal["continuous", "sign"] = Field(
-        default="continuous", description="whether the torque is the action, or the largest with its sign"
+        default="continuous",
+        description="whether the torque is the action, or max_torque with the sign of the action",
     )
-    max_torque: float = Field(default=1.0, gt=0, description="bound on the torque, N m")
+    max_torque: float = Field(default=1.0, gt=0, description="largest torque, N m")
     time_step: float = Field(default=0.2, gt=0, description="time step, s")
 
 
 class CartpoleSwingUp(ControlTask, frozen=True):
-    """Swing a pole up by moving its cart (thesis, p. 107; Gym's CartPole, started hanging)."""
+    """Swing a pole up by moving its cart (thesis, p. 107; Gym's CartPole, with the pole hanging at first)."""
 
     target: ClassVar[str] = "bojax.envs.cartpole_swing_up:CartpoleSwingUp"
 
     kind: Literal["cartpole-swing-up"] = "cartpole-swing-up"
     goal_cosine: float = Field(
-        default=0.8, ge=-1, lt=1, description="bound on the cosine of the angle at the goal"
+        default=0.8, ge=-1, lt=1, description="cosine of the angle that has to be exceeded at the goal"
     )
-    limit: float = Field(default=2.4, gt=0, description="largest |position| on the track, m")
+    limit: float = Field(
+        default=2.4, gt=0, description="half the length of the track, m; 3 in the author's code"
+    )
     actions: Literal["continuous", "sign"] = Field(
-        default="continuous", description="whether the force is the action, or the largest with its sign"
+        default="continuous",
+        description="whether the force is the action, or max_force with the sign of the action",
     )
-    max_force: float = Field(default=10.0, gt=0, description="bound on the force, N")
+    max_force: float = Field(default=10.0, gt=0, description="largest force, N")
     time_step: float = Field(default=0.02, gt=0, description="time step, s")
 
 
@@ -116,13 +133,20 @@ class CliffWalking(Environment, frozen=True):
     target: ClassVar[str] = "bojax.envs.cliff_walking:CliffWalking"
 
     kind: Literal["cliff-walking"] = "cliff-walking"
-    max_steps: int = Field(default=1000, ge=1, description="steps after which an episode is cut off")
+    max_steps: int = Field(
+        default=1000, ge=1, description="number of steps after which an episode is truncated"
+    )
     slip: float = Field(
-        default=0.01, ge=0, le=1, description="probability that the direction is drawn anew from all four"
+        default=0.01,
+        ge=0,
+        le=1,
+        description="probability that the direction is replaced by a uniform draw from all four",
     )
     reward_scale: float = Field(default=1.0, gt=0, description="factor of every reward")
     reward: Literal["goal-only", "classic"] = Field(
-        default="goal-only", description="1 for the goal and -1 for a fall; or -1 a step and -100 for a fall"
+        default="goal-only",
+        description="reward: 1 for the goal, -1 for a fall and 0 otherwise; or -100 for a fall and -1 for "
+        "any other step, as in Gymnasium",
     )
 
 
@@ -132,28 +156,40 @@ class Taxi(Environment, frozen=True):
     target: ClassVar[str] = "bojax.envs.taxi:Taxi"
 
     kind: Literal["taxi"] = "taxi"
-    max_steps: int = Field(default=1000, ge=1, description="steps after which an episode is cut off")
+    max_steps: int = Field(
+        default=1000, ge=1, description="number of steps after which an episode is truncated"
+    )
     reward_scale: float = Field(default=1.0, gt=0, description="factor of every reward")
     reward: Literal["goal-only", "classic"] = Field(
         default="goal-only",
-        description="1 for the right drop-off and -0.1 for a wrong drop-off or pick-up; or 20, -10, and -1 "
-        "a step",
+        description="reward: 1 for the right drop-off, -0.1 for any other drop-off and for a pick-up where "
+        "nobody "
+        "waits, and 0 otherwise; or 20, -10 and -1, but -1 for a drop-off at a wrong place, as in Gymnasium",
     )
 
 
 class Chain(Environment, frozen=True):
-    """Walk a chain of N states to its end, where a step to the right may lead left (thesis, Fig. 5.6a)."""
+    """Walk to the end of a chain of N states, where a step to the right may lead left (thesis, Fig. 5.6a)."""
 
     target: ClassVar[str] = "bojax.envs.chain:Chain"
 
     kind: Literal["chain"] = "chain"
-    max_steps: int = Field(default=1000, ge=1, description="steps after which an episode is cut off")
-    length: int = Field(default=10, ge=2, description="number of states (N); a sweep over it compiles once")
-    sparsity: float = Field(
-        default=1.0, ge=0, le=1, description="p: a state that is not the goal pays -1 with probability 1 - p"
+    max_steps: int = Field(
+        default=1000, ge=1, description="number of steps after which an episode is truncated"
     )
-    start: int = Field(default=0, ge=0, description="state that an episode starts in; 0 is the first")
-    max_length: int = Field(default=20, ge=2, description="number of observations that are declared")
+    length: int = Field(
+        default=10,
+        ge=2,
+        description="number of states (N), at most max_length; a sweep over it compiles once",
+    )
+    sparsity: float = Field(
+        default=1.0,
+        ge=0,
+        le=1,
+        description="sparsity (p): a step to a state other than the goal pays -1 with probability 1 - p",
+    )
+    start: int = Field(default=0, ge=0, description="initial state; 0 is the first (S_1)")
+    max_length: int = Field(default=20, ge=2, description="number of declared observations")
 
     @pydantic.model_validator(mode="after")
     def _fits(self) -> "Chain":
@@ -173,17 +209,23 @@ class LunarLander(ControlTask, frozen=True):
     goal_distance: float = Field(
         default=0.05,
         gt=0,
-        description="distance to the pad below which the goal is reached, in units of observations",
+        description="distance from the pad's centre below which the goal is reached, in units of the "
+        "observation: 0.05 is 0.5 m across and 0.33 m up",
     )
-    gravity: float = Field(default=10.0, ge=0, description="gravity, m/s^2")
+    gravity: float = Field(default=10.0, ge=0, description="gravitational acceleration, m/s^2")
     main_power: float = Field(
-        default=13.0, ge=0, description="impulse of the main engine, N s per metre from the hull's origin"
+        default=13.0,
+        ge=0,
+        description="impulse of the main engine at full power, N s, for each metre between the engine and "
+        "the hull's origin",
     )
     side_power: float = Field(
         default=0.6, ge=0, description="impulse of the side engines, N s per metre from the hull's origin"
     )
     dispersion: float = Field(
-        default=1.0, ge=0, description="scale of the noise of the engines' impulses; 1 in Gym"
+        default=1.0,
+        ge=0,
+        description="scale of the noise on direction and magnitude of an engine's impulse; 1 in Gym",
     )
     max_push: float = Field(
         default=1000.0, ge=0, description="bound on each component of the initial force, N"
@@ -203,14 +245,19 @@ class Brax(Environment, frozen=True):
     target: ClassVar[str] = "bojax.envs.brax:BraxEnv"
 
     kind: Literal["brax"] = "brax"
-    name: str = Field(min_length=1, description="its name in Brax, such as reacher")
+    name: str = Field(min_length=1, description="name in the registry of Brax, such as reacher")
     backend: Literal["mjx", "generalized", "positional", "spring"] = Field(
-        default="mjx", description="the physics"
+        default="mjx", description="physics backend"
     )
-    low: Bounds = Field(default=-10.0, description="lower bound of observations, one number or one for each")
-    high: Bounds = Field(default=10.0, description="upper bound of observations")
+    low: Bounds = Field(
+        default=-10.0,
+        description="lower bound of observations, one number or one for each component; Brax declares none",
+    )
+    high: Bounds = Field(
+        default=10.0, description="upper bound of observations, one number or one for each component"
+    )
     success_reward: float | None = Field(
-        default=None, description="least reward of a step that is a success; null: there is none"
+        default=None, description="smallest reward of a successful step; null if no step is a success"
     )
 
 
@@ -221,25 +268,31 @@ class Gymnasium(EnvironmentSettings, frozen=True):
 
     kind: Literal["gymnasium"] = "gymnasium"
     id: str = Field(
-        min_length=1, description="its id, such as MountainCar-v0; module:Name-v0 imports the module first"
+        min_length=1,
+        description="id in Gymnasium, such as MountainCar-v0; module:Name-v0 imports the module first",
     )
-    kwargs: dict[str, Any] = Field(default={}, description="arguments of its constructor")
+    kwargs: dict[str, Any] = Field(default={}, description="arguments of the environment's constructor")
     low: Bounds | None = Field(
         default=None,
-        description="lower bound of observations; null: the declared one, which has to be finite",
+        description="lower bound of observations, one number or one for each component; null for the "
+        "declared bound, which has to be finite",
     )
     high: Bounds | None = Field(
-        default=None, description="upper bound of observations; null: the declared one"
+        default=None,
+        description="upper bound of observations; null for the declared bound, which has to be finite",
     )
     max_steps: int | None = Field(
-        default=None, ge=1, description="steps after which an episode is cut off; null: as registered"
+        default=None,
+        ge=1,
+        description="number of steps after which an episode is truncated; null for the registered limit",
     )
     success: Literal["never", "terminated", "reward"] = Field(
         default="never",
-        description="a success is: nothing; an absorbing state; a step with success_reward at least",
+        description="success: never; an episode that ends in a terminal state, which may be a failure too; "
+        "or a step whose reward is at least success_reward",
     )
     success_reward: float = Field(
-        default=1.0, description="least reward of a success, where success is reward"
+        default=1.0, description="smallest reward of a successful step, if success is reward"
     )
 
     @pydantic.model_validator(mode="after")

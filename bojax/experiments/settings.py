@@ -1,4 +1,4 @@
-"""Settings of the experiments: what one run does."""
+"""Settings of the experiments."""
 
 from typing import Annotated, ClassVar, Literal
 
@@ -13,13 +13,13 @@ from bojax.problems.settings import FieldProblem, Parking
 
 
 class ExperimentSettings(Component, frozen=True):
-    """An experiment: what one run does."""
+    """An experiment: the definition of one run."""
 
     role: ClassVar[str] = "experiment"
     plural: ClassVar[str] = "experiments"
     protocol: ClassVar[str] = "bojax.experiments.base:Experiment"
 
-    dtype: Literal["float64", "float32"] = Field(default="float64", description="precision of every number")
+    dtype: Literal["float64", "float32"] = Field(default="float64", description="floating-point precision")
 
 
 class Planning(ExperimentSettings, frozen=True):
@@ -29,9 +29,12 @@ class Planning(ExperimentSettings, frozen=True):
 
     kind: Literal["planning"] = "planning"
     problem: Annotated[Component, Slot("problem")] = Field(
-        default=Parking(), description="what is planned on"
+        default=Parking(), description="problem to plan on"
     )
-    planner: Annotated[Component, Slot("planner")] = Field(default=KCBTS(), description="who plans")
+    planner: Annotated[Component, Slot("planner")] = Field(
+        default=KCBTS(),
+        description="planner; it knows the problem's model, and of the world only the observations",
+    )
 
     @pydantic.model_validator(mode="after")
     def _objective_of_a_field(self) -> "Planning":
@@ -55,27 +58,33 @@ class Learning(ExperimentSettings, frozen=True):
     target: ClassVar[str] = "bojax.experiments.learning:LearningRun"
 
     kind: Literal["learning"] = "learning"
-    dtype: Literal["float64", "float32"] = Field(default="float32", description="precision of every number")
-    env: Annotated[Component, Slot("env")] = Field(description="what is learned on")
-    learner: Annotated[Component, Slot("learner")] = Field(description="who learns")
+    dtype: Literal["float64", "float32"] = Field(default="float32", description="floating-point precision")
+    env: Annotated[Component, Slot("env")] = Field(description="environment to learn in")
+    learner: Annotated[Component, Slot("learner")] = Field(description="learner")
     schedule: Annotated[Component, Slot("schedule")] = Field(
-        default=Constant(), description="how exploration changes over the episodes"
+        default=Constant(), description="schedule of exploration over the training episodes"
     )
-    episodes: int = Field(default=100, ge=1, description="training episodes")
+    episodes: int = Field(default=100, ge=1, description="number of training episodes")
     stop: Literal["never", "first-success", "target"] = Field(
-        default="never", description="when a run may end before that"
+        default="never",
+        description="whether a run ends early: at its first success, or once target_return is exceeded",
     )
     tests: int = Field(
-        default=0, ge=0, description="test episodes, which exploit and learn nothing, after each episode"
+        default=0,
+        ge=0,
+        description="number of test episodes after each training episode; they neither explore nor learn",
     )
     target_return: float | None = Field(
-        default=None, description="return that each of these tests has to exceed; null for no target"
+        default=None,
+        description="return that every test episode of a round has to exceed; null for no target",
     )
     map_episodes: tuple[Annotated[int, Field(ge=1)], ...] = Field(
-        default=(), strict=False, description="episodes after which maps of Q and U are kept"
+        default=(), strict=False, description="training episodes after which maps of Q and U are saved"
     )
-    map_resolution: int = Field(default=48, ge=2, description="cells of a map along a dimension")
-    saved: str | None = Field(default=None, description="folder of a saved learner to begin with")
+    map_resolution: int = Field(default=48, ge=2, description="number of cells of a map along each dimension")
+    saved: str | None = Field(
+        default=None, description="folder of a saved learner to start from; null for a new learner"
+    )
 
     @pydantic.model_validator(mode="after")
     def _target_is_tested(self) -> "Learning":
@@ -95,15 +104,19 @@ class Learning(ExperimentSettings, frozen=True):
 
 
 class Trajectories(ExperimentSettings, frozen=True):
-    """A gallery of trajectories of one family, from one pose (thesis, Fig. 4.2)."""
+    """A gallery of the trajectories of one family, all from one pose (thesis, Fig. 4.2)."""
 
     target: ClassVar[str] = "bojax.experiments.trajectories:TrajectoryGallery"
 
     kind: Literal["trajectories"] = "trajectories"
     motions: Annotated[Component, Slot("motions")] = Field(
-        default=KernelTrajectories(), description="the family of trajectories"
+        default=KernelTrajectories(), description="family of trajectories"
     )
-    levels: int = Field(default=3, ge=1, description="values of each parameter of a continuous family")
+    levels: int = Field(
+        default=3,
+        ge=1,
+        description="number of values of each parameter of a continuous family, evenly spaced over its range",
+    )
 
     @property
     def label(self) -> str:

@@ -41,13 +41,19 @@ class Bumps(FieldSettings, frozen=True):
 
     kind: Literal["bumps"] = "bumps"
     heights: tuple[float, ...] = Field(
-        default=(1.0,), strict=False, min_length=1, description="values at the centres; negative for a pit"
+        default=(1.0,), strict=False, min_length=1, description="heights of the bumps; negative for a pit"
     )
     centres: tuple[Pair, ...] = Field(
-        default=((0.0, 0.0),), strict=False, min_length=1, description="positions, m"
+        default=((0.0, 0.0),),
+        strict=False,
+        min_length=1,
+        description="centres of the bumps, a list of [x, y], m",
     )
     widths: tuple[Annotated[float, Field(gt=0)], ...] = Field(
-        default=(1.0,), strict=False, min_length=1, description="standard deviations, m"
+        default=(1.0,),
+        strict=False,
+        min_length=1,
+        description="standard deviations of the bumps, m; the steepest slope is 0.61 |height| / width",
     )
 
     @pydantic.model_validator(mode="after")
@@ -66,14 +72,18 @@ class Step(FieldSettings, frozen=True):
     target: ClassVar[str] = "bojax.fields.closed_form:Step"
 
     kind: Literal["step"] = "step"
-    point: Pair = Field(default=(0.0, 0.0), description="a point of the line, m")
-    direction: float = Field(default=math.pi / 4, description="direction in which the field rises, rad")
+    point: Pair = Field(default=(0.0, 0.0), description="a point on the line, [x, y], m")
+    direction: float = Field(
+        default=math.pi / 4, description="direction in which the field rises, across the line, rad"
+    )
     height: float = Field(default=1.0, description="half the difference between the two levels")
-    width: float = Field(default=0.5, gt=0, description="width of the transition, m")
+    width: float = Field(
+        default=0.5, gt=0, description="width of the transition, m; the slope on the line is height / width"
+    )
 
 
 class Blocks(FieldSettings, frozen=True):
-    """Blocks with sharp edges on a floor of height 0 (thesis, Section 3.5.2)."""
+    """Axis-parallel blocks with sharp edges on a floor of height 0 (thesis, Section 3.5.2)."""
 
     target: ClassVar[str] = "bojax.fields.blocks:Blocks"
 
@@ -85,7 +95,10 @@ class Blocks(FieldSettings, frozen=True):
         description="footprints, a list of [x_min, y_min, x_max, y_max], m",
     )
     heights: tuple[Annotated[float, Field(gt=0)], ...] = Field(
-        default=(1.0,), strict=False, min_length=1, description="heights, m"
+        default=(1.0,),
+        strict=False,
+        min_length=1,
+        description="heights of the blocks, m; where blocks overlap, the highest counts",
     )
 
     @pydantic.field_validator("boxes")
@@ -104,9 +117,14 @@ class Blocks(FieldSettings, frozen=True):
 
 
 class _Measured(FieldSettings, frozen=True):
-    file: str = Field(min_length=1, description="a .npy or .csv file; relative to where the command runs")
-    extent: Box = Field(description="extent of the data, [x_min, y_min, x_max, y_max], m")
-    sha256: str | None = Field(default=None, description="SHA-256 of the file, filled in if left out")
+    file: str = Field(
+        min_length=1, description="path of a .npy or .csv file, relative to the working directory"
+    )
+    extent: Box = Field(
+        description="area of the data, [x_min, y_min, x_max, y_max], m; of a grid, the positions of the "
+        "outermost points"
+    )
+    sha256: str | None = Field(default=None, description="SHA-256 of the file; null to compute it")
 
     @pydantic.field_validator("extent")
     @classmethod
@@ -122,7 +140,7 @@ class _Measured(FieldSettings, frozen=True):
             # Results record the data that they were computed from; a run resumes with the same data only.
             object.__setattr__(self, "sha256", digest)
         elif self.sha256 != digest:
-            raise ValueError(f"{self.file}: its content is not what it was: another SHA-256")
+            raise ValueError(f"{self.file}: the file has changed: its SHA-256 differs")
         return self
 
     @abc.abstractmethod
@@ -143,12 +161,16 @@ class Grid(_Measured, frozen=True):
 
 
 class Scattered(_Measured, frozen=True):
-    """Measurements at scattered points: rows of x, y and value."""
+    """Linear interpolation of measurements at scattered points: rows of x, y and value."""
 
     target: ClassVar[str] = "bojax.fields.measured:ScatteredField"
 
     kind: Literal["scattered"] = "scattered"
-    resolution: int = Field(default=101, ge=2, description="points per side of the interpolation grid")
+    resolution: int = Field(
+        default=101,
+        ge=2,
+        description="points on each side of the grid onto which the measurements are interpolated",
+    )
 
     def _check(self, shape: tuple[int, ...]) -> None:
         if shape[1] != 3:

@@ -21,18 +21,24 @@ class RandomFourierFeatures(FeatureSettings, frozen=True):
 
     kind: Literal["random-fourier"] = "random-fourier"
     state_lengthscale: float = Field(
-        default=0.3, gt=0, description="lengthscale along each observation, in units of its range"
+        default=0.3, gt=0, description="lengthscale along each observation, in units of its range (Table 5.2)"
     )
-    action_lengthscale: float = Field(default=0.3, gt=0, description="the same of actions")
-    num_features: int = Field(default=300, ge=2, multiple_of=2, description="number of features (M)")
+    action_lengthscale: float = Field(
+        default=0.3, gt=0, description="lengthscale along each action dimension, in units of its range"
+    )
+    num_features: int = Field(default=300, ge=2, multiple_of=2, description="number of features (M), even")
     kernel: Literal["rbf", "matern12", "matern32", "matern52"] = Field(
-        default="rbf", description="kernel that they approximate"
+        default="rbf", description="kernel that the features approximate"
     )
     sampling: Literal["quasi-random", "monte-carlo"] = Field(
-        default="quasi-random", description="how frequencies are drawn"
+        default="quasi-random",
+        description="how the frequencies are drawn: by a scrambled Halton sequence, or independently",
     )
     form: Literal["cos-sin", "phase"] = Field(
-        default="cos-sin", description="cosines and sines, or cosines with random phases and half the norm"
+        default="cos-sin",
+        description="cosines and sines of M/2 frequencies, with squared norm 1; or cosines of M frequencies"
+        " with random phases times sqrt(1/M), as in the author's published code, where sqrt(2/M) would be "
+        "right",
     )
 
 
@@ -42,11 +48,15 @@ class FourierBasisFeatures(FeatureSettings, frozen=True):
     target: ClassVar[str] = "bojax.learning.features:FourierBasisSpec"
 
     kind: Literal["fourier-basis"] = "fourier-basis"
-    order: int = Field(default=3, ge=1, description="half periods along a dimension: (order + 1)^D features")
+    order: int = Field(
+        default=3,
+        ge=1,
+        description="largest number of half periods along a dimension; there are (order + 1)^D features",
+    )
 
 
 class Indicators(FeatureSettings, frozen=True):
-    """One feature for each pair of a numbered state and a numbered action."""
+    """One-hot features: one for each pair of a discrete state and a discrete action."""
 
     target: ClassVar[str] = "bojax.learning.features:OneHotSpec"
 
@@ -63,23 +73,35 @@ class LearnerSettings(Component, frozen=True):
     discount: float = Field(default=0.99, gt=0, le=1, description="discount of rewards per step (gamma)")
 
 
-# What the two kinds of EMU-Q differ in.
-_FeaturesOfEMUQ = Annotated[Component, Slot("features"), Field(description="features of state and action")]
+# Settings in which the two kinds of EMU-Q differ.
+_FeaturesOfEMUQ = Annotated[Component, Slot("features"), Field(description="features of states and actions")]
 _RewardOrder = Annotated[
     Literal["before", "after"],
-    Field(description="exploration reward before or after the covariance has seen the step"),
+    Field(
+        description="whether the exploration reward is computed before the covariance is updated by the "
+        "transition (Algorithm 6), or after (published code)"
+    ),
 ]
 _TerminalQ = Annotated[
-    Literal["zero", "bootstrap"], Field(description="Q of an absorbing state: zero, or what the model says")
+    Literal["zero", "bootstrap"],
+    Field(description="Q of a terminal state: zero, or the prediction of the model (published code)"),
 ]
 _TerminalU = Annotated[
     Literal["absorbing", "bootstrap", "zero"],
-    Field(description="U of an absorbing state: r_e for ever, what the model says, or zero"),
+    Field(
+        description="U of a terminal state: r_e / (1 - gamma), as if it paid r_e for ever; the prediction "
+        "of the model (published code); or zero, with which ending early is the best exploration"
+    ),
 ]
-_OptimisticU = Annotated[bool, Field(description="whether U is 0 where nothing was seen")]
-_HasNoise = Annotated[bool, Field(description="whether 1/beta is part of the variance")]
+_OptimisticU = Annotated[
+    bool, Field(description="whether U is scaled towards 0 where nothing was observed (published code)")
+]
+_HasNoise = Annotated[
+    bool, Field(description="whether the variance in the exploration reward includes 1/beta (published code)")
+]
 _MixesTransitions = Annotated[
-    bool, Field(description="whether the refit averages exploration rewards over the wrong axis")
+    bool,
+    Field(description="whether the refit averages exploration rewards over the wrong axis (published code)"),
 ]
 
 
@@ -87,29 +109,53 @@ class _EMUQ(LearnerSettings, frozen=True):
     target: ClassVar[str] = "bojax.learning.emu_q:EMUQ"
 
     features: _FeaturesOfEMUQ = RandomFourierFeatures()
-    prior_precision: float = Field(default=0.1, gt=0, description="precision of every weight (alpha)")
+    prior_precision: float = Field(default=0.1, gt=0, description="prior precision of every weight (alpha)")
     noise_precision: float = Field(default=1.0, gt=0, description="precision of the targets (beta)")
     discount: float = Field(default=0.99, gt=0, lt=1, description="discount of rewards per step (gamma)")
     kappa: float = Field(default=1.0, ge=0, description="weight of exploration, in units of 1/V_max = alpha")
-    num_actions: int = Field(default=15, ge=1, description="candidates of the argmax over actions")
-    num_samples: int = Field(default=10, ge=1, description="actions of the mean in the exploration reward")
-    draw_actions: Literal["once", "always"] = Field(
-        default="always", description="whether these are drawn once for a run, evenly, or anew each time"
+    num_actions: int = Field(
+        default=15, ge=1, description="number of candidates of the maximum over a continuous action space"
     )
-    refine_steps: int = Field(default=0, ge=0, description="steps that refine the best candidate")
+    num_samples: int = Field(
+        default=10,
+        ge=1,
+        description="number of actions of the mean in the exploration reward, for a continuous action space",
+    )
+    draw_actions: Literal["once", "always"] = Field(
+        default="always",
+        description="whether candidates and mean actions are drawn once for a run, by a scrambled Halton "
+        "sequence, or anew at each use, uniformly (published code)",
+    )
+    refine_steps: int = Field(
+        default=0, ge=0, description="number of steps of a pattern search around the best candidate"
+    )
     reward_order: _RewardOrder = "before"
     terminal_q: _TerminalQ = "zero"
     terminal_u: _TerminalU = "absorbing"
     optimistic_u: _OptimisticU = False
     has_noise: _HasNoise = False
     refit: Literal["sweeps", "direct", "none"] = Field(
-        default="sweeps", description="how Q and U are fitted to all transitions after an episode"
+        default="sweeps",
+        description="fit of Q and U at the end of an episode: sweeps over all transitions, the direct "
+        "solution of the equations that the sweeps converge to, or none",
     )
-    max_sweeps: int = Field(default=30, ge=1, description="most sweeps, or policies evaluated directly")
-    tolerance: float = Field(default=0.1, ge=0, description="change of the weights at which sweeps stop")
+    max_sweeps: int = Field(
+        default=30,
+        ge=1,
+        description="largest number of sweeps, or of policies whose equations are solved directly",
+    )
+    tolerance: float = Field(
+        default=0.1,
+        ge=0,
+        description="change of the weights, as a Euclidean norm, below which the sweeps stop",
+    )
     mixes_transitions: _MixesTransitions = False
-    block: int = Field(default=16, ge=1, description="steps between two flushes of the covariance")
-    refit_block: int = Field(default=512, ge=1, description="transitions at a time during a refit")
+    block: int = Field(default=16, ge=1, description="number of steps between two flushes of the covariance")
+    refit_block: int = Field(
+        default=512,
+        ge=1,
+        description="number of transitions whose features are in memory at a time during a refit",
+    )
 
 
 class EMUQ(_EMUQ, frozen=True):
@@ -119,7 +165,7 @@ class EMUQ(_EMUQ, frozen=True):
 
 
 class EMUQPublished(_EMUQ, frozen=True):
-    """EMU-Q as the author's published code has it, quirks included."""
+    """EMU-Q with the deviations of the author's published code from the printed algorithm."""
 
     kind: Literal["emu-q-published"] = "emu-q-published"
     features: _FeaturesOfEMUQ = RandomFourierFeatures(form="phase")
@@ -132,27 +178,34 @@ class EMUQPublished(_EMUQ, frozen=True):
 
     @property
     def label(self) -> str:
-        """It is EMU-Q."""
+        """Results name both variants EMU-Q."""
         return "emu-q"
 
 
 class RFFQ(LearnerSettings, frozen=True):
-    """Q-learning on linear features, epsilon-greedy (thesis, Sections 5.6.4 and 5.7)."""
+    """Epsilon-greedy Q-learning on linear features (thesis, Sections 5.6.4 and 5.7)."""
 
     target: ClassVar[str] = "bojax.learning.rff_q:RFFQ"
 
     kind: Literal["rff-q"] = "rff-q"
     features: Annotated[Component, Slot("features")] = Field(
-        default=RandomFourierFeatures(), description="features of state and action"
+        default=RandomFourierFeatures(), description="features of states and actions"
     )
-    learning_rate: float = Field(default=0.5, gt=0, description="step of the gradient descent")
+    learning_rate: float = Field(default=0.5, gt=0, description="learning rate of the gradient descent")
     normalise: bool = Field(
-        default=True, description="whether the rate is divided by the squared norm of the features"
+        default=True,
+        description="whether the rate is divided by the squared norm of the features, which is 1 for random"
+        " Fourier features; for a Fourier basis the norm is half the number of features, and the same rate "
+        "would diverge",
     )
     epsilon: float = Field(default=0.1, ge=0, le=1, description="probability of a random action")
-    initial_weight: float = Field(default=0.0, ge=0, description="standard deviation of the first weights")
-    num_actions: int = Field(default=15, ge=1, description="candidates of the argmax over actions")
-    block: int = Field(default=16, ge=1, description="steps between two looks at whether an episode is over")
+    initial_weight: float = Field(default=0.0, ge=0, description="standard deviation of the initial weights")
+    num_actions: int = Field(
+        default=15, ge=1, description="number of candidates of the maximum over a continuous action space"
+    )
+    block: int = Field(
+        default=16, ge=1, description="number of steps between two checks of whether the episode has ended"
+    )
 
 
 class ExplorationRewardSettings(Component, frozen=True):
@@ -164,7 +217,7 @@ class ExplorationRewardSettings(Component, frozen=True):
 
 
 class FirstVisit(ExplorationRewardSettings, frozen=True):
-    """0 for the first visit of a state and action, -1 for any other (thesis, p. 118)."""
+    """0 for the first visit of a state-action pair, -1 for later visits (thesis, p. 118)."""
 
     target: ClassVar[str] = "bojax.learning.exploration_rewards:FirstVisit"
 
@@ -172,7 +225,7 @@ class FirstVisit(ExplorationRewardSettings, frozen=True):
 
 
 class NextUncertainty(ExplorationRewardSettings, frozen=True):
-    """Mean uncertainty 1 / sqrt(1 + visits) of the next state's actions, less 1 (thesis, 5.9)."""
+    """Mean uncertainty 1 / sqrt(1 + visits) of the next state's actions, minus 1 (thesis, equation 5.9)."""
 
     target: ClassVar[str] = "bojax.learning.exploration_rewards:NextUncertainty"
 
@@ -180,51 +233,63 @@ class NextUncertainty(ExplorationRewardSettings, frozen=True):
 
 
 class _Tabular(LearnerSettings, frozen=True):
-    """What every tabular learner can be told."""
+    """Settings of all tabular learners."""
 
     learning_rate: float = Field(
-        default=0.1, ge=0, le=1, description="share of the way to its target that a value goes"
+        default=0.1, ge=0, le=1, description="fraction of the TD error by which a value is updated"
     )
-    initial_q: float = Field(default=0.0, description="Q of what was never tried")
+    initial_q: float = Field(
+        default=0.0, description="initial Q; optimistic if above the largest possible return"
+    )
     ties: Literal["random", "first"] = Field(
-        default="random", description="which of several best actions is taken"
+        default="random",
+        description="how ties between the best actions are broken: uniformly at random, or by the lowest "
+        "number",
     )
-    block: int = Field(default=16, ge=1, description="steps between two looks at whether all runs have ended")
+    block: int = Field(
+        default=16, ge=1, description="number of steps between two checks of whether the episode has ended"
+    )
 
 
 _ExploresBy = Annotated[Component, Slot("exploration-reward")]
 
 
 class ExplorationValues(_Tabular, frozen=True):
-    """Q-learning with a second table U of exploration rewards; acts by argmax Q + kappa U."""
+    """Q-learning with a second table U of exploration rewards; acts by argmax Q + kappa U (Algorithm 5)."""
 
     target: ClassVar[str] = "bojax.learning.tabular:ExplorationValues"
 
     kind: Literal["exploration-values"] = "exploration-values"
-    kappa: float = Field(default=1.0, ge=0, description="weight of U in the choice of actions")
-    initial_u: float = Field(default=0.0, description="U of what was never tried")
+    kappa: float = Field(default=1.0, ge=0, description="weight of U in the policy")
+    initial_u: float = Field(
+        default=0.0, description="initial U; exploration rewards are at most 0, so 0 is optimistic"
+    )
     exploration_reward: _ExploresBy = Field(
-        default=FirstVisit(), description="what exploring a transition is worth"
+        default=FirstVisit(), description="exploration reward of a transition"
     )
     bootstrap: Literal["greedy-q", "policy", "max"] = Field(
         default="greedy-q",
-        description="what follows a state: its greatest Q and U of argmax Q + kappa U, both of that action "
-        "(5.7), or the greatest of each",
+        description="values of the next state in the TD targets: the maximum of Q and U of argmax Q + kappa"
+        " U, "
+        "so that exploration can stop at any time; Q and U of argmax Q + kappa U (5.7), so that Q is the "
+        "return of the exploring policy; or the maximum of each, which can get stuck",
     )
     terminal_u: Literal["masked", "bootstrap"] = Field(
-        default="masked", description="U of an absorbing state: 0, or what stands in the table"
+        default="masked",
+        description="U of a terminal state: 0, or the value in the table, which is never updated and stays "
+        "initial_u; equal if initial_u is 0",
     )
 
 
 class AdditiveRewards(_Tabular, frozen=True):
-    """Q-learning of rewards plus xi times exploration rewards (thesis, 5.1)."""
+    """Q-learning of rewards plus xi times exploration rewards (thesis, equation 5.1)."""
 
     target: ClassVar[str] = "bojax.learning.tabular:AdditiveRewards"
 
     kind: Literal["additive"] = "additive"
-    xi: float = Field(default=1.0, ge=0, description="weight of exploration rewards")
+    xi: float = Field(default=1.0, ge=0, description="weight of exploration rewards in the TD target")
     exploration_reward: _ExploresBy = Field(
-        default=FirstVisit(), description="what exploring a transition is worth"
+        default=FirstVisit(), description="exploration reward of a transition"
     )
 
 
@@ -254,38 +319,44 @@ class Constant(ScheduleSettings, frozen=True):
 
 
 class Decay(ScheduleSettings, frozen=True):
-    """Exploration times 1 / (1 + c t), t the number of episodes before (thesis, p. 121)."""
+    """Exploration scaled by 1 / (1 + c t), with t the number of episodes before (thesis, p. 121)."""
 
     target: ClassVar[str] = "bojax.learning.schedules:Decay"
 
     kind: Literal["decay"] = "decay"
-    rate: float = Field(default=0.1, ge=0, description="c, per episode")
+    rate: float = Field(default=0.1, ge=0, description="decay rate c, per episode")
 
 
 class Budget(ScheduleSettings, frozen=True):
-    """Exploration for some episodes, none after them; or again later (thesis, p. 119)."""
+    """Exploration for a number of episodes, then none; optionally it resumes later (thesis, p. 119)."""
 
     target: ClassVar[str] = "bojax.learning.schedules:Budget"
 
     kind: Literal["budget"] = "budget"
-    episodes: int = Field(default=30, ge=0, description="episodes with exploration")
+    episodes: int = Field(default=30, ge=0, description="number of episodes with exploration")
     resume_after: int | None = Field(
-        default=None, ge=1, description="episodes without it, before it goes on for good; null: never"
+        default=None,
+        ge=1,
+        description="number of episodes without exploration before it resumes for good; null for never",
     )
-    learns_without: bool = Field(default=False, description="whether learning goes on without exploration")
+    learns_without: bool = Field(
+        default=False, description="whether the learner keeps learning while it does not explore"
+    )
 
 
 class UntilTarget(ScheduleSettings, frozen=True):
-    """Exploration until the test episodes reach their target (thesis, p. 123)."""
+    """Exploration until the test episodes reach their target return (thesis, p. 123)."""
 
     target: ClassVar[str] = "bojax.learning.schedules:UntilTarget"
 
     kind: Literal["until-target"] = "until-target"
-    learns_after: bool = Field(default=False, description="whether learning goes on after that")
+    learns_after: bool = Field(
+        default=False, description="whether the learner keeps learning after the target is reached"
+    )
 
 
 class Exploit(ScheduleSettings, frozen=True):
-    """Neither exploration nor learning: an evaluation of what a learner knows."""
+    """Neither exploration nor learning: the evaluation of a saved learner."""
 
     target: ClassVar[str] = "bojax.learning.schedules:Exploit"
 

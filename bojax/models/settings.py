@@ -11,7 +11,7 @@ LEAST, GREATEST = 1e-15, 1e15
 
 
 def _positive(value: Any) -> float | tuple[float, ...]:
-    """A positive number, or some of them."""
+    """A positive number, or a tuple of them."""
     numbers = tuple(value) if isinstance(value, list | tuple) else (value,)
     are_numbers = all(isinstance(n, int | float) and not isinstance(n, bool) for n in numbers)
     if not (numbers and are_numbers and all(LEAST <= n <= GREATEST for n in numbers)):
@@ -19,7 +19,7 @@ def _positive(value: Any) -> float | tuple[float, ...]:
     return tuple(map(float, numbers)) if isinstance(value, list | tuple) else float(value)
 
 
-# Serialised by its value: pydantic's serialiser of the union warns of every tuple that it makes a list.
+# Serialised by its value: pydantic's serialiser of the union warns of every tuple that becomes a list.
 PositiveNumbers = Annotated[
     float | tuple[float, ...], PlainValidator(_positive), PlainSerializer(lambda value: value)
 ]
@@ -74,15 +74,18 @@ class Scaled(KernelSettings, frozen=True):
     target: ClassVar[str] = "bojax.models.kernels:Scaled"
 
     kind: Literal["scaled"] = "scaled"
-    kernel: Annotated[Component, Slot("kernel")] = Field(default=RBF(), description="the kernel")
+    kernel: Annotated[Component, Slot("kernel")] = Field(default=RBF(), description="kernel to scale")
     variance: float = Field(
-        default=1.0, ge=LEAST, le=GREATEST, description="the constant, in units of the value, squared"
+        default=1.0,
+        ge=LEAST,
+        le=GREATEST,
+        description="factor: the prior variance, in squared units of the value",
     )
 
 
 class _Composite(KernelSettings, frozen=True):
-    first: Annotated[Component, Slot("kernel")] = Field(default=RBF(), description="one kernel")
-    second: Annotated[Component, Slot("kernel")] = Field(default=RBF(), description="another kernel")
+    first: Annotated[Component, Slot("kernel")] = Field(default=RBF(), description="first kernel")
+    second: Annotated[Component, Slot("kernel")] = Field(default=RBF(), description="second kernel")
 
 
 class Sum(_Composite, frozen=True):
@@ -108,7 +111,7 @@ class MeanSettings(Component, frozen=True):
 
 
 class ZeroMean(MeanSettings, frozen=True):
-    """No expectation: a prior mean of zero."""
+    """A prior mean of zero."""
 
     target: ClassVar[str] = "bojax.models.means:ZeroMean"
 
@@ -116,7 +119,7 @@ class ZeroMean(MeanSettings, frozen=True):
 
 
 class ConstantMean(MeanSettings, frozen=True):
-    """The same prior mean everywhere."""
+    """A constant prior mean."""
 
     target: ClassVar[str] = "bojax.models.means:ConstantMean"
 
@@ -131,6 +134,6 @@ class LinearMean(MeanSettings, frozen=True):
 
     kind: Literal["linear"] = "linear"
     weights: tuple[float, ...] = Field(
-        default=(0.0, 0.0), strict=False, min_length=1, description="slope, one number a dimension"
+        default=(0.0, 0.0), strict=False, min_length=1, description="slope along each dimension"
     )
     bias: float = Field(default=0.0, description="prior mean at the origin, in units of the value")

@@ -7,10 +7,10 @@ from pydantic import Field
 from bojax.config.component import Component
 
 DISCRETE = ("splines",)
-"""Families that are a set of trajectories."""
+"""Families that are a finite set of trajectories."""
 
 CONTINUOUS = ("cubic", "kernel")
-"""Families with parameters."""
+"""Families with continuous parameters."""
 
 
 class MotionSettings(Component, frozen=True):
@@ -32,13 +32,15 @@ class Splines(MotionSettings, frozen=True):
 
 
 class CubicCurves(MotionSettings, frozen=True):
-    """Continuous cubic splines, given by the bearing and the heading of their end."""
+    """Continuous cubic curves, parametrised by the bearing and the heading of their end."""
 
     target: ClassVar[str] = "bojax.motions.splines:CubicCurves"
 
     kind: Literal["cubic"] = "cubic"
     length: float = Field(default=1.0, gt=0, description="arc length, m")
-    bearing: float = Field(default=0.8, gt=0, description="largest bearing of the end, rad")
+    bearing: float = Field(
+        default=0.8, gt=0, description="largest bearing of the end seen from the start, rad"
+    )
     heading: float = Field(
         default=1.5,
         gt=0,
@@ -54,12 +56,16 @@ class KernelTrajectories(MotionSettings, frozen=True):
 
     kind: Literal["kernel"] = "kernel"
     num_segments: int = Field(
-        default=3, ge=1, description="segments between anchor points, one turning angle each"
+        default=3,
+        ge=1,
+        description="number of segments between anchor points; each has one parameter, its turning angle",
     )
     length: float = Field(default=1.0, gt=0, description="arc length, m")
-    first_angle: float = Field(default=1.2, ge=0, description="largest first turning angle, rad")
+    first_angle: float = Field(
+        default=1.2, ge=0, description="largest turning angle of the first segment against the heading, rad"
+    )
     turn_angle: float = Field(
-        default=1.25, ge=0, description="largest turning angle of the other segments, rad"
+        default=1.25, ge=0, description="largest turning angle between two segments, rad"
     )
     space_lengthscale: float = Field(
         default=0.5, gt=0, description="lengthscale of the kernel on positions, in units of the length"
@@ -68,10 +74,10 @@ class KernelTrajectories(MotionSettings, frozen=True):
         default=1.0, gt=0, description="lengthscale of the kernel on time; the duration of a trajectory is 1"
     )
     epsilon: float = Field(
-        default=0.1, gt=0, description="regulariser of the first inversion in kernel Bayes' rule"
+        default=0.1, gt=0, description="regulariser of the first inversion in kernel Bayes' rule (4.9)"
     )
     delta: float = Field(
-        default=1e-5, gt=0, description="regulariser of the second inversion in kernel Bayes' rule"
+        default=1e-5, gt=0, description="regulariser of the second inversion in kernel Bayes' rule (4.8)"
     )
     start: Literal["pose", "relaxed"] = Field(
         default="pose",

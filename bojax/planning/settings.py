@@ -26,7 +26,10 @@ class _TreeSearch(PlannerSettings, frozen=True):
     iterations: int = Field(default=300, ge=1, description="simulations per plan")
     depth: int = Field(default=3, ge=1, description="actions from the root to the horizon")
     exploration: float = Field(
-        default=300.0, ge=0, description="exploration weight kappa_MC, in units of the return"
+        default=300.0,
+        ge=0,
+        description="weight of the exploration bonus in the choice of branches (kappa_MC of 4.1), in units "
+        "of the return",
     )
     discount: float = Field(default=1.0, gt=0, le=1, description="discount per step")
     objective: Annotated[Component | None, Slot("objective", optional=True)] = _OBJECTIVE
@@ -36,7 +39,10 @@ class _ContinuousBeliefTreeSearch(_TreeSearch, frozen=True):
     target: ClassVar[str] = "bojax.planning.cbts:ContinuousBeliefTreeSearch"
 
     max_actions: int = Field(default=20, ge=1, description="largest number of actions of a node (A_max)")
-    kernel: Annotated[Component, Slot("kernel")] = Field(default=RBF(), description="kernel of a node's GP")
+    kernel: Annotated[Component, Slot("kernel")] = Field(
+        default=RBF(),
+        description="kernel of a node's Gaussian process from action parameters, in [-1, 1]^D, to rewards",
+    )
     acquisition: Annotated[Component, Slot("acquisition")] = Field(
         default=UpperConfidenceBound(kappa=100.0),
         description="acquisition function that new actions maximise",
@@ -44,19 +50,29 @@ class _ContinuousBeliefTreeSearch(_TreeSearch, frozen=True):
     convergence: float = Field(
         default=0.0,
         ge=0,
-        description="distance of consecutive actions below which a node adds no more; 0 to disable",
+        description="distance of two successive actions of a node below which the node gets no new actions;"
+        " 0 for never",
     )
     scaling: Literal["standardise", "rank", "none"] = Field(
-        default="standardise", description="scaling of a node's rewards before they enter its GP"
+        default="standardise",
+        description="scaling of a node's rewards for its Gaussian process: to mean 0 and variance 1, to "
+        "their ranks spread evenly over [-1, 1], or none",
     )
     num_initial: int = Field(default=2, ge=1, description="number of first actions of a node that are random")
     noise_variance: float = Field(
-        default=0.01, gt=0, description="noise variance of a node's GP, on scaled rewards"
+        default=0.01,
+        gt=0,
+        description="noise variance of a node's Gaussian process, relative to its scaled rewards",
     )
     num_candidates: int = Field(
-        default=128, ge=1, description="quasi-random candidates among which the acquisition is maximised"
+        default=128,
+        ge=1,
+        description="number of quasi-random candidates among which the acquisition is maximised, drawn anew"
+        " for each plan",
     )
-    refine_steps: int = Field(default=0, ge=0, description="gradient steps that refine the best candidate")
+    refine_steps: int = Field(
+        default=0, ge=0, description="number of gradient steps that refine the best candidate"
+    )
 
 
 class KCBTS(_ContinuousBeliefTreeSearch, frozen=True):
@@ -125,18 +141,27 @@ class Explorer(_MyopicPlanner, frozen=True):
 
 
 class GpsAbt(_TreeSearch, frozen=True):
-    """Tree search whose nodes refine their actions by generalised pattern search."""
+    """Tree search whose nodes refine their actions by generalised pattern search (ABT toolkit)."""
 
     target: ClassVar[str] = "bojax.planning.gps_abt:PatternSearch"
 
     kind: Literal["gps-abt"] = "gps-abt"
     exploration: float = Field(
-        default=100.0, ge=0, description="exploration weight sqrt(C), in units of the return"
+        default=100.0,
+        ge=0,
+        description="weight of the exploration bonus (square root of the toolkit's C), in units of the "
+        "return",
     )
     growth: float = Field(
-        default=5.0, gt=1, description="k: a node of N visits has at most ln N / ln k levels"
+        default=5.0,
+        gt=1,
+        description="growth factor k: a node of N visits has at most ln N / ln k levels of stencils",
     )
-    min_visits: float = Field(default=2.0, ge=0, description="visits of every best point before a refinement")
+    min_visits: float = Field(
+        default=2.0,
+        ge=0,
+        description="number of visits of every best point on the way before a stencil is refined",
+    )
     min_radius: float = Field(
         default=0.1,
         gt=0,
@@ -146,8 +171,15 @@ class GpsAbt(_TreeSearch, frozen=True):
         default=1.0, gt=0, description="radius of a node's initial stencil; the box is [-1, 1]"
     )
     max_levels: int = Field(default=6, ge=1, description="largest number of stencils on a descent")
-    num_rollout_paths: int = Field(default=128, ge=1, description="random paths that rollouts draw from")
-    heuristic: Literal["rollout", "zero"] = Field(default="rollout", description="value after a new action")
+    num_rollout_paths: int = Field(
+        default=128,
+        ge=1,
+        description="number of random paths that rollouts draw from, drawn anew for each plan",
+    )
+    heuristic: Literal["rollout", "zero"] = Field(
+        default="rollout",
+        description="value after a new action: that of a random rollout to the horizon, or zero",
+    )
     motions: Annotated[Component, Slot("motions", only=CONTINUOUS)] = Field(
         default=KernelTrajectories(), description="family of trajectories"
     )

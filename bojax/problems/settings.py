@@ -30,7 +30,7 @@ class Gradient(ObjectiveSettings, frozen=True):
     target: ClassVar[str] = "bojax.problems.objectives:GradientObjective"
 
     kind: Literal["gradient"] = "gradient"
-    kappa: float = Field(default=5.0, ge=0, description="weight of the standard deviation")
+    kappa: float = Field(default=5.0, ge=0, description="weight of the uncertainty")
 
 
 class Value(ObjectiveSettings, frozen=True):
@@ -39,7 +39,7 @@ class Value(ObjectiveSettings, frozen=True):
     target: ClassVar[str] = "bojax.problems.objectives:ValueObjective"
 
     kind: Literal["value"] = "value"
-    kappa: float = Field(default=10.0, ge=0, description="weight of the standard deviation")
+    kappa: float = Field(default=10.0, ge=0, description="weight of the uncertainty")
 
 
 class Uncertainty(ObjectiveSettings, frozen=True):
@@ -73,7 +73,7 @@ class Range(SensorSettings, frozen=True):
 
     kind: Literal["range"] = "range"
     beam: float = Field(default=pi / 60, ge=0, lt=pi, description="full opening angle of the beam, rad")
-    max_range: float = Field(default=5.0, gt=0, description="maximum range, m")
+    max_range: float = Field(default=5.0, gt=0, description="range, m; a larger distance reads as this one")
     altitude_noise: float = Field(
         default=0.02, ge=0, description="standard deviation of a measurement of the altitude, m"
     )
@@ -96,12 +96,15 @@ class _Parking(ProblemSettings, frozen=True):
     target: ClassVar[str] = "bojax.problems.parking:Parking"
 
     half_width: float = Field(default=4.0, gt=0, description="half the side of the square domain, m")
-    max_steps: int = Field(default=15, ge=1, description="steps per episode")
+    max_steps: int = Field(default=15, ge=1, description="number of steps after which an episode ends")
     distance_tolerance: float = Field(
         default=0.1, gt=0, description="largest distance of a parked robot from the goal, m"
     )
     heading_tolerance: float = Field(
-        default=pi / 10, gt=0, description="largest |sin| of the heading of a parked robot"
+        default=pi / 10,
+        gt=0,
+        description="largest |sin| of the heading of a parked robot; the opposite heading is accepted too, "
+        "as printed in (4.13)",
     )
     bearing_tolerance: float = Field(
         default=pi / 10, gt=0, description="largest |sin| of the bearing of a parked robot"
@@ -116,17 +119,23 @@ class _Parking(ProblemSettings, frozen=True):
     )
     bearing: Literal["world", "robot"] = Field(
         default="world",
-        description="whether the bearing is that of the robot from the spot, or of the spot from the robot",
+        description="the bearing (beta): direction of the robot seen from the spot, or of the spot relative "
+        "to the robot's heading",
     )
     success_needs_bearing: bool = Field(
         default=False, description="whether parking also requires the bearing condition"
     )
-    exit_terminates: bool = Field(default=True, description="whether leaving the domain ends the episode")
+    exit_terminates: bool = Field(
+        default=True,
+        description="whether leaving the domain ends the episode; otherwise exit_reward is paid each time "
+        "that a path leads out of it",
+    )
     park_along_path: bool = Field(
-        default=True, description="whether passing through the goal region counts as parking"
+        default=True, description="whether any pose of a path can park the robot, not only its end"
     )
     vehicle: Annotated[Component, Slot("vehicle")] = Field(
-        default=Exact(), description="robot that executes the paths"
+        default=Exact(),
+        description="vehicle that follows the paths; planners assume that paths are followed exactly",
     )
 
 
@@ -142,7 +151,8 @@ class RobotParking(_Parking, frozen=True):
     kind: Literal["robot-parking"] = "robot-parking"
     half_width: float = Field(default=1.5, gt=0, description="half the side of the square domain, m")
     vehicle: Annotated[Component, Slot("vehicle")] = Field(
-        default=WheeledRobot(), description="robot that executes the paths"
+        default=WheeledRobot(),
+        description="vehicle that follows the paths; planners assume that paths are followed exactly",
     )
 
 
@@ -181,21 +191,26 @@ class FieldProblem(ProblemSettings, frozen=True):
     mean: Annotated[Component, Slot("mean")] = Field(
         default=ZeroMean(), description="prior mean of the field"
     )
-    noise_variance: float = Field(default=0.01, ge=0, description="noise variance that the belief assumes")
-    noise: float = Field(default=0.1, ge=0, description="standard deviation of the observation noise")
+    noise_variance: float = Field(
+        default=0.01, ge=0, description="noise variance of an observation in the belief"
+    )
+    noise: float = Field(
+        default=0.1, ge=0, description="standard deviation of the observation noise in the world"
+    )
     pose_noise: PoseNoise | None = Field(
         default=None,
         description="standard deviations of a pose measurement, [m, rad]; null: exact measurements",
     )
     vehicle: Annotated[Component, Slot("vehicle")] = Field(
-        default=Exact(), description="robot that executes the paths"
+        default=Exact(),
+        description="vehicle that follows the paths; planners assume that paths are followed exactly",
     )
     sensor: Annotated[Component, Slot("sensor")] = Field(
         default=Point(), description="sensor that measures the field"
     )
     collision_reward: float = Field(default=-100.0, le=0, description="reward when a wall stops the robot")
     exit_reward: float = Field(default=-100.0, le=0, description="reward when the border stops the robot")
-    max_steps: int = Field(default=25, ge=1, description="steps per episode")
+    max_steps: int = Field(default=25, ge=1, description="number of steps after which an episode ends")
     resolution: int = Field(default=31, ge=2, description="points per side of the grid of the error measures")
     relearn_every: int = Field(
         default=0,
@@ -203,7 +218,9 @@ class FieldProblem(ProblemSettings, frozen=True):
         description="steps between updates of the belief's hyper-parameters; 0 for none",
     )
     relearn_spread: float = Field(
-        default=0.5, gt=0, description="standard deviation of their log-normal priors about the settings"
+        default=0.5,
+        gt=0,
+        description="prior standard deviation of the logarithm of each hyper-parameter, around its setting",
     )
     imagined: Literal["sample", "mean"] = Field(
         default="sample",
@@ -211,11 +228,12 @@ class FieldProblem(ProblemSettings, frozen=True):
     )
     after_collision: Literal["stop", "turn"] = Field(
         default="turn",
-        description="whether a robot that was stopped keeps its heading or turns round on the spot",
+        description="whether a robot that was stopped stands still, or turns round on the spot, which a "
+        "vehicle with a turning radius cannot; the same in the world and in simulations",
     )
     weighting: Literal["gradient", "gradient-norm", "value"] = Field(
         default="value",
-        description="weights of wrmse: the gradient as (3.7) prints it, its norm, or the value",
+        description="weights of wrmse: the gradient as printed in (3.7), its norm, or the value",
     )
 
     @pydantic.field_validator("domain", "target_area")
@@ -278,7 +296,7 @@ class _Gradients(FieldProblem, frozen=True):
     )
     weighting: Literal["gradient", "gradient-norm", "value"] = Field(
         default="gradient",
-        description="weights of wrmse: the gradient as (3.7) prints it, its norm, or the value",
+        description="weights of wrmse: the gradient as printed in (3.7), its norm, or the value",
     )
 
 
@@ -293,7 +311,7 @@ class Diagonal(_Gradients, frozen=True):
         default=(1.0, 1.0, 0.0),
         description="initial pose, [x, y, heading], m and rad; null: random in the free space",
     )
-    max_steps: int = Field(default=35, ge=1, description="steps per episode")
+    max_steps: int = Field(default=35, ge=1, description="number of steps after which an episode ends")
 
 
 class TwoPits(_Gradients, frozen=True):
@@ -304,7 +322,7 @@ class TwoPits(_Gradients, frozen=True):
         default=Bumps(heights=(-0.8, -1.0), centres=((1.5, 4.5), (4.5, 1.5)), widths=(0.8, 0.4)),
         description="true field",
     )
-    max_steps: int = Field(default=50, ge=1, description="steps per episode")
+    max_steps: int = Field(default=50, ge=1, description="number of steps after which an episode ends")
 
 
 class SpaceModelling(FieldProblem, frozen=True):
@@ -332,7 +350,8 @@ class SpaceModelling(FieldProblem, frozen=True):
 
 class _Heights(_Gradients, frozen=True):
     vehicle: Annotated[Component, Slot("vehicle")] = Field(
-        default=Quadrotor(altitude=2.0), description="robot that executes the paths"
+        default=Quadrotor(altitude=2.0),
+        description="vehicle that follows the paths; planners assume that paths are followed exactly",
     )
     sensor: Annotated[Component, Slot("sensor")] = Field(
         default=Range(), description="sensor that measures the heights"
@@ -368,7 +387,9 @@ class HillyTerrain(_Heights, frozen=True):
     kernel: Annotated[Component, Slot("kernel")] = Field(
         default=Scaled(kernel=RBF(lengthscale=0.8), variance=0.25), description="prior covariance, m and m^2"
     )
-    noise_variance: float = Field(default=0.005, ge=0, description="noise variance that the belief assumes")
+    noise_variance: float = Field(
+        default=0.005, ge=0, description="noise variance of an observation in the belief"
+    )
 
 
 class IndoorProps(_Heights, frozen=True):
@@ -386,7 +407,8 @@ class IndoorProps(_Heights, frozen=True):
     )
     domain: Box = Field(default=(0.0, 0.0, 3.0, 3.0), description="border, [x_min, y_min, x_max, y_max], m")
     vehicle: Annotated[Component, Slot("vehicle")] = Field(
-        default=Quadrotor(), description="robot that executes the paths"
+        default=Quadrotor(),
+        description="vehicle that follows the paths; planners assume that paths are followed exactly",
     )
     objective: Annotated[Component, Slot("objective")] = Field(
         default=Gradient(kappa=10.0), description="worth of a sample for the task"
@@ -397,10 +419,12 @@ class IndoorProps(_Heights, frozen=True):
     kernel: Annotated[Component, Slot("kernel")] = Field(
         default=Scaled(kernel=RBF(lengthscale=0.3), variance=0.01), description="prior covariance, m and m^2"
     )
-    noise_variance: float = Field(default=0.0025, ge=0, description="noise variance that the belief assumes")
-    max_steps: int = Field(default=15, ge=1, description="steps per episode")
+    noise_variance: float = Field(
+        default=0.0025, ge=0, description="noise variance of an observation in the belief"
+    )
+    max_steps: int = Field(default=15, ge=1, description="number of steps after which an episode ends")
     resolution: int = Field(default=61, ge=2, description="points per side of the grid of the error measures")
     weighting: Literal["gradient", "gradient-norm", "value"] = Field(
         default="value",
-        description="weights of wrmse: the gradient as (3.7) prints it, its norm, or the value",
+        description="weights of wrmse: the gradient as printed in (3.7), its norm, or the value",
     )

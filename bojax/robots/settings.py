@@ -23,9 +23,15 @@ class MJX(PhysicsSettings, frozen=True):
     max_speed: float = Field(
         default=1000.0, gt=0, description="generalised velocity above which a run has diverged, m/s or rad/s"
     )
-    iterations: int | None = Field(default=None, ge=1, description="largest number of solver iterations")
+    iterations: int | None = Field(
+        default=None,
+        ge=1,
+        description="largest number of iterations of the solver of contacts and limits; null for the model's",
+    )
     ls_iterations: int | None = Field(
-        default=None, ge=1, description="largest number of line search iterations"
+        default=None,
+        ge=1,
+        description="largest number of iterations of the solver's line search; null for the model's",
     )
     integrator: Literal["euler", "rk4", "implicitfast"] | None = Field(
         default=None, description="integration scheme"

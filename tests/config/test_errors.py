@@ -202,7 +202,7 @@ EXPERIMENTS = {
     ),
     "data that are not those of the results": (
         grid("good.csv, sha256: abc"),
-        "x.yaml: problem.field: got {…; good.csv: its content is not what it was: another SHA-256",
+        "x.yaml: problem.field: got {…; good.csv: the file has changed: its SHA-256 differs",
     ),
     "a malformed import path": (
         "problem: 'mine.fields:'",

@@ -110,7 +110,7 @@ def test_the_settings_name_the_content_of_the_file(write, schema: type[Component
     # Other data under the same name are other settings: results do not go on with them.
     path.write_text("0,0,1\n1,0,2\n0,1,4")
     assert schema(file="table.csv", extent=EXTENT) != settings
-    with pytest.raises(ValueError, match="its content is not what it was"):
+    with pytest.raises(ValueError, match="the file has changed"):
         schema.model_validate(settings.model_dump())
 
 

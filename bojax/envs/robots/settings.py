@@ -43,7 +43,10 @@ class Reacher(Robot, frozen=True):
         default=0.015, gt=0, description="distance to the target below which the goal is reached, m"
     )
     target_radius: float = Field(
-        default=0.2, gt=0, le=0.21, description="largest distance of the target from the shoulder, m"
+        default=0.2,
+        gt=0,
+        le=0.21,
+        description="largest distance of the target from the shoulder, m; the arm reaches 0.21",
     )
     substeps: int = Field(default=2, ge=1, description="simulation steps of 10 ms per action")
 
@@ -62,13 +65,17 @@ class Jaco(Robot, frozen=True):
         description="movable joints, from 1 at the base to 6 at the hand; the others are fixed",
     )
     targets: Literal["per-run", "per-episode"] = Field(
-        default="per-run", description="one target per run, not observed; or one per episode, observed"
+        default="per-run",
+        description="one target for each run, which is not observed; or one for each episode, which is "
+        "observed",
     )
     goal_distance: float = Field(
         default=0.1, gt=0, description="distance to the target below which the goal is reached, m"
     )
     substeps: int = Field(default=10, ge=1, description="simulation steps of 4 ms per action")
-    max_steps: int = Field(default=50, ge=1, description="steps after which an episode is cut off")
+    max_steps: int = Field(
+        default=50, ge=1, description="number of steps after which an episode is truncated"
+    )
 
     @pydantic.model_validator(mode="after")
     def _distinct(self) -> "Jaco":

@@ -17,7 +17,7 @@ class VehicleSettings(Component, frozen=True):
 
 
 class Exact(VehicleSettings, frozen=True):
-    """A robot that follows every path exactly."""
+    """A vehicle that follows every path exactly and can turn on the spot."""
 
     target: ClassVar[str] = "bojax.problems.vehicles.base:Exact"
 
@@ -32,7 +32,11 @@ class WheeledRobot(VehicleSettings, frozen=True):
     kind: Literal["wheeled-robot"] = "wheeled-robot"
     look_ahead: float = Field(default=0.15, gt=0, description="look-ahead distance of pure pursuit, m")
     speed: float = Field(default=0.5, gt=0, le=0.75, description="cruising speed, m/s")
-    gain: float = Field(default=6.0, gt=0, description="speed per metre of remaining path, 1/s")
+    gain: float = Field(
+        default=6.0,
+        gt=0,
+        description="speed per metre to the end of the path, by which the robot slows down, 1/s",
+    )
     physics: Annotated[Component, Slot("physics")] = Field(
         default=MJX(), description="settings of the simulation"
     )
@@ -40,7 +44,9 @@ class WheeledRobot(VehicleSettings, frozen=True):
         default=5, ge=1, description="simulation steps of 10 ms between two measurements of the pose"
     )
     readings: int = Field(
-        default=50, ge=2, description="measurements per path; the path has to be completed within them"
+        default=50,
+        ge=2,
+        description="number of pose readings per path; a robot that has not reached the end by then stops",
     )
 
 
