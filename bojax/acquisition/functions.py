@@ -21,7 +21,10 @@ class Acquisition(eqx.Module):
 
 
 class UpperConfidenceBound(Acquisition):
-    """Mean plus `kappa` standard deviations (2.37)."""
+    """Mean plus `kappa` standard deviations (2.37).
+
+    Settings: `bojax.acquisition.settings.UpperConfidenceBound`.
+    """
 
     kappa: Float[Array, ""] = eqx.field(converter=as_numbers("kappa"))
 
@@ -34,7 +37,10 @@ class UpperConfidenceBound(Acquisition):
 
 
 class ProbabilityOfImprovement(Acquisition):
-    """Probability that the value exceeds `best + xi`, xi >= 0 (2.36; 2.35 is printed for minimisation)."""
+    """Probability that the value exceeds `best + xi`, xi >= 0 (2.36; 2.35 is printed for minimisation).
+
+    Settings: `bojax.acquisition.settings.ProbabilityOfImprovement`.
+    """
 
     xi: Float[Array, ""] = eqx.field(converter=as_numbers("xi"))
 
@@ -50,6 +56,8 @@ class LogExpectedImprovement(Acquisition):
     """Logarithm of the expected improvement over `best + xi` (Ament et al., NeurIPS 2023, Section 4.1).
 
     Beyond the thesis. Finite wherever the standard score is above -1e150 in float64 (-1e18 in float32).
+
+    Settings: `bojax.acquisition.settings.LogExpectedImprovement`.
     """
 
     xi: Float[Array, ""] = eqx.field(converter=as_numbers("xi"))

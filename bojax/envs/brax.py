@@ -27,13 +27,9 @@ class BraxEnv(Env):
     What Brax calls done is absorbing; its time limit is not used. Actions go from -1 to 1, as Brax has it.
     A name that was added by `brax.envs.register_environment` will do too.
 
+    Settings: `bojax.envs.settings.Brax`.
+
     Attributes:
-        low: Lower bound of observations, one number or one for each; Brax declares none.
-        high: Upper bound.
-        success_reward: Least reward of a step that is a success; None where none is.
-        name: Name in Brax's registry.
-        backend: Physics: mjx, generalized, positional or spring.
-        max_steps: See `Env`.
         observation_size: Numbers in an observation.
         action_size: Numbers in an action.
     """

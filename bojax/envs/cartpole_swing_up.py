@@ -26,14 +26,7 @@ class CartpoleSwingUp(ControlTask):
 
     It begins hanging: all four numbers uniform in [-0.05, 0.05], around an angle of pi.
 
-    Attributes:
-        goal_cosine: Bound on the cosine of the angle at the goal.
-        limit: Half the length of the track, in metres; 3 in the author's code.
-        max_force: Bound on the action, in N.
-        time_step: In seconds.
-        max_steps: See `Env`.
-        reward: See `ControlTask`.
-        actions: Whether the force is the action, or the largest one with its sign.
+    Settings: `bojax.envs.settings.CartpoleSwingUp`.
     """
 
     goal_cosine: Float[Array, ""]

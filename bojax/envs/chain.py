@@ -24,12 +24,7 @@ class Chain(TabularEnv):
     learner with a table keeps rows that stay as they are, and a learner that scales observations by their
     declared bounds finds neighbours at the same distance, 1 / (`max_length` - 1), in every chain.
 
-    Attributes:
-        length: N, at least 2 and at most `max_length`.
-        sparsity: p, the share of steps without the additional -1.
-        start: State that an episode starts in; 0 is the S_1 of the thesis.
-        max_length: Number of observations that are declared.
-        max_steps: See `Env`.
+    Settings: `bojax.envs.settings.Chain`.
     """
 
     length: Float[Array, ""]

@@ -24,12 +24,7 @@ class CliffWalking(TabularEnv):
     Gymnasium's `CliffWalking-v1`. The cells between start and goal are the cliff: who falls is back at the
     start, and the episode goes on. A step off the grid stays where it is.
 
-    Attributes:
-        slip: Probability that the direction is drawn anew, uniformly from all four.
-        reward_scale: Factor of every reward (100 in Fig. 5.2d).
-        reward: `"goal-only"`: 1 for the goal, -1 for a fall, 0 else; `"classic"`: -100 for a fall, -1 for any
-            other step, as Gymnasium has it.
-        max_steps: See `Env`.
+    Settings: `bojax.envs.settings.CliffWalking`.
     """
 
     slip: Float[Array, ""]

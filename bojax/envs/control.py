@@ -18,9 +18,6 @@ class ControlTask(Env):
     otherwise (p. 106). With `"classic"` it pays what the domain pays in Gym, and each domain says what ends
     it then. A step is a success where it reaches the goal, whatever it pays; where goal and failure meet,
     it is a failure. A step to a state that no body can be in (`has_diverged`) pays NaN.
-
-    Attributes:
-        reward: What is paid.
     """
 
     reward: eqx.AbstractVar[Literal["goal-only", "classic"]]

@@ -30,15 +30,7 @@ class DoublePendulum(ControlTask):
 
     It begins as in Gym: all four numbers uniform in [-0.1, 0.1].
 
-    Attributes:
-        goal_distance: How far below or beside the highest point the goal extends, in metres.
-        max_torque: Bound on the action, in N m.
-        time_step: In seconds.
-        max_steps: See `Env`.
-        reward: See `ControlTask`.
-        actuated: The driven joint: the base (p. 107), or the elbow (Gym, and the author's code).
-        goal: What is measured at the goal.
-        actions: Whether the torque is the action, or the largest one with its sign.
+    Settings: `bojax.envs.settings.DoublePendulum`.
     """
 
     goal_distance: Float[Array, ""]

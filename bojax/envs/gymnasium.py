@@ -87,15 +87,9 @@ class HostEnv(Env):
     `max_steps`, here as for every other environment: Gymnasium's own is taken off, so that what it still
     truncates is the environment's doing.
 
+    Settings: `bojax.envs.settings.Gymnasium`.
+
     Attributes:
-        low: Lower bound of observations instead of the declared one, one number or one for each; or None.
-        high: Upper bound.
-        success_reward: Least reward of a step that is a success, where `success` is `"reward"`.
-        id: Gymnasium's name for it, `module:Name-v0` for one that a module registers.
-        kwargs: Arguments of its constructor, as JSON.
-        max_steps: See `Env`.
-        success: What counts as success: nothing, the end in an absorbing state (a failure may be one too),
-            or a reward.
         observations: Space of observations.
         actions: Space of actions.
     """

@@ -31,17 +31,7 @@ class LunarLander(ControlTask):
     As in Gym, an episode starts at the top of the world with a random force on the hull, over a rough terrain
     drawn for each episode.
 
-    Attributes:
-        goal_distance: Distance from the pad within which the goal is reached, in units of the observation.
-        gravity: Gravity in m/s^2.
-        main_power: Impulse of the main engine at full power, in N s for each metre between it and the origin.
-        side_power: Impulse of the side engines at full power, in the same unit.
-        dispersion: Scale of the noise on direction and magnitude of an engine's impulse; 1 in Gym, 0 for
-            none.
-        max_push: Bound on each component of the initial force, in N.
-        max_speed: Speed in m/s, or spin in rad/s, above which a simulation counts as diverged.
-        max_steps: See `Env`.
-        reward: See `ControlTask`.
+    Settings: `bojax.envs.settings.LunarLander`.
     """
 
     goal_distance: Float[Array, ""]

@@ -24,14 +24,7 @@ class MountainCar(ControlTask):
 
     It begins at rest, uniformly in [-0.6, -0.4].
 
-    Attributes:
-        goal_position: Least position at the goal.
-        power: Change of the velocity by an action of 1, per step.
-        gravity: Change of the velocity by the steepest slope, per step.
-        threshold: Least |action| that drives, where actions are thresholded.
-        max_steps: See `Env`.
-        reward: See `ControlTask`.
-        actions: Whether an action between -1 and 1 is a force, or picks one of three.
+    Settings: `bojax.envs.settings.MountainCar`.
     """
 
     goal_position: Float[Array, ""]

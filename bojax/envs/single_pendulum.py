@@ -23,17 +23,7 @@ class SinglePendulum(ControlTask):
 
     It begins as in Gym: at any angle, with a velocity uniform in [-1, 1].
 
-    Attributes:
-        goal_angle: Largest angle from upright at the goal, in radians.
-        gravity: In m/s^2.
-        mass: Of the rod, in kg.
-        length: Of the rod, in metres.
-        max_torque: Bound on the action, in N m.
-        max_speed: Bound on the angular velocity, in rad/s; the joint goes no faster.
-        time_step: In seconds.
-        max_steps: See `Env`.
-        reward: See `ControlTask`.
-        classic_ends_at_goal: Whether the goal is absorbing with the classic reward.
+    Settings: `bojax.envs.settings.SinglePendulum`.
     """
 
     goal_angle: Float[Array, ""]

@@ -40,12 +40,7 @@ class Taxi(TabularEnv):
     the passenger waits at a place that is not the destination. A passenger can be dropped off at a wrong
     place, and waits there.
 
-    Attributes:
-        reward_scale: Factor of every reward.
-        reward: `"goal-only"`: 1 for the right drop-off, -0.1 for any other drop-off and for a pick-up where
-            nobody waits, 0 else; `"classic"`: 20, -10 and -1, but -1 for a drop-off at a wrong place, as
-            Gymnasium has it.
-        max_steps: See `Env`.
+    Settings: `bojax.envs.settings.Taxi`.
     """
 
     reward_scale: Float[Array, ""]

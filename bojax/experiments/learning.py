@@ -58,17 +58,7 @@ class RunState(eqx.Module):
 class LearningRun(Experiment):
     """Episodes of a learner in an environment; an advance is one training episode and the tests after it.
 
-    Attributes:
-        env: Environment.
-        learner: Learner.
-        schedule: Schedule of exploration over the training episodes.
-        target_return: Return that every test episode of a round has to exceed; None for no target.
-        saved: State of a saved learner to start from; None for a new learner.
-        episodes: Number of training episodes.
-        stop: When a run may end early: at its first success, or when the target is reached.
-        tests: Number of test episodes after each training episode.
-        map_episodes: Training episodes after which a map of Q and U is kept.
-        map_resolution: Cells of a map along each dimension.
+    Settings: `bojax.experiments.settings.Learning`.
     """
 
     env: Env

@@ -56,9 +56,7 @@ class Episode(eqx.Module):
 class PlanningEpisode(Experiment):
     """One episode of a planner on a problem; an advance is one plan and its execution.
 
-    Attributes:
-        problem: The world and its task.
-        planner: The planner, which knows the model of the problem and receives its observations.
+    Settings: `bojax.experiments.settings.Planning`.
     """
 
     problem: Problem

@@ -21,10 +21,7 @@ class Gallery(eqx.Module):
 class TrajectoryGallery(Experiment):
     """All paths of a discrete set, or a grid over the parameters of a continuous family.
 
-    Attributes:
-        motions: The family.
-        levels: Values a parameter, evenly spaced over [-1, 1]; a family of D parameters gives levels^D
-            paths.
+    Settings: `bojax.experiments.settings.Trajectories`.
     """
 
     motions: Motions

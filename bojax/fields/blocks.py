@@ -11,9 +11,7 @@ class Blocks(Field):
 
     The field is piecewise constant; its gradient is 0 everywhere.
 
-    Attributes:
-        boxes: Footprints of the blocks, `[x_min, y_min, x_max, y_max]` in metres.
-        heights: Heights of the blocks in metres; blocks of negative height have no effect.
+    Settings: `bojax.fields.settings.Blocks`.
     """
 
     boxes: Float[Array, "K 4"]

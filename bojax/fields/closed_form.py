@@ -11,10 +11,7 @@ class Bumps(Field):
 
     The steepest slope of a bump is 0.61 |height| / width, at a distance of one width from its centre.
 
-    Attributes:
-        heights: Values at the centres.
-        centres: Positions, in metres.
-        widths: Standard deviations, in metres.
+    Settings: `bojax.fields.settings.Bumps`.
     """
 
     heights: Float[Array, "K"]
@@ -38,11 +35,7 @@ class Bumps(Field):
 class Step(Field):
     """A smooth step across a straight line: `height` tanh(d / width), where d is the signed distance from it.
 
-    Attributes:
-        point: A point on the line, in metres.
-        direction: Direction in which the field rises, in radians.
-        height: Half the difference between the two levels.
-        width: Width of the transition, in metres; the slope on the line is height / width.
+    Settings: `bojax.fields.settings.Step`.
     """
 
     point: Float[Array, "2"]

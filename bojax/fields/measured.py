@@ -13,9 +13,10 @@ from bojax.fields.data import read_array
 class GridField(Field):
     """Bilinear interpolation of values on a regular grid, extended by the values on its border.
 
+    Settings: `bojax.fields.settings.Grid`.
+
     Attributes:
         table: Values; the first axis is y, the second x, both increasing.
-        extent: Positions of the outermost grid points, `[x_min, y_min, x_max, y_max]` in metres.
     """
 
     table: Float[Array, "H W"]
@@ -41,9 +42,10 @@ class ScatteredField(Field):
 
     The interpolation is evaluated once, on a grid over the extent.
 
+    Settings: `bojax.fields.settings.Scattered`.
+
     Attributes:
         table: Values on the grid; the first axis is y, from the lowest, the second x.
-        extent: Positions of the outermost grid points, `[x_min, y_min, x_max, y_max]` in metres.
     """
 
     table: Float[Array, "H W"]

@@ -27,34 +27,7 @@ class EMUQ(Learner):
     units of 1/V_max (p. 136 of the PDF: kappa = 1/V_max). In lines 10-11 of Algorithm 6, a' is pi(s'), which
     the printed algorithm leaves out. With (5.22) in gain form, the vectors t of lines 10-12 are not needed.
 
-    Attributes:
-        features: Settings of the features.
-        prior_precision: Precision of every weight, alpha.
-        noise_precision: Precision of the targets, beta.
-        discount: Discount of rewards per step, gamma.
-        kappa: Weight of exploration, in units of 1/V_max = alpha.
-        tolerance: Change of the weights (Euclidean norm) at which the sweeps of the refit stop.
-        num_actions: Number of candidates of the argmax over a continuous action space.
-        num_samples: Number of actions of the mean in the exploration reward, for a continuous action space.
-        draw_actions: Whether candidates and samples are drawn `once` for a run (by a scrambled Halton
-            sequence), or `always` anew (uniformly, as in the published code).
-        refine_steps: Number of steps of a pattern search around the best candidate.
-        reward_order: Whether the exploration reward is computed `before` the covariance is updated by the
-            transition (Algorithm 6) or `after` (published code).
-        terminal_q: Q of a terminal state: `zero`, or the prediction of the model (`bootstrap`, published
-            code).
-        terminal_u: U of a terminal state: `absorbing`, r_e / (1 - gamma), as if it went on paying r_e for
-            ever; the prediction of the model (`bootstrap`, published code); or `zero`, with which an early
-            end is the best exploration.
-        optimistic_u: Whether U is scaled towards 0 where nothing was observed (published code).
-        has_noise: Whether the variance in the exploration reward includes 1/beta (published code).
-        refit: The fit of Q and U at the end of an episode: `sweeps` over all transitions, the `direct`
-            solution of the equations that the sweeps converge to, or `none`.
-        max_sweeps: Largest number of sweeps, or of policies whose equations are solved.
-        mixes_transitions: Whether the refit averages exploration rewards over the wrong axis (published
-            code).
-        block: Number of steps between two flushes of the covariance.
-        refit_block: Number of transitions whose features are in memory at a time during a refit.
+    Settings: `bojax.learning.settings.EMUQ` and `EMUQPublished`.
     """
 
     features: FeatureSpec

@@ -22,7 +22,10 @@ class ExplorationReward(eqx.Module):
 
 
 class FirstVisit(ExplorationReward):
-    """0 for the first visit of a state-action pair, -1 for later visits (p. 118)."""
+    """0 for the first visit of a state-action pair, -1 for later visits (p. 118).
+
+    Settings: `bojax.learning.settings.FirstVisit`.
+    """
 
     def __call__(self, count: Float[Array, ""], next_counts: Float[Array, "A"]) -> Float[Array, ""]:
         """See `ExplorationReward`."""
@@ -35,6 +38,8 @@ class NextUncertainty(ExplorationReward):
 
     The uncertainty of a pair visited n times is sigma = 1 / sqrt(1 + n). Its maximum, 1, is subtracted so
     that the reward is at most 0. A terminal state has no visits and keeps the maximum.
+
+    Settings: `bojax.learning.settings.NextUncertainty`.
     """
 
     def __call__(self, count: Float[Array, ""], next_counts: Float[Array, "A"]) -> Float[Array, ""]:

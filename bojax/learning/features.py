@@ -187,15 +187,7 @@ class FeatureSpec(eqx.Module):
 class RandomFourierSpec(FeatureSpec):
     """Random Fourier features of a stationary kernel (2.33), with bounds mapped to [0, 1].
 
-    Attributes:
-        state_lengthscale: Lengthscale along each observation, in units of its range (Table 5.2).
-        action_lengthscale: Lengthscale along each action dimension, in units of its range.
-        num_features: M; even.
-        kernel: Kernel that the features approximate.
-        sampling: How the frequencies are drawn.
-        form: `cos-sin`: cosines and sines of M/2 frequencies, with phi'phi = 1. `phase`: cosines of M
-            frequencies with random phases, times sqrt(1/M), as in the author's published code, where the
-            factor should be sqrt(2/M).
+    Settings: `bojax.learning.settings.RandomFourierFeatures`.
     """
 
     state_lengthscale: Float[Array, ""]
@@ -243,8 +235,7 @@ class RandomFourierSpec(FeatureSpec):
 class FourierBasisSpec(FeatureSpec):
     """The Fourier basis (5.23) of state and action, with bounds mapped to [0, 1].
 
-    Attributes:
-        order: Largest number of half periods along a dimension; there are (order + 1)^D features.
+    Settings: `bojax.learning.settings.FourierBasisFeatures`.
     """
 
     order: int = eqx.field(static=True)
@@ -269,7 +260,10 @@ class FourierBasisSpec(FeatureSpec):
 
 
 class OneHotSpec(FeatureSpec):
-    """One-hot features of discrete states and actions: linear function approximation of a table."""
+    """One-hot features of discrete states and actions: linear function approximation of a table.
+
+    Settings: `bojax.learning.settings.Indicators`.
+    """
 
     def check_spaces(self, observation_space: Space, action_space: Space) -> None:
         """See `FeatureSpec`."""

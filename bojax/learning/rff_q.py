@@ -33,16 +33,7 @@ class RFFQ(Learner):
 
     The maximum is over fresh uniform draws, or over all actions of a discrete space.
 
-    Attributes:
-        features: Settings of the features.
-        discount: Discount of rewards per step, gamma.
-        learning_rate: Learning rate.
-        epsilon: Probability of a random action.
-        initial_weight: Standard deviation of the initial weights.
-        num_actions: Number of candidates of the maximum over a continuous action space.
-        normalise: Whether the rate is divided by phi'phi, which is 1 for random Fourier features. For a
-            Fourier basis it is half the number of features, and the same rate would diverge.
-        block: Number of steps between two checks of whether the episode has ended.
+    Settings: `bojax.learning.settings.RFFQ`.
     """
 
     features: FeatureSpec

@@ -23,7 +23,10 @@ class Schedule(eqx.Module):
 
 
 class Constant(Schedule):
-    """Explore and learn equally in every episode."""
+    """Explore and learn equally in every episode.
+
+    Settings: `bojax.learning.settings.Constant`.
+    """
 
     def __call__(self, episode: Int[Array, ""], has_reached: Bool[Array, ""]) -> ExplorationState:
         """See `Schedule`."""
@@ -34,8 +37,7 @@ class Constant(Schedule):
 class Decay(Schedule):
     """Scale 1 / (1 + c t), with t the number of episodes before (p. 121).
 
-    Attributes:
-        rate: c.
+    Settings: `bojax.learning.settings.Decay`.
     """
 
     rate: Float[Array, ""]
@@ -49,10 +51,7 @@ class Decay(Schedule):
 class Budget(Schedule):
     """Explore for a number of episodes, then exploit; optionally resume exploration later (p. 119).
 
-    Attributes:
-        episodes: Number of episodes with exploration.
-        resume_after: Number of episodes without exploration before it resumes; None for never.
-        learns_without: Whether the learner keeps learning while it does not explore.
+    Settings: `bojax.learning.settings.Budget`.
     """
 
     episodes: Float[Array, ""]
@@ -72,8 +71,7 @@ class Budget(Schedule):
 class UntilTarget(Schedule):
     """Explore until the test episodes reach their target return, then exploit (p. 123).
 
-    Attributes:
-        learns_after: Whether the learner keeps learning after the target is reached.
+    Settings: `bojax.learning.settings.UntilTarget`.
     """
 
     learns_after: bool = eqx.field(static=True)
@@ -87,7 +85,10 @@ class UntilTarget(Schedule):
 
 
 class Exploit(Schedule):
-    """Neither explore nor learn: evaluate a saved learner."""
+    """Neither explore nor learn: evaluate a saved learner.
+
+    Settings: `bojax.learning.settings.Exploit`.
+    """
 
     def __call__(self, episode: Int[Array, ""], has_reached: Bool[Array, ""]) -> ExplorationState:
         """See `Schedule`."""

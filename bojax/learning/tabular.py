@@ -47,13 +47,6 @@ class TabularLearner(Learner):
     """Q-learning on a table: each step moves a value by `learning_rate` towards its TD target (2.43).
 
     The value of a terminal state is 0. A time limit is not terminal: the target bootstraps past it.
-
-    Attributes:
-        discount: Discount of rewards per step, gamma.
-        learning_rate: Learning rate.
-        initial_q: Initial Q; above the largest possible return, it is optimistic.
-        ties: How ties between the best actions are broken.
-        block: Number of steps between two checks of whether the episode has ended.
     """
 
     discount: Float[Array, ""]
@@ -140,20 +133,16 @@ class TabularLearner(Learner):
 class ExplorationValues(TabularLearner):
     """Separate values Q of rewards and U of exploration rewards; acts by argmax Q + kappa U (Algorithm 5).
 
-    Attributes:
-        kappa: Weight of U in the policy.
-        initial_u: Initial U; exploration rewards are at most 0, so 0 is optimistic.
-        exploration_reward: Exploration reward of a transition.
-        bootstrap: Values of the next state in the TD targets. `"policy"`: Q and U of the action
-            argmax Q + kappa U (5.7). Q + kappa U then equals the Q of `AdditiveRewards`, and Q is the return
-            of the exploring policy. `"greedy-q"`, the default: the maximum of Q, as in Q-learning, and U of
-            the action argmax Q + kappa U. Q is then the return of exploitation, and exploration can stop at
-            any time. `"max"`: the maximum of Q and the maximum of U. This one can get stuck: an action that
-            was punished is not taken again, its U stays high, and the state keeps promising exploration.
-        terminal_u: U of a terminal state. `"masked"`, the default: 0, like Q. `"bootstrap"`: the value in
-            the table, which is never updated and stays `initial_u`. With an `initial_u` of 0 the two are
-            equal. Masking makes an early end the best exploration, but in the domains of Section 5.5 only
-            the goal ends an episode.
+    With `bootstrap` `"policy"`, the TD targets take Q and U of the action argmax Q + kappa U (5.7). Q + kappa
+    U then equals the Q of `AdditiveRewards`, and Q is the return of the exploring policy. With `"greedy-q"`,
+    they take the maximum of Q, as in Q-learning, so that Q is the return of exploitation. With `"max"`, they
+    take the maximum of each, and a run can get stuck: an action that was punished is not taken again, its U
+    stays high, and the state keeps promising exploration.
+
+    With `terminal_u` `"masked"`, U of a terminal state is 0, which makes an early end the best exploration.
+    In the domains of Section 5.5 only the goal ends an episode.
+
+    Settings: `bojax.learning.settings.ExplorationValues`.
     """
 
     kappa: Float[Array, ""]
@@ -213,9 +202,7 @@ class AdditiveRewards(TabularLearner):
     The scale of the exploration state multiplies xi in the TD target: exploration rewards learned in earlier
     episodes stay in Q.
 
-    Attributes:
-        xi: Weight of exploration rewards.
-        exploration_reward: Exploration reward of a transition.
+    Settings: `bojax.learning.settings.AdditiveRewards`.
     """
 
     xi: Float[Array, ""]
@@ -258,8 +245,7 @@ class AdditiveRewards(TabularLearner):
 class EpsilonGreedy(TabularLearner):
     """One value Q of rewards; acts by argmax Q, or uniformly at random with probability epsilon.
 
-    Attributes:
-        epsilon: Probability of a random action.
+    Settings: `bojax.learning.settings.EpsilonGreedy`.
     """
 
     epsilon: Float[Array, ""]

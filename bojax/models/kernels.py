@@ -40,7 +40,10 @@ class Kernel(eqx.Module):
 
 
 class RBF(Kernel):
-    """Squared exponential, exp(-r^2/2) with r the scaled distance (2.26, whose sign is printed wrong)."""
+    """Squared exponential, exp(-r^2/2) with r the scaled distance (2.26, whose sign is printed wrong).
+
+    Settings: `bojax.models.settings.RBF`.
+    """
 
     lengthscale: Float[Array, ""] | Float[Array, "D"] = eqx.field(converter=as_numbers("lengthscale"))
 
@@ -50,7 +53,10 @@ class RBF(Kernel):
 
 
 class Matern12(Kernel):
-    """Matern kernel of smoothness 1/2, exp(-r): the exponential kernel."""
+    """Matern kernel of smoothness 1/2, exp(-r): the exponential kernel.
+
+    Settings: `bojax.models.settings.Matern12`.
+    """
 
     lengthscale: Float[Array, ""] | Float[Array, "D"] = eqx.field(converter=as_numbers("lengthscale"))
 
@@ -60,7 +66,10 @@ class Matern12(Kernel):
 
 
 class Matern32(Kernel):
-    """Matern kernel of smoothness 3/2, (1 + s) exp(-s) with s = sqrt(3) r."""
+    """Matern kernel of smoothness 3/2, (1 + s) exp(-s) with s = sqrt(3) r.
+
+    Settings: `bojax.models.settings.Matern32`.
+    """
 
     lengthscale: Float[Array, ""] | Float[Array, "D"] = eqx.field(converter=as_numbers("lengthscale"))
 
@@ -71,7 +80,10 @@ class Matern32(Kernel):
 
 
 class Matern52(Kernel):
-    """Matern kernel of smoothness 5/2, (1 + s + s^2/3) exp(-s) with s = sqrt(5) r."""
+    """Matern kernel of smoothness 5/2, (1 + s + s^2/3) exp(-s) with s = sqrt(5) r.
+
+    Settings: `bojax.models.settings.Matern52`.
+    """
 
     lengthscale: Float[Array, ""] | Float[Array, "D"] = eqx.field(converter=as_numbers("lengthscale"))
 
@@ -82,7 +94,10 @@ class Matern52(Kernel):
 
 
 class Scaled(Kernel):
-    """A kernel times a constant: of a correlation, `variance` is the prior variance."""
+    """A kernel times a constant: of a correlation, `variance` is the prior variance.
+
+    Settings: `bojax.models.settings.Scaled`.
+    """
 
     kernel: Kernel
     variance: Float[Array, ""] = eqx.field(converter=as_numbers("variance"))
@@ -93,7 +108,10 @@ class Scaled(Kernel):
 
 
 class Sum(Kernel):
-    """The sum of two kernels."""
+    """The sum of two kernels.
+
+    Settings: `bojax.models.settings.Sum`.
+    """
 
     first: Kernel
     second: Kernel
@@ -104,7 +122,10 @@ class Sum(Kernel):
 
 
 class Product(Kernel):
-    """The product of two kernels."""
+    """The product of two kernels.
+
+    Settings: `bojax.models.settings.Product`.
+    """
 
     first: Kernel
     second: Kernel

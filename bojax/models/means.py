@@ -19,7 +19,10 @@ class Mean(eqx.Module):
 
 
 class ZeroMean(Mean):
-    """m(x) = 0."""
+    """m(x) = 0.
+
+    Settings: `bojax.models.settings.ZeroMean`.
+    """
 
     def __call__(self, x: Float[Array, "D"]) -> Scalar:
         """See `Mean`."""
@@ -27,7 +30,10 @@ class ZeroMean(Mean):
 
 
 class ConstantMean(Mean):
-    """The same value everywhere."""
+    """The same value everywhere.
+
+    Settings: `bojax.models.settings.ConstantMean`.
+    """
 
     value: Float[Array, ""] = eqx.field(converter=as_numbers("value"))
 
@@ -38,7 +44,10 @@ class ConstantMean(Mean):
 
 
 class LinearMean(Mean):
-    """m(x) = weights' x + bias."""
+    """m(x) = weights' x + bias.
+
+    Settings: `bojax.models.settings.LinearMean`.
+    """
 
     weights: Float[Array, "D"] = eqx.field(converter=as_numbers("weights"))
     bias: Float[Array, ""] = eqx.field(converter=as_numbers("bias"))

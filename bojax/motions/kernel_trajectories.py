@@ -47,17 +47,7 @@ class KernelTrajectories(ContinuousMotions):
     start. With `start="relaxed"` only the position is imposed (Fig. 4.2d). The curve is then scaled to
     `length`.
 
-    Attributes:
-        length: Arc length in metres.
-        first_angle: Largest angle between the heading and the first segment, in radians.
-        turn_angle: Largest angle between consecutive segments, in radians.
-        space_lengthscale: Lengthscale of the kernel on positions, in units of `length`.
-        time_lengthscale: Lengthscale of the kernel on time; the duration of a trajectory is 1.
-        epsilon: Regulariser of (4.9).
-        delta: Regulariser of (4.8).
-        num_segments: Number of segments and of parameters.
-        start: `"pose"` or `"relaxed"`.
-        num_samples: Poses per path.
+    Settings: `bojax.motions.settings.KernelTrajectories`.
     """
 
     length: Float[Array, ""]

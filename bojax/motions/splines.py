@@ -29,10 +29,7 @@ class SplineSet(DiscreteMotions):
     Published curves with c_y other than 0 start 1.6 to 10.3 degrees off the heading; they are rotated onto
     it.
 
-    Attributes:
-        length: Arc length in metres.
-        actions: Number of actions: 5, 9 or 17.
-        num_samples: Poses per path.
+    Settings: `bojax.motions.settings.Splines`.
     """
 
     length: Float[Array, ""]
@@ -71,11 +68,7 @@ class CubicCurves(ContinuousMotions):
     This is the continuous counterpart of the spline sets, for CBTS without kernel trajectories. Zero
     parameters give a straight line.
 
-    Attributes:
-        length: Arc length in metres.
-        bearing: Largest bearing of the end as seen from the start, in radians.
-        heading: Largest deviation of the final heading from that of a circular arc, in radians.
-        num_samples: Poses per path.
+    Settings: `bojax.motions.settings.CubicCurves`.
     """
 
     length: Float[Array, ""]

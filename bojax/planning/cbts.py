@@ -75,24 +75,7 @@ class ContinuousBeliefTreeSearch(TreeSearch[NodeModels, CBTSDraws, NodeModelUpda
     node's Gaussian process from action parameters to immediate rewards. Otherwise the search descends to the
     child with the highest upper confidence bound.
 
-    Attributes:
-        motions: Parametrised family of trajectories.
-        kernel: Covariance of the rewards of a node over parameters in [-1, 1]^D.
-        acquisition: Acquisition function that new actions maximise.
-        noise_variance: Noise variance of a node's process, relative to the variance of its rewards.
-        exploration: kappa_MC of (4.1), in units of the return.
-        convergence: Distance between consecutive actions of a node below which it adds no more; 0 to disable.
-        discount: Discount per step.
-        iterations: Simulations per plan.
-        depth: Actions from the root to the horizon.
-        max_actions: A_max, the largest number of actions of a node.
-        num_candidates: Number of parameter vectors among which the acquisition is maximised, drawn for each
-            plan.
-        num_initial: Number of first actions of a node that are random candidates.
-        refine_steps: Gradient steps from the best candidate; 0 for none.
-        scaling: Scaling of a node's rewards before they enter its process: `"standardise"` to mean 0 and
-            variance 1, `"rank"` to ranks spread evenly over [-1, 1], or `"none"`.
-        objective: Objective to maximise; None for the problem's own task.
+    Settings: `bojax.planning.settings.KCBTS` and `CBTS`.
     """
 
     motions: ContinuousMotions

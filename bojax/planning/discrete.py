@@ -38,13 +38,7 @@ class DiscreteDraws(eqx.Module):
 class DiscreteTreeSearch(TreeSearch[DiscreteMemory, DiscreteDraws, None, DiscreteMotions]):
     """A node tries its untried actions first, in random order, then follows the upper confidence bound.
 
-    Attributes:
-        motions: Set of actions.
-        exploration: kappa_MC of (4.1), in units of the return.
-        discount: Discount per step.
-        iterations: Simulations per plan.
-        depth: Actions from the root to the horizon.
-        objective: Objective to maximise; None for the problem's own task.
+    Settings: `bojax.planning.settings.SBO` and `BOPOMDP`.
     """
 
     motions: DiscreteMotions

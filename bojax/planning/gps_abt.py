@@ -113,20 +113,7 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, StencilUpdate, Continuous
 
     Deviation: the toolkit simulates histories of particles; here a node holds a belief.
 
-    Attributes:
-        motions: Parametrised family of trajectories.
-        exploration: Square root of the toolkit's C, in units of the return.
-        growth: The k of ln N / ln k.
-        min_visits: Number of visits of every best point on the way that a refinement requires.
-        min_radius: Radius at and below which stencils are not refined, in the box [-1, 1]^D.
-        initial_radius: Radius of the initial stencil of a node, in the box [-1, 1]^D.
-        discount: Discount per step.
-        iterations: Simulations per plan.
-        depth: Actions from the root to the horizon.
-        max_levels: Largest number of stencils on a descent.
-        num_rollout_paths: Number of random paths that rollouts draw from, drawn for each plan.
-        heuristic: Value after a new action: that of a `"rollout"` to the horizon, or `"zero"`.
-        objective: Objective to maximise; None for the problem's own task.
+    Settings: `bojax.planning.settings.GpsAbt`.
     """
 
     motions: ContinuousMotions

@@ -12,9 +12,7 @@ from bojax.problems.base import Belief, Objective, Problem
 class MyopicPlanner(Planner[DiscreteMotions]):
     """The path of a finite set with the highest simulated reward (3.3); the first one of ties.
 
-    Attributes:
-        motions: Set of paths.
-        objective: Objective to maximise; None for the problem's own task.
+    Settings: `bojax.planning.settings.Myopic` and `Explorer`.
     """
 
     motions: DiscreteMotions

@@ -12,8 +12,7 @@ from bojax.problems.base import Belief, Problem
 class RandomPlanner(Planner[Motions]):
     """A path drawn uniformly from a family of trajectories.
 
-    Attributes:
-        motions: Family of trajectories.
+    Settings: `bojax.planning.settings.Random`.
     """
 
     motions: Motions

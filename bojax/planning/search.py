@@ -45,12 +45,6 @@ class TreeSearch(Planner[M], Generic[Memory, Draws, Update, M]):
     one call of `Problem.simulate`, and backs up: every action on the way is credited with its own reward and
     all later ones. (The published algorithms back up the reward of the rollout only.) Depth counts actions.
     Terminal nodes are not expanded.
-
-    Attributes:
-        discount: Discount per step.
-        iterations: Simulations per plan.
-        depth: Actions from the root to the horizon.
-        objective: Objective to maximise; None for the problem's own task.
     """
 
     discount: eqx.AbstractVar[Float[Array, ""]]

@@ -64,30 +64,6 @@ class FieldProblem(Problem):
     the path; later samples are neither taken nor rewarded. The robot then keeps its heading
     (`after_collision: "stop"`) or turns round on the spot (`"turn"`, not available to a vehicle with a
     turning radius). The same rules hold in the world and in the simulations of every planner.
-
-    Attributes:
-        field: The true field.
-        domain: Border, `[x_min, y_min, x_max, y_max]` in metres.
-        walls: Walls.
-        start: Initial pose; None for a random pose, uniform over the free space.
-        target_area: Area to reach for success, `[x_min, y_min, x_max, y_max]` in metres.
-        objective: Worth of a sample for the task.
-        kernel: Prior covariance of the field.
-        mean: Prior mean of the field.
-        noise_variance: Variance of the observation noise that the belief assumes.
-        noise: Standard deviation of the true observation noise.
-        pose_noise: Standard deviations of a pose measurement, in m and rad; None for exact measurements.
-        collision_reward: Reward when a wall stops the robot.
-        exit_reward: Reward when the border stops the robot.
-        relearn_spread: Standard deviation of the log-normal prior of each hyper-parameter about its setting.
-        vehicle: Robot that executes the paths; planners assume that paths are followed exactly.
-        sensor: Sensor that measures the field.
-        max_steps: Actions per episode.
-        resolution: Points per side of the grid on which the final belief is scored.
-        relearn_every: Steps between updates of the hyper-parameters; 0 for none.
-        imagined: Whether simulated observations are drawn from the belief (`"sample"`) or are its `"mean"`.
-        after_collision: Behaviour of the robot after a wall or the border has stopped it.
-        weighting: Weights of `wrmse`, see `error_weights`.
     """
 
     field: Field

@@ -76,6 +76,8 @@ class HeightMapping(FieldProblem):
     The scores of field monitoring are complemented by those of a height map, `MAP_COLUMNS`. Errors are
     centred as in Fig. 3.8; the mean error is a score of its own. A corner region is a square with a fifth of
     the side of the domain.
+
+    Settings: `bojax.problems.settings.HillyTerrain`.
     """
 
     scores: ClassVar[Table] = FIELD_COLUMNS + MAP_COLUMNS
@@ -99,6 +101,8 @@ class PropMapping(FieldProblem):
     The scores of `HeightMapping` are complemented by `PROP_COLUMNS`. A point is at an edge within 0.1 m of
     the border of a prop. A prop is found if, within 0.2 m of it, the region in which the map exceeds half its
     height overlaps the prop by more than half of their union; regions covered by other props do not count.
+
+    Settings: `bojax.problems.settings.IndoorProps`.
     """
 
     scores: ClassVar[Table] = FIELD_COLUMNS + MAP_COLUMNS + PROP_COLUMNS

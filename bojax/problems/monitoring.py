@@ -10,7 +10,10 @@ from bojax.results.schema import Table
 
 
 class FieldMonitoring(FieldProblem):
-    """Learn an environmental variable, see `FieldProblem` for the settings."""
+    """Learn an environmental variable from noisy samples taken along trajectories.
+
+    Settings: `bojax.problems.settings.Monitoring`, `Diagonal`, `TwoPits` and `SpaceModelling`.
+    """
 
     scores: ClassVar[Table] = FIELD_COLUMNS
 

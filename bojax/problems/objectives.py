@@ -33,7 +33,10 @@ def _spread(variance: Float[Array, "S"], uncertainty: Uncertainty) -> Float[Arra
 
 
 class GradientObjective(FieldObjective):
-    """Norm of the mean's gradient plus `kappa` standard deviations (3.2); BO-POMDP, the myopic planner."""
+    """Norm of the mean's gradient plus `kappa` standard deviations (3.2); BO-POMDP, the myopic planner.
+
+    Settings: `bojax.problems.settings.Gradient`.
+    """
 
     needs_gradient: ClassVar[bool] = True
 
@@ -51,7 +54,10 @@ class GradientObjective(FieldObjective):
 
 
 class ValueObjective(FieldObjective):
-    """Mean plus `kappa` standard deviations (4.11); SBO, all planners of Section 4.7.1."""
+    """Mean plus `kappa` standard deviations (4.11); SBO, all planners of Section 4.7.1.
+
+    Settings: `bojax.problems.settings.Value`.
+    """
 
     kappa: Float[Array, ""]
     uncertainty: Uncertainty = eqx.field(static=True, default="std")
@@ -65,7 +71,10 @@ class ValueObjective(FieldObjective):
 
 
 class UncertaintyObjective(FieldObjective):
-    """Standard deviation; the myopic explorer of Section 3.5.1."""
+    """Standard deviation; the myopic explorer of Section 3.5.1.
+
+    Settings: `bojax.problems.settings.Uncertainty`.
+    """
 
     uncertainty: Uncertainty = eqx.field(static=True, default="std")
 

@@ -27,23 +27,7 @@ class Parking(PoseProblem):
     the robot; and whether leaving the domain ends the episode. (According to the text it does, but then no
     return could be far below -1100, while the axis of Fig. 4.6 reaches -2400.)
 
-    Attributes:
-        half_width: Half the side of the domain, in metres.
-        distance_tolerance: Largest distance of a parked robot from the spot, in metres.
-        heading_tolerance: Bound on |sin alpha|; as printed, the opposite heading is accepted too.
-        bearing_tolerance: Bound on |sin beta|.
-        success_reward: Reward for parking.
-        exit_reward: Reward for leaving the domain.
-        position_noise: Standard deviation of a position measurement per axis, in metres.
-        heading_noise: Standard deviation of a heading measurement, in radians.
-        vehicle: See `PoseProblem`.
-        max_steps: Actions per episode.
-        bearing: `"world"`: beta is the direction of the robot as seen from the spot; `"robot"`: beta is the
-            direction of the spot relative to the robot's heading.
-        success_needs_bearing: Whether parking also requires the bearing condition, as printed in (4.13).
-        exit_terminates: Whether leaving the domain ends the episode; otherwise the robot drives on and
-            receives `exit_reward` whenever a path leads out of the domain.
-        park_along_path: Whether any pose of a path can park the robot, not only its end.
+    Settings: `bojax.problems.settings.Parking` and `RobotParking`.
     """
 
     half_width: Float[Array, ""]

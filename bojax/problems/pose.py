@@ -36,11 +36,6 @@ class PoseProblem(Problem):
     The planner knows the model, in which paths are followed exactly, and observes the pose with Gaussian
     noise. Its belief is the last measurement, which it takes for the true pose in simulations. In the world
     the `vehicle` follows the paths, by default exactly.
-
-    Attributes:
-        position_noise: Standard deviation of a position measurement per axis, in metres.
-        heading_noise: Standard deviation of a heading measurement, in radians.
-        vehicle: Robot that executes the paths.
     """
 
     position_noise: eqx.AbstractVar[Float[Array, ""]]

@@ -45,7 +45,10 @@ class Sensor(eqx.Module):
 
 
 class PointSensor(Sensor):
-    """A sensor that measures the value of the field at the robot's position."""
+    """A sensor that measures the value of the field at the robot's position.
+
+    Settings: `bojax.problems.settings.Point`.
+    """
 
     def __call__(
         self,
@@ -70,13 +73,7 @@ class RangeSensor(Sensor):
     the position of the robot, although a robot that tilts by 3 degrees 1.5 m above the ground measures a
     point 8 cm away.
 
-    Attributes:
-        beam: Full opening angle of the beam, in rad.
-        max_range: Maximum range, in metres.
-        altitude_noise: Standard deviation of a measurement of the altitude, in metres.
-        rays: Number of rays in the beam.
-        reading: Statistic of the distances that the sensor reports.
-        upright: Whether the range is projected onto the vertical.
+    Settings: `bojax.problems.settings.Range`.
     """
 
     beam: Float[Array, ""]

@@ -43,12 +43,7 @@ class RobotState(eqx.Module):
 class Physics(eqx.Module):
     """Settings of the simulation; None keeps the value of the model.
 
-    Attributes:
-        max_speed: Generalised velocity above which a simulation counts as diverged, in m/s or rad/s.
-        iterations: Largest number of iterations of the constraint solver.
-        ls_iterations: Largest number of iterations of its line search.
-        integrator: Integration scheme.
-        impl: Implementation of MJX.
+    Settings: `bojax.robots.settings.MJX`.
     """
 
     max_speed: Float[Array, ""]

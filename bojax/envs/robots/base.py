@@ -19,10 +19,6 @@ class RobotTask(ControlTask):
     Subclasses define the initial state, the observations and the rewards. Actions are the controls of the
     model, within their ranges. A diverged simulation pays NaN, which ends the run as failed. The state is
     that of the robot; a subclass that adds to it overrides `robot` and `moved`.
-
-    Attributes:
-        physics: Settings of the simulation.
-        substeps: Simulation steps per action.
     """
 
     physics: eqx.AbstractVar[Physics]

@@ -27,14 +27,7 @@ class Hopper(RobotTask):
     As in Gym, an episode starts in the standing configuration, with noise uniform in [-0.005, 0.005] on every
     position and velocity.
 
-    Attributes:
-        goal_height: Height of the torso to exceed, in metres; the standing height is 1.25.
-        failure_angle: Largest |angle| of the torso, in radians.
-        failure_height: Smallest height of the torso, in metres.
-        physics: See `RobotTask`.
-        substeps: See `RobotTask`; a simulation step is 2 ms.
-        max_steps: See `Env`.
-        reward: See `ControlTask`.
+    Settings: `bojax.envs.robots.settings.Hopper`.
     """
 
     goal_height: Float[Array, ""]

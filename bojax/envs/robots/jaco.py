@@ -55,14 +55,9 @@ class Jaco(RobotTask):
     Gym has no such environment; the classic reward is minus the distance in metres, and the goal terminates
     the episode.
 
+    Settings: `bojax.envs.robots.settings.Jaco`.
+
     Attributes:
-        goal_distance: Distance between fingertips and target below which the goal is reached, in metres.
-        physics: See `RobotTask`.
-        joints: Movable joints, numbered from 1 at the base to 6 at the hand.
-        targets: Whether a target is drawn per run or per episode.
-        substeps: See `RobotTask`; a simulation step is 4 ms.
-        max_steps: See `Env`.
-        reward: See `ControlTask`.
         target: Target of all episodes, see `of_run`; None for a new target in each episode.
     """
 

@@ -26,13 +26,7 @@ class Reacher(RobotTask):
     As in Gym, initial angles are uniform in [-0.1, 0.1] rad and their velocities in [-0.005, 0.005] rad/s.
     The target is at rest, uniform in the disc of radius `target_radius` about the shoulder.
 
-    Attributes:
-        goal_distance: Distance between fingertip and target below which the goal is reached, in metres.
-        target_radius: Largest distance of the target from the shoulder, in metres; the arm reaches 0.21.
-        physics: See `RobotTask`.
-        substeps: See `RobotTask`; a simulation step is 10 ms.
-        max_steps: See `Env`.
-        reward: See `ControlTask`.
+    Settings: `bojax.envs.robots.settings.Reacher`.
     """
 
     goal_distance: Float[Array, ""]

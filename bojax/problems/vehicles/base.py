@@ -106,7 +106,10 @@ class Vehicle(eqx.Module):
 
 
 class Exact(Vehicle):
-    """A vehicle that follows every path exactly and can turn on the spot; its state is its pose."""
+    """A vehicle that follows every path exactly and can turn on the spot; its state is its pose.
+
+    Settings: `bojax.problems.vehicles.settings.Exact`.
+    """
 
     def reset(self, pose: Pose) -> Pose:
         """See `Vehicle`."""

@@ -29,11 +29,7 @@ class Quadrotor(SimulatedVehicle):
     altitude with the noise of a horizontal coordinate. Velocities, roll and pitch, which a real robot has
     from inertial sensors, are known exactly.
 
-    Attributes:
-        altitude: Flight altitude, in metres.
-        physics: Settings of the simulation.
-        path_steps: Simulation steps per path.
-        rest_steps: Simulation steps after a path, to turn and come to rest.
+    Settings: `bojax.problems.vehicles.settings.Quadrotor`.
     """
 
     altitude: Float[Array, ""]

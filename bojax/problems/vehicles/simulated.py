@@ -30,9 +30,6 @@ class SimulatedVehicle(Vehicle):
 
     Subclasses define how the robot follows paths. The vehicle's estimate of its pose, from which paths are
     planned, is the last measurement; measurements are not filtered.
-
-    Attributes:
-        physics: Settings of the simulation.
     """
 
     physics: eqx.AbstractVar[Physics]

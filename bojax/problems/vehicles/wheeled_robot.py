@@ -34,13 +34,7 @@ class WheeledRobot(SimulatedVehicle):
     of the path; the last one is the final pose. The robot cannot turn on the spot: the desired final heading
     has no effect.
 
-    Attributes:
-        look_ahead: Look-ahead distance of pure pursuit, in metres.
-        speed: Cruising speed, in m/s.
-        gain: Speed per metre of remaining path, in 1/s, which slows the robot down before the end.
-        physics: Settings of the simulation.
-        substeps: Simulation steps between two measurements.
-        readings: Measurements per path.
+    Settings: `bojax.problems.vehicles.settings.WheeledRobot`.
     """
 
     look_ahead: Float[Array, ""]
