@@ -83,7 +83,8 @@ class RFFQ(Learner):
         q = self._values(state, observation, candidates)
         best = best_action(keys[1], q, jnp.zeros_like(q), self.epsilon)
         is_random = jax.random.uniform(keys[2], (), q.dtype) < exploration.scale * self.epsilon
-        place = jnp.where(is_random, jax.random.randint(keys[3], (), 0, len(candidates)), best)
+        any_place = jax.random.randint(keys[3], (), 0, len(candidates)).astype(best.dtype)
+        place = jnp.where(is_random, any_place, best)
         return candidates[place], q[place]
 
     def observe(

@@ -1,0 +1,57 @@
+"""Every part found by discovery, with tiny settings, for the tests that hold for all parts of a role."""
+
+from typing import Any
+
+import pytest
+
+from bojax.config.catalog import kinds
+from bojax.config.component import Component, slots
+
+REQUIRED: dict[str, dict[str, Any]] = {
+    "grid": {"file": "grid.csv", "extent": (0.0, 0.0, 1.0, 1.0)},
+    "scattered": {"file": "rows.csv", "extent": (0.0, 0.0, 1.0, 1.0)},
+    "gymnasium": {"id": "MountainCar-v0"},
+    "brax": {"name": "fast"},
+    "learning": {"env": "mountain-car", "learner": "emu-q"},
+}
+"""Settings of the kinds that do not have a default for each of theirs."""
+
+FILES = {"grid.csv": "1,2\n3,4", "rows.csv": "x,y,value\n0,0,1\n1,0,2\n0,1,3"}
+"""The data files that these settings name."""
+
+TINY: dict[str, Any] = {
+    "depth": 2,
+    "iterations": 6,
+    "max_actions": 4,
+    "max_steps": 3,
+    "num_actions": 3,
+    "num_candidates": 4,
+    "num_features": 8,
+    "num_rollout_paths": 3,
+    "num_samples": 3,
+    "path_steps": 40,
+    "resolution": 5,
+    "rest_steps": 10,
+}
+"""Small values of settings that cost time; a part takes those that it has."""
+
+
+def each_kind(role: str) -> pytest.MarkDecorator:
+    """Parametrise a test by the kinds of a role."""
+    return pytest.mark.parametrize("kind", list(kinds(role)))
+
+
+def tiny(role: str, kind: str, **settings: Any) -> Component:
+    """A part with small budgets, those of the parts in its slots included."""
+    schema = kinds(role)[kind]
+    return schema.model_validate(_tiny_settings(schema) | settings)
+
+
+def _tiny_settings(schema: type[Component]) -> dict[str, Any]:
+    kind = schema.model_fields["kind"].default
+    settings = {name: value for name, value in TINY.items() if name in schema.model_fields}
+    for name, _ in slots(schema):
+        default = schema.model_fields[name].default
+        if isinstance(default, Component):
+            settings[name] = _tiny_settings(type(default))
+    return {"kind": kind, **settings, **REQUIRED.get(kind, {})}

@@ -1,0 +1,1 @@
+"""Tests that hold for every part of a role, found by discovery."""
