@@ -39,6 +39,17 @@ class ProbabilityOfImprovement(AcquisitionSettings, frozen=True):
     )
 
 
+class ExpectedImprovement(AcquisitionSettings, frozen=True):
+    """Expected improvement over the best value so far plus xi (Jones, Schonlau and Welch, 1998)."""
+
+    target: ClassVar[str] = "bojax.acquisition.functions:ExpectedImprovement"
+
+    kind: Literal["ei"] = "ei"
+    xi: float = Field(
+        default=0.01, ge=0, description="required improvement over the best value, in units of the target"
+    )
+
+
 class LogExpectedImprovement(AcquisitionSettings, frozen=True):
     """Logarithm of the expected improvement over the best value so far plus xi (Ament et al., 2023)."""
 

@@ -8,6 +8,7 @@ from scipy import integrate, stats
 
 from bojax.acquisition.functions import (
     Acquisition,
+    ExpectedImprovement,
     LogExpectedImprovement,
     ProbabilityOfImprovement,
     UpperConfidenceBound,
@@ -50,6 +51,20 @@ def test_log_expected_improvement_is_the_logarithm_of_the_expectation(std, xi):
     z = (mean - (best + xi)) / std
     expected = [log_expected_improvement(value) + np.log(std) for value in z]
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-11)
+
+
+@pytest.mark.parametrize("std", [0.01, 20.0])
+@pytest.mark.parametrize("xi", [0.0, 0.3])
+def test_expected_improvement_is_the_expectation(std, xi):
+    z = np.array([-20.5, -10.0, -1.5, -1.0, 0.0, 0.5, 5.0, 30.0])
+    best = 0.7
+    mean = best + xi + std * z
+    found = score(
+        ExpectedImprovement(jnp.asarray(xi)), jnp.asarray(mean), jnp.full(8, std), jnp.asarray(best)
+    )
+    z = (mean - (best + xi)) / std  # the mean is rounded
+    expected = [std * np.exp(log_expected_improvement(value)) for value in z]
+    np.testing.assert_allclose(found, expected, rtol=1e-10)
 
 
 def test_log_expected_improvement_in_single_precision():
