@@ -5,7 +5,7 @@ import numpy as np
 import pydantic
 import pytest
 
-from bojax.config import fields
+from bojax.fields import settings as fields
 from bojax.fields.blocks import Blocks
 
 BOXES, HEIGHTS = [[0.0, 0.0, 1.0, 2.0], [0.5, 1.0, 3.0, 1.5]], [0.3, 0.7]
