@@ -48,6 +48,24 @@ class Decay(Schedule):
         return ExplorationState(1.0 / (1.0 + self.rate * episode.astype(self.rate.dtype)), episode >= 0)
 
 
+class Linear(Schedule):
+    """Scale that falls linearly from 1 to `final` over a number of episodes, then stays there.
+
+    Beyond the thesis: the schedule of epsilon in deep Q-networks (Mnih et al., Nature 518, 2015), by episode.
+
+    Settings: `bojax.learning.settings.Linear`.
+    """
+
+    episodes: Float[Array, ""]
+    final: Float[Array, ""]
+
+    def __call__(self, episode: Int[Array, ""], has_reached: Bool[Array, ""]) -> ExplorationState:
+        """See `Schedule`."""
+        del has_reached
+        share = jnp.minimum(episode.astype(self.episodes.dtype) / self.episodes, 1.0)
+        return ExplorationState(1.0 + share * (self.final - 1.0), episode >= 0)
+
+
 class Budget(Schedule):
     """Explore for a number of episodes, then exploit; optionally resume exploration later (p. 119).
 

@@ -327,6 +327,16 @@ class Decay(ScheduleSettings, frozen=True):
     rate: float = Field(default=0.1, ge=0, description="decay rate c, per episode")
 
 
+class Linear(ScheduleSettings, frozen=True):
+    """Exploration scaled from 1 down to a final share, linearly over a number of episodes."""
+
+    target: ClassVar[str] = "bojax.learning.schedules:Linear"
+
+    kind: Literal["linear"] = "linear"
+    episodes: int = Field(default=100, ge=1, description="number of episodes over which exploration falls")
+    final: float = Field(default=0.0, ge=0, le=1, description="share of exploration after these episodes")
+
+
 class Budget(ScheduleSettings, frozen=True):
     """Exploration for a number of episodes, then none; optionally it resumes later (thesis, p. 119)."""
 
