@@ -1,0 +1,44 @@
+"""Every environment: it is reset, observed and stepped."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from bojax.engine.build import build
+from bojax.engine.training import train
+from bojax.envs.spaces import Discrete
+from tests.parts import each_kind, tiny
+from tests.protocol.lanes import check
+
+
+def uniform(key, space):
+    """A random element of a space."""
+    if isinstance(space, Discrete):
+        return jax.random.randint(key, (), 0, space.num, jnp.int32)
+    return space.from_unit(jax.random.uniform(key, space.low.shape, space.low.dtype))
+
+
+def two_steps(env, key, _):
+    """The start of an episode under random actions, and the bounds of its observations."""
+    keys = jax.random.split(key, 6)
+    env = env.of_run(keys[0])
+    state = env.reset(keys[1])
+    start = env.observe(state)
+    state, first = env.step(keys[2], state, uniform(keys[3], env.action_space))
+    _, second = env.step(keys[4], state, uniform(keys[5], env.action_space))
+    return start, first, second, env.observation_space
+
+
+@each_kind("env")
+def test_an_environment_is_reset_and_stepped(kind):
+    settings = tiny("env", kind)
+    env = build(settings, "float32")
+    if not env.is_hosted:
+        check(env, two_steps)
+        return
+    # An environment on the host is stepped by the engine.
+    training = train(settings.model_dump(), {"kind": "rff-q", "epsilon": 1.0}, episodes=2, runs=2)
+    assert training.runs["episodes"].to_pylist() == [2, 2]
+    assert np.isfinite(training.episodes["return"].to_numpy()).all()
+    weights = np.asarray(training.learned.weights)
+    assert np.isfinite(weights).all() and not np.array_equal(weights[0], weights[1])
