@@ -96,7 +96,14 @@ def _resolve(sweep: Sweep) -> Sweep:
 
 
 def _run(sweeps: Sequence[Sweep], args: Namespace, command: list[str]) -> int:
-    from bojax.engine.run import run_sweep
+    from bojax.engine.signals import StopRequest
+
+    # While JAX is imported, a KeyboardInterrupt can be raised inside a callback, which discards it.
+    with StopRequest(announce=lambda _: None) as stop:
+        from bojax.engine.run import run_sweep
+    if stop:
+        print("interrupted", file=sys.stderr)
+        return stop.exit_code
 
     first_failure = 0
     for sweep in sweeps:

@@ -10,6 +10,9 @@ from bojax.config.yaml_file import parse
 SOURCE = "command line"
 """What messages call the file of an override."""
 
+MAX_DEPTH = 50
+"""Most names in a dotted path; the deepest setting of bojax has far fewer."""
+
 
 @dataclass(frozen=True)
 class Override:
@@ -36,6 +39,8 @@ def parse_overrides(texts: Iterable[str]) -> list[Override]:
         path = tuple(key.strip().split("."))
         if not equals or not all(path):
             raise ConfigError(f"{SOURCE}: {text}: an override is key=value, such as planner.iterations=100")
+        if len(path) > MAX_DEPTH:
+            raise ConfigError(f"{SOURCE}: {key}: got {len(path)} names; allowed: at most {MAX_DEPTH}")
         if path in overrides:
             hint = "; a value with braces has to be quoted" if ":" in value else ""  # a shell expands them
             raise ConfigError(f"{SOURCE}: {key}: given twice{hint}")

@@ -128,11 +128,12 @@ class HostEnv(Env):
         try:
             made = self._made()
             limit = max_steps or gymnasium.spec(id).max_episode_steps
+            spaces = made.observation_space, made.action_space
         except (Exception, SystemExit) as error:
             raise ValueError(f'id: got "{id}"; {_failure(error)}') from error
         dtype = success_reward.dtype
-        self.observations = from_gymnasium(made.observation_space, "observation", dtype, low, high)
-        self.actions = from_gymnasium(made.action_space, "action", dtype)
+        self.observations = from_gymnasium(spaces[0], "observation", dtype, low, high)
+        self.actions = from_gymnasium(spaces[1], "action", dtype)
         if limit is None:
             raise ValueError(f"max_steps: {id} has no time limit of its own: a number is needed")
         self.max_steps = limit

@@ -117,10 +117,10 @@ def _orbax():
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep Orbax's own log out of the terminal."""
+    """Keep Orbax's own log out of the terminal; it logs every failed write as an error, with its stack."""
     logger = logging.getLogger("absl")
     level = logger.level
-    logger.setLevel(logging.ERROR)
+    logger.setLevel(logging.CRITICAL)
     try:
         yield
     finally:

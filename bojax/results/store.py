@@ -26,6 +26,20 @@ ROW_GROUP_SIZE = 1 << 16
 """Rows of a row group, fixed so that equal tables are equal files."""
 
 
+_WRONG_PATH = (
+    errno.EACCES,
+    errno.EEXIST,
+    errno.EISDIR,
+    errno.ELOOP,
+    errno.ENAMETOOLONG,
+    errno.ENOENT,
+    errno.ENOTDIR,
+    errno.EPERM,
+    errno.EROFS,
+)
+"""Errors that another path would avoid; all others are failures of the machine."""
+
+
 class ResultsError(Exception):
     """What is wrong with a results folder, in one line.
 
@@ -53,7 +67,8 @@ def explained(path: Path, action: str = "written") -> Iterator[None]:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             message = f"{path}: the disk is full: free some space, then run again with --resume"
             raise ResultsError(message, exit_code=1) from error
-        raise ResultsError(f"{path}: cannot be {action}: {error.strerror or error}") from error
+        code = 2 if error.errno in _WRONG_PATH else 1
+        raise ResultsError(f"{path}: cannot be {action}: {error.strerror or error}", code) from error
 
 
 def write_atomically(path: Path, write: Callable[[Path], Any]) -> None:

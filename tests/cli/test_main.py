@@ -25,6 +25,10 @@ MISTAKES = {
         "unknown command swep; allowed: bench, doctor, list, render, report, run, sweep; "
         'did you mean "sweep"?',
     ),
+    "a path of many names": (
+        ["run", "parking", ".".join(["a"] * 5000) + "=1"],
+        "command line: a.a.a.",
+    ),
     "an unknown option before the command": (["--runs"], "unknown option --runs; allowed: bench"),
     "an unknown option": (
         ["run", "parking", "--rnus", "3"],

@@ -30,7 +30,10 @@ class Toy(gymnasium.Env):
         ends_after=3,
         fails=False,
         exits="never",
+        has_spaces=True,
     ):
+        if not has_spaces:
+            return
         if exits == "init":
             sys.exit(0)
         self.exits = exits
@@ -246,6 +249,7 @@ BAD = {
     ),
     "fails": ({"kwargs": {"fails": True}}, "Toy-v0 fails in its first step: RuntimeError: out of fuel"),
     "exits in a step": ({"kwargs": {"exits": "step"}}, "Toy-v0 fails in its first step: SystemExit: 0"),
+    "no spaces": ({"kwargs": {"has_spaces": False}}, 'id: got "Toy-v0"; AttributeError'),
     "exits when made": ({"kwargs": {"exits": "init"}}, 'id: got "Toy-v0"; SystemExit: 0'),
     "shape": (
         {"kwargs": {"shape": [2]}},

@@ -1,5 +1,7 @@
 """A checkpoint gives back the same bits, keys and shardings, or one line."""
 
+import logging
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -111,3 +113,16 @@ def test_a_flipped_bit_of_any_file_is_noticed(tmp_path):
         assert "\n" not in str(error.value)
         path.write_bytes(whole)
     assert checkpoint.restore(tmp_path / "one", structure).tolist() == list(range(1000))
+
+
+def test_a_failed_write_is_one_error_and_no_log(tmp_path, monkeypatch, capfd):
+    from orbax.checkpoint import v1
+
+    def fail(*_, **__):
+        logging.getLogger("absl").error("a stack of many lines")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(v1, "save", fail)
+    with pytest.raises(ResultsError, match="the disk is full") as raised:
+        checkpoint.save(tmp_path / "one", jnp.arange(3.0))
+    assert raised.value.exit_code == 1 and capfd.readouterr().err == ""

@@ -1,5 +1,6 @@
 """Tables: typed by their schema, merged in one order whatever order they were written in."""
 
+import errno
 import os
 
 import numpy as np
@@ -12,6 +13,7 @@ from bojax.results.parts import ChunkFolder
 from bojax.results.schema import Column
 from bojax.results.store import (
     ResultsError,
+    explained,
     fingerprint,
     read_checked_json,
     read_json,
@@ -267,3 +269,13 @@ def test_unreadable_files_are_one_line(tmp_path):
         read_manifest(tmp_path / "nowhere")
     with pytest.raises(ResultsError, match="no such file"):
         read_table(tmp_path / "nowhere.parquet")
+
+
+@pytest.mark.parametrize(
+    ("number", "code"),
+    [(errno.ENOSPC, 1), (errno.EIO, 1), (errno.EFBIG, 1), (errno.EACCES, 2), (errno.EROFS, 2)],
+)
+def test_the_exit_code_tells_a_wrong_path_from_a_failing_machine(tmp_path, number, code):
+    with pytest.raises(ResultsError) as raised, explained(tmp_path):
+        raise OSError(number, os.strerror(number))
+    assert raised.value.exit_code == code and "\n" not in str(raised.value)
