@@ -31,7 +31,7 @@ def test_decay_is_1_over_1_plus_c_t_with_t_the_episodes_before(rate):
 
 @pytest.mark.parametrize("final", [0.0, 0.2])
 def test_linear_falls_to_its_final_share_and_stays_there(final):
-    exploration, learns = balances(settings.Linear(episodes=4, final=final))
+    exploration, learns = exploration_states(settings.Linear(episodes=4, final=final))
     falling = [1.0, 0.75, 0.5, 0.25, *[0.0] * 8]
     assert exploration == pytest.approx([final + (1.0 - final) * share for share in falling])
     assert np.all(learns)
