@@ -404,7 +404,8 @@ def test_the_evidence_is_the_density_of_the_targets(num, num_features, precision
     if num:
         covariance = np.eye(num) / beta + features @ features.T / alpha
         expected = stats.multivariate_normal(np.zeros(num), covariance).logpdf(targets)
-        np.testing.assert_allclose(found, expected, rtol=1e-9)
+        # SciPy inverts this matrix, whose condition number is up to 1e8.
+        np.testing.assert_allclose(found, expected, rtol=1e-8)
 
 
 def test_the_evidence_is_the_product_of_the_predictions_one_after_the_other():
