@@ -166,13 +166,15 @@ class BayesianOptimisation(eqx.Module):
         Raises:
             ValueError: `x` is no point, or `y` no number.
         """
-        x, y = (as_numbers(name)(value).astype(self.low.dtype) for name, value in (("x", x), ("y", y)))
-        if x.shape != self.low.shape or y.shape:
+        point = as_numbers("x")(x).astype(self.low.dtype)
+        observed = as_numbers("y")(y).astype(self.low.dtype)
+        if point.shape != self.low.shape or observed.shape:
             raise ValueError(
-                f"x, y: got shapes {x.shape} and {y.shape}; allowed: {self.low.shape} and one number"
+                f"x, y: got shapes {point.shape} and {observed.shape}; "
+                f"allowed: {self.low.shape} and one number"
             )
-        is_missing = ~(jnp.isfinite(y) & jnp.all(jnp.isfinite(x)))
-        model = state.model.extend(self._to_unit(x)[None, :], y[None], ~is_missing[None])
+        is_missing = ~(jnp.isfinite(observed) & jnp.all(jnp.isfinite(point)))
+        model = state.model.extend(self._to_unit(point)[None, :], observed[None], ~is_missing[None])
         num_told = state.num_told + 1
         if self.relearn_every > 0:
             key = jax.random.fold_in(_stream(state, "relearning"), num_told)

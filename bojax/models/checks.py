@@ -11,6 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import PyTree
 
 
@@ -136,7 +137,7 @@ def check_takes(
 
 def is_known(tree: PyTree) -> bool:
     """Whether all numbers of a tree have values: none is traced."""
-    return not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
+    return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
 
 
 def cast(module: PyTree, dtype: str) -> PyTree:
