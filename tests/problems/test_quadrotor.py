@@ -9,7 +9,6 @@ import numpy as np
 import pydantic
 import pytest
 
-from bojax.config import vehicles
 from bojax.config.errors import ConfigError
 from bojax.engine.build import build
 from bojax.fields.settings import Bumps
@@ -18,7 +17,8 @@ from bojax.motions.base import place
 from bojax.motions.splines import SplineSet
 from bojax.problems.mapping import Map, final_map
 from bojax.problems.sensors import RangeSensor
-from bojax.problems.settings import HillyTerrain, IndoorProps, TwoPits
+from bojax.problems.settings import HillyTerrain, IndoorProps, Range, TwoPits
+from bojax.problems.vehicles import settings as vehicles
 from bojax.robots.quaternions import rotation_matrix
 
 LANES, SIZE = 48, 8
@@ -87,8 +87,8 @@ def test_it_starts_where_it_is_placed_and_knows_it(quadrotor):
     np.testing.assert_allclose(pose[:, :2], starts[:, :2], atol=1e-6)
     assert apart(pose[:, 2], starts[:, 2]).max() < 1e-5 and pose.dtype == jnp.float64
     np.testing.assert_array_equal(estimate, starts)
-    assert bodies.state.qpos.dtype == jnp.float32
-    np.testing.assert_allclose(bodies.state.qpos[:, 2], ALTITUDE, rtol=1e-6)
+    assert bodies.robot.qpos.dtype == jnp.float32
+    np.testing.assert_allclose(bodies.robot.qpos[:, 2], ALTITUDE, rtol=1e-6)
 
 
 def test_it_flies_near_the_path_and_stops_at_its_end(ride):
@@ -158,7 +158,7 @@ def test_a_robot_that_diverges_fails_alone(quadrotor, follow, ride):
     starts, paths, ends, before = ride
     bodies = jax.vmap(quadrotor.reset)(f64(starts))
     broken = eqx.tree_at(
-        lambda b: b.state.qvel, bodies, bodies.state.qvel.at[5, 0].set(jnp.nan).at[7, 3].set(1e7)
+        lambda b: b.robot.qvel, bodies, bodies.robot.qvel.at[5, 0].set(jnp.nan).at[7, 3].set(1e7)
     )
     found = follow(quadrotor, keys_of(1), broken, f64(paths), f64(ends), f64(NOISE))
     is_broken = np.isin(np.arange(LANES), [5, 7])
@@ -178,7 +178,7 @@ def mounts_of(num, lean, seed=0):
 
 
 def sensor(**settings):
-    return build(vehicles.Range(**{"altitude_noise": 0.0, **settings}))
+    return build(Range(**{"altitude_noise": 0.0, **settings}))
 
 
 def measured(sensor, field, mounts, noise=0.0, seed=0):
@@ -232,7 +232,7 @@ def test_it_has_to_be_carried_by_something_that_flies():
         ):
             build(HillyTerrain(vehicle=vehicle))
     with pytest.raises(ConfigError, match="sensor: got .range., which measures from the air"):
-        build(TwoPits(sensor=vehicles.Range()))
+        build(TwoPits(sensor=Range()))
     assert isinstance(build(HillyTerrain()).sensor, RangeSensor)
 
 
@@ -240,7 +240,7 @@ def test_it_has_to_see_the_ground_from_where_it_flies():
     high = vehicles.Quadrotor(altitude=6.0)
     with pytest.raises(ConfigError, match=r"sensor.max_range: got 5; the ground is up to 6.00 m below"):
         build(HillyTerrain(vehicle=high))
-    build(HillyTerrain(vehicle=high, sensor=vehicles.Range(max_range=6.5)))
+    build(HillyTerrain(vehicle=high, sensor=Range(max_range=6.5)))
 
 
 def test_it_can_follow_what_its_thrust_can_accelerate():

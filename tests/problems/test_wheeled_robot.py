@@ -152,7 +152,7 @@ def test_it_stands_where_it_is_placed():
     np.testing.assert_allclose(jax.vmap(ROBOT.pose)(bodies), poses, atol=1e-6)
     np.testing.assert_array_equal(jax.vmap(ROBOT.estimate)(bodies), poses)
     data = mujoco.MjData(MODEL)
-    data.qpos = bodies.state.qpos[1]
+    data.qpos = bodies.robot.qpos[1]
     before = data.qpos.copy()
     for _ in range(200):
         mujoco.mj_step(MODEL, data)
@@ -206,7 +206,7 @@ def test_a_problem_in_either_precision(dtype):
     assert eqx.tree_equal(*(jax.tree.map(lambda x: (x.shape, x.dtype), tree) for tree in (world, after)))
     assert not any(leaf.weak_type for leaf in jax.tree.leaves((after, events)))
     assert reading.dtype == events.driven.dtype == after.reading.dtype == dtype
-    assert after.state.qpos.dtype == events.frames.dtype == jnp.float32
+    assert after.robot.qpos.dtype == events.frames.dtype == jnp.float32
     assert events.frames.shape == (SETTINGS.readings // FRAME_EVERY, MODEL.nq)
 
 
