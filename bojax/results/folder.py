@@ -89,9 +89,12 @@ class RunFolder:
 
     def noted(self, name: str, default: Any) -> Any:
         """What `note` kept, or the default if there is nothing or the file is damaged."""
+        path = self.work / f"{name}.json"
         try:
-            return read_checked_json(self.work / f"{name}.json").get(name, default)
+            return read_checked_json(path).get(name, default)
         except ResultsError:
+            if path.is_dir() and not path.is_symlink():  # a file could not be written in its place
+                shutil.rmtree(path, ignore_errors=True)
             return default
 
     def close(self, *, finished: bool) -> None:

@@ -284,9 +284,13 @@ def test_a_copied_chunk_is_refused(copy, capsys):
     assert f"{second / 'state.json'}: copied from another chunk: delete the folder" in one_line(capsys)
 
 
-def test_what_no_number_depends_on_may_be_damaged(copy, undamaged):
+@pytest.mark.parametrize("is_folder", [False, True])
+def test_what_no_number_depends_on_may_be_damaged(copy, undamaged, is_folder):
     first, second = (next((copy / WORK).glob(pattern)) for pattern in (FIRST, SECOND))
     (copy / WORK / "groups.json").write_text('{"groups": 7}')
+    if is_folder:
+        (copy / WORK / "groups.json").unlink()
+        (copy / WORK / "groups.json").mkdir()
     (copy / WORK / "lock").unlink()
     (copy / ".work-done" / "chunk").mkdir(parents=True)
     (second / "part-foo.parquet").write_text("stray")
