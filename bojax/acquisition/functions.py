@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax.scipy.stats import norm
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from bojax.models.checks import as_numbers
 
@@ -28,10 +29,10 @@ class UpperConfidenceBound(Acquisition):
 
     kappa: Float[Array, ""] = eqx.field(converter=as_numbers("kappa"))
 
+    @override
     def __call__(
         self, mean: Float[Array, "*N"], std: Float[Array, "*N"], best: Float[Array, ""]
     ) -> Float[Array, "*N"]:
-        """See `Acquisition`."""
         del best
         return mean + self.kappa * std
 
@@ -44,10 +45,10 @@ class ProbabilityOfImprovement(Acquisition):
 
     xi: Float[Array, ""] = eqx.field(converter=as_numbers("xi"))
 
+    @override
     def __call__(
         self, mean: Float[Array, "*N"], std: Float[Array, "*N"], best: Float[Array, ""]
     ) -> Float[Array, "*N"]:
-        """See `Acquisition`."""
         # In logarithms: the order is the same, and far from the best the score does not underflow to ties.
         return norm.logcdf(_standard_score(mean, std, best + self.xi))
 
@@ -64,10 +65,10 @@ class ExpectedImprovement(Acquisition):
 
     xi: Float[Array, ""]
 
+    @override
     def __call__(
         self, mean: Float[Array, "*N"], std: Float[Array, "*N"], best: Float[Array, ""]
     ) -> Float[Array, "*N"]:
-        """See `Acquisition`."""
         return jnp.exp(_log_h(_standard_score(mean, std, best + self.xi))) * _positive(std)
 
 
@@ -81,10 +82,10 @@ class LogExpectedImprovement(Acquisition):
 
     xi: Float[Array, ""] = eqx.field(converter=as_numbers("xi"))
 
+    @override
     def __call__(
         self, mean: Float[Array, "*N"], std: Float[Array, "*N"], best: Float[Array, ""]
     ) -> Float[Array, "*N"]:
-        """See `Acquisition`."""
         return _log_h(_standard_score(mean, std, best + self.xi)) + jnp.log(_positive(std))
 
 

@@ -3,6 +3,8 @@
 import argparse
 from typing import NoReturn
 
+from typing_extensions import override
+
 from bojax.config.errors import did_you_mean
 
 
@@ -29,6 +31,7 @@ class Parser(argparse.ArgumentParser):
             allow_abbrev=False,
         )
 
+    @override
     def error(self, message: str) -> NoReturn:
         """Raise the mistake that argparse has found."""
         unknown = message.removeprefix("unrecognized arguments: ")

@@ -5,6 +5,7 @@ from typing import Annotated, ClassVar, Literal, Self
 
 import pydantic
 from pydantic import Field
+from typing_extensions import override
 
 from bojax.config.component import Registered, Schema, Slot
 
@@ -108,8 +109,8 @@ class Order(Measured, frozen=True):
         return tuple(name for tier in tiers for name in ((tier,) if isinstance(tier, str) else tier))
 
     @property
+    @override
     def names(self) -> tuple[str, ...]:
-        """See the base."""
         return self._ordered if self.baseline is None else (*self._ordered, self.baseline)
 
 
@@ -130,8 +131,8 @@ class Ratio(Measured, frozen=True):
         return self
 
     @property
+    @override
     def names(self) -> tuple[str, ...]:
-        """See the base."""
         return (self.label, self.to)
 
 
@@ -172,8 +173,8 @@ class Similar(Measured, frozen=True):
         return self
 
     @property
+    @override
     def names(self) -> tuple[str, ...]:
-        """See the base."""
         return self.labels
 
 
@@ -199,8 +200,8 @@ class Share(Test, frozen=True):
         return self
 
     @property
+    @override
     def names(self) -> tuple[str, ...]:
-        """See the base."""
         return (self.label,)
 
 
@@ -221,8 +222,8 @@ class Mean(Measured, frozen=True):
         return self
 
     @property
+    @override
     def names(self) -> tuple[str, ...]:
-        """See the base."""
         return (self.label,)
 
 
@@ -245,8 +246,8 @@ class Trend(Test, frozen=True):
         return self
 
     @property
+    @override
     def names(self) -> tuple[str, ...]:
-        """See the base."""
         return (self.label,)
 
 
@@ -284,8 +285,8 @@ class Agrees(Test, frozen=True):
         return self
 
     @property
+    @override
     def names(self) -> tuple[str, ...]:
-        """See the base."""
         return (self.label,)
 
 
@@ -308,8 +309,8 @@ class Growth(Test, frozen=True):
     )
 
     @property
+    @override
     def names(self) -> tuple[str, ...]:
-        """See the base."""
         return (self.label,)
 
 

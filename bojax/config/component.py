@@ -7,6 +7,7 @@ from typing import Any, ClassVar, Literal, get_args, get_origin
 
 import pydantic
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
+from typing_extensions import override
 
 registry: dict[str, dict[str, type["Registered"]]] = {}
 """Every schema class, by role and kind."""
@@ -57,6 +58,7 @@ class Registered(Schema, frozen=True):
     kind: str
 
     @classmethod
+    @override
     def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
         """Register a final class."""
         super().__pydantic_init_subclass__(**kwargs)
@@ -115,6 +117,7 @@ class External(Component, frozen=True):
     params: dict[str, Any] = {}
 
     @property
+    @override
     def imported_module(self) -> tuple[str, str]:
         """The module of its import path."""
         return self.kind.partition(":")[0], "kind"

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from typing_extensions import override
 
 from bojax.config.errors import ConfigError, control_character, shown
 
@@ -56,6 +57,7 @@ class _Loader(yaml.SafeLoader):
     yaml_implicit_resolvers: dict = {}
     num_nodes = 0
 
+    @override
     def compose_node(self, parent: Any, index: Any) -> Any:
         self.count()
         return super().compose_node(parent, index)

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
 from jaxtyping import Array, PyTree
+from typing_extensions import override
 
 from bojax.engine.batch import BY_LANE, SAME, Compiled, Lanes, Status, outcome, total
 from bojax.engine.groups import StaticGroup
@@ -50,6 +51,7 @@ class Hosted(Compiled):
         self._dtype = run.learner.exploration_weight.dtype
         self._vector = self._env.make_vector(self.num_lanes)
 
+    @override
     def advance(self, carry: Carry, lanes: Lanes) -> tuple[Carry, dict[str, dict[str, Array]], Status]:
         """One training episode of every lane, and the tests after it: `LearningRun.advance`."""
         episode = self._run_episode(self._training, lanes, carry, carry.learner, 0)
@@ -80,6 +82,7 @@ class Hosted(Compiled):
                 episode = phase.flush(*call, episode)
         return phase.flush(*call, episode)
 
+    @override
     def _compile_advance(self, compiled: Callable, specs: tuple, *inputs: Any) -> Any:
         """Make the programs of an episode; each is compiled when it is first called."""
         del compiled, specs, inputs

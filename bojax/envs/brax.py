@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
+from typing_extensions import override
 
 from bojax.config.extras import MissingExtra
 from bojax.envs.base import Env, TimeStep
@@ -68,27 +69,30 @@ class BraxEnv(Env):
             raise ValueError("low: it has to be below high")
 
     @property
+    @override
     def observation_space(self) -> Box:
         """The bounds that were declared."""
         shape = (self.observation_size,)
         return Box(jnp.broadcast_to(self.low, shape), jnp.broadcast_to(self.high, shape))
 
     @property
+    @override
     def action_space(self) -> Box:
         """-1 to 1 for every actuator."""
         one = jnp.ones((self.action_size,), self.low.dtype)
         return Box(-one, one)
 
+    @override
     def reset(self, key: Key[Array, ""]) -> Any:
-        """See `Env`."""
         return standard_jax(_created(self.name, self.backend).reset)(key)
 
+    @override
     def observe(self, state: Any) -> Float[Array, "D"]:
-        """See `Env`."""
         return state.obs.astype(self.low.dtype)
 
+    @override
     def step(self, key: Key[Array, ""], state: Any, action: Float[Array, "A"]) -> tuple[Any, TimeStep]:
-        """See `Env`; Brax keeps its own keys."""
+        """Brax keeps its own keys."""
         del key
         action = jnp.clip(action, -jnp.ones_like(action), jnp.ones_like(action))
         state = standard_jax(_created(self.name, self.backend).step)(state, action)
@@ -122,6 +126,7 @@ class BojaxEnv(brax_envs.Env):
         self.env = env
         self._num_observations, self._actions = observations.num_dims, actions
 
+    @override
     def reset(self, rng: jax.Array) -> brax_envs.State:
         """An initial state."""
         own, later = jax.random.split(_typed(rng))
@@ -131,6 +136,7 @@ class BojaxEnv(brax_envs.Env):
         info = {"key": jax.random.key_data(later)}
         return brax_envs.State(state, observation, zero, zero, {"success": zero}, info)
 
+    @override
     def step(self, state: brax_envs.State, action: jax.Array) -> brax_envs.State:
         """One step of the environment."""
         own, later = jax.random.split(_typed(state.info["key"]))
@@ -147,16 +153,19 @@ class BojaxEnv(brax_envs.Env):
         )
 
     @property
+    @override
     def observation_size(self) -> int:
         """Numbers in an observation."""
         return self._num_observations
 
     @property
+    @override
     def action_size(self) -> int:
         """Numbers in an action."""
         return self._actions.num_dims
 
     @property
+    @override
     def backend(self) -> str:
         """The name of the physics: ours have none of Brax's."""
         return "bojax"

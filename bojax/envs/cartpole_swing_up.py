@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
+from typing_extensions import override
 
 from bojax.envs.control import ControlTask, sign, symmetric
 from bojax.envs.spaces import Box
@@ -38,6 +39,7 @@ class CartpoleSwingUp(ControlTask):
     actions: Literal["continuous", "sign"] = eqx.field(static=True)
 
     @property
+    @override
     def observation_space(self) -> Box:
         """Position in metres and velocity of the cart, angle in radians and velocity of the pole."""
         dtype = self.limit.dtype
@@ -45,19 +47,21 @@ class CartpoleSwingUp(ControlTask):
         return Box(low, jnp.asarray([3.4, 8.3, 6.35, 8.1], dtype))
 
     @property
+    @override
     def action_space(self) -> Box:
         """The force on the cart, in N."""
         return symmetric(self.max_force)
 
+    @override
     def reset(self, key: Key[Array, ""]) -> Float[Array, "4"]:
-        """See `Env`."""
         state = jax.random.uniform(key, (4,), self.limit.dtype, -0.05, 0.05)
         return state.at[2].add(jnp.pi)
 
+    @override
     def observe(self, state: Float[Array, "4"]) -> Float[Array, "4"]:
-        """See `observation_space`."""
         return state
 
+    @override
     def advance(
         self, key: Key[Array, ""], state: Float[Array, "4"], action: Float[Array, "1"]
     ) -> Float[Array, "4"]:
@@ -74,14 +78,15 @@ class CartpoleSwingUp(ControlTask):
         acceleration = push - _POLE * _HALF_LENGTH * turn * cosine / (_CART + _POLE)
         return state + self.time_step * jnp.stack([velocity, acceleration, speed, turn])
 
+    @override
     def is_goal(self, state: Float[Array, "4"]) -> Bool[Array, ""]:
-        """See the class."""
         return jnp.cos(state[2]) > self.goal_cosine
 
+    @override
     def is_failure(self, state: Float[Array, "4"]) -> Bool[Array, ""]:
-        """See the class."""
         return jnp.abs(state[0]) > self.limit
 
+    @override
     def classic(
         self,
         state: Float[Array, "4"],
@@ -90,7 +95,6 @@ class CartpoleSwingUp(ControlTask):
         failure: Bool[Array, ""],
         after: Float[Array, "4"],
     ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
-        """See the class."""
         del state, action
         paid = jnp.where(success, jnp.zeros_like(after[2]), jnp.cos(after[2]) - 1.0)
         return jnp.where(failure, jnp.full_like(paid, -100.0), paid), success | failure

@@ -3,6 +3,7 @@
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
+from typing_extensions import override
 
 from bojax.envs.base import TimeStep
 from bojax.envs.spaces import Discrete
@@ -34,34 +35,36 @@ class Chain(TabularEnv):
     max_steps: int = eqx.field(static=True)
 
     @property
+    @override
     def observation_space(self) -> Discrete:
-        """See `Env`."""
         return Discrete(self.max_length)
 
     @property
+    @override
     def action_space(self) -> Discrete:
-        """See `Env`."""
         return Discrete(2)
 
     @property
+    @override
     def num_branches(self) -> int:
-        """See `TabularEnv`."""
         return 4
 
+    @override
     def reset(self, key: Key[Array, ""]) -> Int[Array, ""]:
-        """See `Env`: always the same start."""
+        """Always the same start."""
         del key
         return self.start.astype(jnp.int32)
 
+    @override
     def probabilities(self, state: Int[Array, ""], action: Int[Array, ""]) -> Float[Array, "4"]:
-        """See `TabularEnv`: as meant and as not meant, without and with the additional -1 each."""
+        """As meant and as not meant, without and with the additional -1 each."""
         del state
         slip = jnp.where(action == RIGHT, 1.0 / self.length, 0.0)
         free, paid = self.sparsity, 1.0 - self.sparsity
         return jnp.stack([(1.0 - slip) * free, (1.0 - slip) * paid, slip * free, slip * paid])
 
+    @override
     def outcome(self, state: Int[Array, ""], action: Int[Array, ""], branch: Int[Array, ""]) -> TimeStep:
-        """See `TabularEnv`."""
         goal = self.length.astype(jnp.int32) - 1
         is_right = (action == RIGHT) & (branch < 2)
         after = jnp.clip(jnp.where(is_right, state + 1, state - 1), 0, goal)

@@ -5,6 +5,7 @@ from typing import Literal
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
+from typing_extensions import override
 
 from bojax.envs.base import TimeStep
 from bojax.envs.spaces import Discrete
@@ -33,32 +34,34 @@ class CliffWalking(TabularEnv):
     max_steps: int = eqx.field(static=True)
 
     @property
+    @override
     def observation_space(self) -> Discrete:
-        """See `Env`."""
         return Discrete(ROWS * COLUMNS)
 
     @property
+    @override
     def action_space(self) -> Discrete:
-        """See `Env`."""
         return Discrete(4)
 
     @property
+    @override
     def num_branches(self) -> int:
-        """See `TabularEnv`."""
         return 5
 
+    @override
     def reset(self, key: Key[Array, ""]) -> Int[Array, ""]:
-        """See `Env`: always the same start."""
+        """Always the same start."""
         del key
         return jnp.full((), START, jnp.int32)
 
+    @override
     def probabilities(self, state: Int[Array, ""], action: Int[Array, ""]) -> Float[Array, "5"]:
-        """See `TabularEnv`: the direction that was meant, then each of the four drawn by a slip."""
+        """The direction that was meant, then each of the four drawn by a slip."""
         del state, action
         return jnp.append(1.0 - self.slip, jnp.broadcast_to(self.slip / 4.0, (4,)))
 
+    @override
     def outcome(self, state: Int[Array, ""], action: Int[Array, ""], branch: Int[Array, ""]) -> TimeStep:
-        """See `TabularEnv`."""
         direction = jnp.where(branch == 0, action, branch - 1)
         row = jnp.clip(state // COLUMNS + jnp.asarray(ROW_STEPS, jnp.int32)[direction], 0, ROWS - 1)
         column = jnp.clip(state % COLUMNS + jnp.asarray(COLUMN_STEPS, jnp.int32)[direction], 0, COLUMNS - 1)

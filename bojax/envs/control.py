@@ -6,6 +6,7 @@ from typing import Literal
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
+from typing_extensions import override
 
 from bojax.envs.base import Env, EnvState, TimeStep
 from bojax.envs.spaces import Box
@@ -24,17 +25,17 @@ class ControlTask(Env):
 
     @property
     @abc.abstractmethod
-    def observation_space(self) -> Box:
-        """See `Env`."""
+    @override
+    def observation_space(self) -> Box: ...
 
     @property
     @abc.abstractmethod
-    def action_space(self) -> Box:
-        """See `Env`."""
+    @override
+    def action_space(self) -> Box: ...
 
     @abc.abstractmethod
-    def observe(self, state: EnvState) -> Float[Array, "D"]:
-        """See `Env`."""
+    @override
+    def observe(self, state: EnvState) -> Float[Array, "D"]: ...
 
     @abc.abstractmethod
     def advance(self, key: Key[Array, ""], state: EnvState, action: Float[Array, "A"]) -> EnvState:
@@ -65,10 +66,10 @@ class ControlTask(Env):
     ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
         """Classic reward of a step from `state` to `after`, and whether it ends the episode."""
 
+    @override
     def step(
         self, key: Key[Array, ""], state: EnvState, action: Float[Array, "A"]
     ) -> tuple[EnvState, TimeStep]:
-        """See `Env`."""
         bounds = self.action_space
         dtype = bounds.low.dtype
         clipped = jnp.clip(action.astype(dtype), bounds.low, bounds.high)

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
+from typing_extensions import override
 
 from bojax.envs.control import ControlTask, sign, symmetric
 from bojax.envs.spaces import Box
@@ -43,25 +44,28 @@ class DoublePendulum(ControlTask):
     actions: Literal["continuous", "sign"] = eqx.field(static=True)
 
     @property
+    @override
     def observation_space(self) -> Box:
         """Cosine and sine of both angles, and both velocities in rad/s."""
         one = jnp.ones_like(self.time_step)
         return symmetric(one, one, one, one, 4.0 * jnp.pi * one, 9.0 * jnp.pi * one)
 
     @property
+    @override
     def action_space(self) -> Box:
         """The torque, in N m."""
         return symmetric(self.max_torque)
 
+    @override
     def reset(self, key: Key[Array, ""]) -> Float[Array, "4"]:
-        """See `Env`."""
         return jax.random.uniform(key, (4,), self.time_step.dtype, -0.1, 0.1)
 
+    @override
     def observe(self, state: Float[Array, "4"]) -> Float[Array, "6"]:
-        """See `observation_space`."""
         first, second, *speeds = state
         return jnp.stack([jnp.cos(first), jnp.sin(first), jnp.cos(second), jnp.sin(second), *speeds])
 
+    @override
     def advance(
         self, key: Key[Array, ""], state: Float[Array, "4"], action: Float[Array, "1"]
     ) -> Float[Array, "4"]:
@@ -101,14 +105,15 @@ class DoublePendulum(ControlTask):
         acceleration1 = (force1 - inertia12 * acceleration2) / inertia11
         return jnp.stack([speed1, speed2, acceleration1, acceleration2])
 
+    @override
     def is_goal(self, state: Float[Array, "4"]) -> Bool[Array, ""]:
-        """See the class."""
         x = jnp.sin(state[0]) + jnp.sin(state[0] + state[1])
         below = 2.0 + jnp.cos(state[0]) + jnp.cos(state[0] + state[1])
         if self.goal == "height":
             return below < self.goal_distance
         return x**2 + below**2 < self.goal_distance**2
 
+    @override
     def classic(
         self,
         state: Float[Array, "4"],
@@ -117,6 +122,5 @@ class DoublePendulum(ControlTask):
         failure: Bool[Array, ""],
         after: Float[Array, "4"],
     ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
-        """See the class."""
         del state, action, failure
         return jnp.where(success, jnp.zeros_like(after[0]), -jnp.ones_like(after[0])), success

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
+from typing_extensions import override
 
 from bojax.config.extras import MissingExtra
 from bojax.envs.base import Env
@@ -47,16 +48,18 @@ class GymnasiumEnv(gymnasium.Env):
         self._episode = self._state = None
         self._num_steps = 0
 
+    @override
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
-        """See Gymnasium; there are no options."""
+        """Begin an episode; there are no options."""
         super().reset(seed=seed, options=options)
         self._episode = jax.random.key(int(self.np_random.integers(2**31)))
         self._num_steps = 0
         self._state, observation = _begin(self.env, self._episode)
         return self._shown(observation), {}
 
+    @override
     def step(self, action: Any):
-        """See Gymnasium; `info["success"]` tells whether the goal was reached."""
+        """Take a step; `info["success"]` says whether the goal was reached."""
         if self._episode is None:
             raise gymnasium.error.ResetNeeded("reset() comes before step()")
         self._num_steps += 1
@@ -141,11 +144,13 @@ class HostEnv(Env):
         made.close()
 
     @property
+    @override
     def observation_space(self) -> Space:
         """As Gymnasium declares it, or with the bounds that were given."""
         return self.observations
 
     @property
+    @override
     def action_space(self) -> Space:
         """As Gymnasium declares it."""
         return self.actions
@@ -166,6 +171,7 @@ class HostEnv(Env):
             return reward >= self.success_reward.astype(reward.dtype)
         return jnp.zeros_like(terminated)
 
+    @override
     def reset(self, key):
         """Refused: see `make_vector`.
 
@@ -174,10 +180,12 @@ class HostEnv(Env):
         """
         raise TypeError(f"{self.id} is stepped on the host, not compiled: make_vector makes it")
 
+    @override
     def observe(self, state):
         """Refused, as `reset` is."""
         return self.reset(state)
 
+    @override
     def step(self, key, state, action):
         """Refused, as `reset` is."""
         return self.reset(key)
@@ -205,6 +213,7 @@ class Idling(gymnasium.Wrapper):
         self._last: Any = None
         self._has_ended = False
 
+    @override
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
         """Begin an episode; where one has ended, only with a seed."""
         if self._has_ended and seed is None:
@@ -213,6 +222,7 @@ class Idling(gymnasium.Wrapper):
         self._has_ended, self._last = False, self._plain(observation)
         return self._last, info
 
+    @override
     def step(self, action: Any):
         """A step; none after the end."""
         if self._has_ended:

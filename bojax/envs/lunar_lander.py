@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
+from typing_extensions import override
 
 from bojax.envs import lander_dynamics as dynamics
 from bojax.envs import lander_geometry as geometry
@@ -45,6 +46,7 @@ class LunarLander(ControlTask):
     reward: Literal["goal-only", "classic"] = eqx.field(static=True)
 
     @property
+    @override
     def observation_space(self) -> Box:
         """Position relative to the pad, velocity, angle, spin, and ground contact of the right and left leg.
 
@@ -55,6 +57,7 @@ class LunarLander(ControlTask):
         return Box(low, jnp.asarray([1.2, 1.6, 2.0, 0.8, 2.5, 9.0, 1.0, 1.0], self.gravity.dtype))
 
     @property
+    @override
     def action_space(self) -> Box:
         """Commands of the main engine and of the side engines.
 
@@ -64,8 +67,8 @@ class LunarLander(ControlTask):
         one = jnp.ones((2,), self.gravity.dtype)
         return Box(-one, one)
 
+    @override
     def reset(self, key: Key[Array, ""]) -> LanderState:
-        """See `Env`."""
         key_heights, key_push = jax.random.split(key)
         dtype = self.gravity.dtype
         heights = jax.random.uniform(
@@ -74,8 +77,8 @@ class LunarLander(ControlTask):
         push = self.max_push * jax.random.uniform(key_push, (2,), dtype, -1.0, 1.0)
         return dynamics.step(dynamics.reset(push, dynamics.smooth_terrain(heights)), self.gravity)
 
+    @override
     def observe(self, state: LanderState) -> Float[Array, "8"]:
-        """See `observation_space`."""
         x, y = state.origin
         horizontal, vertical = state.hull_velocity
         numbers = [
@@ -88,6 +91,7 @@ class LunarLander(ControlTask):
         ]
         return jnp.concatenate([jnp.stack(numbers), state.contacts.astype(x.dtype)])
 
+    @override
     def advance(self, key: Key[Array, ""], state: LanderState, action: Float[Array, "2"]) -> LanderState:
         """The state after the impulses of the engines and one step of the dynamics."""
         noise = self.dispersion * jax.random.uniform(key, (2,), self.gravity.dtype, -1.0, 1.0)
@@ -95,20 +99,21 @@ class LunarLander(ControlTask):
         fired = dynamics.apply_engines(state, self.main_power * main, self.side_power * side, noise)
         return dynamics.step(fired, self.gravity)
 
+    @override
     def is_goal(self, state: LanderState) -> Bool[Array, ""]:
-        """See the class."""
         x, y = self.observe(state)[:2]
         return jnp.sqrt(x * x + y * y) < self.goal_distance
 
+    @override
     def is_failure(self, state: LanderState) -> Bool[Array, ""]:
-        """See the class."""
         return dynamics.hull_touches_ground(state) | (jnp.abs(self.observe(state)[0]) >= 1.0)
 
+    @override
     def has_diverged(self, state: LanderState) -> Bool[Array, ""]:
-        """See `ControlTask`."""
         fastest = jnp.maximum(jnp.max(jnp.abs(state.velocity)), jnp.abs(state.spin))
         return ~jnp.all(jnp.isfinite(self.observe(state))) | (fastest > self.max_speed)
 
+    @override
     def classic(
         self,
         state: LanderState,
@@ -117,7 +122,6 @@ class LunarLander(ControlTask):
         failure: Bool[Array, ""],
         after: LanderState,
     ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
-        """See the class."""
         del success
         main, side = _powers(action)
         fuel = 0.3 * main + 0.03 * jnp.abs(side)
@@ -126,6 +130,7 @@ class LunarLander(ControlTask):
         paid = jnp.where(failure, jnp.full_like(paid, -100.0), paid)
         return jnp.where(is_still, jnp.full_like(paid, 100.0), paid), failure | is_still
 
+    @override
     def frame(self, state: LanderState) -> Float[Array, "13"]:
         """Joint angles of the legs, and the heights of the terrain."""
         return jnp.concatenate([state.legs, state.terrain])

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
+from typing_extensions import override
 
 from bojax.envs.control import ControlTask
 from bojax.envs.spaces import Box
@@ -36,26 +37,29 @@ class MountainCar(ControlTask):
     actions: Literal["continuous", "thresholded"] = eqx.field(static=True)
 
     @property
+    @override
     def observation_space(self) -> Box:
         """Position and velocity, which are the bounds of the motion too."""
         dtype = self.power.dtype
         return Box(jnp.asarray([-1.2, -0.07], dtype), jnp.asarray([0.6, 0.07], dtype))
 
     @property
+    @override
     def action_space(self) -> Box:
         """The share of the force, positive to the right."""
         one = jnp.ones((1,), self.power.dtype)
         return Box(-one, one)
 
+    @override
     def reset(self, key: Key[Array, ""]) -> Float[Array, "2"]:
-        """See `Env`."""
         position = jax.random.uniform(key, (), self.power.dtype, -0.6, -0.4)
         return jnp.stack([position, jnp.zeros_like(position)])
 
+    @override
     def observe(self, state: Float[Array, "2"]) -> Float[Array, "2"]:
-        """See `observation_space`."""
         return state
 
+    @override
     def advance(
         self, key: Key[Array, ""], state: Float[Array, "2"], action: Float[Array, "1"]
     ) -> Float[Array, "2"]:
@@ -71,10 +75,11 @@ class MountainCar(ControlTask):
         at_the_wall = (position == low[0]) & (velocity < 0.0)
         return jnp.stack([position, jnp.where(at_the_wall, jnp.zeros_like(velocity), velocity)])
 
+    @override
     def is_goal(self, state: Float[Array, "2"]) -> Bool[Array, ""]:
-        """See the class."""
         return state[0] >= self.goal_position
 
+    @override
     def classic(
         self,
         state: Float[Array, "2"],
@@ -83,6 +88,5 @@ class MountainCar(ControlTask):
         failure: Bool[Array, ""],
         after: Float[Array, "2"],
     ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
-        """See the class."""
         del action, failure, after
         return -jnp.ones_like(state[0]), success

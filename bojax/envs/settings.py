@@ -5,6 +5,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import pydantic
 from pydantic import Field
+from typing_extensions import override
 
 from bojax.config.component import Component
 
@@ -304,6 +305,7 @@ class Gymnasium(EnvironmentSettings, frozen=True):
         return self
 
     @property
+    @override
     def imported_module(self) -> tuple[str, str] | None:
         """The module that registers the environment, of an id such as `module:Name-v0`."""
         module, colon, _ = self.id.partition(":")

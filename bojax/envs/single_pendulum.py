@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
+from typing_extensions import override
 
 from bojax.envs.control import ControlTask, symmetric
 from bojax.envs.spaces import Box
@@ -38,25 +39,28 @@ class SinglePendulum(ControlTask):
     classic_ends_at_goal: bool = eqx.field(static=True)
 
     @property
+    @override
     def observation_space(self) -> Box:
         """Cosine and sine of the angle, and the angular velocity in rad/s."""
         one = jnp.ones_like(self.max_speed)
         return symmetric(one, one, self.max_speed)
 
     @property
+    @override
     def action_space(self) -> Box:
         """The torque, in N m."""
         return symmetric(self.max_torque)
 
+    @override
     def reset(self, key: Key[Array, ""]) -> Float[Array, "2"]:
-        """See `Env`."""
         high = jnp.asarray([jnp.pi, 1.0], self.max_speed.dtype)
         return jax.random.uniform(key, (2,), high.dtype, -high, high)
 
+    @override
     def observe(self, state: Float[Array, "2"]) -> Float[Array, "3"]:
-        """See `observation_space`."""
         return jnp.stack([jnp.cos(state[0]), jnp.sin(state[0]), state[1]])
 
+    @override
     def advance(
         self, key: Key[Array, ""], state: Float[Array, "2"], action: Float[Array, "1"]
     ) -> Float[Array, "2"]:
@@ -69,10 +73,11 @@ class SinglePendulum(ControlTask):
         speed = jnp.clip(speed, -self.max_speed, self.max_speed)
         return jnp.stack([wrap_to_pi(angle + speed * self.time_step), speed])
 
+    @override
     def is_goal(self, state: Float[Array, "2"]) -> Bool[Array, ""]:
-        """See the class."""
         return jnp.abs(wrap_to_pi(state[0])) < self.goal_angle
 
+    @override
     def classic(
         self,
         state: Float[Array, "2"],
@@ -81,7 +86,6 @@ class SinglePendulum(ControlTask):
         failure: Bool[Array, ""],
         after: Float[Array, "2"],
     ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
-        """See the class."""
         del failure, after
         cost = wrap_to_pi(state[0]) ** 2 + 0.1 * state[1] ** 2 + 0.001 * action[0] ** 2
         if not self.classic_ends_at_goal:

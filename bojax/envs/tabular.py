@@ -5,6 +5,7 @@ import abc
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
+from typing_extensions import override
 
 from bojax.envs.base import Env, TimeStep
 from bojax.envs.spaces import Discrete
@@ -19,11 +20,13 @@ class TabularEnv(Env):
 
     @property
     @abc.abstractmethod
+    @override
     def observation_space(self) -> Discrete:
         """The states, numbered from 0."""
 
     @property
     @abc.abstractmethod
+    @override
     def action_space(self) -> Discrete:
         """The actions, numbered from 0."""
 
@@ -40,14 +43,16 @@ class TabularEnv(Env):
     def outcome(self, state: Int[Array, ""], action: Int[Array, ""], branch: Int[Array, ""]) -> TimeStep:
         """Where a branch leads."""
 
+    @override
     def observe(self, state: Int[Array, ""]) -> Int[Array, ""]:
-        """See `Env`: the state is seen as it is."""
+        """The state is seen as it is."""
         return state
 
+    @override
     def step(
         self, key: Key[Array, ""], state: Int[Array, ""], action: Int[Array, ""]
     ) -> tuple[Int[Array, ""], TimeStep]:
-        """See `Env`; an environment with one branch draws nothing."""
+        """An environment with one branch draws nothing."""
         action = jnp.clip(action, 0, self.action_space.num - 1)
         branch = jnp.zeros((), jnp.int32)
         if self.num_branches > 1:

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
+from typing_extensions import override
 
 from bojax.envs.base import TimeStep
 from bojax.envs.spaces import Discrete
@@ -48,33 +49,34 @@ class Taxi(TabularEnv):
     max_steps: int = eqx.field(static=True)
 
     @property
+    @override
     def observation_space(self) -> Discrete:
-        """See `Env`."""
         return Discrete(500)
 
     @property
+    @override
     def action_space(self) -> Discrete:
-        """See `Env`."""
         return Discrete(6)
 
     @property
+    @override
     def num_branches(self) -> int:
-        """See `TabularEnv`."""
         return 1
 
+    @override
     def reset(self, key: Key[Array, ""]) -> Int[Array, ""]:
-        """See `Env`."""
         lot = jax.random.randint(key, (), 0, 300, jnp.int32)
         cell, passenger, ahead = lot // 12, lot // 3 % 4, lot % 3
         return (cell * 5 + passenger) * 4 + (passenger + 1 + ahead) % 4
 
+    @override
     def probabilities(self, state: Int[Array, ""], action: Int[Array, ""]) -> Float[Array, "1"]:
-        """See `TabularEnv`: nothing is left to chance."""
+        """Nothing is left to chance."""
         del state, action
         return jnp.ones((1,), self.reward_scale.dtype)
 
+    @override
     def outcome(self, state: Int[Array, ""], action: Int[Array, ""], branch: Int[Array, ""]) -> TimeStep:
-        """See `TabularEnv`."""
         del branch
         cell, passenger, destination = state // 20, state // 4 % 5, state % 4
         row, column = cell // SIZE, cell % SIZE

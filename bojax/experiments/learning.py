@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key, Scalar
+from typing_extensions import override
 
 from bojax.envs.base import Env, EnvState, Observation
 from bojax.envs.spaces import Box
@@ -81,8 +82,8 @@ class LearningRun(Experiment):
         self.learner.check_spaces(self.env.observation_space, self.env.action_space)
 
     @property
+    @override
     def tables(self) -> Mapping[str, Table]:
-        """See `Experiment`."""
         return {
             "runs": _RUN_COLUMNS + (_TARGET_COLUMNS if self.target_return is not None else ()),
             "episodes": _EPISODE_COLUMNS,
@@ -90,27 +91,28 @@ class LearningRun(Experiment):
         }
 
     @property
+    @override
     def recorded_tables(self) -> frozenset[str]:
-        """See `Experiment`: the steps of all runs would take gigabytes."""
+        """The steps of all runs would take gigabytes."""
         return frozenset({"steps"})
 
     @property
+    @override
     def is_hosted(self) -> bool:
-        """See `Experiment`."""
         return self.env.is_hosted
 
     @property
+    @override
     def lanes_on_cpu(self) -> int:
-        """See `Experiment`."""
         return self.learner.lanes_on_cpu
 
     @property
+    @override
     def max_advances(self) -> int:
-        """See `Experiment`."""
         return self.episodes
 
+    @override
     def init(self, key: Key[Array, ""]) -> RunState:
-        """See `Experiment`."""
         learner = self.saved
         if learner is None:
             learner = self.new_learner(jax.random.fold_in(key, 0), self.episodes * self.env.max_steps)
@@ -134,8 +136,8 @@ class LearningRun(Experiment):
             maps=maps,
         )
 
+    @override
     def advance(self, carry: RunState) -> tuple[RunState, Records]:
-        """See `Experiment`."""
         training = self.training(carry)
         episode = training.begin(carry.learner, *self.reset(carry, training), ~carry.is_done)
         episode = run_episode(training, episode)
@@ -151,12 +153,12 @@ class LearningRun(Experiment):
             _, tests = jax.lax.scan(run_test, None, jnp.arange(1, self.tests + 1))
         return self.close(carry, episode, learner, tests)
 
+    @override
     def is_done(self, carry: RunState) -> Bool[Array, ""]:
-        """See `Experiment`."""
         return carry.is_done
 
+    @override
     def summary(self, carry: RunState) -> dict[str, Scalar]:
-        """See `Experiment`."""
         summary = {
             "return": carry.last_return,
             "success": carry.episodes_to_goal >= 0,
@@ -173,8 +175,9 @@ class LearningRun(Experiment):
             summary["return_after_target"] = target.return_after / target.tests_after.astype(self._dtype)
         return summary
 
+    @override
     def snapshot(self, carry: RunState) -> dict[str, dict[str, Array]]:
-        """See `Experiment`: the maps of Q and U, and the bounds of the observations."""
+        """The maps of Q and U, and the bounds of the observations."""
         if carry.maps is None:
             return {}
         values = {"maps": carry.maps, "episodes": jnp.asarray(self.map_episodes, jnp.int32)}
@@ -182,8 +185,9 @@ class LearningRun(Experiment):
             values |= {"low": space.low, "high": space.high}
         return {"values": values}
 
+    @override
     def exported_state(self, carry: RunState) -> LearnerState:
-        """See `Experiment`: the state of the learner, without its memory of transitions."""
+        """The state of the learner, without its memory of transitions."""
         return self.learner.policy_state(carry.learner)
 
     def new_learner(self, key: Key[Array, ""], capacity: int) -> LearnerState:

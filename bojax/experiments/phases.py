@@ -19,6 +19,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key, UInt32
+from typing_extensions import override
 
 from bojax.envs.base import Action, Env, EnvState, Observation, TimeStep
 from bojax.experiments.episode import EpisodeState, apply_transition
@@ -147,11 +148,13 @@ class TrainingPhase(Phase):
     """A training episode: the learner learns from every step, and from the whole episode at its end."""
 
     @property
+    @override
     def num_rows(self) -> int:
-        """See `Phase`: the time limit, rounded up to whole blocks."""
+        """The time limit, rounded up to whole blocks."""
         block = self.learner.block
         return -(-self.env.max_steps // block) * block
 
+    @override
     def apply(
         self,
         key: Key[Array, ""],
@@ -161,7 +164,7 @@ class TrainingPhase(Phase):
         time_step: TimeStep,
         step: Int[Array, ""],
     ) -> EpisodeState:
-        """See `Phase`: `learn_step` and `apply_transition`."""
+        """`learn_step` and `apply_transition`."""
         after, counts = apply_transition(self.env, episode, env_state, time_step)
         transition = Transition(
             observation=episode.observation,
@@ -189,8 +192,8 @@ class TrainingPhase(Phase):
         exploration = self._exploration_if(counts)
         return self.learner.observe(key, learner, transition, exploration, step % self.learner.block)
 
+    @override
     def flush(self, episode: EpisodeState) -> EpisodeState:
-        """See `Phase`."""
         return eqx.tree_at(lambda e: e.learner, episode, self.learner.flush(episode.learner))
 
     def end(self, key: Key[Array, ""], episode: EpisodeState) -> LearnerState:
@@ -209,10 +212,12 @@ class TestPhase(Phase):
     """A test episode: the learner exploits and does not learn."""
 
     @property
+    @override
     def num_rows(self) -> int:
-        """See `Phase`: no step is kept."""
+        """No step is kept."""
         return 0
 
+    @override
     def apply(
         self,
         key: Key[Array, ""],
@@ -222,12 +227,12 @@ class TestPhase(Phase):
         time_step: TimeStep,
         step: Int[Array, ""],
     ) -> EpisodeState:
-        """See `Phase`."""
         del key, choice, step
         return apply_transition(self.env, episode, env_state, time_step)[0]
 
+    @override
     def flush(self, episode: EpisodeState) -> EpisodeState:
-        """See `Phase`: there is nothing to flush."""
+        """There is nothing to flush."""
         return episode
 
 

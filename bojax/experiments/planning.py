@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key, Scalar
+from typing_extensions import override
 
 from bojax.experiments.base import Experiment, Records
 from bojax.motions.base import tightest_radius
@@ -86,22 +87,22 @@ class PlanningEpisode(Experiment):
             )
 
     @property
+    @override
     def tables(self) -> Mapping[str, Table]:
-        """See `Experiment`."""
         return {"runs": _RUN_COLUMNS + self.problem.scores, "steps": _STEP_COLUMNS + POSE_COLUMNS}
 
     @property
+    @override
     def lanes_on_cpu(self) -> int:
-        """See `Experiment`."""
         return self.problem.lanes_on_cpu
 
     @property
+    @override
     def max_advances(self) -> int:
-        """See `Experiment`."""
         return self.problem.max_steps
 
+    @override
     def init(self, key: Key[Array, ""]) -> Episode:
-        """See `Experiment`."""
         key_world, key_planner = jax.random.split(key)
         world = self.problem.reset(jax.random.fold_in(key_world, 0))
         start = self.problem.pose(world)
@@ -128,8 +129,8 @@ class PlanningEpisode(Experiment):
             else jnp.full((self.problem.max_steps, *events.frames.shape), jnp.nan, events.frames.dtype),
         )
 
+    @override
     def advance(self, carry: Episode) -> tuple[Episode, Records]:
-        """See `Experiment`."""
         active = ~carry.is_done
         key = jax.random.fold_in(carry.key_planner, carry.step)
         plan = self.planner.plan(key, self.problem, carry.belief)
@@ -181,12 +182,12 @@ class PlanningEpisode(Experiment):
         )
         return _where(active, after, carry), records
 
+    @override
     def is_done(self, carry: Episode) -> Bool[Array, ""]:
-        """See `Experiment`."""
         return carry.is_done
 
+    @override
     def summary(self, carry: Episode) -> dict[str, Scalar]:
-        """See `Experiment`."""
         return {
             "return": carry.accumulated,
             "success": carry.success,
@@ -195,6 +196,7 @@ class PlanningEpisode(Experiment):
             **self.problem.score(carry.world, carry.belief),
         }
 
+    @override
     def snapshot(self, carry: Episode) -> dict[str, dict[str, Array]]:
         """The planned and driven paths, and the arrays of the problem, for figures and animations."""
         paths = {"paths": carry.paths, "plans": carry.plans, "start": carry.start}

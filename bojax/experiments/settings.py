@@ -4,6 +4,7 @@ from typing import Annotated, ClassVar, Literal
 
 import pydantic
 from pydantic import Field
+from typing_extensions import override
 
 from bojax.config.component import Component, External, Slot
 from bojax.learning.settings import Constant, Exploit, UntilTarget
@@ -47,6 +48,7 @@ class Planning(ExperimentSettings, frozen=True):
         return self
 
     @property
+    @override
     def label(self) -> str:
         """The planner's name."""
         return self.planner.label
@@ -98,6 +100,7 @@ class Learning(ExperimentSettings, frozen=True):
         return self
 
     @property
+    @override
     def label(self) -> str:
         """The learner's name."""
         return self.learner.label
@@ -119,6 +122,7 @@ class Trajectories(ExperimentSettings, frozen=True):
     )
 
     @property
+    @override
     def label(self) -> str:
         """The name of the family."""
         return self.motions.label

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key, Scalar
+from typing_extensions import override
 
 from bojax.experiments.base import Experiment, Records
 from bojax.motions.base import DiscreteMotions, Motions
@@ -28,33 +29,35 @@ class TrajectoryGallery(Experiment):
     levels: int = eqx.field(static=True)
 
     @property
+    @override
     def tables(self) -> Mapping[str, Table]:
-        """See `Experiment`."""
         return {"runs": (Column("trajectories", "int32", "", "trajectories drawn"),)}
 
     @property
+    @override
     def max_advances(self) -> int:
-        """See `Experiment`."""
         return 1
 
+    @override
     def init(self, key: Key[Array, ""]) -> Gallery:
-        """See `Experiment`; nothing here is random, but lanes must depend on their key to be a batch."""
+        """Nothing here is random, but lanes must depend on their key to be a batch."""
         return Gallery(jax.random.bits(key) < 0)
 
+    @override
     def advance(self, carry: Gallery) -> tuple[Gallery, Records]:
-        """See `Experiment`."""
         records = Records(tables={}, active_steps=(~carry.is_done).astype(jnp.int32))
         return Gallery(jnp.ones_like(carry.is_done)), records
 
+    @override
     def is_done(self, carry: Gallery) -> Bool[Array, ""]:
-        """See `Experiment`."""
         return carry.is_done
 
+    @override
     def summary(self, carry: Gallery) -> dict[str, Scalar]:
-        """See `Experiment`."""
         del carry
         return {"trajectories": jnp.asarray(self.paths().shape[0], jnp.int32)}
 
+    @override
     def snapshot(self, carry: Gallery) -> dict[str, dict[str, Array]]:
         """The paths."""
         del carry

@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Scalar
+from typing_extensions import override
 
 from bojax.fields.base import Field
 
@@ -28,8 +29,8 @@ class Blocks(Field):
                 f"boxes and heights: got {self.boxes.shape[0]} and {self.heights.shape[0]} of them"
             )
 
+    @override
     def __call__(self, x: Float[Array, "2"]) -> Scalar:
-        """See `Field`."""
         is_on = self.covers(x)
         return jnp.max(jnp.where(is_on, self.heights, 0.0), initial=0.0)
 

@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Scalar
+from typing_extensions import override
 
 from bojax.fields.base import Field
 
@@ -26,8 +27,8 @@ class Bumps(Field):
                 f"{self.widths.shape[0]} of them; as many of each are needed"
             )
 
+    @override
     def __call__(self, x: Float[Array, "2"]) -> Scalar:
-        """See `Field`."""
         squared = jnp.sum((x[None, :] - self.centres) ** 2, axis=-1)
         return jnp.sum(self.heights * jnp.exp(-0.5 * squared / self.widths**2))
 
@@ -43,8 +44,8 @@ class Step(Field):
     height: Float[Array, ""]
     width: Float[Array, ""]
 
+    @override
     def __call__(self, x: Float[Array, "2"]) -> Scalar:
-        """See `Field`."""
         offset = x - self.point
         across = offset[0] * jnp.cos(self.direction) + offset[1] * jnp.sin(self.direction)
         return self.height * jnp.tanh(across / self.width)

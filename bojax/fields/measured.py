@@ -5,6 +5,7 @@ import numpy as np
 from jax.scipy.ndimage import map_coordinates
 from jaxtyping import Array, Float, Scalar
 from scipy.interpolate import griddata
+from typing_extensions import override
 
 from bojax.fields.base import Field
 from bojax.fields.data import read_array
@@ -32,8 +33,8 @@ class GridField(Field):
         self.table = jnp.asarray(read_array(file), extent.dtype)
         self.extent = extent
 
+    @override
     def __call__(self, x: Float[Array, "2"]) -> Scalar:
-        """See `Field`."""
         return _interpolate(self.table, self.extent, x)
 
 
@@ -71,8 +72,8 @@ class ScatteredField(Field):
         self.table = jnp.asarray(table, extent.dtype)
         self.extent = extent
 
+    @override
     def __call__(self, x: Float[Array, "2"]) -> Scalar:
-        """See `Field`."""
         return _interpolate(self.table, self.extent, x)
 
 

@@ -6,6 +6,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import pydantic
 from pydantic import Field
+from typing_extensions import override
 
 from bojax.config.component import Component
 from bojax.fields.data import read_array, sha256_of
@@ -155,6 +156,7 @@ class Grid(_Measured, frozen=True):
 
     kind: Literal["grid"] = "grid"
 
+    @override
     def _check(self, shape: tuple[int, ...]) -> None:
         if min(shape) < 2:
             raise ValueError(f"{self.file}: a grid of {shape[0]} x {shape[1]}; at least 2 x 2 are needed")
@@ -172,6 +174,7 @@ class Scattered(_Measured, frozen=True):
         description="points on each side of the grid onto which the measurements are interpolated",
     )
 
+    @override
     def _check(self, shape: tuple[int, ...]) -> None:
         if shape[1] != 3:
             raise ValueError(f"{self.file}: {shape[1]} columns; x, y and value are needed")

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
+from typing_extensions import override
 
 from bojax.envs.base import Action, Observation
 from bojax.envs.spaces import Box, Discrete, Space
@@ -53,14 +54,16 @@ class EMUQ(Learner):
 
     # Algorithm 6.
 
+    @override
     def check_spaces(self, observation_space: Space, action_space: Space) -> None:
-        """See `Learner`: its features decide."""
+        """Its features decide."""
         self.features.check_spaces(observation_space, action_space)
 
+    @override
     def init(
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, capacity: int
     ) -> EMUQState:
-        """See `Learner`: line 3, S = I/alpha and m_Q = m_U = 0."""
+        """Line 3, S = I/alpha and m_Q = m_U = 0."""
         key_features, key_candidates, key_samples = jax.random.split(key, 3)
         dtype = self.prior_precision.dtype
         features = self.features.draw(key_features, observation_space, action_space, dtype)
@@ -80,6 +83,7 @@ class EMUQ(Learner):
         memory = Memory.empty(capacity, observation, candidates[0], dtype)
         return EMUQState(features, posterior, memory, candidates, samples)
 
+    @override
     def act(
         self,
         key: Key[Array, ""],
@@ -87,7 +91,7 @@ class EMUQ(Learner):
         observation: Observation,
         exploration: ExplorationState,
     ) -> tuple[Action, Float[Array, ""]]:
-        """See `Learner`: line 6, argmax Q + kappa U over the candidates (5.10)."""
+        """Line 6, argmax Q + kappa U over the candidates (5.10)."""
         key_draw, key_ties = jax.random.split(key)
         model, kappa = self.model, exploration.scale * self.exploration_weight
         candidates, _ = model.actions(key_draw, state)
@@ -107,6 +111,7 @@ class EMUQ(Learner):
             expected = model.values(state.posterior, state.phi(x, action[None]))[0, Q]
         return action, expected
 
+    @override
     def observe(
         self,
         key: Key[Array, ""],
@@ -115,7 +120,7 @@ class EMUQ(Learner):
         exploration: ExplorationState,
         step_in_block: Int[Array, ""],
     ) -> EMUQState:
-        """See `Learner`: lines 8 to 12."""
+        """Lines 8 to 12."""
         model, features, posterior = self.model, state.features, state.posterior
         candidates, samples = model.actions(key, state)
         kappa = exploration.scale * self.exploration_weight
@@ -141,10 +146,11 @@ class EMUQ(Learner):
         )
         return eqx.tree_at(lambda s: s.posterior, state, posterior)
 
+    @override
     def end_episode(
         self, key: Key[Array, ""], state: EMUQState, episode: Episode, exploration: ExplorationState
     ) -> EMUQState:
-        """See `Learner`: lines 14 to 17; the covariance stays the same."""
+        """Lines 14 to 17; the covariance stays the same."""
         if self.refit == "none":
             return state
         state = eqx.tree_at(lambda s: s.memory, state, state.memory.add(episode, exploration.is_learning))
@@ -155,28 +161,31 @@ class EMUQ(Learner):
     # The rest of the interface of a learner.
 
     @property
+    @override
     def exploration_weight(self) -> Float[Array, ""]:
-        """See `Learner`: kappa / V_max."""
+        """Kappa / V_max."""
         return self.kappa * self.prior_precision
 
     @property
+    @override
     def lanes_on_cpu(self) -> int:
-        """See `Learner`: the covariances of more lanes do not fit into the cache of a core."""
+        """The covariances of more lanes do not fit into the cache of a core."""
         return 8
 
+    @override
     def flush(self, state: EMUQState) -> EMUQState:
-        """See `Learner`: flush the covariance."""
+        """Flush the covariance."""
         return eqx.tree_at(lambda s: s.posterior, state, state.posterior.flush())
 
+    @override
     def policy_state(self, state: EMUQState) -> EMUQState:
-        """See `Learner`."""
         memory = jax.tree.map(lambda rows: jnp.zeros_like(rows[:1] if rows.ndim else rows), state.memory)
         return eqx.tree_at(lambda s: s.memory, state, memory)
 
+    @override
     def values(
         self, state: EMUQState, observation: Observation, action: Action
     ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        """See `Learner`."""
         values = self.model.values(state.posterior, state.features(observation, action)[None])[0]
         return values[Q], values[U]
 

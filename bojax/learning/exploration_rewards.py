@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 
 class ExplorationReward(eqx.Module):
@@ -27,8 +28,8 @@ class FirstVisit(ExplorationReward):
     Settings: `bojax.learning.settings.FirstVisit`.
     """
 
+    @override
     def __call__(self, count: Float[Array, ""], next_counts: Float[Array, "A"]) -> Float[Array, ""]:
-        """See `ExplorationReward`."""
         del next_counts
         return -(count > 0).astype(count.dtype)
 
@@ -42,7 +43,7 @@ class NextUncertainty(ExplorationReward):
     Settings: `bojax.learning.settings.NextUncertainty`.
     """
 
+    @override
     def __call__(self, count: Float[Array, ""], next_counts: Float[Array, "A"]) -> Float[Array, ""]:
-        """See `ExplorationReward`."""
         del count
         return jnp.mean(jax.lax.rsqrt(1.0 + next_counts)) - 1.0

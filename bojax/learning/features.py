@@ -12,6 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
+from typing_extensions import override
 
 from bojax.envs.base import Action, Observation
 from bojax.envs.spaces import Discrete, Space
@@ -82,30 +83,34 @@ class FourierFeatures(StateActionFeatures):
     has_sines: bool = eqx.field(static=True)
 
     @property
+    @override
     def num_features(self) -> int:
-        """See `StateActionFeatures`."""
         return len(self.phases) * (1 + self.has_sines)
 
+    @override
     def state(self, observation: Observation) -> Float[Array, "P"]:
-        """See `StateActionFeatures`: cosines and sines of the angles that the state contributes."""
+        """Cosines and sines of the angles that the state contributes."""
         unit = self.observations.to_unit(observation).astype(self.phases.dtype)
         angles = matmul(self.state_frequencies, unit) + self.phases
         return self.amplitude * jnp.concatenate([jnp.cos(angles), jnp.sin(angles)])
 
+    @override
     def action(self, action: Action) -> Float[Array, "R"]:
-        """See `StateActionFeatures`: cosines and sines of the angles that the action contributes."""
+        """Cosines and sines of the angles that the action contributes."""
         unit = self.actions.to_unit(action).astype(self.phases.dtype)
         angles = matmul(self.action_frequencies, unit)
         return jnp.concatenate([jnp.cos(angles), jnp.sin(angles)])
 
+    @override
     def join(self, x: Float[Array, "P"], y: Float[Array, "R"]) -> Float[Array, "M"]:
-        """See `StateActionFeatures`: cosines (and sines) of the sums of the angles."""
+        """Cosines (and sines) of the sums of the angles."""
         (cx, sx), (cy, sy) = jnp.split(x, 2), jnp.split(y, 2)
         cosines = cx * cy - sx * sy
         return jnp.concatenate([cosines, sx * cy + cx * sy]) if self.has_sines else cosines
 
+    @override
     def __call__(self, observation: Observation, action: Action) -> Float[Array, "M"]:
-        """See `StateActionFeatures`: computed from the whole angles, with half as many cosines and sines."""
+        """Computed from the whole angles, with half as many cosines and sines."""
         dtype = self.phases.dtype
         state = self.observations.to_unit(observation).astype(dtype)
         angles = matmul(self.state_frequencies, state) + self.phases
@@ -113,8 +118,8 @@ class FourierFeatures(StateActionFeatures):
         parts = [jnp.cos(angles), jnp.sin(angles)] if self.has_sines else [jnp.cos(angles)]
         return self.amplitude * jnp.concatenate(parts)
 
+    @override
     def split(self, weights: Float[Array, "M"], y: Float[Array, "R"]) -> Float[Array, "P"]:
-        """See `StateActionFeatures`."""
         cy, sy = jnp.split(y, 2)
         if not self.has_sines:
             return jnp.concatenate([weights * cy, -weights * sy])
@@ -136,24 +141,24 @@ class OneHotFeatures(StateActionFeatures):
     one: Float[Array, ""]
 
     @property
+    @override
     def num_features(self) -> int:
-        """See `StateActionFeatures`."""
         return self.observations.num * self._num_actions
 
+    @override
     def state(self, observation: Observation) -> Float[Array, "P"]:
-        """See `StateActionFeatures`."""
         return jax.nn.one_hot(observation, self.observations.num, dtype=self.one.dtype)
 
+    @override
     def action(self, action: Action) -> Float[Array, "R"]:
-        """See `StateActionFeatures`."""
         return jax.nn.one_hot(action, self._num_actions, dtype=self.one.dtype)
 
+    @override
     def join(self, x: Float[Array, "P"], y: Float[Array, "R"]) -> Float[Array, "M"]:
-        """See `StateActionFeatures`."""
         return (x[:, None] * y[None, :]).ravel()
 
+    @override
     def split(self, weights: Float[Array, "M"], y: Float[Array, "R"]) -> Float[Array, "P"]:
-        """See `StateActionFeatures`."""
         return matmul(weights.reshape(self.observations.num, self._num_actions), y)
 
     @property
@@ -197,10 +202,10 @@ class RandomFourierSpec(FeatureSpec):
     sampling: Sampling = eqx.field(static=True)
     form: Literal["cos-sin", "phase"] = eqx.field(static=True)
 
+    @override
     def draw(
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, dtype: jnp.dtype
     ) -> FourierFeatures:
-        """See `FeatureSpec`."""
         num_observations, num_actions = observation_space.num_dims, action_space.num_dims
         key_frequencies, key_phases = jax.random.split(key)
         lengthscale = jnp.concatenate(
@@ -240,10 +245,11 @@ class FourierBasisSpec(FeatureSpec):
 
     order: int = eqx.field(static=True)
 
+    @override
     def draw(
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, dtype: jnp.dtype
     ) -> FourierFeatures:
-        """See `FeatureSpec`; the key is unused."""
+        """The key is unused."""
         del key
         num_observations = observation_space.num_dims
         basis = FourierBasis(self.order, num_observations + action_space.num_dims)
@@ -265,15 +271,16 @@ class OneHotSpec(FeatureSpec):
     Settings: `bojax.learning.settings.Indicators`.
     """
 
+    @override
     def check_spaces(self, observation_space: Space, action_space: Space) -> None:
-        """See `FeatureSpec`."""
         _discrete(observation_space)
         _discrete(action_space)
 
+    @override
     def draw(
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, dtype: jnp.dtype
     ) -> OneHotFeatures:
-        """See `FeatureSpec`; the key is unused."""
+        """The key is unused."""
         del key
         return OneHotFeatures(_discrete(observation_space), _discrete(action_space), jnp.ones((), dtype))
 

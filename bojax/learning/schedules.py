@@ -5,6 +5,7 @@ import abc
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
+from typing_extensions import override
 
 from bojax.learning.base import ExplorationState
 
@@ -28,8 +29,8 @@ class Constant(Schedule):
     Settings: `bojax.learning.settings.Constant`.
     """
 
+    @override
     def __call__(self, episode: Int[Array, ""], has_reached: Bool[Array, ""]) -> ExplorationState:
-        """See `Schedule`."""
         del has_reached
         return ExplorationState(jnp.ones((), jnp.result_type(float)), episode >= 0)
 
@@ -42,8 +43,8 @@ class Decay(Schedule):
 
     rate: Float[Array, ""]
 
+    @override
     def __call__(self, episode: Int[Array, ""], has_reached: Bool[Array, ""]) -> ExplorationState:
-        """See `Schedule`."""
         del has_reached
         return ExplorationState(1.0 / (1.0 + self.rate * episode.astype(self.rate.dtype)), episode >= 0)
 
@@ -59,8 +60,8 @@ class Linear(Schedule):
     episodes: Float[Array, ""]
     final: Float[Array, ""]
 
+    @override
     def __call__(self, episode: Int[Array, ""], has_reached: Bool[Array, ""]) -> ExplorationState:
-        """See `Schedule`."""
         del has_reached
         share = jnp.minimum(episode.astype(self.episodes.dtype) / self.episodes, 1.0)
         return ExplorationState(1.0 + share * (self.final - 1.0), episode >= 0)
@@ -76,8 +77,8 @@ class Budget(Schedule):
     resume_after: Float[Array, ""] | None
     learns_without: bool = eqx.field(static=True)
 
+    @override
     def __call__(self, episode: Int[Array, ""], has_reached: Bool[Array, ""]) -> ExplorationState:
-        """See `Schedule`."""
         del has_reached
         episode = episode.astype(self.episodes.dtype)
         explores = episode < self.episodes
@@ -94,8 +95,8 @@ class UntilTarget(Schedule):
 
     learns_after: bool = eqx.field(static=True)
 
+    @override
     def __call__(self, episode: Int[Array, ""], has_reached: Bool[Array, ""]) -> ExplorationState:
-        """See `Schedule`."""
         del episode
         return ExplorationState(
             (~has_reached).astype(jnp.result_type(float)), ~has_reached | self.learns_after
@@ -108,7 +109,7 @@ class Exploit(Schedule):
     Settings: `bojax.learning.settings.Exploit`.
     """
 
+    @override
     def __call__(self, episode: Int[Array, ""], has_reached: Bool[Array, ""]) -> ExplorationState:
-        """See `Schedule`."""
         del has_reached
         return ExplorationState(jnp.zeros((), jnp.result_type(float)), episode < 0)

@@ -3,6 +3,7 @@
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
+from typing_extensions import override
 
 from bojax.config.component import Component, Slot
 
@@ -177,6 +178,7 @@ class EMUQPublished(_EMUQ, frozen=True):
     mixes_transitions: _MixesTransitions = True
 
     @property
+    @override
     def label(self) -> str:
         """Results name both variants EMU-Q."""
         return "emu-q"

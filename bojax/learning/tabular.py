@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
+from typing_extensions import override
 
 from bojax.envs.spaces import Discrete, Space
 from bojax.learning.base import ExplorationState, Learner, Transition
@@ -79,15 +80,17 @@ class TabularLearner(Learner):
             next_row: Row of the table for the next state.
         """
 
+    @override
     def check_spaces(self, observation_space: Space, action_space: Space) -> None:
-        """See `Learner`: a table has a row for each number."""
+        """A table has a row for each number."""
         _num(observation_space, "observation_space")
         _num(action_space, "action_space")
 
+    @override
     def init(
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, capacity: int
     ) -> Tables:
-        """See `Learner`.
+        """Tables of the initial values.
 
         Raises:
             ValueError: A space is not discrete.
@@ -98,6 +101,7 @@ class TabularLearner(Learner):
         entry = jnp.append(self.initial_values, 0.0)
         return Tables(jnp.broadcast_to(entry, (num_states, num_actions, *entry.shape)))
 
+    @override
     def observe(
         self,
         key: Key[Array, ""],
@@ -106,7 +110,7 @@ class TabularLearner(Learner):
         exploration: ExplorationState,
         step_in_block: Int[Array, ""],
     ) -> Tables:
-        """See `Learner`: the update that all tabular learners share."""
+        """The update that all tabular learners share."""
         del step_in_block
         pair = transition.observation, transition.action
         entry = _row(state, transition.observation)[transition.action]
@@ -117,16 +121,17 @@ class TabularLearner(Learner):
         # The entry is updated by adding 0 where nothing is learned: a select would copy the whole table.
         return Tables(state.columns.at[pair].add(change, mode="drop"))
 
+    @override
     def values(
         self, state: Tables, observation: Int[Array, ""], action: Int[Array, ""]
     ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        """See `Learner`."""
         entry = _row(state, observation)[action]
         return entry[Q], entry[U] if entry.shape[0] > 2 else jnp.zeros_like(entry[Q])
 
     @property
+    @override
     def lanes_on_cpu(self) -> int:
-        """See `Learner`: the 200 runs of a point of a sweep fill two cores."""
+        """The 200 runs of a point of a sweep fill two cores."""
         return 100
 
 
@@ -152,23 +157,25 @@ class ExplorationValues(TabularLearner):
     terminal_u: Literal["masked", "bootstrap"] = eqx.field(static=True)
 
     @property
+    @override
     def exploration_weight(self) -> Float[Array, ""]:
-        """See `Learner`: kappa."""
+        """Kappa."""
         return self.kappa
 
     @property
+    @override
     def initial_values(self) -> Float[Array, "2"]:
-        """See `TabularLearner`."""
         return jnp.stack([self.initial_q, self.initial_u])
 
+    @override
     def act(
         self, key: Key[Array, ""], state: Tables, observation: Int[Array, ""], exploration: ExplorationState
     ) -> tuple[Int[Array, ""], Float[Array, ""]]:
-        """See `Learner`."""
         row = _row(state, observation)
         action = self._best(key, row, exploration)
         return action, row[action, Q]
 
+    @override
     def td_target(
         self,
         key: Key[Array, ""],
@@ -177,7 +184,6 @@ class ExplorationValues(TabularLearner):
         visits: Float[Array, ""],
         next_row: Float[Array, "A 3"],
     ) -> Float[Array, "2"]:
-        """See `TabularLearner`."""
         bonus = self.exploration_reward(visits, next_row[:, -1])
         greatest = jnp.max(next_row[:, :-1], axis=0)
         if self.bootstrap == "max":
@@ -209,24 +215,26 @@ class AdditiveRewards(TabularLearner):
     exploration_reward: ExplorationReward
 
     @property
+    @override
     def exploration_weight(self) -> Float[Array, ""]:
-        """See `Learner`: xi."""
+        """Xi."""
         return self.xi
 
     @property
+    @override
     def initial_values(self) -> Float[Array, "1"]:
-        """See `TabularLearner`."""
         return self.initial_q[None]
 
+    @override
     def act(
         self, key: Key[Array, ""], state: Tables, observation: Int[Array, ""], exploration: ExplorationState
     ) -> tuple[Int[Array, ""], Float[Array, ""]]:
-        """See `Learner`."""
         del exploration
         q = _row(state, observation)[:, Q]
         action = best_action(key, q, jnp.zeros_like(q), jnp.zeros_like(self.discount), self.ties)
         return action, q[action]
 
+    @override
     def td_target(
         self,
         key: Key[Array, ""],
@@ -235,7 +243,6 @@ class AdditiveRewards(TabularLearner):
         visits: Float[Array, ""],
         next_row: Float[Array, "A 2"],
     ) -> Float[Array, "1"]:
-        """See `TabularLearner`."""
         del key
         bonus = self.exploration_reward(visits, next_row[:, -1])
         reward = transition.reward + self.xi * exploration.scale * bonus
@@ -251,19 +258,20 @@ class EpsilonGreedy(TabularLearner):
     epsilon: Float[Array, ""]
 
     @property
+    @override
     def exploration_weight(self) -> Float[Array, ""]:
-        """See `Learner`: epsilon."""
+        """Epsilon."""
         return self.epsilon
 
     @property
+    @override
     def initial_values(self) -> Float[Array, "1"]:
-        """See `TabularLearner`."""
         return self.initial_q[None]
 
+    @override
     def act(
         self, key: Key[Array, ""], state: Tables, observation: Int[Array, ""], exploration: ExplorationState
     ) -> tuple[Int[Array, ""], Float[Array, ""]]:
-        """See `Learner`."""
         row = _row(state, observation)
         # One uniform draw decides both whether to explore and which action to take: given either outcome of
         # the first decision, the rescaled draw is uniform again.
@@ -277,6 +285,7 @@ class EpsilonGreedy(TabularLearner):
         action = random_argmax(jnp.where(is_random, random_draw, greedy_draw), scores)
         return action, row[action, Q]
 
+    @override
     def td_target(
         self,
         key: Key[Array, ""],
@@ -285,7 +294,6 @@ class EpsilonGreedy(TabularLearner):
         visits: Float[Array, ""],
         next_row: Float[Array, "A 2"],
     ) -> Float[Array, "1"]:
-        """See `TabularLearner`."""
         del key, exploration, visits
         return transition.reward[None] + self.discount * _greedy_value(transition, next_row)
 

@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from typing_extensions import override
 
 from bojax.models.bayesian_linear_regression import (
     BayesianLinearRegression,
@@ -80,6 +81,7 @@ class _Regressor(abc.ABC):
             regressor_tags=RegressorTags(),
         )
 
+    @override
     def __repr__(self) -> str:
         settings = ", ".join(f"{name}={value}" for name, value in self.get_params().items())
         return f"{type(self).__name__}({settings})"
@@ -213,6 +215,7 @@ class GaussianProcessRegressor(_Regressor):
         self.log_marginal_likelihood_ = float(posterior.log_marginal_likelihood())
         return self
 
+    @override
     def predict(self, X: Any, return_std: bool = False) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
         """Posterior mean, and standard deviation of the noise-free function, at the rows of X.
 
@@ -223,6 +226,7 @@ class GaussianProcessRegressor(_Regressor):
         mean, variance = _predict(self.posterior_, jnp.asarray(X, self.posterior_.x.dtype))
         return (np.asarray(mean), np.sqrt(np.asarray(variance))) if return_std else np.asarray(mean)
 
+    @override
     def _fitted_dtype(self) -> str:
         return str(self.posterior_.x.dtype)
 
@@ -284,6 +288,7 @@ class BayesianLinearRegressor(_Regressor):
         self.log_marginal_likelihood_ = float(log_marginal_likelihood(design, y, *precisions))
         return self
 
+    @override
     def predict(self, X: Any, return_std: bool = False) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
         """Posterior mean, and standard deviation of the noise-free value, at the rows of X.
 
@@ -295,6 +300,7 @@ class BayesianLinearRegressor(_Regressor):
         mean, variance = self.posterior_.predict(design)
         return (np.asarray(mean), np.sqrt(np.asarray(variance))) if return_std else np.asarray(mean)
 
+    @override
     def _fitted_dtype(self) -> str:
         return str(self.posterior_.mean.dtype)
 

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import erf, ndtri
 from jaxtyping import Array, Float, Key
+from typing_extensions import override
 
 from bojax.models.kernels import RBF, Kernel, Matern12, Matern32, Matern52, Product, Scaled, Sum
 from bojax.numerics.linalg import matmul
@@ -98,12 +99,13 @@ class RandomFourier(Features):
         return cls(jnp.concatenate(frequencies), jnp.concatenate(amplitudes))
 
     @property
+    @override
     def num_features(self) -> int:
-        """See `Features`."""
         return 2 * len(self.amplitudes)
 
+    @override
     def __call__(self, x: Float[Array, "D"]) -> Float[Array, "M"]:
-        """See `Features`: first the cosines, then the sines."""
+        """First the cosines, then the sines."""
         angles = matmul(self.frequencies, x)
         return jnp.concatenate([self.amplitudes * jnp.cos(angles), self.amplitudes * jnp.sin(angles)])
 
@@ -127,12 +129,12 @@ class FourierBasis(Features):
         _refuse_below(1, "num_dims", self.num_dims)
 
     @property
+    @override
     def num_features(self) -> int:
-        """See `Features`."""
         return (self.order + 1) ** self.num_dims
 
+    @override
     def __call__(self, x: Float[Array, "D"]) -> Float[Array, "M"]:
-        """See `Features`."""
         return jnp.cos(matmul(jnp.asarray(self.frequencies(), x.dtype), x))
 
     def frequencies(self) -> np.ndarray:
@@ -159,12 +161,12 @@ class Polynomial(Features):
         _refuse_below(1, "num_dims", self.num_dims)
 
     @property
+    @override
     def num_features(self) -> int:
-        """See `Features`."""
         return len(self._factors())
 
+    @override
     def __call__(self, x: Float[Array, "D"]) -> Float[Array, "M"]:
-        """See `Features`."""
         # The factor past the last coordinate is 1: it fills up the products of fewer than `degree`.
         return jnp.prod(jnp.append(x, jnp.ones((), x.dtype))[self._factors()], axis=1)
 
@@ -197,12 +199,12 @@ class RadialBasis(Features):
             raise ValueError("centres: got 0; allowed: >= 1, or a bias")
 
     @property
+    @override
     def num_features(self) -> int:
-        """See `Features`."""
         return len(self.centres) + self.has_bias
 
+    @override
     def __call__(self, x: Float[Array, "D"]) -> Float[Array, "M"]:
-        """See `Features`."""
         bumps = RBF(self.width).gram(x[None, :], self.centres)[0]
         return jnp.concatenate([jnp.ones((1,), x.dtype), bumps]) if self.has_bias else bumps
 

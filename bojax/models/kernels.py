@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Scalar
+from typing_extensions import override
 
 from bojax.models.checks import as_numbers
 
@@ -47,8 +48,8 @@ class RBF(Kernel):
 
     lengthscale: Float[Array, ""] | Float[Array, "D"] = eqx.field(converter=as_numbers("lengthscale"))
 
+    @override
     def __call__(self, x: Float[Array, "D"], y: Float[Array, "D"]) -> Scalar:
-        """See `Kernel`."""
         return jnp.exp(-0.5 * _squared_distance(x, y, self.lengthscale))
 
 
@@ -60,8 +61,8 @@ class Matern12(Kernel):
 
     lengthscale: Float[Array, ""] | Float[Array, "D"] = eqx.field(converter=as_numbers("lengthscale"))
 
+    @override
     def __call__(self, x: Float[Array, "D"], y: Float[Array, "D"]) -> Scalar:
-        """See `Kernel`."""
         return jnp.exp(-_distance(x, y, self.lengthscale))
 
 
@@ -73,8 +74,8 @@ class Matern32(Kernel):
 
     lengthscale: Float[Array, ""] | Float[Array, "D"] = eqx.field(converter=as_numbers("lengthscale"))
 
+    @override
     def __call__(self, x: Float[Array, "D"], y: Float[Array, "D"]) -> Scalar:
-        """See `Kernel`."""
         s = 3.0**0.5 * _distance(x, y, self.lengthscale)
         return (1.0 + s) * jnp.exp(-s)
 
@@ -87,8 +88,8 @@ class Matern52(Kernel):
 
     lengthscale: Float[Array, ""] | Float[Array, "D"] = eqx.field(converter=as_numbers("lengthscale"))
 
+    @override
     def __call__(self, x: Float[Array, "D"], y: Float[Array, "D"]) -> Scalar:
-        """See `Kernel`."""
         s = 5.0**0.5 * _distance(x, y, self.lengthscale)
         return (1.0 + s + s * s / 3.0) * jnp.exp(-s)
 
@@ -102,8 +103,8 @@ class Scaled(Kernel):
     kernel: Kernel
     variance: Float[Array, ""] = eqx.field(converter=as_numbers("variance"))
 
+    @override
     def __call__(self, x: Float[Array, "D"], y: Float[Array, "D"]) -> Scalar:
-        """See `Kernel`."""
         return self.variance * self.kernel(x, y)
 
 
@@ -116,8 +117,8 @@ class Sum(Kernel):
     first: Kernel
     second: Kernel
 
+    @override
     def __call__(self, x: Float[Array, "D"], y: Float[Array, "D"]) -> Scalar:
-        """See `Kernel`."""
         return self.first(x, y) + self.second(x, y)
 
 
@@ -130,8 +131,8 @@ class Product(Kernel):
     first: Kernel
     second: Kernel
 
+    @override
     def __call__(self, x: Float[Array, "D"], y: Float[Array, "D"]) -> Scalar:
-        """See `Kernel`."""
         return self.first(x, y) * self.second(x, y)
 
 

@@ -5,6 +5,7 @@ import abc
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Scalar
+from typing_extensions import override
 
 from bojax.models.checks import as_numbers
 from bojax.numerics.linalg import matmul
@@ -24,8 +25,8 @@ class ZeroMean(Mean):
     Settings: `bojax.models.settings.ZeroMean`.
     """
 
+    @override
     def __call__(self, x: Float[Array, "D"]) -> Scalar:
-        """See `Mean`."""
         return jnp.zeros((), x.dtype)
 
 
@@ -37,8 +38,8 @@ class ConstantMean(Mean):
 
     value: Float[Array, ""] = eqx.field(converter=as_numbers("value"))
 
+    @override
     def __call__(self, x: Float[Array, "D"]) -> Scalar:
-        """See `Mean`."""
         del x
         return self.value
 
@@ -52,6 +53,6 @@ class LinearMean(Mean):
     weights: Float[Array, "D"] = eqx.field(converter=as_numbers("weights"))
     bias: Float[Array, ""] = eqx.field(converter=as_numbers("bias"))
 
+    @override
     def __call__(self, x: Float[Array, "D"]) -> Scalar:
-        """See `Mean`."""
         return matmul(self.weights, x) + self.bias

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax.scipy.special import erf
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from bojax.models.kernels import RBF
 from bojax.motions.base import ContinuousMotions, Path, sample_by_arc_length
@@ -62,6 +63,7 @@ class KernelTrajectories(ContinuousMotions):
     num_samples: int = eqx.field(static=True)
 
     @property
+    @override
     def num_params(self) -> int:
         """Dimension of the parameters."""
         return self.num_segments
@@ -74,8 +76,8 @@ class KernelTrajectories(ContinuousMotions):
         steps = jnp.stack([jnp.cos(heading), jnp.sin(heading)], axis=-1) / self.num_segments
         return jnp.concatenate([jnp.zeros((1, 2), params.dtype), jnp.cumsum(steps, axis=0)])
 
+    @override
     def path(self, params: Float[Array, "D"]) -> Path:
-        """See `ContinuousMotions`."""
         anchors = self.anchors(params)
         times = jnp.linspace(0.0, 1.0, self.num_segments + 1, dtype=params.dtype)
         space, time = RBF(self.space_lengthscale), RBF(self.time_lengthscale)

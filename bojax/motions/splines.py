@@ -4,6 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from bojax.motions.base import ContinuousMotions, DiscreteMotions, Path, sample_by_arc_length
 
@@ -37,10 +38,12 @@ class SplineSet(DiscreteMotions):
     num_samples: int = eqx.field(static=True)
 
     @property
+    @override
     def num_actions(self) -> int:
         """Number A of trajectories."""
         return self.actions
 
+    @override
     def paths(self) -> Float[Array, "A S 3"]:
         """All paths: the straight line, then each left turn followed by its mirror image."""
         rows = [_STRAIGHT]
@@ -77,12 +80,13 @@ class CubicCurves(ContinuousMotions):
     num_samples: int = eqx.field(static=True)
 
     @property
+    @override
     def num_params(self) -> int:
         """Dimension of the parameters."""
         return 2
 
+    @override
     def path(self, params: Float[Array, "D"]) -> Path:
-        """See `ContinuousMotions`."""
         bearing = self.bearing * params[0]
         heading = 2.0 * bearing + self.heading * params[1]
         end = jnp.stack([jnp.cos(bearing), jnp.sin(bearing)])

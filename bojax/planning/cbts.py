@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
+from typing_extensions import override
 
 from bojax.acquisition.functions import Acquisition
 from bojax.acquisition.maximise import best_candidate, refine
@@ -104,12 +105,12 @@ class ContinuousBeliefTreeSearch(TreeSearch[NodeModels, CBTSDraws, NodeModelUpda
         check_takes("kernel", self.kernel, 2, num_params, dtype, "the parameters of the motions")
 
     @property
+    @override
     def num_actions(self) -> int:
-        """See `TreeSearch`."""
         return self.max_actions
 
+    @override
     def begin(self, key: Key[Array, ""], dtype) -> tuple[NodeModels, CBTSDraws]:
-        """See `TreeSearch`."""
         key_candidates, key_rollout, key_initial = jax.random.split(key, 3)
         candidates = shifted_kronecker(key_candidates, self.num_candidates, self.motions.num_params, dtype)
         num_nodes = self.iterations + 1
@@ -128,21 +129,21 @@ class ContinuousBeliefTreeSearch(TreeSearch[NodeModels, CBTSDraws, NodeModelUpda
         )
         return memory, draws
 
+    @override
     def rollout(self, memory: NodeModels, draws: CBTSDraws) -> Float[Array, "H S 3"]:
-        """See `TreeSearch`."""
         return memory.paths[draws.rollout]
 
+    @override
     def select(self, tree: Tree, memory: NodeModels, node: Int[Array, ""]) -> Int[Array, ""]:
-        """See `TreeSearch`."""
         children = tree.children[node]
         exists = children != UNVISITED
         is_full = jnp.all(exists) | jnp.any(exists & memory.has_converged[children])
         return jnp.where(is_full, best_by_uct(tree, node, self.exploration), UNVISITED)
 
+    @override
     def propose(
         self, tree: Tree, memory: NodeModels, node: Int[Array, ""], draws: CBTSDraws
     ) -> Proposal[NodeModelUpdate]:
-        """See `TreeSearch`."""
         model, best = self._model(tree, memory, node)
         is_initial = model.count < self.num_initial
         # UNVISITED is -1, which reads the last row; no child has this row, and it stays zero.
@@ -165,6 +166,7 @@ class ContinuousBeliefTreeSearch(TreeSearch[NodeModels, CBTSDraws, NodeModelUpda
         )
         return Proposal(path=path, index=model.count, update=update)
 
+    @override
     def learn(
         self,
         memory: NodeModels,
@@ -172,7 +174,6 @@ class ContinuousBeliefTreeSearch(TreeSearch[NodeModels, CBTSDraws, NodeModelUpda
         proposal: Proposal[NodeModelUpdate],
         is_new: Bool[Array, ""],
     ) -> NodeModels:
-        """See `TreeSearch`."""
         del is_new
         update = proposal.update
         return NodeModels(
@@ -202,13 +203,13 @@ class ContinuousBeliefTreeSearch(TreeSearch[NodeModels, CBTSDraws, NodeModelUpda
         )
         return model, jnp.max(jnp.where(exists, rewards, -jnp.inf))
 
+    @override
     def recommend(self, tree: Tree, memory: NodeModels) -> Int[Array, ""]:
-        """See `TreeSearch`."""
         del memory
         return best_by_mean(tree)
 
+    @override
     def path_of(self, memory: NodeModels, child: Int[Array, ""]) -> Path:
-        """See `TreeSearch`."""
         return self.motions.path(memory.params[child])
 
 

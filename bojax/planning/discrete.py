@@ -4,6 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
+from typing_extensions import override
 
 from bojax.motions.base import DiscreteMotions, Path
 from bojax.planning.search import Proposal, TreeSearch
@@ -49,12 +50,12 @@ class DiscreteTreeSearch(TreeSearch[DiscreteMemory, DiscreteDraws, None, Discret
     objective: Objective = None
 
     @property
+    @override
     def num_actions(self) -> int:
-        """See `TreeSearch`."""
         return self.motions.num_actions
 
+    @override
     def begin(self, key: Key[Array, ""], dtype) -> tuple[DiscreteMemory, DiscreteDraws]:
-        """See `TreeSearch`."""
         key_rollout, key_order = jax.random.split(key)
         shape = (self.iterations, self.depth - 1)
         draws = DiscreteDraws(
@@ -66,36 +67,36 @@ class DiscreteTreeSearch(TreeSearch[DiscreteMemory, DiscreteDraws, None, Discret
         )
         return memory, draws
 
+    @override
     def rollout(self, memory: DiscreteMemory, draws: DiscreteDraws) -> Float[Array, "H S 3"]:
-        """See `TreeSearch`."""
         return memory.paths[draws.rollout]
 
+    @override
     def select(self, tree: Tree, memory: DiscreteMemory, node: Int[Array, ""]) -> Int[Array, ""]:
-        """See `TreeSearch`."""
         del memory
         is_open = tree.num_children(node) < self.num_actions
         return jnp.where(is_open, UNVISITED, best_by_uct(tree, node, self.exploration))
 
+    @override
     def propose(
         self, tree: Tree, memory: DiscreteMemory, node: Int[Array, ""], draws: DiscreteDraws
     ) -> Proposal[None]:
-        """See `TreeSearch`."""
         is_untried = tree.children[node] == UNVISITED
         action = jnp.argmax(jnp.where(is_untried, draws.order, -1.0)).astype(jnp.int32)
         return Proposal(path=memory.paths[action], index=action, update=None)
 
+    @override
     def learn(
         self, memory: DiscreteMemory, child: Int[Array, ""], proposal: Proposal[None], is_new: Bool[Array, ""]
     ) -> DiscreteMemory:
-        """See `TreeSearch`."""
         del is_new
         return DiscreteMemory(memory.paths, memory.action.at[child].set(proposal.index))
 
+    @override
     def recommend(self, tree: Tree, memory: DiscreteMemory) -> Int[Array, ""]:
-        """See `TreeSearch`."""
         del memory
         return best_by_mean(tree)
 
+    @override
     def path_of(self, memory: DiscreteMemory, child: Int[Array, ""]) -> Path:
-        """See `TreeSearch`."""
         return memory.paths[memory.action[child]]

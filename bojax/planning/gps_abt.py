@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
+from typing_extensions import override
 
 from bojax.motions.base import ContinuousMotions, Path
 from bojax.planning.search import Proposal, TreeSearch
@@ -131,12 +132,13 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, StencilUpdate, Continuous
     objective: Objective = None
 
     @property
+    @override
     def num_actions(self) -> int:
         """Number of actions of a node that the tree lists; the search itself reads the stencils."""
         return self.max_levels * (2 * self.motions.num_params + 1)
 
+    @override
     def begin(self, key: Key[Array, ""], dtype) -> tuple[Stencils, StencilDraws]:
-        """See `TreeSearch`."""
         key_paths, key_rollout, key_order = jax.random.split(key, 3)
         num_nodes, num_params = self.iterations + 1, self.motions.num_params
         num_points = 2 * num_params + 1
@@ -156,21 +158,21 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, StencilUpdate, Continuous
         )
         return memory, draws
 
+    @override
     def rollout(self, memory: Stencils, draws: StencilDraws) -> Float[Array, "H S 3"]:
-        """See `TreeSearch`."""
         if self.heuristic == "zero":
             return memory.paths[:0]
         return memory.paths[draws.rollout]
 
+    @override
     def select(self, tree: Tree, memory: Stencils, node: Int[Array, ""]) -> Int[Array, ""]:
-        """See `TreeSearch`."""
         walk = self._walk(tree, memory, node)
         return jnp.where(walk.has_unvisited | walk.may_refine, UNVISITED, walk.best_ucb)
 
+    @override
     def propose(
         self, tree: Tree, memory: Stencils, node: Int[Array, ""], draws: StencilDraws
     ) -> Proposal[StencilUpdate]:
-        """See `TreeSearch`."""
         walk = self._walk(tree, memory, node)
         centre, radius, member = self._finer(memory, walk.stencil, walk.point)
         centre = jnp.where(walk.may_refine, centre, memory.centre[walk.stencil])
@@ -191,6 +193,7 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, StencilUpdate, Continuous
         )
         return Proposal(path=self.motions.path(points[point]), index=tree.num_children(node), update=update)
 
+    @override
     def learn(
         self,
         memory: Stencils,
@@ -198,7 +201,6 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, StencilUpdate, Continuous
         proposal: Proposal[StencilUpdate],
         is_new: Bool[Array, ""],
     ) -> Stencils:
-        """See `TreeSearch`."""
         update = proposal.update
         added = memory.params.shape[0] + child
         nowhere = memory.radius.shape[0]
@@ -216,12 +218,13 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, StencilUpdate, Continuous
             finer=memory.finer.at[parent, update.refined].set(added, mode="drop"),
         )
 
+    @override
     def recommend(self, tree: Tree, memory: Stencils) -> Int[Array, ""]:
         """The most visited child, which the toolkit calls robust."""
         return self._walk(tree, memory, jnp.asarray(ROOT, jnp.int32)).most_visited
 
+    @override
     def path_of(self, memory: Stencils, child: Int[Array, ""]) -> Path:
-        """See `TreeSearch`."""
         return self.motions.path(memory.params[child])
 
     def _walk(self, tree: Tree, memory: Stencils, node: Int[Array, ""]) -> Walk:

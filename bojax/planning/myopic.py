@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Key
+from typing_extensions import override
 
 from bojax.motions.base import DiscreteMotions
 from bojax.planning.base import Plan, Planner
@@ -18,8 +19,8 @@ class MyopicPlanner(Planner[DiscreteMotions]):
     motions: DiscreteMotions
     objective: Objective = None
 
+    @override
     def plan(self, key: Key[Array, ""], problem: Problem, belief: Belief) -> Plan:
-        """See `Planner`."""
         paths = self.motions.paths()
         root, node = problem.root(belief, 1)
 

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Key
+from typing_extensions import override
 
 from bojax.motions.base import Motions
 from bojax.planning.base import Plan, Planner
@@ -17,8 +18,9 @@ class RandomPlanner(Planner[Motions]):
 
     motions: Motions
 
+    @override
     def plan(self, key: Key[Array, ""], problem: Problem, belief: Belief) -> Plan:
-        """See `Planner`; the path is simulated once to predict its reward."""
+        """The path is simulated once to predict its reward."""
         key_path, key_simulate = jax.random.split(key)
         path = self.motions.sample(key_path)
         root, node = problem.root(belief, 1)

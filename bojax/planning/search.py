@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
+from typing_extensions import override
 
 from bojax.motions.base import Path
 from bojax.planning.base import M, Plan, Planner
@@ -91,8 +92,8 @@ class TreeSearch(Planner[M], Generic[Memory, Draws, Update, M]):
     def path_of(self, memory: Memory, child: Int[Array, ""]) -> Path:
         """The path of the action that leads to `child`."""
 
+    @override
     def plan(self, key: Key[Array, ""], problem: Problem, belief: Belief) -> Plan:
-        """See `Planner`."""
         tree, memory = self.search(key, problem, belief)
         child = self.recommend(tree, memory)
         return Plan(

@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key, Scalar
+from typing_extensions import override
 
 from bojax.fields.base import Field
 from bojax.models.checks import check_takes
@@ -107,6 +108,7 @@ class FieldProblem(Problem):
             )
 
     @abc.abstractmethod
+    @override
     def score(self, world: FieldWorld, belief: FieldBelief) -> dict[str, Scalar]:
         """Scores of the final belief: `field_score`, and others that a subclass adds."""
 
@@ -122,12 +124,13 @@ class FieldProblem(Problem):
             after_collision=self.after_collision,
         )
 
+    @override
     def reset(self, key: Key[Array, ""]) -> FieldWorld:
-        """See `Problem`."""
         pose = self.arena.random_pose(key) if self.start is None else self.start
         zero = jnp.zeros((), self.domain.dtype)
         return FieldWorld(self.vehicle.reset(pose), jnp.zeros((), jnp.int32), zero)
 
+    @override
     def prior(self, key: Key[Array, ""], world: FieldWorld, num_samples: int) -> FieldBelief:
         """The prior of the field, and the initial pose, which is known."""
         capacity = self.max_steps * num_samples
@@ -140,6 +143,7 @@ class FieldProblem(Problem):
             num_samples=num_samples,
         )
 
+    @override
     def execute(
         self, key: Key[Array, ""], world: FieldWorld, path: Path
     ) -> tuple[FieldWorld, Samples, Events]:
@@ -170,6 +174,7 @@ class FieldProblem(Problem):
         pose = self.vehicle.estimate(tracked.state)
         return after, Samples(tracked.estimates[:, :2], values, driven.is_driven, pose), events
 
+    @override
     def update(self, belief: FieldBelief, path: Path, observation: Samples) -> FieldBelief:
         """The belief after the samples of a path, with updated hyper-parameters where they are due."""
         del path
@@ -189,6 +194,7 @@ class FieldProblem(Problem):
             posterior = jax.tree.map(lambda new, old: jnp.where(is_due, new, old), learned, posterior)
         return belief.after(posterior, observation.pose)
 
+    @override
     def reward(
         self, objective: FieldObjective | None, belief: FieldBelief, path: Path, events: Events
     ) -> Scalar:
@@ -201,11 +207,13 @@ class FieldProblem(Problem):
         worth = objective(mean, variance, gradient)
         return events.reward + jnp.sum(jnp.where(events.is_driven, worth, 0.0))
 
+    @override
     def root(self, belief: FieldBelief, horizon: int) -> tuple[LookaheadRoot, FieldNode]:
         """The factored posterior, and the root node."""
         node = root_node(belief.pose, horizon, belief.num_samples, self.domain.dtype)
         return LookaheadRoot.of(belief.posterior), node
 
+    @override
     def simulate(
         self,
         key: Key[Array, ""],
@@ -214,27 +222,27 @@ class FieldProblem(Problem):
         paths: Float[Array, "H S 3"],
         objective: FieldObjective | None,
     ) -> Simulation:
-        """See `simulate_paths`."""
         objective = self.objective if objective is None else objective
         return simulate_paths(key, root, node, paths, objective, self.arena, self.imagined)
 
+    @override
     def pose(self, world: FieldWorld) -> Pose:
-        """See `Problem`."""
         return self.vehicle.pose(world.vehicle)
 
     @property
+    @override
     def lanes_on_cpu(self) -> int:
-        """See `Problem`: the factors of a few hundred samples fill the cache; 8 to 16 lanes are fastest."""
+        """The factors of a few hundred samples fill the cache; 8 to 16 lanes are fastest."""
         return 16
 
     @property
+    @override
     def turning_radius(self) -> float:
-        """See `Problem`."""
         return self.vehicle.turning_radius
 
     @property
+    @override
     def reach(self) -> float:
-        """See `Problem`."""
         return self.vehicle.reach
 
     def grid(self) -> Float[Array, "G 2"]:
@@ -252,6 +260,7 @@ class FieldProblem(Problem):
             "sampled_gradient": world.gradient / taken,
         }
 
+    @override
     def snapshot(self, world: FieldWorld, belief: FieldBelief) -> dict[str, dict[str, Array]]:
         """The field and the belief on the grid, the samples, and the belief after every step.
 

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Scalar
+from typing_extensions import override
 
 from bojax.fields.blocks import Blocks
 from bojax.problems.field_belief import FieldBelief
@@ -82,6 +83,7 @@ class HeightMapping(FieldProblem):
 
     scores: ClassVar[Table] = FIELD_COLUMNS + MAP_COLUMNS
 
+    @override
     def __check_init__(self):
         """Check that a flying robot flies above the ground.
 
@@ -90,8 +92,8 @@ class HeightMapping(FieldProblem):
         """
         _check_altitude(self)
 
+    @override
     def score(self, world: FieldWorld, belief: FieldBelief) -> dict[str, Scalar]:
-        """See the class."""
         return self.field_score(world, belief) | map_score(self, belief, final_map(self, belief))
 
 
@@ -107,6 +109,7 @@ class PropMapping(FieldProblem):
 
     scores: ClassVar[Table] = FIELD_COLUMNS + MAP_COLUMNS + PROP_COLUMNS
 
+    @override
     def __check_init__(self):
         """Check that the field consists of blocks, and that a flying robot flies above them.
 
@@ -116,8 +119,8 @@ class PropMapping(FieldProblem):
         _ = self._blocks
         _check_altitude(self)
 
+    @override
     def score(self, world: FieldWorld, belief: FieldBelief) -> dict[str, Scalar]:
-        """See the class."""
         found = final_map(self, belief)
         outside = self._outside(found.points)
         edge = found.is_open & jnp.any(jnp.abs(outside) <= EDGE, axis=1)

@@ -3,6 +3,7 @@
 from typing import ClassVar
 
 from jaxtyping import Scalar
+from typing_extensions import override
 
 from bojax.problems.field_belief import FieldBelief
 from bojax.problems.field_problem import FIELD_COLUMNS, FieldProblem, FieldWorld
@@ -17,6 +18,7 @@ class FieldMonitoring(FieldProblem):
 
     scores: ClassVar[Table] = FIELD_COLUMNS
 
+    @override
     def score(self, world: FieldWorld, belief: FieldBelief) -> dict[str, Scalar]:
         """Errors of the final belief on a grid over the domain."""
         return self.field_score(world, belief)

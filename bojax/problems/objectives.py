@@ -6,6 +6,7 @@ from typing import ClassVar, Literal
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 
 class FieldObjective(eqx.Module):
@@ -43,10 +44,10 @@ class GradientObjective(FieldObjective):
     kappa: Float[Array, ""]
     uncertainty: Uncertainty = eqx.field(static=True, default="std")
 
+    @override
     def __call__(
         self, mean: Float[Array, "S"], variance: Float[Array, "S"], gradient: Float[Array, "S 2"] | None
     ) -> Float[Array, "S"]:
-        """See `FieldObjective`."""
         del mean
         assert gradient is not None
         norm = jnp.sqrt(jnp.sum(gradient * gradient, axis=-1))
@@ -62,10 +63,10 @@ class ValueObjective(FieldObjective):
     kappa: Float[Array, ""]
     uncertainty: Uncertainty = eqx.field(static=True, default="std")
 
+    @override
     def __call__(
         self, mean: Float[Array, "S"], variance: Float[Array, "S"], gradient: Float[Array, "S 2"] | None
     ) -> Float[Array, "S"]:
-        """See `FieldObjective`."""
         del gradient
         return mean + self.kappa * _spread(variance, self.uncertainty)
 
@@ -78,9 +79,9 @@ class UncertaintyObjective(FieldObjective):
 
     uncertainty: Uncertainty = eqx.field(static=True, default="std")
 
+    @override
     def __call__(
         self, mean: Float[Array, "S"], variance: Float[Array, "S"], gradient: Float[Array, "S 2"] | None
     ) -> Float[Array, "S"]:
-        """See `FieldObjective`."""
         del mean, gradient
         return _spread(variance, self.uncertainty)

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
+from typing_extensions import override
 
 from bojax.motions.base import Pose
 from bojax.problems.pose import Outcome, PoseProblem
@@ -44,14 +45,16 @@ class Parking(PoseProblem):
     exit_terminates: bool = eqx.field(static=True)
     park_along_path: bool = eqx.field(static=True)
 
+    @override
     def start(self, key: Key[Array, ""]) -> Pose:
         """A pose drawn uniformly from the domain and all headings."""
         low = jnp.stack([-self.half_width, -self.half_width, jnp.zeros_like(self.half_width)])
         high = jnp.stack([self.half_width, self.half_width, jnp.full_like(self.half_width, 2.0 * jnp.pi)])
         return jax.random.uniform(key, (3,), self.half_width.dtype, low, high)
 
+    @override
     def outcome(self, start: Pose, path: Float[Array, "S 3"]) -> Outcome:
-        """See `PoseProblem`; a path ends at the first pose that parks or leaves the domain."""
+        """A path ends at the first pose that parks or leaves the domain."""
         index = jnp.arange(path.shape[0], dtype=jnp.int32)
         end = path.shape[0] - 1
         is_outside = jnp.max(jnp.abs(path[:, :2]), axis=-1) > self.half_width

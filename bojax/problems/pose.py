@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key, Scalar
+from typing_extensions import override
 
 from bojax.motions.base import Path, Pose, place
 from bojax.problems.base import Events, Objective, Problem, Simulation
@@ -50,15 +51,18 @@ class PoseProblem(Problem):
     def outcome(self, start: Pose, path: Float[Array, "S 3"]) -> Outcome:
         """Outcome of driving from `start` through the poses of `path`, in the world frame."""
 
+    @override
     def reset(self, key: Key[Array, ""]) -> VehicleState:
         """The vehicle at a random initial pose."""
         return self.vehicle.reset(self.start(key))
 
+    @override
     def prior(self, key: Key[Array, ""], world: VehicleState, num_samples: int) -> Pose:
         """The first measurement."""
         del num_samples
         return self.vehicle.measure(key, world, self._noise)
 
+    @override
     def execute(
         self, key: Key[Array, ""], world: VehicleState, path: Path
     ) -> tuple[VehicleState, Pose, Events]:
@@ -81,21 +85,25 @@ class PoseProblem(Problem):
         state = self.vehicle.stopped_at(tracked.state, driven[-1])
         return state, self.vehicle.measure(key, state, self._noise), events
 
+    @override
     def update(self, belief: Pose, path: Path, observation: Pose) -> Pose:
         """The last measurement."""
         del belief, path
         return observation
 
+    @override
     def reward(self, objective: Objective, belief: Pose, path: Path, events: Events) -> Scalar:
         """The reward of the world."""
         del objective, belief, path
         return events.reward
 
+    @override
     def root(self, belief: Pose, horizon: int) -> tuple[None, Pose]:
         """A pose; nodes share no data."""
         del horizon
         return None, belief
 
+    @override
     def simulate(
         self,
         key: Key[Array, ""],
@@ -117,18 +125,18 @@ class PoseProblem(Problem):
         outcome = jax.vmap(lambda start, path: self.outcome(start, place(path, start)))(begin, paths)
         return Simulation(starts[1], outcome.reward, outcome.terminated)
 
+    @override
     def pose(self, world: VehicleState) -> Pose:
-        """See `Problem`."""
         return self.vehicle.pose(world)
 
     @property
+    @override
     def turning_radius(self) -> float:
-        """See `Problem`."""
         return self.vehicle.turning_radius
 
     @property
+    @override
     def reach(self) -> float:
-        """See `Problem`."""
         return self.vehicle.reach
 
     @property

@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
+from typing_extensions import override
 
 from bojax.fields.base import Field
 from bojax.robots.quaternions import rotation_matrix
@@ -50,6 +51,7 @@ class PointSensor(Sensor):
     Settings: `bojax.problems.settings.Point`.
     """
 
+    @override
     def __call__(
         self,
         key: Key[Array, ""],
@@ -58,7 +60,6 @@ class PointSensor(Sensor):
         sensor_poses: Float[Array, "S 7"] | None,
         noise: Float[Array, ""],
     ) -> Float[Array, "S"]:
-        """See `Sensor`."""
         del sensor_poses
         points = poses[:, :2]
         return field.values(points) + noise * jax.random.normal(key, points.shape[:1], points.dtype)
@@ -83,8 +84,8 @@ class RangeSensor(Sensor):
     reading: Literal["mean", "minimum"] = eqx.field(static=True)
     upright: bool = eqx.field(static=True)
 
+    @override
     def check(self, field: Field, points: Float[Array, "N 2"], altitude: float | None) -> None:
-        """See `Sensor`."""
         if altitude is None:
             raise ValueError(
                 'sensor: got "range", which measures from the air; set a vehicle that flies: quadrotor'
@@ -96,6 +97,7 @@ class RangeSensor(Sensor):
                 "the robot: set a larger max_range or a lower vehicle.altitude"
             )
 
+    @override
     def __call__(
         self,
         key: Key[Array, ""],
@@ -104,7 +106,7 @@ class RangeSensor(Sensor):
         sensor_poses: Float[Array, "S 7"] | None,
         noise: Float[Array, ""],
     ) -> Float[Array, "S"]:
-        """See `Sensor`; `noise` is the standard deviation of a range."""
+        """`noise` is the standard deviation of a range."""
         assert sensor_poses is not None, "see `check`"
         del poses
         sensor_poses = sensor_poses.astype(noise.dtype)

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
+from typing_extensions import override
 
 from bojax.report.statistics import Floats
 from bojax.report.text import number
@@ -43,6 +44,7 @@ class Fit:
             return self.a * np.exp(self.b * x)
         return self.a + self.b * (x if self.law == "linear" else x**2)
 
+    @override
     def __str__(self) -> str:
         """The law with its coefficients, of a single fit."""
         a, b = number(float(self.a)), number(abs(float(self.b)))

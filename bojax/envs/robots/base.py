@@ -5,6 +5,7 @@ import abc
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
+from typing_extensions import override
 
 from bojax.envs.base import EnvState
 from bojax.envs.control import ControlTask
@@ -49,6 +50,7 @@ class RobotTask(ControlTask):
         return Simulator(self.physics, self.model, self.substeps)
 
     @property
+    @override
     def action_space(self) -> Box:
         """The controls of the model, in the order of its actuators."""
         ranges = jnp.asarray(self.simulator.mujoco_model.actuator_ctrlrange, self.dtype)
@@ -73,15 +75,17 @@ class RobotTask(ControlTask):
         del state
         return None
 
+    @override
     def advance(self, key: Key[Array, ""], state: EnvState, action: Float[Array, "A"]) -> EnvState:
-        """See `ControlTask`; the dynamics are deterministic."""
+        """The dynamics are deterministic."""
         del key
         return self.moved(state, self.simulator.advance(self.robot(state), action))
 
+    @override
     def has_diverged(self, state: EnvState) -> Bool[Array, ""]:
-        """See `ControlTask`."""
         return self.simulator.has_diverged(self.robot(state))
 
+    @override
     def frame(self, state: EnvState) -> Float[Array, "Q"]:
         """Generalised positions, followed by the positions of the mocap bodies if there are any."""
         qpos, mocap = self.robot(state).qpos, self.mocap_positions(state)

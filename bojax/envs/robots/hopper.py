@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
+from typing_extensions import override
 
 from bojax.envs.robots.base import RobotTask
 from bojax.envs.spaces import Box
@@ -39,11 +40,12 @@ class Hopper(RobotTask):
     reward: Literal["goal-only", "classic"] = eqx.field(static=True)
 
     @property
+    @override
     def model(self) -> RobotModel:
-        """See `RobotTask`."""
         return packaged("hopper")
 
     @property
+    @override
     def observation_space(self) -> Box:
         """Height and angle of the torso, angles of the three joints, and all six velocities, clipped.
 
@@ -52,26 +54,27 @@ class Hopper(RobotTask):
         low = jnp.asarray([-0.1, -0.25, -0.4, -0.4, -0.32] + 6 * [-7.0], self.dtype)
         return Box(low, jnp.asarray([1.3, 0.02, 0.025, 0.03, 0.7] + 6 * [7.0], self.dtype))
 
+    @override
     def reset(self, key: Key[Array, ""]) -> RobotState:
-        """See `Env`."""
         noise = jax.random.uniform(key, (2, 6), jnp.float32, -5e-3, 5e-3)
         standing = jnp.asarray(self.simulator.mujoco_model.qpos0, jnp.float32)
         return self.simulator.state(standing + noise[0], noise[1])
 
+    @override
     def observe(self, state: RobotState) -> Float[Array, "11"]:
-        """See `observation_space`."""
         velocities = jnp.clip(state.qvel, -_FASTEST, _FASTEST)
         return jnp.concatenate([state.qpos[1:], velocities]).astype(self.dtype)
 
+    @override
     def is_goal(self, state: RobotState) -> Bool[Array, ""]:
-        """See the class."""
         return state.qpos[1].astype(self.dtype) > self.goal_height
 
+    @override
     def is_failure(self, state: RobotState) -> Bool[Array, ""]:
-        """See the class."""
         height, angle = state.qpos[1:3].astype(self.dtype)
         return (jnp.abs(angle) > self.failure_angle) | (height < self.failure_height)
 
+    @override
     def classic(
         self,
         state: RobotState,
@@ -80,7 +83,6 @@ class Hopper(RobotTask):
         failure: Bool[Array, ""],
         after: RobotState,
     ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
-        """See the class."""
         del success, failure
         rest = jnp.concatenate([after.qpos[2:], after.qvel])
         is_healthy = jnp.all(jnp.abs(rest) < _UNHEALTHY)

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key
+from typing_extensions import override
 
 from bojax.envs.robots.base import RobotTask
 from bojax.envs.spaces import Box
@@ -70,6 +71,7 @@ class Jaco(RobotTask):
     reward: Literal["goal-only", "classic"] = eqx.field(static=True)
     target: Float[Array, "3"] | None = None
 
+    @override
     def __check_init__(self):
         """Compare `goal_distance` with the reach of the joints in 1000 random configurations.
 
@@ -96,11 +98,12 @@ class Jaco(RobotTask):
             )
 
     @property
+    @override
     def model(self) -> RobotModel:
-        """See `RobotTask`."""
         return jaco_model(self.joints)
 
     @property
+    @override
     def observation_space(self) -> Box:
         """Cosines and sines of the joint angles, joint velocities in rad/s, and the target if observed."""
         one = jnp.ones((2 * len(self.joints),), self.dtype)
@@ -111,12 +114,13 @@ class Jaco(RobotTask):
             low, high = jnp.concatenate([low, least]), jnp.concatenate([high, most])
         return Box(low, high)
 
+    @override
     def of_run(self, key: Key[Array, ""]) -> "Jaco":
         """The environment with the target of the run, if targets are drawn per run."""
         return dataclasses.replace(self, target=self.draw_target(key)) if self.targets == "per-run" else self
 
+    @override
     def reset(self, key: Key[Array, ""]) -> JacoState:
-        """See `Env`."""
         keys = jax.random.split(key)
         offsets = jax.random.uniform(keys[0], self._rest.shape, jnp.float32, -_NOISE, _NOISE)
         robot = self.simulator.state(self._rest + offsets, jnp.zeros_like(offsets))
@@ -136,27 +140,30 @@ class Jaco(RobotTask):
         """Mean fingertip position for joint angles, in metres."""
         return self.simulator.sites(self.simulator.state(angles, jnp.zeros_like(angles)))[0]
 
+    @override
     def observe(self, state: JacoState) -> Float[Array, "D"]:
-        """See `observation_space`."""
         angles = state.robot.qpos
         parts = [jnp.cos(angles), jnp.sin(angles), state.robot.qvel]
         seen = jnp.concatenate(parts).astype(self.dtype)
         return jnp.concatenate([seen, state.target]) if self.targets == "per-episode" else seen
 
+    @override
     def robot(self, state: JacoState) -> RobotState:
         """The arm."""
         return state.robot
 
+    @override
     def moved(self, state: JacoState, robot: RobotState) -> JacoState:
         """The arm has moved, the target has not."""
         return JacoState(robot, state.target)
 
+    @override
     def mocap_positions(self, state: JacoState) -> Float[Array, "3"]:
         """The position at which the target is drawn."""
         return state.target
 
+    @override
     def is_goal(self, state: JacoState) -> Bool[Array, ""]:
-        """See the class."""
         return self.distance(state) < self.goal_distance
 
     def distance(self, state: JacoState) -> Float[Array, ""]:
@@ -164,6 +171,7 @@ class Jaco(RobotTask):
         gap = self.finger_tips(state.robot.qpos).astype(self.dtype) - state.target
         return jnp.sqrt(jnp.sum(gap * gap))
 
+    @override
     def classic(
         self,
         state: JacoState,
@@ -172,7 +180,6 @@ class Jaco(RobotTask):
         failure: Bool[Array, ""],
         after: JacoState,
     ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
-        """See the class."""
         del state, action, failure
         return -self.distance(after), success
 

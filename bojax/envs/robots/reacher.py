@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
+from typing_extensions import override
 
 from bojax.envs.robots.base import RobotTask
 from bojax.envs.spaces import Box
@@ -37,11 +38,12 @@ class Reacher(RobotTask):
     reward: Literal["goal-only", "classic"] = eqx.field(static=True)
 
     @property
+    @override
     def model(self) -> RobotModel:
-        """See `RobotTask`."""
         return packaged("reacher")
 
     @property
+    @override
     def observation_space(self) -> Box:
         """The observations of Gym's Reacher-v4, with the bounds of the author's code.
 
@@ -52,8 +54,8 @@ class Reacher(RobotTask):
         high = [1.0, 1.0, 1.0, 1.0, 0.2, 0.2, 87.0, 33.0, 0.4, 0.35, 1e-4]
         return Box(jnp.asarray(low, self.dtype), jnp.asarray(high, self.dtype))
 
+    @override
     def reset(self, key: Key[Array, ""]) -> RobotState:
-        """See `Env`."""
         keys = jax.random.split(key, 4)
         angles = jax.random.uniform(keys[0], (2,), jnp.float32, -0.1, 0.1)
         speeds = jax.random.uniform(keys[1], (2,), jnp.float32, -5e-3, 5e-3)
@@ -66,15 +68,15 @@ class Reacher(RobotTask):
             jnp.concatenate([angles, target]), jnp.concatenate([speeds, jnp.zeros_like(speeds)])
         )
 
+    @override
     def observe(self, state: RobotState) -> Float[Array, "11"]:
-        """See `observation_space`."""
         angles, target = state.qpos[:2], state.qpos[2:]
         gap = fingertip(angles) - target
         parts = jnp.cos(angles), jnp.sin(angles), target, state.qvel[:2], gap, jnp.zeros_like(gap[:1])
         return jnp.concatenate(parts).astype(self.dtype)
 
+    @override
     def is_goal(self, state: RobotState) -> Bool[Array, ""]:
-        """See the class."""
         return self.distance(state) < self.goal_distance
 
     def distance(self, state: RobotState) -> Float[Array, ""]:
@@ -82,6 +84,7 @@ class Reacher(RobotTask):
         gap = fingertip(state.qpos[:2]) - state.qpos[2:]
         return jnp.sqrt(jnp.sum(gap * gap)).astype(self.dtype)
 
+    @override
     def classic(
         self,
         state: RobotState,
@@ -90,7 +93,6 @@ class Reacher(RobotTask):
         failure: Bool[Array, ""],
         after: RobotState,
     ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
-        """See the class."""
         del state, success
         return -self.distance(after) - jnp.sum(action * action), failure
 

@@ -6,6 +6,7 @@ from typing import Any
 import equinox as eqx
 import jax
 from jaxtyping import Array, Bool, Float, Key
+from typing_extensions import override
 
 from bojax.motions.base import Pose
 from bojax.numerics.angles import wrap_to_2pi
@@ -111,18 +112,20 @@ class Exact(Vehicle):
     Settings: `bojax.problems.vehicles.settings.Exact`.
     """
 
+    @override
     def reset(self, pose: Pose) -> Pose:
-        """See `Vehicle`."""
         return pose
 
+    @override
     def pose(self, state: Pose) -> Pose:
-        """See `Vehicle`."""
         return state
 
+    @override
     def estimate(self, state: Pose) -> Pose:
         """The true pose."""
         return state
 
+    @override
     def follow(
         self,
         key: Key[Array, ""],
@@ -131,13 +134,13 @@ class Exact(Vehicle):
         end: Pose,
         noise: Float[Array, "3"] | None,
     ) -> TrackingResult:
-        """See `Vehicle`."""
         del state
         estimates = path
         if noise is not None:
             estimates = path + noise[None] * jax.random.normal(key, path.shape, path.dtype)
         return TrackingResult(end, path, estimates)
 
+    @override
     def stopped_at(self, state: Pose, pose: Pose) -> Pose:
         """The pose, with its heading in [0, 2 pi)."""
         del state

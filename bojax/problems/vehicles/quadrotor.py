@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
+from typing_extensions import override
 
 from bojax.motions.base import Pose
 from bojax.numerics.angles import wrap_to_2pi
@@ -38,8 +39,8 @@ class Quadrotor(SimulatedVehicle):
     rest_steps: int = eqx.field(static=True)
 
     @property
+    @override
     def simulator(self) -> Simulator:
-        """See `SimulatedVehicle`."""
         return Simulator(self.physics, quadrotor_model(), 1)
 
     @property
@@ -57,10 +58,12 @@ class Quadrotor(SimulatedVehicle):
             max_thrust=_f32(model.actuator_ctrlrange[0, 1]),
         )
 
+    @override
     def reset(self, pose: Pose) -> SimulatedState:
         """The quadrotor hovering at a pose."""
         return self.at_rest(pose, self.altitude)
 
+    @override
     def follow(
         self,
         key: Key[Array, ""],
@@ -69,7 +72,6 @@ class Quadrotor(SimulatedVehicle):
         end: Pose,
         noise: Float[Array, "3"] | None,
     ) -> TrackingResult:
-        """See `Vehicle`."""
         simulator, airframe = self.simulator, self.airframe
         num_steps = self.path_steps + self.rest_steps
         reference, at = reference_trajectory(
@@ -109,6 +111,7 @@ class Quadrotor(SimulatedVehicle):
         )
 
     @property
+    @override
     def reach(self) -> float:
         """Length of the minimum-jerk flight from rest to rest that takes full thrust at constant altitude.
 
@@ -120,8 +123,8 @@ class Quadrotor(SimulatedVehicle):
         return sideways * (self.path_steps * self.simulator.time_step) ** 2 * sqrt(3.0) / 10.0
 
     @property
+    @override
     def flight_altitude(self) -> float:
-        """See `Vehicle`."""
         return float(self.altitude)
 
     def _sensor_pose(self, qpos: Float[Array, "7"]) -> Float[Array, "7"]:

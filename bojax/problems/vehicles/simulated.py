@@ -5,6 +5,7 @@ import abc
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
+from typing_extensions import override
 
 from bojax.motions.base import Pose
 from bojax.numerics.angles import wrap_to_2pi
@@ -43,14 +44,16 @@ class SimulatedVehicle(Vehicle):
     def simulator(self) -> Simulator:
         """Simulator of the robot."""
 
+    @override
     def pose(self, state: SimulatedState) -> Pose:
-        """See `Vehicle`."""
         return planar(state.robot.qpos).astype(state.reading.dtype)
 
+    @override
     def estimate(self, state: SimulatedState) -> Pose:
         """The last measurement."""
         return state.reading
 
+    @override
     def measure(self, key: Key[Array, ""], state: SimulatedState, noise: Float[Array, "3"]) -> Pose:
         """The last measurement, whose noise was drawn when it was made."""
         del key, noise

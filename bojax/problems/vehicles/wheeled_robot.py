@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
+from typing_extensions import override
 
 from bojax.motions.base import Pose
 from bojax.problems.vehicles.base import TrackingResult
@@ -45,8 +46,8 @@ class WheeledRobot(SimulatedVehicle):
     readings: int = eqx.field(static=True)
 
     @property
+    @override
     def simulator(self) -> Simulator:
-        """See `SimulatedVehicle`."""
         return Simulator(self.physics, car_model(), self.substeps)
 
     @property
@@ -54,10 +55,11 @@ class WheeledRobot(SimulatedVehicle):
         """Parameters of the controller, read from the model."""
         return car_parameters(self.simulator.mujoco_model)
 
+    @override
     def reset(self, pose: Pose) -> SimulatedState:
-        """See `Vehicle`."""
         return self.at_rest(pose, jnp.asarray(self.simulator.mujoco_model.qpos0[2]))
 
+    @override
     def follow(
         self,
         key: Key[Array, ""],
@@ -66,7 +68,6 @@ class WheeledRobot(SimulatedVehicle):
         end: Pose,
         noise: Float[Array, "3"] | None,
     ) -> TrackingResult:
-        """See `Vehicle`."""
         del end
         simulator = self.simulator
         errors = jnp.zeros((self.readings, 3), jnp.float32)
@@ -96,11 +97,12 @@ class WheeledRobot(SimulatedVehicle):
         )
 
     @property
+    @override
     def turning_radius(self) -> float:
-        """See `Vehicle`."""
         return self.parameters.turning_radius
 
     @property
+    @override
     def reach(self) -> float:
         """Length of the path that is completed, to within 1 cm, in the time available.
 

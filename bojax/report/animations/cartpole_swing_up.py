@@ -3,6 +3,7 @@
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle, Wedge
+from typing_extensions import override
 
 from bojax.report.animations.base import (
     GOAL,
@@ -41,8 +42,8 @@ class CartpoleSwingUp(Scene):
         axes.add_patch(self._cart)
         self._trail, self._pole, self._hinge = Trail(axes), rod(axes, METAL, 7.0), joint(axes, 5.0)
 
+    @override
     def move(self, moment: Moment) -> None:
-        """See `Scene`."""
         x, angle = float(moment.observation[0]), float(moment.observation[2])
         tip_x, tip_y = x + _LENGTH * np.sin(angle), _LENGTH * np.cos(angle)
         self._trail.add(tip_x, tip_y)

@@ -2,6 +2,7 @@
 
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Rectangle
+from typing_extensions import override
 
 from bojax.report.animations.base import GOAL, METAL, Moment, Scene, Settings, Trail, joint, rod, stage
 
@@ -27,8 +28,8 @@ class DoublePendulum(Scene):
         joint(axes)
         self._elbow = joint(axes)
 
+    @override
     def move(self, moment: Moment) -> None:
-        """See `Scene`."""
         cos1, sin1, cos2, sin2 = moment.observation[:4]
         x, y = sin1, -cos1
         tip_x, tip_y = x + sin1 * cos2 + cos1 * sin2, y - (cos1 * cos2 - sin1 * sin2)

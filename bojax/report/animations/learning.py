@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
+from typing_extensions import override
 
 from bojax.report.animations import SCENES
 from bojax.report.animations.base import Scene, Settings
@@ -49,8 +50,8 @@ class LearningFilm(Film):
         stride = (self._indices[-1] - self._indices[0]) / max(self.num_images - 1, 1)
         self.seconds = round(float(np.clip(stride * self._time_step, FASTEST, SLOWEST)), 2)
 
+    @override
     def images(self) -> Iterator[Image.Image]:
-        """See `Film`."""
         figure = blank(*_SIZE)
         scene = self._scene(figure.add_axes((0.02, 0.16, 0.96, 0.70)))
         try:
@@ -58,8 +59,8 @@ class LearningFilm(Film):
         finally:
             scene.close()
 
+    @override
     def still(self, share: float) -> Image.Image:
-        """See `Film`."""
         figure = blank(*STILL)
         scene = self._scene(figure.add_axes((0.0, 0.0, 1.0, 1.0)))
         try:

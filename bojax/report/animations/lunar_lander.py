@@ -4,6 +4,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse, Polygon
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from bojax.envs import lander_geometry as geometry
 from bojax.report.animations.base import GOAL, GROUND, METAL, Moment, Scene, Settings, Trail, stage
@@ -30,8 +31,8 @@ class LunarLander(Scene):
         self._legs = [_patch(axes, "white", METAL, zorder=4) for _ in range(2)]
         self._hull = _patch(axes, _HULL, METAL, zorder=5)
 
+    @override
     def move(self, moment: Moment) -> None:
-        """See `Scene`."""
         origin = np.asarray(geometry.ORIGIN) + moment.observation[:2] * geometry.UNITS
         angle = float(moment.observation[4])
         legs, terrain = moment.frame[:2], moment.frame[2:]

@@ -4,6 +4,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Polygon
 from matplotlib.transforms import Affine2D
+from typing_extensions import override
 
 from bojax.report.animations.base import GOAL, GROUND, METAL, Moment, Scene, Settings, stage
 
@@ -45,8 +46,8 @@ class MountainCar(Scene):
         for part in self._parts:
             axes.add_patch(part)
 
+    @override
     def move(self, moment: Moment) -> None:
-        """See `Scene`."""
         x = float(moment.observation[0])
         slope = np.arctan(1.35 * np.cos(3.0 * x))
         at = Affine2D().rotate(slope).translate(x, _height(x)) + self._axes.transData

@@ -13,6 +13,7 @@ from matplotlib.markers import MarkerStyle
 from matplotlib.path import Path as Outline
 from matplotlib.transforms import Affine2D
 from PIL import Image
+from typing_extensions import override
 
 from bojax.report.animations.drive import Drive, Leg
 from bojax.report.animations.film import MAX_FRAMES, SLOWEST, STILL, Film, blank, photograph, slug
@@ -62,8 +63,8 @@ class PlanningFilm(Film):
         self.num_images = self._per_step * len(drive.legs) + 1
         self.seconds = SLOWEST
 
+    @override
     def images(self) -> Iterator[Image.Image]:
-        """See `Film`."""
         num_beside = 2 if self._has_belief else int(self._model is not None)
         figure = blank(4.2 + (0.0, 3.0, 2.0)[num_beside], 4.6)
         main, *beside = _panels(figure, num_beside)
@@ -77,8 +78,8 @@ class PlanningFilm(Film):
             if body is not None:
                 body.close()
 
+    @override
     def still(self, share: float) -> Image.Image:
-        """See `Film`."""
         figure = blank(*STILL)
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
         body = self._body(axes)

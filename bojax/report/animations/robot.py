@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from bojax.report.animations.base import Moment, Scene, Settings
 from bojax.report.animations.rendering import Renderer
@@ -28,8 +29,8 @@ class RobotScene(Scene):
         blank = np.full((height, width, 3), 255, np.uint8)
         self._picture = axes.imshow(blank, aspect="auto", interpolation="nearest")
 
+    @override
     def move(self, moment: Moment) -> None:
-        """See `Scene`."""
         self.show(moment.frame)
 
     def show(self, frame: NDArray[np.float64]) -> None:
@@ -39,8 +40,8 @@ class RobotScene(Scene):
         except ValueError as error:
             raise ResultsError(f"another model than the one that was simulated: {error}") from error
 
+    @override
     def close(self) -> None:
-        """See `Scene`."""
         self._renderer.close()
 
 

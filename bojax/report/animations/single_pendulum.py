@@ -4,6 +4,7 @@ from math import degrees
 
 from matplotlib.axes import Axes
 from matplotlib.patches import Wedge
+from typing_extensions import override
 
 from bojax.report.animations.base import GOAL, METAL, Moment, Scene, Settings, Trail, joint, rod, stage
 
@@ -22,8 +23,8 @@ class SinglePendulum(Scene):
         self._trail, self._rod = Trail(axes), rod(axes, METAL)
         joint(axes)
 
+    @override
     def move(self, moment: Moment) -> None:
-        """See `Scene`."""
         x, y = -self._length * moment.observation[1], self._length * moment.observation[0]
         self._trail.add(x, y)
         self._rod.set_data([0.0, x], [0.0, y])

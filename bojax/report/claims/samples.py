@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from bojax.report import statistics
 from bojax.report.columns import Columns
@@ -43,6 +44,7 @@ class Measure:
         """What a test's `column`, `window` and `since` say."""
         return cls(test["column"], test.get("window"), test.get("since"))
 
+    @override
     def __str__(self) -> str:
         """Its name in a sentence."""
         if self.place is None:
