@@ -157,8 +157,8 @@ def _stray(draw: random.Random, path: Path) -> str:
     number = path.name.replace("-000", "-999", 1)
     name = draw.choice([f"part-foo{path.suffix}", number, f".{path.name}.tmp", f"part-{path.name}"])
     stray = path.with_name(name)
-    if draw.random() < 0.3:
-        stray.mkdir(exist_ok=True)
+    if draw.random() < 0.3 and not stray.exists():
+        stray.mkdir()
         return f"a folder {stray.name} beside it"
     shutil.copyfile(path, stray) if stray != path else None
     return f"a copy {stray.name} beside it"
