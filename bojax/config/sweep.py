@@ -100,7 +100,7 @@ class Report(Schema, frozen=True):
     by_step: int | None = Field(default=None, ge=1, description="step at which tables give rates as well")
     best_return: float | None = Field(default=None, description="a line in learning curves")
     rolling: int | None = Field(
-        default=None, ge=1, description="episodes over which learning curves average each run"
+        default=None, ge=1, lt=2**31, description="episodes over which learning curves average each run"
     )
     over: str | None = Field(default=None, description="the swept number of growth and sweep-curve")
     column: str | None = Field(default=None, description="the column of runs.parquet that these draw")
@@ -193,6 +193,15 @@ def load_config(
     return _assemble(path, path.stem, settings, [experiment], experiment, origin, SweepFile())
 
 
+def validate_experiment(settings: Any) -> Component:
+    """The experiment that a mapping of settings describes.
+
+    Raises:
+        pydantic.ValidationError: A setting is wrong.
+    """
+    return _EXPERIMENT.validate_python(settings)
+
+
 def _read_sweep(mapping: Mapping[str, Any], file: str, source: str) -> tuple[SweepFile, dict[str, Any]]:
     """The sweep's own part of a file, and the settings that it shares with experiments."""
     if "base" not in mapping:
@@ -280,7 +289,7 @@ def _assemble(
     for index, (raw, combination) in enumerate(zip(experiments, origin.combinations, strict=True)):
         locate = partial(origin.point, index)
         try:
-            config = _EXPERIMENT.validate_python(raw)
+            config = validate_experiment(raw)
         except pydantic.ValidationError as error:
             raise from_validation(error, locate, siblings=(*RESERVED, "experiment")) from error
         points.append(_point(index, config, combination))

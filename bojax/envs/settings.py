@@ -17,6 +17,9 @@ class EnvironmentSettings(Component, frozen=True):
     plural: ClassVar[str] = "environments"
     protocol: ClassVar[str] = "bojax.envs.base:Env"
 
+    observation_names: ClassVar[tuple[str, str]] = ("first observation", "second observation")
+    """What figures call the first two observations, with their units."""
+
 
 class Environment(EnvironmentSettings, frozen=True):
     """An environment that is stepped inside the compiled program."""
@@ -39,6 +42,7 @@ class SinglePendulum(ControlTask, frozen=True):
     """Swing a pendulum up with a weak motor (thesis, p. 107; Gym's Pendulum)."""
 
     target: ClassVar[str] = "bojax.envs.single_pendulum:SinglePendulum"
+    observation_names: ClassVar[tuple[str, str]] = ("cosine of the angle", "sine of the angle")
 
     kind: Literal["single-pendulum"] = "single-pendulum"
     goal_angle: float = Field(default=0.05, gt=0, description="largest |angle| from upright at the goal, rad")
@@ -60,6 +64,7 @@ class MountainCar(ControlTask, frozen=True):
     """Drive a weak car up a hill by building momentum (thesis, p. 106; Gym's MountainCar)."""
 
     target: ClassVar[str] = "bojax.envs.mountain_car:MountainCar"
+    observation_names: ClassVar[tuple[str, str]] = ("position", "velocity")
 
     kind: Literal["mountain-car"] = "mountain-car"
     goal_position: float = Field(
@@ -112,6 +117,7 @@ class CartpoleSwingUp(ControlTask, frozen=True):
     """Swing a pole up by moving its cart (thesis, p. 107; Gym's CartPole, with the pole hanging at first)."""
 
     target: ClassVar[str] = "bojax.envs.cartpole_swing_up:CartpoleSwingUp"
+    observation_names: ClassVar[tuple[str, str]] = ("position (m)", "velocity (m/s)")
 
     kind: Literal["cartpole-swing-up"] = "cartpole-swing-up"
     goal_cosine: float = Field(

@@ -116,6 +116,11 @@ class Blocks(FieldSettings, frozen=True):
             )
         return self
 
+    @property
+    def blocks(self) -> tuple[tuple[float, ...], ...]:
+        """`(x_min, y_min, x_max, y_max, height)` of each block, m."""
+        return tuple((*box, height) for box, height in zip(self.boxes, self.heights, strict=True))
+
 
 class _Measured(FieldSettings, frozen=True):
     file: str = Field(

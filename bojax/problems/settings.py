@@ -5,11 +5,13 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import pydantic
 from pydantic import Field
+from typing_extensions import override
 
 from bojax.config.component import Component, Slot
 from bojax.fields.settings import Blocks, Box, Bumps, Step, proper_box
 from bojax.models.settings import RBF, ConstantMean, Scaled, ZeroMean
 from bojax.problems.vehicles.settings import Exact, Quadrotor, WheeledRobot
+from bojax.results.outline import Outline
 
 
 class ObjectiveSettings(Component, frozen=True):
@@ -91,6 +93,26 @@ class ProblemSettings(Component, frozen=True):
     plural: ClassVar[str] = "problems"
     protocol: ClassVar[str] = "bojax.problems.base:Problem"
 
+    @property
+    def outline(self) -> Outline:
+        """The world seen from above, as figures draw it."""
+        return Outline()
+
+    @property
+    def has_success(self) -> bool:
+        """Whether a run can succeed."""
+        return True
+
+    @property
+    def ends_at_success(self) -> bool:
+        """Whether a run is over once it has succeeded."""
+        return True
+
+    @property
+    def ends_at_exit(self) -> bool:
+        """Whether a run is over once the robot has left the domain."""
+        return False
+
 
 class _Parking(ProblemSettings, frozen=True):
     target: ClassVar[str] = "bojax.problems.parking:Parking"
@@ -137,6 +159,19 @@ class _Parking(ProblemSettings, frozen=True):
         default=Exact(),
         description="vehicle that follows the paths; planners assume that paths are followed exactly",
     )
+
+    @property
+    @override
+    def outline(self) -> Outline:
+        half = self.half_width
+        return Outline(
+            border=(-half, -half, half, half), goals=((0.0, 0.0, self.distance_tolerance),), heading=0.0
+        )
+
+    @property
+    @override
+    def ends_at_exit(self) -> bool:
+        return self.exit_terminates
 
 
 class Parking(_Parking, frozen=True):
@@ -279,6 +314,32 @@ class FieldProblem(ProblemSettings, frozen=True):
             if wall[0] <= x <= wall[2] and wall[1] <= y <= wall[3]:
                 raise ValueError(f"start: ({x:g}, {y:g}) lies inside walls[{number}]")
         return self
+
+    @property
+    @override
+    def outline(self) -> Outline:
+        return Outline(
+            border=self.domain,
+            obstacles=self.walls or (),
+            goals=() if self.target_area is None else (self.target_area,),
+            start=None if self.start is None else self.start[:2],
+            blocks=self.field.blocks if isinstance(self.field, Blocks) else (),
+        )
+
+    @property
+    @override
+    def has_success(self) -> bool:
+        return self.target_area is not None
+
+    @property
+    @override
+    def ends_at_success(self) -> bool:
+        return False
+
+    @property
+    def maps_heights(self) -> bool:
+        """Whether the field is the height of the ground."""
+        return isinstance(self.sensor, Range)
 
 
 class Monitoring(FieldProblem, frozen=True):

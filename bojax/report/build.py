@@ -5,10 +5,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from bojax.config.component import External
 from bojax.report import style
-from bojax.report.claims import evaluate
+from bojax.report.claims.evaluate import evaluate
 from bojax.report.figures import FIGURES
 from bojax.report.figures.base import Undrawable
+from bojax.report.manifest import Unread
 from bojax.report.page import Plate, plate, render
 from bojax.report.source import Results, load
 from bojax.report.tables import count_nan_runs, thesis_gaps
@@ -48,7 +50,9 @@ def _build(folder: Path, at: Callable[[str], None]) -> Path:
     claims = evaluate(results)
     images, plates, notes = _figures(results, at)
     at("page")
-    page = render(results, claims, plates, [*notes, *thesis_gaps(results), *_gaps(results)])
+    page = render(
+        results, claims, plates, [*notes, *thesis_gaps(results), *_gaps(results), *_unknown(results)]
+    )
 
     figures = folder / "figures"
     with explained(figures):
@@ -69,7 +73,7 @@ def _build(folder: Path, at: Callable[[str], None]) -> Path:
 
 def _figures(results: Results, at: Callable[[str], None]) -> tuple[dict[str, Any], list[Plate], list[str]]:
     """Files by figure, figures on the page, and why a figure that was asked for is not there."""
-    asked = results.settings.get("figures")
+    asked = results.report.figures
     names = list(dict.fromkeys(asked or FIGURES))
     images, plates, notes = {}, [], []
     missing: list[str] = []
@@ -106,14 +110,11 @@ def _figures(results: Results, at: Callable[[str], None]) -> tuple[dict[str, Any
 def _gaps(results: Results) -> list[str]:
     """What is missing from the results: runs and numbers."""
     notes = []
-    wanted = results.manifest.get("runs")
-    wanted = wanted if isinstance(wanted, int) else 0
+    wanted = results.manifest.runs or 0
     short = [point for point in results.points if results.runs_of(point)["run"].size < wanted]
     if short:
         missing = sum(wanted - results.runs_of(point)["run"].size for point in short)
-        errors = dict.fromkeys(
-            str(chunk["error"]) for chunk in results.manifest.get("chunks") or [] if chunk["error"]
-        )
+        errors = dict.fromkeys(chunk.error for chunk in results.manifest.chunks if chunk.error)
         notes.append(
             f"{counted(missing, 'run')} of {joined([point.name for point in short])} missing; "
             f"--resume tries them again.{''.join(f' {error}.' for error in errors)}"
@@ -121,6 +122,29 @@ def _gaps(results: Results) -> list[str]:
     bad = [f"{point.name} {count}" for point in results.points if (count := count_nan_runs(results, point))]
     if bad:
         notes.append(f"Runs with a value that is not a number: {', '.join(bad)}.")
+    return notes
+
+
+def _unknown(results: Results) -> list[str]:
+    """What the report could not know, since only settings that it can read tell it."""
+    notes = []
+    refused = {
+        point.name: point.experiment.reason
+        for point in results.points
+        if isinstance(point.experiment, Unread)
+    }
+    if refused:
+        notes.append(
+            f"This version of bojax cannot read the settings of {joined(list(refused))} "
+            f"({joined(list(dict.fromkeys(refused.values())))}): figures and tables that depend on them are "
+            "left out."
+        )
+    parts = (part for point in results.points for part in (point.experiment, point.problem))
+    own = list(dict.fromkeys(part.kind for part in parts if isinstance(part, External)))
+    if own:
+        notes.append(
+            f"{joined(own)}: given by import path, so the report knows the settings only as plain values."
+        )
     return notes
 
 

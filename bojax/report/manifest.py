@@ -1,35 +1,66 @@
-"""What a report reads of `manifest.json`, as a schema: a wrong type or shape ends in one line."""
+"""What a report reads of `manifest.json`: a schema, and the settings objects that were written into it.
 
-from typing import Annotated, Any, Literal
+A wrong type or shape ends in one line. Settings that this version of bojax refuses, because another version
+wrote them or a data file is gone, stay plain values (`Unread`): a report without them is better than none.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, TypeVar
 
 import pydantic
-from pydantic import BeforeValidator, Field
+from pydantic import BeforeValidator, Field, PlainValidator
 
-from bojax.config.errors import from_validation
+from bojax.config.claims import Claim
+from bojax.config.component import Component
+from bojax.config.errors import dotted, from_validation
+from bojax.config.sweep import Report, validate_experiment
+from bojax.results.outline import Outline
 from bojax.results.store import ResultsError
 
 MAX_DEPTH = 100
-"""Most mappings and lists within each other: far more than settings have, far less than Python can walk."""
+"""Largest nesting depth of mappings and lists: far more than settings need, far less than Python can walk."""
 
 Count = Annotated[int, Field(ge=0, lt=2**53)]
-Texts = Annotated[list[str], BeforeValidator(lambda value: [value] if isinstance(value, str) else value)]
-"""Text, or a list of texts."""
+
+T = TypeVar("T")
+Listed = Annotated[list[T], BeforeValidator(lambda value: [] if value is None else value)]
+"""A list, or null for an empty one."""
+
+
+@dataclass(frozen=True)
+class Unread:
+    """Settings that this version of bojax cannot read.
+
+    Attributes:
+        mapping: The settings as plain values.
+        reason: Why they were refused, in one line.
+    """
+
+    mapping: Mapping[str, Any]
+    reason: str
 
 
 class _Part(pydantic.BaseModel):
     model_config = pydantic.ConfigDict(extra="allow", strict=True)
 
 
-Box = Annotated[list[pydantic.FiniteFloat], Field(min_length=4, max_length=4)]
-Shape = Annotated[list[pydantic.FiniteFloat], Field(min_length=3, max_length=4)]
+def _outline(numbers: Any) -> Outline:
+    if not isinstance(numbers, Mapping):
+        raise ValueError("a mapping is expected")
+    try:
+        outline = Outline.of(numbers)
+        outline.as_numbers()
+    except TypeError as error:
+        raise ValueError(str(error)) from error
+    return outline
 
 
-class OutlineEntry(_Part):
-    """What stands in the world, see `bojax.results.outline.Outline`."""
-
-    border: Box | None = None
-    obstacles: list[Shape] = []
-    goals: list[Shape] = []
+def _known(report: Any) -> Any:
+    """The keys of `report` that this version knows and that are set."""
+    if not isinstance(report, Mapping):
+        return report if report is not None else {}
+    return {key: value for key, value in report.items() if key in Report.model_fields and value is not None}
 
 
 class PointEntry(_Part):
@@ -40,25 +71,11 @@ class PointEntry(_Part):
     variant: str | None = None
     swept: dict[str, Any] | None = None
     config: dict[str, Any] | None = None
-    outline: OutlineEntry | None = None
+    outline: Annotated[Outline, PlainValidator(_outline)] | None = None
 
 
-class Report(_Part):
-    """What the sweep wants to be shown."""
-
-    figures: list[str] | None = None
-    notes: Texts | None = None
-    thesis: dict[str, Any] | None = None
-    relative_to: str | None = None
-    by_step: Count | None = None
-    over: str | None = None
-    column: str | None = None
-    rolling: Annotated[int, Field(ge=1, lt=2**31)] | None = None
-    best_return: float | None = None
-
-
-class Claim(_Part):
-    """A claim and its test; what the test needs is checked when it is made."""
+class ClaimEntry(_Part):
+    """A claim; `claims_of` turns it into settings."""
 
     id: str
     claim: str
@@ -94,40 +111,62 @@ class Manifest(_Part):
     title: str | None = None
     runs: Count | None = None
     seed: int | None = None
-    changed: dict[str, Annotated[list[Any], Field(min_length=2, max_length=2)]] | None = None
-    report: Report | None = None
-    claims: list[Claim] | None = None
-    groups: list[Group] | None = None
-    chunks: list[Chunk] | None = None
+    changed: Annotated[
+        dict[str, Annotated[list[Any], Field(min_length=2, max_length=2)]],
+        BeforeValidator(lambda value: {} if value is None else value),
+    ] = {}
+    report: Annotated[Report, BeforeValidator(_known)] = Report()
+    claims: Listed[ClaimEntry] = []
+    groups: Listed[Group] = []
+    chunks: Listed[Chunk] = []
     command: str | None = None
     written: str | None = None
     config_hash: str | None = None
     versions: dict[str, Any] | None = None
     git: dict[str, Any] | None = None
+    device: Any = None
+    precision: Any = None
 
 
-def check(manifest: Any, path: str) -> dict[str, Any]:
+def read(manifest: Any, path: str) -> Manifest:
     """The manifest, of the types and shapes that a report relies on, its text encodable.
 
     Args:
-        manifest: What the file holds.
+        manifest: The content of the file.
         path: The file, for messages.
 
     Raises:
-        ResultsError: A key has another type or shape; one line that names it.
+        ResultsError: A key has another type or shape; one line that names the key.
     """
     manifest = _encodable(manifest, MAX_DEPTH, path)
     if not manifest.get("points"):
         raise ResultsError(f"{path}: points: missing or empty: not a results folder of bojax")
     try:
-        Manifest.model_validate(manifest)
+        checked = Manifest.model_validate(manifest)
     except pydantic.ValidationError as error:
-        raise ResultsError(str(from_validation(error, lambda place: f"{path}: {_dotted(place)}"))) from error
-    indices = [entry["index"] for entry in manifest["points"]]
+        raise ResultsError(str(from_validation(error, lambda place: f"{path}: {_indexed(place)}"))) from error
+    indices = [entry.index for entry in checked.points]
     if len(set(indices)) < len(indices):
         twin = next(index for index in indices if indices.count(index) > 1)
         raise ResultsError(f"{path}: points: two have the index {twin}; allowed: every index once")
-    return manifest
+    return checked
+
+
+def experiment_of(point: PointEntry) -> Component | Unread:
+    """The experiment of a point."""
+    return _settings(validate_experiment, point.config or {})
+
+
+def claims_of(manifest: Manifest) -> tuple[Claim | Unread, ...]:
+    """The claims of the sweep."""
+    return tuple(_settings(Claim.model_validate, claim.model_dump()) for claim in manifest.claims)
+
+
+def _settings(validate: Callable[[Any], T], mapping: Mapping[str, Any]) -> T | Unread:
+    try:
+        return validate(mapping)
+    except pydantic.ValidationError as error:
+        return Unread(mapping, str(from_validation(error, dotted)))
 
 
 def _encodable(value: Any, depth: int, path: str) -> Any:
@@ -145,6 +184,6 @@ def _encodable(value: Any, depth: int, path: str) -> Any:
     return value
 
 
-def _dotted(place: tuple[int | str, ...]) -> str:
+def _indexed(place: tuple[int | str, ...]) -> str:
     text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place)
     return text.removeprefix(".")

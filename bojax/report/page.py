@@ -8,8 +8,11 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from bojax.config.component import Component
+from bojax.experiments.settings import Learning, Planning
 from bojax.report import statistics, tables
 from bojax.report.dark import adapted
+from bojax.report.manifest import Unread
 from bojax.report.source import Results
 from bojax.report.text import MISSING, counted, joined, percent, plain, seconds, with_bounds
 
@@ -64,33 +67,31 @@ def render(
         plates=plates,
         outcomes=tables.outcomes(results),
         ratios=tables.ratios(results),
-        has_thesis=bool(results.settings.get("thesis")),
+        has_thesis=bool(results.report.thesis),
         speeds=tables.speeds(results),
         is_learning=any(point.is_learning for point in results.points),
         resampling=_resampling(results),
         common=tables.common_settings(results),
         own=tables.own_settings(results),
-        notes=[*_paragraphs(results.settings.get("notes")), *notes],
+        notes=[*filter(None, map(str.strip, results.report.notes.split("\n\n"))), *notes],
         provenance=provenance(results),
     )
 
 
 def summary(results: Results) -> str:
     """What was run, in one sentence."""
-    configs = [point.config for point in results.points]
-    noun = next(
-        (noun for noun in ("planner", "learner") if all(noun in config for config in configs)), "setting"
-    )
+    nouns, places, lengths = zip(*(_described(point.experiment) for point in results.points), strict=True)
+    noun = nouns[0] if len(set(nouns)) == 1 else "setting"
     names = [point.name for point in results.points]
     labels = {point.label for point in results.points}
     what = counted(len(names), noun)
     if noun != "setting" and len(labels) < len(names):
         what = f"{counted(len(names), 'setting')} of {counted(len(labels), noun)}"
     listed = f" ({joined(names)})" if len(names) <= 12 else ""
-    where = ""
-    for role, phrase in (("problem", "on the problem"), ("env", "in the environment")):
-        kinds = sorted({_kind(config.get(role)) for config in configs} - {""})
-        where += f" {phrase} {joined(kinds)}" if kinds else ""
+    kinds: dict[str, set[str]] = {}
+    for phrase, kind in filter(None, places):
+        kinds.setdefault(phrase, set()).add(kind)
+    where = "".join(f" {phrase} {joined(sorted(kinds[phrase]))}" for phrase in sorted(kinds, reverse=True))
     numbers = sorted({int(results.runs_of(point)["run"].size) for point in results.points})
     runs = (
         counted(numbers[-1], "run")
@@ -98,36 +99,37 @@ def summary(results: Results) -> str:
         else f"{numbers[0]:,} to {counted(numbers[-1], 'run')}"
     )
     each = " each" if len(names) > 1 else ""
-    length = _most(configs, ("episodes",), "episode") or _most(configs, ("problem", "max_steps"), "step")
-    steps = f" of up to {length}" if length else ""
-    groups = results.manifest.get("groups") or []
-    run = sum(group.get("run_seconds") or 0 for group in groups)
-    build = sum(group.get("compile_seconds") or 0 for group in groups)
+    longest = max((length for length in lengths if length), default=None)
+    steps = f" of up to {counted(*longest)}" if longest and all(lengths) else ""
+    run, build = _times(results)
     time = f", in {seconds(run)} of run time and {seconds(build)} of compilation" if run else ""
     return f"{what}{listed}{where}: {runs}{each}{steps}{time}."
 
 
-def _most(configs: Sequence[Mapping[str, Any]], path: Sequence[str], noun: str) -> str:
-    """The largest number of that setting, with its noun; empty where some point does not have it."""
-    found: list[Any] = list(configs)
-    for key in path:
-        found = [value.get(key) if isinstance(value, Mapping) else None for value in found]
-    return counted(max(found), noun) if all(isinstance(value, int) for value in found) else ""
+def _described(experiment: Component | Unread) -> tuple[str, tuple[str, str] | None, tuple[int, str] | None]:
+    """What is compared; where it was run, as phrase and kind; the greatest length of a run, with its unit."""
+    if isinstance(experiment, Planning):
+        problem = experiment.problem
+        steps = getattr(problem, "max_steps", None)
+        return "planner", ("on the problem", problem.kind), None if steps is None else (steps, "step")
+    if isinstance(experiment, Learning):
+        return "learner", ("in the environment", experiment.env.kind), (experiment.episodes, "episode")
+    return "setting", None, None
 
 
 def provenance(results: Results) -> list[tuple[str, str]]:
     """How the results came about: command, times, seeds, versions, machine."""
     manifest = results.manifest
     rows = [
-        ("command", _line(manifest.get("command"))),
-        ("written", _line(manifest.get("written"))),
-        ("time taken", _time_taken(manifest.get("groups") or [])),
-        ("runs, seed", f"{plain(manifest.get('runs'))}, {plain(manifest.get('seed'))}"),
-        ("revision", _revision(manifest.get("git"))),
-        ("device", _line(manifest.get("device"))),
-        ("versions", _line(manifest.get("versions"))),
-        ("precision", _line(manifest.get("precision"))),
-        ("hash of settings", _line(manifest.get("config_hash"))),
+        ("command", _line(manifest.command)),
+        ("written", _line(manifest.written)),
+        ("time taken", _time_taken(results)),
+        ("runs, seed", f"{plain(manifest.runs)}, {plain(manifest.seed)}"),
+        ("revision", _revision(manifest.git)),
+        ("device", _line(manifest.device)),
+        ("versions", _line(manifest.versions)),
+        ("precision", _line(manifest.precision)),
+        ("hash of settings", _line(manifest.config_hash)),
     ]
     return [(key, value) for key, value in rows if value]
 
@@ -174,13 +176,6 @@ def _share_bounds(estimate: float, low: float, high: float) -> tuple[str, str]:
     return percent(estimate), f"[{percent(low)}, {percent(high)}]"
 
 
-def _paragraphs(notes: Any) -> list[str]:
-    if not notes:
-        return []
-    parts = notes if isinstance(notes, list) else str(notes).split("\n\n")
-    return [str(part).strip() for part in parts if str(part).strip()]
-
-
 def _line(value: Any) -> str:
     if isinstance(value, Mapping):
         return ", ".join(f"{key} {_line(item)}" for key, item in value.items() if item not in (None, ""))
@@ -191,23 +186,25 @@ def _line(value: Any) -> str:
     return "" if value is None else plain(value)
 
 
-def _revision(git: Any) -> str:
-    if not isinstance(git, Mapping):
-        return _line(git)
+def _revision(git: Mapping[str, Any] | None) -> str:
+    if git is None:
+        return ""
     return f"{git.get('revision', MISSING)}{', with uncommitted changes' if git.get('has_changes') else ''}"
 
 
-def _time_taken(groups: Sequence[Mapping[str, Any]]) -> str:
-    if not groups:
+def _times(results: Results) -> tuple[float, float]:
+    """Seconds of run time and of compilation, of all groups."""
+    groups = results.manifest.groups
+    return sum(group.run_seconds or 0 for group in groups), sum(
+        group.compile_seconds or 0 for group in groups
+    )
+
+
+def _time_taken(results: Results) -> str:
+    if not results.manifest.groups:
         return ""
-    run, build = (sum(group.get(key) or 0 for group in groups) for key in ("run_seconds", "compile_seconds"))
+    run, build = _times(results)
     return f"{seconds(run)} of run time, {seconds(build)} of compilation"
-
-
-def _kind(component: Any) -> str:
-    if isinstance(component, Mapping):
-        return str(component.get("kind", ""))
-    return component if isinstance(component, str) else ""
 
 
 def _minus(text: Any) -> str:

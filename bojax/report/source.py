@@ -1,10 +1,7 @@
-"""What a report reads of a results folder: manifest, tables, arrays; every other part asks here.
-
-The keys of `manifest.json` that are read are those of `bojax.report.manifest`.
-"""
+"""The results folder as a report reads it: settings, tables and arrays."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property, reduce
 from pathlib import Path
 from typing import Any
@@ -12,9 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bojax.config.claims import Claim
+from bojax.config.component import Component
+from bojax.config.sweep import Report
+from bojax.experiments.settings import ExperimentSettings, Learning, Planning
 from bojax.report.columns import Columns, check_runs, read_columns
-from bojax.report.manifest import check
+from bojax.report.manifest import Manifest, PointEntry, Unread, claims_of, experiment_of, read
 from bojax.report.snapshots import Arrays, read_snapshot
+from bojax.results.outline import Outline
 from bojax.results.store import ARRAYS, MANIFEST, WORK, ResultsError, array_file, read_manifest
 
 
@@ -26,10 +28,12 @@ class Point:
         index: Its number, the column `point` of every table.
         label: Identifier of its planner or learner.
         variant: Its name in the sweep.
-        name: What a report calls it: the variant, with the swept numbers where variants repeat.
+        name: Its name in the report: the variant, with the swept numbers where variants repeat.
         swept: Value of every swept key, by dotted path.
-        config: The resolved experiment.
-        outline: What its problem says of its world, see `bojax.results.outline.Outline`; empty where nothing.
+        config: The settings of the experiment as plain values.
+        experiment: The same settings as an object. An experiment given by import path has no properties but
+            its parameters; `Unread` are settings that this version of bojax refuses.
+        outline: The world of its problem.
     """
 
     index: int
@@ -38,30 +42,33 @@ class Point:
     name: str
     swept: Mapping[str, Any]
     config: Mapping[str, Any]
-    outline: Mapping[str, Any] = field(default_factory=dict)
+    experiment: Component | Unread
+    outline: Outline
 
     @property
-    def problem(self) -> Mapping[str, Any]:
-        """Its problem; empty where the experiment has none."""
-        return _mapping(self.config.get("problem"))
+    def problem(self) -> Component | None:
+        """Its problem; None where the experiment has none."""
+        return self.experiment.problem if isinstance(self.experiment, Planning) else None
+
+    @property
+    def env(self) -> Component | None:
+        """Its environment; None where the experiment has none."""
+        return self.experiment.env if isinstance(self.experiment, Learning) else None
 
     @property
     def is_learning(self) -> bool:
         """Whether a run is many episodes of a learner."""
-        return "env" in self.config and "learner" in self.config
+        return isinstance(self.experiment, Learning)
 
     @property
     def has_success(self) -> bool:
-        """Whether its runs can succeed: monitoring without a target area has nothing to reach."""
-        return self.problem.get("target_area", True) is not None
+        """Whether its runs can succeed."""
+        return not isinstance(self.experiment, ExperimentSettings) or self.experiment.has_success
 
     @property
     def ends_at_success(self) -> bool:
-        """Whether a run is over once it has succeeded.
-
-        Where there is an area to reach, it goes on; and `steps` of a learner are those of all episodes.
-        """
-        return "target_area" not in self.problem and not self.is_learning
+        """Whether a run is known to be over once it has succeeded."""
+        return isinstance(self.experiment, ExperimentSettings) and self.experiment.ends_at_success
 
 
 @dataclass(frozen=True)
@@ -75,33 +82,38 @@ class Results:
     """
 
     folder: Path
-    manifest: Mapping[str, Any]
+    manifest: Manifest
     points: tuple[Point, ...]
 
     @property
-    def settings(self) -> Mapping[str, Any]:
-        """The sweep's `report` mapping."""
-        return _mapping(self.manifest.get("report"))
+    def report(self) -> Report:
+        """The sweep's settings of the report."""
+        return self.manifest.report
+
+    @cached_property
+    def claims(self) -> tuple[Claim | Unread, ...]:
+        """The claims of the sweep."""
+        return claims_of(self.manifest)
 
     @property
     def name(self) -> str:
         """The sweep's name."""
-        return str(self.manifest.get("name") or self.folder.name)
+        return self.manifest.name or self.folder.name
 
     @property
     def title(self) -> str:
         """The sweep's title."""
-        return str(self.manifest.get("title") or self.name)
+        return self.manifest.title or self.name
 
     @property
     def changed(self) -> Mapping[str, Any]:
-        """Settings that differ from the shipped sweep of this name: dotted path, then its value and ours."""
-        return _mapping(self.manifest.get("changed"))
+        """Settings that differ from the published sweep of this name: `{dotted path: [published, ours]}`."""
+        return self.manifest.changed
 
     @property
     def reference(self) -> Point | None:
         """The point that `report.relative_to` names, if it is one."""
-        name = self.settings.get("relative_to")
+        name = self.report.relative_to
         return next((point for point in self.points if name in (point.name, point.variant)), None)
 
     def thesis(self, point: Point, column: str) -> Any:
@@ -109,12 +121,12 @@ class Results:
 
         A label stands for all its variants, unless one of them has its name.
         """
-        values = _mapping(self.settings.get("thesis"))
+        values = self.report.thesis
         names = [point.name, point.variant]
         if all(other.variant != point.label for other in self.points):
             names.append(point.label)
         for name in names:
-            if (value := _mapping(values.get(name)).get(column)) is not None:
+            if (value := _row(values, name).get(column)) is not None:
                 return value
         return None
 
@@ -231,10 +243,10 @@ def load(folder: Path) -> Results:
         raise ResultsError(f"{folder}: not a results folder; the newest below it is {newest}")
     if (folder / WORK).is_dir() and not (folder / MANIFEST).exists():
         raise _unfinished(folder)
-    manifest = check(read_manifest(folder), str(folder / MANIFEST))
-    if manifest["status"] not in ("finished", "failed"):
+    manifest = read(read_manifest(folder), str(folder / MANIFEST))
+    if manifest.status not in ("finished", "failed"):
         raise _unfinished(folder)
-    return Results(folder, manifest, _points(manifest["points"]))
+    return Results(folder, manifest, _points(manifest.points))
 
 
 def _newest_below(folder: Path) -> Path | None:
@@ -253,22 +265,19 @@ def _unfinished(folder: Path) -> ResultsError:
     return ResultsError(f"{folder}: this sweep has not finished: run it again with --resume --out {folder}")
 
 
-def _points(entries: Sequence[Mapping[str, Any]]) -> tuple[Point, ...]:
-    variants = [entry.get("variant") or entry["label"] for entry in entries]
-    swept = [_mapping(entry.get("swept")) for entry in entries]
+def _points(entries: Sequence[PointEntry]) -> tuple[Point, ...]:
+    variants = [entry.variant or entry.label for entry in entries]
+    swept = [entry.swept or {} for entry in entries]
     names = _names(variants, swept)
-    return tuple(
-        Point(
-            entry["index"],
-            entry["label"],
-            variant,
-            name,
-            values,
-            _mapping(entry.get("config")),
-            _mapping(entry.get("outline")),
+    points = []
+    for entry, variant, name, values in zip(entries, variants, names, swept, strict=True):
+        experiment = experiment_of(entry)
+        known = experiment.outline if isinstance(experiment, ExperimentSettings) else Outline()
+        outline = entry.outline or known
+        points.append(
+            Point(entry.index, entry.label, variant, name, values, entry.config or {}, experiment, outline)
         )
-        for entry, variant, name, values in zip(entries, variants, names, swept, strict=True)
-    )
+    return tuple(points)
 
 
 def _names(variants: Sequence[str], swept: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -292,5 +301,6 @@ def _rows(table: Columns, point: Point) -> Columns:
     return {name: column[kept] for name, column in table.items()}
 
 
-def _mapping(value: Any) -> Mapping[str, Any]:
-    return value if isinstance(value, Mapping) else {}
+def _row(table: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    row = table.get(name)
+    return row if isinstance(row, Mapping) else {}

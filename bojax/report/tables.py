@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from bojax.experiments.settings import Planning, Trajectories
 from bojax.report import statistics
 from bojax.report.columns import Columns
 from bojax.report.source import Point, Results
@@ -56,7 +57,7 @@ def outcomes(results: Results) -> Table:
     """One row per point: means and shares of its runs with 95% intervals, beside the thesis's numbers."""
     measures, rows = _measures(results), []
     # A gallery of trajectories computes nothing that could fail to be a number.
-    has_numbers = any(point.config.get("kind") != "trajectories" for point in results.points)
+    has_numbers = not all(isinstance(point.experiment, Trajectories) for point in results.points)
     for point in results.points:
         runs = results.runs_of(point)
         cells = [Cell(f"{runs['run'].size:,}")]
@@ -103,7 +104,7 @@ def thesis_gaps(results: Results) -> list[str]:
     measured = {measure.column for measure in _measures(results)}
     unknown = [column for column in _thesis_columns(results) if column not in measured]
     notes = [f"The thesis's {joined(unknown)} stands beside no column of the results."] if unknown else []
-    name = results.settings.get("relative_to")
+    name = results.report.relative_to
     if name is not None and results.reference is None:
         notes.append(f"No ratios: no setting is called {name}.")
     return notes
@@ -118,23 +119,22 @@ def speeds(results: Results) -> list[Speed]:
     """One entry per static group of the manifest; empty where it has no timings."""
     points = {point.index: point for point in results.points}
     entries = []
-    for group in results.manifest.get("groups") or []:
-        members = [points[index] for index in group.get("points") or [] if index in points]
-        run, steps = group.get("run_seconds"), group.get("active_steps")
+    for group in results.manifest.groups:
+        members = [points[index] for index in group.points or [] if index in points]
+        run, steps = group.run_seconds, group.active_steps
         rate = steps / run if steps and run else None
         iterations = {_iterations(point) for point in members}
         per_step = iterations.pop() if len(iterations) == 1 else None
-        latency = group.get("latency_seconds")
-        latency = latency if isinstance(latency, Mapping) else {}
+        latency = group.latency_seconds or {}
         entries.append(
             Speed(
                 latencies=[(point.name, seconds(latency.get(str(point.index)))) for point in members],
-                lanes=plain(group.get("lanes_per_device", MISSING)),
-                steps=f"{steps:,}" if isinstance(steps, int) else MISSING,
+                lanes=MISSING if group.lanes_per_device is None else plain(group.lanes_per_device),
+                steps=MISSING if steps is None else f"{steps:,}",
                 steps_per_second=number(rate),
                 iterations_per_second=number(rate * per_step if rate and per_step else None),
                 run=seconds(run),
-                compile=seconds(group.get("compile_seconds")),
+                compile=seconds(group.compile_seconds),
             )
         )
     return entries
@@ -190,7 +190,7 @@ def _planning_measures(results: Results) -> tuple[list[_Measure], set[str]]:
     if "success" in runs and has_success:
         measures.append(_Measure("success", "success", lambda table: share_cell(table["success"])))
     if "success" in runs and "steps" in runs and all(point.ends_at_success for point in results.points):
-        limit = int(results.settings.get("by_step") or BY_STEP)
+        limit = results.report.by_step or BY_STEP
         measures.append(
             _Measure(
                 f"success by step {limit}",
@@ -298,8 +298,7 @@ def share_cell(flags: np.ndarray) -> Cell:
 
 
 def _thesis_columns(results: Results) -> list[str]:
-    values = results.settings.get("thesis")
-    rows = values.values() if isinstance(values, Mapping) else ()
+    rows = results.report.thesis.values()
     return list(dict.fromkeys(column for row in rows if isinstance(row, Mapping) for column in row))
 
 
@@ -318,6 +317,8 @@ def _heading(column: str) -> str:
 
 
 def _iterations(point: Point) -> int | None:
-    planner = point.config.get("planner")
-    iterations = planner.get("iterations") if isinstance(planner, Mapping) else None
-    return iterations if isinstance(iterations, int) else None
+    return (
+        getattr(point.experiment.planner, "iterations", None)
+        if isinstance(point.experiment, Planning)
+        else None
+    )

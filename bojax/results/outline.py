@@ -1,10 +1,9 @@
-"""What stands in the world of a problem, seen from above: written into the manifest, drawn by figures."""
+"""The world of a problem seen from above: declared by problems, drawn by maps, films and MuJoCo scenes."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any
-
-import numpy as np
 
 
 @dataclass(frozen=True)
@@ -12,32 +11,45 @@ class Outline:
     """The shapes of a world, in metres. Four numbers are a box, three are a disc.
 
     Attributes:
-        border: The domain, `(x_min, y_min, x_max, y_max)`.
-        obstacles: What ends or stops a path: boxes, or discs `(x, y, radius)`.
-        goals: Areas to reach, likewise.
+        border: The domain, `(x_min, y_min, x_max, y_max)`; None for a world without a border.
+        obstacles: What ends or stops a path: boxes `(x_min, y_min, x_max, y_max)`, or discs `(x, y, radius)`.
+        goals: Areas to reach: boxes or discs.
+        start: Initial position, `(x, y)`; None where it differs between runs.
+        heading: Heading to reach in a goal, in radians; None where any will do.
+        blocks: Boxes that stand on the ground, `(x_min, y_min, x_max, y_max, height)`.
     """
 
-    border: Any = None
-    obstacles: Sequence[Any] = ()
-    goals: Sequence[Any] = ()
+    border: Sequence[Any] | None = None
+    obstacles: Sequence[Sequence[Any]] = ()
+    goals: Sequence[Sequence[Any]] = ()
+    start: Sequence[Any] | None = None
+    heading: Any = None
+    blocks: Sequence[Sequence[Any]] = ()
 
     def as_numbers(self) -> dict[str, Any]:
         """The outline as plain numbers.
 
         Raises:
-            ValueError: A shape is neither a box nor a disc of finite numbers.
+            ValueError: A shape has another number of values, or a value is not finite.
         """
-        border = None if self.border is None else _numbers(self.border, "border", (4,))
         return {
-            "border": border,
+            "border": None if self.border is None else _numbers(self.border, "border", (4,)),
             "obstacles": [_numbers(shape, "obstacles", (3, 4)) for shape in self.obstacles],
             "goals": [_numbers(shape, "goals", (3, 4)) for shape in self.goals],
+            "start": None if self.start is None else _numbers(self.start, "start", (2,)),
+            "heading": None if self.heading is None else _numbers([self.heading], "heading", (1,))[0],
+            "blocks": [_numbers(shape, "blocks", (5,)) for shape in self.blocks],
         }
+
+    @classmethod
+    def of(cls, numbers: Mapping[str, Any]) -> "Outline":
+        """The outline that `as_numbers` describes; what is missing is left out."""
+        return cls(**{name: value for name, value in numbers.items() if value is not None})
 
 
 def _numbers(shape: Any, name: str, sizes: tuple[int, ...]) -> list[float]:
-    numbers = [float(np.asarray(number)) for number in shape]
-    if len(numbers) not in sizes or not np.isfinite(numbers).all():
+    numbers = [float(number) for number in shape]
+    if len(numbers) not in sizes or not all(map(isfinite, numbers)):
         allowed = " or ".join(str(size) for size in sizes)
         raise ValueError(f"{name}: got {numbers}; allowed: {allowed} finite numbers")
     return numbers

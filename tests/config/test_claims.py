@@ -58,9 +58,9 @@ def test_a_test_reads_as_it_was_written(test):
     [
         (
             {"kind": "order", "column": "r", "since": WINDOW, "greater": ["a", "b"]},
-            "since goes with a window",
+            "since: needs a window",
         ),
-        ({"kind": "mean", "label": "a", "column": "r"}, "a mean takes above, below, or both"),
+        ({"kind": "mean", "label": "a", "column": "r"}, "mean: give above, below, or both"),
         ({"kind": "mean", "label": "a", "column": "r", "above": 1, "below": 1}, "below must exceed above"),
         (
             {"kind": "mean", "label": "a", "column": "r", "above": 1, "window": {"from": 9, "to": 8}},
@@ -75,7 +75,7 @@ def test_a_test_reads_as_it_was_written(test):
                 "step": 1,
                 "window": WINDOW,
             },
-            "one of step and window",
+            "give either step or window",
         ),
         (
             {
@@ -86,7 +86,7 @@ def test_a_test_reads_as_it_was_written(test):
                 "window": WINDOW,
                 "spread_at": 3,
             },
-            "spread_at is a step where step is given",
+            "spread_at: needs a step if step is given",
         ),
         (
             {
@@ -97,17 +97,20 @@ def test_a_test_reads_as_it_was_written(test):
                 "window": WINDOW,
                 "above": 0.5,
             },
-            "one of within and window",
+            "give either within or window",
         ),
         (
             {"kind": "trend", "label": "a", "column": "r", "from": 1, "to": WINDOW, "direction": "rises"},
-            "both steps, or both episodes",
+            "give two steps or two windows",
         ),
-        ({"kind": "agrees", "label": "a", "column": "r", "runs": 20}, "one of mean and share"),
-        ({"kind": "agrees", "label": "a", "column": "r", "mean": 1, "runs": 20}, "mean and sd go together"),
+        ({"kind": "agrees", "label": "a", "column": "r", "runs": 20}, "either mean and sd, or share"),
+        (
+            {"kind": "agrees", "label": "a", "column": "r", "mean": 1, "runs": 20},
+            "mean and sd: give both or neither",
+        ),
         (
             {"kind": "agrees", "label": "a", "column": "r", "mean": 1, "sd": 0, "runs": 20},
-            "tolerance: a number is needed where sd is 0",
+            "tolerance: required because sd is 0",
         ),
     ],
 )

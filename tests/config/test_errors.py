@@ -411,7 +411,7 @@ SWEEPS = {
     "a claim without a threshold": (
         "{base: {}, claims: [{id: a, source: s, claim: c, test: {kind: share, label: a, column: b}}]}",
         's.yaml: claims.0.test: got {"kind": "share", "label": "a", "column": "b"}; '
-        "a share takes one of above and below",
+        "share: give either above or below",
     ),
     "an unknown test": (
         "{base: {}, claims: [{id: a, source: s, claim: c, test: {kind: orders}}]}",
@@ -423,25 +423,25 @@ SWEEPS = {
     ),
     "an order without a direction": (
         "{base: {}, claims: [{id: a, source: s, claim: c, test: {kind: order, column: x}}]}",
-        's.yaml: claims.0.test: got {"kind": "order", "column": "x"}; an order takes one of greater and less',
+        's.yaml: claims.0.test: got {"kind": "order", "column": "x"}; order: give either greater or less',
     ),
     "an order with a name twice": (
         "{base: {}, claims: [{id: a, source: s, claim: c, test: "
         "{kind: order, column: x, less: [a, [b, a]]}}]}",
         's.yaml: claims.0.test: got {"kind": "order", "column": "x", "less": ["a", ["b", "a"]]}; '
-        "less: a name stands there twice",
+        "less: duplicate name",
     ),
     "an order with a margin that is no share": (
         "{base: {}, claims: [{id: a, source: s, claim: c, test: "
         "{kind: order, column: x, less: [a, b], margin: 2, baseline: c}}]}",
         's.yaml: claims.0.test: got {"kind": "order", "column": "x", "less": ["a", "b"], "mar...; '
-        "with a baseline, margin is a share of a lead: between 0 and 1",
+        "margin: with a baseline it is a share of a lead, between 0 and 1",
     ),
     "a ratio to oneself": (
         "{base: {}, claims: [{id: a, source: s, claim: c, test: "
         "{kind: ratio, column: x, label: a, to: a, expected: 1.2, tolerance: 0.1}}]}",
         's.yaml: claims.0.test: got {"kind": "ratio", "column": "x", "label": "a", "to": "a",...; '
-        "to: a name stands there twice",
+        "to: duplicate name",
     ),
     "an order of one": (
         "{base: {}, claims: [{id: a, source: s, claim: c, test: {kind: order, column: x, greater: [a]}}]}",

@@ -7,6 +7,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from bojax.experiments.settings import Learning, Planning
+from bojax.report.manifest import ClaimEntry, Manifest
 from bojax.report.source import Point, Results
 
 MAX_STEPS = 15
@@ -115,7 +117,7 @@ def write_results(folder: Path, *, runs: int = 40, recorded: int = 8, report: di
                         "distance_tolerance": 0.1,
                         "max_steps": 15,
                     },
-                    "planner": {"kind": label, "iterations": 300, "depth": 3},
+                    "planner": {"kind": label} if label == "random" else {"kind": label, "iterations": 300},
                 },
             }
         )
@@ -361,7 +363,7 @@ def in_memory(
     Args:
         runs: By name, columns of runs.
         steps: By name, `[runs, steps]` of the column `value`.
-        problem: The problem of every point.
+        problem: Settings of the problem of every point.
         claims: Claims of the sweep.
         episodes: By name, `[runs, episodes]` of the column `value` in training; NaN where there is no row.
         tests: By name, `[runs, episodes, tests]` of it in the tests after each episode.
@@ -370,9 +372,18 @@ def in_memory(
     names = list(runs)
     keys = {name: dict((swept or {}).get(name, {})) for name in names}
     labels = {name: keys[name].pop("label", name) for name in names}
-    config = {"problem": problem or {}} if episodes is None else {"env": {}, "learner": {}}
-    points = tuple(Point(i, labels[name], name, name, keys[name], config) for i, name in enumerate(names))
-    results = Results(Path("nowhere"), {"claims": claims or []}, points)
+    if episodes is None:
+        experiment = Planning.model_validate({"problem": problem or "parking"})
+    else:
+        experiment = Learning.model_validate({"env": "mountain-car", "learner": "emu-q"})
+    config = experiment.model_dump(mode="json")
+    points = tuple(
+        Point(i, labels[name], name, name, keys[name], config, experiment, experiment.outline)
+        for i, name in enumerate(names)
+    )
+    told = {"id": "x", "claim": "c", "source": "s"}
+    manifest = manifest_of(claims=[ClaimEntry.model_validate({**told, **claim}) for claim in claims or []])
+    results = Results(Path("nowhere"), manifest, points)
     sizes = [len(next(iter(columns.values()))) for columns in runs.values()]
     table = {
         "point": np.repeat(np.arange(len(names)), sizes),
@@ -394,6 +405,17 @@ def in_memory(
             key: np.concatenate([phase[key] for phase in phases]) for key in phases[0]
         }
     return results
+
+
+def manifest_of(**keys) -> Manifest:
+    """A manifest of which only these keys are set."""
+    return Manifest.model_construct(**keys)
+
+
+def point_of(index: int, label: str, variant: str, swept: dict | None = None) -> Point:
+    """A point of which only these attributes matter."""
+    experiment = Planning.model_validate({})
+    return Point(index, label, variant, variant, swept or {}, {}, experiment, experiment.outline)
 
 
 def _episode_rows(values: dict[str, np.ndarray], names: list[str], phase: str) -> dict[str, np.ndarray]:

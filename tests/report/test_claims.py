@@ -1,3 +1,5 @@
+import importlib
+import inspect
 import json
 
 import numpy as np
@@ -7,7 +9,8 @@ import pytest
 
 from bojax.config import claims as schemas
 from bojax.config.component import registry
-from bojax.report.claims import MIN_RUNS, TESTS, evaluate
+from bojax.report.claims.evaluate import evaluate
+from bojax.report.claims.samples import MIN_RUNS
 from bojax.report.source import load
 from tests.report.synthetic import CLAIMS, edit_manifest, write_results
 
@@ -121,7 +124,7 @@ def test_trend_follows_the_direction(folder, tmp_path):
             },
             "the longest took 15",
         ),
-        ({"kind": "spectrum"}, "no test of kind"),
+        ({"kind": "spectrum"}, "unknown test"),
         ({"kind": "order", "greater": ["sbo", "random"]}, "column"),
     ],
 )
@@ -150,8 +153,11 @@ def test_a_nan_is_a_reason_not_a_number(folder, tmp_path):
     assert "1 run of kcbts without a finite return" in entry["test"]["reason"]
 
 
-def test_every_test_that_a_sweep_may_ask_for_is_there():
-    assert set(TESTS) == set(registry["test"])
+@pytest.mark.parametrize("schema", registry["test"].values(), ids=registry["test"])
+def test_the_function_of_every_test_takes_its_schema(schema):
+    module, _, name = schema.target.partition(":")
+    function = getattr(importlib.import_module(module), name)
+    assert inspect.signature(function).parameters["test"].annotation is schema
 
 
 @pytest.mark.parametrize("claim", CLAIMS, ids=lambda claim: claim["id"])

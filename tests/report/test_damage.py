@@ -100,7 +100,7 @@ MANIFESTS = [
     (lambda m: m.update(changed={"runs": 3}), "changed.runs: got 3; allowed: a list"),
     (lambda m: m.update(report=[]), "report: got []; allowed: a mapping"),
     (lambda m: m.update(report={"figures": "returns"}), "report.figures: got"),
-    (lambda m: m.update(report={"notes": {}}), "report.notes: got {}; allowed: a list"),
+    (lambda m: m.update(report={"notes": {}}), "report.notes: got {}; allowed: text"),
     (lambda m: m.update(report={"thesis": 3}), "report.thesis: got 3; allowed: a mapping"),
     (lambda m: m.update(report={"rolling": 0}), "report.rolling: got 0; allowed: >= 1"),
     (lambda m: m.update(report={"by_step": "6"}), "report.by_step: got"),
@@ -186,7 +186,7 @@ def test_a_setting_that_cannot_be_drawn_is_one_line_of_render(tmp_path, capsys):
     edit_manifest(folder, lambda m: [p["config"]["problem"].update(domain="wide") for p in m["points"]])
     assert main(["render", str(folder)]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f"error: {folder}: cannot be drawn: ")
+    assert line.startswith(f"error: {folder}: this version cannot read the settings: problem.domain: got")
 
 
 def test_rows_in_another_order_give_the_same_report(tmp_path):

@@ -1,5 +1,7 @@
 """The report of a learning sweep: tables that never hide a failure, figures over episodes and numbers."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -195,11 +197,9 @@ class TestSweptNumber:
         assert "emu-q linear" in drawing.caption and "Hollow" in drawing.caption
 
     def test_any_column_can_be_drawn(self, chains):
-        chains.settings["column"] = "episodes_to_goal"
-        try:
-            assert drawn("sweep-curve", chains).figure.axes[0].get_ylabel() == "mean episodes to goal"
-        finally:
-            chains.settings.clear()
+        report = chains.report.model_copy(update={"column": "episodes_to_goal"})
+        other = replace(chains, manifest=chains.manifest.model_copy(update={"report": report}))
+        assert drawn("sweep-curve", other).figure.axes[0].get_ylabel() == "mean episodes to goal"
 
     def test_without_a_number_there_is_no_such_figure(self, folder):
         with pytest.raises(Undrawable, match="no number to draw over"):

@@ -8,17 +8,19 @@ import pytest
 from matplotlib.colors import Normalize
 from matplotlib.patches import Rectangle
 
+from bojax.config.component import registry
+from bojax.config.sweep import Report
 from bojax.report import style
 from bojax.report.build import build_report
 from bojax.report.figures import FIGURES
 from bojax.report.figures.base import Undrawable
 from bojax.report.figures.beliefs import _maps, _norms
-from bojax.report.figures.domains import DOMAINS
+from bojax.report.figures.domains import draw_outline
 from bojax.report.figures.maps import beliefs, draw_map
 from bojax.report.figures.paths import stops
-from bojax.report.source import Point, Results, load
+from bojax.report.source import Results, load
 from bojax.report.tables import outcomes, ratios, thesis_gaps
-from tests.report.synthetic import SPACE, edit_manifest, write_monitoring
+from tests.report.synthetic import SPACE, edit_manifest, manifest_of, point_of, write_monitoring
 
 THESIS = {
     "sbo-5": {"rmse": 72.9, "wrmse": 61.9, "mnll": 0.3, "runtime_s": 106},
@@ -62,16 +64,16 @@ def test_rebuilding_gives_the_same_bytes(folder):
 class TestPaths:
     def test_what_stops_a_run_is_marked_and_no_failure_is_spoken_of(self, folder):
         drawn = drawing(load(folder), "paths")
-        assert "kcbts: run 0, stopped 0 times, target area reached" in drawn.alt
-        assert "sbo-5: run 0, stopped 1 time, target area not reached" in drawn.alt
-        assert legend(drawn.figure) == ["path", "start", "stopped", "wall", "target area"]
+        assert "kcbts: run 0, stopped 0 times, goal reached" in drawn.alt
+        assert "sbo-5: run 0, stopped 1 time, goal not reached" in drawn.alt
+        assert legend(drawn.figure) == ["path", "start", "stopped", "obstacle", "goal"]
         assert "fail" not in drawn.caption + drawn.alt and "succe" not in drawn.caption + drawn.alt
 
     def test_without_walls_and_target_they_are_not_in_the_legend(self, tmp_path):
         folder = write_monitoring(tmp_path / "open", walls=None, target_area=None, start=None)
         drawn = drawing(load(folder), "paths")
         assert legend(drawn.figure) == ["path", "start", "stopped"]
-        assert "target" not in drawn.alt
+        assert "goal" not in drawn.alt
 
     def test_the_field_is_drawn_where_it_was_recorded(self, folder, tmp_path):
         assert all(len(axes.images) == 1 for axes in drawing(load(folder), "paths").figure.axes[:3])
@@ -99,7 +101,8 @@ class TestMaps:
     def test_the_domain_is_that_of_the_problem(self, kind):
         with style.settings():
             _, grid = style.figure(3.0)
-            DOMAINS[kind](grid[0, 0], {**SPACE, "kind": kind, "domain": [-1.0, 0.0, 9.0, 4.0]})
+            settings = {**SPACE, "kind": kind, "domain": [-1.0, 0.0, 9.0, 4.0]}
+            draw_outline(grid[0, 0], registry["problem"][kind].model_validate(settings).outline)
         boxes = [
             list(patch.get_bbox().extents) for patch in grid[0, 0].patches if isinstance(patch, Rectangle)
         ]
@@ -178,7 +181,7 @@ def test_steps_do_not_tell_when_a_run_succeeded_that_goes_on(folder, tmp_path):
 
 def test_a_number_of_the_thesis_belongs_to_the_variant_of_its_name_where_there_is_one():
     names = [("kcbts", "kcbts"), ("kcbts", "kcbts-wide"), ("sbo", "sbo-5")]
-    points = tuple(Point(i, label, variant, variant, {}, {}) for i, (label, variant) in enumerate(names))
+    points = tuple(point_of(i, label, variant) for i, (label, variant) in enumerate(names))
     thesis = {"kcbts": {"rmse": 1.0}, "sbo": {"rmse": 2.0}}
-    results = Results(Path(), {"report": {"thesis": thesis}}, points)
+    results = Results(Path(), manifest_of(report=Report(thesis=thesis)), points)
     assert [results.thesis(point, "rmse") for point in points] == [1.0, None, 2.0]

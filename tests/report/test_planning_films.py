@@ -237,7 +237,7 @@ def test_a_robot_of_ones_own_needs_its_model(tmp_path, rendering, capsys):
         tmp_path / "learned", "mine:Puck", lengths=(3,), goals=(True,), frames=[0.0] * 7
     )
     assert main(["render", str(frames)]) == 2
-    assert "nothing known how to draw mine:Puck" in capsys.readouterr().err
+    assert "no drawing of mine:Puck is known" in capsys.readouterr().err
     (tmp_path / "puck.xml").write_text(PUCK)
     assert main(["render", str(frames), "--model", str(tmp_path / "puck.xml")]) == 0
 
@@ -249,7 +249,7 @@ def test_a_robot_with_a_body_is_the_main_picture(tmp_path, rendering, problem, b
     frames[:STEPS] = np.stack([x, 0 * x, 0 * x + 0.5, 0 * x + 1.0, 0 * x, 0 * x, 0 * x], axis=-1)
     folder = planning_results(tmp_path / "results", problem, belief=belief, frames=frames)
     assert main(["render", str(folder)]) == 2
-    assert "nothing known how to draw exact: give its MJCF by --model FILE" in capsys.readouterr().err
+    assert "no model of exact is known: give its MJCF by --model FILE" in capsys.readouterr().err
     (tmp_path / "puck.xml").write_text(PUCK)
     film = choose_film(load(folder), model=tmp_path / "puck.xml")
     with settings():
@@ -352,5 +352,5 @@ def test_gallery_results_do_not_move(tmp_path):
     manifest = json.loads((folder / "manifest.json").read_text())
     manifest["points"][0]["config"] = {"kind": "trajectories"}
     (folder / "manifest.json").write_text(json.dumps(manifest))
-    with pytest.raises(ResultsError, match="nothing moves in trajectories"):
+    with pytest.raises(ResultsError, match="got results of trajectories; only planners and learners"):
         choose_film(load(folder))

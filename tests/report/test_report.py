@@ -111,7 +111,7 @@ def test_rebuilding_gives_the_same_bytes(folder):
 def test_report_settings_choose_figures_and_notes(tmp_path):
     report = {
         "figures": ["returns", "latency", "trajectories", "no-such-figure"],
-        "notes": ["First note.", "Second note."],
+        "notes": "First note.\n\nSecond note.",
         "thesis": {"sbo": {"success": "1 of 5"}},
         "by_step": 9,
     }

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from bojax.problems.settings import Parking, SpaceModelling, TwoPits
-from bojax.report.animations.robot_worlds import VEHICLES, WALL_HEIGHT, domain_of
+from bojax.report.animations.robot_worlds import VEHICLES, WALL_HEIGHT
+from bojax.results.outline import Outline
 from bojax.robots.models import mujoco
 
 
@@ -18,14 +19,14 @@ def boxes(model):
 
 @pytest.mark.parametrize("vehicle", VEHICLES)
 def test_walls_stand_where_they_stop_the_robot(vehicle):
-    problem = SpaceModelling().model_dump()
-    drawn = boxes(VEHICLES[vehicle](problem, None).compiled())
-    np.testing.assert_allclose(drawn[:, [0, 1, 3, 4]], problem["walls"], atol=1e-9)
+    problem = SpaceModelling()
+    drawn = boxes(VEHICLES[vehicle](problem.outline, None).compiled())
+    np.testing.assert_allclose(drawn[:, [0, 1, 3, 4]], problem.walls, atol=1e-9)
     np.testing.assert_allclose(drawn[:, 2], 0.0, atol=1e-9)
 
 
 def test_walls_reach_from_the_lowest_to_above_the_highest_ground():
-    pits = TwoPits(walls=((2.0, 2.0, 4.0, 2.2),)).model_dump()
+    pits = TwoPits(walls=((2.0, 2.0, 4.0, 2.2),)).outline
     (wall,) = boxes(VEHICLES["quadrotor"](pits, np.array([[-1.0, -0.5], [0.0, 0.2]])).compiled())
     assert wall[2] == pytest.approx(-1.0)
     assert wall[5] == pytest.approx(0.2 + WALL_HEIGHT)
@@ -33,22 +34,26 @@ def test_walls_reach_from_the_lowest_to_above_the_highest_ground():
 
 @pytest.mark.parametrize("vehicle", VEHICLES)
 def test_the_parking_spot_is_drawn_for_every_vehicle(vehicle):
-    problem = Parking(half_width=2.0, distance_tolerance=0.3).model_dump()
-    model = VEHICLES[vehicle](problem, None).compiled()
+    problem = Parking(half_width=2.0, distance_tolerance=0.3)
+    model = VEHICLES[vehicle](problem.outline, None).compiled()
     np.testing.assert_allclose(model.geom("floor").size[:2], 2.0)
-    assert model.geom("parking_spot").size[0] == pytest.approx(0.3)
-    assert not model.geom("parking_spot").contype and not model.geom("parking_heading").contype
+    assert model.geom("goal_0").size[0] == pytest.approx(0.3)
+    assert not model.geom("goal_0").contype and not model.geom("goal_0_heading").contype
+    np.testing.assert_allclose(model.geom("goal_0_heading").pos, [1.73 * 0.3, 0.0, 0.0])
 
 
 @pytest.mark.parametrize("vehicle", VEHICLES)
 def test_a_problem_of_ones_own_without_a_domain_is_drawn_too(vehicle):
-    assert domain_of({"dock_radius": 0.3}) == (-5.0, -5.0, 5.0, 5.0)
-    model = VEHICLES[vehicle]({"dock_radius": 0.3}, None).compiled()
+    outline = Outline(obstacles=[(1.0, 2.0, 0.3)], goals=[(0.5, 0.0, 0.2)])
+    model = VEHICLES[vehicle](outline, None).compiled()
     np.testing.assert_allclose(model.geom("floor").size[:2], 5.0)
+    np.testing.assert_allclose(model.geom("goal_0").pos, [0.5, 0.0, 0.0])
+    (disc,) = [geom for geom in map(model.geom, range(model.ngeom)) if np.allclose(geom.pos[:2], [1.0, 2.0])]
+    assert disc.size[0] == pytest.approx(0.3)
 
 
 def test_the_camera_goes_along_with_the_wheeled_robot():
-    model = VEHICLES["wheeled-robot"](Parking().model_dump(), None).compiled()
+    model = VEHICLES["wheeled-robot"](Parking().outline, None).compiled()
     data = mujoco.MjData(model)
     middle = []
     for data.qpos[:2] in ((0.0, 0.0), (2.0, -1.0)):

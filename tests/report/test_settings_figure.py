@@ -5,7 +5,7 @@ import pytest
 
 from bojax.report.figures.base import Undrawable
 from bojax.report.figures.settings_compared import _curve_names, _short, marginals, values_of
-from bojax.report.source import Point
+from tests.report.synthetic import point_of
 
 
 def grid():
@@ -14,7 +14,7 @@ def grid():
         for kappa in (1.0, 10.0):
             for depth in (2, 3):
                 swept = {"planner": variant, "planner.kappa": kappa, "planner.depth": depth}
-                points.append(Point(len(points), "sbo", variant, variant, swept, {}))
+                points.append(point_of(len(points), "sbo", variant, swept))
     return points
 
 
@@ -36,7 +36,7 @@ def test_named_axes_are_curves_and_lists_are_panels():
 
 
 def test_a_sweep_of_names_alone_has_no_such_figure():
-    points = [Point(0, "sbo", "a", "a", {"planner": "a"}, {})]
+    points = [point_of(0, "sbo", "a", {"planner": "a"})]
     with pytest.raises(Undrawable, match="no list"):
         _curve_names(points, ["planner"])
 

@@ -7,8 +7,10 @@ from functools import partial
 import numpy as np
 import pytest
 
+from bojax.config.component import registry
 from bojax.report import statistics
-from bojax.report.claims import MIN_RUNS, TESTS, Undecidable, evaluate
+from bojax.report.claims.evaluate import decide, evaluate
+from bojax.report.claims.samples import MIN_RUNS, Undecidable
 from tests.report.synthetic import in_memory
 
 ORDER = {"kind": "order", "column": "value"}
@@ -44,7 +46,7 @@ def curves(gap, spread=10.0, runs=200, seed=0):
 
 
 def judge(results, test):
-    return TESTS[test["kind"]](results, test)
+    return decide(results, registry["test"][test["kind"]].model_validate(test))
 
 
 def rates(make, test, monkeypatch, times=150):

@@ -1,7 +1,6 @@
 """What a scene is: an environment drawn on axes, and moved from step to step."""
 
 import abc
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -9,9 +8,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
-
-Settings = Mapping[str, Any]
-"""The settings of an environment, as the manifest has them."""
 
 GROUND, METAL, GOAL, TRAIL = "#555555", "#4A5A68", "#CDE8DB", "#B9C6D0"
 """Colours of what stands still, of what moves, of the goal, and of where something was."""
@@ -39,18 +35,16 @@ class Scene(abc.ABC):
     """A drawing that is made once, on axes of its own, and then moved; lengths in metres.
 
     Attributes:
-        keys: Settings of the environment that the drawing needs.
         has_trail: Whether it shows where something was: then it is moved through all steps, not only through
             those of which there is a picture.
         time_step: Seconds of a step, where they are no setting; 0 for a step that is no time.
     """
 
-    keys: ClassVar[tuple[str, ...]] = ()
     has_trail: ClassVar[bool] = True
     time_step: ClassVar[float] = 0.0
 
     @abc.abstractmethod
-    def __init__(self, axes: Axes, env: Settings): ...
+    def __init__(self, axes: Axes, env: Any): ...
 
     @abc.abstractmethod
     def move(self, moment: Moment) -> None:

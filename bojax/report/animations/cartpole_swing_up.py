@@ -5,13 +5,13 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle, Wedge
 from typing_extensions import override
 
+from bojax.envs import settings
 from bojax.report.animations.base import (
     GOAL,
     GROUND,
     METAL,
     Moment,
     Scene,
-    Settings,
     Trail,
     joint,
     rod,
@@ -24,10 +24,8 @@ _LENGTH = 1.0
 class CartpoleSwingUp(Scene):
     """A pole of 1 m on a cart; positive angles lean to the right. The track ends where it is red."""
 
-    keys = ("limit", "goal_cosine")
-
-    def __init__(self, axes: Axes, env: Settings):
-        limit = float(env["limit"])
+    def __init__(self, axes: Axes, env: settings.CartpoleSwingUp):
+        limit = env.limit
         edge = limit + 0.6
         stage(axes, (-edge, edge), (-1.3, 1.3))
         axes.plot([-limit, limit], [0.0, 0.0], color=GROUND, linewidth=1.6, zorder=1)
@@ -35,7 +33,7 @@ class CartpoleSwingUp(Scene):
             end = [side * limit, side * edge]
             axes.plot(end, [0.0, 0.0], color="#D55E00", linewidth=1.6, zorder=1)
             axes.plot([side * limit] * 2, [-0.12, 0.12], color="#D55E00", linewidth=2.2, zorder=1)
-        half = np.degrees(np.arccos(float(env["goal_cosine"])))
+        half = np.degrees(np.arccos(env.goal_cosine))
         self._goal = Wedge((0.0, 0.0), 1.15 * _LENGTH, 90.0 - half, 90.0 + half, color=GOAL, zorder=0)
         self._cart = Rectangle((0.0, -0.13), 0.56, 0.26, facecolor="#8296A6", edgecolor=METAL, zorder=2)
         axes.add_patch(self._goal)

@@ -2,11 +2,13 @@
 
 from pathlib import Path
 
+from bojax.experiments.settings import Planning
 from bojax.report.animations.drive import choose_drive
 from bojax.report.animations.episode import choose_episode
 from bojax.report.animations.film import Film
 from bojax.report.animations.learning import LearningFilm
 from bojax.report.animations.planning import PlanningFilm
+from bojax.report.manifest import Unread
 from bojax.report.source import Results
 from bojax.results.store import ResultsError
 
@@ -32,10 +34,12 @@ def choose_film(
     """
     if results.points[0].is_learning:
         return LearningFilm(choose_episode(results, point, run, episode), model)
-    if "planner" not in results.points[0].config:
-        kind = results.points[0].config.get("kind", "these results")
+    experiment = results.points[0].experiment
+    if isinstance(experiment, Unread):
+        raise ResultsError(f"{results.folder}: this version cannot read the settings: {experiment.reason}")
+    if not isinstance(experiment, Planning):
         raise ResultsError(
-            f"{results.folder}: nothing moves in {kind}: planners and learners can be animated"
+            f"{results.folder}: got results of {experiment.kind}; only planners and learners can be animated"
         )
     if episode is not None:
         raise ResultsError("--episode: a run of a planner is one episode")

@@ -4,7 +4,8 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Rectangle
 from typing_extensions import override
 
-from bojax.report.animations.base import GOAL, METAL, Moment, Scene, Settings, Trail, joint, rod, stage
+from bojax.envs import settings
+from bojax.report.animations.base import GOAL, METAL, Moment, Scene, Trail, joint, rod, stage
 
 _REACH = 2.0
 
@@ -12,13 +13,11 @@ _REACH = 2.0
 class DoublePendulum(Scene):
     """Two rods of 1 m; the first angle is that from hanging down, the second that from the first rod."""
 
-    keys = ("goal", "goal_distance")
-
-    def __init__(self, axes: Axes, env: Settings):
+    def __init__(self, axes: Axes, env: settings.DoublePendulum):
         edge = 1.1 * _REACH
         stage(axes, (-edge, edge), (-edge, edge))
-        depth = float(env["goal_distance"])
-        if env["goal"] == "distance":
+        depth = env.goal_distance
+        if env.goal == "distance":
             goal = Circle((0.0, _REACH), depth, color=GOAL, zorder=0)
         else:
             goal = Rectangle((-edge, _REACH - depth), 2.0 * edge, depth + edge, color=GOAL, zorder=0)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bojax.problems.settings import ProblemSettings
 from bojax.report.animations.episode import pick, where
 from bojax.report.columns import Columns
 from bojax.report.source import Point, Results
@@ -112,4 +113,5 @@ def _outcome(point: Point, row: Columns) -> str:
         return "goal reached"
     if row.get("nans", np.zeros(1))[0] > 0:
         return "failed"
-    return "left the domain" if point.problem.get("exit_terminates") and row["exits"][0] > 0 else ""
+    is_over = isinstance(point.problem, ProblemSettings) and point.problem.ends_at_exit
+    return "left the domain" if is_over and row["exits"][0] > 0 else ""

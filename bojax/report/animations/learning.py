@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from PIL import Image
 from typing_extensions import override
 
+from bojax.config.component import Component, External
 from bojax.report.animations import SCENES
-from bojax.report.animations.base import Scene, Settings
+from bojax.report.animations.base import Scene
 from bojax.report.animations.episode import Episode
 from bojax.report.animations.film import FASTEST, MAX_FRAMES, SLOWEST, STILL, Film, blank, photograph, slug
 from bojax.report.style import BLUE, FAINT, INK
@@ -37,12 +38,13 @@ class LearningFilm(Film):
 
     def __init__(self, episode: Episode, model: Path | None = None):
         self._episode = episode
-        self._env: Settings = episode.point.config["env"]
-        self._kind = str(self._env["kind"])
+        assert episode.point.env is not None
+        self._env = episode.point.env
+        self._kind = self._env.kind
         is_robot = model is not None or (self._kind not in SCENES and episode.frames.shape[1] > 0)
         self._model = _robot_of(self._env, model) if is_robot else None
         if self._model is None:
-            _check_drawable(self._env)
+            _check_drawable(self._kind)
         self._indices = frames_of(len(episode.observations))
         self._time_step = self._seconds_of_a_step()
         self.name = f"{slug(episode.point.name)}-run{episode.run}-episode{episode.number}"
@@ -110,10 +112,11 @@ class LearningFilm(Film):
     def _seconds_of_a_step(self) -> float:
         """0 where it is not known."""
         if self._model is None:
-            return float(self._env.get("time_step", SCENES[self._kind].time_step))
+            return getattr(self._env, "time_step", SCENES[self._kind].time_step)
         from bojax.report.animations.robot import time_step
 
-        return time_step(self._model) * int(self._env.get("substeps", 1))
+        settings = self._env.params if isinstance(self._env, External) else vars(self._env)
+        return time_step(self._model) * settings.get("substeps", 1)
 
 
 def frames_of(num_steps: int) -> NDArray[np.int64]:
@@ -122,19 +125,17 @@ def frames_of(num_steps: int) -> NDArray[np.int64]:
     return np.round(np.linspace(0, num_steps - 1, num)).astype(np.int64)
 
 
-def _robot_of(env: Settings, path: Path | None) -> "RobotModel | None":
-    from bojax.report.animations.robot import from_file, known
+def _robot_of(env: Component, path: Path | None) -> "RobotModel | None":
+    from bojax.report.animations.robot import accepted, from_file
     from bojax.report.animations.robot_worlds import ENVS
 
-    return known(ENVS, str(env["kind"]), "env", env) if path is None else from_file(path)
+    if path is not None:
+        return from_file(path)
+    return accepted(lambda: ENVS[env.kind](env)) if env.kind in ENVS else None
 
 
-def _check_drawable(env: Settings) -> None:
-    kind = str(env["kind"])
+def _check_drawable(kind: str) -> None:
     if kind not in SCENES:
         raise ResultsError(
-            f"nothing known how to draw {kind}; known: {', '.join(SCENES)}; a robot of your own by --model"
+            f"no drawing of {kind} is known; known: {', '.join(SCENES)}; give the MJCF of a robot by --model"
         )
-    missing = [key for key in SCENES[kind].keys if key not in env]
-    if missing:
-        raise ResultsError(f"manifest.json: env: no {', '.join(missing)}, which drawing {kind} needs")

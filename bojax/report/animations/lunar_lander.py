@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from bojax.envs import lander_geometry as geometry
-from bojax.report.animations.base import GOAL, GROUND, METAL, Moment, Scene, Settings, Trail, stage
+from bojax.envs import settings
+from bojax.report.animations.base import GOAL, GROUND, METAL, Moment, Scene, Trail, stage
 
 _HULL, _MOON, _FLAME = "#8296A6", "#ECEFF1", "#E69F00"
 
@@ -15,12 +16,11 @@ _HULL, _MOON, _FLAME = "#8296A6", "#ECEFF1", "#E69F00"
 class LunarLander(Scene):
     """The hull on its legs, and flames where an engine is on; the goal is for the point amid the hull."""
 
-    keys = ("goal_distance",)
     time_step = geometry.TIME_STEP
 
-    def __init__(self, axes: Axes, env: Settings):
+    def __init__(self, axes: Axes, env: settings.LunarLander):
         stage(axes, (-0.3, geometry.WIDTH + 0.3), (0.0, 1.12 * geometry.HEIGHT))
-        across, up = (2.0 * float(env["goal_distance"]) * unit for unit in geometry.UNITS)
+        across, up = (2.0 * env.goal_distance * unit for unit in geometry.UNITS)
         axes.add_patch(Ellipse(geometry.ORIGIN, across, up, color=GOAL, zorder=2))
         self._across = np.linspace(0.0, geometry.WIDTH, geometry.NUM_HEIGHTS)
         self._moon = _patch(axes, _MOON, GROUND, zorder=0)

@@ -6,7 +6,8 @@ from matplotlib.patches import Circle, Polygon
 from matplotlib.transforms import Affine2D
 from typing_extensions import override
 
-from bojax.report.animations.base import GOAL, GROUND, METAL, Moment, Scene, Settings, stage
+from bojax.envs import settings
+from bojax.report.animations.base import GOAL, GROUND, METAL, Moment, Scene, stage
 
 _LEFT, _RIGHT = -1.2, 0.6
 
@@ -14,15 +15,13 @@ _LEFT, _RIGHT = -1.2, 0.6
 class MountainCar(Scene):
     """A hill of height sin(3 x), as Gym draws it, with a flag at the goal."""
 
-    keys = ("goal_position",)
-
-    def __init__(self, axes: Axes, env: Settings):
+    def __init__(self, axes: Axes, env: settings.MountainCar):
         stage(axes, (_LEFT - 0.08, _RIGHT + 0.08), (-0.12, 1.24))
         x = np.linspace(_LEFT, _RIGHT + 0.08, 200)
         axes.fill_between(x, -0.12, _height(x), color="#EDEDED", zorder=0)
         axes.plot(x, _height(x), color=GROUND, linewidth=1.6, zorder=2)
         axes.plot([_LEFT, _LEFT], [-0.12, 1.2], color=GROUND, linewidth=3.0, zorder=2)  # the wall
-        goal = float(env["goal_position"])
+        goal = env.goal_position
         beyond = np.linspace(goal, _RIGHT + 0.08, 50)
         axes.fill_between(beyond, -0.12, _height(beyond), color=GOAL, zorder=1)
         foot = _height(goal)

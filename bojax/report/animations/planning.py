@@ -15,9 +15,10 @@ from matplotlib.transforms import Affine2D
 from PIL import Image
 from typing_extensions import override
 
+from bojax.config.component import Component, External
 from bojax.report.animations.drive import Drive, Leg
 from bojax.report.animations.film import MAX_FRAMES, SLOWEST, STILL, Film, blank, photograph, slug
-from bojax.report.figures.domains import DOMAINS, draw_domain
+from bojax.report.figures.domains import draw_outline
 from bojax.report.figures.maps import QUIET, draw_map
 from bojax.report.figures.smooth import smooth
 from bojax.report.statistics import Floats
@@ -96,8 +97,8 @@ class PlanningFilm(Film):
         self, figure: Figure, body: "RobotScene | None", views: "list[_Map]"
     ) -> Iterator[Image.Image]:
         legs, edge = self._drive.legs, 0.1 / figure.get_figwidth()
-        problem = self._drive.point.problem.get("kind", "")
-        title = f"{problem}: {self._drive.point.name}, run {self._drive.run}"
+        problem = self._drive.point.problem
+        title = f"{problem.kind if problem else ''}: {self._drive.point.name}, run {self._drive.run}"
         figure.text(edge, 0.945, title, color=INK, fontsize=10)
         status = figure.text(edge, 0.89, "", color=INK, fontsize=10)
         outcome = figure.text(1.0 - edge, 0.945, "", color=BLUE, fontsize=10, ha="right", weight="bold")
@@ -151,9 +152,8 @@ class _Map:
     def __init__(self, axes: Axes, drive: Drive, name: str | None = None):
         self.name = name
         self._drive = drive
-        problem = drive.point.problem
-        draw_domain(axes, problem, drive.point.outline)
-        if problem.get("kind") not in DOMAINS and drive.point.outline.get("border") is None:
+        draw_outline(axes, drive.point.outline)
+        if drive.point.outline.border is None:
             _fit(axes, drive)
         axes.set_xticks([])
         axes.set_yticks([])
@@ -260,14 +260,19 @@ def _is_free(model: "RobotModel") -> bool:
 
 
 def _robot_of(drive: Drive, path: Path | None) -> "RobotModel":
-    from bojax.report.animations.robot import from_file, known
+    from bojax.report.animations.robot import accepted, from_file
     from bojax.report.animations.robot_worlds import VEHICLES
 
     if path is not None:
         return from_file(path)
-    problem = drive.point.problem
-    kind = str(problem["vehicle"]["kind"])
-    model = known(VEHICLES, kind, "problem", problem, drive.belief.get("truth"))
-    if model is None:
-        raise ResultsError(f"nothing known how to draw {kind}: give its MJCF by --model FILE")
-    return model
+    kind = _vehicle_of(drive.point.problem)
+    if kind not in VEHICLES:
+        raise ResultsError(f"no model of {kind} is known: give its MJCF by --model FILE")
+    return accepted(lambda: VEHICLES[kind](drive.point.outline, drive.belief.get("truth")))
+
+
+def _vehicle_of(problem: Component | None) -> str:
+    """The kind of a problem's vehicle."""
+    settings = problem.params if isinstance(problem, External) else vars(problem) if problem else {}
+    vehicle = settings.get("vehicle", "this robot")
+    return str(vehicle.get("kind") if isinstance(vehicle, dict) else getattr(vehicle, "kind", vehicle))

@@ -1,15 +1,14 @@
 """A robot in its world, as MuJoCo draws it."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from bojax.report.animations.base import Moment, Scene, Settings
+from bojax.report.animations.base import Moment, Scene
 from bojax.report.animations.rendering import Renderer
 from bojax.results.store import ResultsError
 from bojax.robots import models
@@ -45,43 +44,27 @@ class RobotScene(Scene):
         self._renderer.close()
 
 
-def known(
-    makers: Mapping[str, Callable[..., RobotModel]], kind: str, part: str, settings: Settings, *arguments: Any
-) -> RobotModel | None:
-    """The model of an environment or vehicle of this kind; None if the kind is not among `makers`.
-
-    Args:
-        makers: Functions from settings and `arguments` to a model, by kind.
-        kind: Kind of the environment or of the vehicle.
-        part: Key of the manifest under which the settings are stored.
-        settings: The settings.
-        arguments: Further arguments of the function.
+def accepted(make: Callable[[], RobotModel]) -> RobotModel:
+    """The model that a function makes, compiled once.
 
     Raises:
-        ResultsError: A setting is missing, or MuJoCo refuses the model.
+        ResultsError: MuJoCo refuses the model.
     """
-    if kind not in makers:
-        return None
     try:
-        return _accepted(makers[kind](settings, *arguments))
-    except KeyError as error:
-        raise ResultsError(
-            f"manifest.json: {part}: no {error.args[0]}, which drawing {kind} needs"
-        ) from error
+        model = make()
+        model.compiled()
     except ValueError as error:
-        raise ResultsError(f"manifest.json: {part}: {error}") from error
+        raise ResultsError(str(error)) from error
+    return model
 
 
 def from_file(path: Path) -> RobotModel:
-    """A model of one's own.
+    """The model of an MJCF file.
 
     Raises:
-        ResultsError: It cannot be read, or MuJoCo refuses it.
+        ResultsError: The file cannot be read, or MuJoCo refuses the model.
     """
-    try:
-        return _accepted(models.from_file(path))
-    except ValueError as error:
-        raise ResultsError(str(error)) from error
+    return accepted(lambda: models.from_file(path))
 
 
 def time_step(model: RobotModel) -> float:
@@ -92,8 +75,3 @@ def time_step(model: RobotModel) -> float:
 def is_free(model: RobotModel) -> bool:
     """Whether generalised positions begin with a body's position and quaternion: the first joint is free."""
     return model.compiled().nq >= 7 and model.compiled().jnt_type[0] == models.mujoco.mjtJoint.mjJNT_FREE
-
-
-def _accepted(model: RobotModel) -> RobotModel:
-    model.compiled()
-    return model

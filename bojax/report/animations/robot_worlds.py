@@ -1,13 +1,14 @@
-"""MuJoCo models of the robots in films and of their worlds, made from the settings in a manifest."""
+"""MuJoCo models of robots in their worlds, for films."""
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
-from bojax.report.animations.base import Settings
+from bojax.results.outline import Outline
 from bojax.robots.car import car_model
 from bojax.robots.jaco import jaco_model
 from bojax.robots.models import RobotModel, mujoco, packaged
@@ -27,18 +28,18 @@ _MATERIAL_COLOUR = [0.5, 0.5, 0.5, 1.0]  # MuJoCo's default: the colour of the m
 _WALL, _PARKING_SPOT = [0.4, 0.42, 0.45, 1.0], [0.36, 0.62, 0.45, 1.0]
 
 
-def car_world(problem: Settings, ground: Heights | None = None) -> RobotModel:
+def car_world(outline: Outline, ground: Heights | None = None) -> RobotModel:
     """The wheeled robot on a floor that covers the domain, with walls and the spot of a parking task.
 
     The camera `side` follows the robot, which is small compared with most domains.
 
     Args:
-        problem: Settings of the problem.
+        outline: The world of the problem.
         ground: Ignored: the robot drives on a plane.
     """
     del ground
     spec = car_model().spec()
-    x_min, y_min, x_max, y_max = domain_of(problem)
+    x_min, y_min, x_max, y_max = outline.border or _DEFAULT_DOMAIN
     floor = spec.geom("floor")
     floor.pos = [0.5 * (x_min + x_max), 0.5 * (y_min + y_max), 0.0]
     floor.size = [0.5 * (x_max - x_min), 0.5 * (y_max - y_min), 0.1]
@@ -48,26 +49,23 @@ def car_world(problem: Settings, ground: Heights | None = None) -> RobotModel:
         pos=[0.05, -1.02, 1.36],
         xyaxes=[1.0, 0.0, 0.0, 0.0, 0.8, 0.6],
     )
-    _add_surroundings(spec, problem)
+    _add_surroundings(spec, outline)
     return RobotModel(spec.to_xml())
 
 
-def quadrotor_world(problem: Settings, ground: Heights | None = None) -> RobotModel:
+def quadrotor_world(outline: Outline, ground: Heights | None = None) -> RobotModel:
     """The quadrotor above the ground of its problem, with walls and the spot of a parking task.
 
     Blocks are drawn as boxes on a floor, every other field as a height field; without a field there is a
     floor. The camera `overview` sees the whole domain.
 
     Args:
-        problem: Settings of the problem.
+        outline: The world of the problem.
         ground: True values of the problem's field, as recorded with the run.
     """
     spec = quadrotor_model().spec()
-    field = problem.get("field") or {}
-    blocks = np.zeros((0, 5))
-    if field.get("kind") == "blocks":
-        blocks = np.column_stack([field["boxes"], field["heights"]])
-    domain = np.asarray(domain_of(problem))
+    blocks = np.asarray(outline.blocks, np.float64).reshape(-1, 5)
+    domain = np.asarray(outline.border or _DEFAULT_DOMAIN, np.float64)
     middle, half = 0.5 * (domain[:2] + domain[2:]), 0.5 * (domain[2:] - domain[:2])
     radius = float(np.max(half))
     if ground is None or len(blocks) > 0:
@@ -99,31 +97,22 @@ def quadrotor_world(problem: Settings, ground: Heights | None = None) -> RobotMo
         pos=[middle[0], middle[1] - 2.6 * radius, 2.4 * radius],
         xyaxes=[1.0, 0.0, 0.0, 0.0, 0.68, 0.73],
     )
-    _add_surroundings(spec, problem, min(0.0, lowest), highest)
+    _add_surroundings(spec, outline, min(0.0, lowest), highest)
     return RobotModel(spec.to_xml())
 
 
-ENVS: Mapping[str, Callable[[Settings], RobotModel]] = {
+ENVS: Mapping[str, Callable[[Any], RobotModel]] = {
     "hopper": lambda env: packaged("hopper"),
     "reacher": lambda env: packaged("reacher"),
-    "jaco": lambda env: jaco_model(env["joints"]),
+    "jaco": lambda env: jaco_model(env.joints),
 }
-"""Model of a robot environment from its settings, by kind."""
+"""Function from the settings of a robot environment to its model, by kind."""
 
-VEHICLES: Mapping[str, Callable[[Settings, Heights | None], RobotModel]] = {
+VEHICLES: Mapping[str, Callable[[Outline, Heights | None], RobotModel]] = {
     "wheeled-robot": car_world,
     "quadrotor": quadrotor_world,
 }
-"""Model of a vehicle from the settings of its problem and the recorded values of the field, by kind."""
-
-
-def domain_of(problem: Settings) -> tuple[float, float, float, float]:
-    """Border of a domain, `(x_min, y_min, x_max, y_max)` in metres; 10 x 10 m without such settings."""
-    if "half_width" in problem:
-        half = float(problem["half_width"])
-        return -half, -half, half, half
-    x_min, y_min, x_max, y_max = problem.get("domain", _DEFAULT_DOMAIN)
-    return float(x_min), float(y_min), float(x_max), float(y_max)
+"""Function from the outline of a problem and the true values of its field to a model, by kind of vehicle."""
 
 
 def _add_height_field(spec: Any, ground: Heights, middle: NDArray, half: NDArray) -> None:
@@ -156,32 +145,39 @@ def _refined(ground: Heights) -> Heights:
     return spline(fine_y, fine_x)
 
 
-def _add_surroundings(spec: Any, problem: Settings, lowest: float = 0.0, highest: float = 0.0) -> None:
-    """Add the walls of a problem, and the parking spot of a parking task, without contacts.
+def _add_surroundings(spec: Any, outline: Outline, lowest: float = 0.0, highest: float = 0.0) -> None:
+    """Add obstacles and goals without contacts: obstacles as walls, goals as discs on the floor.
 
     Args:
         spec: Editable model of the world.
-        problem: Settings of the problem.
+        outline: The world of the problem.
         lowest: Height of the lowest ground, in metres.
         highest: Height of the highest ground, in metres.
     """
+    box, disc = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER
     middle, half = 0.5 * (lowest + highest + WALL_HEIGHT), 0.5 * (highest + WALL_HEIGHT - lowest)
-    for x_min, y_min, x_max, y_max in problem.get("walls") or ():
-        spec.worldbody.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            pos=[0.5 * (x_min + x_max), 0.5 * (y_min + y_max), middle],
-            size=[0.5 * (x_max - x_min), 0.5 * (y_max - y_min), half],
-            rgba=_WALL,
-            **_NO_CONTACT,
-        )
-    if "half_width" in problem:
-        _add_parking_spot(spec, float(problem["distance_tolerance"]))
+    wall = {"rgba": _WALL, **_NO_CONTACT}
+    for shape in outline.obstacles:
+        if len(shape) == 3:
+            spec.worldbody.add_geom(type=disc, pos=[*shape[:2], middle], size=[shape[2], half, 0.0], **wall)
+        else:
+            x_min, y_min, x_max, y_max = shape
+            centre = [0.5 * (x_min + x_max), 0.5 * (y_min + y_max), middle]
+            size = [0.5 * (x_max - x_min), 0.5 * (y_max - y_min), half]
+            spec.worldbody.add_geom(type=box, pos=centre, size=size, **wall)
+    for number, shape in enumerate(shape for shape in outline.goals if len(shape) == 3):
+        _add_parking_spot(spec, f"goal_{number}", shape, outline.heading)
 
 
-def _add_parking_spot(spec: Any, radius: float) -> None:
-    """A disc on the floor at the goal position, and a bar along the goal heading."""
+def _add_parking_spot(spec: Any, name: str, shape: Sequence[float], heading: float | None) -> None:
+    """A disc on the floor, and a bar that points in the direction of the goal heading."""
     disc, box = mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_BOX
     shown = {"rgba": _PARKING_SPOT, **_NO_CONTACT}
-    spec.worldbody.add_geom(name="parking_spot", type=disc, size=[radius, 0.0005, 0.0], **shown)
-    bar = {"size": [0.75 * radius, 0.15 * radius, 0.0005], "pos": [1.73 * radius, 0.0, 0.0]}
-    spec.worldbody.add_geom(name="parking_heading", type=box, **bar, **shown)
+    x, y, radius = shape
+    spec.worldbody.add_geom(name=name, type=disc, pos=[x, y, 0.0], size=[radius, 0.0005, 0.0], **shown)
+    if heading is None:
+        return
+    centre = [x + 1.73 * radius * math.cos(heading), y + 1.73 * radius * math.sin(heading), 0.0]
+    turn = [math.cos(0.5 * heading), 0.0, 0.0, math.sin(0.5 * heading)]
+    size = [0.75 * radius, 0.15 * radius, 0.0005]
+    spec.worldbody.add_geom(name=f"{name}_heading", type=box, pos=centre, quat=turn, size=size, **shown)

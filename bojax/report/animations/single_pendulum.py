@@ -6,19 +6,18 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Wedge
 from typing_extensions import override
 
-from bojax.report.animations.base import GOAL, METAL, Moment, Scene, Settings, Trail, joint, rod, stage
+from bojax.envs import settings
+from bojax.report.animations.base import GOAL, METAL, Moment, Scene, Trail, joint, rod, stage
 
 
 class SinglePendulum(Scene):
     """A rod about the origin; positive angles lean to the left."""
 
-    keys = ("length", "goal_angle")
-
-    def __init__(self, axes: Axes, env: Settings):
-        self._length = float(env["length"])
+    def __init__(self, axes: Axes, env: settings.SinglePendulum):
+        self._length = env.length
         reach = 1.15 * self._length
         stage(axes, (-reach, reach), (-reach, reach))
-        half = degrees(float(env["goal_angle"]))
+        half = degrees(env.goal_angle)
         axes.add_patch(Wedge((0.0, 0.0), reach, 90.0 - half, 90.0 + half, color=GOAL, zorder=0))
         self._trail, self._rod = Trail(axes), rod(axes, METAL)
         joint(axes)

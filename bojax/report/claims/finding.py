@@ -1,5 +1,6 @@
 """What a test finds, and how an interval decides."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
@@ -48,8 +49,9 @@ def bootstrap(runs: int) -> str:
     return f"percentile bootstrap, {statistics.RESAMPLES:,} resamples of {statistics.resampled(runs)}"
 
 
-def within(interval: statistics.Interval, low: float = -float("inf"), high: float = float("inf")) -> Verdict:
-    """Whether what an interval is of lies between two numbers: all of the interval does, or none of it."""
+def within(interval: statistics.Interval, low: float | None, high: float | None) -> Verdict:
+    """Whether a quantity lies between two bounds, None for no bound: all of its interval does, or none."""
+    low, high = -math.inf if low is None else low, math.inf if high is None else high
     if low < interval.low and interval.high < high:
         return "reproduced"
     if interval.high < low or interval.low > high:

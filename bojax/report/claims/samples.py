@@ -1,6 +1,6 @@
 """What a test reads: which points stand for its names, and one number per run of each."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,16 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
+from bojax.config.claims import Test, Window
 from bojax.report import statistics
+from bojax.report.claims.settings import Measured
 from bojax.report.columns import Columns
 from bojax.report.source import Point, Results
 from bojax.report.text import counted
 
 MIN_RUNS = 20
 """Fewer runs than this decide nothing: a percentile bootstrap is too narrow for small samples."""
-
-Window = Mapping[str, Any]
-"""Episodes `from` to `to` of a `phase`."""
 
 
 class Undecidable(Exception):
@@ -40,9 +39,9 @@ class Measure:
     since: Window | None = None
 
     @classmethod
-    def of(cls, test: Mapping[str, Any]) -> "Measure":
-        """What a test's `column`, `window` and `since` say."""
-        return cls(test["column"], test.get("window"), test.get("since"))
+    def of(cls, test: Measured) -> "Measure":
+        """The number that a test's `column`, `window` and `since` define."""
+        return cls(test.column, test.window, test.since)
 
     @override
     def __str__(self) -> str:
@@ -76,7 +75,7 @@ class Measure:
 
 
 def stand_ins(
-    results: Results, test: Mapping[str, Any], names: Sequence[str], measure: Measure, sign: float = 1.0
+    results: Results, test: Test, names: Sequence[str], measure: Measure, sign: float = 1.0
 ) -> tuple[list[Point], dict[str, str]]:
     """The points that stand for names; of several of one label the best mean, and which those are."""
     found, chosen = [], {}
@@ -93,9 +92,9 @@ def stand_ins(
     return found, chosen
 
 
-def named(results: Results, test: Mapping[str, Any], name: str) -> list[Point]:
+def named(results: Results, test: Test, name: str) -> list[Point]:
     """The points of a label, or of a variant where the test is by variant, that have runs."""
-    by_variant = test.get("by") == "variant"
+    by_variant = test.by == "variant"
     points = [point for point in results.points if (point.variant if by_variant else point.label) == name]
     points = [point for point in points if results.runs_of(point)["run"].size]
     if not points:
@@ -108,7 +107,7 @@ def score(results: Results, measure: Measure) -> Measure:
 
     Where episodes are tested, the tested number itself: a run then has many returns.
     """
-    is_run = "return" in results.runs and not isinstance(measure.place, Mapping)
+    is_run = "return" in results.runs and not isinstance(measure.place, Window)
     return Measure("return") if is_run else measure
 
 
@@ -125,7 +124,7 @@ def by_episode(
     results: Results, point: Point, name: str, window: Window, runs: NDArray[Any]
 ) -> statistics.Floats:
     """A column of `episodes.parquet` in a window, `[runs, episodes]`; NaN where a run had no such episode."""
-    phase, first, last = window.get("phase", "train"), int(window["from"]), int(window["to"])
+    phase, first, last = window.phase, window.first, window.last
     if not results.episodes:
         raise Undecidable("the results have no episodes")
     column(results.episodes, name)
@@ -168,6 +167,6 @@ def enough(count: int, noun: str) -> None:
 
 def episodes_in(window: Window) -> str:
     """A window in words."""
-    tests = "the tests after " if window.get("phase") == "test" else ""
-    first, last = int(window["from"]), int(window["to"])
+    tests = "the tests after " if window.phase == "test" else ""
+    first, last = window.first, window.last
     return f"{tests}episode {first}" if first == last else f"{tests}episodes {first} to {last}"

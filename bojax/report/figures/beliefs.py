@@ -1,6 +1,7 @@
 """The final belief of one recorded run per point beside the true field: Figs. 3.2 and 3.5 of the thesis."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from matplotlib.colors import Normalize
@@ -8,7 +9,7 @@ from matplotlib.ticker import MaxNLocator
 
 from bojax.report import style
 from bojax.report.figures.base import Drawing, Undrawable, drawn_points
-from bojax.report.figures.domains import draw_domain
+from bojax.report.figures.domains import draw_outline
 from bojax.report.figures.maps import Belief, beliefs, draw_map
 from bojax.report.source import Results
 from bojax.report.statistics import Floats
@@ -38,7 +39,7 @@ def draw(results: Results) -> Drawing:
     looks = style.looks(points)
     for row, point, look, (_, belief), values in zip(grid, points, looks, chosen, maps, strict=True):
         for axes, (panel, colours) in zip(row, _PANELS.items(), strict=True):
-            draw_domain(axes, {**point.problem, "target_area": None}, point.outline)
+            draw_outline(axes, replace(point.outline, goals=()))
             draw_map(axes, belief, values[panel], norms[panel], colours)
             axes.set_xticks([])
             axes.set_yticks([])

@@ -6,7 +6,7 @@ from matplotlib.patches import Rectangle
 
 from bojax.report import style
 from bojax.report.figures.base import Drawing, panel_grid
-from bojax.report.figures.domains import draw_domain
+from bojax.report.figures.domains import draw_outline
 from bojax.report.figures.maps import draw_map
 from bojax.report.figures.surfaces import height_maps
 from bojax.report.source import Results
@@ -29,9 +29,9 @@ def draw(results: Results) -> Drawing:
     looks = style.looks([point for point, _, _ in maps])
     norm = Normalize(-most, most)
     for axes, (point, _, belief), error, look in zip(grid.flat, maps, errors, looks, strict=False):
-        draw_domain(axes, point.problem, point.outline)
+        draw_outline(axes, point.outline)
         draw_map(axes, belief, error, norm, "RdBu_r")
-        for x_min, y_min, x_max, y_max in point.problem["field"].get("boxes", ()):
+        for x_min, y_min, x_max, y_max, _ in point.outline.blocks:
             edge = {"facecolor": "none", "edgecolor": style.INK, "linewidth": 0.9, "zorder": 2.5}
             axes.add_patch(Rectangle((x_min, y_min), x_max - x_min, y_max - y_min, **edge))
         if "samples" in belief:

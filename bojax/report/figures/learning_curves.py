@@ -25,7 +25,7 @@ def draw(results: Results) -> Drawing:
     if "return" not in results.episodes:
         raise Undrawable("there is no episodes.parquet with a return")
     points, note = drawn_points(results)
-    rolling = int(results.settings.get("rolling") or 1)
+    rolling = int(results.report.rolling or 1)
     phases = [phase for phase in _PANELS if (results.episodes["phase"] == phase).any()]
     curves = {
         phase: {
@@ -38,7 +38,7 @@ def draw(results: Results) -> Drawing:
     }
     if not any(np.isfinite(mean).sum() > 1 for mean, _, _ in curves[phases[0]].values()):
         raise Undrawable("no run had more than one episode")
-    best = results.settings.get("best_return")
+    best = results.report.best_return
     figure, grid = curve_figure(points, len(phases))
     is_cut = False
     for axes, phase in zip(grid[:, 0], phases, strict=True):
@@ -102,8 +102,8 @@ def _caption(
         told += " Below: the tests after each, which exploit and learn nothing."
     if any(np.isnan(results.by_episode(point, "return", phases[0])).any() for point in points):
         told += " A run that has ended is left out from there on."
-    if results.settings.get("best_return") is not None:
-        told += f" Dashed: the best return possible, {number(float(results.settings['best_return']))}."
+    if results.report.best_return is not None:
+        told += f" Dashed: the best return possible, {number(results.report.best_return)}."
     return told + (" What lies beyond the axis is cut off." if is_cut else "")
 
 

@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 
 from bojax.report import style
 from bojax.report.figures.base import Drawing, Undrawable, drawn_points, panel_grid
-from bojax.report.figures.domains import TARGET, WALL, draw_domain, has_parking_goal
+from bojax.report.figures.domains import TARGET, WALL, draw_outline, is_speck
 from bojax.report.figures.maps import QUIET, beliefs, draw_map
 from bojax.report.figures.smooth import smooth
 from bojax.report.source import Point, Results
@@ -51,7 +51,7 @@ def draw(results: Results) -> Drawing:
     norm = Normalize(np.min(truths), np.max(truths)) if truths else None
     told, is_outcome_shown, stops, outcomes = [], False, 0, set[bool]()
     for axes, point, look in zip(grid.flat, points, style.looks(points), strict=False):
-        draw_domain(axes, point.problem, point.outline)
+        draw_outline(axes, point.outline)
         if point.ends_at_success:
             is_outcome_shown = True
             shown = _outcomes_drawn(axes, results, point, kept[point.index], look["color"])
@@ -68,7 +68,7 @@ def draw(results: Results) -> Drawing:
             stops += len(stopped)
             reached = ""
             if point.has_success:
-                reached = f", target area {'' if _outcomes(results, point).get(run) else 'not '}reached"
+                reached = f", goal {'' if _outcomes(results, point).get(run) else 'not '}reached"
             told.append(f"{point.name}: run {run}, stopped {counted(len(stopped), 'time')}{reached}")
         axes.set_title(style.wrapped(point.name, 24), color=look["color"], pad=4)
     for axes in grid.flat[len(points) :]:
@@ -198,20 +198,14 @@ def _run_legend(outcomes: set[bool]) -> list[tuple[Any, str]]:
 
 
 def _domain_legend(points: Sequence[Point]) -> list[tuple[Any, str]]:
-    """What is drawn of the domains."""
+    """The shapes of the domains."""
     entries: list[tuple[Any, str]] = []
-    if any(has_parking_goal(point.problem) for point in points):
-        goal = (
-            Line2D([], [], **_RING, markersize=9, markerfacecolor="none"),
-            Line2D([], [], **_RING, markersize=2.5),
-        )
-        entries.append((goal, "goal"))
-    if any(point.problem.get("walls") for point in points):
-        entries.append((Patch(facecolor=WALL), "wall"))
-    if any(point.problem.get("target_area") is not None for point in points):
-        entries.append((Patch(**TARGET), "target area"))
-    if any(point.outline.get("obstacles") for point in points):
+    if any(point.outline.obstacles for point in points):
         entries.append((Patch(facecolor=WALL), "obstacle"))
-    if any(point.outline.get("goals") for point in points):
+    specks = {is_speck(point.outline, shape) for point in points for shape in point.outline.goals}
+    if True in specks:
+        ring = Line2D([], [], **_RING, markersize=9, markerfacecolor="none")
+        entries.append(((ring, Line2D([], [], **_RING, markersize=2.5)), "goal"))
+    if False in specks:
         entries.append((Patch(**TARGET), "goal"))
     return entries

@@ -8,6 +8,7 @@ from matplotlib import colormaps
 from matplotlib.colors import LightSource, Normalize
 from scipy.interpolate import RegularGridInterpolator
 
+from bojax.problems.settings import FieldProblem
 from bojax.report import style
 from bojax.report.figures.base import Drawing, Undrawable, drawn_points, panel_grid
 from bojax.report.figures.maps import Belief, beliefs
@@ -32,7 +33,9 @@ def height_maps(results: Results, most: int) -> tuple[list[tuple[Point, int, Bel
     found = [
         (point, *next(iter(maps.items())))
         for point in points
-        if point.problem.get("sensor", {}).get("kind") == "range" and (maps := beliefs(results, point))
+        if isinstance(point.problem, FieldProblem)
+        and point.problem.maps_heights
+        and (maps := beliefs(results, point))
     ]
     if not found:
         raise Undrawable("no recorded map of heights in arrays/")

@@ -134,14 +134,14 @@ def _read(results: Results) -> tuple[str, str, list[Curve]]:
         if len({value for point in results.points if isinstance(value := point.swept.get(key), int | float)})
         > 1
     ]
-    over = results.settings.get("over") or (numeric[0] if len(numeric) == 1 else None)
+    over = results.report.over or (numeric[0] if len(numeric) == 1 else None)
     if over not in numeric:
         raise Undrawable(
             "the sweep has no number to draw over"
             if not numeric
             else f"report.over has to say which of {joined(numeric)} to draw over"
         )
-    columns = [results.settings.get("column"), "steps_to_goal", "return"]
+    columns = [results.report.column, "steps_to_goal", "return"]
     column = next((name for name in columns if name in results.runs), None)
     if column is None or columns[0] not in (None, column):
         raise Undrawable(f"runs.parquet has no {columns[0] or 'return'}")

@@ -1,6 +1,6 @@
 """The exploration value U over the first two observations after some episodes: Fig. 5.7 of the thesis."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +10,7 @@ from matplotlib.colors import Normalize
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
+from bojax.envs.settings import EnvironmentSettings
 from bojax.report import style
 from bojax.report.columns import Columns
 from bojax.report.figures.base import Drawing, Undrawable
@@ -19,13 +20,6 @@ from bojax.report.text import joined, number
 
 MAX_ROWS = 3
 MAX_COLUMNS = 4
-
-_NAMES: Mapping[str, tuple[str, str]] = {
-    "mountain-car": ("position", "velocity"),
-    "single-pendulum": ("cosine of the angle", "sine of the angle"),
-    "cartpole-swing-up": ("position (m)", "velocity (m/s)"),
-}
-"""What the first two observations of an environment are."""
 
 
 @dataclass(frozen=True)
@@ -114,8 +108,8 @@ def _rows(results: Results) -> list[_Row]:
     points = list(dict.fromkeys(row.point.index for row in rows))
     if len(points) > 1:  # the first run of each, rather than all of the first
         rows = [next(row for row in rows if row.point.index == index) for index in points]
-    kind = _env(rows[0].point)
-    return [row for row in rows if _env(row.point) == kind][:MAX_ROWS]
+    env = rows[0].point.env
+    return [row for row in rows if row.point.env and env and row.point.env.kind == env.kind][:MAX_ROWS]
 
 
 def _steps(results: Results, row: _Row) -> Columns:
@@ -148,12 +142,8 @@ def _draw_trajectory(axes: Axes, steps: Columns, episode: int) -> None:
 
 
 def _axis_names(rows: Sequence[_Row]) -> tuple[str, str]:
-    return _NAMES.get(_env(rows[0].point), ("first observation", "second observation"))
-
-
-def _env(point: Point) -> str:
-    env = point.config.get("env")
-    return str(env.get("kind", "")) if isinstance(env, Mapping) else str(env)
+    env = rows[0].point.env
+    return (env if isinstance(env, EnvironmentSettings) else EnvironmentSettings).observation_names
 
 
 def _row_name(rows: Sequence[_Row], row: _Row) -> str:

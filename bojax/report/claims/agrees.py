@@ -1,13 +1,11 @@
 """Test against a printed table: whether our mean, or our share of runs, agrees with the one given there."""
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
 from bojax.report import statistics
 from bojax.report.claims.finding import Comparison, Finding, within
 from bojax.report.claims.samples import Measure, column, enough, most_present, score, stand_ins
+from bojax.report.claims.settings import Agrees
 from bojax.report.source import Results
 from bojax.report.text import counted, number, percent
 
@@ -15,32 +13,33 @@ SHARE_TOLERANCE = 0.25
 """Default for a share: with 20 printed runs the interval reaches up to 0.22 beyond our own share."""
 
 
-def agrees(results: Results, test: Mapping[str, Any]) -> Finding:
+def agrees(results: Results, test: Agrees) -> Finding:
     """Whether the interval of the difference to a printed number holds 0 and lies within a tolerance.
 
     Runs without a number are left out, which a claim has to allow: where a mean is printed over the
     successful runs, ours is compared with it only where (nearly) all of ours succeed. The printed number
     has its own error, known from its standard deviation or share and its number of runs.
     """
-    label, name = test["label"], test["column"]
+    label, name, runs = test.label, test.column, test.runs
     (point,), chosen = stand_ins(results, test, [label], score(results, Measure(name)))
-    values, runs = column(results.runs_of(point), name), int(test["runs"])
+    values = column(results.runs_of(point), name)
     enough(values.size, "run")
-    if test.get("share") is not None:
-        printed, hits = float(test["share"]), np.asarray(values, dtype=bool)
+    if test.share is not None:
+        printed, hits = test.share, np.asarray(values, dtype=bool)
         interval = statistics.share_difference(int(hits.sum()), hits.size, printed * runs, runs)
-        tolerance = float(test.get("tolerance", SHARE_TOLERANCE))
+        tolerance = SHARE_TOLERANCE if test.tolerance is None else test.tolerance
         ours, theirs = percent(hits.mean()), f"{percent(printed)} of {counted(runs, 'run')}"
         what = f"Newcombe's 95% interval of the difference between our share of {name}"
         estimate, size = float(hits.mean()), int(hits.size)
     else:
-        printed, sd = float(test["mean"]), float(test["sd"])
-        values = values[most_present(values, label, name, float(test.get("missing", 0.0)))].astype(np.float64)
+        assert test.mean is not None and test.sd is not None  # the schema asks for these or a share
+        printed, sd = test.mean, test.sd
+        values = values[most_present(values, label, name, test.missing)].astype(np.float64)
         enough(values.size, "run")
         estimate, size = float(values.mean()), int(values.size)
         ours_sd = float(values.std(ddof=1))
         interval = statistics.welch_difference((estimate, ours_sd, size), (printed, sd, runs))
-        tolerance = float(test.get("tolerance", sd))
+        tolerance = sd if test.tolerance is None else test.tolerance
         ours = f"{number(estimate)} (sd {number(ours_sd)}, {counted(size, 'run')})"
         theirs = f"{number(printed)} (sd {number(sd)}, {counted(runs, 'run')})"
         what = f"Welch's 95% interval of the difference between our mean {name}"

@@ -1,6 +1,5 @@
 """Test of how a mean grows with a swept number: linearly, quadratically or exponentially."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -9,6 +8,7 @@ from bojax.report import growth as laws
 from bojax.report import statistics
 from bojax.report.claims.finding import TAIL, Comparison, Finding, Verdict, bootstrap
 from bojax.report.claims.samples import Undecidable, column, enough, most_present, named
+from bojax.report.claims.settings import Growth
 from bojax.report.source import Point, Results
 from bojax.report.text import counted, percent
 
@@ -16,16 +16,16 @@ MIN_NUMBERS = 4
 """Two coefficients fit two means exactly, and three nearly."""
 
 
-def growth(results: Results, test: Mapping[str, Any]) -> Finding:
+def growth(results: Results, test: Growth) -> Finding:
     """Which of the laws of `bojax.report.growth` lies nearest to the means, and how surely.
 
     Whole runs are resampled, the same ones of every number; it is decided where one law is the nearest in
     95% of the resamples.
     """
-    label, name, over, expected = (test[key] for key in ("label", "column", "over", "expected"))
+    label, name, over, expected = test.label, test.column, test.over, test.expected
     points = numbers_of(named(results, test, label), label, over)
     x = np.array([number for number, _ in points])
-    values = _samples(results, points, label, name, float(test.get("missing", 0.05)))
+    values = _samples(results, points, label, name, test.missing)
     is_there = np.isfinite(values)
     means = statistics.bootstrap_present(values)
     low, high = np.quantile(means[:, -1] - means[:, 0], [TAIL, 1 - TAIL])

@@ -1,0 +1,93 @@
+"""Verdicts on the claims of a sweep: each is decided by the statistical test that the claim names.
+
+A claim is `reproduced` or `not reproduced` where an interval excludes the opposite, and otherwise
+`inconclusive`. It is also `inconclusive`, with the reason, where data are missing or too few, or where the
+test fails.
+"""
+
+import importlib
+from typing import Any
+
+import numpy as np
+
+from bojax.config.claims import Claim, Test
+from bojax.report import statistics
+from bojax.report.claims.finding import Finding
+from bojax.report.claims.samples import Undecidable
+from bojax.report.manifest import Unread
+from bojax.report.source import Results
+from bojax.results.store import ResultsError, one_line
+
+
+def evaluate(results: Results) -> list[dict[str, Any]]:
+    """The entries of `claims.json`, one per claim of the sweep, in its order."""
+    return [_entry(results, claim) for claim in results.claims]
+
+
+def decide(results: Results, test: Test) -> Finding:
+    """Make a test.
+
+    Raises:
+        Undecidable: The data do not allow it.
+    """
+    module, _, name = type(test).target.partition(":")
+    return getattr(importlib.import_module(module), name)(results, test)
+
+
+def _entry(results: Results, claim: Claim | Unread) -> dict[str, Any]:
+    if isinstance(claim, Unread):
+        settings, test = claim.mapping, claim.mapping.get("test") or {}
+    else:
+        settings = claim.model_dump(mode="json")
+        test = claim.test.model_dump(mode="json", exclude_none=True)
+    entry: dict[str, Any] = {key: settings.get(key) for key in ("id", "source", "claim", "thesis")}
+    entry["changed"] = dict(results.changed)
+    try:
+        if isinstance(claim, Unread):
+            raise Undecidable(claim.reason)
+        finding = decide(results, claim.test)
+        if not _is_finite(finding):
+            raise Undecidable("the numbers are too large for their mean to be finite")
+    except ResultsError:
+        raise
+    except Exception as error:  # a failed test must not cost the other verdicts
+        reason = str(error) if isinstance(error, Undecidable) else f"the test failed: {one_line(error)}"
+        return {
+            **entry,
+            "ours": None,
+            "interval": None,
+            "runs": 0,
+            "verdict": "inconclusive",
+            "test": {**test, "reason": reason},
+        }
+    return {
+        **entry,
+        "ours": finding.ours if isinstance(finding.ours, str) else _rounded(finding.ours),
+        "interval": _bounds(finding.decisive.interval),
+        "runs": finding.runs,
+        "verdict": finding.verdict,
+        "test": {
+            **test,
+            "method": finding.method,
+            "comparisons": [
+                {"of": c.of, "estimate": _rounded(c.interval.estimate), "interval": _bounds(c.interval)}
+                for c in finding.comparisons
+            ],
+            "chosen": dict(finding.chosen),
+        },
+    }
+
+
+def _is_finite(finding: Finding) -> bool:
+    intervals = [finding.decisive.interval, *(comparison.interval for comparison in finding.comparisons)]
+    numbers = [number for each in intervals for number in (each.estimate, each.low, each.high)]
+    return bool(np.isfinite([*numbers, 0.0 if isinstance(finding.ours, str) else finding.ours]).all())
+
+
+def _bounds(interval: statistics.Interval) -> list[float]:
+    return [_rounded(interval.low), _rounded(interval.high)]
+
+
+def _rounded(value: float) -> float:
+    # Ten digits: sums in another order differ in the last bits, and the file should not.
+    return float(f"{value:.10g}")

@@ -1,0 +1,40 @@
+"""Test of a ratio: whether two means have the ratio that a claim states."""
+
+import numpy as np
+
+from bojax.report import statistics
+from bojax.report.claims.finding import Comparison, Finding, bootstrap, within
+from bojax.report.claims.samples import Measure, Undecidable, paired, score, stand_ins
+from bojax.report.claims.settings import Ratio
+from bojax.report.source import Results
+from bojax.report.text import number
+
+
+def ratio(results: Results, test: Ratio) -> Finding:
+    """Whether the ratio of the means of a column is the expected one, up to a factor of 1 + tolerance.
+
+    It is where the interval lies within the tolerance, and is not where it lies outside; a wide interval
+    that happens to hold the expected ratio decides nothing.
+    """
+    measure, names = Measure.of(test), test.names
+    expected, factor = test.expected, 1.0 + test.tolerance
+    points, chosen = stand_ins(results, test, names, score(results, measure))
+    table = paired(results, names, points, measure)
+    interval = statistics.ratio_interval(table[:, 0], table[:, 1])
+    if not np.isfinite(interval.low):
+        raise Undecidable(f"the means of {measure} are not clearly positive: their ratio says nothing")
+    bounds = expected / factor, expected * factor
+    is_apart = interval.low > 1 or interval.high < 1
+    agrees = ", as claimed" if (interval.estimate > 1) == (expected > 1) else ", unlike what is claimed"
+    side = f"{'above' if interval.low > 1 else 'below'} 1{agrees}" if is_apart else "on both sides of 1"
+    return Finding(
+        ours=interval.estimate,
+        verdict=within(interval, *bounds),
+        comparisons=[(comparison := Comparison(f"{measure} of {names[0]} / {names[1]}", interval))],
+        decisive=comparison,
+        runs=len(table),
+        method=f"ratio of the means of {measure} over equal runs, 95% interval against "
+        f"[{number(bounds[0])}, {number(bounds[1])}], which is {expected:g} up to a factor of {factor:g}; "
+        f"the interval lies {side}; {bootstrap(len(table))}",
+        chosen=chosen,
+    )

@@ -1,0 +1,290 @@
+"""Settings of the statistical tests of claims."""
+
+from collections.abc import Mapping, Sequence
+from typing import Annotated, ClassVar, Literal, Self
+
+import pydantic
+from pydantic import Field
+from typing_extensions import override
+
+from bojax.config.claims import Test, Window
+
+
+def _distinct(names: Sequence[str], where: str) -> None:
+    if len(set(names)) < len(names):
+        raise ValueError(f"{where}: duplicate name")
+
+
+_Tier = Annotated[
+    Annotated[str, pydantic.Tag("name")]
+    | Annotated[tuple[str, ...], Field(strict=False, min_length=1), pydantic.Tag("names")],
+    pydantic.Discriminator(lambda value: "names" if isinstance(value, list | tuple) else "name"),
+]
+"""A name, or several names that are not compared with each other."""
+
+
+class Measured(Test, frozen=True):
+    """A test of one number per run: of runs.parquet, or a mean over episodes."""
+
+    column: str = Field(description="a column of runs.parquet, or of episodes.parquet if a window is given")
+    window: Window | None = Field(
+        default=None, description="episodes over which the column is averaged within a run"
+    )
+    since: Window | None = Field(
+        default=None, description="episodes whose mean is subtracted from that of window, to test a change"
+    )
+
+    @pydantic.model_validator(mode="after")
+    def _since_of_a_window(self) -> Self:
+        if self.since is not None and self.window is None:
+            raise ValueError("since: needs a window, from whose mean it is subtracted")
+        return self
+
+
+class OfOneLabel(Test, frozen=True):
+    """A test of the runs of one label or variant."""
+
+    label: str = Field(description="label or variant whose runs are tested")
+
+    @property
+    @override
+    def names(self) -> tuple[str, ...]:
+        return (self.label,)
+
+
+class Order(Measured, frozen=True):
+    """Whether the means of a column are in the given order, each above the next (paired by run)."""
+
+    target: ClassVar[str] = "bojax.report.claims.order:order"
+
+    kind: Literal["order"] = "order"
+    greater: tuple[_Tier, ...] | None = Field(
+        default=None,
+        strict=False,
+        min_length=2,
+        description="names in descending order of their means; names in a nested list are not "
+        "compared with each other",
+    )
+    less: tuple[_Tier, ...] | None = Field(
+        default=None, strict=False, min_length=2, description="names in ascending order of their means"
+    )
+    margin: float = Field(
+        default=0.0, ge=0, description="amount by which the mean of a name may fall short of the next"
+    )
+    baseline: str | None = Field(
+        default=None,
+        description="name; margin is then a share of the lead of the next mean over the mean of this name",
+    )
+
+    @pydantic.model_validator(mode="after")
+    def _one_direction(self) -> Self:
+        if (self.greater is None) == (self.less is None):
+            raise ValueError("order: give either greater or less")
+        _distinct(sum(self.tiers, ()), "less" if self.greater is None else "greater")
+        if self.baseline is not None and not 0 < self.margin < 1:
+            raise ValueError("margin: with a baseline it is a share of a lead, between 0 and 1")
+        return self
+
+    @property
+    def tiers(self) -> tuple[tuple[str, ...], ...]:
+        """The names in the claimed order; those of one tier are not compared with each other."""
+        listed = self.greater or self.less or ()
+        return tuple((tier,) if isinstance(tier, str) else tier for tier in listed)
+
+    @property
+    @override
+    def names(self) -> tuple[str, ...]:
+        ranked = sum(self.tiers, ())
+        return ranked if self.baseline in (None, *ranked) else (*ranked, self.baseline)
+
+
+class Ratio(Measured, frozen=True):
+    """Whether the ratio of two means of a column is the expected one, up to a factor (paired by run)."""
+
+    target: ClassVar[str] = "bojax.report.claims.ratio:ratio"
+
+    kind: Literal["ratio"] = "ratio"
+    label: str = Field(description="label or variant whose mean is the numerator")
+    to: str = Field(description="label or variant whose mean is the denominator")
+    expected: float = Field(gt=0, description="claimed ratio")
+    tolerance: float = Field(
+        gt=0,
+        description="the ratio may differ from expected by a factor of up to 1 + tolerance",
+    )
+
+    @pydantic.model_validator(mode="after")
+    def _two_names(self) -> Self:
+        _distinct(self.names, "to")
+        return self
+
+    @property
+    @override
+    def names(self) -> tuple[str, ...]:
+        return (self.label, self.to)
+
+
+_Place = Annotated[
+    Annotated[Annotated[int, Field(ge=1)], pydantic.Tag("step")] | Annotated[Window, pydantic.Tag("window")],
+    pydantic.Discriminator(lambda value: "window" if isinstance(value, Mapping | Window) else "step"),
+]
+"""A step, or a window of episodes."""
+
+
+class Similar(Measured, frozen=True):
+    """Whether means differ by less than a margin: of runs, over episodes, or at a step of steps.parquet."""
+
+    target: ClassVar[str] = "bojax.report.claims.similar:similar"
+
+    kind: Literal["similar"] = "similar"
+    labels: tuple[str, ...] = Field(
+        strict=False, min_length=2, description="labels or variants whose means are compared"
+    )
+    step: int | None = Field(
+        default=None, ge=1, description="step at which a column of steps.parquet is compared"
+    )
+    margin: float = Field(gt=0, description="largest difference between two means")
+    spread_at: _Place | None = Field(
+        default=None,
+        description="step or episodes; margin is then a share of the range of the means there",
+    )
+
+    @pydantic.model_validator(mode="after")
+    def _one_place(self) -> Self:
+        if self.step is not None and self.window is not None:
+            raise ValueError("similar: give either step or window")
+        place = self.step or self.window
+        if self.spread_at is not None and type(self.spread_at) is not type(place):
+            raise ValueError("spread_at: needs a step if step is given, and a window if window is given")
+        return self
+
+    @pydantic.model_validator(mode="after")
+    def _several_names(self) -> Self:
+        _distinct(self.labels, "labels")
+        return self
+
+    @property
+    @override
+    def names(self) -> tuple[str, ...]:
+        return self.labels
+
+
+class Share(OfOneLabel, frozen=True):
+    """Whether the share of runs with a property is above or below a threshold (Wilson interval)."""
+
+    target: ClassVar[str] = "bojax.report.claims.share:share"
+
+    kind: Literal["share"] = "share"
+    column: str = Field(description="a column of runs.parquet; a run counts if its value is true or not zero")
+    window: Window | None = Field(
+        default=None,
+        description="episodes; a run counts if the column of episodes.parquet is true in one of them",
+    )
+    within: int | None = Field(default=None, ge=1, description="largest number of steps of a run that counts")
+    above: float | None = Field(default=None, ge=0, le=1, description="threshold that the share exceeds")
+    below: float | None = Field(default=None, ge=0, le=1, description="threshold that the share stays under")
+
+    @pydantic.model_validator(mode="after")
+    def _one_threshold(self) -> Self:
+        if (self.above is None) == (self.below is None):
+            raise ValueError("share: give either above or below")
+        if self.within is not None and self.window is not None:
+            raise ValueError("share: give either within or window")
+        return self
+
+
+class Mean(Measured, OfOneLabel, frozen=True):
+    """Whether the mean of a column is above or below a threshold, or between two."""
+
+    target: ClassVar[str] = "bojax.report.claims.mean:mean"
+
+    kind: Literal["mean"] = "mean"
+    above: float | None = Field(default=None, description="threshold that the mean exceeds")
+    below: float | None = Field(default=None, description="threshold that the mean stays under")
+
+    @pydantic.model_validator(mode="after")
+    def _a_threshold(self) -> Self:
+        if self.above is None and self.below is None:
+            raise ValueError("mean: give above, below, or both")
+        if self.above is not None and self.below is not None and self.above >= self.below:
+            raise ValueError(f"below must exceed above, which is {self.above:g}")
+        return self
+
+
+class Trend(OfOneLabel, frozen=True):
+    """Whether the mean of a column rises or falls between two steps, or between two windows of episodes."""
+
+    target: ClassVar[str] = "bojax.report.claims.trend:trend"
+
+    kind: Literal["trend"] = "trend"
+    column: str = Field(description="a column of steps.parquet, or of episodes.parquet")
+    first: _Place = Field(alias="from", description="step or episodes at which the change begins")
+    last: _Place = Field(alias="to", description="step or episodes at which the change ends")
+    direction: Literal["rises", "falls"] = Field(description="claimed direction of the change")
+
+    @pydantic.model_validator(mode="after")
+    def _forward(self) -> Self:
+        if type(self.first) is not type(self.last):
+            raise ValueError("from and to: give two steps or two windows")
+        if isinstance(self.first, int) and isinstance(self.last, int) and self.first >= self.last:
+            raise ValueError(f"to must lie after from, which is {self.first}")
+        return self
+
+
+class Agrees(OfOneLabel, frozen=True):
+    """Whether our mean or share of runs agrees with a printed one: the difference may be 0."""
+
+    target: ClassVar[str] = "bojax.report.claims.agrees:agrees"
+
+    kind: Literal["agrees"] = "agrees"
+    column: str = Field(
+        description="a column of runs.parquet; for a share, a run counts if its value is true"
+    )
+    mean: float | None = Field(default=None, description="printed mean")
+    sd: float | None = Field(default=None, ge=0, description="printed standard deviation")
+    share: float | None = Field(
+        default=None, ge=0, le=1, description="printed share, in place of mean and sd"
+    )
+    runs: int = Field(ge=2, description="number of runs behind the printed number")
+    tolerance: float | None = Field(
+        default=None,
+        gt=0,
+        description="largest absolute value in the interval of the difference; null for the printed standard "
+        "deviation, or 0.25 for a share",
+    )
+    missing: float = Field(
+        default=0.0,
+        ge=0,
+        lt=1,
+        description="largest share of our runs that may lack a value (the goal was never reached) and "
+        "are left out",
+    )
+
+    @pydantic.model_validator(mode="after")
+    def _one_number(self) -> Self:
+        if (self.mean is None) == (self.share is None):
+            raise ValueError("agrees: give either mean and sd, or share")
+        if (self.mean is None) != (self.sd is None):
+            raise ValueError("mean and sd: give both or neither")
+        if self.sd == 0 and self.tolerance is None:
+            raise ValueError("tolerance: required because sd is 0")
+        return self
+
+
+class Growth(OfOneLabel, frozen=True):
+    """Whether the mean of a column grows with a swept number by the expected law rather than by another."""
+
+    target: ClassVar[str] = "bojax.report.claims.growth:growth"
+
+    kind: Literal["growth"] = "growth"
+    column: str = Field(description="a column of runs.parquet with positive means")
+    over: str = Field(description="swept number, a dotted path such as env.length")
+    expected: Literal["linear", "quadratic", "exponential"] = Field(
+        description="law: a + b x, a + b x^2 or a exp(b x)"
+    )
+    missing: float = Field(
+        default=0.05,
+        ge=0,
+        lt=1,
+        description="largest share of the runs of a point that may lack a value (the goal was never reached) "
+        "and are left out",
+    )

@@ -1,0 +1,60 @@
+"""Test of equivalence: whether means differ by less than a margin."""
+
+from itertools import combinations
+
+import numpy as np
+
+from bojax.report import statistics
+from bojax.report.claims.finding import TAIL, Comparison, Finding, Verdict, bootstrap
+from bojax.report.claims.samples import Measure, Undecidable, paired, score, stand_ins
+from bojax.report.claims.settings import Similar
+from bojax.report.source import Results
+from bojax.report.text import counted, number
+
+
+def similar(results: Results, test: Similar) -> Finding:
+    """Whether means differ by less than a margin, all pairs: of runs, over episodes, or at a step.
+
+    An equivalence test: simultaneous intervals of all differences, Bonferroni, lie within the margin, or
+    one lies outside. The margin may be a share of the spread of the means at another step or over other
+    episodes, which is then resampled with them.
+    """
+    names, margin, spread_at = test.names, test.margin, test.spread_at
+    measure = Measure(test.column, test.step or test.window, test.since)
+    spread = measure if spread_at is None else Measure(test.column, spread_at)
+    points, chosen = stand_ins(results, test, names, score(results, measure))
+    at, later = (paired(results, names, points, each).astype(np.float64) for each in (measure, spread))
+    means = statistics.bootstrap_means(np.concatenate([at, later], axis=1))
+    resampled, spreads = means[:, : len(names)], np.ptp(means[:, len(names) :], axis=1)
+    scale = float(np.ptp(later.mean(axis=0)))
+    if spread_at is None:
+        spreads, scale = np.ones(len(means)), 1.0
+    elif not (spreads.min() > 0 and scale > 0):
+        raise Undecidable(f"the means of {spread} do not differ: there is no spread")
+    pairs = list(combinations(range(len(names)), 2))
+    comparisons = []
+    for a, b in pairs:
+        differences = (resampled[:, a] - resampled[:, b]) / spreads
+        low, high = np.quantile(differences, [TAIL / len(pairs), 1 - TAIL / len(pairs)])
+        estimate = float((at[:, a] - at[:, b]).mean()) / scale
+        interval = statistics.Interval(estimate, float(low), float(high))
+        comparisons.append(Comparison(f"{names[a]} - {names[b]}", interval))
+    verdict: Verdict = "inconclusive"
+    if all(-margin < c.interval.low and c.interval.high < margin for c in comparisons):
+        verdict = "reproduced"
+    elif any(c.interval.low > margin or c.interval.high < -margin for c in comparisons):
+        verdict = "not reproduced"
+    ends = np.array([(c.interval.low, -c.interval.high) for c in comparisons])
+    extreme = ends.max(axis=1) if verdict == "not reproduced" else -ends.min(axis=1)
+    unit = "" if spread_at is None else f", as a share of the spread of {spread}"
+    return Finding(
+        ours=", ".join(f"{name} {number(mean)}" for name, mean in zip(names, at.mean(axis=0), strict=True)),
+        verdict=verdict,
+        comparisons=comparisons,
+        decisive=comparisons[int(np.argmax(extreme))],
+        runs=len(at),
+        method=f"differences of the means of {measure}{unit}, within equal runs, simultaneous "
+        f"95% intervals (Bonferroni over {counted(len(pairs), 'pair')}) against ±{margin:g}; "
+        f"{bootstrap(len(at))}",
+        chosen=chosen,
+    )

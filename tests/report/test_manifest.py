@@ -1,0 +1,47 @@
+"""Settings come back from the manifest as the objects that were written into it."""
+
+import json
+
+import pytest
+
+from bojax.config.files import available
+from bojax.config.sweep import load_config, load_sweep
+from bojax.engine.manifest import plain
+from bojax.report.build import build_report
+from bojax.report.manifest import Manifest, PointEntry, Unread, claims_of, experiment_of
+from bojax.report.source import load
+from tests.report.synthetic import edit_manifest, write_monitoring, write_results
+
+SHIPPED = [
+    (load, name)
+    for load, kind in ((load_config, "configs"), (load_sweep, "sweeps"))
+    for name in available(kind)
+]
+
+
+@pytest.mark.parametrize(("read", "name"), SHIPPED, ids=[f"{read.__name__}-{name}" for read, name in SHIPPED])
+def test_shipped_settings_survive_the_manifest(read, name):
+    sweep = read(name)
+    written = json.loads(json.dumps({"claims": plain(sweep.claims), "report": plain(sweep.report)}))
+    manifest = Manifest.model_validate(
+        {"status": "finished", "points": [{"index": 0, "label": "x"}], **written}
+    )
+    assert claims_of(manifest) == sweep.claims
+    for point in sweep.points:
+        config = json.loads(json.dumps(plain(point.config)))
+        assert experiment_of(PointEntry(index=0, label="x", config=config)) == point.config
+
+
+def test_settings_of_another_version_leave_a_page_that_says_so(tmp_path):
+    folder = write_results(tmp_path / "results", runs=20, recorded=2)
+    edit_manifest(folder, lambda m: m["points"][0]["config"]["planner"].update(cleverness=3))
+    results = load(folder)
+    assert isinstance(results.points[0].experiment, Unread) and results.points[0].outline.border is None
+    page = build_report([folder]).read_text()
+    assert "This version of bojax cannot read the settings of kcbts (planner.cleverness: unknown" in page
+
+
+def test_parts_by_import_path_are_named(tmp_path):
+    folder = write_monitoring(tmp_path / "results", runs=2, recorded=0)
+    edit_manifest(folder, lambda m: m["points"][0]["config"]["problem"].update(kind="mine:Dock"))
+    assert "mine:Dock: given by import path" in build_report([folder]).read_text()
