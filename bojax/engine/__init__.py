@@ -1,1 +1,1 @@
-"""The engine: batches an experiment over runs and hyper-parameters, compiles it once, drives it to disk."""
+"""The engine: batches an experiment over runs and hyper-parameters, compiles it and writes its results."""

@@ -1,6 +1,6 @@
-"""A static group compiled: `shard_map` over devices of `vmap` over lanes, ahead of time.
+"""A compiled static group: `vmap` over the lanes of a device, `shard_map` over devices.
 
-A lane is one run of one point. Each device loops over its own lanes and talks to no other device.
+A lane is one run of one point. Each device advances its own lanes; devices do not communicate.
 """
 
 import time
@@ -24,17 +24,17 @@ from bojax.numerics.lanes import LANES
 compile_counts: Counter[str] = Counter()
 """Number of XLA compilations of the engine in this process, by program."""
 
-BY_LANE, SAME = PartitionSpec(DEVICES), PartitionSpec()
-"""How arrays lie on the devices: cut along the lanes, or whole on each."""
+BY_LANE, REPLICATED = PartitionSpec(DEVICES), PartitionSpec()
+"""Placement of an array: divided among the devices by lane, or replicated on every device."""
 
 
 class Lanes(NamedTuple):
-    """The inputs of a chunk's lanes, on the devices.
+    """Inputs of the lanes of a chunk, on the devices.
 
     Attributes:
         runs: Index of each lane's run, from which its key is derived.
-        is_real: False for the lanes that only fill up the chunk.
-        swept: The leaves in which points differ.
+        is_real: False for lanes that only pad the chunk.
+        swept: Leaves whose values differ between points.
     """
 
     runs: Int[Array, " lanes"]
@@ -43,7 +43,12 @@ class Lanes(NamedTuple):
 
 
 class Status(NamedTuple):
-    """What the host wants to know of an advance, summed over the real lanes of each device."""
+    """Progress after an advance, summed over the real lanes of each device.
+
+    Attributes:
+        remaining: Number of lanes that are not done.
+        active_steps: Environment steps of the advance.
+    """
 
     remaining: Int[Array, " devices"]
     active_steps: Int[Array, " devices"]
@@ -53,8 +58,8 @@ class Compiled:
     """The programs of one static group at a fixed number of lanes.
 
     Attributes:
-        num_lanes: Lanes of a chunk, on all devices together.
-        max_advances: Advances after which every lane is done.
+        num_lanes: Number of lanes of a chunk, on all devices together.
+        max_advances: Number of advances after which every lane is done.
         compile_seconds: Seconds spent on tracing and compiling.
     """
 
@@ -63,7 +68,7 @@ class Compiled:
         self.num_lanes = lanes_per_device * mesh.size
         self._group = group
         self._by_lane = NamedSharding(mesh, BY_LANE)
-        everywhere = NamedSharding(mesh, SAME)
+        everywhere = NamedSharding(mesh, REPLICATED)
         self._key = jax.device_put(jax.random.key(seed), everywhere)
         self._shared = jax.device_put(group.shared, everywhere)
         one_point = np.zeros(self.num_lanes, dtype=np.int32)
@@ -75,9 +80,9 @@ class Compiled:
         self.carry_structure = jax.tree.map(
             lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=self._by_lane), carry
         )
-        self._init = compiled(init, (SAME, BY_LANE, SAME), self._key, lanes, self._shared)
+        self._init = compiled(init, (REPLICATED, BY_LANE, REPLICATED), self._key, lanes, self._shared)
         inputs = (self.carry_structure, lanes, self._shared)
-        specs = (BY_LANE, BY_LANE, SAME)
+        specs = (BY_LANE, BY_LANE, REPLICATED)
         self._advance = self._compile_advance(compiled, specs, *inputs)
         self._summary = compiled(partial(_summary, group), specs, *inputs)
         snapshot = partial(_snapshot, group)
@@ -91,7 +96,13 @@ class Compiled:
         return compiled(partial(_advance, self._group), specs, *inputs, donate=True)
 
     def place(self, positions: np.ndarray, runs: np.ndarray, is_real: np.ndarray) -> Lanes:
-        """Put the inputs of `num_lanes` lanes on the devices; `positions` are those of their points."""
+        """Put the inputs of `num_lanes` lanes on the devices.
+
+        Args:
+            positions: For each lane, the position of its point among the points of the group.
+            runs: For each lane, the index of its run.
+            is_real: For each lane, whether it is more than padding.
+        """
         lanes = (runs.astype(np.int32), is_real, self._group.swept_at(positions))
         return Lanes(*jax.device_put(lanes, self._by_lane))
 
@@ -100,11 +111,11 @@ class Compiled:
         return self._init(self._key, lanes, self._shared)
 
     def advance(self, carry: Carry, lanes: Lanes) -> tuple[Carry, dict[str, dict[str, Array]], Status]:
-        """One advance of every lane; the carry that goes in is consumed."""
+        """Advance every lane once; the buffers of the given carry are donated."""
         return self._advance(carry, lanes, self._shared)
 
     def summary(self, carry: Carry, lanes: Lanes) -> dict[str, Array]:
-        """The scalars of every lane."""
+        """The summary of every lane."""
         return self._summary(carry, lanes, self._shared)
 
     def exported_state(self, carry: Carry, lanes: Lanes) -> PyTree:
@@ -112,7 +123,7 @@ class Compiled:
         return jax.jit(partial(_exported_state, self._group))(carry, lanes, self._shared)
 
     def snapshot(self, carry: Carry, lanes: Lanes) -> dict[str, dict[str, Array]]:
-        """The named arrays of every lane; empty where the experiment has none or none are kept."""
+        """The snapshot of every lane; empty if the experiment has none or if snapshots are not kept."""
         return {} if self._snapshot is None else self._snapshot(carry, lanes, self._shared)
 
 
@@ -124,7 +135,7 @@ def _exported_state(group: StaticGroup, carry: Carry, lanes: Lanes, shared: PyTr
 
 
 def run_key(key: Key[Array, ""], run: Int[Array, ""]) -> Key[Array, ""]:
-    """The key of a run: the same for every point of a sweep, so that comparisons are paired by run."""
+    """The key of a run, equal at every point of a sweep, so that comparisons are paired by run."""
     return jax.random.fold_in(key, run)
 
 
@@ -141,24 +152,26 @@ def _init(group: StaticGroup, key: Key[Array, ""], lanes: Lanes, shared: PyTree)
 def _advance(group: StaticGroup, carry: Carry, lanes: Lanes, shared: PyTree):
     def one(carry, is_real, swept):
         experiment = group.experiment(swept, shared)
-        return outcome(experiment, carry, *experiment.advance(carry), is_real)
+        return checked_advance(experiment, carry, *experiment.advance(carry), is_real)
 
     carry, tables, is_done, active_steps = jax.vmap(one, axis_name=LANES)(carry, lanes.is_real, lanes.swept)
-    return carry, tables, total(is_done, active_steps, lanes.is_real)
+    return carry, tables, status_of(is_done, active_steps, lanes.is_real)
 
 
-def outcome(experiment: Experiment, before: Carry, after: Carry, records: Records, is_real: Bool[Array, ""]):
-    """What an advance of one lane led to, checked: carry, tables, whether it is done, steps made."""
+def checked_advance(
+    experiment: Experiment, before: Carry, after: Carry, records: Records, is_real: Bool[Array, ""]
+):
+    """Check an advance of one lane; returns its carry, its tables, whether it is done, and its steps."""
     check_advance(experiment, before, after)
     check_records(experiment, records.tables)
     tables = {name: {**columns, VALID: columns[VALID] & is_real} for name, columns in records.tables.items()}
     return after, tables, experiment.is_done(after), records.active_steps
 
 
-def total(
+def status_of(
     is_done: Bool[Array, " lanes"], active_steps: Int[Array, " lanes"], is_real: Bool[Array, " lanes"]
 ) -> Status:
-    """The status of some lanes."""
+    """The status of the lanes of one device."""
     return Status(
         remaining=jnp.sum(~is_done & is_real, keepdims=True),
         active_steps=jnp.sum(jnp.where(is_real, active_steps, 0), keepdims=True),
@@ -183,9 +196,9 @@ def _snapshot(group: StaticGroup, carry: Carry, lanes: Lanes, shared: PyTree) ->
 
 
 def _compile(function: Callable, in_specs: tuple, *inputs: Any, mesh: Mesh, donate: bool = False) -> Callable:
-    """Compile for inputs of exactly these shapes and shardings: any other input raises when called."""
-    # A replicated constant and a lane's value may meet in an experiment's loop carry: no need to tell
-    # them apart, since nothing is communicated.
+    """Compile for inputs of exactly these shapes and shardings; a call with any other input raises."""
+    # The loop carry of an experiment may begin as a replicated constant and become a value of the lane, which
+    # `check_vma` would refuse. The check protects communication between devices, and there is none.
     sharded = jax.shard_map(function, mesh=mesh, in_specs=in_specs, out_specs=BY_LANE, check_vma=False)
     program = jax.jit(sharded, donate_argnums=0 if donate else ()).lower(*inputs).compile()
     compile_counts[function.func.__name__.lstrip("_")] += 1  # type: ignore[attr-defined]

@@ -23,17 +23,18 @@ from bojax.numerics.checkpoint import restore
 def build(component: Component, dtype: Literal["float64", "float32"] = "float64") -> Any:
     """The module that a component describes.
 
-    Fields that are static in the module stay Python values. Every other number, or list of numbers,
-    becomes an array of `dtype`, integers too: it is a leaf that can be swept. Truth values become arrays
-    of their own type, text and null stay as they are.
+    Static fields of the module stay Python values. Every other number or list of numbers becomes an array
+    of `dtype`, even if it is an integer, so that it is a leaf that can be swept. Booleans become boolean
+    arrays. Strings and null stay as they are.
 
     Args:
-        component: Validated settings; parts given by import path must have been resolved.
+        component: Validated settings, in which parts given by import path have been resolved.
         dtype: Precision of every number.
 
     Raises:
-        ConfigError: A constructor refuses its settings, or float64 is asked for while JAX has it off.
-        ResultsError: A saved learner cannot be read, or has another structure.
+        ConfigError: A constructor rejects its settings, or `dtype` is float64 and JAX has 64-bit numbers
+            disabled.
+        ResultsError: A saved learner cannot be read, or does not fit the learner of the config.
     """
     if dtype == "float64" and not setting("jax_enable_x64"):
         raise ConfigError(
@@ -47,9 +48,11 @@ def build(component: Component, dtype: Literal["float64", "float32"] = "float64"
 
 
 def _load(folder: str, run: Any) -> PyTree:
-    """The state of a saved learner, of the structure that this run needs."""
+    """The state of a saved learner, in the structure that this run expects."""
     structure = jax.eval_shape(lambda key: run.new_learner(key, capacity=0), jax.random.key(0))
-    advice = "a saved learner keeps its kind, its features and the spaces of its environment"
+    advice = (
+        "a saved learner loads only with the same kind of learner, features and spaces of the environment"
+    )
     return restore(Path(folder), structure, advice)
 
 
@@ -61,14 +64,16 @@ def import_target(target: str) -> type:
 
 def _build(component: Component, dtype: str, path: tuple[str, ...]) -> Any:
     if isinstance(component, External):
-        raise ConfigError(f"{_where(path, component)}: an import path has to be resolved before it is built")
+        raise ConfigError(
+            f"{_where(path, component)}: an import path must be resolved before its component is built"
+        )
     cls = import_target(component.target)
     static = static_fields(cls)
     accepted = inspect.signature(cls).parameters
     arguments = {}
     for name in type(component).model_fields:
         left_out = name in component.constructor_defaults and name not in component.model_fields_set
-        # An experiment's dtype says how to build it; its constructor need not know.
+        # `dtype` is how to build an experiment, not a setting that its constructor has to accept.
         if name == "kind" or left_out or (name == "dtype" and name not in accepted):
             continue
         value = getattr(component, name)
@@ -84,7 +89,7 @@ def _build(component: Component, dtype: str, path: tuple[str, ...]) -> Any:
         return cls(**arguments)
     except ValueError as error:
         raise ConfigError(f"{_where(path, component)}: {' '.join(str(error).split())}") from error
-    except (Exception, SystemExit) as error:  # whatever a user's class raises
+    except (Exception, SystemExit) as error:  # a user's class may raise anything
         if not IMPORT_PATH.fullmatch(component.kind):
             raise
         got = f"{_where(path, component)}: got {shown(component.kind)}"
@@ -92,7 +97,7 @@ def _build(component: Component, dtype: str, path: tuple[str, ...]) -> Any:
 
 
 def static_fields(cls: type) -> frozenset[str]:
-    """Names whose values stay Python values: static fields, and arguments that are no field at all."""
+    """Arguments that stay Python values: static fields, and arguments that are not fields."""
     if not dataclasses.is_dataclass(cls):
         return frozenset(inspect.signature(cls).parameters)
     fields = {field.name: field for field in dataclasses.fields(cls)}
@@ -114,14 +119,14 @@ def _check_arguments(
     component: Component,
     path: tuple[str, ...],
 ) -> None:
-    """Refuse what the constructor does not take, and what it takes and does not get."""
+    """Refuse arguments that the constructor does not accept, and required arguments that are missing."""
     kinds = inspect.Parameter
     is_open = any(parameter.kind is kinds.VAR_KEYWORD for parameter in accepted.values())
     for name in arguments:
         if name not in accepted and not is_open:
             raise ConfigError(
-                f"{_where((*path, name), component)}: the constructor of {component.target} takes no such "
-                f"argument; it takes: {', '.join(accepted) or 'none'}"
+                f"{_where((*path, name), component)}: not an argument of the constructor of "
+                f"{component.target}; allowed: {', '.join(accepted) or 'none'}"
             )
     for name, parameter in accepted.items():
         is_needed = parameter.default is kinds.empty and parameter.kind not in (
@@ -130,8 +135,8 @@ def _check_arguments(
         )
         if is_needed and name not in arguments:
             raise ConfigError(
-                f"{_where((*path, name), component)}: the constructor of {component.target} needs it, "
-                f"but {type(component).__name__} has no such setting"
+                f"{_where((*path, name), component)}: required by the constructor of {component.target}, "
+                f"but not a setting of {type(component).__name__}"
             )
 
 
@@ -141,14 +146,14 @@ def _check_shapes(
     component: Component,
     path: tuple[str, ...],
 ) -> None:
-    """Refuse an array whose shape is not the annotated one: indexing past its end would go unnoticed."""
+    """Refuse an array whose shape differs from its annotation: JAX does not report out-of-bounds indices."""
     for name, value in arguments.items():
         expected: Any = accepted[name].annotation if name in accepted else object
         if not isinstance(value, jax.Array) or expected in (float, int):
             continue
         try:
             fits = isinstance(value, expected)
-        except TypeError:  # text, or another annotation that cannot be asked
+        except TypeError:  # a string, or another annotation that isinstance does not accept
             continue
         if not fits:
             shape = f"{value.size} numbers" if value.ndim == 1 else f"shape {value.shape}"
@@ -157,7 +162,7 @@ def _check_shapes(
 
 
 def _dimensions(annotation: Any) -> str:
-    """What an annotation says of a shape, in words: `Float[Array, "3"]` is 3 numbers."""
+    """The shape of an annotation in words, such as "3 numbers" for `Float[Array, "3"]`."""
     dimensions = getattr(annotation, "dim_str", None)
     if dimensions is None:
         return getattr(annotation, "__name__", str(annotation))

@@ -1,4 +1,4 @@
-"""Chunks: the lanes of a static group cut into batches of one fixed size."""
+"""Chunks: the lanes of a static group divided into batches of a fixed size."""
 
 import hashlib
 import json
@@ -13,15 +13,15 @@ from bojax.engine.groups import StaticGroup
 
 @dataclass(frozen=True)
 class Chunk:
-    """Some lanes of a group.
+    """A batch of lanes of one group.
 
     Attributes:
         group: Index of the group.
-        index: Position among the chunks of the sweep.
+        index: Index of the chunk in the sweep.
         positions: For each lane, the position of its point among those of the group.
         points: For each lane, the index of its point in the sweep.
         runs: For each lane, the index of its run.
-        identity: Hash of everything that its rows depend on.
+        identity: Hash of everything that the rows of the chunk depend on.
     """
 
     group: int
@@ -38,19 +38,19 @@ class Chunk:
 
     @property
     def name(self) -> str:
-        """Name of its working folder."""
+        """Name of the chunk's working folder."""
         return f"chunk-{self.index:05d}-{self.identity[:12]}"
 
     @property
     def point(self) -> int:
-        """The point of all its lanes, or -1 if there are several."""
+        """The point of all lanes; -1 if the lanes belong to several points."""
         points = np.unique(self.points)
         return int(points[0]) if len(points) == 1 else -1
 
     def padded(self, num_lanes: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Positions, runs and `is_real` of `num_lanes` lanes.
 
-        Lanes that fill up repeat real ones, so that they take no longer than those.
+        The padding repeats real lanes, so that it takes no longer than they do.
         """
         lanes = np.arange(num_lanes) % self.num_lanes
         return self.positions[lanes], self.runs[lanes], np.arange(num_lanes) < self.num_lanes
@@ -64,14 +64,14 @@ def cut(
     context: Mapping[str, Any],
     first_index: int = 0,
 ) -> list[Chunk]:
-    """Cut the points x runs of a group into chunks of `num_lanes`, run indices fastest.
+    """Divide all runs of all points of a group into chunks; the run index varies fastest.
 
     Args:
         group: The group.
         runs: Indices of the runs of every point.
-        num_lanes: Lanes of a chunk, on all devices together.
+        num_lanes: Number of lanes of a chunk, on all devices together.
         configs: Resolved config of each point of the sweep.
-        context: What else the rows depend on: seed, lanes per device, code.
+        context: Everything else that the rows depend on, such as seed, lanes per device and code.
         first_index: Index of the first chunk in the sweep.
     """
     positions = np.repeat(np.arange(len(group.points)), len(runs))
@@ -96,5 +96,5 @@ def cut(
 
 
 def digest(content: Any) -> str:
-    """A hash of plain values that does not depend on the order of keys."""
+    """A hash of plain values, independent of the order of keys."""
     return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()

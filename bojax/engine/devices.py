@@ -1,6 +1,6 @@
-"""Every decision about devices: which ones, how many on a CPU, precision, compile cache, lanes.
+"""Devices: their selection, their number on a CPU, the lanes of each, and JAX's process-wide flags.
 
-`prepare` has to run before JAX starts a backend; it is where the process-wide flags of JAX are set.
+`prepare` sets the flags and must be called before JAX starts a backend.
 """
 
 import os
@@ -14,20 +14,20 @@ from jax.sharding import AxisType, Mesh
 from bojax.engine.errors import EngineError
 
 Device: TypeAlias = Any
-"""A JAX device: `jax.Device` is a variable to a type checker."""
+"""A JAX device; `Any`, since type checkers take `jax.Device` for a variable."""
 
 DEVICES = "devices"
 """Name of the mesh axis over devices."""
 
 LANES_ON_ACCELERATOR = 4096
-"""Most lanes per device where the config says nothing. On a CPU the experiment says how many are fast."""
+"""Default maximum of lanes per device of an accelerator; on a CPU it is `Experiment.lanes_on_cpu`."""
 
 
 def prepare(device: Literal["auto", "cpu", "gpu"]) -> None:
     """Set JAX's process-wide flags: platform, CPU devices, float64, persistent compilation cache.
 
-    XLA runs a vmapped loop on one core, so that a CPU counts as one device per usable core. A flag that
-    the user has set, in the environment or in JAX's configuration, is left alone.
+    XLA runs a vmapped loop on a single core, so a CPU is split into one device per usable core. Flags that
+    the user has set, in the environment or in JAX's configuration, are left alone.
     """
     jax.config.update("jax_enable_x64", True)
     if device == "cpu" and not setting("jax_platforms"):
@@ -41,10 +41,10 @@ def prepare(device: Literal["auto", "cpu", "gpu"]) -> None:
 
 
 def find_devices(device: Literal["auto", "cpu", "gpu"]) -> list[Device]:
-    """All devices of the platform asked for; `auto` takes GPUs where there are any.
+    """All devices of the requested platform; `auto` prefers GPUs.
 
     Raises:
-        EngineError: no GPU where one was asked for.
+        EngineError: There is no device of this platform.
     """
     if device == "auto":
         return jax.devices()
@@ -52,21 +52,21 @@ def find_devices(device: Literal["auto", "cpu", "gpu"]) -> list[Device]:
         return jax.devices(device)
     except RuntimeError:
         raise EngineError(
-            f"engine.device: {device}: JAX finds no {device} here, only {jax.default_backend()}: "
+            f"engine.device: got {device}; JAX finds only {jax.default_backend()} devices: "
             "use engine.device=auto, or run `bojax doctor`"
         ) from None
 
 
 def make_mesh(devices: list[Device]) -> Mesh:
-    """A one-dimensional mesh of devices; no program of the engine communicates across it."""
+    """A one-dimensional mesh of the devices, across which no program of the engine communicates."""
     return Mesh(np.array(devices), (DEVICES,), axis_types=(AxisType.Auto,))
 
 
 def choose_lanes(num_lanes: int, num_devices: int, limit: int, given: int | None) -> int:
-    """Lanes per device for a group of `num_lanes`.
+    """Number of lanes per device for a group of `num_lanes`.
 
-    Where the config gives none: the fewest that need no more chunks than `limit` lanes do, which keeps
-    padding small.
+    Returns `given` unless it is None. Otherwise, of the numbers that lead to as few chunks as `limit` does,
+    returns the smallest, which keeps padding small.
     """
     if given is not None:
         return given
@@ -82,7 +82,7 @@ def usable_cores() -> int:
 
 
 def cache_folder() -> Path:
-    """Folder of the persistent compilation cache: `BOJAX_CACHE`, else under the user's cache folder."""
+    """Folder of the persistent compilation cache: `BOJAX_CACHE`, or else in the user's cache folder."""
     if given := os.environ.get("BOJAX_CACHE"):
         return Path(given)
     base = os.environ.get("XDG_CACHE_HOME")
@@ -95,7 +95,7 @@ def setting(flag: str) -> Any:
 
 
 def _update_before_start(flag: str, value: object) -> None:
-    """Set a flag that JAX refuses once a backend runs: then whoever started it has made the choice."""
+    """Set a flag that JAX refuses to change once a backend has started; in that case it stays as it is."""
     try:
         jax.config.update(flag, value)
     except RuntimeError:

@@ -1,14 +1,14 @@
-"""What the engine cannot go on from, in one line, with its exit code."""
+"""Errors of the engine: a message of one line and an exit code."""
 
 INPUT_ERROR = 2
 FAILURE = 1
 
 
 class EngineError(Exception):
-    """A failure that the user can do something about.
+    """A failure that the user can act on.
 
     Attributes:
-        exit_code: 2 where the input is to be mended, 1 where the machine or an experiment failed.
+        exit_code: 2 if the input must be corrected, 1 if the machine or an experiment failed.
     """
 
     def __init__(self, message: str, exit_code: int = INPUT_ERROR):
@@ -17,7 +17,7 @@ class EngineError(Exception):
 
 
 def out_of_memory(error: BaseException, lanes_per_device: int) -> EngineError | None:
-    """The one line for a device that ran out of memory; None if `error` is something else."""
+    """The error to report for a device that ran out of memory; None if `error` has another cause."""
     text = str(error)
     if "RESOURCE_EXHAUSTED" not in text and "Out of memory" not in text:
         return None

@@ -1,4 +1,4 @@
-"""Static groups: the points of a sweep that one compiled program can run."""
+"""Static groups: points of a sweep that share one compiled program."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,11 +17,11 @@ class StaticGroup:
     """Points whose modules have equal tree structure, shapes and dtypes.
 
     Attributes:
-        index: Position among the groups of the sweep.
-        points: Indices of its points in the sweep.
-        swept: The leaves that differ between points, `[num_points, ...]`; None elsewhere.
-        shared: The array leaves that all points have in common; None elsewhere.
-        static: Everything that is no array.
+        index: Index of the group in the sweep.
+        points: Indices of the group's points in the sweep.
+        swept: Array leaves whose values differ between points, `[num_points, ...]`; other leaves are None.
+        shared: Array leaves whose values are equal at all points; other leaves are None.
+        static: Leaves that are not arrays.
     """
 
     index: int
@@ -31,7 +31,7 @@ class StaticGroup:
     static: PyTree
 
     def swept_at(self, positions: np.ndarray) -> PyTree:
-        """The swept leaves of lanes whose points have these positions in the group."""
+        """The swept leaves of lanes, given the position of each lane's point in the group."""
         return jax.tree.map(lambda leaf: leaf[positions], self.swept)
 
     def experiment(self, swept: PyTree, shared: PyTree) -> Experiment:

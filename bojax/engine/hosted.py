@@ -1,7 +1,7 @@
 """A static group of learning runs whose environments step on the host, between compiled programs.
 
-An episode begins with a reset of the environment by a seed that is derived from the run's key: nothing of the
-environment has to be kept between episodes, and checkpoints are those of a compiled group.
+Every episode resets its environment with a seed derived from the key of the run. No state of the environment
+is kept between episodes, so a checkpoint has the same content as that of a compiled group.
 """
 
 from collections.abc import Callable
@@ -15,7 +15,7 @@ from jax.sharding import Mesh
 from jaxtyping import Array, PyTree
 from typing_extensions import override
 
-from bojax.engine.batch import BY_LANE, SAME, Compiled, Lanes, Status, outcome, total
+from bojax.engine.batch import BY_LANE, REPLICATED, Compiled, Lanes, Status, checked_advance, status_of
 from bojax.engine.groups import StaticGroup
 from bojax.envs.base import TimeStep
 from bojax.experiments.base import Carry
@@ -26,7 +26,11 @@ from bojax.numerics.lanes import LANES
 
 
 class PhasePrograms(NamedTuple):
-    """The methods of a `Phase` as programs for all lanes; their arguments begin with lanes, carry, number."""
+    """The methods of a `Phase`, compiled for all lanes.
+
+    The first three arguments of each are the lanes, the carry, and the number of the episode: 0 for training,
+    or that of a test, from 1.
+    """
 
     seed: Callable[..., Array]
     begin: Callable[..., EpisodeState]
@@ -36,7 +40,7 @@ class PhasePrograms(NamedTuple):
 
 
 class Hosted(Compiled):
-    """The programs of one static group of learning runs, with a vector environment on the host."""
+    """The programs of one static group of learning runs with a vector environment on the host."""
 
     def __init__(self, group: StaticGroup, mesh: Mesh, lanes_per_device: int, seed: int, *, snapshots: bool):
         self._mesh = mesh
@@ -53,7 +57,7 @@ class Hosted(Compiled):
 
     @override
     def advance(self, carry: Carry, lanes: Lanes) -> tuple[Carry, dict[str, dict[str, Array]], Status]:
-        """One training episode of every lane, and the tests after it: `LearningRun.advance`."""
+        """`LearningRun.advance` of every lane: a training episode and its test episodes."""
         episode = self._run_episode(self._training, lanes, carry, carry.learner, 0)
         learner = self._end_episode(lanes, carry, episode)
         tests = []
@@ -64,12 +68,12 @@ class Hosted(Compiled):
             {name: jnp.stack([test[name] for test in tests], axis=1) for name in tests[0]} if tests else None
         )
         after, tables, is_done, steps = self._close(lanes, carry, episode, learner, rows, lanes.is_real)
-        return after, tables, total(is_done, steps, lanes.is_real)
+        return after, tables, status_of(is_done, steps, lanes.is_real)
 
     def _run_episode(
         self, phase: PhasePrograms, lanes: Lanes, carry: Carry, learner: PyTree, number: int
     ) -> EpisodeState:
-        """`bojax.experiments.phases.run_episode`, with a vector environment in place of a compiled one."""
+        """`bojax.experiments.phases.run_episode` with a vector environment on the host."""
         call = (lanes, carry, self._all(number))
         episode = phase.begin(*call, learner, self._reset(phase, *call))
         step = 0
@@ -84,7 +88,7 @@ class Hosted(Compiled):
 
     @override
     def _compile_advance(self, compiled: Callable, specs: tuple, *inputs: Any) -> Any:
-        """Make the programs of an episode; each is compiled when it is first called."""
+        """Create the programs of an episode; each is compiled at its first call."""
         del compiled, specs, inputs
         self._training = self._phase_programs(lambda run, carry, number: run.training(carry))
         self._test = self._phase_programs(lambda run, carry, number: run.test(carry, number))
@@ -97,7 +101,7 @@ class Hosted(Compiled):
         return PhasePrograms(*(self._program(partial(function, phase_of)) for function in functions))
 
     def _program(self, function: Callable) -> Callable:
-        """`function(run, *arrays)`, written for one lane, as a program for every lane."""
+        """A program that applies `function(run, *arrays)`, written for one lane, to every lane."""
 
         def batched(swept: PyTree, shared: PyTree, arrays: tuple) -> PyTree:
             def one(swept, arrays):
@@ -109,7 +113,7 @@ class Hosted(Compiled):
             jax.shard_map(
                 batched,
                 mesh=self._mesh,
-                in_specs=(BY_LANE, SAME, BY_LANE),
+                in_specs=(BY_LANE, REPLICATED, BY_LANE),
                 out_specs=BY_LANE,
                 check_vma=False,
             )
@@ -117,13 +121,13 @@ class Hosted(Compiled):
         return lambda lanes, *arrays: program(lanes.swept, self._shared, arrays)
 
     def _reset(self, phase: PhasePrograms, lanes: Lanes, carry: Carry, number: Array) -> Array:
-        """Reset the environments; the observations."""
+        """Reset the environments and return their observations."""
         seeds = np.asarray(phase.seed(lanes, carry, number))
         observation, _ = self._vector.reset(seed=seeds.tolist())
         return self._put(observation)
 
     def _step(self, action: Array) -> TimeStep:
-        """Step the environments."""
+        """Step the environments and return their time steps."""
         observation, reward, terminated, truncated, _ = self._vector.step(np.asarray(action))
         reward, terminated = self._put(reward), self._put(terminated)
         return TimeStep(
@@ -135,7 +139,7 @@ class Hosted(Compiled):
         )
 
     def _put(self, values: Any) -> Array:
-        """An array of all lanes on the devices, in the precision of the learner."""
+        """Put the values of all lanes on the devices, in the precision of the learner."""
         values = np.asarray(values)
         if values.dtype.kind == "f":
             values = values.astype(self._dtype)
@@ -174,4 +178,4 @@ def _keys(phase, step):
 
 
 def _close(run: LearningRun, carry, episode, learner, tests, is_real):
-    return outcome(run, carry, *run.close(carry, episode, learner, tests), is_real)
+    return checked_advance(run, carry, *run.close(carry, episode, learner, tests), is_real)

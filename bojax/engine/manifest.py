@@ -1,4 +1,4 @@
-"""What `manifest.json` and `timings.parquet` say of a sweep."""
+"""The content of `manifest.json` and `timings.parquet`."""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
 _TIMINGS = ("group", "point", "chunk", "segment", "lanes", "active_steps", "seconds")
 
 States = Sequence[tuple[Chunk, ChunkState]]
-"""Every chunk of the sweep, with what of it is done."""
+"""Every chunk of the sweep with its state."""
 
 
 def outline_of(module: Any) -> dict[str, Any]:
-    """What figures draw of the world of an experiment: `{"outline": ...}`, or nothing.
+    """The outline of the problem's world, which figures draw: `{"outline": ...}`, or `{}` without one.
 
     Raises:
-        ConfigError: The problem's outline fails, or is none.
+        ConfigError: The problem's `outline` fails, or returns something else than an outline.
     """
     try:
         outline = module.problem.outline() if hasattr(module, "problem") else None
@@ -44,7 +44,7 @@ def describe_sweep(
     command: str,
     status: str,
 ) -> dict[str, Any]:
-    """What was run, how it was asked for, and what it was run with."""
+    """The sweep, the command that started it, and the software that ran it."""
     points = zip(plan["points"], outlines, strict=True)
     return {
         "name": sweep.name,
@@ -73,7 +73,7 @@ def describe_sweep(
 
 
 def describe_group(group: StaticGroup, name: str, states: States, facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Times and steps of a static group: compilation, advances, latency of a single run."""
+    """Seconds and steps of a static group: compilation, advances, latency of a single run."""
     segments = [
         segment for chunk, state in states if chunk.group == group.index for segment in state.segments
     ]
@@ -88,7 +88,7 @@ def describe_group(group: StaticGroup, name: str, states: States, facts: Mapping
 
 
 def describe_chunk(chunk: Chunk, state: ChunkState, error: str | None) -> dict[str, Any]:
-    """Whether a chunk is done, and why not."""
+    """The status of a chunk, and its error if it failed."""
     return {
         "chunk": chunk.index,
         "group": chunk.group,
@@ -101,7 +101,7 @@ def describe_chunk(chunk: Chunk, state: ChunkState, error: str | None) -> dict[s
 
 
 def timings(states: States) -> pa.Table:
-    """One row per segment; `point` is -1 where a chunk has several."""
+    """One row per segment; `point` is -1 for a chunk with several points."""
     rows = [
         (chunk.group, chunk.point, chunk.index, number, int(lanes), int(steps), float(seconds))
         for chunk, state in states

@@ -1,4 +1,4 @@
-"""What the numbers of a sweep depend on, as plain values: a resumed sweep must have the same plan."""
+"""The plan of a sweep: everything that its numbers depend on. A resumed sweep must have the same plan."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -19,7 +19,7 @@ def make_plan(
 ) -> dict[str, Any]:
     """Runs, seed, resolved configs, device, lanes, versions and code.
 
-    How long segments are and what is reported of the results is left out: that may change on resume.
+    The length of segments and the settings of the report are left out, since they may change on resume.
     """
     used = versions()
     return plain(
@@ -46,7 +46,7 @@ def make_plan(
 
 
 def plain(value: Any) -> Any:
-    """A copy that is nothing but what JSON knows."""
+    """A copy made of JSON's types only."""
     return json.loads(json.dumps(value, default=_plain))
 
 

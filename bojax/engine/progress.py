@@ -1,4 +1,4 @@
-"""Progress of a sweep: a live bar in a terminal, a plain line now and then elsewhere."""
+"""Progress of a sweep: a live bar in a terminal, otherwise a plain line every few seconds."""
 
 import time
 from types import TracebackType
@@ -10,23 +10,23 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from bojax.config.errors import printable
 
 LINE_SECONDS = 10.0
-"""Least time between two plain lines."""
+"""Minimum time between two plain lines."""
 
 
 class SweepProgress:
-    """Counts what is done and says so: runs, steps per second, lane utilisation, time left, compiling.
+    """Reports the progress of a sweep: runs done, steps per second, lane utilisation, time left, compilation.
 
     Args:
-        title: What is run.
-        num_lanes: Real lanes of the whole sweep.
-        console: Where to write; the standard error by default.
+        title: Name of the sweep.
+        num_lanes: Number of real lanes of the whole sweep.
+        console: Console to write to; standard error by default.
     """
 
     def __init__(self, title: str, num_lanes: int, console: Console | None = None):
         self._console = console or Console(stderr=True, highlight=False)
         self._title = title
         self._num_lanes = num_lanes
-        self._work_before = 0.0  # done before this process: it tells nothing of its speed
+        self._work_before = 0.0  # done by earlier processes; not part of the pace of this one
         self._lanes_done = 0
         self._chunk_lanes, self._chunk_share, self._chunk_runs = 0, 0.0, 0
         self._steps, self._seconds = 0, 0.0
@@ -50,42 +50,42 @@ class SweepProgress:
             self._bar.stop()
 
     def say(self, text: str) -> None:
-        """A line that stays."""
+        """Print a line that stays on the screen."""
         self._console.print(escape(printable(text)), soft_wrap=True)
 
     def compiling(self, what: str) -> None:
-        """A compilation begins."""
+        """Report that a compilation has started."""
         self._set_text(f"compiling {what} ...")
 
     def compiled(self, what: str, seconds: float) -> None:
-        """A compilation has ended."""
+        """Report that a compilation has ended."""
         self.say(f"compiled {what} in {seconds:.1f} s")
 
     def timing(self, what: str) -> None:
-        """A single run is compiled and timed."""
+        """Report that a single run is being compiled and timed."""
         self._set_text(f"timing a single run of {what} ...")
 
     def skip(self, lanes: int) -> None:
-        """These lanes were finished before."""
+        """Count lanes that an earlier process finished."""
         self._work_before += lanes
         self._lanes_done += lanes
         self._show()
 
     def start_chunk(self, lanes: int, share: float) -> None:
-        """A chunk begins, or goes on with this share of its advances already made."""
+        """Report that a chunk starts, or resumes after this share of its advances."""
         self._chunk_lanes, self._chunk_share, self._chunk_runs = lanes, share, 0
         self._work_before += lanes * share
 
     def segment(self, *, share: float, runs: int, steps: int, seconds: float, busy: int, issued: int) -> None:
-        """A segment has ended.
+        """Report that a segment has ended.
 
         Args:
-            share: Share of the chunk's advances that are made.
-            runs: Runs of the chunk that are done.
-            steps: Environment steps of the segment.
-            seconds: Its duration.
-            busy: Its (lane, advance) pairs in which a lane worked.
-            issued: All its (lane, advance) pairs, padding included.
+            share: Share of the chunk's advances made so far.
+            runs: Number of runs of the chunk that are done.
+            steps: Number of environment steps in the segment.
+            seconds: Duration of the segment.
+            busy: Number of (lane, advance) pairs of the segment in which the lane was active.
+            issued: Number of all (lane, advance) pairs of the segment, including padding.
         """
         self._chunk_share, self._chunk_runs = share, runs
         self._steps += steps
@@ -95,13 +95,13 @@ class SweepProgress:
         self._show()
 
     def end_chunk(self) -> None:
-        """The chunk's lanes are done."""
+        """Report that all lanes of the chunk are done."""
         self._lanes_done += self._chunk_lanes
         self._chunk_lanes, self._chunk_share, self._chunk_runs = 0, 0.0, 0
         self._show()
 
     def describe(self) -> str:
-        """The state of the sweep in one line."""
+        """The progress of the sweep in one line."""
         runs = self._lanes_done + self._chunk_runs
         rate = self._steps / self._seconds if self._seconds else 0.0
         utilisation = self._busy / self._issued if self._issued else 1.0
@@ -113,7 +113,7 @@ class SweepProgress:
         return self._lanes_done + self._chunk_lanes * self._chunk_share
 
     def _time_left(self) -> float | None:
-        """Seconds left at the pace so far, compilation apart; an upper bound where lanes end early."""
+        """Seconds left at the pace so far, without compilation; an upper bound if lanes finish early."""
         done = self._work() - self._work_before
         if done <= 0 or not self._seconds:
             return None

@@ -1,6 +1,6 @@
-"""Checks of what an experiment returns, made while it is traced: a mistake is a line, not a stack.
+"""Checks of the values that an experiment returns; a mistake is reported in one line.
 
-They cost nothing at run time.
+The checks run while the experiment is traced and cost nothing at run time.
 """
 
 from collections.abc import Iterable, Mapping
@@ -14,11 +14,11 @@ from bojax.experiments.base import Carry, Experiment
 from bojax.results.schema import Table, column_names
 
 VALID = "valid"
-"""The column of every record table that says which rows are there; it is not stored."""
+"""The column of every record table that marks its valid rows; it is not stored."""
 
 
 def check_init(experiment: Experiment, carry: Carry) -> None:
-    """Raise if a leaf of the carry is weakly typed: `advance` would return another type."""
+    """Raise if a leaf of the carry is weakly typed: `advance` would change its type."""
     for path, leaf in jax.tree.leaves_with_path(carry):
         if not hasattr(leaf, "dtype") or getattr(leaf, "weak_type", False):
             where = jax.tree_util.keystr(path)
@@ -26,7 +26,7 @@ def check_init(experiment: Experiment, carry: Carry) -> None:
 
 
 def check_advance(experiment: Experiment, before: Carry, after: Carry) -> None:
-    """Raise unless `advance` returns a carry of the structure, shapes and dtypes that it got."""
+    """Raise unless `advance` keeps the structure, shapes and dtypes of the carry."""
     old, new = jax.tree.structure(before), jax.tree.structure(after)
     if old != new:
         raise _error(experiment, f"advance: the carry's structure changes from {old} to {new}")
@@ -38,7 +38,7 @@ def check_advance(experiment: Experiment, before: Carry, after: Carry) -> None:
 
 
 def check_records(experiment: Experiment, records: Mapping[str, Mapping[str, Array]]) -> None:
-    """Raise unless every record table has the columns of its schema, of one length, and `valid`."""
+    """Raise unless every record table has `valid` and the columns of its schema, all of one length."""
     for name, columns in records.items():
         if name not in experiment.tables:
             raise _error(experiment, f"advance: unknown table {name!r}: declare it in `tables`")
@@ -49,16 +49,16 @@ def check_records(experiment: Experiment, records: Mapping[str, Mapping[str, Arr
         shapes = {column.shape for column in columns.values()}
         if len(shapes) > 1 or len(next(iter(shapes))) != 1:
             raise _error(
-                experiment, f"advance: table {name!r}: columns of shapes {sorted(shapes)}, not one [rows]"
+                experiment, f"advance: table {name!r}: got shapes {sorted(shapes)}; allowed: one shape [rows]"
             )
 
 
 def check_summary(experiment: Experiment, summary: Mapping[str, Array]) -> None:
-    """Raise unless the summary has the columns of the table `runs`, all scalar."""
+    """Raise unless the summary has the columns of the table `runs`, all of them scalars."""
     _check_columns(experiment, "summary", summary, experiment.tables["runs"])
     for name, value in summary.items():
         if value.shape:
-            raise _error(experiment, f"summary: {name!r} has shape {value.shape}, not a scalar's ()")
+            raise _error(experiment, f"summary: {name!r} has shape {value.shape}; allowed: a scalar, ()")
 
 
 def _check_columns(experiment: Experiment, where: str, columns: Mapping[str, Array], table: Table) -> None:
@@ -66,13 +66,13 @@ def _check_columns(experiment: Experiment, where: str, columns: Mapping[str, Arr
     for column in table:
         dtype, declared = columns[column.name].dtype, "int32" if column.words else column.dtype
         if declared == "string" or not np.can_cast(dtype, np.dtype(declared), "same_kind"):
-            raise _error(experiment, f"{where}: {column.name!r} is {dtype}, but `tables` says {declared}")
+            raise _error(experiment, f"{where}: {column.name!r} is {dtype}; `tables` declares {declared}")
 
 
 def _compare_names(experiment: Experiment, where: str, found: Iterable[str], declared: Iterable[str]) -> None:
     found, declared = set(found), set(declared)
     if missing := sorted(declared - found):
-        raise _error(experiment, f"{where}: no column {missing[0]!r}, which `tables` declares")
+        raise _error(experiment, f"{where}: column {missing[0]!r} is declared in `tables`, but missing")
     if unknown := sorted(found - declared):
         raise _error(experiment, f"{where}: column {unknown[0]!r} is not declared in `tables`")
 

@@ -1,4 +1,4 @@
-"""Where results come from: versions, revision, devices, and a hash of the code that made them."""
+"""Provenance of results: versions, git revision, devices, and hashes of the code."""
 
 import hashlib
 import importlib.metadata
@@ -16,16 +16,16 @@ from bojax.engine.devices import Device
 
 PACKAGE = Path(bojax.__file__).parent
 PACKAGES = ("bojax", "jax", "jaxlib", "equinox", "optax", "orbax-checkpoint", "numpy", "pyarrow")
-WITHOUT_RESULTS = ("cli", "report")
-"""Parts of the package that no number depends on: they may change while a sweep is paused."""
+UNHASHED = ("cli", "report")
+"""Subpackages that no result depends on; they may change while a sweep is paused."""
 
 
 def code_hashes(modules: Iterable[Any]) -> dict[str, str]:
-    """Hash of the package's sources, and of each file outside it that defines a class of the modules."""
+    """Hashes of the package's sources, and of each other file that defines a class of the modules."""
     package = hashlib.sha256()
     for path in sorted(PACKAGE.rglob("*.py")):
         relative = path.relative_to(PACKAGE)
-        if relative.parts[0] not in WITHOUT_RESULTS:
+        if relative.parts[0] not in UNHASHED:
             package.update(str(relative).encode() + b"\0" + path.read_bytes())
     hashes = {"bojax": package.hexdigest()}
     for kind in sorted({kind for module in modules for kind in _classes(module)}, key=lambda k: k.__module__):
@@ -36,7 +36,7 @@ def code_hashes(modules: Iterable[Any]) -> dict[str, str]:
 
 
 def versions() -> dict[str, str]:
-    """Python's version and those of the packages that numbers depend on."""
+    """Versions of Python and of the packages that results depend on."""
     found = {"python": sys.version.split()[0]}
     for package in PACKAGES:
         try:
@@ -47,7 +47,7 @@ def versions() -> dict[str, str]:
 
 
 def git_revision() -> dict[str, Any] | None:
-    """Revision of the repository that the package is in, and whether it has changes; None outside one."""
+    """Revision of the package's git repository and whether it has changes; None without a repository."""
     status = _git("status", "--porcelain", "--", ".")
     revision = _git("rev-parse", "HEAD")
     if revision is None or status is None or _git("ls-files", "--error-unmatch", "bojax/__init__.py") is None:
@@ -56,7 +56,7 @@ def git_revision() -> dict[str, Any] | None:
 
 
 def device_description(devices: list[Device]) -> dict[str, Any]:
-    """Platform, kind, number and driver of the devices."""
+    """Platform, kind, number, runtime and driver of the devices."""
     first = devices[0]
     driver = Path("/proc/driver/nvidia/version")
     return {

@@ -1,4 +1,4 @@
-"""Run a sweep: points to static groups, groups to chunks, chunks to parts, parts to tables."""
+"""Run a sweep: group its points, divide the groups into chunks, run the chunks, and merge their parts."""
 
 import math
 import shlex
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from bojax.config.sweep import Point, Sweep
 
 NaNs = dict[tuple[int, int], int]
-"""Number of NaNs by (point, run), where there are any."""
+"""Number of NaNs of each (point, run) that has any."""
 
 
 def run_sweep(
@@ -48,11 +48,11 @@ def run_sweep(
     """Run or resume a sweep and write its results folder.
 
     Args:
-        sweep: What to run; parts given by import path must have been resolved.
+        sweep: The sweep, in which parts given by import path have been resolved.
         out: The results folder; `results/<name>/<timestamp>` if None.
-        resume: Go on with an unfinished sweep, in `out` or in the newest unfinished folder of this name.
-        command: The command line that asked for it, for the manifest and for the hint how to resume.
-        finish: Called with the results folder once the sweep is finished; it may write a report.
+        resume: Continue an unfinished sweep, in `out` or in the newest unfinished folder of this name.
+        command: The command line of the sweep, for the manifest and for the hint on how to resume.
+        finish: Called with the results folder once the sweep is finished, for instance to write a report.
 
     Returns:
         The exit code: 0; 1 if something failed; 2 for an input error; 130 or 143 after a signal.
@@ -79,12 +79,12 @@ def run_sweep(
 
 
 class SweepRun:
-    """One sweep on its way into one results folder.
+    """The execution of one sweep into one results folder.
 
-    Making it builds and checks every point; only `execute` writes.
+    The constructor builds and checks every point; only `execute` writes files.
 
     Attributes:
-        plan: What the numbers depend on.
+        plan: The plan of the sweep, `bojax.engine.plan`.
         groups: The static groups.
         chunks: All chunks, in the order in which they run.
     """
@@ -104,11 +104,11 @@ class SweepRun:
         self._errors: dict[int, str] = {}
 
     def execute(self, *, is_resumed: bool, may_rename: bool) -> int:
-        """Run what is left of the sweep, and write its results; returns the exit code.
+        """Run the unfinished chunks of the sweep, write its results and return the exit code.
 
         Args:
-            is_resumed: Whether the folder holds an unfinished sweep; otherwise it is created.
-            may_rename: Whether a number may be appended to the name of a folder that is created.
+            is_resumed: Whether the folder holds an unfinished sweep; otherwise the folder is created.
+            may_rename: Whether a new folder whose name is taken gets a number appended to the name.
         """
         is_finished = False
         try:
@@ -120,7 +120,7 @@ class SweepRun:
                 self._measure_latency(progress)
             if self._stop:
                 self._write_manifest("interrupted")
-                print(f"interrupted; to go on:\n  {self._resume_command()}", file=sys.stderr)
+                print(f"interrupted; to resume:\n  {self._resume_command()}", file=sys.stderr)
                 return self._stop.exit_code
             nans = self._merge()
             is_finished = not self._errors
@@ -130,7 +130,7 @@ class SweepRun:
         return self._conclude(nans)
 
     def _build(self, point: "Point") -> Experiment:
-        """The module of a point; what its parts refuse names the file."""
+        """The module of a point; its errors name the file of the sweep."""
         try:
             return build(point.config, getattr(point.config, "dtype", "float64"))
         except ConfigError as error:
@@ -198,7 +198,7 @@ class SweepRun:
             try:
                 runner.run(chunk, files)
             except ResultsError:
-                raise  # a full disk, an unreadable checkpoint: the user has to act first
+                raise  # a full disk or an unreadable checkpoint: the user must act first
             except (Exception, SystemExit) as error:
                 self._fail([chunk], error, progress)
 
@@ -225,7 +225,7 @@ class SweepRun:
         )
 
     def _fail(self, chunks: list[Chunk], error: BaseException, progress: SweepProgress) -> None:
-        """Note chunks as failed; the others go on. The stack of an unknown failure is kept in a file."""
+        """Mark chunks as failed; other chunks continue. A file keeps the traceback of an unexpected error."""
         group = self.groups[chunks[0].group]
         known = error if isinstance(error, EngineError) else out_of_memory(error, self._lanes[group.index])
         message = str(known or one_line(error))
@@ -233,7 +233,7 @@ class SweepRun:
             stack = self._folder.work / f"error-{chunks[0].index:05d}.txt"
             text = "".join(traceback.format_exception(error)).encode(errors="backslashreplace")
             write_atomically(stack, lambda temporary: temporary.write_bytes(text))
-            message += f" (stack in {stack})"
+            message += f" (traceback in {stack})"
         self._errors |= {chunk.index: message for chunk in chunks}
         progress.say(
             f"failed: {self._name(group)}, {sum(chunk.num_lanes for chunk in chunks)} runs: {message}"
@@ -251,7 +251,7 @@ class SweepRun:
             progress.timing(self._name(group))
             try:
                 latencies = measure_latency(group, points, self._sweep.seed, self._devices[0])
-            except (Exception, SystemExit) as error:  # the results do not depend on it
+            except (Exception, SystemExit) as error:  # a failure here leaves the results complete
                 progress.say(f"latency of {self._name(group)} not measured: {one_line(error)}")
                 continue
             self._facts[group.index]["latency_seconds"] = {str(i): latencies[i] for i in points}
@@ -300,5 +300,5 @@ class SweepRun:
             return 0
         reasons = dict.fromkeys(self._errors.values())
         message = f"{len(self._errors)} of {len(self.chunks)} chunks failed: {'; '.join(reasons)}"
-        print(printable(f"error: {message}: --resume tries them again"), file=sys.stderr)
+        print(printable(f"error: {message}: run again with --resume to retry them"), file=sys.stderr)
         return FAILURE

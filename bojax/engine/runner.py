@@ -1,4 +1,4 @@
-"""Runs one chunk: segments of advances, a part for each, checkpoints now and then, a summary at the end."""
+"""Runs a chunk: a part file for each segment of advances, periodic checkpoints, a summary at the end."""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -24,17 +24,17 @@ from bojax.results.store import write_atomically
 from bojax.results.tables import KEYS, to_arrow
 
 AT_END = "end"
-"""When a finished run's snapshot was taken."""
+"""Label of the snapshot of a finished run."""
 
 LEARNED = "learned"
-"""Name of a saved learner's arrays, beside the config that evaluates it."""
+"""Folder of a saved learner's arrays, next to the config that evaluates the learner."""
 
 EVALUATION_EPISODES = 20
-"""Episodes of an evaluation, unless `episodes=` says otherwise."""
+"""Number of episodes of an evaluation; `episodes=` overrides it."""
 
 
 def evaluation(config: Mapping[str, Any]) -> dict[str, Any]:
-    """The experiment that evaluates what the experiment of this config has learned."""
+    """The config that evaluates a learner saved by an experiment of the given config."""
     kept = {name: value for name, value in config.items() if name not in ("kind", "target_return", "tests")}
     changed = {"saved": LEARNED, "schedule": "exploit", "episodes": EVALUATION_EPISODES, "stop": "never"}
     return {"experiment": config["kind"], **kept, **changed, "map_episodes": []}
@@ -42,19 +42,19 @@ def evaluation(config: Mapping[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class ChunkRunner:
-    """Drives the chunks of one static group.
+    """Runs the chunks of one static group.
 
     Attributes:
         program: The compiled group.
         tables: Schemas of the experiment's tables.
-        recorded_tables: Tables of which only the recorded runs' rows are kept.
-        recorded_runs: Run indices below this are recorded: they leave snapshots, and learners if asked for.
-        saves_learners: Whether they do.
+        recorded_tables: Tables that keep only the rows of recorded runs.
+        recorded_runs: Number of recorded runs of each point, the first ones; their snapshots are kept.
+        saves_learners: Whether the learners of recorded runs are saved.
         configs: Resolved config of each point.
         segment_seconds: Wall time of a segment.
-        checkpoint_seconds: Least time between two checkpoints.
-        progress: Told of every segment.
-        stop: Asked after every advance.
+        checkpoint_seconds: Minimum time between two checkpoints.
+        progress: Progress of the sweep, updated after every segment.
+        stop: Request to stop, checked after every advance.
     """
 
     program: Compiled
@@ -69,7 +69,7 @@ class ChunkRunner:
     stop: StopRequest
 
     def run(self, chunk: Chunk, files: ChunkFolder) -> None:
-        """Run a chunk to its end, or up to a checkpoint if a stop is asked for."""
+        """Run a chunk to its end, or to a checkpoint if a stop is requested."""
         state = files.state
         lanes = self.program.place(*chunk.padded(self.program.num_lanes))
         if state.checkpoint is None:

@@ -1,4 +1,4 @@
-"""Segments: advances grouped by wall time, issued ahead of the device so that it never waits for the host."""
+"""Segments: advances grouped by wall time and issued ahead, so that the device never waits for the host."""
 
 import time
 from collections import deque
@@ -17,29 +17,29 @@ from bojax.experiments.base import Carry
 from bojax.results.schema import Table
 
 LOOKAHEAD_SECONDS = 0.02
-"""Work kept in the device's queue: much longer than a round trip of the host. Advances longer than this
-are not issued before the last one has ended, since one too many, after all lanes are done, would show."""
+"""Duration of the work kept in the device's queue, much longer than a round trip to the host. A longer
+advance is issued only when the previous one has ended, so that none is wasted after all lanes are done."""
 
 MAX_LOOKAHEAD = 16
 MAX_ADVANCES = 512
 MAX_RECORD_BYTES = 1 << 28
-"""Most advances of a segment, and most bytes of their records, which stay on the device until it ends."""
+"""Limits of a segment: its advances, and the bytes of their records, which stay on the device meanwhile."""
 
 Rows = dict[str, np.ndarray]
 
 
 @dataclass(frozen=True)
 class Segment:
-    """What a segment did.
+    """The result of a segment.
 
     Attributes:
-        carry: The carry after it.
+        carry: The carry after the segment.
         records: The tables of each advance, on the device.
         advances: Number of advances.
-        remaining: Real lanes that are not done.
-        active_steps: Environment steps that the lanes made.
-        lane_advances: Number of (lane, advance) pairs in which the lane was not done yet.
-        seconds: Wall time of the advances alone.
+        remaining: Number of real lanes that are not done.
+        active_steps: Number of environment steps of all lanes.
+        lane_advances: Number of (lane, advance) pairs in which the lane was active.
+        seconds: Wall time of the advances.
     """
 
     carry: Carry
@@ -60,16 +60,16 @@ def run_segment(
     max_advances: int,
     stop: StopRequest,
 ) -> Segment:
-    """Advance all lanes until they are done, the time is up, or a stop is asked for.
+    """Advance all lanes until they are done, the time is up, or a stop is requested.
 
     Args:
         program: The compiled group.
-        carry: The carry to start from; it is consumed.
+        carry: The carry to start from; its buffers are donated.
         lanes: Inputs of the lanes.
-        remaining: Real lanes that are not done at the start.
+        remaining: Number of real lanes that are not done at the start.
         seconds: Wall time after which no further advance is issued.
-        max_advances: Most advances to make.
-        stop: Asked after each advance.
+        max_advances: Maximum number of advances.
+        stop: Request to stop, checked after each advance.
     """
     start = time.perf_counter()
     records: list[Any] = []
@@ -115,14 +115,14 @@ def fetch_rows(
     runs: np.ndarray,
     kept: Mapping[str, np.ndarray],
 ) -> dict[str, Rows]:
-    """The valid rows of a segment's records, `{table: {column: [rows]}}`, with their points and runs.
+    """The valid rows of a segment's records, `{table: {column: [rows]}}`, with the point and run of each.
 
     Args:
         records: The tables of each advance, columns `[lanes, rows]`.
         tables: Schemas of the tables.
-        points: Point of each real lane; the lanes after them have no valid rows.
+        points: Point of each real lane; the padding after them has no valid rows.
         runs: Run of each real lane.
-        kept: Lanes whose rows are wanted, of the tables where that is not all of them.
+        kept: For each table of which only some lanes are kept, those lanes.
     """
     fetched = jax.device_get([_lanes_of(advance, kept) for advance in records])
     rows: dict[str, Rows] = {}
@@ -141,7 +141,7 @@ def fetch_rows(
 
 
 def _lanes_of(tables: Mapping[str, Mapping[str, Array]], kept: Mapping[str, np.ndarray]) -> Any:
-    """The tables, with the rows of the wanted lanes alone: the others never leave the device."""
+    """The tables with the rows of the kept lanes only; other rows never leave the device."""
     return {
         name: {key: column[kept[name]] for key, column in columns.items()} if name in kept else columns
         for name, columns in tables.items()

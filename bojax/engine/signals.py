@@ -1,4 +1,4 @@
-"""SIGINT and SIGTERM: the first asks the sweep to stop at its next segment, the second leaves at once."""
+"""SIGINT and SIGTERM: the first stops the sweep after its current segment, the second exits at once."""
 
 import os
 import signal
@@ -12,13 +12,13 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class StopRequest:
-    """Watches for signals while its `with` block runs.
+    """Notices signals while its `with` block runs.
 
-    Python runs signal handlers between bytecodes of the main thread, so that a signal during a long
-    compilation would wait for its end. A thread reads them from a wake-up socket instead.
+    Python runs signal handlers between bytecodes of the main thread, so during a long compilation a handler
+    would have to wait. Instead, a thread reads signals from a wake-up socket.
 
     Attributes:
-        signum: The signal that asked to stop; None as long as none did.
+        signum: The signal that requested the stop; None before any signal.
     """
 
     def __init__(self, announce: Callable[[str], None] | None = None):
@@ -39,7 +39,7 @@ class StopRequest:
             self._reader, self._writer = socket.socketpair()
             self._writer.setblocking(False)
             self._wakeup = signal.set_wakeup_fd(self._writer.fileno(), warn_on_full_buffer=False)
-            # The handlers do nothing: their being there is what makes Python write to the socket.
+            # Python writes a signal to the socket only if it has a handler; these handlers do nothing.
             self._handlers = {number: signal.signal(number, lambda *_: None) for number in _SIGNALS}
             threading.Thread(target=self._watch, daemon=True).start()
         return self
@@ -51,7 +51,7 @@ class StopRequest:
             for number, handler in self._handlers.items():
                 signal.signal(number, handler)
             signal.set_wakeup_fd(self._wakeup)
-            self._writer.close()  # ends the thread: it reads the end of the stream
+            self._writer.close()  # the thread reads the end of the stream and ends
 
     def _watch(self) -> None:
         with self._reader:
@@ -62,4 +62,4 @@ class StopRequest:
                 if self.signum is not None:
                     os._exit(128 + number)
                 self.signum = number
-                self._announce("stopping after this segment; once more to leave at once")
+                self._announce("stopping after this segment; repeat the signal to exit at once")

@@ -1,6 +1,6 @@
-"""Training from Python: runs of a learner in an environment, in memory.
+"""Training from Python: runs of a learner in an environment, without files.
 
-Sweeps, target returns, checkpoints and reports are features of the command line.
+Sweeps, target returns, checkpoints and reports are features of the command line only.
 """
 
 from collections.abc import Callable, Mapping
@@ -84,13 +84,13 @@ def train(
     tests: int = 0,
     dtype: Literal["float64", "float32"] = "float32",
 ) -> Training:
-    """Train a learner in an environment, in several independent runs on the devices that JAX sees.
+    """Train a learner in an environment, in several independent runs on all devices of JAX.
 
-    A run has the same random numbers as the run of that index in `bojax run` with the same seed.
+    Each run draws the same random numbers as the run of the same index of `bojax run` with the same seed.
 
     Args:
         env: The environment: a module, or settings, such as `"mountain-car"` or
-            `{"kind": "gymnasium", "id": "MountainCar-v0"}`. An instance of your own class is a module.
+            `{"kind": "gymnasium", "id": "MountainCar-v0"}`. An instance of a class of your own is a module.
         learner: The learner, as a module or settings.
         episodes: Number of training episodes of a run.
         runs: Number of runs.
@@ -98,7 +98,7 @@ def train(
         schedule: Schedule of exploration over the episodes.
         stop: Whether a run ends at its first success.
         tests: Number of test episodes, without exploration or learning, after each training episode.
-        dtype: Precision of parts that are built from settings; float64 requires `jax_enable_x64`.
+        dtype: Precision of parts built from settings; float64 requires `jax_enable_x64`.
 
     Raises:
         ValueError: A number is too small, or the learner does not support the spaces of the environment.

@@ -183,9 +183,9 @@ class Unmarked(Toy):
         (Weak, r"init: carry\[1\] is a Python number"),
         (Drifting, "advance: the carry's structure changes"),
         (Undeclared, "summary: column 'extra' is not declared"),
-        (Silent, "summary: no column 'first_right'"),
+        (Silent, "summary: column 'first_right' is declared"),
         (Vectorial, "summary: 'return' has shape"),
-        (Mistyped, "summary: 'success' is float64, but `tables` says bool"),
+        (Mistyped, "summary: 'success' is float64; `tables` declares bool"),
         (Unmarked, "table 'steps' has no column 'valid'"),
     ],
 )

@@ -161,7 +161,7 @@ def test_no_gpu(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(jax, "devices", without_gpu)
     assert run_toy(tmp_path / "toy", device="gpu") == 2
     (line,) = errors(capsys)
-    assert "engine.device: gpu" in line and "engine.device=auto" in line
+    assert "engine.device: got gpu" in line and "engine.device=auto" in line
     assert not (tmp_path / "toy").exists()
 
 
@@ -233,12 +233,12 @@ def test_a_failed_chunk_does_not_stop_the_others(tmp_path, capsys, folder, monke
         patch.setattr(batch.Compiled, "place", fail)
         assert run_toy(out, runs=RUNS, lanes_per_device=10 // len(jax.devices())) == 1
     (line,) = errors(capsys)
-    assert "1 of 3 chunks failed: RuntimeError: boom (stack in " in line
+    assert "1 of 3 chunks failed: RuntimeError: boom (traceback in " in line
     manifest = read_manifest(out)
     assert manifest["status"] == "failed"
     assert [chunk["status"] for chunk in manifest["chunks"]] == ["done", "failed", "done"]
     (stack,) = out.glob(f"{WORK}/error-*.txt")
-    assert manifest["chunks"][1]["error"] == f"RuntimeError: boom (stack in {stack})"
+    assert manifest["chunks"][1]["error"] == f"RuntimeError: boom (traceback in {stack})"
     assert "and a stack" in stack.read_text()
     assert set(read_table(out / "runs.parquet")["point"].to_pylist()) == {0, 2}
     assert run_toy(out, runs=RUNS, lanes_per_device=10 // len(jax.devices()), resume=True) == 0

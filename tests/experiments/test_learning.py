@@ -556,6 +556,6 @@ def test_saved_learners_enter_as_arrays_and_share_a_program(tmp_path):
 
 def test_a_saved_learner_of_other_spaces_is_refused_in_one_line(tmp_path):
     checkpoint.save(tmp_path / "learned", learned(1))
-    with pytest.raises(ResultsError, match="keeps its kind, its features and the spaces") as error:
+    with pytest.raises(ResultsError, match="same kind of learner, features and spaces") as error:
         run_of(**EVALUATED | {"env": CHAIN | {"max_length": 7}}, saved=str(tmp_path / "learned"))
     assert "\n" not in str(error.value) and error.value.exit_code == 2
