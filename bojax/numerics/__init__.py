@@ -1,1 +1,1 @@
-"""Numerics shared by every model: linear algebra, quasi-random points, lanes of a batch."""
+"""Shared numerics: linear algebra, quasi-random points, angles, checkpoints, and the engine's batch axis."""

@@ -1,4 +1,7 @@
-"""Trees of arrays on disk: Orbax's v1 API, typed keys as their data, restored to a target and shardings."""
+"""Checkpoints: trees of arrays saved with Orbax and restored to a given structure and shardings.
+
+Typed keys are saved as their key data.
+"""
 
 import contextlib
 import logging
@@ -13,17 +16,17 @@ from jaxtyping import Array, PyTree
 from bojax.results.store import ResultsError, fingerprint, one_line, read_checked_json, write_checked_json
 
 _CHECKSUM = "checksum.json"
-"""File in a checkpoint: size and SHA-256 of the others. Orbax itself notices most damages, not all."""
+"""File with the size and SHA-256 of every other file of the checkpoint; Orbax does not detect all damage."""
 
 
 def save(path: Path, tree: PyTree[Array]) -> None:
-    """Write a tree with a checksum; Orbax renames it into place when it is whole.
+    """Write a tree and its checksums; Orbax renames the folder into place once it is complete.
 
     Raises:
-        ResultsError: it could not be written.
+        ResultsError: The tree cannot be written.
     """
     ocp = _orbax()
-    # Orbax refuses arrays without a number; there is nothing in them to keep.
+    # Orbax refuses empty arrays; `restore` creates them from their shape.
     leaves = {_name(i): _plain(leaf) for i, leaf in enumerate(jax.tree.leaves(tree)) if leaf.size}
     try:
         with _quiet():
@@ -40,15 +43,15 @@ def save(path: Path, tree: PyTree[Array]) -> None:
 
 
 def restore(path: Path, structure: PyTree[jax.ShapeDtypeStruct], advice: str | None = None) -> PyTree[Array]:
-    """Read a tree into the given structure, each leaf with its sharding, or else on the first device.
+    """Read a tree into the given structure; a leaf without a sharding is placed on the first device.
 
     Args:
-        path: What `save` wrote.
-        structure: Shapes, types and shardings of the leaves.
-        advice: What to do where it cannot be read, for the message; if left out, how to resume without it.
+        path: Folder written by `save`.
+        structure: Shapes, dtypes and shardings of the leaves.
+        advice: Advice that ends the error message; by default, how to resume without this checkpoint.
 
     Raises:
-        ResultsError: it is missing, damaged, or of another structure.
+        ResultsError: The checkpoint is missing, damaged, or of another structure.
     """
     ocp = _orbax()
     target, treedef = jax.tree.flatten(structure)
@@ -75,14 +78,14 @@ def restore(path: Path, structure: PyTree[jax.ShapeDtypeStruct], advice: str | N
 
 
 def _check_files(path: Path) -> None:
-    """Refuse a checkpoint whose files are not those that were written; the first ones had no checksum."""
+    """Refuse a checkpoint whose files have changed; checkpoints of early versions have no checksums."""
     checksum = path / _CHECKSUM
     if checksum.exists() and read_checked_json(checksum)["files"] != fingerprint(path, without=_CHECKSUM):
         raise ValueError("its files do not match its checksum")
 
 
 def _check_shapes(saved: Mapping[str, Any], wanted: Mapping[str, jax.ShapeDtypeStruct]) -> None:
-    """Orbax would notice as well, at a hundred lines for every leaf."""
+    """Refuse other shapes in one line; Orbax would report a hundred lines for every leaf."""
     if saved.keys() != wanted.keys():
         raise ValueError(f"it has {len(saved)} arrays, not {len(wanted)}")
     for name, leaf in wanted.items():
@@ -109,7 +112,7 @@ def _name(index: int) -> str:
 
 
 def _orbax():
-    # Orbax takes most of a second to import: sweeps that end before their first checkpoint need none.
+    # Importing Orbax takes most of a second, and a short sweep never writes a checkpoint.
     from orbax.checkpoint import v1
 
     return v1
@@ -117,7 +120,7 @@ def _orbax():
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep Orbax's own log out of the terminal; it logs every failed write as an error, with its stack."""
+    """Silence Orbax's log, which would print a traceback for every failed write."""
     logger = logging.getLogger("absl")
     level = logger.level
     logger.setLevel(logging.CRITICAL)

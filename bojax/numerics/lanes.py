@@ -10,16 +10,16 @@ LANES = "lanes"
 def any_lane(flag: Bool[Array, ""]) -> Bool[Array, ""]:
     """Whether `flag` holds in any lane of this device; `flag` itself outside the engine.
 
-    A loop that ends on `any_lane(active)` has an unbatched predicate, so that XLA keeps it a loop: with a
-    per-lane predicate, `vmap` adds a select of the whole carry to every iteration.
+    A loop that ends on `any_lane(active)` has an unbatched predicate. With a predicate of each lane, `vmap`
+    would add a select of the whole carry to every iteration.
     """
     return _largest(flag)
 
 
 def largest_in_lanes(number: Int[Array, ""]) -> Int[Array, ""]:
-    """The largest `number` of any lane of this device; `number` itself outside the engine.
+    """The largest `number` of all lanes of this device; `number` itself outside the engine.
 
-    For the trip count of a loop whose length differs between lanes, for the same reason.
+    As the trip count of a loop whose length differs between lanes, it keeps the predicate unbatched.
     """
     return _largest(number)
 
@@ -27,5 +27,5 @@ def largest_in_lanes(number: Int[Array, ""]) -> Int[Array, ""]:
 def _largest(x: Array) -> Array:
     try:
         return jax.lax.pmax(x, LANES)
-    except NameError:  # no such axis: the caller runs a single lane
+    except NameError:  # there is no such axis outside the engine
         return x

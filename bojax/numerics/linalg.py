@@ -1,4 +1,4 @@
-"""Small dense linear algebra with one policy for precision: float products never run in TF32."""
+"""Small dense linear algebra, with one policy for precision and one for jitter."""
 
 from collections.abc import Callable
 from typing import Any
@@ -10,7 +10,7 @@ from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 
 HIGHEST = Precision.HIGHEST
-"""Precision of every matrix product: TF32, JAX's default on NVIDIA GPUs, loses up to 4e-2 in a GP mean."""
+"""Precision of every matrix product. TF32, JAX's default on NVIDIA GPUs, errs by up to 4e-2 in a GP mean."""
 
 
 def matmul(a: Float[Array, "*a"], b: Float[Array, "*b"]) -> Float[Array, "*c"]:
@@ -19,32 +19,32 @@ def matmul(a: Float[Array, "*a"], b: Float[Array, "*b"]) -> Float[Array, "*c"]:
 
 
 def noise_floor(dtype) -> float:
-    """Least noise variance of a Gaussian process, relative to the prior variance: its only jitter.
+    """Minimum noise variance of a Gaussian process, relative to the prior variance; its only jitter.
 
-    The inverse Cholesky factor L^-1 grows row by row. With the noise r, its entries reach r^-1/2, and the
-    rounding errors of a new row, relative to its pivot, are proportional to eps r^-3/2. They feed the next
-    row: where they reach one, the factor grows without bound and overflows. The floor is therefore
-    proportional to eps^(2/3): 1.8e-9 in float64 and 1.2e-3 in float32. Measured at the floor with a smooth
-    kernel and points along paths, max |L^-1 (K + r I) L^-T - I| is 2e-3 for 200 observations and 5e-3 for
-    600, in both precisions. In float64, 1e-11 overflows at 200 observations and 1e-10 at 600.
+    The inverse Cholesky factor L^-1 is built row by row. At the noise variance r, its entries reach r^-1/2,
+    and the rounding error of a new row, relative to its pivot, is proportional to eps r^-3/2. This error
+    enters the next row; once it reaches 1, the factor grows without bound and overflows. The floor is
+    therefore proportional to eps^(2/3): 1.8e-9 in float64 and 1.2e-3 in float32. Measured at the floor with
+    a smooth kernel and points along paths, max |L^-1 (K + r I) L^-T - I| is 2e-3 for 200 observations and
+    5e-3 for 600, in both precisions. In float64, 1e-11 overflows at 200 observations and 1e-10 at 600.
     """
     return 50.0 * float(jnp.finfo(dtype).eps) ** (2.0 / 3.0)
 
 
 def covariance_floor(dtype) -> float:
-    """Least noise variance of a Bayesian linear regression, relative to the prior variance of the value.
+    """Minimum noise variance of a Bayesian linear regression, relative to the prior variance of the value.
 
-    Its covariance matrix is stored, so that each entry is off by a rounding error of the prior variance, and
-    every observation subtracts from it. At the floor these errors are 1e-4 of the noise variance.
+    The covariance matrix is stored, and every observation subtracts from it. Each entry has a rounding error
+    in proportion to the prior variance; at the floor, this error is 1e-4 of the noise variance.
     """
     return 1e4 * float(jnp.finfo(dtype).eps)
 
 
 def one_by_one_on_cpu(function: Callable[[Array], Any]) -> Callable[[Array], Any]:
-    """A function of a matrix that calls LAPACK, which in a batch goes from matrix to matrix on a CPU.
+    """Make a function of one matrix that calls LAPACK process a batch sequentially on a CPU.
 
-    Given a whole batch, jaxlib (0.10) spreads it over its threads and blocks one of them until that is done;
-    as many calls at once as there are cores, and none is left to do the work: the program stands still.
+    Given a whole batch, jaxlib (0.10) distributes it over its threads and blocks one of them until all are
+    done. With as many concurrent calls as cores, every thread is blocked: the program deadlocks.
     """
     in_turn = jax.custom_batching.sequential_vmap(function)
 
@@ -60,10 +60,10 @@ def _inverse_factor(a: Float[Array, "N N"]) -> Float[Array, "N N"]:
 
 
 def _inverse_triangular(factor: Float[Array, "N N"]) -> Float[Array, "N N"]:
-    """L^-1 of a lower triangular matrix: halves, down to 64 rows, and products.
+    """L^-1 of a lower triangular matrix, by recursive halving down to 64 rows.
 
-    With L = [[A, 0], [B, C]] it is [[A^-1, 0], [-C^-1 B A^-1, C^-1]]. A library's solve for an identity
-    matrix takes twice the time on a CPU (200 rows).
+    The inverse of L = [[A, 0], [B, C]] is [[A^-1, 0], [-C^-1 B A^-1, C^-1]]. For 200 rows on a CPU,
+    LAPACK's triangular solve with an identity matrix takes twice as long.
     """
     n = factor.shape[0]
     if n <= 64:
@@ -76,10 +76,11 @@ def _inverse_triangular(factor: Float[Array, "N N"]) -> Float[Array, "N N"]:
 
 @jax.custom_jvp
 def inverse_cholesky(a: Float[Array, "N N"]) -> Float[Array, "N N"]:
-    """L^-1 of a symmetric positive definite matrix `a = L L'`; NaN where it is not positive definite.
+    """L^-1 of a symmetric positive definite matrix `a = L L'`; NaN if `a` is not positive definite.
 
-    Its derivative d(L^-1) = -Phi(L^-1 da L^-T) L^-1, with Phi the lower triangle and half the diagonal, takes
-    products alone: three times faster than the derivatives of a factor and of a triangular solve.
+    The derivative is d(L^-1) = -Phi(L^-1 da L^-T) L^-1, where Phi takes the lower triangle with half the
+    diagonal. It needs matrix products only and is three times faster than differentiating a Cholesky factor
+    and a triangular solve.
     """
     return _inverse_factor(a)
 
@@ -95,16 +96,17 @@ def _inverse_cholesky_jvp(primals, tangents):
 def guarded_cholesky(
     a: Float[Array, "N N"], least: Float[Array, "N"], num: int | None = None
 ) -> tuple[Float[Array, "N num"], Float[Array, "num num"]]:
-    """The first columns of a covariance matrix's Cholesky factor, and the inverse of its leading block.
+    """The first columns of the Cholesky factor of a covariance matrix, and the inverse of its leading block.
 
-    Squared pivots are kept at `least`, the noise on the diagonal, below which none is in exact arithmetic: a
-    library's factor of the difference of two nearly equal matrices is NaN where rounding makes it indefinite.
-    Rank-1 updates of [a | I], elementwise arithmetic without a library call; up to 32 of them unrolled.
+    In exact arithmetic, no squared pivot is less than the noise variance on the diagonal; a squared pivot
+    that rounding takes below this value is raised to it. LAPACK's factor is NaN if rounding makes the matrix
+    indefinite, as in a difference of two nearly equal matrices. The algorithm is a sequence of rank-1 updates
+    of [a | I] in elementwise arithmetic, unrolled up to 32 columns.
 
     Args:
-        a: The matrix.
-        least: Noise of each row.
-        num: Number of columns; all if left out.
+        a: Covariance matrix, with the noise variances on its diagonal.
+        least: Noise variance of each row.
+        num: Number of columns; all by default.
     """
     n = a.shape[0]
     num = n if num is None else num
@@ -133,7 +135,7 @@ def guarded_cholesky(
 
 @one_by_one_on_cpu
 def eigh(a: Float[Array, "N N"]) -> tuple[Float[Array, "N"], Float[Array, "N N"]]:
-    """Eigenvalues of a symmetric matrix, rising, and its eigenvectors in columns."""
+    """Eigenvalues of a symmetric matrix in ascending order, and its eigenvectors as columns."""
     values, vectors = jnp.linalg.eigh(a)
     return values, vectors
 
@@ -141,9 +143,9 @@ def eigh(a: Float[Array, "N N"]) -> tuple[Float[Array, "N"], Float[Array, "N N"]
 def solve_small(a: Float[Array, "N N"], b: Float[Array, "N K"]) -> Float[Array, "N K"]:
     """Solution of `a x = b` by Gauss-Jordan elimination with partial pivoting, unrolled.
 
-    For N up to about eight: the elimination is elementwise arithmetic that XLA fuses into a few kernels
-    over a batch, where a library call per matrix would cost a launch each on a GPU. A singular matrix
-    gives infinities or NaN, as `jnp.linalg.solve` does.
+    For N up to about 8. XLA fuses the elementwise arithmetic into a few kernels for a whole batch; a library
+    call would launch a kernel for each matrix on a GPU. A singular matrix gives infinities or NaN, as in
+    `jnp.linalg.solve`.
     """
     n = a.shape[-1]
     rows = jnp.concatenate([a, b], axis=-1)
@@ -161,7 +163,7 @@ def solve_small(a: Float[Array, "N N"], b: Float[Array, "N K"]) -> Float[Array, 
 
 
 def solve(a: Float[Array, "N N"], b: Float[Array, "N K"]) -> Float[Array, "N K"]:
-    """The solution of a x = b, by a library's LU factors; for any size."""
+    """Solution of `a x = b` by LAPACK's LU factors, for any size."""
     return _solve_joined(jnp.concatenate([a, b], axis=1))
 
 

@@ -1,4 +1,4 @@
-"""Low-discrepancy points: a shifted Kronecker sequence for candidates, Halton's for integrals."""
+"""Quasi-random points: a shifted Kronecker sequence for candidates, a scrambled Halton one for integrals."""
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +9,7 @@ from bojax.numerics.linalg import matmul
 
 
 def generalised_golden_ratio(num_dims: int) -> float:
-    """The real root above 1 of x^(d+1) = x + 1: the golden ratio for one dimension."""
+    """The real root above 1 of x^(d+1) = x + 1; for d = 1, the golden ratio."""
     root = 2.0
     for _ in range(64):
         root = (1.0 + root) ** (1.0 / (num_dims + 1))
@@ -19,9 +19,9 @@ def generalised_golden_ratio(num_dims: int) -> float:
 def shifted_kronecker(key: Key[Array, ""], num_points: int, num_dims: int, dtype) -> Float[Array, "N D"]:
     """`num_points` points that fill [-1, 1]^D evenly, shifted at random modulo the box.
 
-    The additive recurrence frac(s + i alpha) with alpha_j = g^-j, where g is the generalised golden ratio
-    (Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018), and a Cranley-Patterson
-    shift s: each point alone is uniform, so one of them is also a fair random draw.
+    The sequence is the additive recurrence frac(s + i alpha) with alpha_j = g^-j, where g is the generalised
+    golden ratio (Roberts, "The unreasonable effectiveness of quasirandom sequences", 2018). With the
+    Cranley-Patterson shift s, each point is uniformly distributed.
     """
     ratio = generalised_golden_ratio(num_dims)
     step = jnp.asarray([ratio ** -(j + 1) for j in range(num_dims)], dtype)
@@ -31,12 +31,12 @@ def shifted_kronecker(key: Key[Array, ""], num_points: int, num_dims: int, dtype
 
 
 def scrambled_halton(key: Key[Array, ""], num_points: int, num_dims: int, dtype) -> Float[Array, "N D"]:
-    """`num_points` points that fill the open cube (0, 1)^D evenly; each alone is a fair uniform draw.
+    """`num_points` points that fill the open cube (0, 1)^D evenly; each point is uniformly distributed.
 
-    Halton's sequence, whose j-th coordinate mirrors the digits of the index in the j-th prime base, with a
-    random permutation of the digits at every place (Owen, "A randomized Halton algorithm in R", 2017):
-    without one, coordinates of large bases are almost proportional to each other. At the places that no
-    index reaches all points have the same permuted zeros: one uniform number stands for them.
+    The j-th coordinate of Halton's sequence reverses the digits of the index in the j-th prime base. A random
+    permutation of the digits at every place (Owen, "A randomized Halton algorithm in R", 2017) breaks the
+    correlation between the coordinates of large bases, which are otherwise almost proportional to each other.
+    Places that no index reaches hold the same permuted zeros in all points: a uniform draw replaces them.
     """
     levels = [
         (dim, base, base**k)
@@ -48,7 +48,7 @@ def scrambled_halton(key: Key[Array, ""], num_points: int, num_dims: int, dtype)
     digits = np.arange(num_points)[None, :] // place[:, None] % base[:, None]
     weights = np.where(np.arange(num_dims)[:, None] == dim, 1.0 / (base * place), 0.0)
     permute, shift = jax.random.split(key)
-    # One sort permutes the digits of all places: sorts are slow to compile.
+    # A single sort draws the permutations of all places, since sorts are slow to compile.
     order = jax.random.uniform(permute, (len(base), max(base)), dtype)
     permutations = jnp.argsort(jnp.where(np.arange(max(base)) < base[:, None], order, 2.0), axis=1)
     permuted = jnp.take_along_axis(permutations, digits, axis=1).astype(dtype)
@@ -58,7 +58,7 @@ def scrambled_halton(key: Key[Array, ""], num_points: int, num_dims: int, dtype)
 
 
 def inside_the_cube(points: Float[Array, "N D"]) -> Float[Array, "N D"]:
-    """Points of the closed unit cube moved off its faces by half a rounding error: quantiles stay finite."""
+    """Move points of the closed unit cube off its faces by half a rounding error, for finite quantiles."""
     margin = 0.5 * float(jnp.finfo(points.dtype).eps)
     return jnp.clip(points, margin, 1.0 - margin)
 

@@ -1,7 +1,7 @@
-"""Where code of others is imported and traced: packages that know plain JAX only.
+"""Third-party packages imported silently, and traced with JAX's default settings.
 
-The engine runs with 64-bit numbers, and tests with strict promotion of types and ranks; MJX and Brax are
-written for neither. What they trace inside `standard_jax` is a 32-bit program beside the 64-bit one.
+The engine enables 64-bit numbers, and tests enforce strict promotion of dtypes and ranks. MJX and Brax
+support neither: a function wrapped by `standard_jax` is traced as a 32-bit program within a 64-bit one.
 """
 
 import contextlib
@@ -20,7 +20,7 @@ R = TypeVar("R")
 
 @contextlib.contextmanager
 def silenced() -> Iterator[None]:
-    """Swallow what a package prints and warns of while it is imported or set up; MJX tells of Warp."""
+    """Suppress the output and the warnings of a package at import or setup, such as MJX's about Warp."""
     with (
         contextlib.redirect_stdout(io.StringIO()),
         contextlib.redirect_stderr(io.StringIO()),
@@ -32,10 +32,10 @@ def silenced() -> Iterator[None]:
 
 @contextlib.contextmanager
 def plain_jax() -> Iterator[None]:
-    """JAX as it comes: 32-bit numbers, types and ranks promoted, keys used as often as one likes.
+    """JAX's defaults: 32-bit numbers, promotion of dtypes and ranks, no check of key reuse.
 
-    Only matrix products keep full precision: in TF32, the default on a GPU, a wheeled robot is 2e-4 off C
-    MuJoCo after 20 steps of MJX, where 1e-5 is seen without.
+    Matrix products keep full precision. In TF32, the default on a GPU, a wheeled robot in MJX is 2e-4 off C
+    MuJoCo after 20 steps, instead of 1e-5.
     """
     with (
         jax.enable_x64(False),
@@ -48,9 +48,9 @@ def plain_jax() -> Iterator[None]:
 
 
 def standard_jax(function: Callable[P, R]) -> Callable[P, R]:
-    """A function that is traced in `plain_jax`, on 32-bit arrays, and returns strongly typed arrays.
+    """Trace a function in `plain_jax`, with 32-bit arguments and strongly typed results.
 
-    Arguments and results are trees of arrays; typed keys become the raw ones that older code wants.
+    Arguments and results are trees of arrays; typed keys are passed as raw keys.
     """
 
     @wraps(function)
