@@ -70,7 +70,8 @@ def learned(phi: np.ndarray, psi: np.ndarray, alpha: float, dtype: str, block: i
     def run(start, rows):
         def some(posterior, some_rows):
             def one(i, posterior):
-                return posterior.update(some_rows[i], jnp.zeros((), dtype), slot=i if block else None)
+                step = i if block else None
+                return posterior.update(some_rows[i], jnp.zeros((), dtype), step_in_block=step)
 
             return jax.lax.fori_loop(0, len(some_rows), one, posterior).flush(), None
 

@@ -142,7 +142,7 @@ class EMUQ(Learner):
 
         # Lines 9 to 12, the covariance and both means, in gain form.
         posterior = posterior.update(
-            phi, target, sample_weight=weight, product=products[0], slot=step_in_block
+            phi, target, sample_weight=weight, product=products[0], step_in_block=step_in_block
         )
         return eqx.tree_at(lambda s: s.posterior, state, posterior)
 

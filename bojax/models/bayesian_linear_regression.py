@@ -1,4 +1,4 @@
-"""Bayesian linear regression: the posterior by batch and by gain, the evidence, and its maximum."""
+"""Bayesian linear regression: batch and sequential posteriors, the evidence, and its maximum."""
 
 import equinox as eqx
 import jax
@@ -9,29 +9,29 @@ from jaxtyping import Array, Float, Int
 from bojax.numerics.linalg import covariance_floor, matmul
 
 NUM_RATIOS = 128
-"""Ratios of the precisions at which `maximise_evidence` looks before it refines the best of them."""
+"""Number of ratios of the precisions that `maximise_evidence` evaluates before it refines the best one."""
 
 
 class BayesianLinearRegression(eqx.Module):
     """The posterior N(mean, covariance) of the weights of a linear model (2.13).
 
-    The covariance is `base - rows' rows`. Without a block (`rows` has none) every update rewrites `base`.
-    With one, an update appends a row and only reads `base`, half the memory traffic; `flush` subtracts the
-    rows at once, which rounds once where single updates would round `block` times. Whoever updates calls
-    `flush`, at least once in `block` updates, or the covariance forgets the oldest of them: a count that is
-    the same for every run of a batch needs no branch for each of them.
+    The covariance is `base - rows' rows`. With a block of 0, `rows` is empty and every update rewrites
+    `base`. With a larger block, an update stores a row and only reads `base`, which halves the memory
+    traffic; `flush` then subtracts all rows at once, with one rounding instead of `block` roundings. The
+    caller must call `flush` at least once every `block` updates: otherwise the oldest rows are lost. The
+    caller counts the updates, since a count that all runs of a batch share needs no branch in each run.
 
     The noise variance has a floor, `covariance_floor` times the prior variance phi'phi / alpha of the
-    observed value. With less noise, rounding of the covariance would be as large as the predictive variance,
-    and updates would diverge. `update` and `row` raise the noise variance of their observation to this floor.
-    `fit` and `update_batch` take the largest prior variance of their observations and multiply all noise
-    variances by the same factor, so that the relative weights of the observations stay what they are. Where
-    feature vectors of unequal length are given one by one and the floor binds, longer ones weigh less.
+    observed value. Below it, the rounding error of the covariance would be as large as the predictive
+    variance, and updates would diverge. `update` and `row` raise the noise variance of their observation to
+    this floor. `fit` and `update_batch` scale the noise variances of all observations by one factor, given by
+    the observation furthest below its floor, which preserves the relative weights of the observations. In
+    sequential updates at the floor, longer feature vectors therefore weigh less.
 
     Attributes:
-        mean: Mean of the weights, a column for each target where several share the features.
+        mean: Mean of the weights, with a column for each target if several targets share the features.
         base: Covariance of the weights at the last flush.
-        rows: What was learned since then; zero where there is nothing.
+        rows: Rows of the updates since the last flush; unused rows are zero.
         prior_precision: Precision of each weight before any observation: alpha (2.11).
         noise_precision: Precision of the observation noise: beta (2.9).
     """
@@ -52,14 +52,14 @@ class BayesianLinearRegression(eqx.Module):
         num_targets: int | None = None,
         block: int = 0,
     ) -> "BayesianLinearRegression":
-        """No observation yet (2.11).
+        """The prior, without observations (2.11).
 
         Args:
-            num_features: Number of features, the bias among them.
+            num_features: Number of features, including the bias.
             prior_precision: Precision of each weight.
             noise_precision: Precision of the observation noise.
-            num_targets: Number of targets that share the covariance; None for one target, without an axis.
-            block: Number of updates between two flushes; 0 applies each of them at once.
+            num_targets: Number of targets that share the covariance; None for one target without an axis.
+            block: Maximum number of updates between two flushes; 0 applies every update at once.
 
         Raises:
             ValueError: A number is too small.
@@ -92,9 +92,9 @@ class BayesianLinearRegression(eqx.Module):
     ) -> "BayesianLinearRegression":
         """The posterior given all observations at once (2.14, 2.15); differentiable.
 
-        By the triangular factor of the features with the prior below them, whose condition number is the
-        square root of that of the precision matrix.
-        The arguments are those of `prior` and `update`.
+        Computed from the triangular factor of the features stacked on the square root of the prior precision;
+        its condition number is the square root of that of the precision matrix. The arguments are those of
+        `prior` and `update`.
         """
         num_observations, num_features = features.shape
         prior = cls.prior(num_features, prior_precision, noise_precision, block=block)
@@ -116,11 +116,11 @@ class BayesianLinearRegression(eqx.Module):
 
     @property
     def covariance(self) -> Float[Array, "M M"]:
-        """Covariance of the weights (2.15): what `flush` makes of `base`."""
+        """Covariance of the weights (2.15), including the updates since the last flush."""
         return _symmetric(self.base - matmul(self.rows.T, self.rows)) if len(self.rows) else self.base
 
     def covariance_times(self, features: Float[Array, "*N M"]) -> Float[Array, "*N M"]:
-        """The covariance times each feature vector, all in one product."""
+        """The product of the covariance with each feature vector."""
         product = matmul(features, self.base)
         if len(self.rows):
             product = product - matmul(matmul(features, self.rows.T), self.rows)
@@ -133,9 +133,9 @@ class BayesianLinearRegression(eqx.Module):
         sample_weight: Float[Array, ""] | None = None,
         product: Float[Array, "M"] | None = None,
     ) -> Float[Array, "M"]:
-        """The r of which `update` with the same arguments takes r r' from the covariance (5.22).
+        """The row r by which `update` with the same arguments reduces the covariance, S - r r' (5.22).
 
-        It takes (psi' r)^2 from the variance at any other features psi.
+        The update reduces the variance at any features psi by (psi' r)^2.
         """
         return self._gain(features, sample_weight, product)[0]
 
@@ -146,22 +146,23 @@ class BayesianLinearRegression(eqx.Module):
         *,
         sample_weight: Float[Array, ""] | None = None,
         product: Float[Array, "M"] | None = None,
-        slot: Int[Array, ""] | int | None = None,
+        step_in_block: Int[Array, ""] | int | None = None,
     ) -> "BayesianLinearRegression":
         """The posterior after one more observation (2.21, 2.22 as corrected), in gain form (5.22).
 
-        With u = S phi and k = beta u / (1 + beta phi'u): m += k (t - phi'm), S -= k u'. No branch and no
-        inverse.
+        With u = S phi and k = beta u / (1 + beta phi'u), the update is m += k (t - phi'm), S -= k u'. It
+        needs neither a branch nor an inverse.
 
         Args:
             features: Features of the observation.
-            target: Observed value, one for each target.
-            sample_weight: Precision of this observation, in units of `noise_precision`; 1 if left out. With
-                0 it leaves no trace, whatever is in it, but takes a row of the block all the same.
-            product: `covariance_times(features)`, for whom has it already.
-            slot: The row of the block to take: a count of updates since the flush, from 0 to `block` - 1,
-                best one that is the same for every run of a batch. Left out, the rows move up by one, which
-                costs 3 to 5% of a step of several hundred features on a GPU.
+            target: Observed value of each target.
+            sample_weight: Precision of this observation, in units of `noise_precision`; 1 by default. An
+                observation of weight 0 changes nothing, even if it is not finite, but occupies a row of the
+                block.
+            product: `covariance_times(features)`, if the caller has already computed it.
+            step_in_block: Number of updates since the last flush, from 0 to `block` - 1, which is the row of
+                the block to write; preferably the same in every run of a batch. By default all rows move up
+                by one, which costs 3 to 5% of a step with several hundred features on a GPU.
         """
         row, gain = self._gain(features, sample_weight, product)
         residual = target - matmul(features, self.mean)
@@ -170,10 +171,10 @@ class BayesianLinearRegression(eqx.Module):
         base, rows = self.base, self.rows
         if not len(rows):
             base = base - row[:, None] * row[None, :]
-        elif slot is None:
+        elif step_in_block is None:
             rows = jnp.concatenate([rows[1:], row[None, :]])
         else:
-            rows = jax.lax.dynamic_update_index_in_dim(rows, row, slot, axis=0)
+            rows = jax.lax.dynamic_update_index_in_dim(rows, row, step_in_block, axis=0)
         return self._with(self.mean + jax.vmap(lambda k: k * residual)(gain), base, rows)
 
     def update_batch(
@@ -183,10 +184,10 @@ class BayesianLinearRegression(eqx.Module):
         *,
         sample_weight: Float[Array, "N"] | None = None,
     ) -> "BayesianLinearRegression":
-        """The posterior after several more observations: that of `update` by each of them, in any order.
+        """The posterior after several more observations, as by an `update` with each of them in any order.
 
-        In gain form as well: a factor of the size of the batch, none of the size of the model. Takes no row
-        of the block.
+        Also in gain form: the factorised matrix has the size of the batch, not of the model. The update is
+        applied to `base` at once and occupies no row of the block.
         """
         if sample_weight is None:
             sample_weight = jnp.ones((len(features),), features.dtype)
@@ -203,15 +204,15 @@ class BayesianLinearRegression(eqx.Module):
         return self._with(self.mean + matmul(rows.T, whitened), base, self.rows)
 
     def flush(self) -> "BayesianLinearRegression":
-        """The same posterior with an empty block."""
+        """Apply the rows of the block to `base`: the same posterior with an empty block."""
         return self._with(self.mean, self.covariance, jnp.zeros_like(self.rows))
 
     def predict(
         self, features: Float[Array, "N M"], *, with_noise: bool = False
     ) -> tuple[Float[Array, "N *K"], Float[Array, "N"]]:
-        """Predictive mean and variance (2.17, 2.18) of the noise-free value, or of an observation.
+        """Predictive mean and variance (2.17, 2.18) of the noise-free value, or of a noisy observation.
 
-        The variance is the same for all targets that share the covariance.
+        The variance is the same for all targets.
         """
         variance = jnp.maximum(jnp.sum(features * self.covariance_times(features), axis=1), 0.0)
         if with_noise:
@@ -219,7 +220,7 @@ class BayesianLinearRegression(eqx.Module):
         return matmul(features, self.mean), variance
 
     def _gain(self, features, sample_weight, product) -> tuple[Float[Array, "M"], Float[Array, "M"]]:
-        """The row that leaves the covariance, and the gain that multiplies the residual."""
+        """The row that reduces the covariance, and the gain that multiplies the residual."""
         if product is None:
             product = self.covariance_times(features)
         if sample_weight is None:
@@ -235,12 +236,12 @@ class BayesianLinearRegression(eqx.Module):
         return row, scale * row
 
     def _precisions(self, features, sample_weight) -> Float[Array, "N"]:
-        """Precisions with which observations are taken that are given together; see the class."""
+        """Precisions of observations given together, all reduced by one factor to respect the floor."""
         precision = sample_weight * self.noise_precision
         return precision / jnp.max(jax.vmap(self._excess)(features, precision), initial=1.0)
 
     def _excess(self, features, precision) -> Float[Array, ""]:
-        """By which factor the noise variance of an observation is below its floor; below 1, it is above."""
+        """The floor of an observation's noise variance, divided by the noise variance."""
         prior_variance = jnp.sum(features * features) / self.prior_precision
         return precision * covariance_floor(features.dtype) * prior_variance
 
@@ -274,18 +275,19 @@ def maximise_evidence(
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """The prior precision and the noise precision of highest evidence: type-II maximum likelihood.
 
-    Where the evidence has its maximum, the noise variance is a function of the ratio of the two precisions;
-    with it put in, the evidence is a function of that ratio alone, at the price of O(M) once the singular
-    values of the features are known. The best of many ratios, from `covariance_floor` to its inverse in units
-    of the mean square of a row of features, is refined by bisection on the derivative. So the result is the
-    global maximum on that range, without a step size or a start; at either end, it is that end.
+    For a given ratio of the two precisions, the best noise variance has a closed form. Substituted into the
+    evidence, it leaves a function of the ratio, which costs O(M) once the singular values of the features are
+    known. The function is evaluated on a grid of ratios, from `covariance_floor` to its inverse in units of
+    the mean squared length of a row of features, and bisection on its derivative refines the best ratio. The
+    result is the global maximum within this range, up to the resolution of the grid; it needs no step size
+    and no starting point. A maximum beyond the range gives the nearer end of the range.
 
     Raises:
-        ValueError: There is no observation.
+        ValueError: There are no observations.
     """
     num_observations = len(targets)
     if not num_observations:
-        raise ValueError("observations: got 0; allowed: >= 1, for the evidence says nothing without any")
+        raise ValueError("observations: got 0; allowed: >= 1, since the evidence is constant without any")
     floor = covariance_floor(features.dtype)
     u, singular, _ = jnp.linalg.svd(features, full_matrices=False)
     rotated = matmul(targets, u)
@@ -295,7 +297,7 @@ def maximise_evidence(
     power = jnp.where(power > 0.0, power, 1.0)
 
     def noise_variance(shares):
-        """Mean squared residual, and the best noise variance; `shares` is what the prior keeps of each."""
+        """Mean squared residual and best noise variance; `shares` are the shrinkage factors of the prior."""
         residual = (unexplained + jnp.sum(shares * rotated**2)) / num_observations
         return residual, jnp.maximum(residual, least_noise)
 
@@ -329,7 +331,7 @@ def _triangular(features, targets, prior_precision) -> tuple[Float[Array, "M M"]
 
 
 def _symmetric(matrix: Float[Array, "M M"]) -> Float[Array, "M M"]:
-    """The two triangles of a product differ by rounding, and what differs grows with every update."""
+    """Average the two triangles: their rounding errors differ, and updates amplify the difference."""
     return 0.5 * (matrix + matrix.T)
 
 

@@ -1,4 +1,4 @@
-"""Checks of what a user hands to a model, on the host: each failure is one line that says what is allowed."""
+"""Checks of a user's inputs to a model, on the host; every failure names the allowed values in one line."""
 
 import math
 import numbers
@@ -16,12 +16,10 @@ from jaxtyping import PyTree
 
 
 def as_numbers(name: str) -> Callable[[Any], Any]:
-    """A converter for a field of a module: Python numbers, lists and NumPy arrays become JAX arrays.
+    """A converter for a field of a module, from Python numbers, lists and NumPy arrays to JAX arrays.
 
-    Integers become floating-point numbers of JAX's default precision. Floating-point arrays keep theirs.
-
-    Raises:
-        ValueError: By the converter, of what is no array of real numbers.
+    Integers become floating-point numbers of JAX's default precision; floating-point arrays keep their
+    precision. The converter raises ValueError for anything but an array of real numbers.
     """
 
     def convert(given: Any) -> Any:
@@ -42,26 +40,26 @@ def as_numbers(name: str) -> Callable[[Any], Any]:
 
 
 def check_key(name: str, value: Any) -> None:
-    """Refuse what is no key of random numbers."""
+    """Refuse anything but a random key."""
     if not isinstance(value, jax.Array):
         raise _refused(name, value, "a key, such as jax.random.key(0)")
 
 
 def check_kind(name: str, value: Any, kind: type, example: str) -> None:
-    """Refuse what is not an instance of a class."""
+    """Refuse anything but an instance of a class."""
     if not isinstance(value, kind):
         raise _refused(name, value, f"an instance of {kind.__name__}, such as {example}")
 
 
 def check_flag(name: str, value: Any) -> bool:
-    """True or False."""
+    """`value`, which must be True or False."""
     if not isinstance(value, bool | np.bool_):
         raise _refused(name, value, "True or False")
     return bool(value)
 
 
 def check_count(name: str, value: Any, least: int) -> int:
-    """An integer of at least `least`."""
+    """`value`, which must be an integer of at least `least`."""
     try:
         number = None if isinstance(value, bool | np.bool_) else operator.index(value)
     except TypeError:
@@ -72,26 +70,26 @@ def check_count(name: str, value: Any, least: int) -> int:
 
 
 def check_number(name: str, value: Any, least: float, dtype: str, *, is_above: bool = False) -> float:
-    """A real number of at least, or above, `least` that stays finite and on its side of it in `dtype`."""
+    """`value`, which must be a number of at least `least`, or above it, even after rounding to `dtype`."""
     if isinstance(value, np.ndarray | jax.Array) and value.ndim == 0:
         value = value.item()
     is_number = isinstance(value, numbers.Real) and not isinstance(value, bool | np.bool_)
     number = float(_rounded(float(value), dtype)) if is_number else math.nan
     if not math.isfinite(number) or number < least or (is_above and number == least):
-        allowed = f"a number {'>' if is_above else '>='} {least:g} that {dtype} holds"
+        allowed = f"a number {'>' if is_above else '>='} {least:g}, representable in {dtype}"
         raise _refused(name, value, allowed)
     return float(value)
 
 
 def check_array(name: str, values: Any, num_axes: int, axes: str, dtype: str) -> np.ndarray:
-    """An array of finite real numbers whose squares stay finite in `dtype`."""
+    """`values` as an array, which must be real and finite, with finite sums of squares in `dtype`."""
     try:
         array = np.asarray(values)
         if array.dtype.kind == "c" or np.any(np.ma.getmaskarray(values)):
             raise TypeError("complex or masked values")
         array = array.astype(np.float64)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{name}: is no array of numbers: {' '.join(str(error).split())}") from error
+        raise ValueError(f"{name}: not an array of numbers: {' '.join(str(error).split())}") from error
     if array.ndim != num_axes:
         raise ValueError(f"{name}: got shape {array.shape}; allowed: {axes}")
     bad = int(np.sum(~np.isfinite(array)))
@@ -100,13 +98,13 @@ def check_array(name: str, values: Any, num_axes: int, axes: str, dtype: str) ->
     largest, most = np.max(np.abs(array), initial=0.0), 1e-4 * float(np.finfo(dtype).max) ** 0.5
     if largest > most:
         raise ValueError(
-            f"{name}: got {largest:g}; allowed: up to {most:.1e}, whose sums of squares {dtype} holds"
+            f"{name}: got {largest:g}; allowed: up to {most:.1e}, for finite sums of squares in {dtype}"
         )
     return array
 
 
 def check_positive(name: str, module: PyTree) -> None:
-    """Refuse a number of a module that is not positive and finite."""
+    """Refuse a module that has a number which is not positive and finite."""
     check_finite(name, module)
     for path, leaf in jax.tree_util.tree_leaves_with_path(module):
         if np.any(np.asarray(leaf) <= 0.0):
@@ -116,7 +114,7 @@ def check_positive(name: str, module: PyTree) -> None:
 
 
 def check_finite(name: str, module: PyTree) -> None:
-    """Refuse a number of a module that is not finite."""
+    """Refuse a module that has a number which is not finite."""
     for path, leaf in jax.tree_util.tree_leaves_with_path(module):
         if not np.all(np.isfinite(np.asarray(leaf))):
             raise ValueError(f"{name}{jax.tree_util.keystr(path)}: got a number that is not finite")
@@ -125,23 +123,23 @@ def check_finite(name: str, module: PyTree) -> None:
 def check_takes(
     name: str, function: Any, num_points: int, num_dims: int, dtype: Any, of: str = "the columns of X"
 ) -> None:
-    """Refuse a function of points that is made for another number of dimensions."""
+    """Refuse a function of points that has another number of dimensions."""
     point = jax.ShapeDtypeStruct((num_dims,), dtype)
     try:
         if getattr(function, "num_dims", num_dims) != num_dims:
-            raise ValueError(f"it is made for {function.num_dims}")
+            raise ValueError(f"the function takes points of dimension {function.num_dims}")
         jax.eval_shape(function, *[point] * num_points)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{name}: does not take points of {num_dims} numbers, {of}") from error
+        raise ValueError(f"{name}: does not accept points of dimension {num_dims} ({of})") from error
 
 
 def is_known(tree: PyTree) -> bool:
-    """Whether all numbers of a tree have values: none is traced."""
+    """Whether the values of all leaves of a tree are known: none is traced."""
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
 
 
 def cast(module: PyTree, dtype: str) -> PyTree:
-    """A module with its floating-point numbers in `dtype`."""
+    """A module with its floating-point arrays converted to `dtype`."""
     return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype) if eqx.is_inexact_array(leaf) else leaf, module)
 
 

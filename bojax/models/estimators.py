@@ -1,4 +1,4 @@
-"""Estimators in the manner of scikit-learn: NumPy in, NumPy out, everything checked on the host."""
+"""Estimators with the interface of scikit-learn, from NumPy arrays to NumPy arrays, checked on the host."""
 
 import abc
 import inspect
@@ -36,7 +36,7 @@ Regressor = TypeVar("Regressor", bound="_Regressor")
 
 
 class _Regressor(abc.ABC):
-    """What the estimators share: `get_params`, `set_params`, `score`, and the checks of their data."""
+    """Common parts of the estimators: `get_params`, `set_params`, `score`, and the checks of their data."""
 
     dtype: str | None
 
@@ -50,7 +50,7 @@ class _Regressor(abc.ABC):
         return {name: getattr(self, name) for name in inspect.signature(type(self)).parameters}
 
     def set_params(self: Regressor, **params: Any) -> Regressor:
-        """Change arguments of the constructor; takes effect with the next `fit`.
+        """Change arguments of the constructor; the change takes effect at the next `fit`.
 
         Raises:
             ValueError: There is no such argument.
@@ -72,7 +72,7 @@ class _Regressor(abc.ABC):
         return float(1.0 - residual / total)
 
     def __sklearn_tags__(self) -> Any:
-        # Called by scikit-learn only: bojax does without it.
+        # Only scikit-learn calls this method: bojax does not depend on scikit-learn.
         from sklearn.utils import RegressorTags, Tags, TargetTags
 
         return Tags(
@@ -118,21 +118,22 @@ class _Regressor(abc.ABC):
 
 
 class GaussianProcessRegressor(_Regressor):
-    """Gaussian process regression (2.28-2.30) in the manner of scikit-learn.
+    """Gaussian process regression (2.28-2.30) with the interface of scikit-learn.
 
-    After `fit`: `posterior_` (the `GaussianProcess`), `kernel_`, `noise_variance_`,
-    `log_marginal_likelihood_` and `has_converged_` (None if nothing was learned).
+    `fit` sets `posterior_` (the `GaussianProcess`), `kernel_`, `noise_variance_`, `log_marginal_likelihood_`
+    and `has_converged_` (None if nothing is learned).
 
     Args:
-        kernel: Prior covariance; `Scaled(RBF)` with a lengthscale for each column if left out. Its numbers
-            are where the search begins, or what is used if nothing is learned.
-        noise_variance: Variance of the observation noise, likewise.
-        mean: Prior mean, which is not learned; zero if left out.
-        optimise: Whether `fit` learns the kernel's numbers and the noise variance (`evidence.relearn`).
-        num_starts: Starts of the search.
-        num_steps: The most steps from each start.
-        seed: For the starts after the first.
-        dtype: `"float64"` or `"float32"`; that of JAX if left out.
+        kernel: Prior covariance; by default `Scaled(RBF)` with a lengthscale for each column. Its
+            hyper-parameters are the first starting point of the search, or are kept if nothing is learned.
+        noise_variance: Variance of the observation noise, treated like the hyper-parameters of the kernel.
+        mean: Prior mean, which is not learned; zero by default.
+        optimise: Whether `fit` learns the kernel's hyper-parameters and the noise variance
+            (`evidence.relearn`).
+        num_starts: Number of starting points of the search.
+        num_steps: Maximum number of steps from each starting point.
+        seed: Seed of the starting points after the first.
+        dtype: `"float64"` or `"float32"`; by default the default precision of JAX.
     """
 
     def __init__(
@@ -157,16 +158,16 @@ class GaussianProcessRegressor(_Regressor):
         self.dtype = dtype
 
     def fit(self, X: Any, y: Any, noise_variances: Any = None) -> "GaussianProcessRegressor":
-        """The posterior given the rows of X and their values; without rows, the prior.
+        """Compute the posterior given the rows of X and their values; without rows, it is the prior.
 
         Args:
-            X: Inputs, one row each.
+            X: Inputs, one in each row.
             y: Observed values.
-            noise_variances: Noise variance of each observation, in place of `noise_variance`, which is
-                then not learned.
+            noise_variances: Noise variance of each observation, instead of `noise_variance`; these are not
+                learned.
 
         Raises:
-            ValueError: Something is not finite, not positive or of the wrong shape; one line says what.
+            ValueError: An argument is not finite, not positive or of the wrong shape.
         """
         dtype = self._dtype()
         X, y = self._data(X, y, dtype)
@@ -220,7 +221,7 @@ class GaussianProcessRegressor(_Regressor):
         """Posterior mean, and standard deviation of the noise-free function, at the rows of X.
 
         Raises:
-            ValueError: There was no `fit`, or X does not fit to it.
+            ValueError: The estimator has not been fitted, or X has another number of columns than in `fit`.
         """
         X = self._queries(X)
         mean, variance = _predict(self.posterior_, jnp.asarray(X, self.posterior_.x.dtype))
@@ -232,18 +233,18 @@ class GaussianProcessRegressor(_Regressor):
 
 
 class BayesianLinearRegressor(_Regressor):
-    """Bayesian linear regression on features (2.14-2.18) in the manner of scikit-learn.
+    """Bayesian linear regression on features (2.14-2.18) with the interface of scikit-learn.
 
-    After `fit`: `posterior_` (the `BayesianLinearRegression`), `features_`, `prior_precision_`,
+    `fit` sets `posterior_` (the `BayesianLinearRegression`), `features_`, `prior_precision_`,
     `noise_precision_` and `log_marginal_likelihood_` (2.23).
 
     Args:
-        features: Features of an input; its numbers and a constant if left out.
+        features: Feature map; by default the coordinates of the input and a constant.
         prior_precision: Precision of each weight.
         noise_precision: Precision of the observation noise.
-        optimise: Whether `fit` learns both precisions by type-II maximum likelihood; without rows, and with
-            values all zero, there is nothing to learn from.
-        dtype: `"float64"` or `"float32"`; that of JAX if left out.
+        optimise: Whether `fit` learns both precisions by type-II maximum likelihood. Without rows both
+            stay as given; values that are all zero determine neither.
+        dtype: `"float64"` or `"float32"`; by default the default precision of JAX.
     """
 
     def __init__(
@@ -262,10 +263,10 @@ class BayesianLinearRegressor(_Regressor):
         self.dtype = dtype
 
     def fit(self, X: Any, y: Any) -> "BayesianLinearRegressor":
-        """The posterior of the weights given the rows of X and their values.
+        """Compute the posterior of the weights given the rows of X and their values.
 
         Raises:
-            ValueError: Something is not finite, not positive or of the wrong shape; one line says what.
+            ValueError: An argument is not finite, not positive or of the wrong shape.
         """
         dtype = self._dtype()
         X, y = self._data(X, y, dtype)
@@ -293,7 +294,7 @@ class BayesianLinearRegressor(_Regressor):
         """Posterior mean, and standard deviation of the noise-free value, at the rows of X.
 
         Raises:
-            ValueError: There was no `fit`, or X does not fit to it.
+            ValueError: The estimator has not been fitted, or X has another number of columns than in `fit`.
         """
         X = self._queries(X)
         design = _design(self.features_, X, self._fitted_dtype())
@@ -330,5 +331,5 @@ def _design(features: Features, X: np.ndarray, dtype: str) -> jax.Array:
 
 
 def _padded(rows: np.ndarray) -> np.ndarray:
-    """At least one row, of zeros if there is none: a posterior has room for one."""
+    """The rows, or one row of zeros if there are none: the capacity of a posterior is at least 1."""
     return rows if len(rows) else np.zeros((1, *rows.shape[1:]))

@@ -1,4 +1,4 @@
-"""Hyper-parameters of greatest evidence (2.23, 2.30), by L-BFGS from several starts at once."""
+"""Hyper-parameters that maximise the evidence (2.23, 2.30), by L-BFGS from several starting points."""
 
 from collections.abc import Callable
 
@@ -13,16 +13,16 @@ from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Kernel
 
 LogPrior = Callable[[Kernel, Float[Array, ""]], Float[Array, ""]]
-"""Logarithm of a density over a kernel and a noise variance, up to a constant."""
+"""Log density of a prior over a kernel and a noise variance, up to a constant."""
 
 
 def log_normal_prior(
     kernel: Kernel, noise_variance: Float[Array, ""], spread: Float[Array, ""] | float
 ) -> LogPrior:
-    """Log-normal densities of a kernel's numbers and of a noise variance, each with the one given as median.
+    """Independent log-normal priors of a kernel's hyper-parameters and of a noise variance.
 
     Args:
-        kernel: Medians of the kernel's numbers.
+        kernel: Medians of the kernel's hyper-parameters.
         noise_variance: Median of the noise variance.
         spread: Standard deviation of the logarithms.
     """
@@ -37,12 +37,13 @@ def log_normal_prior(
 
 
 class Optimum(eqx.Module):
-    """The best of what all starts came to.
+    """The best result over all starting points.
 
     Attributes:
-        params: Hyper-parameters, as they were given.
-        value: The objective there; minus infinity if it was finite nowhere, and `params` are the first start.
-        has_converged: Whether the gradient nearly vanishes there.
+        params: Hyper-parameters, in the structure of the given ones.
+        value: Value of the objective. If no starting point had a finite value, it is minus infinity, and
+            `params` are the first starting point.
+        has_converged: Whether the gradient nearly vanishes at the optimum.
     """
 
     params: PyTree
@@ -51,7 +52,7 @@ class Optimum(eqx.Module):
 
     @property
     def is_finite(self) -> Bool[Array, "*batch"]:
-        """Whether any start had a finite value."""
+        """Whether any starting point had a finite value."""
         return jnp.isfinite(self.value)
 
 
@@ -65,20 +66,20 @@ def maximise(
     spread: float = 1.5,
     bounds: tuple[float, float] = (1e-6, 1e6),
 ) -> Optimum:
-    """The positive parameters where an objective is greatest.
+    """Maximise an objective over positive parameters.
 
-    The logarithm of each parameter is a sigmoid of what L-BFGS moves, which keeps it within the bounds. A
-    step is only taken where the objective rises: a start that meets NaN stops where it was, and one that
-    begins there never wins.
+    L-BFGS works on unbounded variables; a sigmoid of a variable gives the logarithm of its parameter, within
+    the bounds. A step is accepted only if the objective rises: a search that meets NaN stops at its previous
+    point, and a search that starts at NaN is never chosen.
 
     Args:
-        objective: A log evidence, with the log density of a prior added if there is one.
-        params: The first start: a tree whose floating-point leaves are varied, all of them positive.
-        key: For the other starts.
-        num_starts: Number of starts.
-        num_steps: The most steps from each of them.
-        spread: Standard deviation of the logarithms of the other starts around the first.
-        bounds: Least and greatest value of every parameter; starts are moved inside.
+        objective: A log evidence, plus a log prior density if there is one.
+        params: The first starting point: a tree whose floating-point leaves, all positive, are varied.
+        key: Random key of the other starting points.
+        num_starts: Number of starting points.
+        num_steps: Maximum number of steps from each starting point.
+        spread: Standard deviation of the logarithms of the other starting points around the first.
+        bounds: Lower and upper bound of every parameter; starting points are moved inside.
     """
     varied, fixed = eqx.partition(params, eqx.is_inexact_array)
     first, unravel = ravel_pytree(varied)
@@ -90,46 +91,46 @@ def maximise(
     def loss(point: Float[Array, "P"]) -> Float[Array, ""]:
         return -objective(params_at(point))
 
-    def climb(point: Float[Array, "P"]) -> _Place:
+    def search(point: Float[Array, "P"]) -> _Iterate:
         value, gradient = jax.value_and_grad(loss)(point)
-        place = _Place(point, value, gradient)
-        is_active = jnp.isfinite(value) & ~place.is_stationary()
-        carry = place, solver.init(point), jnp.zeros((), jnp.int32), is_active
+        iterate = _Iterate(point, value, gradient)
+        is_active = jnp.isfinite(value) & ~iterate.is_stationary()
+        carry = iterate, solver.init(point), jnp.zeros((), jnp.int32), is_active
         return jax.lax.while_loop(lambda carry: carry[3] & (carry[2] < num_steps), step, carry)[0]
 
     def step(carry):
-        place, state, number, is_active = carry
-        # In a batch a start that has arrived walks on with the others: without a gradient it stands still,
-        # where it would search its line in vain, and the others would wait for it.
-        gradient = jnp.where(is_active, place.gradient, 0.0)
+        iterate, state, number, is_active = carry
+        # In a batch, finished searches step on with the others. A gradient of 0 ends their line search at
+        # once; otherwise it would run to its limit, and the active searches would wait.
+        gradient = jnp.where(is_active, iterate.gradient, 0.0)
         with jax.numpy_dtype_promotion("standard"):  # optax adds integers of two widths
             updates, state = solver.update(
-                gradient, state, place.point, value=place.value, grad=gradient, value_fn=loss
+                gradient, state, iterate.point, value=iterate.value, grad=gradient, value_fn=loss
             )
         value, gradient = (optax.tree_utils.tree_get(state, name) for name in ("value", "grad"))
-        new = _Place(place.point + updates, value, gradient)
-        is_better = is_active & new.is_finite() & (value < place.value)
-        place = jax.tree.map(lambda a, b: jnp.where(is_better, a, b), new, place)
-        return place, state, number + 1, is_better & ~place.is_stationary()
+        new = _Iterate(iterate.point + updates, value, gradient)
+        is_better = is_active & new.is_finite() & (value < iterate.value)
+        iterate = jax.tree.map(lambda a, b: jnp.where(is_better, a, b), new, iterate)
+        return iterate, state, number + 1, is_better & ~iterate.is_stationary()
 
     solver = optax.lbfgs()
     away = jax.random.normal(key, (num_starts, first.shape[0]), first.dtype).at[0].set(0.0)
     share = (jnp.log(first)[None, :] + spread * away - low) / (high - low)
     starts = jax.scipy.special.logit(jnp.clip(share, 0.01, 0.99))
-    best = jax.vmap(climb)(starts)
-    values = jnp.where(jnp.isfinite(best.value), best.value, jnp.inf)
-    place = jax.tree.map(lambda leaf: leaf[jnp.argmin(values)], best)
-    is_finite = jnp.isfinite(place.value)
-    found = params_at(place.point)
+    results = jax.vmap(search)(starts)
+    values = jnp.where(jnp.isfinite(results.value), results.value, jnp.inf)
+    best = jax.tree.map(lambda leaf: leaf[jnp.argmin(values)], results)
+    is_finite = jnp.isfinite(best.value)
+    found = params_at(best.point)
     return Optimum(
         params=jax.tree.map(lambda new, old: jnp.where(is_finite, new, old), found, params),
         value=-jnp.min(values),
-        has_converged=is_finite & place.is_stationary(),
+        has_converged=is_finite & best.is_stationary(),
     )
 
 
-class _Place(eqx.Module):
-    """A point, the loss there and its gradient."""
+class _Iterate(eqx.Module):
+    """A point of a search, its loss, and the gradient of the loss."""
 
     point: Float[Array, "P"]
     value: Float[Array, ""]
@@ -139,7 +140,7 @@ class _Place(eqx.Module):
         return jnp.isfinite(self.value) & jnp.all(jnp.isfinite(self.gradient))
 
     def is_stationary(self) -> Bool[Array, ""]:
-        # The gradient of an evidence is as exact as its conditioning allows, not as its digits do.
+        # The conditioning of the evidence limits the accuracy of its gradient to far above machine epsilon.
         tolerance = float(jnp.finfo(self.value.dtype).eps) ** 0.25 * (1.0 + jnp.abs(self.value))
         return jnp.max(jnp.abs(self.gradient)) <= tolerance
 
@@ -156,21 +157,21 @@ def relearn(
     spread: float = 1.5,
     bounds: tuple[float, float] = (1e-6, 1e6),
 ) -> tuple[GaussianProcess, Optimum]:
-    """The posterior with the hyper-parameters that explain its observations best, factored anew.
+    """Maximise the evidence of a posterior over its hyper-parameters and refit it.
 
-    The hyper-parameters that it has are the first start, and are kept unless better ones are found: without
-    observations nothing changes. The prior mean is not learned.
+    The present hyper-parameters are the first starting point, and are kept unless better ones are found; so
+    without observations nothing changes. The prior mean is not learned.
 
     Args:
-        gp: The posterior; all numbers of its kernel have to be positive.
-        key: For the other starts.
+        gp: The posterior; all hyper-parameters of its kernel must be positive.
+        key: Random key of the other starting points.
         learn_noise: Whether to learn the noise variance too.
-        log_prior: Logarithm of a prior density of the hyper-parameters, added to the evidence.
-        noise_variances: Noise variances of the observations, if they came with their own: these are known.
-        num_starts: See `maximise`.
-        num_steps: See `maximise`.
-        spread: See `maximise`.
-        bounds: See `maximise`.
+        log_prior: Log prior density of the hyper-parameters, added to the log evidence.
+        noise_variances: Known noise variance of each observation, instead of a common one; not learned.
+        num_starts: Number of starting points.
+        num_steps: Maximum number of steps from each starting point.
+        spread: Standard deviation of the logarithms of the other starting points around the first.
+        bounds: Lower and upper bound of every hyper-parameter.
     """
 
     def refit(kernel: Kernel, noise_variance: Float[Array, ""]) -> GaussianProcess:
@@ -194,13 +195,13 @@ def relearn(
         return evidence if log_prior is None else evidence + log_prior(gp.kernel, gp.noise_variance)
 
     is_learned = learn_noise and noise_variances is None
-    held = (gp.kernel, gp.noise_variance if is_learned else None)
+    present = (gp.kernel, gp.noise_variance if is_learned else None)
     optimum = maximise(
-        objective, held, key, num_starts=num_starts, num_steps=num_steps, spread=spread, bounds=bounds
+        objective, present, key, num_starts=num_starts, num_steps=num_steps, spread=spread, bounds=bounds
     )
-    # A value that is NaN is less than every number.
+    # The negation prefers any finite optimum to a present score of NaN.
     is_better = optimum.is_finite & ~(score(gp) >= optimum.value)
     kernel, noise_variance = jax.tree.map(
-        lambda found, given: jnp.where(is_better, found, given), optimum.params, held
+        lambda found, given: jnp.where(is_better, found, given), optimum.params, present
     )
     return refit(kernel, gp.noise_variance if noise_variance is None else noise_variance), optimum

@@ -1,4 +1,4 @@
-"""Feature maps of linear models: random Fourier (2.33), Fourier basis (5.23), polynomial and radial."""
+"""Feature maps of linear models: random Fourier (2.33), Fourier basis (5.23), polynomial, radial basis."""
 
 import abc
 import itertools
@@ -17,10 +17,10 @@ from bojax.numerics.linalg import matmul
 from bojax.numerics.quasirandom import inside_the_cube, scrambled_halton
 
 Sampling = Literal["quasi-random", "monte-carlo"]
-"""How frequencies are drawn."""
+"""How the frequencies of random Fourier features are drawn."""
 
 Correlation = RBF | Matern12 | Matern32 | Matern52
-"""A kernel with a spectral density of its own."""
+"""A kernel with k(x, x) = 1 whose spectral density is known."""
 
 
 class Features(eqx.Module):
@@ -43,9 +43,10 @@ class Features(eqx.Module):
 class RandomFourier(Features):
     """Features whose inner product approximates a stationary kernel, phi(x)'phi(y) ~ k(x, y) (2.31-2.33).
 
-    M/2 frequencies w of the kernel's spectral density give M features, a cos(w'x) and a sin(w'x), with
-    a^2 = 2 k(x, x) / M, so that phi(x)'phi(x) = k(x, x) exactly. The thesis prints another scale in (2.33),
-    and the density N(0, 2 I / lengthscale^2) where that of the kernel is N(0, I / lengthscale^2).
+    M/2 frequencies w, drawn from the kernel's spectral density, give the M features a cos(w'x) and
+    a sin(w'x), with a^2 = 2 k(x, x) / M, so that phi(x)'phi(x) = k(x, x) exactly. Equation 2.33 is printed
+    with another scale. The thesis also prints N(0, 2 I / lengthscale^2) as the spectral density of the RBF
+    kernel; it is N(0, I / lengthscale^2).
 
     Attributes:
         frequencies: Angular frequencies, in radians per unit of the input.
@@ -67,22 +68,22 @@ class RandomFourier(Features):
     ) -> "RandomFourier":
         """Features of a kernel; differentiable with respect to its lengthscales and variances.
 
-        A sum of kernels shares the frequencies out evenly among its terms; a frequency of a product is the
-        sum of one of each factor. Normal variables come from uniform ones through the quantile, also those
-        of the Matern kernels of smoothness nu, whose spectral density is Student's t with 2 nu degrees of
-        freedom: a normal vector over the root of an independent chi-squared variable over 2 nu.
+        The terms of a sum of kernels receive equal shares of the frequencies. A frequency of a product is the
+        sum of a frequency of each factor. Normal variables are quantiles of uniform ones. The spectral
+        density of a Matern kernel of smoothness nu is Student's t with 2 nu degrees of freedom: a normal
+        vector divided by the square root of an independent chi-squared variable over 2 nu.
 
         Args:
-            key: Randomness.
-            kernel: Built of `RBF`, `Matern12`, `Matern32`, `Matern52`, `Scaled`, `Sum` and `Product`.
-            num_features: M, even: at least 2 for each term of a sum.
+            key: Random key.
+            kernel: Composed of `RBF`, `Matern12`, `Matern32`, `Matern52`, `Scaled`, `Sum` and `Product`.
+            num_features: Number of features M, which is even and at least 2 for each term of a sum.
             num_dims: Number of dimensions of the input.
-            sampling: Points of a scrambled Halton sequence, which cover the density evenly, or independent
-                draws (`monte-carlo`), whose error falls with the root of `num_features`.
+            sampling: `quasi-random` takes points of a scrambled Halton sequence, which cover the density
+                evenly. `monte-carlo` takes independent draws; its error falls as 1 / sqrt(num_features).
 
         Raises:
-            ValueError: A number is out of range, or a lengthscale is for another number of dimensions.
-            TypeError: The kernel has a part whose spectral density is not known.
+            ValueError: A number is out of range, or a lengthscale has another number of dimensions.
+            TypeError: The spectral density of a part of the kernel is not known.
         """
         terms = _terms(kernel)
         if num_features < 2 * len(terms) or num_features % 2:
@@ -105,18 +106,18 @@ class RandomFourier(Features):
 
     @override
     def __call__(self, x: Float[Array, "D"]) -> Float[Array, "M"]:
-        """First the cosines, then the sines."""
+        """The features of one input: the cosines, followed by the sines."""
         angles = matmul(self.frequencies, x)
         return jnp.concatenate([self.amplitudes * jnp.cos(angles), self.amplitudes * jnp.sin(angles)])
 
 
 class FourierBasis(Features):
-    """cos(pi c'x) for all c in {0, ..., order}^D (5.23), for inputs in [0, 1]^D: (order + 1)^D features.
+    """The (order + 1)^D features cos(pi c'x) for all c in {0, ..., order}^D (5.23), for inputs in [0, 1]^D.
 
-    The first of them is the constant 1.
+    The first feature is the constant 1.
 
     Attributes:
-        order: Highest number of half periods along a dimension.
+        order: Largest number of half periods along a dimension.
         num_dims: Number of dimensions of the input.
     """
 
@@ -124,7 +125,7 @@ class FourierBasis(Features):
     num_dims: int = eqx.field(static=True)
 
     def __check_init__(self):
-        """Raises ValueError if there would be no feature."""
+        """Refuse sizes that give no features."""
         _refuse_below(0, "order", self.order)
         _refuse_below(1, "num_dims", self.num_dims)
 
@@ -143,12 +144,12 @@ class FourierBasis(Features):
 
 
 class Polynomial(Features):
-    """All products of at most `degree` coordinates of the input, with repetition, by rising degree.
+    """All monomials of the input up to `degree`, in ascending order of degree.
 
     Attributes:
-        degree: Highest total degree.
+        degree: Largest total degree.
         num_dims: Number of dimensions of the input.
-        has_bias: Whether the constant 1 is among them.
+        has_bias: Whether the constant 1 is one of the features.
     """
 
     degree: int = eqx.field(static=True)
@@ -156,7 +157,7 @@ class Polynomial(Features):
     has_bias: bool = eqx.field(static=True, default=True)
 
     def __check_init__(self):
-        """Raises ValueError if there would be no feature."""
+        """Refuse sizes that give no features."""
         _refuse_below(0 if self.has_bias else 1, "degree", self.degree)
         _refuse_below(1, "num_dims", self.num_dims)
 
@@ -167,11 +168,11 @@ class Polynomial(Features):
 
     @override
     def __call__(self, x: Float[Array, "D"]) -> Float[Array, "M"]:
-        # The factor past the last coordinate is 1: it fills up the products of fewer than `degree`.
+        # The index past the last coordinate stands for the factor 1, which pads products of a lower degree.
         return jnp.prod(jnp.append(x, jnp.ones((), x.dtype))[self._factors()], axis=1)
 
     def _factors(self) -> np.ndarray:
-        """Which coordinates each feature multiplies."""
+        """Indices of the coordinates that each feature multiplies, `[M, degree]`."""
         products = [
             (*chosen, *[self.num_dims] * (self.degree - size))
             for size in range(0 if self.has_bias else 1, self.degree + 1)
@@ -181,12 +182,12 @@ class Polynomial(Features):
 
 
 class RadialBasis(Features):
-    """Bumps around given centres, exp(-|x - c|^2 / (2 width^2)).
+    """Gaussian radial basis functions, exp(-|x - c|^2 / (2 width^2)).
 
     Attributes:
-        centres: A centre for each feature.
-        width: Standard deviation of the bumps, one or one a dimension, in units of the input.
-        has_bias: Whether the constant 1 comes before them.
+        centres: Centre c of each function.
+        width: Width of the functions in units of the input: one number, or one for each dimension.
+        has_bias: Whether the constant 1 is the first feature.
     """
 
     centres: Float[Array, "C D"]
@@ -194,7 +195,7 @@ class RadialBasis(Features):
     has_bias: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self):
-        """Raises ValueError if there would be no feature."""
+        """Refuse centres that give no features."""
         if not self.num_features:
             raise ValueError("centres: got 0; allowed: >= 1, or a bias")
 
@@ -215,7 +216,7 @@ def _refuse_below(least: int, name: str, number: int) -> None:
 
 
 def _terms(kernel: Kernel) -> list[tuple[Float[Array, ""], list[Correlation]]]:
-    """The kernel multiplied out: a sum of terms, each a variance times a product of correlations."""
+    """The kernel expanded into a sum of terms, each a variance times a product of correlations."""
     match kernel:
         case Sum():
             return _terms(kernel.first) + _terms(kernel.second)
@@ -229,16 +230,16 @@ def _terms(kernel: Kernel) -> list[tuple[Float[Array, ""], list[Correlation]]]:
             ]
         case RBF() | Matern12() | Matern32() | Matern52():
             return [(jnp.ones((), kernel.lengthscale.dtype), [kernel])]
-    raise TypeError(f"no spectral density is known of the kernel {type(kernel).__name__}")
+    raise TypeError(f"the spectral density of the kernel {type(kernel).__name__} is not known")
 
 
 def _degrees_of_freedom(kernel: Correlation) -> int | None:
-    """Of the spectral density, a Student's t; None if it is normal."""
+    """Degrees of freedom of the spectral density if it is Student's t; None if it is normal."""
     return {RBF: None, Matern12: 1, Matern32: 3, Matern52: 5}[type(kernel)]
 
 
 def _frequencies(key, factors, number, num_dims, sampling) -> Float[Array, "F D"]:
-    """Frequencies of a product of correlations: the sums of independent ones of each."""
+    """Frequencies of a product of correlations: sums of independent frequencies of the factors."""
     widths = [num_dims + (_degrees_of_freedom(kernel) is not None) for kernel in factors]
     dtype = factors[0].lengthscale.dtype
     if sampling == "quasi-random":
@@ -261,7 +262,7 @@ def _frequencies(key, factors, number, num_dims, sampling) -> Float[Array, "F D"
 
 
 def _chi_quantile(probabilities: Float[Array, "F"], degrees: int) -> Float[Array, "F"]:
-    """Quantiles of the length of a normal vector of 1, 3 or 5 dimensions, by bisection."""
+    """Quantiles of the chi distribution with 1, 3 or 5 degrees of freedom, by bisection."""
 
     def distribution(r):
         polynomial = {1: 0.0 * r, 3: r, 5: r + r**3 / 3.0}[degrees]

@@ -1,4 +1,4 @@
-"""Gaussian process regression of fixed capacity, updated by an incremental inverse Cholesky factor."""
+"""Gaussian process regression with a fixed capacity and an incremental inverse Cholesky factor."""
 
 import math
 
@@ -17,18 +17,18 @@ NO_MEAN = ZeroMean()
 class GaussianProcess(eqx.Module):
     """The posterior of a Gaussian process given `count` noisy observations (2.28-2.29, with a prior mean).
 
-    Rows past `count` are zero, in the data and in the factor, so that they drop out of every product.
-    An update appends one row to the inverse Cholesky factor: no triangular solve, no refit. An observation
-    that is NaN makes every later mean NaN, and at a point that is NaN every later variance too.
+    Rows past `count` are zero, in the data and in the factor, and drop out of every product. An update
+    appends one row to the inverse Cholesky factor and needs neither a triangular solve nor a refit. An
+    observed value of NaN makes every later mean NaN; an input of NaN makes every later variance NaN as well.
 
     Attributes:
         kernel: Prior covariance.
-        noise_variance: Variance of the noise of an observation that comes without its own; 0 or more. Less
-            than `noise_floor` times the prior variance at a point counts as that product.
+        noise_variance: Default variance of the observation noise, 0 or more. It is raised to a floor,
+            `noise_floor` times the prior variance at the observed point.
         x: Inputs.
         y: Observed values.
         inverse_cholesky: `L^-1`, with `L L' = K + diag(noise variances)`.
-        count: Number of observations held.
+        count: Number of observations.
         mean: Prior mean.
     """
 
@@ -49,7 +49,7 @@ class GaussianProcess(eqx.Module):
         num_dims: int,
         mean: Mean = NO_MEAN,
     ) -> "GaussianProcess":
-        """No observation yet, room for `capacity` of them."""
+        """The prior, without observations and with room for `capacity` of them."""
         dtype = noise_variance.dtype
         return cls(
             kernel=kernel,
@@ -82,12 +82,12 @@ class GaussianProcess(eqx.Module):
             x: Inputs.
             y: Observed values.
             mean: Prior mean.
-            count: How many of the rows are observations, the first ones; all of them if left out.
-            capacity: Room for observations; as many as there are rows if left out.
-            noise_variances: Variance of the noise of each observation, in place of `noise_variance`.
+            count: Number of observations, in the first rows; by default every row is an observation.
+            capacity: Maximum number of observations; by default the number of rows.
+            noise_variances: Noise variance of each observation, instead of `noise_variance`.
 
         Raises:
-            ValueError: There are more rows than room.
+            ValueError: There are more rows than the capacity.
         """
         number, num_dims = x.shape
         capacity = number if capacity is None else capacity
@@ -117,7 +117,7 @@ class GaussianProcess(eqx.Module):
     def update(
         self, x: Float[Array, "D"], y: Float[Array, ""], noise_variance: Float[Array, ""] | None = None
     ) -> "GaussianProcess":
-        """The posterior after one more observation; dropped without a trace once the capacity is reached."""
+        """The posterior after one more observation, which is ignored once the capacity is reached."""
         at = self.count
         row = self.next_row(x, self.whiten(x[None, :])[:, 0], noise_variance)
         return GaussianProcess(
@@ -137,10 +137,10 @@ class GaussianProcess(eqx.Module):
         is_valid: Bool[Array, "S"],
         noise_variances: Float[Array, "S"] | None = None,
     ) -> "GaussianProcess":
-        """The posterior after several more observations: that of an `update` by each of the valid ones.
+        """The posterior after several more observations, as by an `update` with each of the valid ones.
 
         With V = L^-1 k(X, xs) and B B' = k(xs, xs) + noise - V'V, the rows [-B^-1 V' L^-1, B^-1] are
-        appended. What is not valid leaves no trace and takes no room; what exceeds the capacity is dropped.
+        appended. Invalid observations are not stored; observations beyond the capacity are ignored.
         """
         capacity = self.y.shape[0]
         xs = jnp.where(is_valid[:, None], xs, 0.0)
@@ -169,17 +169,17 @@ class GaussianProcess(eqx.Module):
     def noise(
         self, xs: Float[Array, "M D"], noise_variances: Float[Array, "M"] | None = None
     ) -> Float[Array, "M"]:
-        """Variances of the noise of observations at `xs`, as they enter the factor.
+        """Noise variances of observations at `xs`, raised to the floor.
 
-        The floor is `noise_floor` times the prior variance at each point, and is part of the noise of every
-        row: if only the pivots were kept above it, L would belong to no matrix, and a third observation of
-        one point without noise would make it explode.
+        The floor is `noise_floor` times the prior variance at each point. It is added to the diagonal of the
+        covariance, since a floor of the pivots alone would give an L that factorises no matrix: a third
+        noise-free observation of the same point would make it diverge.
         """
         noise_variances = self.noise_variance if noise_variances is None else noise_variances
         return jnp.maximum(noise_variances, noise_floor(xs.dtype) * self._prior_variance(xs))
 
     def whiten(self, xs: Float[Array, "M D"]) -> Float[Array, "N M"]:
-        """L^-1 k(X, xs), from which everything about `xs` follows."""
+        """L^-1 k(X, xs), from which all predictions at `xs` are computed."""
         return matmul(self.inverse_cholesky, self.kernel.gram(self.x, xs))
 
     def next_row(
@@ -188,10 +188,11 @@ class GaussianProcess(eqx.Module):
         whitened: Float[Array, "N"],
         noise_variance: Float[Array, ""] | None = None,
     ) -> Float[Array, "N"]:
-        """The row that an observation at `x` appends to the inverse Cholesky factor; `whitened` is its own.
+        """The row that an observation at `x` appends to the inverse Cholesky factor.
 
-        With l = L^-1 k(X, x) and d^2 = k(x, x) + noise - l'l, the row is [-l' L^-1, 1] / d. In exact
-        arithmetic d^2 is at least the noise variance; it is kept there against rounding.
+        With l = L^-1 k(X, x), given as `whitened`, and d^2 = k(x, x) + noise - l'l, the row is
+        [-l' L^-1, 1] / d. In exact arithmetic d^2 is at least the noise variance; a d^2 that rounding takes
+        below it is raised to it.
         """
         variance = self.kernel(x, x)
         noise_variance = self.noise_variance if noise_variance is None else noise_variance
@@ -208,31 +209,39 @@ class GaussianProcess(eqx.Module):
         xs: Float[Array, "M D"],
         whitened_xs: Float[Array, "N M"],
     ) -> Float[Array, "M"]:
-        """The row that an observation at `x` appends to `whiten(xs)`, given what it appends to the factor.
+        """The row that an observation at `x` appends to `whiten(xs)`.
 
-        Rows never change once they are there: who asks about the same `xs` after every observation keeps
-        them, and pays for N M products where whitening anew takes N^2 M and N M covariances.
+        Existing rows never change. A caller that predicts at the same `xs` after every observation can keep
+        `whitened_xs` and append this row at the cost of N M products, instead of the N^2 M products and N M
+        covariances of `whiten`.
+
+        Args:
+            x: Input of the observation.
+            whitened: `whiten` of `x`.
+            row: The row appended to the inverse Cholesky factor, from `next_row`.
+            xs: Points of the predictions.
+            whitened_xs: `whiten` of `xs`, before the observation.
         """
         inverse_pivot = jnp.sum(jnp.where(self._is_next(), row, 0.0))
         return (self.kernel.gram(x[None, :], xs)[0] - matmul(whitened, whitened_xs)) * inverse_pivot
 
     def residuals(self) -> Float[Array, "N"]:
-        """What the prior mean leaves of the observed values, y - m(X); 0 past `count`."""
+        """Observed values minus the prior mean, y - m(X); 0 past `count`."""
         return self.y - jnp.where(self.is_held(), jax.vmap(self.mean)(self.x), 0.0)
 
     def whitened_residuals(self) -> Float[Array, "N"]:
-        """L^-1 (y - m(X)): of variance 1 and independent if the model is right; 0 past `count`."""
-        # Columns of the factor past `count` are zero: no need to mask what the mean says there.
+        """L^-1 (y - m(X)), independent with variance 1 if the model is correct; 0 past `count`."""
+        # Columns of the factor past `count` are zero, so the mean needs no mask there.
         return matmul(self.inverse_cholesky, self.y - jax.vmap(self.mean)(self.x))
 
     def weights(self) -> Float[Array, "N"]:
-        """K^-1 (y - m(X)), with the noise in K: the predictive mean is m(x) + k(x, X) weights."""
+        """(K + noise)^-1 (y - m(X)), so that the predictive mean is m(x) + k(x, X) weights."""
         return matmul(self.whitened_residuals(), self.inverse_cholesky)
 
     def moments(
         self, xs: Float[Array, "M D"], whitened: Float[Array, "N M"]
     ) -> tuple[Float[Array, "M"], Float[Array, "M"]]:
-        """What `predict` returns, from the `whitened` covariances of `xs`."""
+        """The result of `predict(xs)`, given `whitened`, which is `whiten(xs)`."""
         mean = matmul(self.whitened_residuals(), whitened)
         variance = self._prior_variance(xs) - jnp.sum(whitened * whitened, axis=0)
         return jax.vmap(self.mean)(xs) + mean, jnp.maximum(variance, 0.0)
@@ -244,10 +253,10 @@ class GaussianProcess(eqx.Module):
     def predict_first(
         self, xs: Float[Array, "M D"], counts: Int[Array, "T"]
     ) -> tuple[Float[Array, "T M"], Float[Array, "T M"]]:
-        """What `predict` would return given the first `counts` observations alone, for each of the counts.
+        """The result of `predict` given only the first n observations, for each n in `counts`.
 
-        The inverse Cholesky factor of the first n is the leading block of that of all, since it is lower
-        triangular: (2.28) and (2.29) are sums over its rows, of which the first n are taken.
+        The inverse Cholesky factor is lower triangular, so that of the first n observations is its leading
+        block. Equations 2.28 and 2.29 are sums over the rows of the factor, truncated after n rows.
         """
         whitened = self.whiten(xs)
         parts = self.whitened_residuals()[:, None] * whitened, whitened * whitened
@@ -257,7 +266,7 @@ class GaussianProcess(eqx.Module):
         return jax.vmap(self.mean)(xs)[None] + mean, jnp.maximum(variance, 0.0)
 
     def predict_gradient(self, xs: Float[Array, "M D"]) -> Float[Array, "M D"]:
-        """Gradient of the posterior mean at `xs`; where a kernel has a kink, its part is 0."""
+        """Gradient of the posterior mean at `xs`; a kernel contributes 0 where it is not differentiable."""
         weights = self.weights()
 
         def mean(x: Float[Array, "D"]) -> Float[Array, ""]:
@@ -274,10 +283,10 @@ class GaussianProcess(eqx.Module):
         return mean, jnp.where(is_diagonal, variance[None, :], covariance)
 
     def sample(self, key: Key[Array, ""], xs: Float[Array, "M D"], num: int) -> Float[Array, "num M"]:
-        """Draws of the noise-free function at `xs`, jointly.
+        """Joint draws of the noise-free function at `xs`.
 
-        By the eigenvectors of the covariance, of which rounding leaves slightly negative eigenvalues where
-        points are near each other; they count as 0. A Cholesky factor would need a jitter for that.
+        Computed from an eigendecomposition of the covariance. For points near each other, rounding makes some
+        eigenvalues slightly negative; they count as 0. A Cholesky factor would need jitter instead.
         """
         mean, covariance = self.predict_covariance(xs)
         values, vectors = eigh(covariance)
@@ -285,7 +294,7 @@ class GaussianProcess(eqx.Module):
         return mean[None, :] + matmul(normal * jnp.sqrt(jnp.maximum(values, 0.0))[None, :], vectors.T)
 
     def log_marginal_likelihood(self) -> Float[Array, ""]:
-        """Logarithm of the density of the values observed (2.30)."""
+        """Log marginal likelihood of the observed values (2.30)."""
         whitened = self.whitened_residuals()
         pivots = jnp.where(self.is_held(), jnp.diagonal(self.inverse_cholesky), 1.0)
         constant = 0.5 * math.log(2.0 * math.pi) * self.count.astype(whitened.dtype)
@@ -295,7 +304,7 @@ class GaussianProcess(eqx.Module):
         return jax.vmap(lambda x: self.kernel(x, x))(xs)
 
     def is_held(self) -> Bool[Array, "N"]:
-        """Which rows hold an observation."""
+        """Whether each row holds an observation."""
         return jnp.arange(self.y.shape[0], dtype=self.count.dtype) < self.count
 
     def _is_next(self) -> Bool[Array, "N"]:

@@ -1,4 +1,4 @@
-"""Covariance functions, written for two points and batched outside: stationary ones, sums and products."""
+"""Kernels: stationary covariance functions, sums and products, written for two points and batched outside."""
 
 import abc
 import functools
@@ -13,14 +13,14 @@ from typing_extensions import override
 from bojax.models.checks import as_numbers
 
 FAR = 1e3
-"""Scaled distance from which on points count as that far apart: every covariance underflows to 0 before."""
+"""Maximum scaled distance, to which longer ones are reduced; every covariance underflows to 0 before it."""
 
 
 class Kernel(eqx.Module):
-    """A covariance function k(x, y); `+` and `*` of two of them are covariance functions again.
+    """A covariance function k(x, y); `+` and `*` combine two kernels into their sum and product.
 
-    Those named after their shape have k(x, x) = 1, and lengthscales that are one number or one a dimension.
-    Numbers may be given as Python numbers or lists.
+    `RBF` and the Matern kernels have k(x, x) = 1, and one lengthscale or one for each dimension.
+    Hyper-parameters may be given as Python numbers or lists.
     """
 
     @abc.abstractmethod
@@ -41,7 +41,7 @@ class Kernel(eqx.Module):
 
 
 class RBF(Kernel):
-    """Squared exponential, exp(-r^2/2) with r the scaled distance (2.26, whose sign is printed wrong).
+    """Squared exponential kernel, exp(-r^2/2) with scaled distance r (2.26, printed with the wrong sign).
 
     Settings: `bojax.models.settings.RBF`.
     """
@@ -95,7 +95,7 @@ class Matern52(Kernel):
 
 
 class Scaled(Kernel):
-    """A kernel times a constant: of a correlation, `variance` is the prior variance.
+    """A kernel multiplied by a constant, which is the prior variance if the kernel has k(x, x) = 1.
 
     Settings: `bojax.models.settings.Scaled`.
     """
@@ -139,10 +139,10 @@ class Product(Kernel):
 def _squared_distance(x, y, lengthscale) -> Scalar:
     if lengthscale.size not in (1, x.size):
         raise ValueError(
-            f"lengthscale: got {lengthscale.size} numbers; allowed: 1, or one a dimension: {x.size}"
+            f"lengthscale: got {lengthscale.size} numbers; allowed: 1, or one for each dimension: {x.size}"
         )
     scaled = (x - y) / lengthscale
-    # A sum over a short last axis is slow on a CPU: unrolled, it is elementwise arithmetic over all pairs.
+    # A sum over a short last axis is slow on a CPU; unrolled, it is elementwise arithmetic over all pairs.
     if scaled.shape[0] <= 8:
         squares = [scaled[i] ** 2 for i in range(scaled.shape[0])]
         return functools.reduce(operator.add, squares)
@@ -150,8 +150,8 @@ def _squared_distance(x, y, lengthscale) -> Scalar:
 
 
 def _distance(x, y, lengthscale) -> Scalar:
-    # Of an infinite distance, a polynomial times an exponential would be infinity times 0.
+    # At an infinite distance, a polynomial times an exponential would be infinity times 0.
     squared = jnp.minimum(_squared_distance(x, y, lengthscale), FAR**2)
-    # The gradient of sqrt at 0 is infinite; where the points coincide it is defined as 0 instead.
+    # The gradient of sqrt at 0 is infinite; for points that coincide it is defined as 0 instead.
     is_positive = squared > 0.0
     return jnp.where(is_positive, jnp.sqrt(jnp.where(is_positive, squared, 1.0)), 0.0)

@@ -8,20 +8,20 @@ from bojax.numerics.linalg import matmul
 
 
 class LinearRegression(eqx.Module):
-    """A linear function of the features, y = w' phi(x) (2.4); columns of `targets` are fitted side by side.
+    """A linear function of the features, y = w' phi(x) (2.4); each column of `targets` is fitted separately.
 
     Attributes:
-        weights: One weight for each feature, and each target where there are several.
+        weights: Weight of each feature, with a column for each target if there are several.
     """
 
     weights: Float[Array, "M *K"]
 
     @classmethod
     def fit(cls, features: Float[Array, "N M"], targets: Float[Array, "N *K"]) -> "LinearRegression":
-        """The weights of least squared error (2.8), the shortest of them where several are equally good.
+        """The weights of least squared error (2.8); of several solutions, the one of minimum norm.
 
-        Solved by the singular values of the features, not by the normal equations, which square their
-        condition number; singular values below max(N, M) rounding errors of the largest count as zero.
+        Solved by a singular value decomposition, since the normal equations would square the condition number
+        of the features. Singular values below max(N, M) machine epsilons of the largest one count as zero.
         Without observations the weights are zero.
         """
         return cls(jnp.linalg.lstsq(features, targets)[0])
@@ -36,8 +36,8 @@ class LinearRegression(eqx.Module):
     ) -> "LinearRegression":
         """The most probable weights under the prior N(0, I / prior_precision) (2.14): ridge regression.
 
-        The same least squares with sqrt(prior_precision / noise_precision) I below the features and zeros
-        below the targets.
+        Solved by least squares, with sqrt(prior_precision / noise_precision) I appended to the features and
+        zeros appended to the targets.
         """
         num_features = features.shape[1]
         ridge = jnp.sqrt(prior_precision / noise_precision) * jnp.eye(num_features, dtype=features.dtype)

@@ -1,11 +1,12 @@
-"""A Gaussian process conditioned on observations that were only imagined, batch after batch, without a refit.
+"""Beliefs of a Gaussian process along a simulated path, conditioned on imagined observations without a refit.
 
-The belief tree of field monitoring in Schur form: the posterior is factored once a plan, at the root. What
-a node adds is a few points; their joint posterior covariance given the real data is the Schur complement
-C = k(Z, Z) - V'V with V = L^-1 k(X, Z), and one small Cholesky factor of C + noise I holds the belief at
-every node on the way: with stages of points in order, the rows of a stage and the columns of the stages
-before it are what those stages explain. An imagined observation is `mean + factor row * innovations` with
-independent normal innovations: storing the innovations stores the observations.
+This is the belief tree of field monitoring in Schur form. The posterior given the real data is factorised
+once for each plan, at the root. A path from the root adds the points Z, in stages of a few points. Their
+joint posterior covariance is the Schur complement C = k(Z, Z) - V'V with V = L^-1 k(X, Z), and one small
+Cholesky factor of C + noise I gives the belief before every stage: the rows of the stage and the columns of
+earlier stages hold the covariance that the earlier stages explain. An imagined observation is
+`mean + factor row * innovations` with independent standard normal innovations, so the innovations determine
+the observations and are stored in their place.
 """
 
 import equinox as eqx
@@ -18,12 +19,12 @@ from bojax.numerics.linalg import guarded_cholesky, matmul
 
 
 class LookaheadRoot(eqx.Module):
-    """What all nodes of a plan share.
+    """The posterior at the root, with quantities that all nodes of a plan share.
 
     Attributes:
-        posterior: The belief at the root.
+        posterior: Belief at the root.
         whitened: L^-1 (y - m(X)).
-        weights: K^-1 (y - m(X)).
+        weights: (K + noise)^-1 (y - m(X)).
     """
 
     posterior: GaussianProcess
@@ -32,17 +33,17 @@ class LookaheadRoot(eqx.Module):
 
     @classmethod
     def of(cls, posterior: GaussianProcess) -> "LookaheadRoot":
-        """The root of a plan from a posterior."""
+        """The root of a plan with this posterior."""
         return cls(posterior, posterior.whitened_residuals(), posterior.weights())
 
 
 class Lookahead(eqx.Module):
-    """What the belief before each stage says of the stage's points.
+    """Beliefs about the points of each stage, before the observations of that stage.
 
     Attributes:
         mean: Posterior means.
         variance: Posterior variances of the noise-free function.
-        gradient: Gradients of the posterior means, if they were asked for.
+        gradient: Gradients of the posterior means; None unless requested.
     """
 
     mean: Float[Array, "B"]
@@ -58,16 +59,15 @@ def look_ahead(
     num_stages: int,
     with_gradient: bool = False,
 ) -> Lookahead:
-    """Beliefs about the points of each stage, given the real data and all imagined observations before it.
+    """Beliefs about the points of each stage, given the real data and the imagined observations before it.
 
-    Equal to a refit with the real and the imagined observations: an observation of stage j is
-    `mean_j + (Cholesky factor of C_j + noise I) innovations_j` under the belief before the stage.
+    The beliefs equal those of a refit with real and imagined observations. The observations of stage j are
+    `mean_j + (Cholesky factor of C_j + noise I) innovations_j`, with the moments of the belief before it.
 
     Args:
         root: The posterior at the root.
-        points: Points of all stages, B / num_stages for each.
-        is_observed: Whether the point brings an observation; what a point that does not would say of itself
-            is not defined.
+        points: Points of all stages, B / num_stages in each.
+        is_observed: Whether a point is observed; the belief about any other point is undefined.
         innovations: Standard normal numbers; zeros make every imagined observation the predictive mean.
         num_stages: Number of stages.
         with_gradient: Whether to compute gradients.
@@ -81,10 +81,10 @@ def look_ahead(
     whitened = posterior.whiten(points)  # V, [N, B]
     covariance = kernel.gram(points, points) - matmul(whitened.T, whitened)
     noise = posterior.noise(points)
-    # A point that is not observed is made independent of all others.
+    # A point that is not observed becomes independent of all others.
     own = jnp.where(is_observed, noise, 1.0)
     joint = jnp.where(both, covariance, 0.0) + jnp.diag(own)
-    # Nothing is conditioned on the last stage: its columns are not needed.
+    # No stage is conditioned on the last one, so its columns are not needed.
     num_given = number - number // num_stages
     factor, inverse = guarded_cholesky(joint, jnp.where(is_observed, noise, 0.0), num_given)
     explained = jnp.where(is_before[:, :num_given], factor, 0.0)
@@ -95,11 +95,11 @@ def look_ahead(
     variance = jnp.diagonal(covariance) - jnp.sum(explained * explained, axis=-1)
     gradient = None
     if with_gradient:
-        # Innovations of a stage and later ones count as 0: one product for all stages.
+        # Innovations of the stage itself and of later stages are set to 0, so that one product serves all.
         stages = jnp.arange(num_stages, dtype=jnp.int32)
         given = jnp.where(stage[:num_given, None] < stages[None, :], innovations[:, None], 0.0)
         imagined = matmul(inverse.T, given)  # [num_given, stages]
-        # A product with L^-1 from the left, as its rows lie, takes a third of the time of one with L^-T.
+        # A product with the rows of L^-1 as stored takes a third of the time of a product with L^-T.
         explained_away = matmul(matmul(imagined.T, whitened[:, :num_given].T), posterior.inverse_cholesky)
         real = root.weights[None, :] - explained_away  # [stages, N]
 

@@ -1,4 +1,4 @@
-"""Prior means of Gaussian processes, written for one point and batched outside."""
+"""Prior mean functions of Gaussian processes, written for one point and batched outside."""
 
 import abc
 
@@ -12,15 +12,15 @@ from bojax.numerics.linalg import matmul
 
 
 class Mean(eqx.Module):
-    """The expected value m(x) before any observation."""
+    """A prior mean function m(x)."""
 
     @abc.abstractmethod
     def __call__(self, x: Float[Array, "D"]) -> Scalar:
-        """Expected value at a point."""
+        """The prior mean at a point."""
 
 
 class ZeroMean(Mean):
-    """m(x) = 0.
+    """The zero mean, m(x) = 0.
 
     Settings: `bojax.models.settings.ZeroMean`.
     """
@@ -31,7 +31,7 @@ class ZeroMean(Mean):
 
 
 class ConstantMean(Mean):
-    """The same value everywhere.
+    """A constant mean, m(x) = value.
 
     Settings: `bojax.models.settings.ConstantMean`.
     """
@@ -45,7 +45,7 @@ class ConstantMean(Mean):
 
 
 class LinearMean(Mean):
-    """m(x) = weights' x + bias.
+    """A linear mean, m(x) = weights' x + bias.
 
     Settings: `bojax.models.settings.LinearMean`.
     """

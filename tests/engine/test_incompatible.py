@@ -24,19 +24,19 @@ REFUSED = {
     ),
     "lengthscales of a planner": (
         ["parking", "planner.kernel.lengthscale=[1, 1, 1, 1, 1, 1, 1]"],
-        "planner: kernel: does not take points of 3 numbers, the parameters of the motions",
+        "planner: kernel: does not accept points of dimension 3 (the parameters of the motions)",
     ),
     "lengthscales of a single parameter": (
         ["parking", "planner.motions.num_segments=1", "planner.kernel.lengthscale=[1, 2]"],
-        "planner: kernel: does not take points of 1 numbers, the parameters of the motions",
+        "planner: kernel: does not accept points of dimension 1 (the parameters of the motions)",
     ),
     "lengthscales deep inside": (
         ["diagonal", f"problem.kernel={KERNEL}"],
-        "problem: kernel: does not take points of 2 numbers, the coordinates of the plane",
+        "problem: kernel: does not accept points of dimension 2 (the coordinates of the plane)",
     ),
     "weights of a mean": (
         ["diagonal", "problem.mean={kind: linear, weights: [1, 2, 3]}"],
-        "problem: mean: does not take points of 2 numbers, the coordinates of the plane",
+        "problem: mean: does not accept points of dimension 2 (the coordinates of the plane)",
     ),
 }
 

@@ -223,15 +223,15 @@ def test_an_observation_that_is_nan_is_seen_in_every_later_mean(block):
     np.testing.assert_array_equal(model.covariance, condition(prior(6, block), features, targets).covariance)
 
 
-def test_a_slot_given_by_the_caller_holds_the_same_row():
+def test_a_step_in_the_block_given_by_the_caller_changes_nothing():
     features, targets = observations(10)
     runs = jnp.stack([features, 2.0 * features])
 
     def flushed(features):
-        def in_slot(slot, model):
-            return model.update(features[slot], targets[slot], slot=slot)
+        def update(step, model):
+            return model.update(features[step], targets[step], step_in_block=step)
 
-        return jax.lax.fori_loop(0, 10, in_slot, prior(6, 10)).flush()
+        return jax.lax.fori_loop(0, 10, update, prior(6, 10)).flush()
 
     models = jax.jit(jax.vmap(flushed))(runs)
     for lane, seen in enumerate(runs):

@@ -224,7 +224,7 @@ def test_what_cannot_be_drawn_is_refused():
         def __call__(self, x, y):
             return jnp.sum(x * y)
 
-    with pytest.raises(TypeError, match="no spectral density is known of the kernel Linear"):
+    with pytest.raises(TypeError, match="the spectral density of the kernel Linear is not known"):
         RandomFourier.draw(jax.random.key(0), RBF(number(0.5)) + Linear(), 4, 2)
 
 

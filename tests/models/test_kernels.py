@@ -119,7 +119,9 @@ def test_points_that_are_endlessly_far_apart_are_independent(kernel, dtype):
 @each_kernel
 def test_a_lengthscale_for_another_number_of_dimensions_is_refused(kernel):
     # One coordinate and two lengthscales would be broadcast in silence.
-    with pytest.raises(ValueError, match="lengthscale: got 2 numbers; allowed: 1, or one a dimension: 1"):
+    with pytest.raises(
+        ValueError, match="lengthscale: got 2 numbers; allowed: 1, or one for each dimension: 1"
+    ):
         kernel([0.5, 1.0]).gram(jnp.zeros((4, 1)), jnp.zeros((4, 1)))
 
 
