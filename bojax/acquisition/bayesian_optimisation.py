@@ -1,4 +1,4 @@
-"""Bayesian optimisation (Algorithm 1): ask where to evaluate, tell what was seen, or one compiled loop."""
+"""Bayesian optimisation (Algorithm 1), as an ask-and-tell interface or as one compiled loop."""
 
 from collections.abc import Callable, Sequence
 
@@ -28,20 +28,20 @@ from bojax.models.kernels import Kernel
 from bojax.numerics.quasirandom import shifted_kronecker
 
 PRIOR_SPREAD = 1.5
-"""Standard deviation of the logarithms of hyper-parameters that are relearned, around those given."""
+"""Standard deviation of the log-normal prior of relearned hyper-parameters, in the logarithm."""
 
 _STREAMS = ("initial", "candidates", "relearning")
 
 
 class OptimisationState(eqx.Module):
-    """What an optimisation knows.
+    """State of an optimisation.
 
     Attributes:
-        key: What all steps draw from, each by its number.
-        model: The observations: inputs mapped to [-1, 1]^D, values in the units of the objective.
-        num_told: Evaluations told, missing ones included.
-        num_missing: Evaluations that gave no finite value.
-        was_missing: Whether the last one gave none.
+        key: Random key, from which every step derives its own by its number.
+        model: Observations, with inputs mapped to [-1, 1]^D and values in the units of the objective.
+        num_told: Number of evaluations, including missing ones.
+        num_missing: Number of missing evaluations, whose point or value was not finite.
+        was_missing: Whether the last evaluation is missing.
     """
 
     key: Key[Array, ""]
@@ -52,30 +52,31 @@ class OptimisationState(eqx.Module):
 
 
 class BayesianOptimisation(eqx.Module):
-    """Maximisation of a function over a box; to minimise one, maximise its negative (Algorithm 1).
+    """Maximisation of a function over a box (Algorithm 1); to minimise a function, maximise its negative.
 
-    The process sees points mapped to [-1, 1]^D and values standardised at every step: the kernel, the noise
-    and the acquisition are in these units. The acquisition is maximised over quasi-random points drawn anew
-    at every step, then by gradient steps from the best of them; the thesis names DIRECT.
+    The Gaussian process models standardised values at points mapped to [-1, 1]^D. The kernel, the noise
+    variance and the acquisition function are given in these units. Every step draws new quasi-random
+    candidates, and refines the one of highest acquisition by gradient steps; the thesis names DIRECT.
 
-    With `relearn_every`, the hyper-parameters of the kernel and the noise are relearned from the standardised
-    values: those of greatest posterior density, if those given are the medians of a log-normal prior. In a
-    batch whose states are given apart (not those of `maximise`), every lane pays for that at every step.
+    With `relearn_every`, the hyper-parameters of the kernel and the noise variance are relearned from the
+    standardised values by maximum a posteriori estimation, with a log-normal prior whose medians are the
+    given values. If `tell` is vmapped over states, every lane computes this at every step; `maximise` does
+    not.
 
-    A value or a point that is not finite counts as missing and teaches the model nothing. Since the model
-    would ask for nearly the same point again, the point after it is quasi-random.
+    An evaluation whose value or point is not finite is missing and does not enter the model. The model would
+    ask for nearly the same point again, so the next point is quasi-random.
 
     Attributes:
         kernel: Covariance of the values.
-        acquisition: Worth of a point.
-        noise_variance: Noise of an observation, relative to the variance of the values observed.
+        acquisition: Acquisition function.
+        noise_variance: Noise variance of an observation, relative to the variance of the observed values.
         low: Lower corner of the box.
         high: Upper corner of the box.
-        capacity: Most observations; what is told beyond is forgotten.
-        num_candidates: Points among which the acquisition is maximised.
-        num_initial: First observations, which are made at quasi-random points.
-        refine_steps: Gradient steps from the best candidate; 0 for none.
-        relearn_every: Evaluations from one relearning to the next; 0 for none.
+        capacity: Maximum number of observations; later ones are ignored.
+        num_candidates: Number of candidates over which the acquisition is maximised.
+        num_initial: Number of initial observations, at quasi-random points.
+        refine_steps: Number of gradient steps from the best candidate; 0 disables them.
+        relearn_every: Number of evaluations between two relearnings; 0 disables relearning.
     """
 
     kernel: Kernel
@@ -90,10 +91,10 @@ class BayesianOptimisation(eqx.Module):
     relearn_every: int = eqx.field(static=True, default=0)
 
     def __check_init__(self):
-        """Parts are of their classes and of one precision, sizes are integers, and the box is one.
+        """Check the classes and the common precision of the parts, the sizes, and the box.
 
         Raises:
-            ValueError: One of them is not; one line says what is allowed.
+            ValueError: A value is not allowed.
         """
         check_kind("kernel", self.kernel, Kernel, "Matern52(0.5)")
         check_kind("acquisition", self.acquisition, Acquisition, "LogExpectedImprovement(0.0)")
@@ -105,7 +106,7 @@ class BayesianOptimisation(eqx.Module):
         for name, corner in (("low", self.low), ("high", self.high)):
             if corner.ndim != 1 or not corner.size or corner.shape != self.low.shape:
                 raise ValueError(
-                    f"{name}: got shape {corner.shape}; allowed: one number a dimension, as many in both"
+                    f"{name}: got shape {corner.shape}; allowed: one number per dimension, as many in both"
                 )
         for path, leaf in jax.tree_util.tree_leaves_with_path(self):
             if leaf.dtype != self.low.dtype:
@@ -131,7 +132,7 @@ class BayesianOptimisation(eqx.Module):
                 )
 
     def init(self, key: Key[Array, ""]) -> OptimisationState:
-        """No observation yet."""
+        """The state before any evaluation."""
         check_key("key", key)
         return OptimisationState(
             key=key,
@@ -142,9 +143,9 @@ class BayesianOptimisation(eqx.Module):
         )
 
     def ask(self, state: OptimisationState) -> Float[Array, "D"]:
-        """Where to evaluate next; the same state gives the same point."""
+        """The next point to evaluate, a function of the state alone."""
         model = _standardised(state.model)
-        # Without observations every point is as good: any finite threshold does.
+        # Without observations all points are equally good, whatever the finite threshold.
         best = jnp.where(model.count > 0, jnp.max(jnp.where(model.is_held(), model.y, -jnp.inf)), 0.0)
         candidates = self._quasirandom(jax.random.fold_in(_stream(state, "candidates"), state.num_told))
         choice = best_candidate(self.acquisition, model, best, candidates, model.whiten(candidates))
@@ -161,10 +162,10 @@ class BayesianOptimisation(eqx.Module):
         x: Float[Array, "D"] | Float[np.ndarray, "D"] | Sequence[int | float],
         y: Float[Array, ""] | Float[np.ndarray, ""] | int | float,
     ) -> OptimisationState:
-        """The state after `y` was observed at `x`, which may be another point than the one asked for.
+        """The state after observing `y` at `x`, which need not be the point from `ask`.
 
         Raises:
-            ValueError: `x` is no point, or `y` no number.
+            ValueError: `x` is not a point, or `y` is not a number.
         """
         point = as_numbers("x")(x).astype(self.low.dtype)
         observed = as_numbers("y")(y).astype(self.low.dtype)
@@ -178,7 +179,7 @@ class BayesianOptimisation(eqx.Module):
         num_told = state.num_told + 1
         if self.relearn_every > 0:
             key = jax.random.fold_in(_stream(state, "relearning"), num_told)
-            # The number told is the same in all lanes of a batch: `cond` stays one.
+            # In `maximise`, `num_told` is the same in all lanes of a batch, so that this stays a `cond`.
             is_due = num_told % self.relearn_every == 0
             model = jax.lax.cond(is_due, lambda: self._relearn(key, model), lambda: model)
         return OptimisationState(
@@ -190,7 +191,7 @@ class BayesianOptimisation(eqx.Module):
         )
 
     def best(self, state: OptimisationState) -> tuple[Float[Array, "D"], Float[Array, ""]]:
-        """The point of the highest value observed, and that value; before any, the centre and -infinity."""
+        """The point of the highest observed value, and the value; the centre and -infinity without any."""
         values = jnp.where(state.model.is_held(), state.model.y, -jnp.inf)
         return self._from_unit(state.model.x[jnp.argmax(values)]), jnp.max(values)
 
@@ -200,23 +201,25 @@ class BayesianOptimisation(eqx.Module):
         function: Callable[[Key[Array, ""], Float[Array, "D"]], Scalar],
         num_iterations: int,
     ) -> tuple[OptimisationState, Float[Array, "T D"], Float[Array, "T"]]:
-        """Ask, evaluate and tell, `num_iterations` times in one loop.
+        """Ask, evaluate and tell `num_iterations` times in one compiled loop.
 
         Args:
-            key: For the optimisation, and for the function.
-            function: An observation at a point of the box, from a key for its noise and the point.
-            num_iterations: Evaluations T; known when the loop is compiled.
+            key: Random key of the optimisation and of the function.
+            function: Takes a key for its noise and a point of the box, and returns an observation.
+            num_iterations: Number of evaluations T, a Python integer.
 
         Returns:
-            The state, and all points and values in their order, values that are missing included.
+            The final state, and all points and values in order, including missing values.
 
         Raises:
-            ValueError: If the capacity is less than `num_iterations`.
+            ValueError: `num_iterations` exceeds the capacity.
         """
         check_key("key", key)
         check_count("num_iterations", num_iterations, 1)
         if num_iterations > self.capacity:
-            raise ValueError(f"num_iterations: {num_iterations}; the capacity is {self.capacity}")
+            raise ValueError(
+                f"num_iterations: got {num_iterations}; allowed: <= {self.capacity}, the capacity"
+            )
         key_search, key_noise = jax.random.split(key)
 
         def step(state: OptimisationState, index: Int[Array, ""]):
@@ -236,7 +239,7 @@ class BayesianOptimisation(eqx.Module):
         return shifted_kronecker(key, self.num_candidates, self.low.shape[0], self.low.dtype)
 
     def _from_unit(self, point: Float[Array, "D"]) -> Float[Array, "D"]:
-        # A weighted sum of the corners stays between them, as their difference times a number might not.
+        # Unlike low + weight * (high - low), a weighted sum of the corners cannot leave the box by rounding.
         weight = 0.5 * (point + 1.0)
         return (1.0 - weight) * self.low + weight * self.high
 

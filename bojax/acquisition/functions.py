@@ -1,4 +1,4 @@
-"""Acquisition functions: how much a point is worth evaluating, for maximisation (Section 2.7.1)."""
+"""Acquisition functions for maximisation (Section 2.7.1): the value of evaluating a point."""
 
 import abc
 
@@ -12,13 +12,13 @@ from bojax.models.checks import as_numbers
 
 
 class Acquisition(eqx.Module):
-    """A score of points from their posterior mean and standard deviation."""
+    """A score of a point, given the posterior mean and standard deviation there."""
 
     @abc.abstractmethod
     def __call__(
         self, mean: Float[Array, "*N"], std: Float[Array, "*N"], best: Float[Array, ""]
     ) -> Float[Array, "*N"]:
-        """Score of each point; `best` is the highest value observed so far."""
+        """Score of each point; `best` is the highest observed value."""
 
 
 class UpperConfidenceBound(Acquisition):
@@ -38,7 +38,9 @@ class UpperConfidenceBound(Acquisition):
 
 
 class ProbabilityOfImprovement(Acquisition):
-    """Probability that the value exceeds `best + xi`, xi >= 0 (2.36; 2.35 is printed for minimisation).
+    """Logarithm of the probability that the value exceeds `best + xi`, xi >= 0 (2.36).
+
+    Equation 2.35 is printed for minimisation.
 
     Settings: `bojax.acquisition.settings.ProbabilityOfImprovement`.
     """
@@ -49,15 +51,15 @@ class ProbabilityOfImprovement(Acquisition):
     def __call__(
         self, mean: Float[Array, "*N"], std: Float[Array, "*N"], best: Float[Array, ""]
     ) -> Float[Array, "*N"]:
-        # In logarithms: the order is the same, and far from the best the score does not underflow to ties.
+        # The logarithm preserves the order of the points, and does not underflow to ties far below the best.
         return norm.logcdf(_standard_score(mean, std, best + self.xi))
 
 
 class ExpectedImprovement(Acquisition):
     """Expected improvement over `best + xi` (Jones, Schonlau and Welch, 1998, equation 15).
 
-    Beyond the thesis. With z the standard score, it is std (phi(z) + z Phi(z)). Below about -37 in float64
-    (-13 in float32) the value underflows to 0, and such points are tied; `LogExpectedImprovement` still ranks
+    Not in the thesis. The score is std (phi(z) + z Phi(z)), with the standard score z. At a z below about -37
+    in float64 (-13 in float32) it underflows to 0, and such points are tied; `LogExpectedImprovement` ranks
     them.
 
     Settings: `bojax.acquisition.settings.ExpectedImprovement`.
@@ -75,7 +77,7 @@ class ExpectedImprovement(Acquisition):
 class LogExpectedImprovement(Acquisition):
     """Logarithm of the expected improvement over `best + xi` (Ament et al., NeurIPS 2023, Section 4.1).
 
-    Beyond the thesis. Finite wherever the standard score is above -1e150 in float64 (-1e18 in float32).
+    Not in the thesis. The score is finite for standard scores above -1e150 in float64 (-1e18 in float32).
 
     Settings: `bojax.acquisition.settings.LogExpectedImprovement`.
     """
@@ -98,15 +100,15 @@ def _standard_score(mean, std, threshold) -> Float[Array, "*N"]:
 
 
 def _log_h(z: Float[Array, "*N"]) -> Float[Array, "*N"]:
-    """log(phi(z) + z Phi(z)) without cancellation.
+    """log(phi(z) + z Phi(z)) without cancellation, in three ranges of z.
 
-    Three ranges: directly above -1; with the Mills ratio, where 1 + z Phi/phi loses three digits at most;
-    and from -20 down (-10 in float32), where `norm.logcdf` turns into a series too short for that, with the
-    asymptotic series phi(z)/z^2 (1 - 3/z^2 + 15/z^4 - 105/z^6 + 945/z^8 - ...).
+    Above -1 the formula is evaluated directly. Below, it is written with the Mills ratio, where 1 + z Phi/phi
+    loses at most three digits. From -20 down (-10 in float32), where `norm.logcdf` becomes too inaccurate for
+    this, it is the asymptotic series phi(z)/z^2 (1 - 3/z^2 + 15/z^4 - 105/z^6 + 945/z^8 - ...).
     """
     border = -20.0 if jnp.finfo(z.dtype).bits == 64 else -10.0
     is_high, is_low = z > -1.0, z <= border
-    # Each formula sees a number of its own range, so that neither its value nor its gradient overflows.
+    # Each formula receives numbers of its own range only, so that no value and no gradient overflows.
     high = jnp.where(is_high, z, 0.0)
     middle = jnp.where(is_high | is_low, -1.0, z)
     low = jnp.where(is_low, z, border)

@@ -1,7 +1,7 @@
-"""The inner optimiser of Bayesian optimisation: many quasi-random candidates, then a few gradient steps.
+"""Maximisation of an acquisition function: many quasi-random candidates, then a few gradient steps.
 
-The thesis names DIRECT (Section 2.7); on an accelerator a batch of candidates scored at once costs one
-matrix product.
+The thesis names DIRECT (Section 2.7). On an accelerator, scoring all candidates at once costs one matrix
+product.
 """
 
 import jax
@@ -19,14 +19,14 @@ def best_candidate(
     candidates: Float[Array, "C D"],
     whitened: Float[Array, "N C"],
 ) -> Int[Array, ""]:
-    """Index of the candidate of highest acquisition, the first of equal ones.
+    """Index of the candidate of highest acquisition; the first one if several are tied.
 
     Args:
-        acquisition: What is maximised.
-        posterior: The belief about the function.
-        best: The highest value observed so far.
-        candidates: The points to choose from.
-        whitened: `posterior.whiten(candidates)`, which `posterior.next_whitened` keeps up to date.
+        acquisition: Acquisition function.
+        posterior: Posterior of the objective.
+        best: Highest observed value.
+        candidates: Points to choose from.
+        whitened: `posterior.whiten(candidates)`, which `posterior.next_whitened` can extend.
     """
     mean, variance = posterior.moments(candidates, whitened)
     return jnp.argmax(acquisition(mean, jnp.sqrt(variance), best))
@@ -40,15 +40,15 @@ def refine(
     num_steps: int,
     step_size: float = 0.1,
 ) -> Float[Array, "D"]:
-    """A local maximum near `start` in the box [-1, 1]^D, by signed gradient steps that halve on failure.
+    """A local maximum near `start` in the box [-1, 1]^D, by steps along the sign of the gradient.
 
-    A step of `step_size` along the sign of the gradient is kept if the acquisition rises and halved
-    otherwise: no scale of the acquisition enters, and the result is never worse than the start.
+    A step is accepted if the acquisition rises; otherwise the step size is halved. The result does not depend
+    on the scale of the acquisition and is never worse than the start.
     """
 
     def score(x: Float[Array, "D"]) -> Float[Array, ""]:
         mean, variance = posterior.predict(x[None, :])
-        # The square root has no gradient at 0; the floor keeps it finite where a point was observed.
+        # The gradient of the square root is infinite at 0; the floor keeps it finite at observed points.
         std = jnp.sqrt(jnp.maximum(variance, jnp.finfo(x.dtype).eps))
         return acquisition(mean, std, best)[0]
 
