@@ -12,10 +12,10 @@ from bojax.envs.spaces import Discrete
 
 
 class TabularEnv(Env):
-    """A finite Markov decision process: an action leads into one of a few branches, each with a probability.
+    """A finite Markov decision process, in which every action has a few branches with given probabilities.
 
-    A subclass says how likely the branches are and where each leads; steps draw one of them, and
-    `transitions` lists them all, for exact solutions by dynamic programming. A state is its own observation.
+    A subclass defines the probability and the outcome of each branch. `step` draws a branch; `transitions`
+    lists all branches, for exact solutions by dynamic programming. The observation is the state itself.
     """
 
     @property
@@ -41,25 +41,23 @@ class TabularEnv(Env):
 
     @abc.abstractmethod
     def outcome(self, state: Int[Array, ""], action: Int[Array, ""], branch: Int[Array, ""]) -> TimeStep:
-        """Where a branch leads."""
+        """The time step that a branch leads to."""
 
     @override
     def observe(self, state: Int[Array, ""]) -> Int[Array, ""]:
-        """The state is seen as it is."""
         return state
 
     @override
     def step(
         self, key: Key[Array, ""], state: Int[Array, ""], action: Int[Array, ""]
     ) -> tuple[Int[Array, ""], TimeStep]:
-        """An environment with one branch draws nothing."""
         action = jnp.clip(action, 0, self.action_space.num - 1)
         branch = jnp.zeros((), jnp.int32)
         if self.num_branches > 1:
             probabilities = self.probabilities(state, action)
-            lot = jax.random.uniform(key, (), probabilities.dtype)
-            # The last bound is left out: rounding may put it below a lot.
-            branch = jnp.sum(lot >= jnp.cumsum(probabilities)[:-1], dtype=jnp.int32)
+            draw = jax.random.uniform(key, (), probabilities.dtype)
+            # The last cumulative probability, which rounding may put below the draw, is left out.
+            branch = jnp.sum(draw >= jnp.cumsum(probabilities)[:-1], dtype=jnp.int32)
         transition = self.outcome(state, action, branch)
         return transition.observation, transition
 

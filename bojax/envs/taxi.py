@@ -14,10 +14,10 @@ from bojax.envs.tabular import TabularEnv
 
 SIZE = 5
 PLACES = (0, 4, 20, 23)
-"""Cells, numbered row by row, of the places red, green, yellow and blue."""
+"""Cells of the places red, green, yellow and blue; cells are numbered row by row."""
 
 ABOARD = 4
-"""Where the passenger is when in the taxi; 0 to 3 are the places."""
+"""Position of a passenger in the taxi; positions 0 to 3 are the places."""
 
 WALLS = (1, 6, 15, 17, 20, 22)
 """Cells with a wall on their east side, besides the border."""
@@ -36,10 +36,10 @@ class Taxi(TabularEnv):
         |Y| : |B: |
         +---------+
 
-    State `((row * 5 + column) * 5 + passenger) * 4 + destination` and actions south, north, east, west, pick
-    up, drop off are numbered as in Gymnasium's `Taxi`; so is the start drawn, from the 300 states in which
-    the passenger waits at a place that is not the destination. A passenger can be dropped off at a wrong
-    place, and waits there.
+    States, `((row * 5 + column) * 5 + passenger) * 4 + destination`, and actions, south, north, east, west,
+    pick up and drop off, are numbered as in Gymnasium's `Taxi`. The initial state is also drawn as there,
+    from the 300 states in which the passenger waits at a place other than the destination. A passenger who is
+    dropped off at a wrong place waits there.
 
     Settings: `bojax.envs.settings.Taxi`.
     """
@@ -65,13 +65,12 @@ class Taxi(TabularEnv):
 
     @override
     def reset(self, key: Key[Array, ""]) -> Int[Array, ""]:
-        lot = jax.random.randint(key, (), 0, 300, jnp.int32)
-        cell, passenger, ahead = lot // 12, lot // 3 % 4, lot % 3
+        draw = jax.random.randint(key, (), 0, 300, jnp.int32)
+        cell, passenger, ahead = draw // 12, draw // 3 % 4, draw % 3
         return (cell * 5 + passenger) * 4 + (passenger + 1 + ahead) % 4
 
     @override
     def probabilities(self, state: Int[Array, ""], action: Int[Array, ""]) -> Float[Array, "1"]:
-        """Nothing is left to chance."""
         del state, action
         return jnp.ones((1,), self.reward_scale.dtype)
 
@@ -113,7 +112,7 @@ class Taxi(TabularEnv):
 
 
 def _place(cell: Int[Array, ""]) -> Int[Array, ""]:
-    """Which place a cell is; -1 for none."""
+    """Number of the place at a cell; -1 if there is none."""
     place = jnp.full((), -1, jnp.int32)
     for number, at in enumerate(PLACES):
         place = jnp.where(cell == at, number, place)
