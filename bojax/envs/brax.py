@@ -71,14 +71,14 @@ class BraxEnv(Env):
     @property
     @override
     def observation_space(self) -> Box:
-        """The bounds that were declared."""
+        """The declared bounds of the observations."""
         shape = (self.observation_size,)
         return Box(jnp.broadcast_to(self.low, shape), jnp.broadcast_to(self.high, shape))
 
     @property
     @override
     def action_space(self) -> Box:
-        """-1 to 1 for every actuator."""
+        """The interval from -1 to 1 for each actuator."""
         one = jnp.ones((self.action_size,), self.low.dtype)
         return Box(-one, one)
 
@@ -92,7 +92,7 @@ class BraxEnv(Env):
 
     @override
     def step(self, key: Key[Array, ""], state: Any, action: Float[Array, "A"]) -> tuple[Any, TimeStep]:
-        """Brax keeps its own keys."""
+        # A Brax environment keeps a key in its state.
         del key
         action = jnp.clip(action, -jnp.ones_like(action), jnp.ones_like(action))
         state = standard_jax(_created(self.name, self.backend).step)(state, action)
@@ -128,7 +128,6 @@ class BojaxEnv(brax_envs.Env):
 
     @override
     def reset(self, rng: jax.Array) -> brax_envs.State:
-        """An initial state."""
         own, later = jax.random.split(_typed(rng))
         state = self.env.reset(own)
         observation = self.env.observe(state)
@@ -138,7 +137,6 @@ class BojaxEnv(brax_envs.Env):
 
     @override
     def step(self, state: brax_envs.State, action: jax.Array) -> brax_envs.State:
-        """One step of the environment."""
         own, later = jax.random.split(_typed(state.info["key"]))
         action = self._actions.from_unit(0.5 * (jnp.clip(action, -1.0, 1.0) + 1.0))
         after, transition = self.env.step(own, state.pipeline_state, action)
@@ -155,19 +153,17 @@ class BojaxEnv(brax_envs.Env):
     @property
     @override
     def observation_size(self) -> int:
-        """Numbers in an observation."""
         return self._num_observations
 
     @property
     @override
     def action_size(self) -> int:
-        """Numbers in an action."""
         return self._actions.num_dims
 
     @property
     @override
     def backend(self) -> str:
-        """The name of the physics: ours have none of Brax's."""
+        # Brax asks for the name of a physics backend; environments of bojax use none.
         return "bojax"
 
 

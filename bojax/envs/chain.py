@@ -51,13 +51,12 @@ class Chain(TabularEnv):
 
     @override
     def reset(self, key: Key[Array, ""]) -> Int[Array, ""]:
-        """Always the same start."""
         del key
         return self.start.astype(jnp.int32)
 
     @override
     def probabilities(self, state: Int[Array, ""], action: Int[Array, ""]) -> Float[Array, "4"]:
-        """As meant and as not meant, without and with the additional -1 each."""
+        """The intended direction without and with the additional -1, then the opposite direction likewise."""
         del state
         slip = jnp.where(action == RIGHT, 1.0 / self.length, 0.0)
         free, paid = self.sparsity, 1.0 - self.sparsity

@@ -50,13 +50,12 @@ class CliffWalking(TabularEnv):
 
     @override
     def reset(self, key: Key[Array, ""]) -> Int[Array, ""]:
-        """Always the same start."""
         del key
         return jnp.full((), START, jnp.int32)
 
     @override
     def probabilities(self, state: Int[Array, ""], action: Int[Array, ""]) -> Float[Array, "5"]:
-        """The direction that was meant, then each of the four drawn by a slip."""
+        """The intended direction, then each of the four directions that a slip may draw."""
         del state, action
         return jnp.append(1.0 - self.slip, jnp.broadcast_to(self.slip / 4.0, (4,)))
 

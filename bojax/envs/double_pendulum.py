@@ -69,7 +69,7 @@ class DoublePendulum(ControlTask):
     def advance(
         self, key: Key[Array, ""], state: Float[Array, "4"], action: Float[Array, "1"]
     ) -> Float[Array, "4"]:
-        """One Runge-Kutta step; then angles are wrapped, and velocities clipped to their bounds."""
+        """One Runge-Kutta step, after which angles are wrapped and velocities are clipped to their bounds."""
         del key
         (torque,) = action
         if self.actions == "sign":

@@ -50,7 +50,7 @@ class GymnasiumEnv(gymnasium.Env):
 
     @override
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
-        """Begin an episode; there are no options."""
+        """Begin an episode; `options` are ignored."""
         super().reset(seed=seed, options=options)
         self._episode = jax.random.key(int(self.np_random.integers(2**31)))
         self._num_steps = 0
@@ -146,13 +146,13 @@ class HostEnv(Env):
     @property
     @override
     def observation_space(self) -> Space:
-        """As Gymnasium declares it, or with the bounds that were given."""
+        """The space that Gymnasium declares, with the bounds of the config if they are set."""
         return self.observations
 
     @property
     @override
     def action_space(self) -> Space:
-        """As Gymnasium declares it."""
+        """The space that Gymnasium declares."""
         return self.actions
 
     def make(self) -> gymnasium.Env:
@@ -173,7 +173,7 @@ class HostEnv(Env):
 
     @override
     def reset(self, key):
-        """Refused: see `make_vector`.
+        """Not available: the environment is stepped on the host, see `make_vector`.
 
         Raises:
             TypeError: Always.
@@ -215,7 +215,7 @@ class Idling(gymnasium.Wrapper):
 
     @override
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
-        """Begin an episode; where one has ended, only with a seed."""
+        """Begin an episode; without a seed, an environment whose episode has ended stays as it is."""
         if self._has_ended and seed is None:
             return self._last, {}
         observation, info = self.env.reset(seed=seed, options=options)
@@ -224,7 +224,7 @@ class Idling(gymnasium.Wrapper):
 
     @override
     def step(self, action: Any):
-        """A step; none after the end."""
+        """Take a step; after the end of the episode, repeat the last observation."""
         if self._has_ended:
             return self._last, 0.0, False, False, {}
         observation, reward, terminated, truncated, _ = self.env.step(self._theirs(action))

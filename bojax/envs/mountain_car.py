@@ -39,14 +39,14 @@ class MountainCar(ControlTask):
     @property
     @override
     def observation_space(self) -> Box:
-        """Position and velocity, which are the bounds of the motion too."""
+        """Position and velocity; the bounds also limit the motion."""
         dtype = self.power.dtype
         return Box(jnp.asarray([-1.2, -0.07], dtype), jnp.asarray([0.6, 0.07], dtype))
 
     @property
     @override
     def action_space(self) -> Box:
-        """The share of the force, positive to the right."""
+        """The fraction of the full force, positive to the right."""
         one = jnp.ones((1,), self.power.dtype)
         return Box(-one, one)
 
@@ -63,7 +63,7 @@ class MountainCar(ControlTask):
     def advance(
         self, key: Key[Array, ""], state: Float[Array, "2"], action: Float[Array, "1"]
     ) -> Float[Array, "2"]:
-        """The velocity changes first, then the position; the left wall takes the velocity away."""
+        """Update the velocity, then the position; the left wall stops the car."""
         del key
         low, high = self.observation_space.low, self.observation_space.high
         (force,) = action

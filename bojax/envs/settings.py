@@ -313,6 +313,6 @@ class Gymnasium(EnvironmentSettings, frozen=True):
     @property
     @override
     def imported_module(self) -> tuple[str, str] | None:
-        """The module that registers the environment, of an id such as `module:Name-v0`."""
+        """The module that registers the environment, if the id names one (`module:Name-v0`)."""
         module, colon, _ = self.id.partition(":")
         return (module, "id") if colon else None

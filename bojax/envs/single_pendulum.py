@@ -64,7 +64,7 @@ class SinglePendulum(ControlTask):
     def advance(
         self, key: Key[Array, ""], state: Float[Array, "2"], action: Float[Array, "1"]
     ) -> Float[Array, "2"]:
-        """One semi-implicit Euler step, as Gym makes it."""
+        """One semi-implicit Euler step, as in Gym."""
         del key
         angle, speed = state
         (torque,) = action

@@ -93,7 +93,7 @@ class LearningRun(Experiment):
     @property
     @override
     def recorded_tables(self) -> frozenset[str]:
-        """The steps of all runs would take gigabytes."""
+        # The steps of all runs would take gigabytes.
         return frozenset({"steps"})
 
     @property

@@ -66,7 +66,6 @@ class Planning(ExperimentSettings, frozen=True):
     @property
     @override
     def label(self) -> str:
-        """The planner's name."""
         return self.planner.label
 
     @property
@@ -133,7 +132,6 @@ class Learning(ExperimentSettings, frozen=True):
     @property
     @override
     def label(self) -> str:
-        """The learner's name."""
         return self.learner.label
 
 
@@ -155,5 +153,4 @@ class Trajectories(ExperimentSettings, frozen=True):
     @property
     @override
     def label(self) -> str:
-        """The name of the family."""
         return self.motions.label

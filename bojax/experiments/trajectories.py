@@ -40,7 +40,7 @@ class TrajectoryGallery(Experiment):
 
     @override
     def init(self, key: Key[Array, ""]) -> Gallery:
-        """Nothing here is random, but lanes must depend on their key to be a batch."""
+        # Nothing is random; `vmap` needs a carry that depends on the key of the lane.
         return Gallery(jax.random.bits(key) < 0)
 
     @override
@@ -59,7 +59,6 @@ class TrajectoryGallery(Experiment):
 
     @override
     def snapshot(self, carry: Gallery) -> dict[str, dict[str, Array]]:
-        """The paths."""
         del carry
         return {"trajectories": {"paths": self.paths()}}
 

@@ -56,14 +56,13 @@ class EMUQ(Learner):
 
     @override
     def check_spaces(self, observation_space: Space, action_space: Space) -> None:
-        """Its features decide."""
         self.features.check_spaces(observation_space, action_space)
 
     @override
     def init(
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, capacity: int
     ) -> EMUQState:
-        """Line 3, S = I/alpha and m_Q = m_U = 0."""
+        """Line 3: S = I/alpha and m_Q = m_U = 0."""
         key_features, key_candidates, key_samples = jax.random.split(key, 3)
         dtype = self.prior_precision.dtype
         features = self.features.draw(key_features, observation_space, action_space, dtype)
@@ -91,7 +90,7 @@ class EMUQ(Learner):
         observation: Observation,
         exploration: ExplorationState,
     ) -> tuple[Action, Float[Array, ""]]:
-        """Line 6, argmax Q + kappa U over the candidates (5.10)."""
+        """Line 6: argmax Q + kappa U over the candidates (5.10)."""
         key_draw, key_ties = jax.random.split(key)
         model, kappa = self.model, exploration.scale * self.exploration_weight
         candidates, _ = model.actions(key_draw, state)
@@ -150,7 +149,7 @@ class EMUQ(Learner):
     def end_episode(
         self, key: Key[Array, ""], state: EMUQState, episode: Episode, exploration: ExplorationState
     ) -> EMUQState:
-        """Lines 14 to 17; the covariance stays the same."""
+        """Lines 14 to 17; the covariance does not change."""
         if self.refit == "none":
             return state
         state = eqx.tree_at(lambda s: s.memory, state, state.memory.add(episode, exploration.is_learning))
@@ -163,18 +162,17 @@ class EMUQ(Learner):
     @property
     @override
     def exploration_weight(self) -> Float[Array, ""]:
-        """Kappa / V_max."""
+        """`kappa` / V_max."""
         return self.kappa * self.prior_precision
 
     @property
     @override
     def lanes_on_cpu(self) -> int:
-        """The covariances of more lanes do not fit into the cache of a core."""
+        # The covariances of more lanes do not fit into the cache of a core.
         return 8
 
     @override
     def flush(self, state: EMUQState) -> EMUQState:
-        """Flush the covariance."""
         return eqx.tree_at(lambda s: s.posterior, state, state.posterior.flush())
 
     @override

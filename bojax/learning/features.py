@@ -89,28 +89,28 @@ class FourierFeatures(StateActionFeatures):
 
     @override
     def state(self, observation: Observation) -> Float[Array, "P"]:
-        """Cosines and sines of the angles that the state contributes."""
+        """Cosines and sines of the state's part of the angles."""
         unit = self.observations.to_unit(observation).astype(self.phases.dtype)
         angles = matmul(self.state_frequencies, unit) + self.phases
         return self.amplitude * jnp.concatenate([jnp.cos(angles), jnp.sin(angles)])
 
     @override
     def action(self, action: Action) -> Float[Array, "R"]:
-        """Cosines and sines of the angles that the action contributes."""
+        """Cosines and sines of the action's part of the angles."""
         unit = self.actions.to_unit(action).astype(self.phases.dtype)
         angles = matmul(self.action_frequencies, unit)
         return jnp.concatenate([jnp.cos(angles), jnp.sin(angles)])
 
     @override
     def join(self, x: Float[Array, "P"], y: Float[Array, "R"]) -> Float[Array, "M"]:
-        """Cosines (and sines) of the sums of the angles."""
+        """Cosines, and sines if there are any, of the sums of both parts of the angles."""
         (cx, sx), (cy, sy) = jnp.split(x, 2), jnp.split(y, 2)
         cosines = cx * cy - sx * sy
         return jnp.concatenate([cosines, sx * cy + cx * sy]) if self.has_sines else cosines
 
     @override
     def __call__(self, observation: Observation, action: Action) -> Float[Array, "M"]:
-        """Computed from the whole angles, with half as many cosines and sines."""
+        # Computed from the sums of the angles, this takes half as many cosines and sines as `join`.
         dtype = self.phases.dtype
         state = self.observations.to_unit(observation).astype(dtype)
         angles = matmul(self.state_frequencies, state) + self.phases
@@ -249,7 +249,6 @@ class FourierBasisSpec(FeatureSpec):
     def draw(
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, dtype: jnp.dtype
     ) -> FourierFeatures:
-        """The key is unused."""
         del key
         num_observations = observation_space.num_dims
         basis = FourierBasis(self.order, num_observations + action_space.num_dims)
@@ -280,7 +279,6 @@ class OneHotSpec(FeatureSpec):
     def draw(
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, dtype: jnp.dtype
     ) -> OneHotFeatures:
-        """The key is unused."""
         del key
         return OneHotFeatures(_discrete(observation_space), _discrete(action_space), jnp.ones((), dtype))
 

@@ -49,18 +49,16 @@ class RFFQ(Learner):
     @property
     @override
     def exploration_weight(self) -> Float[Array, ""]:
-        """Epsilon."""
         return self.epsilon
 
     @property
     @override
     def lanes_on_cpu(self) -> int:
-        """One core makes 18,000 steps/s with 8 lanes, 15,000 with 32 (300 features)."""
+        # Measured with 300 features: a core takes 18,000 steps/s with 8 lanes, and 15,000 with 32.
         return 8
 
     @override
     def check_spaces(self, observation_space: Space, action_space: Space) -> None:
-        """Its features decide."""
         self.features.check_spaces(observation_space, action_space)
 
     @override

@@ -180,7 +180,7 @@ class EMUQPublished(_EMUQ, frozen=True):
     @property
     @override
     def label(self) -> str:
-        """Results name both variants EMU-Q."""
+        # Both classes are named EMU-Q in results.
         return "emu-q"
 
 

@@ -82,7 +82,6 @@ class TabularLearner(Learner):
 
     @override
     def check_spaces(self, observation_space: Space, action_space: Space) -> None:
-        """A table has a row for each number."""
         _num(observation_space, "observation_space")
         _num(action_space, "action_space")
 
@@ -110,7 +109,7 @@ class TabularLearner(Learner):
         exploration: ExplorationState,
         step_in_block: Int[Array, ""],
     ) -> Tables:
-        """The update that all tabular learners share."""
+        """The TD update that all tabular learners share."""
         del step_in_block
         pair = transition.observation, transition.action
         entry = _row(state, transition.observation)[transition.action]
@@ -131,7 +130,7 @@ class TabularLearner(Learner):
     @property
     @override
     def lanes_on_cpu(self) -> int:
-        """The 200 runs of a point of a sweep fill two cores."""
+        # The 200 runs of a point then fill two cores.
         return 100
 
 
@@ -159,7 +158,6 @@ class ExplorationValues(TabularLearner):
     @property
     @override
     def exploration_weight(self) -> Float[Array, ""]:
-        """Kappa."""
         return self.kappa
 
     @property
@@ -217,7 +215,6 @@ class AdditiveRewards(TabularLearner):
     @property
     @override
     def exploration_weight(self) -> Float[Array, ""]:
-        """Xi."""
         return self.xi
 
     @property
@@ -260,7 +257,6 @@ class EpsilonGreedy(TabularLearner):
     @property
     @override
     def exploration_weight(self) -> Float[Array, ""]:
-        """Epsilon."""
         return self.epsilon
 
     @property

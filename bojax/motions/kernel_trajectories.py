@@ -65,7 +65,6 @@ class KernelTrajectories(ContinuousMotions):
     @property
     @override
     def num_params(self) -> int:
-        """Dimension of the parameters."""
         return self.num_segments
 
     def anchors(self, params: Float[Array, "D"]) -> Float[Array, "N 2"]:

@@ -40,7 +40,6 @@ class SplineSet(DiscreteMotions):
     @property
     @override
     def num_actions(self) -> int:
-        """Number A of trajectories."""
         return self.actions
 
     @override
@@ -82,7 +81,6 @@ class CubicCurves(ContinuousMotions):
     @property
     @override
     def num_params(self) -> int:
-        """Dimension of the parameters."""
         return 2
 
     @override

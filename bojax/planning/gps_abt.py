@@ -134,7 +134,7 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, StencilUpdate, Continuous
     @property
     @override
     def num_actions(self) -> int:
-        """Number of actions of a node that the tree lists; the search itself reads the stencils."""
+        """Number of actions that the tree stores for a node; the search itself reads the stencils."""
         return self.max_levels * (2 * self.motions.num_params + 1)
 
     @override

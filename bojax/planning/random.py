@@ -20,7 +20,7 @@ class RandomPlanner(Planner[Motions]):
 
     @override
     def plan(self, key: Key[Array, ""], problem: Problem, belief: Belief) -> Plan:
-        """The path is simulated once to predict its reward."""
+        # One simulation of the path predicts its reward.
         key_path, key_simulate = jax.random.split(key)
         path = self.motions.sample(key_path)
         root, node = problem.root(belief, 1)

@@ -132,7 +132,7 @@ class FieldProblem(Problem):
 
     @override
     def prior(self, key: Key[Array, ""], world: FieldWorld, num_samples: int) -> FieldBelief:
-        """The prior of the field, and the initial pose, which is known."""
+        """The prior of the field and the known initial pose."""
         capacity = self.max_steps * num_samples
         return FieldBelief(
             pose=self.vehicle.estimate(world.vehicle),
@@ -232,7 +232,7 @@ class FieldProblem(Problem):
     @property
     @override
     def lanes_on_cpu(self) -> int:
-        """The factors of a few hundred samples fill the cache; 8 to 16 lanes are fastest."""
+        # The factors of a few hundred samples fill the cache: 8 to 16 lanes are fastest.
         return 16
 
     @property

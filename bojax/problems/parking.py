@@ -54,7 +54,7 @@ class Parking(PoseProblem):
 
     @override
     def outcome(self, start: Pose, path: Float[Array, "S 3"]) -> Outcome:
-        """A path ends at the first pose that parks or leaves the domain."""
+        # A path ends at the first pose that parks or leaves the domain.
         index = jnp.arange(path.shape[0], dtype=jnp.int32)
         end = path.shape[0] - 1
         is_outside = jnp.max(jnp.abs(path[:, :2]), axis=-1) > self.half_width

@@ -53,7 +53,6 @@ class PoseProblem(Problem):
 
     @override
     def reset(self, key: Key[Array, ""]) -> VehicleState:
-        """The vehicle at a random initial pose."""
         return self.vehicle.reset(self.start(key))
 
     @override
@@ -93,13 +92,11 @@ class PoseProblem(Problem):
 
     @override
     def reward(self, objective: Objective, belief: Pose, path: Path, events: Events) -> Scalar:
-        """The reward of the world."""
         del objective, belief, path
         return events.reward
 
     @override
     def root(self, belief: Pose, horizon: int) -> tuple[None, Pose]:
-        """A pose; nodes share no data."""
         del horizon
         return None, belief
 

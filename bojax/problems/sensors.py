@@ -106,7 +106,7 @@ class RangeSensor(Sensor):
         sensor_poses: Float[Array, "S 7"] | None,
         noise: Float[Array, ""],
     ) -> Float[Array, "S"]:
-        """`noise` is the standard deviation of a range."""
+        """Measured heights; `noise` is the standard deviation of a range."""
         assert sensor_poses is not None, "see `check`"
         del poses
         sensor_poses = sensor_poses.astype(noise.dtype)

@@ -77,7 +77,6 @@ class RobotTask(ControlTask):
 
     @override
     def advance(self, key: Key[Array, ""], state: EnvState, action: Float[Array, "A"]) -> EnvState:
-        """The dynamics are deterministic."""
         del key
         return self.moved(state, self.simulator.advance(self.robot(state), action))
 

@@ -149,17 +149,15 @@ class Jaco(RobotTask):
 
     @override
     def robot(self, state: JacoState) -> RobotState:
-        """The arm."""
         return state.robot
 
     @override
     def moved(self, state: JacoState, robot: RobotState) -> JacoState:
-        """The arm has moved, the target has not."""
         return JacoState(robot, state.target)
 
     @override
     def mocap_positions(self, state: JacoState) -> Float[Array, "3"]:
-        """The position at which the target is drawn."""
+        # Animations draw the target at the position of the mocap body.
         return state.target
 
     @override
