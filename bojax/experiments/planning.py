@@ -17,8 +17,8 @@ from bojax.problems.base import POSE_COLUMNS, Belief, Problem, World
 from bojax.results.schema import Column, Table
 
 
-class Episode(eqx.Module):
-    """State of an episode.
+class PlanningState(eqx.Module):
+    """State of a planning episode.
 
     Attributes:
         key_world: Key of the world's random numbers.
@@ -102,7 +102,7 @@ class PlanningEpisode(Experiment):
         return self.problem.max_steps
 
     @override
-    def init(self, key: Key[Array, ""]) -> Episode:
+    def init(self, key: Key[Array, ""]) -> PlanningState:
         key_world, key_planner = jax.random.split(key)
         world = self.problem.reset(jax.random.fold_in(key_world, 0))
         start = self.problem.pose(world)
@@ -110,7 +110,7 @@ class PlanningEpisode(Experiment):
         path = jax.ShapeDtypeStruct((num_samples, 3), start.dtype)
         # The problem is passed as an argument, since arrays that a closure captures may be tracers.
         _, _, events = eqx.filter_eval_shape(type(self.problem).execute, self.problem, key, world, path)
-        return Episode(
+        return PlanningState(
             key_world=key_world,
             key_planner=key_planner,
             world=world,
@@ -130,7 +130,7 @@ class PlanningEpisode(Experiment):
         )
 
     @override
-    def advance(self, carry: Episode) -> tuple[Episode, Records]:
+    def advance(self, carry: PlanningState) -> tuple[PlanningState, Records]:
         active = ~carry.is_done
         key = jax.random.fold_in(carry.key_planner, carry.step)
         plan = self.planner.plan(key, self.problem, carry.belief)
@@ -148,7 +148,7 @@ class PlanningEpisode(Experiment):
         step = carry.step + 1
         done = events.terminated | failed | (step >= self.problem.max_steps)
         accumulated = carry.accumulated + reward
-        after = Episode(
+        after = PlanningState(
             key_world=carry.key_world,
             key_planner=carry.key_planner,
             world=world,
@@ -183,11 +183,11 @@ class PlanningEpisode(Experiment):
         return _where(active, after, carry), records
 
     @override
-    def is_done(self, carry: Episode) -> Bool[Array, ""]:
+    def is_done(self, carry: PlanningState) -> Bool[Array, ""]:
         return carry.is_done
 
     @override
-    def summary(self, carry: Episode) -> dict[str, Scalar]:
+    def summary(self, carry: PlanningState) -> dict[str, Scalar]:
         return {
             "return": carry.accumulated,
             "success": carry.success,
@@ -197,7 +197,7 @@ class PlanningEpisode(Experiment):
         }
 
     @override
-    def snapshot(self, carry: Episode) -> dict[str, dict[str, Array]]:
+    def snapshot(self, carry: PlanningState) -> dict[str, dict[str, Array]]:
         """The planned and driven paths, and the arrays of the problem, for figures and animations."""
         paths = {"paths": carry.paths, "plans": carry.plans, "start": carry.start}
         if carry.frames is not None:

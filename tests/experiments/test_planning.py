@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bojax.experiments.planning import Episode, PlanningEpisode
+from bojax.experiments.planning import PlanningEpisode, PlanningState
 from bojax.motions.base import DiscreteMotions, tightest_radius
 from bojax.planning.base import Plan, Planner
 from bojax.planning.myopic import MyopicPlanner
@@ -82,12 +82,12 @@ def lanes_of(seed: int = 0):
 
 
 @jax.jit
-def start(experiment: PlanningEpisode, keys) -> Episode:
+def start(experiment: PlanningEpisode, keys) -> PlanningState:
     return jax.vmap(experiment.init)(keys)
 
 
 @jax.jit
-def advance(experiment: PlanningEpisode, carries: Episode):
+def advance(experiment: PlanningEpisode, carries: PlanningState):
     return jax.vmap(experiment.advance)(carries)
 
 
