@@ -13,7 +13,7 @@ from bojax.envs.base import Env, EnvState, Observation
 from bojax.envs.spaces import Box
 from bojax.experiments.base import Experiment, Records
 from bojax.experiments.episode import EpisodeState
-from bojax.experiments.phases import PHASES, Phase, TestPhase, TrainingPhase, run_episode
+from bojax.experiments.phases import PHASES, Phase, run_episode
 from bojax.experiments.step_rows import StepRows
 from bojax.experiments.targets import TargetProgress
 from bojax.experiments.value_maps import value_map
@@ -196,17 +196,18 @@ class LearningRun(Experiment):
 
     # The parts of an advance, for compiled and hosted environments.
 
-    def training(self, carry: RunState) -> TrainingPhase:
+    def training(self, carry: RunState) -> Phase:
         """The next training episode; a run that has ended does not learn."""
         exploration = self.schedule(carry.episode, carry.target.is_reached)
         exploration = ExplorationState(
             exploration.scale.astype(self._dtype), exploration.is_learning & ~carry.is_done
         )
-        return TrainingPhase(self.env, self.learner, exploration, self._episode_key(carry, 0))
+        return Phase(self.env, self.learner, exploration, self._episode_key(carry, 0), is_training=True)
 
-    def test(self, carry: RunState, number: Int[Array, ""]) -> TestPhase:
+    def test(self, carry: RunState, number: Int[Array, ""]) -> Phase:
         """A test episode after the training episode; the first one has number 1."""
-        return TestPhase(self.env, self.learner, self.exploiting, self._episode_key(carry, number))
+        key = self._episode_key(carry, number)
+        return Phase(self.env, self.learner, self.exploiting, key, is_training=False)
 
     def reset(self, carry: RunState, phase: Phase) -> tuple[EnvState, Observation]:
         """Initial state and observation of an episode of a compiled environment."""

@@ -12,14 +12,12 @@ the same order: `run_episode`, for environments that are compiled with the learn
         flush, after every `learner.block` steps and at the end
 """
 
-import abc
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key, UInt32
-from typing_extensions import override
 
 from bojax.envs.base import Action, Env, EnvState, Observation, TimeStep
 from bojax.experiments.episode import EpisodeState, apply_transition
@@ -39,49 +37,28 @@ class Choice(NamedTuple):
 
 
 class Phase(eqx.Module):
-    """An episode of one phase, around the steps of its environment.
+    """A training or test episode, around the steps of its environment.
 
     Attributes:
         env: Environment.
         learner: Learner.
         exploration: Exploration state of the episode.
         key: Key of the episode.
+        is_training: Whether the learner learns, from every step and from the whole episode at its end. In a
+            test episode it only exploits.
     """
 
     env: Env
     learner: Learner
     exploration: ExplorationState
     key: Key[Array, ""]
+    is_training: bool = eqx.field(static=True)
 
     @property
-    @abc.abstractmethod
     def num_rows(self) -> int:
-        """Number of steps that are kept, T."""
-
-    @abc.abstractmethod
-    def apply(
-        self,
-        key: Key[Array, ""],
-        episode: EpisodeState,
-        choice: Choice,
-        env_state: EnvState,
-        time_step: TimeStep,
-        step: Int[Array, ""],
-    ) -> EpisodeState:
-        """The episode after a step of the environment.
-
-        Args:
-            key: Random key.
-            episode: State of the episode before the step.
-            choice: The action taken.
-            env_state: State of the environment after the step; None if it steps on the host.
-            time_step: What the environment returned.
-            step: Number of the step in the episode, from 0.
-        """
-
-    @abc.abstractmethod
-    def flush(self, episode: EpisodeState) -> EpisodeState:
-        """The episode after a block of steps."""
+        """Number of steps that are kept, T; the time limit rounded up to whole blocks, or 0 in a test."""
+        block = self.learner.block
+        return -(-self.env.max_steps // block) * block if self.is_training else 0
 
     @property
     def rows(self) -> StepRows:
@@ -131,6 +108,57 @@ class Phase(eqx.Module):
         """The action that the learner takes."""
         return Choice(*self.learner.act(key, episode.learner, episode.observation, self.exploration))
 
+    def apply(
+        self,
+        key: Key[Array, ""],
+        episode: EpisodeState,
+        choice: Choice,
+        env_state: EnvState,
+        time_step: TimeStep,
+        step: Int[Array, ""],
+    ) -> EpisodeState:
+        """The episode after a step of the environment; in training, the learner learns from the step.
+
+        Args:
+            key: Random key.
+            episode: State of the episode before the step.
+            choice: The action taken.
+            env_state: State of the environment after the step; None if it steps on the host.
+            time_step: Time step that the environment returned.
+            step: Number of the step in the episode, from 0.
+        """
+        after, counts = apply_transition(self.env, episode, env_state, time_step)
+        if not self.is_training:
+            return after
+        transition = Transition(
+            observation=episode.observation,
+            action=choice.action,
+            reward=time_step.reward,
+            next_observation=time_step.observation,
+            terminated=time_step.terminated,
+        )
+        # Non-finite values must not reach the learner: 0 times NaN is NaN.
+        transition = jax.tree.map(lambda x: jnp.where(counts, x, jnp.zeros((), x.dtype)), transition)
+        exploration, step_in_block = self._exploration_if(counts), step % self.learner.block
+        learner = self.learner.observe(key, episode.learner, transition, exploration, step_in_block)
+        row = self.rows.pack(transition, choice.expected, self.env.frame(episode.env))
+        rows = jax.lax.dynamic_update_index_in_dim(episode.rows, row, step, 0)
+        return eqx.tree_at(lambda e: (e.learner, e.rows), after, (learner, rows))
+
+    def flush(self, episode: EpisodeState) -> EpisodeState:
+        """The episode after a block of steps: in training, the learner applies its delayed updates."""
+        if not self.is_training:
+            return episode
+        return eqx.tree_at(lambda e: e.learner, episode, self.learner.flush(episode.learner))
+
+    def end(self, key: Key[Array, ""], episode: EpisodeState) -> LearnerState:
+        """The learner after a whole training episode."""
+        transitions, _, _ = self.rows.unpack(episode.rows)
+        exploration = self._exploration_if(episode.length > 0)
+        return self.learner.end_episode(
+            key, episode.learner, Episode(transitions, episode.length), exploration
+        )
+
     def row(self, episode: EpisodeState, number: Int[Array, ""]) -> dict[str, Array]:
         """The row of the episode in `episodes.parquet`; `number` is that of the training episode."""
         return {
@@ -143,97 +171,8 @@ class Phase(eqx.Module):
             "kappa": self.exploration.scale * self.learner.exploration_weight,
         }
 
-
-class TrainingPhase(Phase):
-    """A training episode: the learner learns from every step, and from the whole episode at its end."""
-
-    @property
-    @override
-    def num_rows(self) -> int:
-        """The time limit, rounded up to whole blocks."""
-        block = self.learner.block
-        return -(-self.env.max_steps // block) * block
-
-    @override
-    def apply(
-        self,
-        key: Key[Array, ""],
-        episode: EpisodeState,
-        choice: Choice,
-        env_state: EnvState,
-        time_step: TimeStep,
-        step: Int[Array, ""],
-    ) -> EpisodeState:
-        """`learn_step` and `apply_transition`."""
-        after, counts = apply_transition(self.env, episode, env_state, time_step)
-        transition = Transition(
-            observation=episode.observation,
-            action=choice.action,
-            reward=time_step.reward,
-            next_observation=time_step.observation,
-            terminated=time_step.terminated,
-        )
-        # Non-finite values must not reach the learner: 0 times NaN is NaN.
-        transition = jax.tree.map(lambda x: jnp.where(counts, x, jnp.zeros((), x.dtype)), transition)
-        learner = self.learn_step(key, episode.learner, transition, counts, step)
-        row = self.rows.pack(transition, choice.expected, self.env.frame(episode.env))
-        rows = jax.lax.dynamic_update_index_in_dim(episode.rows, row, step, 0)
-        return eqx.tree_at(lambda e: (e.learner, e.rows), after, (learner, rows))
-
-    def learn_step(
-        self,
-        key: Key[Array, ""],
-        learner: LearnerState,
-        transition: Transition,
-        counts: Bool[Array, ""],
-        step: Int[Array, ""],
-    ) -> LearnerState:
-        """The learner after a transition; unchanged if the transition does not count."""
-        exploration = self._exploration_if(counts)
-        return self.learner.observe(key, learner, transition, exploration, step % self.learner.block)
-
-    @override
-    def flush(self, episode: EpisodeState) -> EpisodeState:
-        return eqx.tree_at(lambda e: e.learner, episode, self.learner.flush(episode.learner))
-
-    def end(self, key: Key[Array, ""], episode: EpisodeState) -> LearnerState:
-        """The learner after the whole episode."""
-        transitions, _, _ = self.rows.unpack(episode.rows)
-        exploration = self._exploration_if(episode.length > 0)
-        return self.learner.end_episode(
-            key, episode.learner, Episode(transitions, episode.length), exploration
-        )
-
     def _exploration_if(self, learns: Bool[Array, ""]) -> ExplorationState:
         return ExplorationState(self.exploration.scale, self.exploration.is_learning & learns)
-
-
-class TestPhase(Phase):
-    """A test episode: the learner exploits and does not learn."""
-
-    @property
-    @override
-    def num_rows(self) -> int:
-        """No step is kept."""
-        return 0
-
-    @override
-    def apply(
-        self,
-        key: Key[Array, ""],
-        episode: EpisodeState,
-        choice: Choice,
-        env_state: EnvState,
-        time_step: TimeStep,
-        step: Int[Array, ""],
-    ) -> EpisodeState:
-        del key, choice, step
-        return apply_transition(self.env, episode, env_state, time_step)[0]
-
-    @override
-    def flush(self, episode: EpisodeState) -> EpisodeState:
-        """There is nothing to flush."""
-        return episode
 
 
 def run_episode(phase: Phase, episode: EpisodeState) -> EpisodeState:
