@@ -1,7 +1,8 @@
-"""Bayesian optimisation of Branin's function beside bayes_opt, scikit-optimize and BoTorch.
+"""Bayesian optimisation of Branin's function, compared with bayes_opt, scikit-optimize and BoTorch.
 
 Every run starts with a few random points. bayes_opt and scikit-optimize relearn their hyper-parameters at
-every iteration, as they do by default; BoTorch and bojax keep those that they are given, unless it says so.
+every iteration, which is their default. BoTorch and bojax keep the given hyper-parameters, except in the rows
+"that relearns".
 """
 
 import argparse
@@ -28,7 +29,7 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     """The arguments of the benchmark."""
     parser = make_parser(__file__, __doc__, EXAMPLES)
     parser.add_argument("--evaluations", type=positive, default=30, help="evaluations of a run (30)")
-    parser.add_argument("--initial", type=positive, default=5, help="random points that begin a run (5)")
+    parser.add_argument("--initial", type=positive, default=5, help="random initial points of a run (5)")
     parser.add_argument("--runs", type=positive, nargs="+", default=[200], help="batch sizes of bojax (200)")
     return parser.parse_args(argv)
 

@@ -1,7 +1,8 @@
-"""EMU-Q beside what the author's published code does in NumPy: online steps, and the end of an episode.
+"""EMU-Q, compared with the author's published NumPy code: online steps, and the refit after an episode.
 
-Both learn goal-only mountain car, with 15 candidate actions and 10 samples in the exploration reward. The
-end of an episode is timed on given transitions with rewards, for as many sweeps in both.
+Both use 15 candidate actions and 10 samples of the exploration reward. The online steps of bojax include the
+environment, goal-only mountain car. The refit is timed on given transitions with rewards, with the same
+number of sweeps in both.
 """
 
 import argparse
@@ -28,8 +29,8 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     """The arguments of the benchmark."""
     parser = make_parser(__file__, __doc__, EXAMPLES)
     parser.add_argument("--features", type=positive, default=300, help="random Fourier features (300)")
-    parser.add_argument("--runs", type=positive, default=200, help="runs together on a GPU (200)")
-    parser.add_argument("--lanes", type=positive, default=8, help="runs together on a CPU (8)")
+    parser.add_argument("--runs", type=positive, default=200, help="runs at once on a GPU (200)")
+    parser.add_argument("--lanes", type=positive, default=8, help="runs at once on a CPU (8)")
     parser.add_argument("--steps", type=positive, default=500, help="steps of an episode (500)")
     parser.add_argument("--transitions", type=positive, default=2000, help="transitions of a refit (2000)")
     parser.add_argument("--sweeps", type=positive, default=30, help="sweeps of a refit, for Q and for U (30)")

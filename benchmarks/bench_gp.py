@@ -1,7 +1,7 @@
-"""Gaussian processes beside scikit-learn, BoTorch, tinygp and plain JAX: fit to given data and predict.
+"""Fit and prediction of Gaussian processes, compared with scikit-learn, BoTorch, tinygp and plain JAX.
 
-Every process has data and a lengthscale of its own; its hyper-parameters are given, none is learned. The
-variances are those of the noise-free function.
+Every process has its own data and lengthscale; the hyper-parameters are given and not learned. Variances are
+those of the noise-free function.
 """
 
 import argparse

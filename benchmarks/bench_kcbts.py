@@ -1,7 +1,7 @@
-"""kCBTS on the parking problem beside its plain NumPy reference: the same plans, the same random numbers.
+"""kCBTS on the parking problem, compared with a NumPy reference on the same plans and random numbers.
 
-The reference (tests/reference/kcbts.py) is given its random numbers and the paths of its candidates; bojax
-draws and generates them within the time that is measured.
+The reference (tests/reference/kcbts.py) is given its random numbers and the paths of its candidates; the time
+of bojax includes drawing and generating them.
 """
 
 import argparse
@@ -13,7 +13,7 @@ from isolated import run_isolated
 from options import make_parser, positive
 
 EXAMPLES = """\
-  python benchmarks/bench_kcbts.py                 on a CPU one core; on a GPU whole episodes too
+  python benchmarks/bench_kcbts.py                 one core of a CPU, or a GPU, also with whole episodes
   python benchmarks/bench_kcbts.py --runs 200 1000 --episodes --json kcbts.json
 """
 
@@ -28,8 +28,8 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     """The arguments of the benchmark."""
     parser = make_parser(__file__, __doc__, EXAMPLES)
     parser.add_argument("--runs", type=positive, nargs="+", help="batch sizes (200; on a GPU 200 and 1000)")
-    parser.add_argument("--lanes", type=positive, help="most runs at once on a device (CPU 64; GPU all)")
-    parser.add_argument("--episodes", action="store_true", help="whole episodes too, as always on a GPU")
+    parser.add_argument("--lanes", type=positive, help="maximum runs at once on a device (CPU 64; GPU all)")
+    parser.add_argument("--episodes", action="store_true", help="also time whole episodes (always on a GPU)")
     parser.add_argument("--plans", type=positive, default=8, help="plans of the NumPy reference (8)")
     return parser.parse_args(argv)
 

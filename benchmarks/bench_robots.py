@@ -1,6 +1,6 @@
-"""Physics of the robots: MJX in a compiled program beside C MuJoCo's own rollout on the same cores.
+"""Physics of the robots: MJX in a compiled program, compared with C MuJoCo's rollout on the same cores.
 
-Random controls, changed with every action. C MuJoCo steps the same model with the same solver settings.
+Controls are random and change with every action. C MuJoCo steps the same model with the same solver settings.
 """
 
 import argparse
@@ -41,7 +41,7 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
         type=solver,
         default=["model"],
         metavar="I/L/INTEGRATOR",
-        help="iterations, iterations of the line search and integrator, or model for the model's own",
+        help="solver iterations, line search iterations and integrator; or model, for those of the model",
     )
     parser.add_argument("--steps", type=positive, default=20, help="actions of a run (20)")
     parser.add_argument("--no-peer", action="store_true", help="do not time C MuJoCo")
@@ -49,12 +49,12 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
 
 
 def solver(text: str) -> str:
-    """Settings of the solver from the command line, in lower case: `model`, or as `4/8/rk4`."""
+    """Solver settings from the command line, in lower case: `model`, or such as `4/8/rk4`."""
     setting, count = text.lower(), "[1-9][0-9]*"
     if not re.fullmatch(f"model|{count}/{count}/({'|'.join(INTEGRATORS)})", setting):
         allowed = ", ".join(INTEGRATORS)
         raise argparse.ArgumentTypeError(
-            f"{text}: has to be model or I/L/INTEGRATOR, such as 4/8/rk4; integrators: {allowed}"
+            f"got {text}; allowed: model or I/L/INTEGRATOR, such as 4/8/rk4, with integrators {allowed}"
         )
     return setting
 

@@ -1,7 +1,7 @@
-"""The predictive variance of EMU-Q's model after many clustered steps, beside a float64 solve.
+"""Accuracy of the predictive variance of EMU-Q's model after many clustered steps, against a float64 solve.
 
-Steps come from a few places of the state-action space, as a learner's do; their order is that of a walk.
-The reference solves for the covariance of all steps at once, in float64, by NumPy.
+The steps come from a few clusters of the state-action space, one cluster after the other, as those of a
+learner do. The reference computes the covariance of all steps at once, in float64 by NumPy.
 """
 
 import argparse
@@ -29,7 +29,7 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     parser = make_parser(__file__, __doc__, EXAMPLES)
     parser.add_argument("--features", type=positive, default=300, help="random Fourier features (300)")
     parser.add_argument("--steps", type=positive, default=20_000, help="steps (20,000)")
-    parser.add_argument("--clusters", type=positive, default=5, help="places that the steps come from (5)")
+    parser.add_argument("--clusters", type=positive, default=5, help="number of clusters of the steps (5)")
     return parser.parse_args(argv)
 
 

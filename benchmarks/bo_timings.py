@@ -1,4 +1,4 @@
-"""The timings of bench_bo.py, made in a process that was given its cores."""
+"""The timings of bench_bo.py, run in a process with its own cores."""
 
 import itertools
 import statistics
@@ -21,12 +21,12 @@ from bojax.models.kernels import Matern52
 
 LOW, HIGH = (-5.0, 0.0), (10.0, 15.0)
 MINIMUM = 0.39788735772973816
-LENGTHSCALE = 0.5  # of the box [-1, 1]^2
-NOISE_VARIANCE = 1e-4  # of standardised values
+LENGTHSCALE = 0.5  # in the box [-1, 1]^2
+NOISE_VARIANCE = 1e-4  # relative to standardised values
 CPU_LANES = 8
 
 Run = Callable[[int, int, int], float]
-"""From a seed, the number of evaluations and that of random ones, to the least value found."""
+"""Takes a seed, the number of evaluations and the number of random ones; returns the least value found."""
 
 
 def branin(x, cos=np.cos):
@@ -63,7 +63,7 @@ def load_scikit_optimize() -> Run:
 
 
 def load_botorch() -> Run:
-    """A run of BoTorch with given hyper-parameters and log expected improvement; it maximises."""
+    """A run of BoTorch, which maximises, with given hyper-parameters and log expected improvement."""
     import gpytorch  # pyright: ignore[reportMissingImports]
     import torch  # pyright: ignore[reportMissingImports]
     from botorch.acquisition import LogExpectedImprovement  # pyright: ignore[reportMissingImports]
@@ -98,7 +98,7 @@ def load_botorch() -> Run:
 def bojax_run(
     run: jax.Array, seed: jax.Array, evaluations: int, initial: int, relearn_every: int = 0
 ) -> tuple[jax.Array, jax.Array]:
-    """The points of a run of bojax, which maximises, and the least value found."""
+    """The points and the least value found by a run of bojax, which maximises."""
     optimisation = BayesianOptimisation(
         kernel=Matern52(jnp.asarray(LENGTHSCALE)),
         acquisition=LogExpectedImprovement(jnp.asarray(0.0)),
@@ -115,12 +115,11 @@ def bojax_run(
 
 
 def main(argv: list[str]) -> int:
-    """Time all of them, and print how near they came to the minimum."""
+    """Time all libraries, and print how close they come to the minimum."""
     args = parse(argv)
     jax.config.update("jax_enable_x64", True)
-    warnings.filterwarnings(
-        "ignore"
-    )  # of peers, about hyper-parameters at their bounds and points seen twice
+    # Peers warn about hyper-parameters at their bounds and about duplicate points.
+    warnings.filterwarnings("ignore")
     sizes = (args.evaluations, args.initial)
     peers: dict[str, Run] = installed(
         {
@@ -131,7 +130,7 @@ def main(argv: list[str]) -> int:
     )
     rows, least = [], {}
     for name, run in peers.items():
-        run(args.seed, args.initial + 1, args.initial)  # what is loaded or cached by a first iteration
+        run(args.seed, args.initial + 1, args.initial)  # the first iteration loads and caches modules
         seeds, found = itertools.count(args.seed), []
 
         def timed(run=run, seeds=seeds, found=found):

@@ -1,4 +1,4 @@
-"""The timings of bench_emu_q.py, made in a process that was given its cores."""
+"""The timings of bench_emu_q.py, run in a process with its own cores."""
 
 import sys
 from pathlib import Path
@@ -21,7 +21,7 @@ from tests.reference.emu_q import PublishedCode  # noqa: E402
 
 
 def make_run(args, fit: Literal["sweeps", "direct", "none"]):
-    """An episode of full length: the car is too weak to leave the valley."""
+    """A run with an episode of full length, since the car is too weak to leave the valley."""
     return build(
         Learning(
             dtype=args.dtype,
@@ -39,7 +39,7 @@ def make_run(args, fit: Literal["sweeps", "direct", "none"]):
 
 
 def steps_row(args, lanes: int) -> Row:
-    """Online steps, the environment's among them."""
+    """Time online steps, including the steps of the environment."""
     run = make_run(args, "none")
 
     def episode(index, carry):
@@ -58,7 +58,7 @@ def steps_row(args, lanes: int) -> Row:
 
 
 def refit_row(args, lanes: int, how: Literal["sweeps", "direct"]) -> Row:
-    """The end of an episode, at given transitions."""
+    """Time the refit at the end of an episode, on given transitions."""
     run = make_run(args, how)
     learner, capacity = run.learner, args.transitions
     space = run.env.observation_space
@@ -76,7 +76,7 @@ def refit_row(args, lanes: int, how: Literal["sweeps", "direct"]) -> Row:
             terminated=jnp.arange(capacity) % 100 == 99,
             count=jnp.asarray(capacity, jnp.int32),
         )
-        # Any covariance takes as long as that of these transitions.
+        # The time does not depend on the values of the covariance.
         base = state.posterior.base / (1.0 + capacity / args.features)
         return eqx.tree_at(lambda s: (s.memory, s.posterior.base), state, (memory, base))
 
@@ -91,7 +91,7 @@ def refit_row(args, lanes: int, how: Literal["sweeps", "direct"]) -> Row:
 
 
 def numpy_peer(args) -> tuple[Row, Row]:
-    """The published code's online steps and its end of an episode, one run."""
+    """Time online steps and the refit of the published code, in one run."""
     rng = np.random.default_rng(args.seed)
     frequencies = rng.normal(size=(args.features // 2, 3)) / np.asarray([0.3, 0.3, 10.0])
     scale = np.sqrt(2.0 / args.features)
@@ -131,7 +131,7 @@ def numpy_peer(args) -> tuple[Row, Row]:
 
 
 def main(argv: list[str]) -> int:
-    """Time all of it."""
+    """Time online steps and refits of both."""
     args = parse(argv)
     jax.config.update("jax_enable_x64", True)
     lanes = args.runs if on_gpu() else args.lanes

@@ -1,4 +1,4 @@
-"""The timings of bench_field.py, made in a process that was given its cores."""
+"""The timings of bench_field.py, run in a process with its own cores."""
 
 import dataclasses
 import functools
@@ -18,11 +18,11 @@ from bojax.models.gaussian_process import GaussianProcess
 NUM_OBSERVATIONS = 192
 NUM_SAMPLES = 8
 LANES = 8
-"""Runs at once on a CPU core: what they read of their factors stays in its cache."""
+"""Runs at once on a CPU core; the factors of more runs do not fit into its cache."""
 
 
 def settings(objective: str) -> Planning:
-    """An experiment with room for 25 x 8 observations."""
+    """An experiment with a capacity of 25 x 8 observations."""
     return Planning.model_validate(
         {
             "problem": {"kind": "space-modelling", "objective": objective, "max_steps": 25},
@@ -39,7 +39,7 @@ def settings(objective: str) -> Planning:
 
 
 class Case:
-    """Plans near the end of an episode, each with observations and a key by its run."""
+    """Plans near the end of an episode; every run has its own observations and key."""
 
     def __init__(self, objective: str, seed: int):
         experiment: Any = build(settings(objective), "float64")
@@ -47,7 +47,7 @@ class Case:
         self._data, self._keys = jax.random.split(jax.random.key(seed))
 
     def belief(self, run):
-        """What a run knows: observations of points drawn from the domain, and a free pose."""
+        """The belief of a run: observations at points drawn from the domain, and a pose that is free."""
         keys = jax.random.split(jax.random.fold_in(self._data, run), 4)
         problem = eqx.tree_at(lambda p: p.start, self.problem, None)
         belief = problem.prior(keys[0], problem.reset(keys[1]), NUM_SAMPLES)
@@ -62,7 +62,7 @@ class Case:
         return eqx.tree_at(lambda b: b.posterior, belief, posterior)
 
     def key(self, run):
-        """What a run draws from."""
+        """The key of a run."""
         return jax.random.fold_in(self._keys, run)
 
     def tree(self, run, belief):
@@ -70,32 +70,32 @@ class Case:
         return self.planner.search(self.key(run), self.problem, belief)[0]
 
     def plan(self, run, belief):
-        """What a run's plan is, and what it expects."""
+        """The path of a run's plan, and its expected value."""
         plan = self.planner.plan(self.key(run), self.problem, belief)
         return plan.path, plan.value
 
 
 class Eager:
-    """A reference problem whose beliefs are fitted when they arise, whether they are asked or not."""
+    """A reference problem that fits every belief at once, whether it is used or not."""
 
     def __init__(self, problem: Any):
         self.problem = problem
 
     def drive(self, *arguments):
-        """See the reference."""
+        """Drive a path and fit the belief after it."""
         belief, reward, is_terminal = self.problem.drive(*arguments)
         _ = belief.gp
         return belief, reward, is_terminal
 
 
 def main(argv: list[str]) -> int:
-    """Check that both do the same work, then time both."""
+    """Check that both build the same trees, then time both."""
     args = parse(argv)
     try:
         from tests.reference import bridge
         from tests.reference.compare import assert_same_tree
     except ImportError as error:
-        print(f"error: {error}: run it in a clone, after pip install -e '.[test]'", file=sys.stderr)
+        print(f"error: {error}; run this in a clone, after pip install -e '.[test]'", file=sys.stderr)
         return 2
     jax.config.update("jax_enable_x64", True)
     rows: list[Row] = []
@@ -123,7 +123,7 @@ def main(argv: list[str]) -> int:
             for reference, start in references:
                 problem = reference.problem
                 reference.problem = Eager(problem) if fit == "each belief" else problem
-                reference.search(dataclasses.replace(start))  # which forgets what was factored
+                reference.search(dataclasses.replace(start))  # a copy has no cached factors
                 reference.problem = problem
 
         own = []
@@ -146,7 +146,7 @@ def main(argv: list[str]) -> int:
             own.append(row)
             if on_gpu():
                 peak = max(device.memory_stats()["peak_bytes_in_use"] for device in jax.devices())
-                print(f"{row.what}, {runs} runs: at most {peak / 1e9:.2f} GB of a device so far")
+                print(f"{row.what}, {runs} runs: peak memory of a device so far {peak / 1e9:.2f} GB")
         print_rows(f"kCBTS on a field, {objective}", "iterations", own, "NumPy")
         rows += own
     if args.json:

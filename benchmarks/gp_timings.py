@@ -1,4 +1,4 @@
-"""The timings of bench_gp.py, made in a process that was given its cores."""
+"""The timings of bench_gp.py, run in a process with its own cores."""
 
 import sys
 from collections.abc import Callable
@@ -16,7 +16,7 @@ from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import RBF
 
 NOISE_VARIANCE = 0.01
-CPU_LANES = 8  # so few that what a batch needs stays in the cache
+CPU_LANES = 8  # the data of more processes do not fit into the cache
 AIMS = {"tinygp": 1.5, "scikit-learn": 1.5, "BoTorch": 3.0}
 
 
@@ -50,7 +50,7 @@ def bojax_process(x, y, queries, lengthscale):
 
 
 def plain_jax_process(x, y, queries, lengthscale):
-    """Mean and variance as one would write them down."""
+    """Mean and variance in plain JAX."""
 
     def gram(a, b):
         return jnp.exp(-0.5 * jnp.sum(((a[:, None, :] - b[None, :, :]) / lengthscale) ** 2, axis=-1))
@@ -119,7 +119,7 @@ def load_botorch() -> Callable:
 
 
 def main(argv: list[str]) -> int:
-    """Check that all agree, then time them."""
+    """Check that all libraries agree, then time them."""
     args = parse(argv)
     jax.config.update("jax_enable_x64", True)
     data = make_data(args.seed, args.processes, args.points, args.queries, args.dims)
@@ -164,10 +164,10 @@ def main(argv: list[str]) -> int:
 
 
 def check_agreement(results: dict[str, tuple]) -> None:
-    """Print how far the others are from bojax.
+    """Print the largest differences between bojax and the others.
 
     Raises:
-        AssertionError: If one is further off than rounding explains.
+        AssertionError: A difference is larger than rounding explains.
     """
     means, variances = results["bojax"]
     for name, (mean, variance) in results.items():

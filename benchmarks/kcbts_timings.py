@@ -1,4 +1,4 @@
-"""The timings of bench_kcbts.py, made in a process that was given its cores."""
+"""The timings of bench_kcbts.py, run in a process with its own cores."""
 
 import sys
 from typing import Any
@@ -14,22 +14,22 @@ from bojax.engine.build import build
 from bojax.experiments.settings import Planning
 
 LANES_ON_CPU = 64
-"""What the engine takes for parking on a CPU (`Experiment.lanes_on_cpu`)."""
+"""Default number of lanes of the parking problem on a CPU (`Experiment.lanes_on_cpu`)."""
 
 
 class Case:
-    """The experiment of the default settings: plans and episodes, each with a start and a key by its run."""
+    """Plans and episodes of the default experiment; every run has its own start and key."""
 
     def __init__(self, seed: int):
         self.experiment: Any = build(Planning(), "float64")
         self._starts, self._keys = jax.random.split(jax.random.key(seed))
 
     def start(self, run):
-        """Where a run starts."""
+        """The initial state of a run."""
         return self.experiment.problem.reset(jax.random.fold_in(self._starts, run))
 
     def key(self, run):
-        """What a run draws from."""
+        """The key of a run."""
         return jax.random.fold_in(self._keys, run)
 
     def tree(self, run):
@@ -43,7 +43,7 @@ class Case:
         return planner.plan(self.key(run), problem, self.start(run)).path
 
     def episode(self, run):
-        """All paths that a run drives."""
+        """All paths driven in a run."""
 
         def advance(carry, _):
             return self.experiment.advance(carry)[0], None
@@ -54,13 +54,13 @@ class Case:
 
 
 def main(argv: list[str]) -> int:
-    """Check that both do the same work, then time both."""
+    """Check that both build the same trees, then time both."""
     args = parse(argv)
     try:
         from tests.reference.bridge import begin, reference_planner, reference_problem
         from tests.reference.compare import assert_same_tree
     except ImportError as error:
-        print(f"error: {error}: run it in a clone, after pip install -e '.[test]'", file=sys.stderr)
+        print(f"error: {error}; run this in a clone, after pip install -e '.[test]'", file=sys.stderr)
         return 2
     jax.config.update("jax_enable_x64", True)
     case = Case(args.seed)

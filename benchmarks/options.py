@@ -1,4 +1,4 @@
-"""The options that every benchmark has."""
+"""The options that all benchmarks share."""
 
 import argparse
 from pathlib import Path
@@ -9,8 +9,8 @@ def make_parser(file: str, doc: str | None, examples: str) -> argparse.ArgumentP
 
     Args:
         file: `__file__` of the benchmark.
-        doc: Its docstring, whose first line describes it.
-        examples: Commands with what they do.
+        doc: Docstring of the benchmark, whose first line is its description.
+        examples: Example commands with explanations.
     """
     parser = argparse.ArgumentParser(
         prog=Path(file).name,
@@ -19,16 +19,18 @@ def make_parser(file: str, doc: str | None, examples: str) -> argparse.ArgumentP
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--device", choices=("auto", "cpu", "gpu"), default="auto", help="where bojax runs")
-    parser.add_argument("--cores", type=positive, default=1, help="cores on a CPU (1)")
-    parser.add_argument("--repeats", type=positive, default=7, help="repeats: the median counts (7)")
-    parser.add_argument("--seed", type=int, default=0, help="seed of all that is random (0)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="keep the results in a file")
+    parser.add_argument("--cores", type=positive, default=1, help="number of cores on a CPU (1)")
+    parser.add_argument(
+        "--repeats", type=positive, default=7, help="repeats, of which the median is taken (7)"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="seed of all random numbers (0)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the results to a file")
     return parser
 
 
 def positive(text: str) -> int:
-    """A whole number of at least 1, from the command line."""
+    """A positive integer from the command line."""
     value = int(text)
     if value < 1:
-        raise argparse.ArgumentTypeError(f"{value}: has to be at least 1")
+        raise argparse.ArgumentTypeError(f"got {value}; allowed: >= 1")
     return value

@@ -1,4 +1,4 @@
-"""What a benchmark compares with: libraries that may be missing, and the ratios to those that are there."""
+"""Peers of a benchmark: libraries that may not be installed, and the ratios of their rates."""
 
 import importlib.util
 from collections.abc import Callable, Mapping, Sequence
@@ -10,23 +10,23 @@ Loader = Callable[[], Any]
 
 
 def installed(peers: Mapping[str, tuple[str, Loader]]) -> dict[str, Any]:
-    """What the loaders of the installed peers return; a line says which are not installed.
+    """Load the installed peers, and print which are not installed.
 
     Args:
-        peers: For each name, the module that it needs, and its loader.
+        peers: For each name of a peer, the module that it needs and its loader.
     """
     missing = [name for name, (module, _) in peers.items() if importlib.util.find_spec(module) is None]
     if missing:
-        print(f"not installed, and left out: {', '.join(missing)} (pip install -e '.[bench]')")
+        print(f"skipped, since not installed: {', '.join(missing)} (pip install -e '.[bench]')")
     return {name: load() for name, (_, load) in peers.items() if name not in missing}
 
 
 def print_ratios(rows: Sequence[Row], aims: Mapping[str, float]) -> None:
-    """How many times the rate of each peer bojax reaches, the best of their rows each.
+    """Print the rate of bojax as a multiple of each peer's rate, comparing the best row of each.
 
     Args:
-        rows: Rows that are named after the peer, with a comma before what they add.
-        aims: The ratio that is aimed at, for peers that have one.
+        rows: Rows named after a peer, optionally followed by a comma and details.
+        aims: The target ratio, for peers that have one.
     """
     best: dict[str, Row] = {}
     for row in rows:

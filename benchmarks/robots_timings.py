@@ -1,4 +1,4 @@
-"""The timings of bench_robots.py, made in a process that was given its cores."""
+"""The timings of bench_robots.py, run in a process with its own cores."""
 
 import os
 import sys
@@ -23,7 +23,7 @@ MODELS = {"wheeled-robot": "car", "quadrotor": "quadrotor"}
 
 
 def main(argv: list[str]) -> int:
-    """Time all of it."""
+    """Time all robots."""
     args = parse(argv)
     lanes = args.lanes or ([256, 2048] if on_gpu() else [16, 64])
     rows = []
@@ -38,7 +38,7 @@ def main(argv: list[str]) -> int:
 
 
 def robot_rows(args, robot: str, lanes: list[int]) -> list[Row]:
-    """A robot that MJX steps, with each of the settings."""
+    """Time a robot that MJX steps, with each of the settings."""
     rows = []
     for setting in args.settings:
         simulator = simulator_of(robot, setting)
@@ -51,12 +51,12 @@ def robot_rows(args, robot: str, lanes: list[int]) -> list[Row]:
 
 
 def fields(row: Row) -> tuple:
-    """All of a row but its name."""
+    """All fields of a row but its name."""
     return row.runs, row.seconds, row.work, row.compile_seconds
 
 
 def simulator_of(robot: str, setting: str) -> Simulator:
-    """The physics of a robot with some settings of the solver."""
+    """The simulator of a robot with the given solver settings."""
     physics = MJX()
     if setting != "model":
         iterations, ls_iterations, integrator = setting.split("/")
@@ -68,13 +68,13 @@ def simulator_of(robot: str, setting: str) -> Simulator:
 
 
 def ranges_of(simulator: Simulator) -> tuple[np.ndarray, np.ndarray]:
-    """Least and largest controls."""
+    """Lower and upper bounds of the controls."""
     ranges = simulator.mujoco_model.actuator_ctrlrange
     return ranges[:, 0], ranges[:, 1]
 
 
 def mjx_row(args, simulator: Simulator, lanes: int) -> Row:
-    """MJX, compiled, for some robots at once."""
+    """Time MJX, compiled, with a number of robots at once."""
     low, high = (jnp.asarray(side, jnp.float32) for side in ranges_of(simulator))
     start = jnp.asarray(simulator.mujoco_model.qpos0, jnp.float32)
 
@@ -90,7 +90,7 @@ def mjx_row(args, simulator: Simulator, lanes: int) -> Row:
 
 
 def mujoco_row(args, simulator: Simulator, runs: int = 64) -> Row:
-    """C MuJoCo's rollout on all cores of this process."""
+    """Time C MuJoCo's rollout on all cores of this process."""
     from mujoco import rollout
 
     model = simulator.mujoco_model
@@ -110,7 +110,7 @@ def mujoco_row(args, simulator: Simulator, runs: int = 64) -> Row:
 
 
 def lander_rows(args, lanes: list[int]) -> list[Row]:
-    """The lunar lander, beside Gymnasium's on Box2D."""
+    """Time the lunar lander, and Gymnasium's on Box2D."""
     env = build(LunarLander(), "float32")
 
     def run(index):
@@ -135,14 +135,14 @@ def lander_rows(args, lanes: list[int]) -> list[Row]:
 
 
 def gym_lander() -> Any:
-    """Gymnasium's lander, continuous."""
+    """Gymnasium's lander with continuous actions."""
     import gymnasium
 
     return gymnasium.make("LunarLander-v3", continuous=True).unwrapped
 
 
 def gym_seconds(args, env: Any) -> tuple[float, int]:
-    """Seconds of some steps of an environment of Gymnasium, and their number."""
+    """Seconds and number of some steps of an environment of Gymnasium."""
     actions = np.random.default_rng(args.seed).uniform(-1.0, 1.0, (200, 2)).astype(np.float32)
 
     def episode():

@@ -1,4 +1,4 @@
-"""Timed runs of a benchmark: lanes of a device, medians, the table and the record of the results."""
+"""Timing of runs in batches, and the table and JSON record of the results."""
 
 import json
 import statistics
@@ -20,14 +20,14 @@ from bojax.numerics.lanes import LANES
 
 @dataclass(frozen=True)
 class Row:
-    """One line of the table.
+    """One row of the table.
 
     Attributes:
-        what: What was timed.
-        runs: Runs together.
-        seconds: Median over the repeats.
-        work: Units of work in that time, such as iterations.
-        compile_seconds: Seconds of compilation, which are not part of `seconds`.
+        what: Name of the measured program.
+        runs: Number of runs at once.
+        seconds: Median seconds over the repeats.
+        work: Units of work done in these seconds, such as iterations.
+        compile_seconds: Seconds of compilation, not included in `seconds`.
     """
 
     what: str
@@ -43,7 +43,7 @@ class Row:
 
 
 def on_gpu() -> bool:
-    """Whether JAX runs on something else than a CPU."""
+    """Whether JAX runs on an accelerator."""
     return jax.default_backend() != "cpu"
 
 
@@ -59,16 +59,16 @@ def time_runs(
     """Time `function(run)` for `runs` runs, compiled, in equal batches of at most `lanes`.
 
     Args:
-        what: What is timed.
-        function: From the index of a run to its result, which has to differ between runs.
-        runs: How many runs; rounded up to whole batches.
-        lanes: Most runs at once, on all devices together.
+        what: Name of the program.
+        function: Maps the index of a run to its result, which must differ between runs.
+        runs: Number of runs, rounded up to whole batches.
+        lanes: Maximum number of runs at once, on all devices together.
         work: Units of work of one run.
-        repeats: How often it is timed.
-        prepare: From the index of a run to what `function` takes besides; not timed.
+        repeats: Number of repeats.
+        prepare: Maps the index of a run to a second argument of `function`; not timed.
 
     Raises:
-        AssertionError: If two runs gave the same result.
+        AssertionError: Two runs gave the same result.
     """
     mesh = jax.make_mesh((1 if runs == 1 else jax.device_count(),), ("devices",), (AxisType.Auto,))
     by_lane = PartitionSpec("devices")
@@ -91,7 +91,7 @@ def time_runs(
 
     results = np.concatenate([_flat(program(*batch), lanes) for batch in batches])
     if len(np.unique(results, axis=0)) < len(results):
-        raise AssertionError(f"{what}: two runs gave the same result: the batch is not what it seems")
+        raise AssertionError(f"{what}: two runs gave the same result; each run must differ")
     seconds = median_seconds(lambda: [program(*batch) for batch in batches], repeats)
     return Row(what, index.size, seconds, index.size * work, compile_seconds)
 
@@ -102,10 +102,10 @@ def _flat(result: Any, lanes: int) -> np.ndarray:
 
 
 def median_seconds(function: Callable[[], Any], repeats: int) -> float:
-    """Median of the seconds until what `function` returns is there.
+    """Median of the seconds until the result of `function` is ready.
 
-    On a single CPU core it is the time that the process had the core: the time by the clock if nothing else
-    runs there, and not moved by what does.
+    On a single CPU core this is the CPU time of the process, which other processes do not affect; otherwise
+    it is wall time.
     """
     is_one_core = not on_gpu() and describe_cores() == "1 core"
     clock = time.process_time if is_one_core else time.perf_counter
@@ -123,7 +123,7 @@ def describe_device() -> str:
 
 
 def print_rows(title: str, unit: str, rows: Sequence[Row], peer: str) -> None:
-    """Print a table; the last column is the rate as a multiple of the first row's, which is `peer`'s."""
+    """Print a table; its last column is the rate relative to the first row, which is that of `peer`."""
     table = Table(title=f"{title} ({describe_device()})")
     table.add_column("")
     for name in ("runs", "seconds", "compile, s", f"{unit}/s", f"x {peer}"):
@@ -138,7 +138,7 @@ def print_rows(title: str, unit: str, rows: Sequence[Row], peer: str) -> None:
 def write_record(
     path: Path, benchmark: str, unit: str, rows: Sequence[Row], settings: Mapping[str, Any]
 ) -> None:
-    """Keep the rows and what they were made with in a JSON file."""
+    """Write the rows, the device and the settings to a JSON file."""
     record = {
         "benchmark": benchmark,
         "device": describe_device(),

@@ -1,4 +1,4 @@
-"""The errors of bench_variance.py, computed in a process that was given its cores."""
+"""The errors of bench_variance.py, computed in a process with its own cores."""
 
 import json
 import sys
@@ -59,7 +59,7 @@ def main(argv: list[str]) -> int:
 
 
 def learned(phi: np.ndarray, psi: np.ndarray, alpha: float, dtype: str, block: int) -> jax.Array:
-    """Variances at the queries after one update a step."""
+    """Variances at the queries after one update for each step."""
     number = len(phi) // max(block, 1) * max(block, 1)
     rows = jnp.asarray(phi[:number], dtype).reshape(-1, max(block, 1), phi.shape[1])
     start = BayesianLinearRegression.prior(

@@ -1,4 +1,4 @@
-"""What benchmarks take on their command line, and what they refuse."""
+"""The command line of benchmarks: what is accepted, and what is refused."""
 
 import importlib
 from pathlib import Path
@@ -26,4 +26,4 @@ def test_settings_that_mean_nothing_are_told_in_one_line(bench_robots, setting, 
         bench_robots.parse(["--settings", setting])
     assert exit_info.value.code == 2
     line = capsys.readouterr().err.splitlines()[-1]
-    assert f"--settings: {setting}: has to be model or I/L/INTEGRATOR, such as 4/8/rk4" in line
+    assert f"--settings: got {setting}; allowed: model or I/L/INTEGRATOR, such as 4/8/rk4" in line
