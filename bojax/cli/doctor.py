@@ -12,6 +12,7 @@ from pathlib import Path
 from bojax import __version__
 from bojax.cli.parser import Parser
 from bojax.config.extras import how_to_install
+from bojax.text import error_line
 
 _EXAMPLES = """\
   bojax doctor                      everything
@@ -79,7 +80,7 @@ def examine(check: Callable[[], Iterator[Finding]]) -> Iterator[Finding]:
     except Failure as error:
         yield Finding("FAILED", str(error))
     except Exception as error:
-        yield Finding("FAILED", f"{type(error).__name__}: {' '.join(str(error).split())}")
+        yield Finding("FAILED", error_line(error))
 
 
 def _python() -> Iterator[Finding]:

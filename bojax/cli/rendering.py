@@ -51,7 +51,8 @@ def main(name: str, words: Sequence[str]) -> int:
     from bojax.report.animations.choose import choose_film
     from bojax.report.animations.film import render, write_still
     from bojax.report.source import load
-    from bojax.results.store import ResultsError, one_line
+    from bojax.results.store import ResultsError
+    from bojax.text import error_line
 
     try:
         film = choose_film(load(args.folder), args.point, args.run, args.episode, args.model)
@@ -68,7 +69,7 @@ def main(name: str, words: Sequence[str]) -> int:
     except Exception as error:  # the settings in a manifest may be anything
         if hasattr(error, "exit_code"):
             raise
-        raise ResultsError(f"{args.folder}: cannot be drawn: {one_line(error)}") from error
+        raise ResultsError(f"{args.folder}: cannot be drawn: {error_line(error)}") from error
     print(*paths, sep="\n")
     return 0
 

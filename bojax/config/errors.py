@@ -8,6 +8,8 @@ from typing import Any
 
 import pydantic
 
+from bojax.text import one_line
+
 Location = tuple[int | str, ...]
 
 MAX_SHOWN = 60
@@ -37,7 +39,7 @@ def shown(value: Any) -> str:
     try:
         text = json.dumps(value, ensure_ascii=False)
     except (TypeError, ValueError):
-        text = " ".join(repr(value).split())
+        text = one_line(repr(value))
     return text if len(text) <= MAX_SHOWN else text[: MAX_SHOWN - 3] + "..."
 
 
@@ -54,7 +56,7 @@ def escaped(text: str) -> str:
     """A text on one line that does nothing to a terminal: what cannot be printed is shown as its code."""
     return "".join(
         character if character.isprintable() else character.encode("unicode_escape").decode()
-        for character in " ".join(text.split())
+        for character in one_line(text)
     )
 
 
@@ -176,5 +178,5 @@ def _complaint(line: Any, siblings: Sequence[str]) -> str:
         if _EXPECTED[kind] == "an integer" and isinstance(value, float) and value.is_integer():
             return got + f"allowed: an integer: write {value:.0f}"
         return got + f"allowed: {_EXPECTED[kind]}"
-    message = " ".join(line["msg"].removeprefix("Value error, ").split())
+    message = one_line(line["msg"].removeprefix("Value error, "))
     return got + message

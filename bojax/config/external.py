@@ -24,6 +24,7 @@ from bojax.config.errors import ConfigError, Location, did_you_mean, from_valida
 from bojax.config.files import EXPERIMENT
 from bojax.config.signature import fields_of
 from bojax.config.sweep import Sweep
+from bojax.text import error_line
 
 Locate = Callable[[Location], str]
 
@@ -105,9 +106,8 @@ def _validate(external: External, path: Location, locate: Locate) -> Component:
     except pydantic.ValidationError as error:
         raise from_validation(error, lambda location: locate((*path, *location))) from error
     except (Exception, SystemExit) as error:  # the user's annotations, or the user's validators
-        raise ConfigError(
-            f"{locate(where)}: got {shown(external.kind)}; checking its settings failed: {last_line(error)}"
-        ) from error
+        got = f"{locate(where)}: got {shown(external.kind)}"
+        raise ConfigError(f"{got}; checking its settings failed: {error_at_line(error)}") from error
 
 
 class _Refusal(Exception):
@@ -146,9 +146,9 @@ def _import(kind: str) -> type:
             raise _Refusal(
                 f"{got}there is no module {error.name}, neither here ({Path.cwd()}) nor installed"
             ) from error
-        raise _Refusal(f"{got}importing {module_name} failed: {last_line(error)}") from error
+        raise _Refusal(f"{got}importing {module_name} failed: {error_at_line(error)}") from error
     except (Exception, SystemExit) as error:  # a script calls sys.exit
-        raise _Refusal(f"{got}importing {module_name} failed: {last_line(error)}") from error
+        raise _Refusal(f"{got}importing {module_name} failed: {error_at_line(error)}") from error
     if not hasattr(module, name):
         names = [key for key, value in vars(module).items() if isinstance(value, type)]
         raise _Refusal(f"{got}{module_name} has no {name}{did_you_mean(name, names)}")
@@ -172,10 +172,10 @@ def _check_protocol(cls: type, role: str, kind: str) -> None:
         raise _Refusal(f"got {shown(kind)}; as a {role} it lacks {', '.join(sorted(missing))}{hint}")
 
 
-def last_line(error: BaseException) -> str:
+def error_at_line(error: BaseException) -> str:
     """An exception with the line of the user's file where it was raised."""
     frames = traceback.extract_tb(error.__traceback__)
     where = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
     if isinstance(error, SyntaxError):
         where = ""  # its message names the line
-    return f"{type(error).__name__}: {' '.join(str(error).split())}{where}"
+    return error_line(error) + where

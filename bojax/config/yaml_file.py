@@ -13,6 +13,7 @@ import yaml
 from typing_extensions import override
 
 from bojax.config.errors import ConfigError, control_character, shown
+from bojax.text import one_line
 
 MAX_BYTES = 4 * 2**20
 """Largest file, in bytes: the parser needs some 10 s for 1 MiB (measured); more would look like a hang."""
@@ -133,7 +134,7 @@ def parse(text: str, name: str) -> Any:
         where = f":{mark.line + 1}" if mark else ""
         raise ConfigError(f"{name}{where}: is not YAML: {error.problem or error.context}") from error
     except yaml.YAMLError as error:
-        raise ConfigError(f"{name}: is not YAML: {' '.join(str(error).split())}") from error
+        raise ConfigError(f"{name}: is not YAML: {one_line(error)}") from error
     except RecursionError as error:
         raise ConfigError(f"{name}: is nested too deeply") from error
 

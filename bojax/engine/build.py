@@ -14,10 +14,11 @@ from jaxtyping import PyTree
 
 from bojax.config.component import IMPORT_PATH, Component, External
 from bojax.config.errors import ConfigError, dotted, shown
-from bojax.config.external import last_line
+from bojax.config.external import error_at_line
 from bojax.engine.devices import setting
 from bojax.experiments.settings import Learning
 from bojax.numerics.checkpoint import restore
+from bojax.text import one_line
 
 
 def build(component: Component, dtype: Literal["float64", "float32"] = "float64") -> Any:
@@ -88,12 +89,12 @@ def _build(component: Component, dtype: str, path: tuple[str, ...]) -> Any:
     try:
         return cls(**arguments)
     except ValueError as error:
-        raise ConfigError(f"{_where(path, component)}: {' '.join(str(error).split())}") from error
+        raise ConfigError(f"{_where(path, component)}: {one_line(error)}") from error
     except (Exception, SystemExit) as error:  # a user's class may raise anything
         if not IMPORT_PATH.fullmatch(component.kind):
             raise
         got = f"{_where(path, component)}: got {shown(component.kind)}"
-        raise ConfigError(f"{got}; its constructor failed: {last_line(error)}") from error
+        raise ConfigError(f"{got}; its constructor failed: {error_at_line(error)}") from error
 
 
 def static_fields(cls: type) -> frozenset[str]:

@@ -13,7 +13,7 @@ from bojax.engine.groups import StaticGroup
 from bojax.engine.plan import plain
 from bojax.engine.provenance import git_revision, versions
 from bojax.results.parts import ChunkState
-from bojax.results.store import one_line
+from bojax.text import error_line
 
 if TYPE_CHECKING:
     from bojax.config.sweep import Sweep
@@ -34,7 +34,7 @@ def outline_of(module: Any) -> dict[str, Any]:
         outline = module.problem.outline() if hasattr(module, "problem") else None
         return {} if outline is None else {"outline": outline.as_numbers()}
     except Exception as error:  # the user's code
-        raise ConfigError(f"{type(module.problem).__name__}.outline: {one_line(error)}") from error
+        raise ConfigError(f"{type(module.problem).__name__}.outline: {error_line(error)}") from error
 
 
 def describe_sweep(

@@ -29,7 +29,8 @@ from bojax.experiments.base import Experiment
 from bojax.results.folder import RunFolder, check_finished, choose_folder, drop_leftovers, is_unfinished
 from bojax.results.merge import RUNS, PointInfo, merge
 from bojax.results.parts import ChunkFolder
-from bojax.results.store import MANIFEST, ResultsError, one_line, write_atomically, write_json, write_table
+from bojax.results.store import MANIFEST, ResultsError, write_atomically, write_json, write_table
+from bojax.text import error_line
 
 if TYPE_CHECKING:
     from bojax.config.sweep import Point, Sweep
@@ -228,7 +229,7 @@ class SweepRun:
         """Mark chunks as failed; other chunks continue. A file keeps the traceback of an unexpected error."""
         group = self.groups[chunks[0].group]
         known = error if isinstance(error, EngineError) else out_of_memory(error, self._lanes[group.index])
-        message = str(known or one_line(error))
+        message = str(known or error_line(error))
         if known is None:
             stack = self._folder.work / f"error-{chunks[0].index:05d}.txt"
             text = "".join(traceback.format_exception(error)).encode(errors="backslashreplace")
@@ -252,7 +253,7 @@ class SweepRun:
             try:
                 latencies = measure_latency(group, points, self._sweep.seed, self._devices[0])
             except (Exception, SystemExit) as error:  # a failure here leaves the results complete
-                progress.say(f"latency of {self._name(group)} not measured: {one_line(error)}")
+                progress.say(f"latency of {self._name(group)} not measured: {error_line(error)}")
                 continue
             self._facts[group.index]["latency_seconds"] = {str(i): latencies[i] for i in points}
 

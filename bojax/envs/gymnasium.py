@@ -17,6 +17,7 @@ from typing_extensions import override
 from bojax.config.extras import MissingExtra
 from bojax.envs.base import Env
 from bojax.envs.spaces import Box, Discrete, Space
+from bojax.text import error_line, one_line
 
 try:
     import gymnasium
@@ -133,7 +134,7 @@ class HostEnv(Env):
             limit = max_steps or gymnasium.spec(id).max_episode_steps
             spaces = made.observation_space, made.action_space
         except (Exception, SystemExit) as error:
-            raise ValueError(f'id: got "{id}"; {_failure(error)}') from error
+            raise ValueError(f'id: got "{id}"; {error_line(error)}') from error
         dtype = success_reward.dtype
         self.observations = from_gymnasium(spaces[0], "observation", dtype, low, high)
         self.actions = from_gymnasium(spaces[1], "action", dtype)
@@ -267,7 +268,7 @@ def from_gymnasium(
     if isinstance(space, spaces.Discrete):
         return Discrete(int(space.n))
     if not isinstance(space, spaces.Box):
-        raise ValueError(f"{what} space {_one_line(space)} is neither box nor discrete")
+        raise ValueError(f"{what} space {one_line(space)} is neither box nor discrete")
     size = math.prod(space.shape)
     bounds = []
     for name, declared, given in (("low", space.low, low), ("high", space.high, high)):
@@ -303,7 +304,7 @@ def _probe(env: gymnasium.Env, id: str) -> None:
         after, reward, *_ = env.step(env.action_space.sample())
         reward = np.asarray(reward, np.float64)
     except (Exception, SystemExit) as error:
-        raise ValueError(f"{id} fails in its first step: {_failure(error)}") from error
+        raise ValueError(f"{id} fails in its first step: {error_line(error)}") from error
     shape = env.observation_space.shape
     for when, observation in (("reset", first), ("step", after)):
         if np.shape(observation) != shape:
@@ -312,14 +313,6 @@ def _probe(env: gymnasium.Env, id: str) -> None:
             )
     if reward.shape != ():
         raise ValueError(f"{id}: step returns a reward of shape {reward.shape}, not one number")
-
-
-def _failure(error: BaseException) -> str:
-    return f"{type(error).__name__}: {_one_line(error)}"
-
-
-def _one_line(thing: Any) -> str:
-    return " ".join(str(thing).split())
 
 
 @eqx.filter_jit

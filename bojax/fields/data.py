@@ -5,6 +5,8 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bojax.text import one_line
+
 if TYPE_CHECKING:
     import numpy as np
 
@@ -35,7 +37,7 @@ def read_array(file: str) -> "np.ndarray":
     except OSError as error:
         raise ValueError(f"{file}: {error.strerror or error}") from error
     except Exception as error:  # NumPy's readers raise whatever a damaged file leads them to
-        message = " ".join(str(error).split())
+        message = one_line(error)
         raise ValueError(message if message.startswith(file) else f"{file}: {message}") from error
     if not isinstance(table, np.ndarray):
         raise ValueError(f"{file}: is an archive (.npz); a single array (.npy) is expected")

@@ -14,6 +14,8 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import PyTree
 
+from bojax.text import one_line
+
 
 def as_numbers(name: str) -> Callable[[Any], Any]:
     """A converter for a field of a module, from Python numbers, lists and NumPy arrays to JAX arrays.
@@ -89,7 +91,7 @@ def check_array(name: str, values: Any, num_axes: int, axes: str, dtype: str) ->
             raise TypeError("complex or masked values")
         array = array.astype(np.float64)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{name}: not an array of numbers: {' '.join(str(error).split())}") from error
+        raise ValueError(f"{name}: not an array of numbers: {one_line(error)}") from error
     if array.ndim != num_axes:
         raise ValueError(f"{name}: got shape {array.shape}; allowed: {axes}")
     bad = int(np.sum(~np.isfinite(array)))
@@ -149,5 +151,5 @@ def _rounded(number: float, dtype: str) -> np.ndarray:
 
 
 def _refused(name: str, value: Any, allowed: str) -> ValueError:
-    got = f'"{value}"' if isinstance(value, str) else " ".join(reprlib.repr(value).split())
+    got = f'"{value}"' if isinstance(value, str) else one_line(reprlib.repr(value))
     return ValueError(f"{name}: got {got}; allowed: {allowed}")

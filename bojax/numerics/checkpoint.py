@@ -13,7 +13,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, PyTree
 
-from bojax.results.store import ResultsError, fingerprint, one_line, read_checked_json, write_checked_json
+from bojax.results.store import ResultsError, fingerprint, read_checked_json, write_checked_json
+from bojax.text import error_line
 
 _CHECKSUM = "checksum.json"
 """File with the size and SHA-256 of every other file of the checkpoint; Orbax does not detect all damage."""
@@ -39,7 +40,7 @@ def save(path: Path, tree: PyTree[Array]) -> None:
             raise ResultsError(
                 f"{path}: the disk is full: free some space, then run again with --resume", exit_code=1
             ) from error
-        raise ResultsError(f"{path}: the checkpoint cannot be written ({one_line(error)})", 1) from error
+        raise ResultsError(f"{path}: the checkpoint cannot be written ({error_line(error)})", 1) from error
 
 
 def restore(path: Path, structure: PyTree[jax.ShapeDtypeStruct], advice: str | None = None) -> PyTree[Array]:
@@ -68,7 +69,7 @@ def restore(path: Path, structure: PyTree[jax.ShapeDtypeStruct], advice: str | N
             leaves = ocp.load(str(path.resolve()), plain)
     except Exception as error:
         raise ResultsError(
-            f"{path}: the checkpoint cannot be read ({one_line(error)}): "
+            f"{path}: the checkpoint cannot be read ({error_line(error)}): "
             + (advice or f"delete the folder {path.parent} and resume to compute this chunk again")
         ) from error
     restored = [

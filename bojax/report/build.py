@@ -15,7 +15,8 @@ from bojax.report.page import Plate, plate, render
 from bojax.report.source import Results, load
 from bojax.report.tables import count_nan_runs, thesis_gaps
 from bojax.report.text import counted, joined
-from bojax.results.store import ResultsError, explained, one_line, write_atomically
+from bojax.results.store import ResultsError, explained, write_atomically
+from bojax.text import error_line
 
 _TABLES = ("latency",)
 """Names that `report.figures` may hold and that are tables of every page."""
@@ -96,7 +97,7 @@ def _figures(results: Results, at: Callable[[str], None]) -> tuple[dict[str, Any
         except ResultsError:
             raise
         except Exception as error:  # one figure is no reason to lose the page
-            notes.append(f"The figure {name} could not be drawn: {one_line(error)}.")
+            notes.append(f"The figure {name} could not be drawn: {error_line(error)}.")
             continue
         plates.append(plate(name, drawing.title, drawing.caption, drawing.alt, images[name]["svg"]))
     if missing:

@@ -13,6 +13,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from bojax.text import one_line
+
 MANIFEST = "manifest.json"
 ARRAYS = "arrays"
 LEARNERS = "learners"
@@ -50,12 +52,6 @@ class ResultsError(Exception):
     def __init__(self, message: str, exit_code: int = 2):
         super().__init__(message)
         self.exit_code = exit_code
-
-
-def one_line(error: BaseException) -> str:
-    """The type of an exception and the first line of its message."""
-    text = str(error).strip().splitlines()
-    return f"{type(error).__name__}: {text[0]}" if text else type(error).__name__
 
 
 @contextmanager
@@ -164,7 +160,7 @@ def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
             return file.read(columns=columns)
     except Exception as error:  # a damaged file raises whatever the decoder of that byte raises
-        reason = one_line(error).partition(": ")[2].rstrip(".")
+        reason = one_line(error).rstrip(".")
         raise ResultsError(f"{path}: not a readable parquet file ({reason}): was it truncated?") from error
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from bojax.config.extras import MissingExtra
+from bojax.text import one_line
 
 try:
     mujoco: Any = importlib.import_module("mujoco")  # MuJoCo has no type stubs
@@ -41,7 +42,7 @@ class RobotModel:
                 return mujoco.MjSpec.from_string(self.xml)
             return mujoco.MjSpec.from_file(self.path)
         except ValueError as error:
-            raise ValueError(_one_line(error)) from error
+            raise ValueError(one_line(error)) from error
 
     def compiled(self) -> MjModel:
         """The compiled model, cached.
@@ -67,7 +68,7 @@ def from_file(path: str | Path) -> RobotModel:
     try:
         return RobotModel(path.read_text("utf-8"), str(path.resolve()))
     except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: {_one_line(error)}") from error
+        raise ValueError(f"{path}: {one_line(error)}") from error
 
 
 @functools.cache
@@ -75,8 +76,4 @@ def _compiled(model: RobotModel) -> MjModel:
     try:
         return model.spec().compile()
     except ValueError as error:
-        raise ValueError(_one_line(error)) from error
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())
+        raise ValueError(one_line(error)) from error

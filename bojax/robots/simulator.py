@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool, Float
 from bojax.config.extras import MissingExtra
 from bojax.numerics.third_party import plain_jax, silenced, standard_jax
 from bojax.robots.models import MjModel, RobotModel, mujoco
+from bojax.text import one_line
 
 try:
     with silenced():
@@ -157,7 +158,7 @@ def _compiled(
     try:
         compiled = spec.compile()
     except ValueError as error:
-        raise ValueError(f"MuJoCo refuses the model: {' '.join(str(error).split())}") from error
+        raise ValueError(f"MuJoCo refuses the model: {one_line(error)}") from error
     if unsupported := _unsupported(compiled):
         raise ValueError(f"MJX cannot simulate the model: {unsupported}")
     if impl == "warp" and importlib.util.find_spec("warp") is None:
@@ -167,7 +168,7 @@ def _compiled(
             put = mjx.put_model(compiled, impl=impl)
             return compiled, put, mjx.make_data(compiled, impl=impl)
     except (ValueError, NotImplementedError) as error:
-        raise ValueError(f"MJX refuses the model: {' '.join(str(error).split())}") from error
+        raise ValueError(f"MJX refuses the model: {one_line(error)}") from error
 
 
 def _unsupported(model: MjModel) -> str:

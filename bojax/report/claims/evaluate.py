@@ -16,7 +16,8 @@ from bojax.report.claims.finding import Finding
 from bojax.report.claims.samples import Undecidable
 from bojax.report.manifest import Unread
 from bojax.report.source import Results
-from bojax.results.store import ResultsError, one_line
+from bojax.results.store import ResultsError
+from bojax.text import error_line
 
 
 def evaluate(results: Results) -> list[dict[str, Any]]:
@@ -51,7 +52,7 @@ def _entry(results: Results, claim: Claim | Unread) -> dict[str, Any]:
     except ResultsError:
         raise
     except Exception as error:  # a failed test must not cost the other verdicts
-        reason = str(error) if isinstance(error, Undecidable) else f"the test failed: {one_line(error)}"
+        reason = str(error) if isinstance(error, Undecidable) else f"the test failed: {error_line(error)}"
         return {
             **entry,
             "ours": None,
