@@ -1,1 +1,1 @@
-"""Configuration: schema classes of every part, experiment and sweep files, overrides. Imports no JAX."""
+"""Reading configurations: schemas, YAML files, overrides, sweeps and their errors. Imports no JAX."""

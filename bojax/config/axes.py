@@ -1,4 +1,4 @@
-"""The axes of a sweep: what is swept, and the points that a grid or a zip of them makes."""
+"""The axes of a sweep, and the points of their grid or zip."""
 
 import itertools
 import math
@@ -22,8 +22,8 @@ class Choice:
 
     Attributes:
         axis: Dotted path of the axis.
-        name: Its name, on an axis of named subtrees.
-        value: What stands at the path, or is laid over what stands there.
+        name: Name of the value on an axis of named subtrees, otherwise None.
+        value: New value at the path; a named subtree is merged into the value of the base.
     """
 
     axis: Path
@@ -31,7 +31,7 @@ class Choice:
     value: Any
 
     def apply(self, experiment: Mapping[str, Any], source: str) -> dict[str, Any]:
-        """The experiment with this choice made; `source` is the file that holds the axis."""
+        """The experiment with this choice applied; `source` is the file of the axis."""
         place = look_up(experiment, self.axis)
         value = self.value
         if self.name is not None and isinstance(value, Mapping):
@@ -45,7 +45,7 @@ class Choice:
         return assign(experiment, self.axis, value, f"{source}: axes.{'.'.join(self.axis)}")
 
     def sets(self, path: Path) -> bool:
-        """Whether this choice itself fixes the setting at `path`, or something below it."""
+        """Whether this choice sets the value at `path`, or a value below it."""
         below, value = path[len(self.axis) :], self.value
         for name in below:
             if not isinstance(value, Mapping) or name not in value:
@@ -58,15 +58,15 @@ Combination = tuple[Choice, ...]
 
 
 def read_axes(axes: Mapping[str, Any], combine: str, source: str) -> list[Combination]:
-    """The combinations of choices, in the order of the file; one empty combination without axes.
+    """The combinations of choices, in the order of the file; without axes, one empty combination.
 
     Raises:
-        ConfigError: An axis is empty, holds a value twice although no partner in a zip tells them apart, or
-            has another length than its partner.
+        ConfigError: An axis is empty or has a duplicate value, two points of a zip are equal, or the axes of
+            a zip differ in length.
     """
-    are_partners = combine == "zip" and len(axes) > 1
+    is_zip = combine == "zip" and len(axes) > 1
     columns = [
-        _read_axis(name, values, f"{source}: axes.{name}", are_partners) for name, values in axes.items()
+        _read_axis(name, values, f"{source}: axes.{name}", may_repeat=is_zip) for name, values in axes.items()
     ]
     _refuse_overlap([column[0].axis for column in columns], source)
     if combine == "zip":
@@ -74,7 +74,7 @@ def read_axes(axes: Mapping[str, Any], combine: str, source: str) -> list[Combin
         if len(set(lengths.values())) > 1:
             listed = ", ".join(f"{name} has {length}" for name, length in lengths.items())
             raise ConfigError(
-                f"{source}: axes: got axes of different lengths ({listed}); a zip needs equal ones"
+                f"{source}: axes: got axes of different lengths ({listed}); allowed in a zip: equal lengths"
             )
         combinations = list(zip(*columns, strict=True)) if columns else [()]
         firsts: dict[Hashable, int] = {}
@@ -82,7 +82,7 @@ def read_axes(axes: Mapping[str, Any], combine: str, source: str) -> list[Combin
             first = firsts.setdefault(tuple((c.name, _hashable(c.value)) for c in combination), index)
             if first != index:
                 raise ConfigError(
-                    f"{source}: axes: points {first} and {index} are the same; all differ in a zip"
+                    f"{source}: axes: points {first} and {index} are equal; allowed in a zip: distinct points"
                 )
         return combinations
     POINTS.check(math.prod(map(len, columns)), f"{source}: axes")
@@ -97,7 +97,7 @@ def expand(
 ) -> list[dict[str, Any]]:
     """The raw experiment of every point.
 
-    `overrides` are those that lie below an axis: each goes to every point that has such a setting.
+    `overrides` are those below an axis; each is applied to every point that has the setting.
     """
     points = []
     for combination in combinations:
@@ -107,7 +107,7 @@ def expand(
         points.append(raw)
     for override in overrides:
         fits = [look_up(raw, override.path) is not None for raw in points]
-        # Where no point has it, validation says so, with the nearest name.
+        # If no point has the setting, validation reports the unknown key and the nearest name.
         points = [
             apply(raw, override) if fit or not any(fits) else raw
             for raw, fit in zip(points, fits, strict=True)
@@ -118,10 +118,10 @@ def expand(
 def split_overrides(
     overrides: Sequence[Override], combinations: Sequence[Combination], source: str
 ) -> tuple[list[Override], list[Override]]:
-    """The overrides of the base, and those that lie below an axis.
+    """The overrides of the base, and those below an axis.
 
     Raises:
-        ConfigError: An override sets what the sweep sets.
+        ConfigError: An override sets a swept key.
     """
     base, below = [], []
     for override in overrides:
@@ -140,34 +140,38 @@ def split_overrides(
 def _read_axis(name: str, values: Any, where: str, may_repeat: bool) -> list[Choice]:
     axis = tuple(name.split("."))
     if not all(axis):
-        raise ConfigError(f"{where}: a dotted path such as planner.depth is expected")
+        raise ConfigError(
+            f"{where}: got an empty name in the path; allowed: a dotted path, such as planner.depth"
+        )
     if axis[0] in (*RESERVED, "experiment"):
         raise ConfigError(f"{where}: {axis[0]} cannot be swept; allowed: settings of the experiment")
     if not isinstance(values, list | dict):
         raise ConfigError(f"{where}: got {shown(values)}; allowed: a list of values, or named subtrees")
     if not values:
-        raise ConfigError(f"{where}: is empty; at least one value is expected")
+        raise ConfigError(f"{where}: is empty; allowed: one value or more")
     POINTS.check(len(values), where)
     if isinstance(values, dict):
         for choice in values:
             if not choice or "/" in choice:
-                raise ConfigError(f"{where}: got the name {shown(choice)}; a name is not empty and has no /")
+                raise ConfigError(
+                    f"{where}: got the name {shown(choice)}; allowed: a nonempty name without /"
+                )
         return [Choice(axis, choice, {} if value is None else value) for choice, value in values.items()]
     seen = set()
     for value in values:
         if isinstance(value, dict):
             raise ConfigError(
-                f"{where}: got {shown(value)}; a subtree needs a name: `{name}: {{NAME: {{...}}}}`"
+                f"{where}: got {shown(value)}; allowed: named subtrees, `{name}: {{NAME: {{...}}}}`"
             )
         key = type(value), _hashable(value)
         if key in seen and not may_repeat:
-            raise ConfigError(f"{where}: got {shown(value)} twice; the values of an axis differ")
+            raise ConfigError(f"{where}: got {shown(value)} twice; allowed: distinct values")
         seen.add(key)
     return [Choice(axis, None, value) for value in values]
 
 
 def _hashable(value: Any) -> Hashable:
-    """A stand-in for a value of YAML: equal where the values are."""
+    """A hashable key for a YAML value; equal values have equal keys."""
     if isinstance(value, list):
         return "list", *map(_hashable, value)
     if isinstance(value, dict):
@@ -176,11 +180,11 @@ def _hashable(value: Any) -> Hashable:
 
 
 def _refuse_overlap(axes: Sequence[Path], source: str) -> None:
+    """Refuse an axis that sets a parent of what an earlier axis sets."""
     for first, second in itertools.permutations(axes, 2):
         if _is_prefix(first, second) and axes.index(first) > axes.index(second):
-            raise ConfigError(
-                f"{source}: axes.{'.'.join(first)}: would undo axes.{'.'.join(second)}; put it first"
-            )
+            outer, inner = f"axes.{'.'.join(first)}", f"axes.{'.'.join(second)}"
+            raise ConfigError(f"{source}: {outer}: overwrites {inner}; allowed: {outer} before {inner}")
 
 
 def _is_prefix(prefix: Path, path: Path) -> bool:

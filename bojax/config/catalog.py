@@ -1,7 +1,6 @@
-"""The settings modules of every package, found by discovery: importing this module registers every part.
+"""Registration of every part: importing this module imports the `settings` module of every package.
 
-The parts of a package are configured by the schema classes in its module `settings`. Only these modules
-are imported; they load neither JAX nor matplotlib.
+The schema classes of a package's parts are in its module `settings`, which loads neither JAX nor matplotlib.
 """
 
 import importlib
@@ -23,7 +22,7 @@ for _name in _settings_modules():
 
 
 def roles() -> dict[str, type[Component]]:
-    """The base class of the settings of each role that a user can fill, in the order of lists."""
+    """The base classes of the roles that a configuration can fill, sorted by their headings."""
     bases = {base.role: base for base in Component.__subclasses__() if "plural" in vars(base)}
     return dict(sorted(bases.items(), key=lambda item: item[1].plural))
 

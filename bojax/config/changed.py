@@ -1,4 +1,4 @@
-"""The settings in which a sweep differs from the published sweep that it was made from."""
+"""The settings in which a sweep differs from the published sweep of the same name."""
 
 import json
 from collections.abc import Iterator, Mapping
@@ -11,11 +11,11 @@ _MISSING = object()
 
 
 def changed_settings(published: "Sweep", ours: "Sweep") -> dict[str, list[Any]]:
-    """The published value and ours of every setting that differs, by dotted path.
+    """The published value and our value of every setting that differs, by dotted path.
 
-    Compared are runs, seed, the axes, the resolved settings of each point and the tests of claims, since all
-    of them decide a verdict. How runs are executed (`engine`), recorded (`record`) and shown (`report`) does
-    not. A setting that differs between points is given as the list of its values.
+    The comparison covers everything that affects a verdict: runs, seed, axes, the resolved settings of each
+    point and the tests of claims. It leaves out `engine`, `record` and `report`. The values of a setting that
+    differs between points are given as a list.
     """
     pairs: dict[str, list[tuple[Any, Any]]] = {
         name: [(getattr(published, name), getattr(ours, name))] for name in ("runs", "seed")
@@ -28,7 +28,7 @@ def changed_settings(published: "Sweep", ours: "Sweep") -> dict[str, list[Any]]:
     for axis in dict.fromkeys(name for swept in (*theirs, *own) for name in swept):
         pairs[f"axes.{axis}"] = [(_values(theirs, axis), _values(own, axis))]
     if all(a == b for name, ((a, b), *_) in pairs.items() if name.startswith("axes.")):
-        # The same values may still be combined differently: a zip, say, in place of a grid.
+        # The same values can be combined differently, for example by a zip instead of a grid.
         pairs["points"] = [(_without(published, ours), _without(ours, published))]
     for path, values in _differences(published, ours):
         pairs.setdefault(path, []).append(values)
@@ -40,7 +40,7 @@ def changed_settings(published: "Sweep", ours: "Sweep") -> dict[str, list[Any]]:
 
 
 def _differences(published: "Sweep", ours: "Sweep") -> Iterator[tuple[str, tuple[Any, Any]]]:
-    """The settings in which a point differs from its counterpart, other than those that are swept."""
+    """The unswept settings in which a point differs from its counterpart."""
     same_values = {_key(point): point for point in reversed(published.points)}
     same_variant = {point.variant: point for point in reversed(published.points)}
     for point in ours.points:
@@ -58,7 +58,7 @@ def _differences(published: "Sweep", ours: "Sweep") -> Iterator[tuple[str, tuple
 
 
 def _without(sweep: "Sweep", other: "Sweep") -> list[dict[str, Any]]:
-    """The swept values of the points that only the first of two sweeps has."""
+    """The swept values of the points of `sweep` that `other` does not have."""
     known = set(map(_key, other.points))
     return [point.swept for point in sweep.points if _key(point) not in known]
 
@@ -77,7 +77,7 @@ def _leaves(config: Any, path: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _values(points: list[dict[str, Any]], axis: str) -> list[Any] | None:
-    """The values on an axis, each once; None where it is not swept."""
+    """The distinct values of an axis; None if the axis is not swept."""
     return _distinct([swept[axis] for swept in points if axis in swept]) or None
 
 

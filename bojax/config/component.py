@@ -1,4 +1,4 @@
-"""Schema classes: one frozen pydantic class per identifier, which is also its registration."""
+"""Base classes of settings: one frozen pydantic class per kind of part, registered by its definition."""
 
 import inspect
 import re
@@ -13,27 +13,27 @@ registry: dict[str, dict[str, type["Registered"]]] = {}
 """Every schema class, by role and kind."""
 
 IMPORT_PATH = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*")
-"""A class given by import path: `package.module:Class`."""
+"""Pattern of an import path: `package.module:Class`."""
 
 
 class Schema(pydantic.BaseModel, frozen=True):
-    """A mapping of settings: no unknown keys, nothing coerced but integers to floats, no NaN or infinity."""
+    """A mapping of settings without unknown keys, NaN or infinity; only integers are converted, to floats."""
 
     model_config = pydantic.ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
     @pydantic.model_validator(mode="before")
     @classmethod
     def _complete(cls, data: Any) -> Any:
-        """Refuse unknown keys by naming the known ones; merge what stands in a slot over its default."""
+        """Refuse unknown keys, listing the known ones; merge the value of each slot into its default."""
         if not isinstance(data, Mapping):
             return data
         names = [field.alias or name for name, field in cls.model_fields.items()]
         unknown = [name for name in data if name not in names]
         if unknown:
             name, names = unknown[0], [name for name in names if name != "kind"]
-            kin = registry.get(getattr(cls, "role", ""), {})
-            having = [kind for kind, schema in kin.items() if name in schema.model_fields]
-            context = {"names": names, "others": len(unknown) - 1, "kinds": having}
+            kinds = registry.get(getattr(cls, "role", ""), {})
+            owners = [kind for kind, schema in kinds.items() if name in schema.model_fields]
+            context = {"names": names, "others": len(unknown) - 1, "kinds": owners}
             error = PydanticCustomError("unknown_key", "unknown key", context)
             details = InitErrorDetails(type=error, loc=(name,), input=data[name])
             raise pydantic.ValidationError.from_exception_data(cls.__name__, [details])
@@ -46,11 +46,11 @@ class Schema(pydantic.BaseModel, frozen=True):
 
 
 class Registered(Schema, frozen=True):
-    """A mapping with a `kind`, which a final class pins as a `Literal` default; that registers the class.
+    """Settings with a `kind`. A final class pins `kind` as a `Literal` default, which registers the class.
 
     Attributes:
-        role: The slot that it fits: "problem", "planner", "motions", ...
-        kind: Its identifier.
+        role: Role of the part: "problem", "planner", "motions", ...
+        kind: Identifier, unique within the role.
     """
 
     role: ClassVar[str] = ""
@@ -75,17 +75,17 @@ class Registered(Schema, frozen=True):
 
 
 class Component(Registered, frozen=True):
-    """Settings of one part, as plain numbers: what the constructor of its target takes.
+    """Settings of one part: the arguments of its constructor, as plain values.
 
     The base class of a role sets `role`, `plural` and `protocol`; the class of a part sets `target` and
     `kind`.
 
     Attributes:
-        plural: What lists call the parts of the role.
-        protocol: Base class of the parts, `package.module:Class`, whose abstract methods a part has to
-            provide; empty where a role has none.
-        target: The class that is built from the settings, `package.module:Class`.
-        constructor_defaults: Fields that are left to the constructor unless they were set.
+        plural: Heading of the role in lists.
+        protocol: Base class of the parts, `package.module:Class`, whose abstract methods a part must
+            implement; empty if the role has no base class.
+        target: Class that is built from the settings, `package.module:Class`.
+        constructor_defaults: Settings that are passed to the constructor only if they were set.
     """
 
     plural: ClassVar[str]
@@ -95,12 +95,12 @@ class Component(Registered, frozen=True):
 
     @property
     def label(self) -> str:
-        """The name that results use for it."""
+        """Name of the part in results."""
         return self.kind.rpartition(":")[2]
 
     @property
     def imported_module(self) -> tuple[str, str] | None:
-        """A module outside bojax whose code runs before the part is built, and the setting that names it."""
+        """The module outside bojax that is imported to build the part, and the setting that names it."""
         return None
 
 
@@ -109,8 +109,8 @@ class External(Component, frozen=True):
 
     Attributes:
         kind: `package.module:Class`.
-        slot: The role that it has to fill.
-        params: Its settings, not yet validated.
+        slot: Role that the part must have.
+        params: Settings, not yet validated.
     """
 
     slot: str
@@ -119,7 +119,7 @@ class External(Component, frozen=True):
     @property
     @override
     def imported_module(self) -> tuple[str, str]:
-        """The module of its import path."""
+        """The module of the import path."""
         return self.kind.partition(":")[0], "kind"
 
 
@@ -127,13 +127,13 @@ class Slot:
     """Marks a field that holds a component: `problem: Annotated[Component, Slot("problem")]`.
 
     The field accepts a component, an identifier (`parking` means `{kind: parking}`), an import path, or a
-    mapping with `kind` and settings. What the mapping leaves out is taken from the field's default if that
-    is of the same kind, otherwise from the defaults of the kind.
+    mapping with `kind` and settings. Settings that the mapping omits are taken from the default of the field
+    if its kind is the same, otherwise from the defaults of the kind.
 
     Attributes:
-        role: The role of the component.
-        only: The built-in kinds that fit, if not all of the role do.
-        optional: Whether null may stand there too.
+        role: Role of the component.
+        only: Built-in kinds that are allowed; empty if all kinds of the role are.
+        optional: Whether null is allowed.
     """
 
     def __init__(self, role: str, only: Collection[str] = (), *, optional: bool = False):
@@ -142,7 +142,7 @@ class Slot:
         self.optional = optional
 
     def __get_pydantic_core_schema__(self, source: Any, handler: pydantic.GetCoreSchemaHandler) -> CoreSchema:
-        """Pydantic's hook: validate by `kind`, serialise the whole component."""
+        """Validate by `kind` and serialise the whole component; called by pydantic."""
         del source, handler
         return core_schema.no_info_plain_validator_function(
             self.validate,
@@ -162,8 +162,8 @@ class Slot:
         if isinstance(kind, str) and IMPORT_PATH.fullmatch(kind):
             params = {name: setting for name, setting in dict(_mapping(value)).items() if name != "kind"}
             return External(kind=kind, slot=self.role, params=params)
-        if not isinstance(kind, str) or kind not in self._fitting():
-            raise self._refusal(kind)
+        if not isinstance(kind, str) or kind not in self._allowed_kinds():
+            raise self._unknown_kind(kind)
         return kinds[kind].model_validate(_mapping(value))
 
     def _checked(self, component: Registered) -> Registered:
@@ -171,23 +171,25 @@ class Slot:
         role = component.slot if is_external else component.role
         if role != self.role:
             raise PydanticCustomError(
-                "wrong_role", "a {role} is expected here, not a {got}", {"role": self.role, "got": role}
+                "wrong_role",
+                "allowed: a part of role {role}, not of role {got}",
+                {"role": self.role, "got": role},
             )
         if self.only and not is_external and component.kind not in self.only:
-            raise self._refusal(component.kind)
+            raise self._unknown_kind(component.kind)
         return component
 
-    def _fitting(self) -> list[str]:
-        """The built-in kinds that may stand here."""
+    def _allowed_kinds(self) -> list[str]:
+        """The built-in kinds that this slot accepts."""
         return [kind for kind in registry.get(self.role, {}) if not self.only or kind in self.only]
 
-    def _refusal(self, kind: Any) -> PydanticCustomError:
+    def _unknown_kind(self, kind: Any) -> PydanticCustomError:
         is_known = isinstance(kind, str) and kind in registry.get(self.role, {})
         roles = [role for role, kinds in registry.items() if isinstance(kind, str) and kind in kinds]
         context = {
             "role": self.role,
             "kind": kind,
-            "names": self._fitting(),
+            "names": self._allowed_kinds(),
             "is_known": is_known,
             "roles": roles,
         }
@@ -207,7 +209,7 @@ def slots(schema: type[pydantic.BaseModel]) -> Iterator[tuple[str, Slot]]:
 
 
 def merged(base: Any, new: Any) -> Any:
-    """`new` laid over `base`: mappings key by key, but a new kind replaces the old one with its settings."""
+    """`new` merged into `base`, mappings key by key; a new kind replaces the old kind and its settings."""
     if isinstance(base, Mapping) and "kind" in base and isinstance(new, str):
         new = {"kind": new}
     elif isinstance(new, Mapping) and isinstance(base, str):

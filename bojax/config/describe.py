@@ -1,4 +1,4 @@
-"""A schema class in words: type, default and meaning of each setting, for `bojax list` and the docs."""
+"""Descriptions of schema classes for `bojax list` and the documentation: type, default, meaning."""
 
 import inspect
 import types
@@ -17,10 +17,10 @@ class Setting:
     """One setting of a part.
 
     Attributes:
-        name: Its key.
-        type: What it may be, with its bounds.
-        default: Its default as in YAML; empty where there is none.
-        meaning: What it means, with its unit.
+        name: Key of the setting.
+        type: Type and bounds.
+        default: Default in YAML notation; empty if the setting is required.
+        meaning: Meaning and unit.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""One line for whatever is wrong with a configuration: where, what stands there, what is allowed."""
+"""Configuration errors as one line each: the place, the value found there, the values allowed."""
 
 import difflib
 import json
@@ -13,29 +13,29 @@ from bojax.text import one_line
 Location = tuple[int | str, ...]
 
 MAX_SHOWN = 60
-"""Longest value that an error message quotes, in characters."""
+"""Maximum length of a quoted value, in characters."""
 
 MAX_NAMES = 10
-"""Most names that an error message lists."""
+"""Maximum number of names in a message."""
 
 MAX_MESSAGE = 400
-"""Longest message, in characters."""
+"""Maximum length of a message, in characters."""
 
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
 
 
 class ConfigError(ValueError):
-    """A user's mistake in a configuration, told in one line.
+    """A user's mistake in a configuration; the message is one line.
 
     Attributes:
-        exit_code: What the command line exits with.
+        exit_code: Exit code of the command line.
     """
 
     exit_code = 2
 
 
 def shown(value: Any) -> str:
-    """A value as it would stand in a YAML file, on one line and cut to a readable length."""
+    """A value as in a YAML file, on one line and cut to `MAX_SHOWN` characters."""
     try:
         text = json.dumps(value, ensure_ascii=False)
     except (TypeError, ValueError):
@@ -44,16 +44,16 @@ def shown(value: Any) -> str:
 
 
 def control_character(text: str) -> str | None:
-    """The first character of a text that stands for no sign: a control character or half a surrogate pair.
+    """The first control character or unpaired surrogate of a text, quoted; None if it has none.
 
-    Tabs and ends of lines are allowed.
+    Tabs and line breaks are allowed.
     """
     match = _CONTROL.search(text)
     return match and shown(match[0])
 
 
 def escaped(text: str) -> str:
-    """A text on one line that does nothing to a terminal: what cannot be printed is shown as its code."""
+    """A text on one line, with escape sequences in place of unprintable characters."""
     return "".join(
         character if character.isprintable() else character.encode("unicode_escape").decode()
         for character in one_line(text)
@@ -61,27 +61,27 @@ def escaped(text: str) -> str:
 
 
 def printable(message: object) -> str:
-    """A message as the terminal shows it: one line, escaped, without the middle of a very long one."""
+    """A message for the terminal: one line, escaped, with the middle of a very long message left out."""
     text, half = escaped(str(message)), MAX_MESSAGE // 2 - 3
     return text if len(text) <= MAX_MESSAGE else f"{text[:half]} ... {text[-half:]}"
 
 
 def did_you_mean(name: Any, names: Iterable[str]) -> str:
-    """`; did you mean "x"?` with the name nearest to `name`, or nothing when none is near."""
+    """`; did you mean "x"?` with the name nearest to `name`; empty if no name is near."""
     near = difflib.get_close_matches(str(name)[:MAX_SHOWN], sorted(names), n=1)
     return f'; did you mean "{near[0]}"?' if near else ""
 
 
 def one_of(name: Any, names: Iterable[str]) -> str:
-    """`; allowed: a, b, c; did you mean "a"?`."""
+    """The end of a message about an unknown name: `; allowed: a, b, c; did you mean "a"?`."""
     names = sorted(names)
     if not names:
-        return "; nothing is allowed here"
+        return "; allowed: none"
     return "; allowed: " + listed(name, names) + did_you_mean(name, names)
 
 
 def listed(name: Any, names: Iterable[str]) -> str:
-    """Names in alphabetical order; of many, those nearest to `name` and the number of the others."""
+    """Names in alphabetical order; of a long list, those nearest to `name` and the number of the others."""
     names = sorted(names)
     if len(names) <= MAX_NAMES:
         return ", ".join(names)
@@ -105,18 +105,18 @@ def from_validation(
     locate: Callable[[Location], str],
     siblings: Sequence[str] = (),
 ) -> ConfigError:
-    """The first complaint of a pydantic error, and how many more there are, as one line.
+    """The first error of a pydantic validation, and the number of further errors, as one line.
 
     Args:
-        error: What pydantic raised.
-        locate: Turns the location of a complaint into `FILE: dotted.path`.
-        siblings: Names that are also allowed at the top level, beside those that pydantic knows.
+        error: The error raised by pydantic.
+        locate: Formats the location of a setting as `FILE: dotted.path`.
+        siblings: Names that are allowed at the top level in addition to the fields of the schema.
     """
     lines = error.errors(include_url=False)
     first = lines[0]
     others = len(lines) - 1 + sum(line.get("ctx", {}).get("others", 0) for line in lines)
     more = f" (and {others} more)" if others else ""
-    return ConfigError(f"{locate(first['loc'])}: {_complaint(first, siblings)}{more}")
+    return ConfigError(f"{locate(first['loc'])}: {_message(first, siblings)}{more}")
 
 
 _EXPECTED = {
@@ -134,9 +134,9 @@ _EXPECTED = {
     "model_attributes_type": "a mapping",
     "list_type": "a list",
     "tuple_type": "a list",
-    "none_required": "nothing",
+    "none_required": "null",
 }
-"""What is allowed, by type of pydantic error."""
+"""The values allowed, by the type of a pydantic error."""
 
 _BOUNDS = {
     "greater_than": ("gt", ">"),
@@ -146,23 +146,23 @@ _BOUNDS = {
 }
 
 
-def _complaint(line: Any, siblings: Sequence[str]) -> str:
+def _message(line: Any, siblings: Sequence[str]) -> str:
     kind, context, value = line["type"], line.get("ctx", {}), line["input"]
     if kind == "unknown_key":
         names = [*context["names"], *(siblings if len(line["loc"]) == 1 else ())]
         name, kinds = line["loc"][-1], context["kinds"]
-        owners = f"; it is one of kind={listed(name, kinds)}" if kinds else ""
+        owners = f" (a setting of kind={listed(name, kinds)})" if kinds else ""
         return "unknown key" + owners + one_of(name, names)
     if kind == "missing":
-        return "missing, and it has no default"
+        return "missing; this setting has no default"
     got = f"got {shown(value)}; "
     if kind == "unknown_kind":
         got = f"got {shown(value.get('kind', value) if isinstance(value, dict) else value)}; "
-        what = "not possible here" if context["is_known"] else "unknown " + context["role"]
+        what = "not allowed here" if context["is_known"] else "unknown " + context["role"]
         if not context["is_known"] and context["roles"]:
-            what = f"no {context['role']}, but one of: {', '.join(context['roles'])}"
+            what = f"this name has the role {' and '.join(context['roles'])}, not {context['role']}"
             if {context["role"], *context["roles"]} >= {"problem", "env"}:
-                what += "; a problem is planned on, an env is learned on (experiment: learning)"
+                what += "; planners need a problem, learners an env (experiment: learning)"
         return got + what + one_of(context["kind"], context["names"])
     if kind == "literal_error":
         allowed = context["expected"].replace("'", '"')
@@ -176,7 +176,7 @@ def _complaint(line: Any, siblings: Sequence[str]) -> str:
         return got + f"allowed: {sign} {context[key]} entries"
     if kind in _EXPECTED:
         if _EXPECTED[kind] == "an integer" and isinstance(value, float) and value.is_integer():
-            return got + f"allowed: an integer: write {value:.0f}"
+            return got + f"allowed: an integer (write {value:.0f})"
         return got + f"allowed: {_EXPECTED[kind]}"
     message = one_line(line["msg"].removeprefix("Value error, "))
     return got + message

@@ -1,7 +1,7 @@
-"""Parts given by import path: import the user's class, make a schema class from what it says it takes.
+"""Parts given by import path: the user's class is imported, and a schema class is made of its settings.
 
-After that an external part is a component like any other. The class says what it takes by a nested
-pydantic `Config`, or else by the annotations of its constructor.
+The settings are those of a nested pydantic class `Config`, or else the annotated arguments of the
+constructor. After validation, an imported part is a component like any other.
 """
 
 import dataclasses
@@ -30,20 +30,20 @@ Locate = Callable[[Location], str]
 
 
 def imports_code(sweep: Sweep) -> bool:
-    """Whether any part of the sweep imports a module that is not one of bojax."""
+    """Whether any part of the sweep imports a module outside bojax."""
     return any(_imports_code(point.config) for point in sweep.points)
 
 
 def resolve(sweep: Sweep) -> Sweep:
-    """The sweep with every import path imported and its settings validated; runs the user's modules.
+    """The sweep with every import path imported and the settings validated; this runs the user's code.
 
-    A module that a saved learner names is printed before it is imported.
+    A module that is named in the file of a saved learner is printed before it is imported.
 
     Raises:
-        ConfigError: There is no such module or class, or it does not take these settings.
+        ConfigError: The module or class does not exist, or the class does not accept the settings.
     """
     here = str(Path.cwd())
-    if here not in sys.path:  # an installed command does not have it
+    if here not in sys.path:  # the installed command `bojax` leaves it out
         sys.path.insert(0, here)
     points = []
     for point in sweep.points:
@@ -77,18 +77,18 @@ def _resolve(component: Component, path: Location, locate: Locate) -> Component:
 
 @cache
 def _announce(module: str, place: str) -> None:
-    """Print the module that a file of a results folder names, since importing it runs code.
+    """Print the name of a module before its import if the config of a saved learner names it.
 
-    The files of a results folder that are configs are those of saved learners.
+    The config may come from somebody else, and importing the module runs its code.
     """
     root, *below = module.split(".")
     if Path(place.rpartition(": ")[0]).name != EXPERIMENT or not root.isidentifier():
         return
     loaded = sys.modules.get(root)
     spec = importlib.util.find_spec(root) if loaded is None else getattr(loaded, "__spec__", None)
-    if spec is None:  # the import says what is missing
+    if spec is None:  # the import reports the missing module
         return
-    for name in below:  # unlike importlib.util.find_spec, without importing the packages above
+    for name in below:  # importlib.util.find_spec would import the parent packages
         inner = PathFinder.find_spec(f"{spec.name}.{name}", spec.submodule_search_locations or [])
         if inner is None:
             break
@@ -105,18 +105,18 @@ def _validate(external: External, path: Location, locate: Locate) -> Component:
         raise ConfigError(f"{locate(where)}: {error}") from error.__cause__
     except pydantic.ValidationError as error:
         raise from_validation(error, lambda location: locate((*path, *location))) from error
-    except (Exception, SystemExit) as error:  # the user's annotations, or the user's validators
+    except (Exception, SystemExit) as error:  # raised by the user's annotations or validators
         got = f"{locate(where)}: got {shown(external.kind)}"
         raise ConfigError(f"{got}; checking its settings failed: {error_at_line(error)}") from error
 
 
 class _Refusal(Exception):
-    """Why a class cannot be used."""
+    """The reason why a class cannot be used."""
 
 
 @cache
 def schema_of(role: str, kind: str) -> type[Component]:
-    """The schema class of an imported class, of the role that it fills."""
+    """The schema class of an imported class in a given role."""
     cls = _import(kind)
     _check_protocol(cls, role, kind)
     config = getattr(cls, "Config", None)
@@ -129,7 +129,7 @@ def schema_of(role: str, kind: str) -> type[Component]:
             fields, left_out = fields_of(cls)
         except TypeError as error:
             raise _Refusal(f"got {shown(kind)}; {error}") from error
-    create: Any = pydantic.create_model  # its overloads do not know fields that are made at run time
+    create: Any = pydantic.create_model  # its overloads exclude fields made at run time
     schema = create(cls.__name__, __base__=bases, __module__=cls.__module__, **fields)
     schema.__doc__ = inspect.getdoc(cls)
     schema.role, schema.target, schema.constructor_defaults = role, kind, left_out
@@ -144,10 +144,10 @@ def _import(kind: str) -> type:
     except ModuleNotFoundError as error:
         if error.name and (module_name == error.name or module_name.startswith(f"{error.name}.")):
             raise _Refusal(
-                f"{got}there is no module {error.name}, neither here ({Path.cwd()}) nor installed"
+                f"{got}module {error.name} is neither in the working directory ({Path.cwd()}) nor installed"
             ) from error
         raise _Refusal(f"{got}importing {module_name} failed: {error_at_line(error)}") from error
-    except (Exception, SystemExit) as error:  # a script calls sys.exit
+    except (Exception, SystemExit) as error:  # a script may call sys.exit
         raise _Refusal(f"{got}importing {module_name} failed: {error_at_line(error)}") from error
     if not hasattr(module, name):
         names = [key for key, value in vars(module).items() if isinstance(value, type)]
@@ -159,7 +159,7 @@ def _import(kind: str) -> type:
 
 
 def _check_protocol(cls: type, role: str, kind: str) -> None:
-    """Refuse a class that lacks methods which the base class of its role leaves open."""
+    """Refuse a class that lacks abstract methods of the base class of its role."""
     missing = set(getattr(cls, "__abstractmethods__", ()))
     base = roles()[role].protocol
     if base:
@@ -169,13 +169,13 @@ def _check_protocol(cls: type, role: str, kind: str) -> None:
         missing |= protocol.__abstractmethods__ - has
     if missing:
         hint = f"; see {base.replace(':', '.')}" if base else ""
-        raise _Refusal(f"got {shown(kind)}; as a {role} it lacks {', '.join(sorted(missing))}{hint}")
+        names = ", ".join(sorted(missing))
+        raise _Refusal(f"got {shown(kind)}; the class lacks {names}, required by the role {role}{hint}")
 
 
 def error_at_line(error: BaseException) -> str:
-    """An exception with the line of the user's file where it was raised."""
+    """An exception on one line, with the file and the line where it was raised."""
     frames = traceback.extract_tb(error.__traceback__)
-    where = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
-    if isinstance(error, SyntaxError):
-        where = ""  # its message names the line
-    return error_line(error) + where
+    if not frames or isinstance(error, SyntaxError):  # the message of a SyntaxError names the line
+        return error_line(error)
+    return f"{error_line(error)} ({Path(frames[-1].filename).name}, line {frames[-1].lineno})"

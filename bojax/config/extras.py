@@ -1,16 +1,16 @@
-"""The message for an optional package that is not installed, with the command that installs it."""
+"""The error for a missing optional package, with the command that installs the package."""
 
 
 def how_to_install(extra: str) -> str:
-    """The command that installs an extra; the name bojax on the package index is another project's."""
-    return f"in the clone of bojax: pip install -e '.[{extra}]'"
+    """The command that installs an extra, from a clone: on PyPI the name bojax belongs to another project."""
+    return f"install it in a clone of bojax: pip install -e '.[{extra}]'"
 
 
 class MissingExtra(ImportError):
     """An optional package that is not installed.
 
     Attributes:
-        exit_code: What the command line exits with.
+        exit_code: Exit code of the command line.
     """
 
     exit_code = 2

@@ -1,4 +1,4 @@
-"""Finding a configuration: a path, then the folders beside the user, then the ones that bojax brings."""
+"""Search for configuration files: a path, the working directory, the files that are part of bojax."""
 
 import os
 from collections.abc import Sequence
@@ -8,32 +8,32 @@ from bojax.config.errors import ConfigError, did_you_mean, listed
 
 SUFFIXES = (".yaml", ".yml")
 EXPERIMENT = "experiment.yaml"
-"""The config in the folder of a saved learner."""
+"""Name of the config in the folder of a saved learner."""
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 
 
 def shipped(folder: str) -> Path:
-    """Where bojax's own `configs` or `sweeps` lie: inside an installed package, or beside its sources."""
+    """The `configs` or `sweeps` that are part of bojax: in an installed package, or next to its sources."""
     inside = _PACKAGE / f"_{folder}"
     return inside if inside.is_dir() else _PACKAGE.parent / folder
 
 
 def find(source: str, folder: str, beside: Sequence[Path] = ()) -> Path:
-    """The file that a user means.
+    """The file of a given name or path.
 
     Args:
         source: A path, or a name: `parking` stands for `FOLDER/parking.yaml`.
         folder: "configs" or "sweeps".
-        beside: Folders to look in before the usual ones.
+        beside: Folders to search before the usual ones.
 
     Raises:
         ConfigError: There is no such file.
     """
     if not source:
-        raise ConfigError(f"no name given: a file, or a name in {folder}/, is expected")
+        raise ConfigError(f"got an empty name; allowed: a YAML file, or a name in {folder}/")
     path = Path(source)
-    # `os.path` throughout: where a name is too long for a file, `Path.is_file` raises.
+    # `os.path` throughout: `Path.is_file` raises if the name is too long for a file.
     if path.suffix in SUFFIXES:
         for candidate in (path, *(place / path for place in beside)):
             if os.path.isfile(candidate):
@@ -47,31 +47,31 @@ def find(source: str, folder: str, beside: Sequence[Path] = ()) -> Path:
     if os.path.isfile(path / EXPERIMENT):  # a saved learner
         return path / EXPERIMENT
     if os.path.isdir(path):
-        raise ConfigError(f"{source}: is a folder; a YAML file, or a name in {folder}/, is expected")
+        raise ConfigError(f"{source}: is a folder; allowed: a YAML file, or a name in {folder}/")
     if os.path.isfile(path):
-        raise ConfigError(f"{source}: a file that ends in .yaml is expected")
+        raise ConfigError(f"{source}: is not a YAML file; allowed: a file name that ends in .yaml or .yml")
     names = available(folder)
     stem = path.stem if path.suffix in SUFFIXES else path.name
     other, command = ("sweeps", "sweep") if folder == "configs" else ("configs", "run")
     if source in available(other):
         raise ConfigError(
-            f"{source}: is in {other}/, not in {folder}/; start it by: bojax {command} {source}"
+            f"{source}: is in {other}/, not in {folder}/; start it with: bojax {command} {source}"
         )
-    known = f"; there are: {listed(stem, names)}" if names else ""
+    known = f"; allowed: {listed(stem, names)}" if names else ""
     raise ConfigError(
         f"{source}: no such file, and no such name in {folder}/{known}{did_you_mean(stem, names)}"
     )
 
 
 def shadowed(source: str, folder: str) -> Path | None:
-    """The file that bojax brings under a name, where another one beside the user stands in its place."""
+    """The file of bojax that a different file of the same name in the working directory hides, if any."""
     path, hidden = find(source, folder), shipped(folder) / f"{source}.yaml"
     is_hidden = path.suffix in SUFFIXES and path.stem == source and os.path.isfile(hidden)
     return hidden if is_hidden and hidden.read_bytes() != path.read_bytes() else None
 
 
 def available(folder: str) -> dict[str, Path]:
-    """The files of a folder by name; what stands beside the user hides what bojax brings."""
+    """The files of a folder by name; a file in the working directory hides the one of bojax."""
     found: dict[str, Path] = {}
     for place in _places(folder):
         for path in sorted(place.glob("*")) if place.is_dir() else ():
@@ -81,7 +81,7 @@ def available(folder: str) -> dict[str, Path]:
 
 
 def display(path: Path) -> str:
-    """How messages call a file: relative to where the user stands, if it lies below."""
+    """The name of a file in messages: relative to the working directory if the file is below it."""
     absolute = path.resolve()
     return str(absolute.relative_to(Path.cwd())) if absolute.is_relative_to(Path.cwd()) else str(absolute)
 

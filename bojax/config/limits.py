@@ -1,4 +1,4 @@
-"""The largest sizes of a sweep that are accepted, each by the memory that it takes."""
+"""Limits on the size of a sweep, derived from the memory that its points, runs and chunks take."""
 
 import os
 from dataclasses import dataclass
@@ -8,12 +8,12 @@ from bojax.config.errors import ConfigError
 
 @dataclass(frozen=True)
 class Limit:
-    """How many of something half the machine's memory holds.
+    """A limit on a count: as many as fit into half the memory of the machine.
 
     Attributes:
-        name: What is counted.
-        bytes_each: Memory that one of them takes.
-        at_least: This many are accepted on any machine.
+        name: Noun for messages.
+        bytes_each: Memory per item, in bytes.
+        at_least: Lower bound of the limit on any machine.
     """
 
     name: str
@@ -22,7 +22,7 @@ class Limit:
 
     @property
     def allowed(self) -> int:
-        """The largest number that is accepted here."""
+        """The largest number accepted on this machine."""
         memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
         return max(self.at_least, memory // 2 // self.bytes_each)
 
@@ -30,28 +30,28 @@ class Limit:
         """Refuse a number above the limit.
 
         Raises:
-            ConfigError: It is; `where` names the setting.
+            ConfigError: The number is above the limit; `where` names the setting.
         """
         if number > self.allowed:
             raise ConfigError(
-                f"{where}: got {number:,} {self.name}, which take some {_in_words(number * self.bytes_each)} "
+                f"{where}: got {number:,} {self.name}, which take about {_memory(number * self.bytes_each)} "
                 f"of memory; allowed: at most {self.allowed:,}"
             )
 
 
-def _in_words(num_bytes: int) -> str:
-    """An amount of memory, in the largest unit of which there is at least one."""
+def _memory(num_bytes: int) -> str:
+    """An amount of memory in the largest unit in which it is at least 1."""
     units = ("B", "KiB", "MiB", "GiB", "TiB", "PiB")
     power = min((num_bytes.bit_length() - 1) // 10, len(units) - 1)
     return f"{num_bytes / 1024**power:,.0f} {units[power]}"
 
 
-# Measured on a CPU, as the growth of the resident memory with the number.
+# Measured on a CPU: the growth of the resident memory with the count.
 POINTS = Limit("points", bytes_each=90_000, at_least=100_000)
-"""Of a sweep. Parking with kCBTS: 7 kB of settings, 60 kB of the module, 16 kB of leaves, 2 kB of plan."""
+"""Points of a sweep. Parking with kCBTS: settings 7 kB, module 60 kB, leaves 16 kB, plan 2 kB."""
 
-RUNS = Limit("runs, of all points", bytes_each=2_000, at_least=10_000_000)
-"""Of all points. Parking with random actions: rows of 15 steps while tables are merged; 16 B of indices."""
+RUNS = Limit("runs in total", bytes_each=2_000, at_least=10_000_000)
+"""Runs of all points. Parking with random actions: the rows of 15 steps during merging; indices 16 B."""
 
 CHUNKS = Limit("chunks", bytes_each=3_000, at_least=100_000)
-"""Of a sweep: 0.6 kB of lanes and identity, 0.5 kB of its folder, and its entry of the manifest."""
+"""Chunks of a sweep: lanes and identity 0.6 kB, folder 0.5 kB, and an entry in the manifest."""

@@ -1,4 +1,4 @@
-"""Where each setting came from, so that a message names the file that is to be mended."""
+"""The origin of each setting, so that an error names the file or option to correct."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -10,14 +10,16 @@ from bojax.config.overrides import SOURCE
 
 @dataclass(frozen=True)
 class Origin:
-    """The command line, an axis, the sweep file or the base, whichever set a location last.
+    """The sources of a sweep's settings, of which the last one to set a location is its origin.
+
+    The sources are, from first to last: the base, the sweep file, its axes, the command line.
 
     Attributes:
-        base: Names a location of the base, as `FILE: dotted.path`.
-        file: The sweep file.
-        own: Reserved keys that the sweep file sets itself.
+        base: Formats a location in the base as `FILE: dotted.path`.
+        file: Name of the sweep file.
+        own: Reserved keys that the sweep file sets.
         overridden: Paths set on the command line.
-        combinations: The choices that make each point.
+        combinations: The choices of each point.
     """
 
     base: Callable[[Location], str]
@@ -27,7 +29,7 @@ class Origin:
     combinations: Sequence[Combination]
 
     def setting(self, location: Location) -> str:
-        """Name a reserved key."""
+        """The origin of a reserved key."""
         if self._is_overridden(location):
             return f"{SOURCE}: {dotted(location)}"
         if location[0] in self.own:
@@ -35,13 +37,13 @@ class Origin:
         return self.base(location)
 
     def point(self, index: int, location: Location) -> str:
-        """Name a setting of the experiment of a point."""
+        """The origin of a setting of the experiment at a point."""
         if location in ((), ("kind",)):
             location = ("experiment",)
         if self._is_overridden(location):
             return f"{SOURCE}: {dotted(location)}"
         axes = self.combinations[index]
-        # The axis that set the location last, or else one that reaches below it.
+        # The last axis that sets the location or a parent of it, otherwise the first that sets a part of it.
         above = [choice for choice in axes if choice.axis == location[: len(choice.axis)]]
         below = [choice for choice in axes if location == choice.axis[: len(location)]]
         if above or below:
@@ -56,5 +58,5 @@ class Origin:
 
 
 def _related(path: Sequence[str], location: Location) -> bool:
-    """Whether one is a prefix of the other."""
+    """Whether one path is a prefix of the other."""
     return all(a == b for a, b in zip(path, location, strict=False))

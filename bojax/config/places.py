@@ -1,4 +1,4 @@
-"""Looking up what a dotted path means in a raw, not yet validated, configuration."""
+"""The meaning of a dotted path in a configuration that is not validated yet."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,11 +9,11 @@ from bojax.config.component import Component, Slot, registry
 
 @dataclass(frozen=True)
 class Place:
-    """What stands at a path.
+    """The setting at a path.
 
     Attributes:
-        role: Role of the component that stands there; None for a plain setting.
-        kind: Its kind, given or by default.
+        role: Role of the component at the path; None for a plain setting.
+        kind: Kind of the component, given or by default.
     """
 
     role: str | None = None
@@ -21,13 +21,13 @@ class Place:
 
 
 def look_up(experiment: Mapping[str, Any], path: Sequence[str]) -> Place | None:
-    """What a path means: None where there is no such setting, as far as can be known without imports."""
+    """The setting at a path; None if the schemas have no such setting. Import paths are not followed."""
     place = Place("experiment", experiment.get("kind"))
     schema = registry.get("experiment", {}).get(str(place.kind))
     raw: Any = experiment
     default: Any = None
     for depth, name in enumerate(path):
-        if schema is None:  # below an import path or an unknown kind
+        if schema is None:  # an import path or an unknown kind: any setting is possible
             return Place()
         if name not in schema.model_fields:
             return None

@@ -1,6 +1,6 @@
-"""The page `docs/settings.md`, generated: every part, with the meaning, type and default of its settings.
+"""Generator of `docs/settings.md`: every part, with the type, default and meaning of its settings.
 
-`python -m bojax.config.reference > docs/settings.md` writes it.
+`python -m bojax.config.reference > docs/settings.md` writes the page.
 """
 
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""Top-level settings of a file that are not the experiment's: runs, seed, record, engine."""
+"""The top-level keys that experiments share: title, runs, seed, record and engine."""
 
 from collections.abc import Mapping
 from typing import Any, Literal
@@ -9,7 +9,7 @@ from bojax.config.component import Schema
 
 
 class Record(Schema, frozen=True):
-    """Runs of which more than their tables is saved."""
+    """Recorded runs, whose arrays are saved in addition to the tables."""
 
     runs: int = Field(
         default=8,
@@ -48,11 +48,11 @@ class Settings(Schema, frozen=True):
 
 
 RESERVED = tuple(Settings.model_fields)
-"""Top-level keys that belong to the file, not to the experiment."""
+"""Top-level keys that are not settings of the experiment."""
 
 
 def split(mapping: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The settings of a file, and the experiment (`experiment: NAME` is its `kind`)."""
+    """The reserved keys of a file, and its experiment, whose `kind` is the value of `experiment`."""
     settings = {name: value for name, value in mapping.items() if name in RESERVED}
     experiment = {"kind": mapping.get("experiment", "planning")}
     experiment |= {name: value for name, value in mapping.items() if name not in (*RESERVED, "experiment")}

@@ -1,6 +1,6 @@
-"""What a constructor takes, read from its annotations, as the fields of a schema class.
+"""The fields of a schema class, read from the annotations of a constructor.
 
-Arrays are recognised by the name of their type, so that no array library is imported here.
+Array types are recognised by name, so that this module imports no array library.
 """
 
 import dataclasses
@@ -24,7 +24,7 @@ def _numbers(value: Any) -> Any:
 
 
 def _shape(value: Any) -> tuple[int, ...]:
-    """The lengths of nested lists that are known to be as long as each other."""
+    """The shape of nested tuples; the parts of each have equal shapes."""
     return (len(value), *_shape(value[0])) if isinstance(value, tuple) and value else ()
 
 
@@ -35,13 +35,13 @@ _PLAIN = (int, float, bool, str, type(None))
 
 
 def fields_of(cls: type) -> tuple[dict[str, tuple[Any, Any]], frozenset[str]]:
-    """Fields `{name: (annotation, default)}` that a schema of `cls` needs.
+    """The fields `{name: (annotation, default)}` of a schema of `cls`.
 
     Returns:
-        The fields, and the names of those whose default is no plain value: they are left to the constructor.
+        The fields, and the names of those that keep the default of the constructor: it is not a plain value.
 
     Raises:
-        TypeError: A parameter's annotation is neither a number, text, a truth value nor an array.
+        TypeError: A required parameter is not annotated as a number, text, a Boolean or an array.
     """
     hints = _hints(cls)
     fields: dict[str, tuple[Any, Any]] = {}
@@ -54,10 +54,10 @@ def fields_of(cls: type) -> tuple[dict[str, tuple[Any, Any]], frozenset[str]]:
         if annotation is None:
             if not has_default:
                 raise TypeError(
-                    f"{cls.__name__} takes {name}, and its annotation does not say what a file may give: "
-                    "numbers, text, truth values and arrays do; or give the class a nested pydantic Config"
+                    f"the annotation of {name} in {cls.__name__} is not the type of a setting; allowed: "
+                    "numbers, text, Booleans and arrays, or a nested pydantic class Config"
                 )
-            continue  # not for a file to set
+            continue  # not a setting
         default = parameter.default if has_default else ...
         if has_default and not _is_plain(default):
             left_out.add(name)
@@ -71,12 +71,12 @@ def _hints(cls: type) -> dict[str, Any]:
         if dataclasses.is_dataclass(cls):
             return get_type_hints(cls, include_extras=True)
         return get_type_hints(cls.__init__, include_extras=True)
-    except (NameError, TypeError):  # names that exist for type checkers alone
+    except (NameError, TypeError):  # names that only type checkers import
         return {}
 
 
 def _field_type(annotation: Any) -> Any:
-    """The type of a schema field for a constructor's annotation, None where there is none."""
+    """The type of the schema field for an annotation; None if a setting cannot have the annotated type."""
     if annotation is inspect.Parameter.empty or annotation is Any:
         return Numbers
     if _is_array(annotation):

@@ -1,4 +1,4 @@
-"""Experiment and sweep files: read, override, expand, validate; everything wrong ends in one line."""
+"""Experiment and sweep files: reading, overriding, expanding into points and validating."""
 
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -26,18 +26,20 @@ from bojax.config.yaml_file import read_mapping
 _EXPERIMENT = pydantic.TypeAdapter(Annotated[Component, Slot("experiment")])
 
 DEFAULT_RUNS = 200
-"""Runs of a sweep that says nothing: what the thesis's figures are redrawn from."""
+"""Default of `runs` in a sweep: enough for the figures of the thesis."""
+
+_ALLOWED_BASE = "allowed: a name in configs/, a YAML file or a mapping"
 
 
 @dataclass(frozen=True)
 class Point:
-    """One setting of a sweep.
+    """One point of a sweep: an experiment with a value of each swept key.
 
     Attributes:
-        index: Its number.
-        label: The identifier that results use for it: the planner's kind, the learner's kind.
-        variant: Its name in the sweep.
-        swept: Values of the swept keys, by dotted path; of a named subtree, the name.
+        index: Number of the point, from 0.
+        label: Identifier of the point in results: the kind of its planner or learner.
+        variant: Name of the point in the sweep.
+        swept: Values of the swept keys, by dotted path; for a named subtree, the name.
         config: The experiment.
     """
 
@@ -54,23 +56,23 @@ def _locate_point(index: int, location: Location) -> str:
 
 @dataclass(frozen=True)
 class Sweep:
-    """What is to be run, completely validated except for parts given by import path.
+    """A sweep, validated except for the parts given by import path.
 
     Attributes:
-        name: What the user called it; the name of the results folder.
-        title: One line for reports.
-        points: The settings.
-        runs: Runs of every point.
+        name: Name of the sweep and of its results folder.
+        title: Title in reports, one line.
+        points: The points.
+        runs: Number of runs of each point.
         seed: Seed of all run keys.
-        record: Which runs leave arrays.
+        record: Which runs are recorded.
         engine: How runs are executed.
-        report: What the report shows.
-        claims: What the thesis says, with tests.
-        base: The experiment before the axes, as written and overridden.
+        report: Content of the report.
+        claims: Claims of the thesis, with their tests.
+        base: The experiment before the axes are applied, as written and overridden.
         source: The file.
-        changed: Settings that differ from the published sweep, as `{dotted path: [published, ours]}`: that
-            which bojax brings under the name of this sweep. Empty if there is none.
-        locate: Where a setting of a point comes from, as `FILE: dotted.path`, for messages.
+        changed: Settings that differ from the published sweep of the same name, as
+            `{dotted path: [published, ours]}`; empty if there is no published sweep.
+        locate: Formats the origin of a setting of a point as `FILE: dotted.path`, for messages.
     """
 
     name: str
@@ -89,30 +91,43 @@ class Sweep:
 
 
 class Report(Schema, frozen=True):
-    """What the report of a sweep shows."""
+    """Content of the report of a sweep."""
 
     figures: tuple[str, ...] = Field(default=(), strict=False, description="figures, in order")
-    notes: str = Field(default="", description="a paragraph above the figures")
-    thesis: dict[str, Any] = Field(default={}, description="the thesis's numbers, shown beside ours")
+    notes: str = Field(default="", description="paragraph above the figures")
+    thesis: dict[str, Any] = Field(default={}, description="numbers of the thesis, shown beside the results")
     relative_to: str | None = Field(
-        default=None, description="variant that ratios to the thesis's numbers are taken to"
+        default=None,
+        description="variant relative to which results and numbers of the thesis are shown as ratios",
     )
-    by_step: int | None = Field(default=None, ge=1, description="step at which tables give rates as well")
-    best_return: float | None = Field(default=None, description="a line in learning curves")
+    by_step: int | None = Field(
+        default=None, ge=1, description="step at which tables also give the success rate"
+    )
+    best_return: float | None = Field(default=None, description="return drawn as a line in learning curves")
     rolling: int | None = Field(
-        default=None, ge=1, lt=2**31, description="episodes over which learning curves average each run"
+        default=None,
+        ge=1,
+        lt=2**31,
+        description="number of episodes over which learning curves average each run",
     )
-    over: str | None = Field(default=None, description="the swept number of growth and sweep-curve")
-    column: str | None = Field(default=None, description="the column of runs.parquet that these draw")
+    over: str | None = Field(default=None, description="swept number on the x axis of growth and sweep-curve")
+    column: str | None = Field(
+        default=None, description="column of runs.parquet that growth and sweep-curve draw"
+    )
 
 
 class SweepFile(Schema, frozen=True):
-    """The keys of a sweep file that are not settings of the base."""
+    """The keys that only sweep files have."""
 
-    axes: dict[str, Any] = Field(default={}, description="dotted paths, each with its values")
-    combine: Literal["grid", "zip"] = Field(default="grid", description="how axes are combined")
-    report: Report = Field(default=Report(), description="what the report shows")
-    claims: tuple[Claim, ...] = Field(default=(), strict=False, description="what the thesis says")
+    axes: dict[str, Any] = Field(default={}, description="values of each swept key, by dotted path")
+    combine: Literal["grid", "zip"] = Field(
+        default="grid",
+        description="whether points are all combinations of the values, or the values at equal positions",
+    )
+    report: Report = Field(default=Report(), description="content of the report")
+    claims: tuple[Claim, ...] = Field(
+        default=(), strict=False, description="claims of the thesis, with their tests"
+    )
 
 
 def load_sweep(
@@ -127,7 +142,7 @@ def load_sweep(
         seed: Overrides `seed`.
 
     Raises:
-        ConfigError: Something is wrong; the message is one line.
+        ConfigError: The file or an override is invalid.
     """
     given = find(source, "sweeps")
     path, mapping = _follow_alias(given)
@@ -145,7 +160,7 @@ def load_sweep(
 def _expand(
     path: Path, mapping: Mapping[str, Any], name: str, source: str, changes: Sequence[Override]
 ) -> Sweep:
-    """The sweep that a file holds, with changes from the command line."""
+    """The sweep of a file, with changes from the command line."""
     file = display(path)
     parsed, own = _read_sweep(mapping, file, source)
     base, locate_base = _read_base(mapping["base"], path)
@@ -175,11 +190,11 @@ def load_config(
     file = display(path)
     mapping = read_mapping(path, file)
     if {"base", "axes", "alias"} & mapping.keys():
-        raise ConfigError(f"{file}: is a sweep, not an experiment; start it by: bojax sweep {source}")
+        raise ConfigError(f"{file}: is a sweep, not an experiment; start it with: bojax sweep {source}")
     changes = _changes(overrides, runs, seed)
     settings, experiment = split(mapping)
     saved = experiment.get("saved")
-    if isinstance(saved, str) and os.path.exists(path.parent / saved):  # relative to the file that names it
+    if isinstance(saved, str) and os.path.exists(path.parent / saved):  # relative to the config file
         experiment["saved"] = str(path.parent / saved)
     settings, experiment = _override(settings, experiment, changes)
     origin = Origin(
@@ -203,12 +218,10 @@ def validate_experiment(settings: Any) -> Component:
 
 
 def _read_sweep(mapping: Mapping[str, Any], file: str, source: str) -> tuple[SweepFile, dict[str, Any]]:
-    """The sweep's own part of a file, and the settings that it shares with experiments."""
+    """The keys of a file that only sweeps have, and those shared with experiment files."""
     if "base" not in mapping:
-        hint = "" if "axes" in mapping else f"; an experiment is started by: bojax run {source}"
-        raise ConfigError(
-            f"{file}: base: missing; a name in configs/, a file or an experiment is expected{hint}"
-        )
+        hint = "" if "axes" in mapping else f"; start an experiment with: bojax run {source}"
+        raise ConfigError(f"{file}: base: missing; {_ALLOWED_BASE}{hint}")
     own = {key: value for key, value in mapping.items() if key in RESERVED}
     rest = {key: value for key, value in mapping.items() if key not in (*RESERVED, "base")}
     try:
@@ -220,7 +233,7 @@ def _read_sweep(mapping: Mapping[str, Any], file: str, source: str) -> tuple[Swe
 
 
 def _follow_alias(path: Path) -> tuple[Path, dict[str, Any]]:
-    """The file that an alias stands for, with its content."""
+    """The file that a chain of aliases ends at, and its content."""
     seen = []
     while True:
         file = display(path)
@@ -229,14 +242,16 @@ def _follow_alias(path: Path) -> tuple[Path, dict[str, Any]]:
             return path, mapping
         target = mapping["alias"]
         if len(mapping) > 1 or not isinstance(target, str):
-            raise ConfigError(f"{file}: alias: an alias is the name of another sweep, and stands alone")
+            raise ConfigError(
+                f"{file}: alias: got {shown(target)}; allowed: the name of another sweep, as the only key"
+            )
         seen.append(path.resolve())
         try:
             path = find(target, "sweeps", beside=[path.parent])
         except ConfigError as error:
             raise ConfigError(f"{file}: alias: {error}") from error
         if path.resolve() in seen:
-            raise ConfigError(f"{file}: alias: {target} leads back to itself")
+            raise ConfigError(f"{file}: alias: got {shown(target)}; aliases must not form a cycle")
 
 
 def _read_base(base: Any, sweep: Path) -> tuple[dict[str, Any], Callable[[Location], str]]:
@@ -244,8 +259,8 @@ def _read_base(base: Any, sweep: Path) -> tuple[dict[str, Any], Callable[[Locati
     if isinstance(base, dict):
         return base, lambda location: f"{file}: {dotted(('base', *location))}"
     if not isinstance(base, str):
-        raise ConfigError(f"{file}: base: a name in configs/, a file, or an experiment is expected")
-    # A path is relative to the sweep; a name is not, or `base: parking` would find the sweep `parking`.
+        raise ConfigError(f"{file}: base: got {shown(base)}; {_ALLOWED_BASE}")
+    # A path is relative to the sweep, a name is not: `base: parking` must not find the sweep `parking`.
     beside = sweep.parent if base.endswith(SUFFIXES) else sweep.parent.parent / "configs"
     try:
         path = find(base, "configs", beside=[beside])
@@ -284,7 +299,7 @@ def _assemble(
     origin: Origin,
     file: SweepFile,
 ) -> Sweep:
-    """Validate every point and every setting."""
+    """The sweep, with every point and every setting validated."""
     points = []
     for index, (raw, combination) in enumerate(zip(experiments, origin.combinations, strict=True)):
         locate = partial(origin.point, index)
@@ -326,30 +341,30 @@ def _point(index: int, config: Component, combination: Combination) -> Point:
 
 
 def _value_at(config: Any, path: Sequence[str], written: Any) -> Any:
-    """A swept value as its schema typed it (1 on an axis of floats is 1.0), or else as written."""
+    """A swept value as typed by its schema, where 1 can be the float 1.0, or else as written."""
     for name in path:
         config = getattr(config, name, None)
     return config if isinstance(config, bool | int | float | str) else written
 
 
 def _check_claims(sweep: Sweep, file: str) -> None:
-    """Refuse claims of one id, and claims and ratios of variants that the sweep does not have."""
+    """Refuse duplicate ids of claims, and references to labels or variants that the sweep does not have."""
     variants = {point.variant for point in sweep.points}
     relative_to = sweep.report.get("relative_to")
     if relative_to is not None and relative_to not in variants:
         raise ConfigError(
-            f"{file}: report.relative_to: got {shown(relative_to)}; no such variant"
+            f"{file}: report.relative_to: got {shown(relative_to)}; unknown variant"
             f"{one_of(relative_to, variants)}"
         )
     seen = set()
     for index, claim in enumerate(sweep.claims):
         where = f"{file}: claims.{index}"
         if claim.id in seen:
-            raise ConfigError(f"{where}.id: got {shown(claim.id)}; another claim has this id")
+            raise ConfigError(f"{where}.id: got {shown(claim.id)}; allowed: a unique id")
         seen.add(claim.id)
         known = {point.variant if claim.test.by == "variant" else point.label for point in sweep.points}
         for name in claim.test.names:
             if name not in known:
                 raise ConfigError(
-                    f"{where}.test: got {shown(name)}; no such {claim.test.by}{one_of(name, known)}"
+                    f"{where}.test: got {shown(name)}; unknown {claim.test.by}{one_of(name, known)}"
                 )

@@ -1,7 +1,7 @@
-"""Reading YAML: plain values of YAML 1.2, every key once, errors with file and line.
+"""A YAML reader that refuses duplicate keys and reports errors with file and line.
 
-PyYAML follows YAML 1.1, in which `1e-5` is text, `no` is false and `1:30` is ninety. Here scalars are
-those of the YAML 1.2 core schema, so that a setting means what it looks like.
+PyYAML follows YAML 1.1, which reads `1e-5` as text, `no` as false and `1:30` as 90. This reader follows the
+core schema of YAML 1.2, which reads `1e-5` as a number, and `no` and `1:30` as text.
 """
 
 import re
@@ -16,10 +16,10 @@ from bojax.config.errors import ConfigError, control_character, shown
 from bojax.text import one_line
 
 MAX_BYTES = 4 * 2**20
-"""Largest file, in bytes: the parser needs some 10 s for 1 MiB (measured); more would look like a hang."""
+"""Maximum size of a file, in bytes. Parsing takes about 10 s per MiB (measured)."""
 
 MAX_NODES = 500_000
-"""Most values in a file, with those that aliases repeat: some 700 bytes each while it is read (measured)."""
+"""Maximum number of values, including those repeated by aliases; each takes about 700 bytes (measured)."""
 
 _TAG = "tag:yaml.org,2002:"
 
@@ -32,13 +32,13 @@ _PATTERNS = {
     "float": (rf"{_NUMBER}|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)", list("-+.0123456789")),
     "merge": (r"<<", ["<"]),
 }
-"""How a scalar of each tag is written, and with which characters it begins."""
+"""The pattern of the scalars of each tag, and the characters that they begin with."""
 
 
 def _int(text: str) -> int:
-    value = int(text) if len(text) < 40 else 2**64  # the conversion of long ones takes quadratic time
+    value = int(text) if len(text) < 40 else 2**64  # int() takes quadratic time for long texts
     if not -(2**63) <= value < 2**63:
-        raise ValueError("an integer between -2^63 and 2^63 - 1 is expected")
+        raise ValueError("allowed: an integer between -2^63 and 2^63 - 1")
     return value
 
 
@@ -49,11 +49,11 @@ _CONSTRUCTORS: dict[str, Callable[[str], Any]] = {
     "float": lambda text: float(re.sub(r"\.(?=[ina])", "", text.lower())),
     "str": str,
 }
-"""From the text of a scalar to its value, by tag; no other tags are known."""
+"""The function from the text of a scalar to its value, by tag. All other tags are refused."""
 
 
 class _Loader(yaml.SafeLoader):
-    """A loader with the scalars of YAML 1.2, which counts what it reads."""
+    """A loader of YAML 1.2 scalars that limits the number of values."""
 
     yaml_implicit_resolvers: dict = {}
     num_nodes = 0
@@ -64,7 +64,7 @@ class _Loader(yaml.SafeLoader):
         return super().compose_node(parent, index)
 
     def count(self) -> None:
-        """Count one value more."""
+        """Count one more value."""
         self.num_nodes += 1
         if self.num_nodes > MAX_NODES:
             raise _TooLarge
@@ -83,30 +83,28 @@ def read_mapping(path: Path, name: str) -> dict[str, Any]:
 
     Args:
         path: The file.
-        name: How messages call it.
+        name: Name of the file in messages.
 
     Raises:
-        ConfigError: The file cannot be read, is empty, is not YAML, is not a mapping, or has a key twice.
+        ConfigError: The file is unreadable, empty or not YAML, holds no mapping, or has a duplicate key.
     """
     try:
         size = path.stat().st_size
         if size > MAX_BYTES:
             raise ConfigError(
                 f"{name}: has {size / 2**20:.1f} MiB; allowed: at most {MAX_BYTES / 2**20:.0f} MiB of YAML, "
-                "which take some 40 s to read"
+                "which take about 40 s to read"
             )
         text = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
-        raise ConfigError(f"{name}: is not text in UTF-8 (byte {error.start})") from error
+        raise ConfigError(f"{name}: is not UTF-8 text (byte {error.start})") from error
     except OSError as error:
         raise ConfigError(f"{name}: cannot be read: {error.strerror}") from error
     value = parse(text, name)
     if value is None:
-        raise ConfigError(f"{name}: is empty; a mapping of settings (key: value) is expected")
+        raise ConfigError(f"{name}: is empty; allowed: a mapping of settings (key: value)")
     if not isinstance(value, dict):
-        raise ConfigError(
-            f"{name}: holds a {_name_of(value)}; a mapping of settings (key: value) is expected"
-        )
+        raise ConfigError(f"{name}: holds {_type_of(value)}; allowed: a mapping of settings (key: value)")
     return value
 
 
@@ -114,20 +112,20 @@ def parse(text: str, name: str) -> Any:
     """The value of a YAML text.
 
     Raises:
-        ConfigError: The text is not YAML, or has a key twice.
+        ConfigError: The text is not YAML, or has a duplicate key.
     """
     try:
         loader = _Loader(text)
         try:
             node = loader.get_single_node()
-            loader.num_nodes = 0  # from here on those that aliases repeat count as well
+            loader.num_nodes = 0  # count again, now including values that aliases repeat
             return None if node is None else _construct(loader, node, name, ())
         finally:
             loader.dispose()
     except _TooLarge:
         raise ConfigError(
-            f"{name}: holds more values than are allowed, with those that aliases repeat: at most "
-            f"{MAX_NODES:,}, which take some {MAX_NODES * 700 / 2**20:.0f} MiB of memory"
+            f"{name}: holds too many values; allowed: at most {MAX_NODES:,}, with those that aliases repeat, "
+            f"which take about {MAX_NODES * 700 / 2**20:.0f} MiB of memory"
         ) from None
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
@@ -142,7 +140,7 @@ def parse(text: str, name: str) -> Any:
 def _construct(loader: _Loader, node: yaml.Node, name: str, ancestors: tuple[yaml.Node, ...]) -> Any:
     where = f"{name}:{node.start_mark.line + 1}"
     if any(node is ancestor for ancestor in ancestors):
-        raise ConfigError(f"{where}: an alias refers to the value that it stands in")
+        raise ConfigError(f"{where}: an alias refers to a value that contains the alias")
     loader.count()
     ancestors = (*ancestors, node)
     tag = node.tag.removeprefix(_TAG)
@@ -158,7 +156,7 @@ def _construct(loader: _Loader, node: yaml.Node, name: str, ancestors: tuple[yam
     if sign := control_character(text):
         raise ConfigError(f"{where}: got {shown(text)}; allowed: text without the character {sign}")
     if tag in _PATTERNS and not re.fullmatch(_PATTERNS[tag][0], text):
-        raise ConfigError(f"{where}: got {shown(text)}; no value of !!{tag}")
+        raise ConfigError(f"{where}: got {shown(text)}; allowed: a value of type !!{tag}")
     try:
         return _CONSTRUCTORS[tag](text)
     except ValueError as error:
@@ -177,14 +175,18 @@ def _construct_mapping(
         if key_node.tag == "tag:yaml.org,2002:merge":
             for base in reversed(value if isinstance(value, list) else [value]):
                 if not isinstance(base, dict):
-                    raise ConfigError(f"{name}:{line}: << takes a mapping or a list of mappings")
+                    raise ConfigError(
+                        f"{name}:{line}: <<: got {shown(value)}; allowed: a mapping or a list of mappings"
+                    )
                 inherited.update(base)
             continue
         key = key_node.value
         if not isinstance(key_node, yaml.ScalarNode) or not isinstance(key, str):
-            raise ConfigError(f"{name}:{line}: a key must be a name")
+            raise ConfigError(f"{name}:{line}: got a key that is not text; allowed: a name")
         if sign := control_character(key):
-            raise ConfigError(f"{name}:{line}: got the key {shown(key)}; allowed: no character {sign}")
+            raise ConfigError(
+                f"{name}:{line}: got the key {shown(key)}; allowed: text without the character {sign}"
+            )
         if key in lines:
             raise ConfigError(f'{name}:{line}: duplicate key "{key}" (first on line {lines[key]})')
         lines[key] = line
@@ -192,5 +194,5 @@ def _construct_mapping(
     return inherited | own
 
 
-def _name_of(value: Any) -> str:
-    return {list: "list", str: "text", bool: "truth value"}.get(type(value), "number")
+def _type_of(value: Any) -> str:
+    return {list: "a list", str: "text", bool: "a Boolean"}.get(type(value), "a number")

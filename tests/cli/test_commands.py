@@ -1,4 +1,4 @@
-"""What `run`, `sweep`, `report`, `bench` and `doctor` hand on, and what they make of the answer."""
+"""The commands `run`, `sweep`, `report`, `bench` and `doctor`: calls made, exit codes, output."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from bojax.cli.main import main
 from bojax.config.component import External
 
 FOLDER = Path("results/parking/20260101-000000")
-"""The folder that the engine chooses."""
+"""The folder chosen by the engine."""
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""What people type by mistake is answered with what they mean."""
+"""Common mistakes on the command line are answered with a hint."""
 
 import pytest
 
@@ -20,39 +20,40 @@ HINTS = {
     ),
     "the advice": (
         ["run", "parking", "planner={kind:", "sbo}"],
-        "a value with braces or spaces has to be quoted: 'planner={kind: ...'",
+        "quote a value with braces or spaces: 'planner={kind: ...'",
     ),
     "braces expanded by the shell": (
         ["run", "parking", "planner=kind:sbo", "planner=depth:2"],
-        "planner: given twice; a value with braces has to be quoted",
+        "planner: given twice; quote a value with braces",
     ),
     "a sweep for a config": (
         ["run", "fig-4.2"],
-        "is in sweeps/, not in configs/; start it by: bojax sweep fig-4.2",
+        "is in sweeps/, not in configs/; start it with: bojax sweep fig-4.2",
     ),
     "a config for a sweep": (
         ["sweep", "taxi"],
-        "is in configs/, not in sweeps/; start it by: bojax run taxi",
+        "is in configs/, not in sweeps/; start it with: bojax run taxi",
     ),
     "an environment for a problem": (
         ["run", "parking", "problem=mountain-car"],
-        "no problem, but one of: env; a problem is planned on, an env is learned on (experiment: learning)",
+        "this name has the role env, not problem; planners need a problem, learners an env "
+        "(experiment: learning)",
     ),
     "a problem for an environment": (
         ["run", "mountain-car", "env=diagonal"],
-        "no env, but one of: problem; a problem is planned on, an env is learned on",
+        "this name has the role problem, not env; planners need a problem, learners an env",
     ),
     "a learner for a planner": (
         ["run", "parking", "planner=emu-q"],
-        "no planner, but one of: learner; allowed: ",
+        "this name has the role learner, not planner; allowed: ",
     ),
     "a setting of another kind": (
         ["run", "parking", "planner.motions.actions=9"],
-        "unknown key; it is one of kind=splines; allowed: ",
+        "unknown key (a setting of kind=splines); allowed: ",
     ),
     "a float for an integer": (
         ["run", "parking", "planner.iterations=1e3"],
-        "got 1000.0; allowed: an integer: write 1000",
+        "got 1000.0; allowed: an integer (write 1000)",
     ),
     "a fraction": (["run", "parking", "planner.iterations=1.5"], "got 1.5; allowed: an integer\n"),
     "a float for an option": (["run", "parking", "--runs", "1e3"], "an integer is expected: write 1000"),
@@ -74,7 +75,7 @@ def ran(monkeypatch):
 
 
 @pytest.mark.parametrize(("command", "folder"), [("run", "configs"), ("sweep", "sweeps")])
-def test_a_file_in_the_place_of_a_shipped_one_is_mentioned(ran, write, capsys, command, folder):
+def test_a_file_that_hides_a_shipped_one_is_mentioned(ran, write, capsys, command, folder):
     text = (shipped(folder) / "two-pits.yaml").read_text()
     write(f"{folder}/two-pits.yaml", text)
     assert main([command, "two-pits"]) == 1

@@ -1,4 +1,4 @@
-"""`bojax list` shows everything that is there, without JAX."""
+"""`bojax list` shows every part, config and sweep, without JAX."""
 
 import pytest
 
@@ -18,7 +18,7 @@ def listed(capsys, monkeypatch):
     return run
 
 
-def test_everything_is_listed_with_a_line(listed):
+def test_every_name_is_listed_with_a_line(listed):
     out = listed()
     names = [kind for role in catalog.roles() for kind in catalog.kinds(role)]
     names += [*available("configs"), *available("sweeps")]

@@ -45,11 +45,11 @@ MISTAKES = {
     "a sweep twice": (["sweep", "parking", "parking"], "bojax sweep: parking stands there twice"),
     "an unknown config": (
         ["run", "prking"],
-        "prking: no such file, and no such name in configs/; there are:",
+        "prking: no such file, and no such name in configs/; allowed:",
     ),
     "an unknown sweep": (
         ["sweep", "fig-4.7"],
-        "fig-4.7: no such file, and no such name in sweeps/; there are:",
+        "fig-4.7: no such file, and no such name in sweeps/; allowed:",
     ),
     "an unknown key": (
         ["run", "parking", "problem.half_widht=3"],
@@ -62,7 +62,7 @@ MISTAKES = {
     ),
     "a missing module": (
         ["run", "parking", "problem=nowhere:Field"],
-        'command line: problem.kind: got "nowhere:Field"; there is no module nowhere',
+        'command line: problem.kind: got "nowhere:Field"; module nowhere is neither in the working directory',
     ),
     "no folder": (["report"], "the following arguments are required: DIR (see: bojax report --help)"),
     "an unknown part": (["list", "kcbt"], "unknown name kcbt; allowed: "),
@@ -122,7 +122,7 @@ def test_an_unexpected_exception_keeps_its_traceback(monkeypatch):
 
 
 @pytest.mark.parametrize(("raised", "code"), [(KeyboardInterrupt, 130), (BrokenPipeError, 0)])
-def test_interrupts_and_closed_pipes_are_no_bugs(monkeypatch, capfd, raised, code):
+def test_interrupts_and_closed_pipes_end_without_a_traceback(monkeypatch, capfd, raised, code):
     def stop(name, words):
         raise raised
 
@@ -131,7 +131,7 @@ def test_interrupts_and_closed_pipes_are_no_bugs(monkeypatch, capfd, raised, cod
     assert main(["list"]) == code
 
 
-def test_help_comes_with_examples(capsys):
+def test_help_has_examples(capsys):
     assert main([]) == main(["--help"]) == 0
     out = capsys.readouterr().out
     assert all(f"\n  {name} " in out for name in COMMANDS)

@@ -1,4 +1,4 @@
-"""Whatever is typed or stands in a file, a message is one short line without control characters."""
+"""Every message is one short line without control characters."""
 
 import io
 import sys
@@ -9,12 +9,12 @@ from bojax.cli.main import main
 from bojax.config.errors import MAX_MESSAGE, MAX_NAMES, listed, printable
 
 LONG = 300 * "x"
-"""Longer than any file's name may be."""
+"""A name longer than any file name."""
 
 
 @pytest.fixture
 def complain(write, capsys):
-    """The one line that a wrong command ends in."""
+    """The one-line message of a command that is refused."""
 
     def run(*words: str) -> str:
         assert main(list(words)) == 2
@@ -44,12 +44,12 @@ def test_names_that_are_too_long_for_a_file(complain, words):
 
 
 @pytest.mark.parametrize("key", ["base", "alias"])
-def test_a_file_may_name_no_such_file_either(complain, write, key):
+def test_a_long_name_in_a_file_is_refused_likewise(complain, write, key):
     write("s.yaml", f"{key}: {LONG}")
     assert complain("sweep", "s.yaml").startswith(f"error: s.yaml: {key}: xxx")
 
 
-def test_an_override_may_be_as_long_as_it_likes(complain):
+def test_an_override_of_any_length_is_read(complain):
     walls = ", ".join(40 * ["[0, 0, 1, 1]"])
     assert "problem.walls: unknown key" in complain("run", "parking", f"problem.walls=[{walls}]")
 
@@ -74,7 +74,7 @@ def test_lists_escape_titles(write, capsys):
     assert r"\u202eparking" in capsys.readouterr().out
 
 
-def test_output_may_hold_a_name_that_is_no_text(write, monkeypatch):
+def test_output_with_a_name_that_is_not_utf8(write, monkeypatch):
     def show(name, words):
         print("results/\udcff")
         return 0
@@ -92,7 +92,7 @@ def test_the_middle_of_a_long_message_is_left_out():
     assert message.startswith("first ") and message.endswith(" last") and len(message) <= MAX_MESSAGE
 
 
-def test_of_many_names_the_nearest_are_listed():
+def test_a_long_list_of_names_shows_the_nearest():
     names = [f"setting-{index:03d}" for index in range(200)]
     line = listed("setting-123", names)
     assert line.startswith("setting-123, ") and line.endswith(" and 190 more (see: bojax list)")

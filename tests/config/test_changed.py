@@ -1,4 +1,4 @@
-"""A sweep knows in which settings it differs from the published one of its name."""
+"""The settings in which a sweep differs from the published sweep of the same name."""
 
 import pytest
 
@@ -32,7 +32,7 @@ def test_overrides_are_changes():
     }
 
 
-def test_a_setting_that_differed_between_points_has_all_of_its_values():
+def test_a_setting_that_differs_between_points_lists_its_values():
     before = {
         point.config.planner.iterations
         for point in load_sweep("fig-4.6").points
@@ -42,7 +42,7 @@ def test_a_setting_that_differed_between_points_has_all_of_its_values():
     assert changed == {"planner.iterations": [before.pop() if len(before) == 1 else list(before), 7]}
 
 
-def test_what_changes_no_number_is_no_change():
+def test_settings_without_effect_on_numbers_are_not_compared():
     settings = ["engine.device=cpu", "engine.segment_seconds=9", "record.runs=0", "title=mine"]
     assert load_sweep("fig-4.6", settings).changed == {}
     assert load_sweep("fig-4.6", ["planner.depth=3", "runs=200"]).changed == {}, "as published"
@@ -72,7 +72,7 @@ def test_axes_with_other_values(write):
     assert load_sweep("fig-5.6b.yaml").changed == {f"axes.{axis}": [values, values[:-1]]}
 
 
-def test_the_same_values_combined_otherwise(write, tmp_path, monkeypatch):
+def test_the_same_values_in_another_combination(write, tmp_path, monkeypatch):
     axes = "base: {}, axes: {planner.depth: [1, 2], planner.iterations: [10, 20]}"
     write("published/pair.yaml", f"{{{axes}, combine: zip}}")
     write("pair.yaml", f"{{{axes}}}")
@@ -81,11 +81,11 @@ def test_the_same_values_combined_otherwise(write, tmp_path, monkeypatch):
     assert load_sweep("pair.yaml").changed == {"points": [[], mixed]}
 
 
-def test_a_sweep_of_ones_own_has_nothing_to_differ_from(write):
+def test_a_sweep_of_another_name_is_not_compared(write):
     write("mine.yaml", published("fig-4.6"))
     assert load_sweep("mine.yaml", ["planner.depth=2"], runs=3).changed == {}
 
 
-def test_another_name_of_a_published_sweep_is_that_sweep(write):
+def test_an_alias_is_compared_with_the_published_sweep(write):
     write("mine.yaml", "alias: fig-4.6")
     assert load_sweep("mine.yaml", runs=3).changed == {"runs": [200, 3]}

@@ -28,7 +28,7 @@ NEEDED = {
     "id": "MountainCar-v0",
     "name": "reacher",
 }
-"""What has no default: the data of a measured field, what is learned on and by whom, a name elsewhere."""
+"""Values of the settings that have no default."""
 
 
 @pytest.fixture
@@ -40,7 +40,7 @@ def part(schema, write):
 
 
 @pytest.mark.parametrize("schema", BUILT_IN)
-def test_every_part_has_defaults_and_says_what_it_is(schema, part):
+def test_every_part_has_defaults_and_a_summary(schema, part):
     assert part.target.startswith("bojax.")
     assert schema.__doc__.strip().endswith(".")
     for name, field in schema.model_fields.items():
@@ -60,13 +60,13 @@ def test_parts_are_frozen_and_equal_by_value():
 
 
 @pytest.mark.parametrize("value", ["3", 3.0, 3.7, True, None, [3]])
-def test_an_integer_is_not_made_of_anything_else(value):
+def test_nothing_is_converted_to_an_integer(value):
     with pytest.raises(pydantic.ValidationError):
         SBO(depth=value)
 
 
 @pytest.mark.parametrize("value", ["3", True, None, float("nan"), float("inf"), [3.0]])
-def test_a_number_is_not_made_of_anything_but_an_integer(value):
+def test_only_integers_are_converted_to_floats(value):
     assert SBO(exploration=3) == SBO(exploration=3.0)
     with pytest.raises(pydantic.ValidationError):
         SBO(exploration=value)
@@ -80,11 +80,11 @@ def test_a_slot_takes_a_name_a_mapping_or_a_component():
         == slot.validate(Splines())
         == Splines()
     )
-    with pytest.raises(ValueError, match="a motions is expected here, not a kernel"):
+    with pytest.raises(ValueError, match="allowed: a part of role motions, not of role kernel"):
         slot.validate(Matern52())
 
 
-def test_what_a_mapping_leaves_out_comes_from_the_default_of_its_place():
+def test_omitted_settings_come_from_the_default_of_the_field():
     class Place(Schema, frozen=True):
         motions: Annotated[Component, Slot("motions")] = KernelTrajectories(length=2.0, num_segments=2)
 
@@ -95,18 +95,18 @@ def test_what_a_mapping_leaves_out_comes_from_the_default_of_its_place():
     assert Place.model_validate({"motions": "splines"}).motions == Splines()
 
 
-def test_the_default_of_a_place_reaches_further_down():
+def test_the_default_of_a_field_reaches_nested_parts():
     planning = Planning.model_validate({"planner": {"motions": {"length": 3}}})
     assert planning == Planning(planner=KCBTS(motions=KernelTrajectories(length=3.0)))
 
 
-def test_an_import_path_waits_for_its_class():
+def test_an_import_path_is_not_imported_at_once():
     part = Slot("problem").validate({"kind": "mine.fields:Field", "width": 3})
     assert part == External(kind="mine.fields:Field", slot="problem", params={"width": 3})
     assert isinstance(part, External) and part.label == "Field"
 
 
-def test_one_kind_is_registered_once():
+def test_a_duplicate_kind_is_refused():
     class Once(Registered, frozen=True):
         role: ClassVar[str] = "test-role"
         kind: Literal["once"] = "once"

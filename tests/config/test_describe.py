@@ -1,4 +1,4 @@
-"""Settings in words."""
+"""Descriptions of settings."""
 
 from bojax.config.describe import settings_of, summary_of
 from bojax.config.settings import EngineConfig
@@ -6,7 +6,7 @@ from bojax.motions.settings import Splines
 from bojax.planning.settings import SBO
 
 
-def test_settings_say_type_default_and_meaning():
+def test_a_setting_has_type_default_and_meaning():
     settings = {setting.name: setting for setting in settings_of(Splines)}
     assert (settings["actions"].type, settings["actions"].default) == ("5 | 9 | 17", "5")
     assert (settings["length"].type, settings["length"].default) == ("number > 0", "1")

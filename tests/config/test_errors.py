@@ -1,4 +1,4 @@
-"""Everything that is wrong ends in one line: where, what stands there, what is allowed, the nearest name."""
+"""A configuration error is one line: the place, the value, the values allowed, the nearest name."""
 
 import re
 
@@ -9,7 +9,7 @@ from bojax.config.sweep import load_config, load_sweep
 
 
 def check(error: ConfigError, expected: str) -> None:
-    """The whole message is as expected, in one line; … stands for names that come and go."""
+    """The whole message is as expected; … matches any text."""
     pattern = ".*".join(re.escape(part) for part in expected.split("…"))
     assert re.fullmatch(pattern, str(error)), f"{error}\n{expected}"
     assert error.exit_code == 2
@@ -109,11 +109,11 @@ EXPERIMENTS = {
     "a key twice": ("runs: 1\nruns: 2", 'x.yaml:2: duplicate key "runs" (first on line 1)'),
     "a sweep": (
         "base: parking",
-        "x.yaml: is a sweep, not an experiment; start it by: bojax sweep x.yaml",
+        "x.yaml: is a sweep, not an experiment; start it with: bojax sweep x.yaml",
     ),
     "motions that a planner cannot use": (
         "planner: {kind: sbo, motions: kernel}",
-        'x.yaml: planner.motions: got "kernel"; not possible here; allowed: splines',
+        'x.yaml: planner.motions: got "kernel"; not allowed here; allowed: splines',
     ),
     "a start inside a wall": (
         "{problem: {kind: space-modelling, start: [3, 1, 0]}, planner: sbo}",
@@ -135,7 +135,7 @@ EXPERIMENTS = {
     ),
     "a wall of three numbers": (
         "{problem: {kind: monitoring, walls: [[1, 1, 2]]}, planner: sbo}",
-        "x.yaml: problem.walls.0.3: missing, and it has no default…",
+        "x.yaml: problem.walls.0.3: missing; this setting has no default…",
     ),
     "no walls in a list": (
         "{problem: {kind: monitoring, walls: []}, planner: sbo}",
@@ -153,7 +153,8 @@ EXPERIMENTS = {
     ),
     "an objective that is another part": (
         "{problem: {kind: diagonal, objective: rbf}, planner: sbo}",
-        'x.yaml: problem.objective: got "rbf"; no objective, but one of: kernel; allowed: gradient, …',
+        'x.yaml: problem.objective: got "rbf"; this name has the role kernel, not objective; '
+        "allowed: gradient, …",
     ),
     "a problem without a task": (
         "{problem: {kind: diagonal, objective: null}, planner: sbo}",
@@ -166,7 +167,7 @@ EXPERIMENTS = {
     ),
     "a field without a file": (
         "{problem: {kind: monitoring, field: {kind: grid, extent: [0, 0, 1, 1]}}, planner: sbo}",
-        "x.yaml: problem.field.file: missing, and it has no default",
+        "x.yaml: problem.field.file: missing; this setting has no default",
     ),
     "a file that is not there": (
         grid("no.npy"),
@@ -218,7 +219,7 @@ TABLES = {
     "words.csv": "a,b\nhigh,low",
     "empty.csv": "",
 }
-"""Files that lie beside the experiment."""
+"""Files in the folder of the experiment."""
 
 
 @pytest.mark.parametrize("case", EXPERIMENTS)
@@ -252,23 +253,27 @@ OVERRIDES = {
     ),
     "no value": (
         ["planner.depth"],
-        "command line: planner.depth: an override is key=value, such as planner.iterations=100",
+        "command line: planner.depth: is not an override; allowed: key=value, such as planner.iterations=100",
     ),
-    "no key": (["=3"], "command line: =3: an override is key=value, such as planner.iterations=100"),
+    "no key": (
+        ["=3"],
+        "command line: =3: is not an override; allowed: key=value, such as planner.iterations=100",
+    ),
     "an empty part of a path": (
         ["planner..depth=3"],
-        "command line: planner..depth=3: an override is key=value, such as planner.iterations=100",
+        "command line: planner..depth=3: is not an override; allowed: key=value, such as "
+        "planner.iterations=100",
     ),
     "an empty value": (["planner.depth="], "command line: planner.depth: got null; allowed: an integer"),
     "no YAML": (
         ["planner={a"],
-        "command line: planner: got {a; is not YAML: …; a value with braces or spaces has to be quoted: "
+        "command line: planner: got {a; is not YAML: …; quote a value with braces or spaces: "
         "'planner={a ...'",
     ),
     "twice": (["runs=1", "runs=2"], "command line: runs: given twice"),
     "below a number": (
         ["problem.half_width.x=1"],
-        "command line: problem.half_width.x: half_width is 2, with nothing below it",
+        "command line: problem.half_width.x: half_width is 2, which has no settings",
     ),
     "below a default number": (
         ["planner.depth.x=1"],
@@ -287,20 +292,20 @@ def test_overrides(write, case):
 
 
 SWEEPS = {
-    "no base": ("axes: {}", "s.yaml: base: missing; a name in configs/, a file or an experiment is expected"),
+    "no base": ("axes: {}", "s.yaml: base: missing; allowed: a name in configs/, a YAML file or a mapping"),
     "an experiment": (
         "planner: sbo",
-        "s.yaml: base: missing; a name in configs/, a file or an experiment is expected; "
-        "an experiment is started by: bojax run s.yaml",
+        "s.yaml: base: missing; allowed: a name in configs/, a YAML file or a mapping; "
+        "start an experiment with: bojax run s.yaml",
     ),
     "an unknown base": (
         "base: prking",
-        "s.yaml: base: prking: no such file, and no such name in configs/; there are: …; "
+        "s.yaml: base: prking: no such file, and no such name in configs/; allowed: …; "
         'did you mean "parking"?',
     ),
     "a base of the wrong type": (
         "base: 3",
-        "s.yaml: base: a name in configs/, a file, or an experiment is expected",
+        "s.yaml: base: got 3; allowed: a name in configs/, a YAML file or a mapping",
     ),
     "an unknown key": (
         "{base: {}, axis: {}}",
@@ -341,19 +346,19 @@ SWEEPS = {
     ),
     "a value twice": (
         "{base: {}, axes: {planner.depth: [1, 1]}}",
-        "s.yaml: axes.planner.depth: got 1 twice; the values of an axis differ",
+        "s.yaml: axes.planner.depth: got 1 twice; allowed: distinct values",
     ),
     "a point twice in a zip": (
         "{base: {}, combine: zip, axes: {planner.depth: [1, 1, 1], planner.iterations: [5, 6, 5]}}",
-        "s.yaml: axes: points 0 and 2 are the same; all differ in a zip",
+        "s.yaml: axes: points 0 and 2 are equal; allowed in a zip: distinct points",
     ),
     "an empty list": (
         "{base: {}, axes: {planner.depth: []}}",
-        "s.yaml: axes.planner.depth: is empty; at least one value is expected",
+        "s.yaml: axes.planner.depth: is empty; allowed: one value or more",
     ),
     "no subtrees": (
         "{base: {}, axes: {planner: {}}}",
-        "s.yaml: axes.planner: is empty; at least one value is expected",
+        "s.yaml: axes.planner: is empty; allowed: one value or more",
     ),
     "a single value": (
         "{base: {}, axes: {planner.depth: 3}}",
@@ -361,16 +366,16 @@ SWEEPS = {
     ),
     "a subtree without a name": (
         "{base: {}, axes: {planner: [{kind: sbo}]}}",
-        's.yaml: axes.planner: got {"kind": "sbo"}; a subtree needs a name: `planner: {NAME: {...}}`',
+        's.yaml: axes.planner: got {"kind": "sbo"}; allowed: named subtrees, `planner: {NAME: {...}}`',
     ),
     "a name with a slash": (
         "{base: {}, axes: {planner: {a/b: {}}}}",
-        's.yaml: axes.planner: got the name "a/b"; a name is not empty and has no /',
+        's.yaml: axes.planner: got the name "a/b"; allowed: a nonempty name without /',
     ),
     "a zip of unequal lengths": (
         "{base: {}, combine: zip, axes: {planner.depth: [1, 2], planner.iterations: [1, 2, 3]}}",
         "s.yaml: axes: got axes of different lengths (planner.depth has 2, planner.iterations has 3); "
-        "a zip needs equal ones",
+        "allowed in a zip: equal lengths",
     ),
     "an unknown combination": (
         "{base: {}, combine: zipp}",
@@ -380,33 +385,34 @@ SWEEPS = {
         "{base: {}, axes: {seed: [1, 2]}}",
         "s.yaml: axes.seed: seed cannot be swept; allowed: settings of the experiment",
     ),
-    "an axis that undoes another": (
+    "an axis that overwrites another": (
         "{base: {}, axes: {planner.depth: [1, 2], planner: {sbo: {}}}}",
-        "s.yaml: axes.planner: would undo axes.planner.depth; put it first",
+        "s.yaml: axes.planner: overwrites axes.planner.depth; "
+        "allowed: axes.planner before axes.planner.depth",
     ),
     "an axis below a number": (
         "{base: {problem: {half_width: 2}}, axes: {problem.half_width.x: [1]}}",
-        "s.yaml: axes.problem.half_width.x: half_width is 2, with nothing below it",
+        "s.yaml: axes.problem.half_width.x: half_width is 2, which has no settings",
     ),
-    "an alias with company": (
+    "an alias beside other keys": (
         "{alias: parking, runs: 3}",
-        "s.yaml: alias: an alias is the name of another sweep, and stands alone",
+        's.yaml: alias: got "parking"; allowed: the name of another sweep, as the only key',
     ),
-    "an alias of itself": ("alias: s.yaml", "s.yaml: alias: s.yaml leads back to itself"),
-    "an alias of nothing": (
+    "an alias of itself": ("alias: s.yaml", 's.yaml: alias: got "s.yaml"; aliases must not form a cycle'),
+    "an alias of an unknown sweep": (
         "alias: prking",
-        "s.yaml: alias: prking: no such file, and no such name in sweeps/; there are: …; "
+        "s.yaml: alias: prking: no such file, and no such name in sweeps/; allowed: …; "
         'did you mean "parking"?',
     ),
     "two claims of one id": (
         "{base: {planner: sbo}, claims: [&c {id: a, source: s, claim: c, test: "
         "{kind: share, label: sbo, column: success, above: 0.5}}, *c]}",
-        's.yaml: claims.1.id: got "a"; another claim has this id',
+        's.yaml: claims.1.id: got "a"; allowed: a unique id',
     ),
-    "a claim about nobody": (
+    "a claim about an unknown label": (
         "{base: {planner: sbo}, claims: [{id: a, source: s, claim: c, test: "
         "{kind: share, label: sb0, column: success, above: 0.5}}]}",
-        's.yaml: claims.0.test: got "sb0"; no such label; allowed: sbo; did you mean "sbo"?',
+        's.yaml: claims.0.test: got "sb0"; unknown label; allowed: sbo; did you mean "sbo"?',
     ),
     "a claim without a threshold": (
         "{base: {}, claims: [{id: a, source: s, claim: c, test: {kind: share, label: a, column: b}}]}",
@@ -419,7 +425,7 @@ SWEEPS = {
     ),
     "a test without its settings": (
         "{base: {}, claims: [{id: a, source: s, claim: c, test: {kind: order, greater: [a, b]}}]}",
-        "s.yaml: claims.0.test.column: missing, and it has no default",
+        "s.yaml: claims.0.test.column: missing; this setting has no default",
     ),
     "an order without a direction": (
         "{base: {}, claims: [{id: a, source: s, claim: c, test: {kind: order, column: x}}]}",
@@ -502,18 +508,20 @@ def test_overrides_of_swept_keys(write, override, message):
 @pytest.mark.parametrize(
     ("source", "message"),
     [
-        ("", "no name given: a file, or a name in configs/, is expected"),
+        ("", "got an empty name; allowed: a YAML file, or a name in configs/"),
         (
             "prking",
-            'prking: no such file, and no such name in configs/; there are: …; did you mean "parking"?',
+            'prking: no such file, and no such name in configs/; allowed: …; did you mean "parking"?',
         ),
         (
             "configs/min.yaml",
-            "configs/min.yaml: no such file, and no such name in configs/; there are: …; "
-            'did you mean "mine"?',
+            'configs/min.yaml: no such file, and no such name in configs/; allowed: …; did you mean "mine"?',
         ),
-        ("configs", "configs: is a folder; a YAML file, or a name in configs/, is expected"),
-        ("configs/notes.txt", "configs/notes.txt: a file that ends in .yaml is expected"),
+        ("configs", "configs: is a folder; allowed: a YAML file, or a name in configs/"),
+        (
+            "configs/notes.txt",
+            "configs/notes.txt: is not a YAML file; allowed: a file name that ends in .yaml or .yml",
+        ),
     ],
 )
 def test_missing_files(write, source, message):

@@ -1,4 +1,4 @@
-"""A user's own class by import path: imported, checked, validated, an ordinary component after that."""
+"""A class given by import path is imported, checked and validated, and is then an ordinary component."""
 
 import sys
 
@@ -23,7 +23,7 @@ from bojax.models.kernels import Kernel
 
 
 class Annotated(Kernel):
-    """A kernel that says by annotations what it takes."""
+    """A kernel whose settings are the annotated arguments of its constructor."""
 
     lengthscale: Float[Array, ""]
     weights: Float[Array, "3"] = (1, 2.5, 3)
@@ -145,7 +145,7 @@ def test_a_module_that_the_user_names_is_not_printed(resolved, write, capsys, ov
     assert capsys.readouterr().err == ""
 
 
-def test_annotations_say_what_a_class_takes(resolved):
+def test_settings_from_annotations(resolved):
     kernel = resolved("planner.kernel.names=[a, b]").config.planner.kernel
     assert kernel.model_dump(mode="json", exclude={"table"}) == {
         "kind": "my_kernels:Annotated",
@@ -160,7 +160,7 @@ def test_annotations_say_what_a_class_takes(resolved):
     assert kernel.constructor_defaults == {"table"}
 
 
-def test_a_nested_config_says_what_a_class_takes(resolved):
+def test_settings_from_a_nested_config(resolved):
     assert resolved("planner.kernel=my_kernels:Configured").config.planner.kernel.lengthscale == 3.0
 
 
@@ -191,13 +191,13 @@ def test_the_label_of_a_class_is_its_name(write, resolved):
         ),
         (
             ["planner.kernel=my_kernels:Annotated"],
-            "planner.kernel.lengthscale: missing, and it has no default",
+            "planner.kernel.lengthscale: missing; this setting has no default",
         ),
         (["planner.kernel={kind: 'my_kernels:Configured', lengthscale: 0}"], "got 0; allowed: > 0"),
         (["planner.kernel=my_kernels:Anotated"], 'my_kernels has no Anotated; did you mean "Annotated"?'),
         (["planner.kernel=my_kernels:number"], "number is not a class"),
-        (["planner.kernel=my_kernel:X"], "there is no module my_kernel, neither here ("),
-        (["planner.kernel=my_kernels.x:X"], "there is no module my_kernels.x, neither here ("),
+        (["planner.kernel=my_kernel:X"], "module my_kernel is neither in the working directory ("),
+        (["planner.kernel=my_kernels.x:X"], "module my_kernels.x is neither in the working directory ("),
         (
             ["planner.kernel=my_broken:X"],
             "importing my_broken failed: ValueError: math domain error (my_broken.py",
@@ -213,11 +213,11 @@ def test_the_label_of_a_class_is_its_name(write, resolved):
         ),
         (
             ["planner.kernel=my_kernels:Nested"],
-            "Nested takes inner, and its annotation does not say what a file",
+            "the annotation of inner in Nested is not the type of a setting; allowed: ",
         ),
         (
             ["planner.kernel=my_kernels:Lacking"],
-            "as a kernel it lacks __call__; see bojax.models.kernels.Kernel",
+            "the class lacks __call__, required by the role kernel; see bojax.models.kernels.Kernel",
         ),
     ],
 )
@@ -228,7 +228,7 @@ def test_refused(resolved, overrides, message):
     assert text.startswith("command line: planner.kernel") and message in text and "\n" not in text
 
 
-def test_a_mistake_in_the_file_names_the_file(write, resolved):
+def test_an_error_in_a_file_names_the_file(write, resolved):
     write("x.yaml", "planner: {kind: kcbts, kernel: {kind: 'my_kernels:Annotated', lengthscale: a}}")
     with pytest.raises(ConfigError, match='^x.yaml: planner.kernel.lengthscale: got "a"; allowed: a number$'):
         resolved()

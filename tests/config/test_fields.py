@@ -1,4 +1,4 @@
-"""Fields from files: what is read, and that results know which data they are made from."""
+"""Fields from files: accepted formats, refused files, and the checksum of the data in the settings."""
 
 import hashlib
 import io
@@ -27,7 +27,7 @@ def test_a_table_reads_the_same_from_both_formats(write, tmp_path):
 
 
 @pytest.mark.parametrize("dtype", [bool, np.uint8, np.int64, np.float32])
-def test_any_real_numbers_will_do(write, tmp_path, dtype):
+def test_all_types_of_real_numbers_are_read(write, tmp_path, dtype):
     np.save(tmp_path / "table.npy", np.array([[0, 1], [1, 0]], dtype))
     table = read_array(str(tmp_path / "table.npy"))
     assert table.dtype == np.float64
@@ -49,7 +49,7 @@ NOT_TABLES = {
 
 
 @pytest.mark.parametrize("table", NOT_TABLES.values(), ids=NOT_TABLES)
-def test_what_is_no_table_of_finite_numbers_is_refused_in_one_line(table, tmp_path):
+def test_anything_but_a_table_of_finite_numbers_is_refused_in_one_line(table, tmp_path):
     file = str(tmp_path / "table.npy")
     np.save(file, table, allow_pickle=True)
     with pytest.raises(ValueError) as raised:
@@ -78,7 +78,7 @@ def header(shape: tuple[int, ...], descr: str = "<f8") -> bytes:
 @pytest.mark.parametrize(
     "content", [header((10**10, 10**10)), header((10**6, 10**6)), header((2, -1)), header((2, 2), "|O")]
 )
-def test_a_header_that_claims_what_the_file_does_not_hold(tmp_path, content):
+def test_a_header_that_claims_more_than_the_file_holds(tmp_path, content):
     path = tmp_path / "table.npy"
     path.write_bytes(content)
     with pytest.raises(ValueError) as raised:
@@ -101,7 +101,7 @@ def test_only_regular_files_are_read(tmp_path, name):
 
 
 @pytest.mark.parametrize("schema", [Grid, Scattered])
-def test_the_settings_name_the_content_of_the_file(write, schema: type[Component]):
+def test_the_settings_hold_the_checksum_of_the_file(write, schema: type[Component]):
     path = write("table.csv", "0,0,1\n1,0,2\n0,1,3")
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     settings = schema(file="table.csv", extent=EXTENT)
@@ -114,7 +114,7 @@ def test_the_settings_name_the_content_of_the_file(write, schema: type[Component
         schema.model_validate(settings.model_dump())
 
 
-def test_a_field_of_ones_own_is_ten_lines_of_yaml(write):
+def test_a_custom_field_is_ten_lines_of_yaml(write):
     write("depth.csv", "1,2\n3,4")
     write(
         "x.yaml",

@@ -45,7 +45,7 @@ def test_shipped_files_are_found_from_anywhere(write):
     assert load_sweep("parking").source == shipped("sweeps") / "fig-4.6.yaml"
 
 
-def test_a_file_beside_the_user_hides_a_shipped_one(write):
+def test_a_file_in_the_working_directory_hides_a_shipped_one(write):
     path = write("configs/parking.yaml", "planner: sbo")
     assert load_config("parking").source.resolve() == path
     assert planner(load_config(str(path))) == SBO()
@@ -61,7 +61,7 @@ def test_an_experiment_needs_almost_nothing(write):
     assert sweep.base == {"experiment": "planning", "planner": "sbo"}
 
 
-def test_options_beat_overrides_beat_the_file(write):
+def test_options_take_precedence_over_overrides_and_those_over_the_file(write):
     write("x.yaml", "{runs: 5, seed: 1, engine: {device: cpu, segment_seconds: 9}}")
     sweep = load_config("x.yaml", ["runs=6", "seed=2", "engine.device=gpu"], runs=7)
     assert (sweep.runs, sweep.seed) == (7, 2)
@@ -84,7 +84,7 @@ class TestOverrides:
         assert planner(load_config("x.yaml", ["planner=sbo"])) == SBO()
         assert planner(load_config("x.yaml", ["planner=kcbts"])) == KCBTS()
 
-    def test_a_new_kind_drops_the_settings_of_the_old_one(self, write):
+    def test_a_new_kind_discards_the_settings_of_the_old_one(self, write):
         write("x.yaml", "planner: {kind: kcbts, max_actions: 10}")
         assert planner(load_config("x.yaml", ["planner.kind=sbo"])) == SBO()
         assert planner(load_config("x.yaml", ["planner.kind=kcbts"])) == KCBTS(max_actions=10)
@@ -141,7 +141,7 @@ class TestAxes:
             (point,) = load_sweep("x.yaml").points
             assert (point.label, point.variant, point.swept) == ("sbo", "sbo", {})
 
-    def test_a_named_subtree_of_the_same_kind_is_laid_over_the_base(self, write):
+    def test_a_named_subtree_of_the_same_kind_is_merged_into_the_base(self, write):
         write(
             "x.yaml",
             """
@@ -222,7 +222,7 @@ class TestFiles:
         assert (first.runs, first.seed, second.runs, second.seed) == (3, 4, 5, 4)
         assert second.engine == EngineConfig(device="auto", latency=False)
 
-    def test_a_base_is_no_sweep_of_the_same_name(self, write):
+    def test_a_base_is_not_the_sweep_of_the_same_name(self, write):
         write("configs/same.yaml", "planner: sbo")
         write("sweeps/same.yaml", "base: same")
         assert load_sweep("same").points[0].label == "sbo"

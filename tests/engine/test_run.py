@@ -275,6 +275,6 @@ def test_more_chunks_than_memory_holds_are_refused_before_anything_is_written(tm
     assert run_toy(tmp_path / "toy", runs=6, lanes_per_device=2) == 2
     (message,) = errors(capsys)
     assert (
-        message.startswith("error: engine.lanes_per_device: got ") and " chunks, which take some " in message
+        message.startswith("error: engine.lanes_per_device: got ") and " chunks, which take about " in message
     )
     assert not (tmp_path / "toy").exists()

@@ -61,4 +61,4 @@ def test_silence(capsys):
 def test_a_missing_package_is_told_with_its_extra():
     error = MissingExtra("gymnasium", "gym")
     assert isinstance(error, ImportError) and error.exit_code == 2
-    assert str(error) == "gymnasium is not installed; in the clone of bojax: pip install -e '.[gym]'"
+    assert str(error) == "gymnasium is not installed; install it in a clone of bojax: pip install -e '.[gym]'"

@@ -1,4 +1,4 @@
-"""Results folders: nothing is overwritten, and what is unfinished is found again."""
+"""Results folders: nothing is overwritten, and unfinished sweeps are resumed."""
 
 import os
 from pathlib import Path
@@ -11,7 +11,7 @@ from bojax.results.store import ResultsError, read_manifest, write_json
 PLAN = {"runs": 3, "config": {"planner": {"kind": "kcbts", "iterations": 300}}, "code": {"bojax": "a"}}
 
 
-def test_folders_of_one_second_get_numbers(tmp_path, monkeypatch):
+def test_folders_of_the_same_second_are_numbered(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("time.strftime", lambda _: "20260101-000000")
     # All are chosen before the first is created, as by processes that start together.
@@ -26,7 +26,7 @@ def test_folders_of_one_second_get_numbers(tmp_path, monkeypatch):
     assert [folder.path.name for folder in folders] == [f"20260101-000000{end}" for end in ("", "-2", "-3")]
 
 
-def test_a_folder_that_the_user_names_is_taken_once(tmp_path):
+def test_a_folder_given_by_the_user_is_used_once(tmp_path):
     RunFolder(tmp_path / "out").create(PLAN)
     with pytest.raises(ResultsError, match="another process"):
         RunFolder(tmp_path / "out").create(PLAN)
@@ -43,13 +43,13 @@ def test_names_longer_than_the_file_system_allows(tmp_path, parts, resume):
         read_manifest(path)
 
 
-def test_an_empty_folder_is_taken(tmp_path):
+def test_an_empty_folder_is_used(tmp_path):
     assert choose_folder("parking", tmp_path, resume=False) == (tmp_path, False)
     assert choose_folder("parking", tmp_path / "new", resume=True) == (tmp_path / "new", False)
 
 
 @pytest.mark.parametrize("resume", [False, True])
-def test_a_folder_of_something_else_is_refused(tmp_path, resume):
+def test_a_folder_with_other_content_is_refused(tmp_path, resume):
     (tmp_path / "thesis.tex").write_text("")
     with pytest.raises(ResultsError, match="not empty") as error:
         choose_folder("parking", tmp_path, resume=resume)
@@ -96,7 +96,7 @@ def test_changes_are_named(tmp_path, change, named):
     assert "\n" not in str(error.value)
 
 
-def test_a_change_of_base_and_points_is_told_once(tmp_path):
+def test_a_change_of_base_and_points_is_reported_once(tmp_path):
     def plan(iterations):
         config = {"planner": {"iterations": iterations}}
         return {"config": config, "points": [{"config": config}] * 9}
@@ -148,7 +148,7 @@ def test_a_damaged_plan_is_refused_and_a_damaged_note_ignored(tmp_path, damage):
 
 
 @pytest.mark.parametrize("make", [os.mkfifo, os.mkdir])
-def test_a_lock_that_is_no_file_is_refused(tmp_path, make):
+def test_a_lock_that_is_not_a_file_is_refused(tmp_path, make):
     folder = RunFolder(tmp_path / "out")
     folder.create(PLAN)
     folder.close(finished=False)

@@ -1,4 +1,4 @@
-"""Tables: typed by their schema, merged in one order whatever order they were written in."""
+"""Tables: types from the schema, and a merged order that does not depend on the order of writing."""
 
 import errno
 import os
@@ -34,7 +34,7 @@ def steps(*rows):
     return to_arrow(STEPS, {name: np.asarray(column) for name, column in zip(names, values, strict=True)})
 
 
-def test_minus_one_is_null_where_a_column_can_be():
+def test_minus_one_is_null_in_a_nullable_column():
     table = to_arrow(
         (Column("episodes", "int32", nullable=True), Column("count", "int64")),
         {"episodes": np.array([3, -1]), "count": np.array([3, -1])},
@@ -42,19 +42,19 @@ def test_minus_one_is_null_where_a_column_can_be():
     assert table.to_pydict() == {"episodes": [3, None], "count": [3, -1]}
 
 
-def test_nan_is_null_where_a_column_can_be():
+def test_nan_is_null_in_a_nullable_column():
     columns = {"after": np.array([np.nan, -1.0]), "x": np.array([np.nan, -1.0])}
     table = to_arrow((Column("after", "float64", nullable=True), Column("x", "float64")), columns)
     assert table["after"].to_pylist() == [None, -1.0]
     assert table["x"].null_count == 0
 
 
-def test_only_numbers_can_be_null():
+def test_only_columns_of_numbers_can_be_nullable():
     with pytest.raises(ValueError, match="nullable"):
         Column("x", "bool", nullable=True)
 
 
-def test_a_place_becomes_its_word():
+def test_a_code_becomes_its_word():
     table = to_arrow((Column("phase", "string", words=("train", "test")),), {"phase": np.array([1, 0])})
     assert table["phase"].to_pylist() == ["test", "train"]
     with pytest.raises(ValueError, match="words"):
@@ -105,7 +105,7 @@ def test_merge_depends_on_the_rows_alone(tmp_path):
     assert table["label"].to_pylist() == ["kcbts", "kcbts", "sbo", "sbo"]
 
 
-def test_uncommitted_parts_never_happened(tmp_path):
+def test_uncommitted_parts_are_ignored(tmp_path):
     chunk = make_chunk(tmp_path / "chunk", steps((0, 0, 1, 0.0)))
     chunk.write_part({"steps": steps((0, 0, 2, 0.0))})
     (tmp_path / "chunk" / "checkpoint-00000007").mkdir()
@@ -139,7 +139,7 @@ def test_swept_values_keep_their_type(tmp_path, values, kind):
     assert table["a.b"].type == kind and table["seed"].to_pylist() == [9, 9]
 
 
-def test_tables_whose_names_end_alike_are_kept_apart(tmp_path):
+def test_tables_whose_names_share_a_suffix_stay_separate(tmp_path):
     chunk = ChunkFolder(tmp_path / "chunk", tmp_path)
     chunk.open()
     chunk.write_part({"steps": steps((0, 0, 1, 0.0)), "more-steps": steps((0, 0, 2, 0.0))})
@@ -192,7 +192,7 @@ def flip(path, position):
     path.write_bytes(bytes(content))
 
 
-def test_a_flipped_bit_in_a_page_is_noticed(tmp_path):
+def test_a_flipped_bit_in_a_page_is_detected(tmp_path):
     path, table = tmp_path / "a.parquet", steps(*((0, 0, step, step / 7) for step in range(500)))
     write_table(path, table)
     whole = path.read_bytes()
@@ -212,7 +212,7 @@ def test_a_flipped_bit_in_a_page_is_noticed(tmp_path):
     assert refused > 100
 
 
-def test_a_checked_file_notices_a_changed_digit(tmp_path):
+def test_a_changed_digit_in_a_checked_file_is_detected(tmp_path):
     path = tmp_path / "a.json"
     write_checked_json(path, {"x": 1.25, "y": [float("nan"), {"z": "text"}]})
     assert read_checked_json(path) == {"x": 1.25, "y": [None, {"z": "text"}]}
@@ -223,7 +223,7 @@ def test_a_checked_file_notices_a_changed_digit(tmp_path):
             read_checked_json(path)
 
 
-def test_a_fingerprint_is_of_every_file_of_a_folder(tmp_path):
+def test_a_fingerprint_covers_every_file_of_a_folder(tmp_path):
     folder = tmp_path / "folder"
     (folder / "below").mkdir(parents=True)
     (folder / "below" / "a").write_text("one")
@@ -275,7 +275,7 @@ def test_unreadable_files_are_one_line(tmp_path):
     ("number", "code"),
     [(errno.ENOSPC, 1), (errno.EIO, 1), (errno.EFBIG, 1), (errno.EACCES, 2), (errno.EROFS, 2)],
 )
-def test_the_exit_code_tells_a_wrong_path_from_a_failing_machine(tmp_path, number, code):
+def test_the_exit_code_distinguishes_a_wrong_path_from_a_failure_of_the_machine(tmp_path, number, code):
     with pytest.raises(ResultsError) as raised, explained(tmp_path):
         raise OSError(number, os.strerror(number))
     assert raised.value.exit_code == code and "\n" not in str(raised.value)
