@@ -1,1 +1,1 @@
-"""File formats of a results folder: schemas, atomic writes, merging. Imports no JAX."""
+"""File formats of a results folder: schemas, atomic writes and merging. Imports no JAX."""

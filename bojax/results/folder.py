@@ -1,4 +1,4 @@
-"""A sweep's results folder: created without overwriting anything, locked, found again, resumed."""
+"""The results folder of a sweep: choosing, creating, locking and resuming it without overwriting results."""
 
 import fcntl
 import os
@@ -25,17 +25,16 @@ _PLAN = "plan.json"
 _LOCK = "lock"
 _DONE = f"{WORK}-done"
 _ASKED_FOR = ("runs", "seed", "record", "config", "points")
-"""Keys of a plan that say what is run; the others say with what."""
+"""Keys of a plan that define the runs; the others describe the code, the versions and the device."""
 
 
 class RunFolder:
-    """The results folder of one sweep while it is written.
+    """The results folder of a sweep that is running.
 
-    The plan is what the results depend on: a resumed sweep must have the same one, or its parts would
-    be of two kinds.
+    The plan is everything that the results depend on. A sweep can only be resumed with the same plan.
 
     Attributes:
-        path: The folder; `create` may have to choose another name.
+        path: The folder. `create` may change its name.
     """
 
     def __init__(self, path: Path):
@@ -44,7 +43,7 @@ class RunFolder:
 
     @property
     def work(self) -> Path:
-        """Its working folder."""
+        """The working folder, which holds the chunks."""
         return self.path / WORK
 
     def create(self, plan: Mapping[str, Any], *, may_rename: bool = False) -> None:
@@ -52,8 +51,8 @@ class RunFolder:
 
         Args:
             plan: The plan.
-            may_rename: Whether to append a number to the folder's name if there is such a folder already,
-                which another sweep may have made in the same second.
+            may_rename: Whether to append a number to the name if the folder exists, because another sweep
+                started in the same second.
         """
         with explained(self.path):
             if may_rename:
@@ -66,16 +65,16 @@ class RunFolder:
         write_checked_json(self.work / _PLAN, plan)
 
     def resume(self, plan: Mapping[str, Any]) -> None:
-        """Take the folder up again, or raise a `ResultsError` that names what has changed."""
+        """Reopen the folder, or raise a `ResultsError` that names the changes of the plan."""
         self._take_lock()
         path = self.work / _PLAN
-        if not os.path.lexists(path):  # cut off while it was created
+        if not os.path.lexists(path):  # interrupted while the folder was created
             write_checked_json(path, plan)
         try:
             old = read_checked_json(path)
         except ResultsError as error:
-            # The name of a chunk's folder is a hash of all that its rows depend on.
-            message = f"{path}: damaged: delete this file and resume: parts of another sweep are not taken up"
+            # Chunks stay valid: the name of a chunk's folder is a hash of everything that its rows depend on.
+            message = f"{path}: damaged: delete this file and resume; parts of another sweep are not used"
             raise ResultsError(message) from error
         check_plan(self.path, old, plan)
 
@@ -84,16 +83,16 @@ class RunFolder:
         return ChunkFolder(self.work / name, self.path)
 
     def note(self, name: str, content: Any) -> None:
-        """Keep a small JSON file beside the chunks."""
+        """Save a value as a JSON file in the working folder."""
         write_checked_json(self.work / f"{name}.json", {name: content})
 
     def noted(self, name: str, default: Any) -> Any:
-        """What `note` kept, or the default if there is nothing or the file is damaged."""
+        """The value saved by `note`, or the default if the file is missing or damaged."""
         path = self.work / f"{name}.json"
         try:
             return read_checked_json(path).get(name, default)
         except ResultsError:
-            if path.is_dir() and not path.is_symlink():  # a file could not be written in its place
+            if path.is_dir() and not path.is_symlink():  # otherwise `note` could not write the file
                 shutil.rmtree(path, ignore_errors=True)
             return default
 
@@ -103,7 +102,7 @@ class RunFolder:
             with explained(self.path):
                 sync(self.path, *(path for path in self.path.iterdir() if path.is_dir()))
                 drop_leftovers(self.path)
-                # Renamed first: a process killed while it deletes leaves no half of a working folder behind.
+                # Renaming is atomic: a process killed during the deletion leaves no partial working folder.
                 os.replace(self.work, self.path / _DONE)
             drop_leftovers(self.path)
         if self._lock is not None:
@@ -121,7 +120,7 @@ class RunFolder:
 
     def _take_lock(self) -> None:
         with explained(self.work):
-            self._lock = (self.work / _LOCK).open("a+")  # to open a pipe for writing alone would wait
+            self._lock = (self.work / _LOCK).open("a+")  # opening a pipe only for writing would block
             try:
                 fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
@@ -132,15 +131,15 @@ class RunFolder:
 
 
 def choose_folder(name: str, out: Path | None, *, resume: bool) -> tuple[Path, bool]:
-    """Where results go, and whether there is something to resume there.
+    """The results folder, and whether a sweep is resumed in it.
 
     Args:
         name: Name of the sweep.
-        out: A folder given by the user; otherwise `results/<name>/<timestamp>`.
-        resume: Whether to go on with an unfinished sweep: in `out`, or in the newest folder that has one.
+        out: Folder given by the user; None for `results/<name>/<timestamp>`.
+        resume: Whether to resume an unfinished sweep, in `out` or in the newest unfinished folder.
 
     Raises:
-        ResultsError: the folder exists and holds something, or there is nothing to resume.
+        ResultsError: The folder is not empty, or there is no unfinished sweep.
     """
     if out is None and resume:
         return _newest_unfinished(ROOT / name), True
@@ -149,31 +148,31 @@ def choose_folder(name: str, out: Path | None, *, resume: bool) -> tuple[Path, b
     if not os.path.lexists(out):
         return out, False
     if not os.path.isdir(out):
-        raise ResultsError(f"{out}: not a folder: give --out a new one")
+        raise ResultsError(f"{out}: is not a folder; allowed: a new or empty folder")
     if resume and (is_unfinished(out) or os.path.lexists(out / MANIFEST)):
         return out, True
     with explained(out, "read"):
         is_empty = not any(out.iterdir())
     if not is_empty:
         raise ResultsError(
-            f"{out}: the folder is not empty: give a new --out, or --resume an unfinished sweep"
+            f"{out}: the folder is not empty; give another --out, or --resume an unfinished sweep"
         )
     return out, False
 
 
 def drop_leftovers(folder: Path) -> None:
-    """Delete the working files of a finished sweep that a killed process has left."""
+    """Delete the working files of a finished sweep that a killed process left behind."""
     shutil.rmtree(folder / _DONE, ignore_errors=True)
 
 
 def is_unfinished(folder: Path) -> bool:
-    """Whether a sweep in this folder was interrupted, or had a chunk that failed."""
+    """Whether the sweep in a folder was interrupted or has a failed chunk."""
     return os.path.isdir(folder / WORK)
 
 
 def check_plan(folder: Path, old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
-    """Raise a `ResultsError` that names the first differences of two plans, if there are any."""
-    # A change of the base config is one of every point too: say it once.
+    """Raise a `ResultsError` with the first differences of two plans, if they differ."""
+    # A change of the base config is also a change of every point, and reported once.
     found: dict[str, str] = {}
     for line in _changes(old, new):
         found.setdefault(line.rpartition("config.")[2], line)
@@ -182,24 +181,24 @@ def check_plan(folder: Path, old: Mapping[str, Any], new: Mapping[str, Any]) -> 
         more = f" and {len(changes) - 3} more" if len(changes) > 3 else ""
         listed = ", ".join(changes[:3]) + more
         raise ResultsError(
-            f"{folder}: cannot resume, the sweep has changed: {listed}: undo it, or give a new --out"
+            f"{folder}: cannot resume, the sweep has changed: {listed}; undo this, or give another --out"
         )
 
 
 def check_finished(folder: Path, plan: Mapping[str, Any]) -> None:
-    """Raise a `ResultsError` unless the sweep in a folder is finished and is what this plan asks for.
+    """Raise a `ResultsError` unless the sweep in a folder is finished and has the runs of this plan.
 
-    By what code and on which device is not compared: nothing would be mixed.
+    Code, versions and devices are not compared, since no further run is added.
     """
     manifest = read_manifest(folder)
     old, status = manifest.get("plan"), manifest.get("status")
     if status != "finished":
         raise ResultsError(
-            f"{folder}: cannot resume: its status is {status}, but its working folder {WORK} is gone: "
-            "give a new --out"
+            f"{folder}: cannot resume: the status is {status}, but the working folder {WORK} is missing; "
+            "give another --out"
         )
     if not isinstance(old, Mapping):
-        raise ResultsError(f"{folder / MANIFEST}: plan: a mapping is expected, not a {type(old).__name__}")
+        raise ResultsError(f"{folder / MANIFEST}: plan: got a {type(old).__name__}; allowed: a mapping")
     check_plan(folder, *({key: found.get(key) for key in _ASKED_FOR} for found in (old, plan)))
 
 
@@ -209,11 +208,11 @@ def _newest_unfinished(root: Path) -> Path:
     for folder in reversed(folders):
         if is_unfinished(folder):
             return folder
-    raise ResultsError(f"{root}: no unfinished sweep to resume: leave --resume out to start one")
+    raise ResultsError(f"{root}: no unfinished sweep to resume; to start a sweep, leave out --resume")
 
 
 def _changes(old: Any, new: Any, path: str = ""):
-    """Lines `dotted.path: old -> new` for every difference of two trees of plain values."""
+    """A line `dotted.path: old -> new` for every difference of two trees of plain values."""
     if isinstance(old, Mapping) and isinstance(new, Mapping):
         for key in [*old, *(key for key in new if key not in old)]:
             dotted = f"{path}.{key}" if path else str(key)

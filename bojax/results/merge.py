@@ -1,4 +1,4 @@
-"""Merge the parts of all chunks into the tables of a results folder."""
+"""Merging of the parts of all chunks into the tables of a results folder."""
 
 import json
 import os
@@ -20,7 +20,7 @@ RUNS = "runs"
 
 @dataclass(frozen=True)
 class PointInfo:
-    """What the merged tables say of a point: its identifier, its name in the sweep, its swept values."""
+    """The columns of the merged tables that describe a point: label, variant and swept values."""
 
     index: int
     label: str
@@ -33,24 +33,24 @@ def merge(
 ) -> dict[tuple[int, int], int]:
     """Write every table, move snapshots and learners, and return the NaN counts `{(point, run): count}`.
 
-    Only what the parts say goes into the files, in one fixed order, so that a sweep that was interrupted
-    ends in the same bytes as one that was not.
+    The tables depend on nothing but the rows of the parts, which are sorted, so that an interrupted and
+    resumed sweep gives the same bytes as an uninterrupted one.
 
     Raises:
-        ResultsError: A committed file is missing or has changed; nothing is written then.
+        ResultsError: A committed file is missing or has changed; in this case nothing is written.
     """
     tables: dict[str, pa.Table] = {}
     for name in names:
         parts = [table for chunk in chunks for table in chunk.tables(name)]
         if parts:
             tables[name] = sort_rows(pa.concat_tables(parts, promote_options="default"))
-    moves = [(chunk.committed(name), folder / name) for chunk in chunks for name in chunk.kept()]
+    moves = [(chunk.committed(name), folder / name) for chunk in chunks for name in chunk.saved()]
     nans = count_nans(list(tables.values()))
     for name, table in tables.items():
         merged = _runs(table, points, seed, nans) if name == RUNS else _labelled(table, points)
         write_table(folder / f"{name}.parquet", merged)
     for source, target in moves:
-        if source != target:  # not moved before, by a merge that was cut off or lacked failed chunks
+        if source != target:  # otherwise an earlier merge has moved it
             with explained(target):
                 _move(source, target)
     return nans
@@ -58,7 +58,7 @@ def merge(
 
 def _move(source: Path, target: Path) -> None:
     target.parent.mkdir(exist_ok=True)
-    if target.is_dir():  # left by a chunk that was deleted to be computed again
+    if target.is_dir():  # from an earlier computation of the same chunk
         shutil.rmtree(target)
     os.replace(source, target)
 
@@ -95,7 +95,7 @@ def _of_point(table: pa.Table, values: Sequence[Any], kind: pa.DataType) -> pa.A
 
 
 def _column(values: Sequence[Any]) -> tuple[list[Any], pa.DataType]:
-    """Swept values as one Arrow type: numbers and flags as such, anything else as text."""
+    """Swept values and their Arrow type: Booleans, integers and floats stay, all others become text."""
     given = [value for value in values if value is not None]
     if given and all(isinstance(value, bool) for value in given):
         return list(values), pa.bool_()

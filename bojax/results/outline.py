@@ -8,12 +8,12 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Outline:
-    """The shapes of a world, in metres. Four numbers are a box, three are a disc.
+    """The shapes of a world, in metres: a box is `(x_min, y_min, x_max, y_max)`, a disc `(x, y, radius)`.
 
     Attributes:
-        border: The domain, `(x_min, y_min, x_max, y_max)`; None for a world without a border.
-        obstacles: What ends or stops a path: boxes `(x_min, y_min, x_max, y_max)`, or discs `(x, y, radius)`.
-        goals: Areas to reach: boxes or discs.
+        border: The domain, as a box; None for a world without a border.
+        obstacles: Boxes or discs that stop a path or end an episode.
+        goals: Boxes or discs to reach.
         start: Initial position, `(x, y)`; None where it differs between runs.
         heading: Heading to reach in a goal, in radians; None where any will do.
         blocks: Boxes that stand on the ground, `(x_min, y_min, x_max, y_max, height)`.

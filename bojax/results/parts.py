@@ -1,4 +1,4 @@
-"""The working folder of one chunk: part files, and the state file that commits them."""
+"""The working folder of a chunk: part files, and the state file that commits them."""
 
 import os
 import re
@@ -32,17 +32,17 @@ _CHECKPOINT = "checkpoint-"
 
 @dataclass
 class ChunkState:
-    """What of a chunk is safely on disk.
+    """The committed progress of a chunk.
 
     Attributes:
         parts: Number of committed parts.
-        advances: Advances made up to the checkpoint.
-        remaining: Lanes that are not done there.
-        checkpoint: Name of the checkpoint to go on from; None before the first and after the last one.
-        is_done: Whether all rows of the chunk are in its parts.
+        advances: Number of advances at the checkpoint.
+        remaining: Number of unfinished lanes at the checkpoint.
+        checkpoint: Name of the checkpoint to resume from; None before the first and after the last.
+        is_done: Whether the parts hold all rows of the chunk.
         segments: `[lanes, active steps, seconds]` of each segment.
-        files: Size and SHA-256 of every committed file, by its path in the chunk's folder. A checkpoint and
-            a saved learner are folders, and count as one file each.
+        files: Size and SHA-256 of every committed file, by path in the folder of the chunk. A checkpoint and
+            a saved learner are folders, and have one entry each.
     """
 
     parts: int = 0
@@ -57,16 +57,16 @@ class ChunkState:
 class ChunkFolder:
     """Part files `part-<number>-<table>.parquet`, snapshots, learners, checkpoints, and `state.json`.
 
-    The state file is written after the files that it names, and replaced atomically: whatever it does not
-    name never happened. What it names is verified by its checksum before it is used.
+    The state file is replaced atomically, after the files that it lists have been written. Other files are
+    ignored and deleted. A listed file is verified by its checksum before it is used.
 
     Attributes:
         path: The folder.
-        state: The committed state, and what has been added to it since.
+        state: The state as committed, with the changes since then.
     """
 
     def __init__(self, path: Path, results: Path):
-        """Prepare to use a folder.
+        """Create an object for a folder, which `open` creates or reads.
 
         Args:
             path: The folder.
@@ -78,10 +78,10 @@ class ChunkFolder:
         self._new: list[str] = []
 
     def open(self) -> None:
-        """Create the folder, or take up a committed state and delete everything after it.
+        """Create the folder, or read the committed state and delete everything newer.
 
         Raises:
-            ResultsError: A committed file is missing or has changed; nothing is deleted then.
+            ResultsError: A committed file is missing or has changed; in this case nothing is deleted.
         """
         with explained(self.path):
             (self.path / ARRAYS).mkdir(parents=True, exist_ok=True)
@@ -92,7 +92,7 @@ class ChunkFolder:
         self._drop_uncommitted()
 
     def write_part(self, tables: dict[str, pa.Table]) -> None:
-        """Add a part; it counts from the next commit on."""
+        """Write a part, to be committed by the next commit."""
         for table, rows in tables.items():
             if rows.num_rows:
                 name = f"part-{self.state.parts:06d}-{table}.parquet"
@@ -103,13 +103,13 @@ class ChunkFolder:
     def write_snapshot(
         self, point: int, run: int, name: str, when: str, arrays: dict[str, np.ndarray]
     ) -> None:
-        """Keep named arrays of one run; they count from the next commit on."""
+        """Write named arrays of a run, to be committed by the next commit."""
         file = f"{ARRAYS}/{array_file(point, run, name, when)}"
         write_arrays(self.path / file, arrays)
         self._new.append(file)
 
     def learner_folder(self, point: int, run: int) -> Path:
-        """A folder for what a run has learned; what is in it at the next commit counts from then on."""
+        """A new folder for the learner of a run, whose files are committed by the next commit."""
         name = f"{LEARNERS}/{point}-{run}"
         with explained(self.path / name):
             (self.path / name).mkdir(parents=True, exist_ok=True)
@@ -117,11 +117,11 @@ class ChunkFolder:
         return self.path / name
 
     def checkpoint_path(self) -> Path:
-        """Where the checkpoint of the present number of advances goes."""
+        """The path of the checkpoint after the current number of advances."""
         return self.path / f"{_CHECKPOINT}{self.state.advances:08d}"
 
     def commit(self) -> None:
-        """Make everything written so far, and the checkpoint that the state names, the chunk's truth."""
+        """Commit all files written since the last commit, and the checkpoint that the state names."""
         state = self.state
         state.files = {
             name: found
@@ -132,7 +132,7 @@ class ChunkFolder:
             self._new.append(state.checkpoint)
         folders = [self.path / name for name in self._new if (self.path / name).is_dir()]
         with explained(self.path):
-            # Files are on the disk since they were written, but for those that Orbax wrote.
+            # Files in learners and checkpoints may be written by others, who do not sync them.
             sync(*(path for folder in folders for path in (folder, *folder.rglob("*"))))
             sync(self.path / ARRAYS, self.path)
         for name in self._new:
@@ -143,14 +143,14 @@ class ChunkFolder:
         self._new.clear()
         write_checked_json(self._state_file, {"chunk": self.path.name, **asdict(state)})
         with explained(self.path):
-            sync(self.path)  # before the previous checkpoint goes
+            sync(self.path)  # before the previous checkpoint is deleted
         self._drop_checkpoints()
 
     def committed(self, name: str) -> Path:
-        """The path of a committed file or folder, in the chunk's folder or where merging has moved it.
+        """The path of a committed file or folder, which merging may have moved to the results folder.
 
         Raises:
-            ResultsError: It is missing, or it is not what was committed.
+            ResultsError: The file is missing or has changed.
         """
         path = self.path / name
         if not os.path.lexists(path) and os.path.lexists(self._results / name):
@@ -161,14 +161,14 @@ class ChunkFolder:
         return path
 
     def tables(self, name: str) -> Iterator[pa.Table]:
-        """The committed parts of a table, in the order of their writing."""
+        """The committed parts of a table, in the order in which they were written."""
         for file in self.state.files:
             match = _PART.fullmatch(file)
             if match and match[1] == name:
                 yield read_table(self.committed(file))
 
-    def kept(self) -> list[str]:
-        """Names of the committed snapshots and saved learners."""
+    def saved(self) -> list[str]:
+        """Names of the committed snapshots and learners."""
         return [name for name in self.state.files if name.startswith((f"{ARRAYS}/", f"{LEARNERS}/"))]
 
     @property
@@ -204,5 +204,5 @@ class ChunkFolder:
 
     def _refusal(self, path: Path, what: str) -> ResultsError:
         return ResultsError(
-            f"{path}: {what}: delete the folder {self.path} and resume to compute this chunk again"
+            f"{path}: {what}; delete the folder {self.path} and resume to compute this chunk again"
         )

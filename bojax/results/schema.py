@@ -1,4 +1,4 @@
-"""What a column of a results table is: name, type, unit, meaning."""
+"""Schemas of results tables: the name, type, unit and meaning of each column."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,13 +12,12 @@ class Column:
     """One column of a table.
 
     Attributes:
-        name: The column's name in the file.
-        dtype: Type of its values.
-        unit: Unit of its values ("m", "rad", "s"); empty where there is none.
-        doc: One sentence on its meaning.
-        nullable: Compiled code has no null: there, a nullable integer says -1 and a nullable number NaN,
-            which are stored as null.
-        words: Compiled code has no text: there, a column of text says the place of its word in this list.
+        name: Name in the file.
+        dtype: Type of the values.
+        unit: Unit of the values ("m", "rad", "s"); empty if they have none.
+        doc: Meaning, one sentence.
+        nullable: Whether -1 in a column of integers, and NaN in a column of floats, are stored as null.
+        words: The values of a column of text. Compiled code, which has no text, gives their index.
     """
 
     name: str

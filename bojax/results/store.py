@@ -1,4 +1,4 @@
-"""Files of a results folder: names, atomic writes, checksums, and reading with errors of one line."""
+"""Files of a results folder: names, atomic writes, checksums, and readers with one-line errors."""
 
 import errno
 import hashlib
@@ -19,13 +19,13 @@ MANIFEST = "manifest.json"
 ARRAYS = "arrays"
 LEARNERS = "learners"
 WORK = ".work"
-"""Hidden subfolder of parts and checkpoints: a results folder that has one is unfinished."""
+"""Name of the hidden folder of parts and checkpoints, which only an unfinished results folder has."""
 
 CHECKSUM = "sha256"
-"""Key of the checksum in a JSON file that carries its own."""
+"""Key of the checksum in a JSON file with a checksum."""
 
 ROW_GROUP_SIZE = 1 << 16
-"""Rows of a row group, fixed so that equal tables are equal files."""
+"""Rows of a row group, fixed so that equal tables give equal files."""
 
 
 _WRONG_PATH = (
@@ -39,14 +39,14 @@ _WRONG_PATH = (
     errno.EPERM,
     errno.EROFS,
 )
-"""Errors that another path would avoid; all others are failures of the machine."""
+"""Errors caused by a wrong path; all others are failures of the machine."""
 
 
 class ResultsError(Exception):
-    """What is wrong with a results folder, in one line.
+    """An error in a results folder; the message is one line.
 
     Attributes:
-        exit_code: 2 where the input is to be mended, 1 where the machine failed.
+        exit_code: 2 for a mistake in the input, 1 for a failure of the machine.
     """
 
     def __init__(self, message: str, exit_code: int = 2):
@@ -56,19 +56,19 @@ class ResultsError(Exception):
 
 @contextmanager
 def explained(path: Path, action: str = "written") -> Iterator[None]:
-    """Turn failures of the file system at `path` into one line that says what to do."""
+    """Turn errors of the file system at `path` into a `ResultsError` with advice."""
     try:
         yield
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
-            message = f"{path}: the disk is full: free some space, then run again with --resume"
+            message = f"{path}: the disk is full; free some space, then run again with --resume"
             raise ResultsError(message, exit_code=1) from error
         code = 2 if error.errno in _WRONG_PATH else 1
         raise ResultsError(f"{path}: cannot be {action}: {error.strerror or error}", code) from error
 
 
 def write_atomically(path: Path, write: Callable[[Path], Any]) -> None:
-    """Let `write` fill a file under a temporary name, force it to the disk, then rename it to `path`."""
+    """Call `write` on a temporary file, sync the file to the disk, then rename it to `path`."""
     temporary = path.with_name(f".{path.name}.tmp")
     with explained(path):
         try:
@@ -82,7 +82,7 @@ def write_atomically(path: Path, write: Callable[[Path], Any]) -> None:
 
 
 def sync(*paths: Path) -> None:
-    """Force files, and the entries of folders, to the disk, so that they outlast a power cut."""
+    """Sync files and the entries of folders to the disk, so that they survive a power failure."""
     for path in paths:
         descriptor = os.open(path, os.O_RDONLY)
         try:
@@ -95,14 +95,14 @@ def sync(*paths: Path) -> None:
 
 
 def fingerprint(path: Path, without: str = "") -> dict[str, Any] | None:
-    """Size and SHA-256 of a file, or of all files in a folder; None if there is neither.
+    """Size and SHA-256 of a file, or of all files in a folder; None if the path does not exist.
 
     Args:
         path: The file or folder.
-        without: Name of a file in the folder that does not count.
+        without: Name of a file in the folder that is left out.
 
     Raises:
-        ResultsError: It cannot be read.
+        ResultsError: A file cannot be read.
     """
     with explained(path, "read"):
         if path.is_dir():
@@ -113,7 +113,7 @@ def fingerprint(path: Path, without: str = "") -> dict[str, Any] | None:
 
 
 def write_json(path: Path, content: Any) -> None:
-    """Write a JSON file; non-finite numbers become null, which JSON has no word for."""
+    """Write a JSON file; non-finite numbers, which JSON lacks, become null."""
     text = json.dumps(_finite(content), indent=1, allow_nan=False) + "\n"
     write_atomically(path, lambda temporary: temporary.write_text(text))
 
@@ -124,27 +124,27 @@ def read_json(path: Path) -> Any:
     try:
         return json.loads(path.read_text())
     except RecursionError:
-        raise ResultsError(f"{path}: cannot be read: its values are nested too deep") from None
+        raise ResultsError(f"{path}: cannot be read: its values are nested too deeply") from None
     except (OSError, ValueError) as error:
         raise ResultsError(f"{path}: cannot be read ({error}): was it truncated?") from error
 
 
 def write_checked_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write a mapping as a JSON file that carries its own checksum."""
+    """Write a mapping as a JSON file with a checksum."""
     plain = _finite(dict(content))
     write_json(path, {**plain, CHECKSUM: _digest(plain)})
 
 
 def read_checked_json(path: Path) -> dict[str, Any]:
-    """Read what `write_checked_json` wrote, or raise a `ResultsError` if a value of it has changed."""
+    """Read a file of `write_checked_json`, or raise a `ResultsError` if a value has changed."""
     content = read_json(path)
     if not isinstance(content, dict) or content.pop(CHECKSUM, None) != _digest(content):
-        raise ResultsError(f"{path}: its content does not match its checksum")
+        raise ResultsError(f"{path}: the content does not match the checksum")
     return content
 
 
 def write_table(path: Path, table: pa.Table) -> None:
-    """Write a parquet file that depends on nothing but the table; its pages have checksums."""
+    """Write a Parquet file with page checksums; equal tables give equal files."""
     whole = table.combine_chunks()
 
     def write(temporary: Path) -> None:
@@ -154,18 +154,18 @@ def write_table(path: Path, table: pa.Table) -> None:
 
 
 def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
-    """Read a parquet file and verify its checksums, or raise a `ResultsError`."""
+    """Read a Parquet file and verify the checksums, or raise a `ResultsError`."""
     _require_file(path)
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
             return file.read(columns=columns)
-    except Exception as error:  # a damaged file raises whatever the decoder of that byte raises
+    except Exception as error:  # the decoders raise many types of exceptions
         reason = one_line(error).rstrip(".")
         raise ResultsError(f"{path}: not a readable parquet file ({reason}): was it truncated?") from error
 
 
 def write_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:
-    """Write an npz file of named arrays."""
+    """Write named arrays to an npz file."""
 
     def write(temporary: Path) -> None:
         with temporary.open("wb") as file:
@@ -175,7 +175,7 @@ def write_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:
 
 
 def array_file(point: int, run: int, name: str, when: str) -> str:
-    """Name of a snapshot's file in `arrays/`."""
+    """File name of a snapshot in `arrays/`."""
     return f"{point}-{run}-{name}-{when}.npz"
 
 
@@ -183,15 +183,15 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     """The manifest of a results folder, or a `ResultsError` if there is none."""
     path = folder / MANIFEST
     if not os.path.isfile(path):
-        raise ResultsError(f"{folder}: not a results folder (it has no {MANIFEST})")
+        raise ResultsError(f"{folder}: not a results folder (no {MANIFEST})")
     manifest = read_json(path)
     if not isinstance(manifest, dict):
-        raise ResultsError(f"{path}: a mapping is expected, not a {type(manifest).__name__}")
+        raise ResultsError(f"{path}: got a {type(manifest).__name__}; allowed: a mapping")
     return manifest
 
 
 def _require_file(path: Path) -> None:
-    """Refuse a missing file, and what is no regular file: opening a pipe would wait for its writer."""
+    """Refuse a missing file, and one that is not regular: opening a pipe would block."""
     if not os.path.lexists(path):
         raise ResultsError(f"{path}: no such file")
     if not os.path.isfile(path):

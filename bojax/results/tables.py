@@ -1,4 +1,4 @@
-"""Tables between NumPy and Arrow: typed by their schema, sorted, with nulls and NaNs accounted for."""
+"""Conversion of NumPy columns to Arrow tables, the order of rows, and counts of NaN."""
 
 from collections.abc import Mapping, Sequence
 
@@ -9,13 +9,13 @@ import pyarrow.compute as pc
 from bojax.results.schema import Column, Table
 
 SORT_KEYS = ("point", "run", "episode", "step")
-"""Columns by which every merged table is sorted, where it has them."""
+"""Columns by which merged tables are sorted, if present."""
 
 KEYS: Table = (
     Column("point", "int32", doc="index of the point of the sweep"),
     Column("run", "int32", doc="index of the run"),
 )
-"""What identifies a row's run in every table, before the table's own columns."""
+"""The first columns of every table, which identify the run of a row."""
 
 _ARROW = {
     "float64": pa.float64(),
@@ -28,12 +28,12 @@ _ARROW = {
 
 
 def arrow_schema(table: Table) -> pa.Schema:
-    """The Arrow schema of a table, units and meanings as field metadata."""
+    """The Arrow schema of a table, with units and meanings as metadata of the fields."""
     return pa.schema([_field(column) for column in table])
 
 
 def to_arrow(table: Table, columns: Mapping[str, np.ndarray]) -> pa.Table:
-    """Columns as an Arrow table; -1 or NaN in a nullable column is null, and a place becomes its word."""
+    """Columns as an Arrow table. In a nullable column, -1 and NaN become null; indices become words."""
     schema = arrow_schema(table)
     arrays = []
     for column, field in zip(table, schema, strict=True):
@@ -47,7 +47,7 @@ def to_arrow(table: Table, columns: Mapping[str, np.ndarray]) -> pa.Table:
 
 
 def sort_rows(table: pa.Table) -> pa.Table:
-    """The table in the one order that every results file has."""
+    """The rows in the order of all results files."""
     keys = [(name, "ascending") for name in SORT_KEYS if name in table.column_names]
     return table.sort_by(keys) if keys else table
 

@@ -281,7 +281,7 @@ def test_a_copied_chunk_is_refused(copy, capsys):
     shutil.copytree(first, second)
     capsys.readouterr()
     assert run_sweep_here(copy, resume=True, **HALFWAY) == 2
-    assert f"{second / 'state.json'}: copied from another chunk: delete the folder" in one_line(capsys)
+    assert f"{second / 'state.json'}: copied from another chunk; delete the folder" in one_line(capsys)
 
 
 @pytest.mark.parametrize("is_folder", [False, True])

@@ -116,11 +116,14 @@ def test_a_finished_folder_may_come_from_other_code(tmp_path):
 @pytest.mark.parametrize(
     ("manifest", "named"),
     [
-        ({"status": "interrupted", "plan": PLAN}, r"status is interrupted.*\.work is gone: give a new --out"),
-        ({"status": "finished"}, "plan: a mapping is expected, not a NoneType"),
-        ({"status": "finished", "plan": [1]}, "plan: a mapping is expected, not a list"),
-        ([1], "a mapping is expected, not a list"),
-        (None, "a mapping is expected"),
+        (
+            {"status": "interrupted", "plan": PLAN},
+            r"status is interrupted.*\.work is missing; give another --out",
+        ),
+        ({"status": "finished"}, "plan: got a NoneType; allowed: a mapping"),
+        ({"status": "finished", "plan": [1]}, "plan: got a list; allowed: a mapping"),
+        ([1], "got a list; allowed: a mapping"),
+        (None, "got a NoneType; allowed: a mapping"),
     ],
 )
 def test_a_manifest_that_does_not_say_finished(tmp_path, manifest, named):
