@@ -1,5 +1,5 @@
-"""Reports: a results folder in, figures, claims with verdicts and one self-contained page out.
+"""Reports: figures, verdicts on claims and one self-contained page, made from a results folder.
 
-`bojax.report.build.build_report` is the way in. Nothing here imports JAX or runs an experiment, and
-everything written is derived: it can be rebuilt from the tables at any time.
+The entry point is `bojax.report.build.build_report`. Reports import no JAX and run no experiment. They can
+be rebuilt from the tables at any time.
 """

@@ -1,4 +1,4 @@
-"""Results folders in; figures, `claims.json` and `report.html` out, each written whole or not at all."""
+"""Builds reports: writes figures, `claims.json` and `report.html` of results folders, each atomically."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -19,14 +19,14 @@ from bojax.results.store import ResultsError, explained, write_atomically
 from bojax.text import error_line
 
 _TABLES = ("latency",)
-"""Names that `report.figures` may hold and that are tables of every page."""
+"""Names allowed in `report.figures` for tables, which every page has."""
 
 
 def build_report(folders: Sequence[Path], at: Callable[[str], None] = lambda stage: None) -> Path:
-    """Write the report of each folder into it, replacing what an earlier report left there.
+    """Write the report of each folder into the folder, replacing an earlier report.
 
-    Figures, claims and page are derived from the tables alone: equal tables and manifest give equal
-    files. Nothing is written before everything is ready.
+    Figures, claims and page depend on the tables and the manifest alone, and equal input gives equal files.
+    Nothing is written before everything is ready.
 
     Args:
         folders: Results folders.
@@ -65,7 +65,7 @@ def _build(folder: Path, at: Callable[[str], None]) -> Path:
                 _write(path, images[name][suffix])
             else:
                 with explained(path):
-                    path.unlink(missing_ok=True)  # of an earlier report: it would no longer agree
+                    path.unlink(missing_ok=True)  # an earlier report drew it
     text = json.dumps(claims, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     _write(folder / "claims.json", text.encode())
     _write(folder / "report.html", page.encode())
@@ -73,7 +73,7 @@ def _build(folder: Path, at: Callable[[str], None]) -> Path:
 
 
 def _figures(results: Results, at: Callable[[str], None]) -> tuple[dict[str, Any], list[Plate], list[str]]:
-    """Files by figure, figures on the page, and why a figure that was asked for is not there."""
+    """Image files by figure, the figures of the page, and notes on figures that are missing."""
     asked = results.report.figures
     names = list(dict.fromkeys(asked or FIGURES))
     images, plates, notes = {}, [], []
@@ -96,20 +96,20 @@ def _figures(results: Results, at: Callable[[str], None]) -> tuple[dict[str, Any
             continue
         except ResultsError:
             raise
-        except Exception as error:  # one figure is no reason to lose the page
+        except Exception as error:  # a failed figure must not cost the page
             notes.append(f"The figure {name} could not be drawn: {error_line(error)}.")
             continue
         plates.append(plate(name, drawing.title, drawing.caption, drawing.alt, images[name]["svg"]))
     if missing:
         notes.append(
-            "Some characters of the names stand as boxes in the figures: no font of this machine has them. "
-            "With one that does, such as Noto Sans CJK, bojax report draws them."
+            "Figures show some characters of names as boxes, because no font on this machine has them. "
+            "Install one that does, such as Noto Sans CJK, and run bojax report again."
         )
     return images, plates, notes
 
 
 def _gaps(results: Results) -> list[str]:
-    """What is missing from the results: runs and numbers."""
+    """Notes on runs that are missing and on values that are not numbers."""
     notes = []
     wanted = results.manifest.runs or 0
     short = [point for point in results.points if results.runs_of(point)["run"].size < wanted]
@@ -117,17 +117,17 @@ def _gaps(results: Results) -> list[str]:
         missing = sum(wanted - results.runs_of(point)["run"].size for point in short)
         errors = dict.fromkeys(chunk.error for chunk in results.manifest.chunks if chunk.error)
         notes.append(
-            f"{counted(missing, 'run')} of {joined([point.name for point in short])} missing; "
-            f"--resume tries them again.{''.join(f' {error}.' for error in errors)}"
+            f"Missing: {counted(missing, 'run')} of {joined([point.name for point in short])}; "
+            f"--resume runs them again.{''.join(f' {error}.' for error in errors)}"
         )
     bad = [f"{point.name} {count}" for point in results.points if (count := count_nan_runs(results, point))]
     if bad:
-        notes.append(f"Runs with a value that is not a number: {', '.join(bad)}.")
+        notes.append(f"Runs with a NaN: {', '.join(bad)}.")
     return notes
 
 
 def _unknown(results: Results) -> list[str]:
-    """What the report could not know, since only settings that it can read tell it."""
+    """Notes on settings that the report could not read."""
     notes = []
     refused = {
         point.name: point.experiment.reason

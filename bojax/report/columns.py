@@ -1,4 +1,4 @@
-"""Tables of a results folder as arrays, sorted, checked for the types and rows that a report needs."""
+"""Reads tables of a results folder as sorted arrays, and checks the types and rows that a report needs."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from bojax.results.store import ResultsError, read_table
 
 Columns = dict[str, NDArray[Any]]
-"""A table as one array per column; a null is NaN in a number and None elsewhere."""
+"""A table as one array per column; a null is NaN in a column of numbers and None elsewhere."""
 
 KEYS: Mapping[str, tuple[str, ...]] = {
     "runs": ("point", "run"),
     "steps": ("point", "run", "step"),
     "episodes": ("point", "run", "episode"),
 }
-"""Columns that every row of a table is found by. Steps of a learner have an `episode` as well."""
+"""Columns that identify a row of each table. Steps of a learner also have an `episode`."""
 
 _BOOLEANS = {"success", "reached", "terminated", "truncated", "done"}
 _NUMBERS = {
@@ -36,11 +36,11 @@ def read_columns(folder: Path, name: str, points: Sequence[int]) -> Columns:
     Args:
         folder: The results folder.
         name: `runs`, `steps` or `episodes`.
-        points: Points that the manifest knows.
+        points: Indices of the points in the manifest.
 
     Raises:
-        ResultsError: The file cannot be read, a column has another type, a row stands for an unknown point
-            or for no run at all, or rows are missing or doubled.
+        ResultsError: The file cannot be read, a column has the wrong type, a row belongs to an unknown point
+            or run, or rows are missing or duplicated.
     """
     path = folder / f"{name}.parquet"
     table = read_table(path)
@@ -60,7 +60,7 @@ def read_columns(folder: Path, name: str, points: Sequence[int]) -> Columns:
         try:
             columns[column] = (values.cast(pa.int64()) if column in keys else values).to_numpy()
         except (pa.ArrowException, NotImplementedError, ValueError) as error:
-            raise ResultsError(f"{path}: {column}: its {values.type} cannot be read") from error
+            raise ResultsError(f"{path}: {column}: a column of {values.type} cannot be read") from error
     columns = _sorted(columns, keys)
     unknown = np.setdiff1d(columns["point"], points)
     if unknown.size:
@@ -73,7 +73,7 @@ def read_columns(folder: Path, name: str, points: Sequence[int]) -> Columns:
 
 
 def check_runs(folder: Path, name: str, columns: Columns, runs: Columns) -> None:
-    """Refuse rows of a run that `runs.parquet` does not have."""
+    """Refuse rows whose run is missing from `runs.parquet`."""
     known, used = (np.unique(table["point"] << 32 | table["run"]) for table in (runs, columns))
     stray = np.setdiff1d(used, known, assume_unique=True)
     if stray.size:
@@ -100,7 +100,7 @@ def _check_type(path: Path, column: str, values: pa.ChunkedArray, *, is_key: boo
 
 
 def _check_phases(path: Path, columns: Columns, keys: Sequence[str]) -> None:
-    """Training episodes are numbered without a gap; tests stand with the episode that they follow."""
+    """Training episodes are numbered without a gap; tests have the number of the episode before them."""
     is_training = columns["phase"] == "train"
     if not (is_training | (columns["phase"] == "test")).all():
         raise ResultsError(f"{path}: phase: allowed: train, test")
@@ -111,7 +111,7 @@ def _check_phases(path: Path, columns: Columns, keys: Sequence[str]) -> None:
 
 
 def _check_rows(path: Path, columns: Columns, keys: Sequence[str]) -> None:
-    """Every row once; steps and episodes count from 1 without a gap."""
+    """Rows are unique; steps and episodes are numbered from 1 without a gap."""
     run, above, number = columns["run"], keys[:-1], columns[keys[-1]]
     if not run.size:
         return
@@ -126,17 +126,17 @@ def _check_rows(path: Path, columns: Columns, keys: Sequence[str]) -> None:
     if keys[-1] != "run" and is_wrong.any():
         raise ResultsError(
             f"{path}: {keys[-1]}: got {number[is_wrong][0]} of {_told(columns, above, is_wrong)}, where "
-            f"{expected[is_wrong][0]} should come"
+            f"{expected[is_wrong][0]} is expected"
         )
 
 
 def _told(columns: Columns, keys: Sequence[str], where: NDArray[np.bool_]) -> str:
-    """The keys of the first such row."""
+    """The keys of the first row that a mask selects, in words."""
     return ", ".join(f"{key} {columns[key][where][0]}" for key in keys)
 
 
 def _sorted(columns: Columns, keys: Sequence[str]) -> Columns:
-    """Rows in the order of their keys, in which they are unless the file was edited."""
+    """Rows in the order of their keys, in which bojax writes them."""
     num = len(columns["run"])
     order = np.lexsort([columns[key] for key in reversed(keys)])
     if (order == np.arange(num)).all():

@@ -1,4 +1,4 @@
-"""The page: everything a report says, put into the template as text that is already written."""
+"""The page: fills the template with the texts, tables and figures of a report."""
 
 import base64
 import re
@@ -22,7 +22,7 @@ _MARKS = {"reproduced": "\N{CHECK MARK}", "not reproduced": "\N{MULTIPLICATION S
 
 @dataclass(frozen=True)
 class Plate:
-    """A figure as it stands on the page."""
+    """A figure of the page."""
 
     name: str
     title: str
@@ -32,7 +32,7 @@ class Plate:
 
 
 def plate(name: str, title: str, caption: str, alt: str, svg: bytes) -> Plate:
-    """A figure with its SVG inline as a data address: nothing is loaded from elsewhere."""
+    """A figure with its SVG as a data URL, so that the page loads no other file."""
     code = base64.b64encode(adapted(svg)).decode("ascii")
     return Plate(name, title, caption, alt, f"data:image/svg+xml;base64,{code}")
 
@@ -43,10 +43,10 @@ def render(
     """The whole page.
 
     Args:
-        results: What the tables and the provenance are read from.
+        results: The results.
         claims: Entries of `claims.json`.
-        plates: Figures in the order of the page; the first one is the redrawn figure.
-        notes: What the report itself has to say about what it left out.
+        plates: Figures in the order of the page; the first one is the reproduced figure.
+        notes: Remarks of the report on what is missing.
     """
     environment = Environment(
         loader=PackageLoader("bojax.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
@@ -79,7 +79,7 @@ def render(
 
 
 def summary(results: Results) -> str:
-    """What was run, in one sentence."""
+    """One sentence that says what was run."""
     nouns, places, lengths = zip(*(_described(point.experiment) for point in results.points), strict=True)
     noun = nouns[0] if len(set(nouns)) == 1 else "setting"
     names = [point.name for point in results.points]
@@ -118,7 +118,7 @@ def _described(experiment: Component | Unread) -> tuple[str, tuple[str, str] | N
 
 
 def provenance(results: Results) -> list[tuple[str, str]]:
-    """How the results came about: command, times, seeds, versions, machine."""
+    """Provenance of the results: command, times, seeds, versions, device."""
     manifest = results.manifest
     rows = [
         ("command", _line(manifest.command)),
@@ -146,7 +146,7 @@ def _claim(claim: Mapping[str, Any]) -> dict[str, Any]:
         (c["of"].replace(" - ", " \N{MINUS SIGN} "), *bounds(c["estimate"], *c["interval"]))
         for c in comparisons
     ]
-    # One comparison is written beside our number if it is of that number, not of a difference.
+    # The interval of a single comparison is shown beside our number if it is the interval of that number.
     is_single = len(listed) == 1 and comparisons[0]["estimate"] == claim["ours"]
     return {
         **claim,
@@ -159,7 +159,7 @@ def _claim(claim: Mapping[str, Any]) -> dict[str, Any]:
         "reason": test.get("reason", ""),
         "method": test.get("method", ""),
         "chosen": [
-            f"{variant} stands for {label}"
+            f"{label} is represented by {variant}"
             for label, variant in (test.get("chosen") or {}).items()
             if variant != label
         ],
@@ -167,7 +167,7 @@ def _claim(claim: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _resampling(results: Results) -> str:
-    """What the bootstrap resamples, where that is not every run by itself."""
+    """A sentence on what the bootstrap resamples, if not single runs."""
     most = max(results.runs_of(point)["run"].size for point in results.points)
     return f" The bootstrap resamples {statistics.resampled(most)}." if most > statistics.GROUPS else ""
 
@@ -208,5 +208,5 @@ def _time_taken(results: Results) -> str:
 
 
 def _minus(text: Any) -> str:
-    """A hyphen before a digit as a minus sign, for numbers that are read and not parsed."""
+    """A text in which a hyphen before a digit is a minus sign, as numbers are typeset."""
     return re.sub(r"(?<![\w.])-(?=\d)", "\N{MINUS SIGN}", str(text))

@@ -1,4 +1,4 @@
-"""A report that says on standard error what it is at, where it takes more than a moment."""
+"""Builds a report and shows its progress on standard error."""
 
 import time
 from pathlib import Path
@@ -9,11 +9,11 @@ from rich.status import Status
 from bojax.report.build import build_report
 
 PATIENCE = 1.0
-"""Seconds before anything is said."""
+"""Seconds before progress is shown."""
 
 
 def report(folder: Path) -> Path:
-    """Write the report of a folder, see `build_report`; a terminal shows its stage, a file gets one line."""
+    """Write the report of a folder; a terminal shows the stage, a log file gets one line."""
     console, begin = Console(stderr=True), time.monotonic()
     status, has_spoken = Status("", console=console), False
 

@@ -1,4 +1,4 @@
-"""Snapshots of `arrays/`, read and checked for the shapes that their name promises."""
+"""Reads snapshots from `arrays/` and checks the shapes of their arrays."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -20,28 +20,28 @@ SHAPES: Mapping[str, Mapping[str, str]] = {
     "values": {"episodes": "K", "maps": "K 2 ...", "low": "D", "high": "D"},
     "trajectories": {"paths": "K S 3"},
 }
-"""Shape of every array by the snapshot's name: a letter is a size that arrays of one file share."""
+"""Shapes of arrays by name of the snapshot. A letter is a size that the arrays of one file share."""
 
 
 BELIEF = {"x", "y", "truth", "mean", "std"}
-"""Arrays that make a snapshot `belief` one of a field."""
+"""Arrays of a `belief` snapshot of a field; snapshots without them belong to other problems."""
 
 
 def read_snapshot(path: Path, name: str) -> Arrays:
     """The arrays of a snapshot.
 
     Raises:
-        ResultsError: The file cannot be read, or an array is not one of numbers of its shape; one line.
+        ResultsError: The file cannot be read, or an array has the wrong type or shape.
     """
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {key: file[key] for key in file.files}
-    except Exception as error:  # a damaged archive raises whatever the decoder of that byte raises
+    except Exception as error:  # damaged archives raise many kinds of exceptions
         raise ResultsError(f"{path}: cannot be read: was it truncated?") from error
     if name == "paths" and "paths" not in arrays:
         raise ResultsError(f"{path}: no array paths: not a snapshot of bojax")
     if name == "belief" and not BELIEF <= arrays.keys():
-        return arrays  # of a problem of the user's, whose names mean something else
+        return arrays  # of a user's problem, which may use the names otherwise
     sizes: dict[str, int] = {}
     for key, shape in SHAPES.get(name, {}).items():
         if key in arrays:

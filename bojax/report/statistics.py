@@ -1,6 +1,6 @@
 """The statistics of a report: bootstrap, Wilson and Welch intervals, Holm's procedure, carrying forward.
 
-Every random choice is made from one fixed seed: the same table gives the same report.
+Random numbers come from one fixed seed, so that the same table gives the same report.
 """
 
 from dataclasses import dataclass
@@ -14,13 +14,14 @@ from scipy import special
 Floats = NDArray[np.float64]
 
 RESAMPLES = 10_000
-"""Bootstrap resamples: the bounds of a 95% interval then stand within about 1% of its width."""
+"""Number of bootstrap resamples; it fixes the bounds of a 95% interval to about 1% of its width."""
 LEVEL = 0.95
 """Coverage of every interval in a report."""
 SEED = 0
 GROUPS = 5_000
-"""Most rows that are resampled one by one; more are resampled in this many groups of equal size. The standard
-deviation of a mean is then known to about 1%, as well as `RESAMPLES` resamples tell the bounds."""
+"""Largest number of rows that are resampled one by one; more rows are resampled in this many groups of
+equal size. The standard deviation of a mean is then known to about 1%, as precisely as `RESAMPLES` fix the
+bounds."""
 
 # Resamples are counted in blocks of at most this many cells, 16 MB.
 _BLOCK_CELLS = 2_000_000
@@ -89,7 +90,7 @@ def _counts(num_rows: int, resamples: int, block: int, seed: int) -> NDArray[np.
 
 
 def bootstrap_present(values: ArrayLike) -> Floats:
-    """Means of resampled rows, as `bootstrap_means`, of the numbers that are there: a NaN is none.
+    """Means of resampled rows, as `bootstrap_means`, over the values that are not NaN.
 
     A resample in which a column has no number gives NaN.
     """
@@ -97,13 +98,13 @@ def bootstrap_present(values: ArrayLike) -> Floats:
     is_there = np.isfinite(table)
     if is_there.all():
         return bootstrap_means(table)
-    # Two bootstraps of one seed draw the same rows.
+    # Both bootstraps draw the same rows, since they have the same seed.
     sums, shares = bootstrap_means(np.where(is_there, table, 0.0)), bootstrap_means(is_there)
     return np.divide(sums, shares, out=np.full(sums.shape, np.nan), where=shares > 0)
 
 
 def resampled(rows: int) -> str:
-    """What `bootstrap_means` resamples of so many runs, in words."""
+    """What `bootstrap_means` resamples for this number of runs, in words."""
     return "whole runs" if rows <= GROUPS else f"{GROUPS:,} groups into which {rows:,} runs were dealt"
 
 
@@ -119,7 +120,7 @@ def mean_interval(values: ArrayLike, *, level: float = LEVEL) -> Interval:
 def ratio_interval(numerator: ArrayLike, denominator: ArrayLike, *, level: float = LEVEL) -> Interval:
     """Ratio of the means of two columns of equal runs, `[n]` each, with its percentile bootstrap interval.
 
-    NaN where a mean, or that of any resample, is not positive: a ratio would then say nothing.
+    NaN if a mean, or that of any resample, is not positive, since the ratio is then meaningless.
     """
     table = np.stack([np.asarray(values, dtype=np.float64) for values in (numerator, denominator)], axis=1)
     if table.size == 0 or not np.isfinite(table).all() or not (means := bootstrap_means(table)).min() > 0:
@@ -131,7 +132,7 @@ def ratio_interval(numerator: ArrayLike, denominator: ArrayLike, *, level: float
 def mean_band(values: ArrayLike, *, level: float = LEVEL) -> tuple[Floats, Floats, Floats]:
     """Mean, lower and upper bound of every column of `[n, columns]`: a pointwise bootstrap band.
 
-    A NaN is no value; a column with less than two has a mean and no band.
+    NaNs are left out; a column with fewer than two values has a mean but no band.
     """
     table = np.asarray(values, dtype=np.float64)
     is_there = np.isfinite(table)
@@ -155,7 +156,7 @@ def wilson(successes: ArrayLike, trials: int, *, level: float = LEVEL) -> tuple[
     share = count / trials
     centre = (share + z**2 / (2 * trials)) / (1 + z**2 / trials)
     half = z * np.sqrt(share * (1 - share) / trials + z**2 / (4 * trials**2)) / (1 + z**2 / trials)
-    # At 0 and n the bound is exactly the share; rounding must not put it on the wrong side.
+    # At 0 and n the bound equals the share exactly, which rounding must not change.
     return np.where(count == 0, 0.0, centre - half), np.where(count == trials, 1.0, centre + half)
 
 
@@ -227,10 +228,10 @@ def carry_forward(
     *,
     initial: float = 0.0,
 ) -> Floats:
-    """Values per run and step, the last one carried on after a run has ended.
+    """Values per run and step; the last value of a run is carried forward after its end.
 
     Args:
-        runs: `[R]` run indices wanted, in the order wanted.
+        runs: `[R]` run indices, in the order of the result.
         run: `[rows]` run index of each recorded row.
         step: `[rows]` its step, from 1.
         value: `[rows]` its value.
@@ -245,7 +246,7 @@ def carry_forward(
     kept = np.isin(run, wanted) & (step >= 1) & (step <= num_steps)
     order = np.argsort(wanted, kind="stable")
     row = order[np.searchsorted(wanted, run[kept], sorter=order)]
-    # The column that was recorded last, so that a recorded NaN is carried on as NaN, not papered over.
+    # Index of the last recorded step, so that a recorded NaN is carried forward as NaN.
     source = np.zeros(table.shape, dtype=np.int64)
     source[row, step[kept]] = step[kept]
     table[row, step[kept]] = np.asarray(value, dtype=np.float64)[kept]

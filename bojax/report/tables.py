@@ -1,4 +1,4 @@
-"""The tables of the page: what came of the runs, how fast they were, how they were set up."""
+"""The tables of the page: outcomes of the runs, ratios, speed and settings."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -13,12 +13,12 @@ from bojax.report.source import Point, Results
 from bojax.report.text import MISSING, counted, joined, number, percent, plain, seconds, with_bounds
 
 BY_STEP = 6
-"""Step up to which early success is counted, unless `report.by_step` says otherwise (p. 100)."""
+"""Step by which early success is counted unless `report.by_step` is given (thesis, p. 100)."""
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A value, its interval and the thesis's value, as text; the last two may be empty."""
+    """A value, its interval and the thesis's value as text; interval and thesis's value may be empty."""
 
     text: str
     interval: str = ""
@@ -27,7 +27,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Table:
-    """Column headings and, by row, its heading and cells."""
+    """Headings of the columns; for each row its heading and cells."""
 
     headings: list[str]
     rows: list[tuple[str, list[Cell]]]
@@ -35,7 +35,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Speed:
-    """How fast one static group ran, with the latency of each of its points at batch 1."""
+    """Speed of one static group, with the latency of each of its points at batch 1."""
 
     latencies: list[tuple[str, str]]
     lanes: str
@@ -56,7 +56,7 @@ class _Measure:
 def outcomes(results: Results) -> Table:
     """One row per point: means and shares of its runs with 95% intervals, beside the thesis's numbers."""
     measures, rows = _measures(results), []
-    # A gallery of trajectories computes nothing that could fail to be a number.
+    # A gallery of trajectories computes nothing that could be NaN.
     has_numbers = not all(isinstance(point.experiment, Trajectories) for point in results.points)
     for point in results.points:
         runs = results.runs_of(point)
@@ -73,10 +73,10 @@ def outcomes(results: Results) -> Table:
 
 
 def ratios(results: Results) -> Table | None:
-    """Ratios of means to those of `report.relative_to`, for every column with thesis's numbers to compare.
+    """Ratios of means to those of `report.relative_to`, for columns of which the thesis prints numbers.
 
-    None where there are no two such numbers of one column. A column with a number that is not positive has
-    no ratios: what is below 0 is no multiple of anything.
+    None unless some column has at least two such numbers. A column with a number that is not positive is
+    left out, since its ratios mean nothing.
     """
     reference = results.reference
     columns = [column for column in _thesis_columns(results) if _has_ratios(results, column)]
@@ -100,13 +100,13 @@ def ratios(results: Results) -> Table | None:
 
 
 def thesis_gaps(results: Results) -> list[str]:
-    """What `report.thesis` and `report.relative_to` name and the results do not have."""
+    """Notes on names in `report.thesis` and `report.relative_to` that the results do not have."""
     measured = {measure.column for measure in _measures(results)}
     unknown = [column for column in _thesis_columns(results) if column not in measured]
-    notes = [f"The thesis's {joined(unknown)} stands beside no column of the results."] if unknown else []
+    notes = [f"report.thesis has {joined(unknown)}, which is no column of the results."] if unknown else []
     name = results.report.relative_to
     if name is not None and results.reference is None:
-        notes.append(f"No ratios: no setting is called {name}.")
+        notes.append(f"No ratios are shown, because no setting is called {name}.")
     return notes
 
 
@@ -165,7 +165,7 @@ def flatten(config: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]
 
 
 def _measures(results: Results) -> list[_Measure]:
-    """What is said of every point, from the columns that `runs.parquet` has."""
+    """Measures shown for every point: those whose columns `runs.parquet` has."""
     if any(point.is_learning for point in results.points):
         measures, known = _learning_measures(results.runs)
     else:
@@ -218,7 +218,8 @@ _GOALS = {
     "success": ("success", {"episodes_to_goal": "episodes", "steps_to_goal": "steps"}),
     "reached": ("target reached", {"episodes_to_target": "episodes"}),
 }
-"""What a learner may reach: heading, and the columns that say when, with the column of where a run ended."""
+"""Goals of a learner, by flag: heading, and the columns of when the goal was reached, each with the column
+of when the run ended."""
 
 
 def _learning_measures(runs: Columns) -> tuple[list[_Measure], set[str]]:
@@ -235,12 +236,12 @@ def _learning_measures(runs: Columns) -> tuple[list[_Measure], set[str]]:
                 continue
             measures += [
                 _Measure(
-                    f"{_heading(column)}, of runs that got there",
+                    f"{_heading(column)}, runs that reached it",
                     column,
                     lambda table, column=column: among_cell(table[column]),
                 ),
                 _Measure(
-                    f"{_heading(column)}, of all runs",
+                    f"{_heading(column)}, all runs",
                     f"{column}_of_all",
                     lambda table, column=column, end=end: censored_cell(table[column], table[end]),
                 ),
@@ -257,7 +258,7 @@ def _learning_measures(runs: Columns) -> tuple[list[_Measure], set[str]]:
 
 
 def mean_cell(values: np.ndarray, *, empty: str = MISSING) -> Cell:
-    """Mean with its bootstrap interval; a NaN is said, not skipped."""
+    """Mean with its bootstrap interval; NaN if any value is NaN, which is never skipped."""
     if not values.size:
         return Cell(empty)
     bad = int((~np.isfinite(values.astype(np.float64))).sum())
@@ -270,7 +271,7 @@ def mean_cell(values: np.ndarray, *, empty: str = MISSING) -> Cell:
 
 
 def among_cell(values: np.ndarray) -> Cell:
-    """Mean with its standard deviation over the runs that have a value, and how many those are."""
+    """Mean and standard deviation over the runs that have a value, and the number of these runs."""
     there = values[np.isfinite(values)]
     among = "" if there.size == values.size else f"{there.size:,} of {values.size:,}"
     if not there.size:
@@ -284,7 +285,7 @@ def among_cell(values: np.ndarray) -> Cell:
 
 
 def censored_cell(values: np.ndarray, ends: np.ndarray) -> Cell:
-    """Mean over all runs, one that never got there counted up to its end: a bound from below."""
+    """Lower bound of the mean over all runs: a run that never reached the goal counts with its end."""
     is_there = np.isfinite(values)
     interval = statistics.mean_interval(np.where(is_there, values, ends))
     text, bounds = with_bounds(interval.estimate, interval.low, interval.high)

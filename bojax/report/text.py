@@ -1,4 +1,4 @@
-"""How numbers are written in a report, one rule for the page, the figures and `claims.json`."""
+"""Formats numbers for the page, the figures and `claims.json`."""
 
 import math
 from typing import Any
@@ -25,7 +25,7 @@ def percent(share: float | None) -> str:
 
 
 def with_bounds(estimate: float, low: float, high: float) -> tuple[str, str]:
-    """An estimate and `[low, high]`, with the decimals that the width of the interval leaves meaningful."""
+    """An estimate and `[low, high]`, with as many decimals as the width of the interval justifies."""
     half = (high - low) / 2
     if not math.isfinite(half) or half <= 0:
         return f"{estimate:,.6g}", f"[{low:,.6g}, {high:,.6g}]"
@@ -38,7 +38,7 @@ def with_bounds(estimate: float, low: float, high: float) -> tuple[str, str]:
 
 
 def seconds(value: float | None) -> str:
-    """A time span in the unit that suits it."""
+    """A time span in microseconds, milliseconds, seconds or minutes."""
     if value is None or not math.isfinite(value):
         return MISSING
     if value < 1e-3:
@@ -51,7 +51,7 @@ def seconds(value: float | None) -> str:
 
 
 def plain(value: Any) -> str:
-    """A configuration value on one line."""
+    """A setting on one line."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if value is None:
@@ -64,7 +64,7 @@ def plain(value: Any) -> str:
 
 
 def joined(names: list[str]) -> str:
-    """Names in a sentence: `a`, `a and b`, `a, b and c`."""
+    """Names as a list in a sentence: `a`, `a and b`, `a, b and c`."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 

@@ -54,7 +54,7 @@ TABLES = [
     ("runs", lambda table: table.drop_columns("run"), "runs.parquet: no column run"),
     ("steps", column("step", lambda p: pa.array([None, *p[1:]])), "steps.parquet: step: got 1 nulls"),
     ("steps", column("step", lambda p: pa.array([*p[:-1], 10**12])), "step: got 1000000000000"),
-    ("steps", rows(lambda i: np.delete(i, 1)), "step: got 3 of point 0, run 0, where 2 should come"),
+    ("steps", rows(lambda i: np.delete(i, 1)), "step: got 3 of point 0, run 0, where 2 is expected"),
     ("steps", column("accumulated_reward", lambda p: pa.array([str(v) for v in p])), "accumulated_reward"),
 ]
 
@@ -71,7 +71,7 @@ EPISODES = [
     (column("phase", lambda p: pa.array([1] * len(p))), "episodes.parquet: phase: got a column of int64"),
     (column("phase", lambda p: pa.array(["trial", *p[1:]])), "phase: allowed: train, test"),
     (column("episode", lambda p: pa.array([*p[:-1], 10**9])), "episode: allowed in a test: 1 to 3"),
-    (rows(lambda i: i[3:]), "episode: got 2 of point 0, run 0, where 1 should come"),
+    (rows(lambda i: i[3:]), "episode: got 2 of point 0, run 0, where 1 is expected"),
     (column("length", lambda p: pa.array([bytes(v) for v in p])), "length: got a column of binary"),
 ]
 

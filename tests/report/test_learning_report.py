@@ -54,22 +54,22 @@ class TestTable:
         return {name: dict(zip(table.headings, cells, strict=True)) for name, cells in table.rows}
 
     def test_means_are_of_the_runs_that_got_there_with_their_deviation(self, cells):
-        cell = cells["emu-q"]["episodes to goal, of runs that got there"]
+        cell = cells["emu-q"]["episodes to goal, runs that reached it"]
         assert cell.text == "3.50 (0.509)" and cell.thesis == "2.95 (0.38)"
-        cell = cells["rff-q"]["episodes to goal, of runs that got there"]
+        cell = cells["rff-q"]["episodes to goal, runs that reached it"]
         assert cell.text.startswith("12.48 (") and cell.interval.endswith("], 29 of 30")
 
     def test_those_that_never_did_are_counted_to_their_end_in_a_bound(self, cells):
-        assert cells["emu-q"]["episodes to goal, of all runs"].text == "3.50"
-        cell = cells["rff-q"]["episodes to goal, of all runs"]
+        assert cells["emu-q"]["episodes to goal, all runs"].text == "3.50"
+        cell = cells["rff-q"]["episodes to goal, all runs"]
         assert cell.text.startswith("≥ 12.7")  # (29 runs of 12 or 13 and one of 20) / 30
 
     def test_what_nobody_reached_is_no_number(self, cells):
-        cell = cells["epsilon-greedy"]["episodes to goal, of runs that got there"]
+        cell = cells["epsilon-greedy"]["episodes to goal, runs that reached it"]
         assert (cell.text, cell.interval) == ("never", "0 of 30")
-        cell = cells["epsilon-greedy"]["episodes to target, of runs that got there"]
+        cell = cells["epsilon-greedy"]["episodes to target, runs that reached it"]
         assert (cell.text, cell.interval) == ("never", "0 of 30")
-        assert cells["epsilon-greedy"]["episodes to target, of all runs"].text == "≥ 20"
+        assert cells["epsilon-greedy"]["episodes to target, all runs"].text == "≥ 20"
         assert cells["epsilon-greedy"]["target reached"].text == "0.0%"
         assert cells["epsilon-greedy"]["return after target"].text == "never"
 

@@ -151,7 +151,7 @@ class TestErrors:
 
     def test_the_page_has_both(self, page):
         assert "thesis 72.9" in page and "thesis 1.71" in page
-        assert "The thesis's runtime_s stands beside no column of the results." in page
+        assert "report.thesis has runtime_s, which is no column of the results." in page
 
     def test_the_figure_has_a_panel_per_measure_and_one_per_ratio(self, folder):
         drawn = drawing(load(folder), "errors")
@@ -165,7 +165,7 @@ class TestErrors:
         plain = write_monitoring(tmp_path / "plain", report={"thesis": THESIS})
         assert ratios(load(plain)) is None and not drawing(load(plain), "errors").figure.legends
         edit_manifest(plain, lambda manifest: manifest["report"].update(relative_to="nobody"))
-        assert "No ratios: no setting is called nobody." in thesis_gaps(load(plain))
+        assert "No ratios are shown, because no setting is called nobody." in thesis_gaps(load(plain))
         assert ratios(load(plain)) is None
 
 

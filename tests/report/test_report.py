@@ -144,9 +144,9 @@ def test_missing_runs_and_nans_are_said(tmp_path):
     pq.write_table(table, folder / "runs.parquet")
     build_report([folder])
     text = Page((folder / "report.html").read_text()).text
-    assert "10 runs of kcbts, sbo-5, sbo-9, gps-abt and random missing" in text
+    assert "Missing: 10 runs of kcbts, sbo-5, sbo-9, gps-abt and random" in text
     assert "out of memory" in text
-    assert "Runs with a value that is not a number: kcbts 2." in text
+    assert "Runs with a NaN: kcbts 2." in text
 
 
 def test_a_nan_is_shown_as_one(tmp_path):

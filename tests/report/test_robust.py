@@ -113,7 +113,7 @@ def test_a_name_in_chinese_is_drawn_without_warnings(tmp_path, monkeypatch, has_
         warnings.simplefilter("error")
         text = build_report([folder]).read_text(encoding="utf-8")
     if not has_font:  # whether one is installed depends on the machine
-        assert text.count("Some characters of the names stand as boxes in the figures") == 1
+        assert text.count("Figures show some characters of names as boxes") == 1
 
 
 def test_other_warnings_of_a_figure_are_shown(tmp_path, monkeypatch):
@@ -155,7 +155,7 @@ def test_a_label_is_not_said_to_stand_for_itself(tmp_path):
 
     edit_manifest(folder, rename)
     text = build_report([folder]).read_text()
-    assert "sbo stands for sbo" not in text
+    assert "sbo is represented by sbo" not in text
     assert "variant with the best mean" not in text
 
 

@@ -178,7 +178,7 @@ class TestRatio:
         assert interval.high - interval.low < 0.3 * (mean.high - mean.low) / 10
 
     @pytest.mark.parametrize(
-        ("expected", "told"), [(1.3, "above 1, as claimed"), (0.8, "above 1, unlike what is claimed")]
+        ("expected", "told"), [(1.3, "above 1, as claimed"), (0.8, "above 1, contrary to the claim")]
     )
     def test_the_direction_is_said(self, expected, told):
         finding = judge(normal({"a": 12.0, "b": 10.0}), {**RATIO, "expected": expected})
@@ -256,4 +256,4 @@ def test_success_within_steps_needs_runs_that_end_at_success():
         claims=[claim],
     )
     (entry,) = evaluate(walled)
-    assert entry["verdict"] == "inconclusive" and "goes on after its success" in entry["test"]["reason"]
+    assert entry["verdict"] == "inconclusive" and "continues after its success" in entry["test"]["reason"]

@@ -1,4 +1,4 @@
-"""Test against a printed table: whether our mean, or our share of runs, agrees with the one given there."""
+"""Test against a printed number: whether our mean or our share of runs agrees with it."""
 
 import numpy as np
 
@@ -14,11 +14,11 @@ SHARE_TOLERANCE = 0.25
 
 
 def agrees(results: Results, test: Agrees) -> Finding:
-    """Whether the interval of the difference to a printed number holds 0 and lies within a tolerance.
+    """Whether the interval of the difference to a printed number contains 0 and lies within a tolerance.
 
-    Runs without a number are left out, which a claim has to allow: where a mean is printed over the
-    successful runs, ours is compared with it only where (nearly) all of ours succeed. The printed number
-    has its own error, known from its standard deviation or share and its number of runs.
+    Runs without a value are left out if the claim allows it (`missing`): a mean printed over the
+    successful runs is comparable with ours only if nearly all of our runs succeed. The error of the printed
+    number follows from its standard deviation or share and its number of runs.
     """
     label, name, runs = test.label, test.column, test.runs
     (point,), chosen = stand_ins(results, test, [label], score(results, Measure(name)))
@@ -32,7 +32,7 @@ def agrees(results: Results, test: Agrees) -> Finding:
         what = f"Newcombe's 95% interval of the difference between our share of {name}"
         estimate, size = float(hits.mean()), int(hits.size)
     else:
-        assert test.mean is not None and test.sd is not None  # the schema asks for these or a share
+        assert test.mean is not None and test.sd is not None  # the schema requires these or a share
         printed, sd = test.mean, test.sd
         values = values[most_present(values, label, name, test.missing)].astype(np.float64)
         enough(values.size, "run")
@@ -50,7 +50,7 @@ def agrees(results: Results, test: Agrees) -> Finding:
         comparisons=[(comparison := Comparison(f"{name} of {label} - thesis's", interval))],
         decisive=comparison,
         runs=size,
-        method=f"{what}, {ours}, and the thesis's, {theirs}: it has to hold 0 and to lie within "
+        method=f"{what}, {ours}, and the thesis's, {theirs}: it has to contain 0 and to lie within "
         f"±{tolerance:g}",
         chosen=chosen,
     )

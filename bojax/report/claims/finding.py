@@ -1,4 +1,4 @@
-"""What a test finds, and how an interval decides."""
+"""The result of a test, and how an interval decides."""
 
 import math
 from collections.abc import Mapping
@@ -10,12 +10,12 @@ from bojax.report import statistics
 Verdict = Literal["reproduced", "not reproduced", "inconclusive"]
 
 TAIL = (1 - statistics.LEVEL) / 2
-"""What a 95% interval leaves out on either side."""
+"""Probability outside a 95% interval on either side."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """One statement that a claim rests on, with its estimate and interval."""
+    """One statement behind a claim, with its estimate and interval."""
 
     of: str
     interval: statistics.Interval
@@ -23,16 +23,16 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Finding:
-    """What a test found.
+    """The result of a test.
 
     Attributes:
         ours: The counterpart of the claim's `thesis`: a number or a text.
         verdict: Decided by the comparisons.
         comparisons: Every statement tested.
-        decisive: The comparison that stands for the claim in `claims.json`.
+        decisive: The comparison whose interval represents the claim in `claims.json`.
         runs: Runs per setting.
         method: The test in words.
-        chosen: Variant that stood for each label with several.
+        chosen: The variant that represents each label with several variants.
     """
 
     ours: float | str

@@ -13,14 +13,14 @@ from bojax.report.source import Point, Results
 from bojax.report.text import counted, percent
 
 MIN_NUMBERS = 4
-"""Two coefficients fit two means exactly, and three nearly."""
+"""Smallest number of means: two coefficients fit two means exactly and three nearly."""
 
 
 def growth(results: Results, test: Growth) -> Finding:
-    """Which of the laws of `bojax.report.growth` lies nearest to the means, and how surely.
+    """Which law of `bojax.report.growth` fits the means best, and with what confidence.
 
-    Whole runs are resampled, the same ones of every number; it is decided where one law is the nearest in
-    95% of the resamples.
+    Whole runs are resampled, with the same indices for every number. The verdict is decided if one law fits
+    best in 95% of the resamples.
     """
     label, name, over, expected = test.label, test.column, test.over, test.expected
     points = numbers_of(named(results, test, label), label, over)
@@ -58,8 +58,8 @@ def growth(results: Results, test: Growth) -> Finding:
     if x[0] > 0 and means.min() > 0:
         exponent, *many = laws.exponents(x, np.vstack([ours, means]), errors / ours)
         low, high = np.quantile(many, [TAIL, 1 - TAIL])
-        power = f"; a power of x would have the exponent {exponent:.2f} [{low:.2f}, {high:.2f}]"
-    left_out = f"; {counted(lacking, 'run')} without a number left out" if lacking else ""
+        power = f"; exponent of a power law: {exponent:.2f} [{low:.2f}, {high:.2f}]"
+    left_out = f"; {counted(lacking, 'run')} without a value left out" if lacking else ""
     return Finding(
         ours=f"{best}: {fits[best]}",
         verdict=verdict,
@@ -67,9 +67,9 @@ def growth(results: Results, test: Growth) -> Finding:
         decisive=min(comparisons, key=lambda comparison: comparison.interval.estimate),
         runs=len(values),
         method=f"mean {name} over {over} x of {', '.join(f'{number:g}' for number in x)}, each with its "
-        f"standard error and {laws.FLOOR:.0%} of it, fitted by weighted least squares; nearest of all laws "
-        f"in a share of resamples: {told} (95% decide); the nearest is off by {percent(off)} (root mean "
-        f"square){power}{left_out}; {bootstrap(len(values))}",
+        f"standard error and {laws.FLOOR:.0%} of it, fitted by weighted least squares; share of "
+        f"resamples in which each law fits best: {told} (95% decide); relative root mean square error of the "
+        f"best fit {percent(off)}{power}{left_out}; {bootstrap(len(values))}",
     )
 
 

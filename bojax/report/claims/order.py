@@ -15,11 +15,12 @@ from bojax.report.text import counted, number
 
 
 def order(results: Results, test: Order) -> Finding:
-    """Whether the means of a column stand in the order given, each above (or below) the next.
+    """Whether the means of a column are in the given order, each above (or below) the next.
 
-    All settings share their run keys, so neighbours are compared by the mean difference of equal runs,
-    one-sided in both directions, with Holm's correction over the pairs. With a margin, a name may fall
-    short of the next by that much, or by that share of the next's lead over a baseline (non-inferiority).
+    Runs with the same index share their key, so neighbours are compared by the mean difference of paired
+    runs, one-sided in both directions, with Holm's correction over the pairs. With a margin, a mean may fall
+    short of the next by that amount, or by that share of the lead of the next over a baseline
+    (non-inferiority).
     """
     measure, margin, baseline = Measure.of(test), test.margin, test.baseline
     sign, tiers = (-1.0 if test.greater is None else 1.0), test.tiers
@@ -37,7 +38,7 @@ def order(results: Results, test: Order) -> Finding:
     estimates = sample.mean(axis=0)
     is_share = table.dtype == bool
     if is_share:
-        # One run more in each direction (Bonett and Price 2012), since few runs may differ, or none.
+        # One added run in each direction (Bonett and Price 2012), since few or no runs may differ.
         allowed = np.array([link.allowance.mean() for link in links])
         sample = np.vstack([sample, allowed + 1.0, allowed - 1.0])
     means = statistics.bootstrap_means(sample)
@@ -62,9 +63,9 @@ def order(results: Results, test: Order) -> Finding:
             comparisons, key=lambda c: c.interval.high if verdict == "not reproduced" else c.interval.low
         ),
         runs=len(table),
-        method=f"mean difference of {measure} between equal runs{' plus the margin' if margin else ''}, "
+        method=f"mean difference of {measure} between paired runs{' plus the margin' if margin else ''}, "
         f"each pair of neighbours, one-sided at {TAIL:.1%} with Holm's correction over "
-        f"{counted(len(comparisons), 'pair')}, intervals at the levels that it gives; {bootstrap(len(table))}"
+        f"{counted(len(comparisons), 'pair')}, intervals at the corrected levels; {bootstrap(len(table))}"
         f"{', one run added in each direction' if is_share else ''}",
         chosen=chosen,
     )
@@ -72,7 +73,7 @@ def order(results: Results, test: Order) -> Finding:
 
 @dataclass(frozen=True)
 class _Link:
-    """What has to be positive in every mean: a difference within runs, and what a margin adds to it."""
+    """Two terms whose sum must have a positive mean: a paired difference, and the allowance of the margin."""
 
     of: str
     difference: statistics.Floats

@@ -13,8 +13,8 @@ from bojax.report.text import number
 def ratio(results: Results, test: Ratio) -> Finding:
     """Whether the ratio of the means of a column is the expected one, up to a factor of 1 + tolerance.
 
-    It is where the interval lies within the tolerance, and is not where it lies outside; a wide interval
-    that happens to hold the expected ratio decides nothing.
+    It is reproduced if the interval lies within the tolerance, and not reproduced if it lies outside. A wide
+    interval that contains the expected ratio decides nothing.
     """
     measure, names = Measure.of(test), test.names
     expected, factor = test.expected, 1.0 + test.tolerance
@@ -22,10 +22,10 @@ def ratio(results: Results, test: Ratio) -> Finding:
     table = paired(results, names, points, measure)
     interval = statistics.ratio_interval(table[:, 0], table[:, 1])
     if not np.isfinite(interval.low):
-        raise Undecidable(f"the means of {measure} are not clearly positive: their ratio says nothing")
+        raise Undecidable(f"the means of {measure} are not clearly positive: their ratio is meaningless")
     bounds = expected / factor, expected * factor
     is_apart = interval.low > 1 or interval.high < 1
-    agrees = ", as claimed" if (interval.estimate > 1) == (expected > 1) else ", unlike what is claimed"
+    agrees = ", as claimed" if (interval.estimate > 1) == (expected > 1) else ", contrary to the claim"
     side = f"{'above' if interval.low > 1 else 'below'} 1{agrees}" if is_apart else "on both sides of 1"
     return Finding(
         ours=interval.estimate,
@@ -33,8 +33,8 @@ def ratio(results: Results, test: Ratio) -> Finding:
         comparisons=[(comparison := Comparison(f"{measure} of {names[0]} / {names[1]}", interval))],
         decisive=comparison,
         runs=len(table),
-        method=f"ratio of the means of {measure} over equal runs, 95% interval against "
-        f"[{number(bounds[0])}, {number(bounds[1])}], which is {expected:g} up to a factor of {factor:g}; "
+        method=f"ratio of the means of {measure} over paired runs, 95% interval against "
+        f"[{number(bounds[0])}, {number(bounds[1])}], {expected:g} up to a factor of {factor:g}; "
         f"the interval lies {side}; {bootstrap(len(table))}",
         chosen=chosen,
     )

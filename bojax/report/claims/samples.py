@@ -1,4 +1,4 @@
-"""What a test reads: which points stand for its names, and one number per run of each."""
+"""The data of a test: the points that its names refer to, and one number per run of each point."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,11 +16,11 @@ from bojax.report.source import Point, Results
 from bojax.report.text import counted
 
 MIN_RUNS = 20
-"""Fewer runs than this decide nothing: a percentile bootstrap is too narrow for small samples."""
+"""Smallest number of runs for a verdict: percentile bootstrap intervals of fewer runs are too narrow."""
 
 
 class Undecidable(Exception):
-    """Why a test cannot be made on these data."""
+    """The data do not allow a test; the message says why."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Measure:
         return f"mean {self.column} of {episodes_in(self.place)}{since}"
 
     def values(self, results: Results, point: Point, runs: NDArray[Any]) -> NDArray[Any]:
-        """Its value in the runs of these indices; NaN where a run has none."""
+        """Its value in the runs of these indices; NaN if a run has none."""
         if self.place is None:
             table = results.runs_of(point)
             return column(table, self.column)[np.searchsorted(table["run"], runs)]
@@ -77,7 +77,7 @@ class Measure:
 def stand_ins(
     results: Results, test: Test, names: Sequence[str], measure: Measure, sign: float = 1.0
 ) -> tuple[list[Point], dict[str, str]]:
-    """The points that stand for names; of several of one label the best mean, and which those are."""
+    """The point that represents each name: of several variants the one with the best mean, named as well."""
     found, chosen = [], {}
     for name in names:
         points = named(results, test, name)
@@ -103,9 +103,9 @@ def named(results: Results, test: Test, name: str) -> list[Point]:
 
 
 def score(results: Results, measure: Measure) -> Measure:
-    """What picks the variant that stands for a label: the return of a run where it has one.
+    """The measure by which a variant is chosen to represent a label: the return of a run, if runs have one.
 
-    Where episodes are tested, the tested number itself: a run then has many returns.
+    Tests over episodes use the tested measure itself, since a run then has many returns.
     """
     is_run = "return" in results.runs and not isinstance(measure.place, Window)
     return Measure("return") if is_run else measure
@@ -136,11 +136,13 @@ def by_episode(
 
 
 def most_present(values: NDArray[Any], name: str, column: str, missing: float) -> NDArray[np.bool_]:
-    """Where there is a number, if it lacks in no more than a share of the runs."""
+    """Mask of the finite values, which at most a share `missing` of the runs may lack."""
     is_there = np.isfinite(np.asarray(values, dtype=np.float64))
     lacking = int((~is_there).sum())
     if lacking > missing * is_there.size:
-        limit = f"more than {missing:.0%}" if missing else "and a mean over the rest is another quantity"
+        limit = (
+            f"more than {missing:.0%}" if missing else "so that the mean over the rest is another quantity"
+        )
         raise Undecidable(f"{lacking} of {counted(is_there.size, 'run')} of {name} have no {column}, {limit}")
     return is_there
 
@@ -153,14 +155,14 @@ def column(table: Columns, name: str) -> NDArray[Any]:
 
 
 def finite(values: NDArray[Any], name: str, column: str) -> None:
-    """Refuse values that are no numbers."""
+    """Refuse values that are not finite."""
     bad = int((~np.isfinite(np.asarray(values, dtype=np.float64))).sum())
     if bad:
         raise Undecidable(f"{counted(bad, 'run')} of {name} without a finite {column}")
 
 
 def enough(count: int, noun: str) -> None:
-    """Refuse fewer runs than decide anything."""
+    """Refuse fewer runs than a verdict needs."""
     if count < MIN_RUNS:
         raise Undecidable(f"{counted(count, noun)}: at least {MIN_RUNS} are needed for a verdict")
 

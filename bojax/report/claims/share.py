@@ -28,7 +28,9 @@ def share(results: Results, test: Share) -> Finding:
     measure = Measure(test.column, window)
     (point,), chosen = stand_ins(results, test, [label], score(results, measure))
     if limit is not None and not point.ends_at_success:
-        raise Undecidable(f"a run of {label} goes on after its success: steps do not tell when that was")
+        raise Undecidable(
+            f"a run of {label} continues after its success, so its steps do not say when it succeeded"
+        )
     if window is None:
         hits = np.asarray(column(results.runs_of(point), test.column), dtype=bool)
     else:
@@ -56,7 +58,7 @@ def share(results: Results, test: Share) -> Finding:
 def _in_any(results: Results, point: Point, name: str, window: Window) -> NDArray[np.bool_]:
     """Runs in which a column is true or not zero in some episode of a window.
 
-    A run may have ended within the window, but then only after such an episode.
+    A run that ended within the window counts if it had such an episode before.
     """
     table = by_episode(results, point, name, window, results.runs_of(point)["run"])
     hits = (np.nan_to_num(table) != 0).any(axis=1)

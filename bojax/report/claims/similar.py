@@ -13,11 +13,11 @@ from bojax.report.text import counted, number
 
 
 def similar(results: Results, test: Similar) -> Finding:
-    """Whether means differ by less than a margin, all pairs: of runs, over episodes, or at a step.
+    """Whether the means of all pairs differ by less than a margin: of runs, over episodes, or at a step.
 
-    An equivalence test: simultaneous intervals of all differences, Bonferroni, lie within the margin, or
-    one lies outside. The margin may be a share of the spread of the means at another step or over other
-    episodes, which is then resampled with them.
+    This is an equivalence test: the claim is reproduced if the simultaneous (Bonferroni) intervals of all
+    differences lie within the margin, and not reproduced if one lies outside. The margin may be a share of
+    the range of the means at another step or over other episodes, which is resampled with the means.
     """
     names, margin, spread_at = test.names, test.margin, test.spread_at
     measure = Measure(test.column, test.step or test.window, test.since)
@@ -30,7 +30,7 @@ def similar(results: Results, test: Similar) -> Finding:
     if spread_at is None:
         spreads, scale = np.ones(len(means)), 1.0
     elif not (spreads.min() > 0 and scale > 0):
-        raise Undecidable(f"the means of {spread} do not differ: there is no spread")
+        raise Undecidable(f"the means of {spread} do not differ: their range is 0")
     pairs = list(combinations(range(len(names)), 2))
     comparisons = []
     for a, b in pairs:
@@ -46,14 +46,14 @@ def similar(results: Results, test: Similar) -> Finding:
         verdict = "not reproduced"
     ends = np.array([(c.interval.low, -c.interval.high) for c in comparisons])
     extreme = ends.max(axis=1) if verdict == "not reproduced" else -ends.min(axis=1)
-    unit = "" if spread_at is None else f", as a share of the spread of {spread}"
+    unit = "" if spread_at is None else f", as a share of the range of {spread}"
     return Finding(
         ours=", ".join(f"{name} {number(mean)}" for name, mean in zip(names, at.mean(axis=0), strict=True)),
         verdict=verdict,
         comparisons=comparisons,
         decisive=comparisons[int(np.argmax(extreme))],
         runs=len(at),
-        method=f"differences of the means of {measure}{unit}, within equal runs, simultaneous "
+        method=f"differences of the means of {measure}{unit}, within paired runs, simultaneous "
         f"95% intervals (Bonferroni over {counted(len(pairs), 'pair')}) against ±{margin:g}; "
         f"{bootstrap(len(at))}",
         chosen=chosen,
