@@ -198,7 +198,7 @@ def test_without_success_it_is_the_last_episode(folder):
 
 def test_any_recorded_episode_can_be_chosen(folder):
     episode = choose_episode(load(folder), point=1, run=1, episode=1)
-    assert (episode.point.index, episode.run, episode.number, episode.outcome) == (1, 1, 1, "cut off")
+    assert (episode.point.index, episode.run, episode.number, episode.outcome) == (1, 1, 1, "truncated")
     assert episode.actions[0, 0] == 1.0
 
 

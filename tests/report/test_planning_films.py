@@ -220,7 +220,7 @@ def test_a_robot_that_learns_is_drawn_from_its_settings(tmp_path, rendering, cap
     capsys.readouterr()
     assert main(["render", str(folder), "--model", str(tmp_path / "puck.xml")]) == 2
     error = capsys.readouterr().err
-    assert "another model than the one that was simulated: the model has 7 generalised" in error
+    assert "the model differs from the one that was simulated: the model has 7 generalised" in error
 
 
 def test_robots_are_drawn_without_jax(tmp_path, rendering):

@@ -1,4 +1,4 @@
-"""Animations of recorded episodes: one scene a domain, drawn from the files of a results folder."""
+"""Animations of recorded runs, drawn from the files of a results folder; each environment has a scene."""
 
 from collections.abc import Mapping
 

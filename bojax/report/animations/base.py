@@ -1,4 +1,4 @@
-"""What a scene is: an environment drawn on axes, and moved from step to step."""
+"""Scenes: an environment drawn on matplotlib axes and updated from step to step."""
 
 import abc
 from dataclasses import dataclass
@@ -10,20 +10,19 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 GROUND, METAL, GOAL, TRAIL = "#555555", "#4A5A68", "#CDE8DB", "#B9C6D0"
-"""Colours of what stands still, of what moves, of the goal, and of where something was."""
+"""Colours of fixed parts, moving parts, the goal, and trails."""
 
 TRAIL_STEPS = 60
 
 
 @dataclass(frozen=True)
 class Moment:
-    """What is recorded of a step.
+    """The recorded data of one step.
 
     Attributes:
-        observation: What was seen when it was taken, `[D]`.
-        action: What was done then, `[A]`.
-        frame: What the environment keeps for its animation, see `Env.frame`, `[Q]`; empty where it keeps
-            nothing.
+        observation: Observation before the step, `[D]`.
+        action: Action taken, `[A]`.
+        frame: Further data for animations, `[Q]`, recorded by `Env.frame`; Q may be 0.
     """
 
     observation: NDArray[np.float64]
@@ -32,12 +31,13 @@ class Moment:
 
 
 class Scene(abc.ABC):
-    """A drawing that is made once, on axes of its own, and then moved; lengths in metres.
+    """A drawing that is created once on its own axes and then updated; lengths are in metres.
 
     Attributes:
-        has_trail: Whether it shows where something was: then it is moved through all steps, not only through
-            those of which there is a picture.
-        time_step: Seconds of a step, where they are no setting; 0 for a step that is no time.
+        has_trail: Whether it shows past positions and so has to be updated at every step, even at
+            steps without an image.
+        time_step: Duration of a step in seconds if the environment has no such setting; 0 if steps have no
+            duration.
     """
 
     has_trail: ClassVar[bool] = True
@@ -48,27 +48,27 @@ class Scene(abc.ABC):
 
     @abc.abstractmethod
     def move(self, moment: Moment) -> None:
-        """Draw a step."""
+        """Show a step."""
 
     def close(self) -> None:  # noqa: B027
-        """Give back what the drawing needed of the machine."""
+        """Release the resources of the drawing."""
 
 
 class Trail:
-    """The way of a point over the last steps."""
+    """The path of a point over the last steps."""
 
     def __init__(self, axes: Axes):
         (self._line,) = axes.plot([], [], color=TRAIL, linewidth=1.2, zorder=1)
         self._points: list[tuple[float, float]] = []
 
     def add(self, x: float, y: float) -> None:
-        """The point has come here."""
+        """Append the present position of the point."""
         self._points = [*self._points, (x, y)][-TRAIL_STEPS:]
         self._line.set_data(*np.transpose(self._points))
 
 
 def stage(axes: Axes, x: tuple[float, float], y: tuple[float, float]) -> None:
-    """Empty axes of equal scale over these ranges."""
+    """Give axes equal scales, these ranges and no frame."""
     axes.set_xlim(*x)
     axes.set_ylim(*y)
     axes.set_aspect("equal")
@@ -76,13 +76,13 @@ def stage(axes: Axes, x: tuple[float, float], y: tuple[float, float]) -> None:
 
 
 def rod(axes: Axes, colour: str, width: float = 9.0) -> Line2D:
-    """A rigid link, to be given its ends by `set_data`."""
+    """A rigid link; `set_data` sets its ends."""
     (line,) = axes.plot([], [], color=colour, linewidth=width, solid_capstyle="round", zorder=3)
     return line
 
 
 def joint(axes: Axes, size: float = 6.0) -> Line2D:
-    """A hinge, to be given its place by `set_data`."""
+    """A hinge; `set_data` sets its position."""
     style = {"markerfacecolor": "white", "markeredgecolor": "#222222", "markeredgewidth": 1.2}
     (dot,) = axes.plot([0.0], [0.0], "o", markersize=size, zorder=4, **style)
     return dot

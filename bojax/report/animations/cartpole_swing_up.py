@@ -1,4 +1,4 @@
-"""The cart and its pole: observations are position and velocity, angle from upright and its velocity."""
+"""The cart and its pole; observations are position and velocity, angle from upright and its velocity."""
 
 import numpy as np
 from matplotlib.axes import Axes

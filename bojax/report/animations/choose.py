@@ -1,4 +1,4 @@
-"""Which film is made of a results folder."""
+"""Chooses the film of a results folder."""
 
 from pathlib import Path
 
@@ -24,13 +24,13 @@ def choose_film(
 
     Args:
         results: The results folder.
-        point: Number of the point, see `choose_drive` and `choose_episode`.
-        run: Index of the run.
-        episode: Number of the episode, of a learning run.
-        model: File of the robot's MJCF, if it is not known from the settings.
+        point: Index of the point; by default the first point with a recorded run.
+        run: Index of the run; by default the first recorded run.
+        episode: Number of the episode of a learning run; by default its first success, else its last episode.
+        model: MJCF file of the robot; by default the model that the settings name.
 
     Raises:
-        ResultsError: There is no such run, or nothing is known of how to draw it.
+        ResultsError: The run was not recorded, or there is no drawing of it.
     """
     if results.points[0].is_learning:
         return LearningFilm(choose_episode(results, point, run, episode), model)

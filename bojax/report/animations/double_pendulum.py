@@ -1,4 +1,4 @@
-"""The two-link pendulum: observations are cosine and sine of both angles, and the velocities."""
+"""The two-link pendulum; observations are cosine and sine of both angles, and the velocities."""
 
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Rectangle
@@ -11,7 +11,7 @@ _REACH = 2.0
 
 
 class DoublePendulum(Scene):
-    """Two rods of 1 m; the first angle is that from hanging down, the second that from the first rod."""
+    """Two rods of 1 m; the first angle is measured from hanging down, the second from the first rod."""
 
     def __init__(self, axes: Axes, env: settings.DoublePendulum):
         edge = 1.1 * _REACH

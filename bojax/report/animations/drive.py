@@ -1,4 +1,4 @@
-"""Which run of a planner is shown, and what is recorded of it."""
+"""Chooses a run of a planner to animate, and reads its recorded data."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,14 +15,14 @@ from bojax.results.store import ResultsError
 
 @dataclass(frozen=True)
 class Leg:
-    """A step: a plan, and the way that followed.
+    """One step of a planner: the plan and the path driven.
 
     Attributes:
-        before: Pose in which it was planned, `[3]`, in metres and radians.
-        poses: Poses gone through, `[S, 3]`.
-        plan: Poses planned, `[S, 3]`, in the world's frame; None where the results do not have it.
-        frames: Generalised positions of the robot along the way, `[F, Q]`; None for what has no body.
-        accumulated: Sum of the rewards up to its end.
+        before: Pose before the step, `[3]`, in metres and radians.
+        poses: Poses driven, `[S, 3]`.
+        plan: Poses planned, `[S, 3]`, in the world frame; None if they were not recorded.
+        frames: Generalised positions of the robot along the path, `[F, Q]`; None for a robot without a body.
+        accumulated: Sum of the rewards up to the end of the step.
     """
 
     before: Floats
@@ -40,9 +40,8 @@ class Drive:
         point: The point of the sweep.
         run: Index of the run.
         legs: Its steps.
-        belief: Maps of what is believed about a field, see `FieldMonitoring.snapshot`; empty where there is
-            none.
-        outcome: How it ended, in words; empty where nothing is to be said.
+        belief: Maps of the belief about a field, as `FieldMonitoring.snapshot` records them; may be empty.
+        outcome: How the run ended, in words; may be empty.
     """
 
     point: Point
@@ -53,15 +52,15 @@ class Drive:
 
 
 def choose_drive(results: Results, point: int | None = None, run: int | None = None) -> Drive:
-    """One recorded run of a planner.
+    """A recorded run of a planner.
 
     Args:
         results: The results folder.
-        point: Number of the point; by default the first of which a run was recorded.
-        run: Index of the run; by default the first that was recorded.
+        point: Index of the point; by default the first point with a recorded run.
+        run: Index of the run; by default the first recorded run.
 
     Raises:
-        ResultsError: There is no such recorded run, or none at all.
+        ResultsError: The run was not recorded.
     """
     kept = {part.index: dict(results.arrays(part, "paths")) for part in results.points}
     recorded = np.asarray([index for index, runs in kept.items() if runs], np.int64)
@@ -95,13 +94,13 @@ def _legs(arrays: Mapping[str, Floats], rows: Columns) -> tuple[Leg, ...]:
         plan = None if plans is None else _placed(np.asarray(plans[step], np.float64), pose)
         shown = None if frames is None else np.asarray(frames[step], np.float64)
         legs.append(Leg(pose, poses, plan, shown, float(rows["accumulated_reward"][step])))
-        # Where it stands now: a robot that was stopped may have turned round.
+        # A robot that was stopped may have turned on the spot.
         pose = np.array([rows[name][step] for name in ("x", "y", "heading")]) if "x" in rows else poses[-1]
     return tuple(legs)
 
 
 def _placed(path: Floats, pose: Floats) -> Floats:
-    """A path that was planned in the robot's frame, in that of the world."""
+    """A path in the robot's frame at a pose, transformed to the world frame."""
     cos, sin = np.cos(pose[2]), np.sin(pose[2])
     x = pose[0] + cos * path[:, 0] - sin * path[:, 1]
     y = pose[1] + sin * path[:, 0] + cos * path[:, 1]

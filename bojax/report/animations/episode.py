@@ -1,4 +1,4 @@
-"""Which episode of a learning run is shown, and what is recorded of it."""
+"""Chooses an episode of a learning run to animate, and reads its recorded data."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,11 +21,11 @@ class Episode:
         point: The point of the sweep.
         run: Index of the run.
         number: Number of the episode, from 1.
-        observations: What was seen when each step was taken, `[T, D]`.
-        actions: What was done then, `[T, A]`.
-        frames: What the environment kept for its animation, `[T, Q]`; Q is 0 where it keeps nothing.
-        accumulated: Sum of the rewards up to each step, that step included, `[T]`.
-        outcome: How it ended, in words; empty where the results do not say.
+        observations: Observation before each step, `[T, D]`.
+        actions: Actions taken, `[T, A]`.
+        frames: Further data for animations, `[T, Q]`; Q may be 0.
+        accumulated: Sum of the rewards up to and including each step, `[T]`.
+        outcome: How the episode ended, in words; empty if it was not recorded.
     """
 
     point: Point
@@ -38,31 +38,29 @@ class Episode:
     outcome: str
 
     def moment(self, step: int) -> Moment:
-        """What is recorded of a step, from 0."""
+        """The recorded data of a step, counted from 0."""
         return Moment(self.observations[step], self.actions[step], self.frames[step])
 
 
 def choose_episode(
     results: Results, point: int | None = None, run: int | None = None, episode: int | None = None
 ) -> Episode:
-    """One recorded episode.
+    """A recorded episode.
 
     Args:
         results: The results folder.
-        point: Number of the point; by default the first of which steps were recorded.
-        run: Index of the run; by default the first that was recorded.
-        episode: Number of the episode; by default the run's first success, or else its last.
+        point: Index of the point; by default the first point with recorded steps.
+        run: Index of the run; by default the first recorded run.
+        episode: Number of the episode; by default the first success of the run, else its last episode.
 
     Raises:
-        ResultsError: There is no such recorded episode, or none at all.
+        ResultsError: The episode was not recorded.
     """
     steps = results.steps
     if not steps or not steps["step"].size:
         raise ResultsError(f"{results.folder}: no steps were recorded (record.runs in the config: 1 or more)")
     if "observation_0" not in steps:
-        raise ResultsError(
-            f"{results.folder}: its steps have no observations, so nothing can be drawn of them"
-        )
+        raise ResultsError(f"{results.folder}: steps have no observations, so nothing can be drawn")
     index = pick(results, "point", point, steps["point"])
     chosen = next(part for part in results.points if part.index == index)
     steps = where(steps, "point", index)
@@ -99,16 +97,16 @@ def _outcomes(results: Results, point: int, run: int) -> dict[int, str]:
     episodes = where(episodes, "phase", "train")
     rows = zip(episodes["episode"], episodes["success"], episodes["terminated"], strict=True)
     return {
-        int(number): _SUCCESS if success else "failed" if terminated else "cut off"
+        int(number): _SUCCESS if success else "failed" if terminated else "truncated"
         for number, success, terminated in rows
     }
 
 
 def pick(results: Results, name: str, asked: int | None, values: NDArray[Any]) -> int:
-    """What was asked for, or else the first that was recorded.
+    """The requested value, or by default the first recorded one.
 
     Raises:
-        ResultsError: It was not recorded.
+        ResultsError: The value was not recorded.
     """
     recorded = sorted(set(values.tolist()))
     if asked is None:
@@ -119,7 +117,7 @@ def pick(results: Results, name: str, asked: int | None, values: NDArray[Any]) -
 
 
 def _ranges(numbers: Sequence[int]) -> str:
-    """`0, 2 to 5`."""
+    """Sorted numbers as ranges: `0, 2 to 5`."""
     gaps = [i for i in range(1, len(numbers)) if numbers[i] != numbers[i - 1] + 1]
     parts = [numbers[i:j] for i, j in zip([0, *gaps], [*gaps, len(numbers)], strict=True)]
     return ", ".join(f"{part[0]} to {part[-1]}" if len(part) > 1 else str(part[0]) for part in parts)

@@ -29,11 +29,11 @@ class LearningFilm(Film):
     """The steps of an episode, one after the other.
 
     Args:
-        episode: What is shown.
-        model: File of the robot's MJCF, if it is not known from the settings.
+        episode: The episode shown.
+        model: MJCF file of the robot; by default the model that the settings name.
 
     Raises:
-        ResultsError: Nothing is known of how to draw this environment.
+        ResultsError: There is no drawing of this environment.
     """
 
     def __init__(self, episode: Episode, model: Path | None = None):
@@ -110,7 +110,7 @@ class LearningFilm(Film):
         return RobotScene(axes, self._model)
 
     def _seconds_of_a_step(self) -> float:
-        """0 where it is not known."""
+        """Duration of a step; 0 if unknown."""
         if self._model is None:
             return getattr(self._env, "time_step", SCENES[self._kind].time_step)
         from bojax.report.animations.robot import time_step
@@ -120,7 +120,7 @@ class LearningFilm(Film):
 
 
 def frames_of(num_steps: int) -> NDArray[np.int64]:
-    """The steps that are shown: all of them, or `MAX_FRAMES` at equal distances, the last one always."""
+    """Indices of the steps shown: all steps, or `MAX_FRAMES` evenly spaced ones including the last."""
     num = min(num_steps, MAX_FRAMES)
     return np.round(np.linspace(0, num_steps - 1, num)).astype(np.int64)
 

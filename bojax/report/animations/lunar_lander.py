@@ -1,4 +1,4 @@
-"""The lander over its moon: observations are place from the pad, velocity and tilt, as of Gym."""
+"""The lander above the moon; observations are position relative to the pad, velocity and tilt, as in Gym."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,7 +14,7 @@ _HULL, _MOON, _FLAME = "#8296A6", "#ECEFF1", "#E69F00"
 
 
 class LunarLander(Scene):
-    """The hull on its legs, and flames where an engine is on; the goal is for the point amid the hull."""
+    """The hull on its legs, with flames of the engines that are on; the goal is for the centre of the hull."""
 
     time_step = geometry.TIME_STEP
 
@@ -48,7 +48,7 @@ class LunarLander(Scene):
 
 
 def _flames(main: float, side: float) -> list[NDArray[np.float64]]:
-    """Triangles around the hull, as long as the engines' powers: below, to the left, to the right."""
+    """Triangles below, left and right of the hull, with lengths proportional to the power of the engines."""
     below = 0.5 * (1.0 + main) if main > 0.0 else 0.0
     left, right = (max(0.0, power) if abs(side) > 0.5 else 0.0 for power in (side, -side))
     bottom, height = geometry.HULL[:, 1].min(), geometry.SIDE_ENGINE[2]
@@ -64,7 +64,7 @@ def _flames(main: float, side: float) -> list[NDArray[np.float64]]:
 
 
 def _patch(axes: Axes, colour: str, edge: str, zorder: int) -> Polygon:
-    """A polygon, to be given its corners by `set_xy`."""
+    """A polygon; `set_xy` sets its corners."""
     patch = Polygon(np.zeros((3, 2)), facecolor=colour, edgecolor=edge, linewidth=1.2, zorder=zorder)
     axes.add_patch(patch)
     return patch

@@ -1,4 +1,4 @@
-"""The car in its valley: observations are its position and its velocity."""
+"""The car in its valley; observations are position and velocity."""
 
 import numpy as np
 from matplotlib.axes import Axes

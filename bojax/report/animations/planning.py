@@ -1,4 +1,4 @@
-"""A film of a planner at work: the way, the plan of each step, the robot, and its belief about a field."""
+"""A film of a run of a planner: the path, the plan of each step, the robot, and its belief about a field."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from bojax.robots.models import RobotModel
 
 MAX_IMAGES_PER_STEP = 12
-"""Pictures of a step of a robot without a body: its way is interpolated."""
+"""Images per step of a robot without a body, whose path is interpolated."""
 
 _BOTTOM, _TOP = 0.03, 0.84
 _ARROW = Outline([(1.0, 0.0), (-0.9, 0.75), (-0.45, 0.0), (-0.9, -0.75), (1.0, 0.0)])
@@ -39,13 +39,13 @@ _ARROW = Outline([(1.0, 0.0), (-0.9, 0.75), (-0.45, 0.0), (-0.9, -0.75), (1.0, 0
 class PlanningFilm(Film):
     """The steps of a run, one after the other.
 
-    The main picture is the robot in its world where it has a body, and the map of the domain otherwise, with
-    the way and the plan. Beside it are mean and standard deviation of the belief about a field; or the map,
-    where the robot has a body and there is no field.
+    The main image shows a robot with a body in its world, or else the map of the domain with the path and
+    the plan. Beside it are mean and standard deviation of the belief about a field, if there is one, or else
+    the map if the main image shows the robot.
 
     Args:
-        drive: What is shown.
-        model: File of the robot's MJCF, if it is not known from the settings.
+        drive: The run shown.
+        model: MJCF file of the robot; by default the model that the settings name.
 
     Raises:
         ResultsError: The robot cannot be drawn.
@@ -117,15 +117,15 @@ class PlanningFilm(Film):
                 yield photograph(figure)
 
     def _show(self, index: int, share: float, body: "RobotScene | None", views: "list[_Map]") -> None:
-        """Move everything to where it is when this share of a step is over."""
+        """Update all views to the given fraction of a step."""
         leg, curve = self._drive.legs[index], self._curves[index]
         at = round(share * (len(curve) - 1))
         if body is not None and leg.frames is not None:
             body.show(leg.frames[round(share * (len(leg.frames) - 1))])
-        way = np.concatenate([curve[:, :2] for curve in self._curves[:index]] + [curve[: at + 1, :2]])
+        path = np.concatenate([curve[:, :2] for curve in self._curves[:index]] + [curve[: at + 1, :2]])
         for view in views:
             view.believe(index + (share == 1.0))
-            view.move(way, curve[at], leg if share < 1.0 else None)
+            view.move(path, curve[at], leg if share < 1.0 else None)
 
     @property
     def _has_belief(self) -> bool:
@@ -143,10 +143,10 @@ class PlanningFilm(Film):
 
 
 class _Map:
-    """The domain from above, with the way so far, the plan and the robot, on values of a field or on none.
+    """The domain from above, with the path so far, the plan and the robot, and optionally values of a field.
 
     Attributes:
-        name: What the values are: "truth", "mean" or "std".
+        name: Values shown: "truth", "mean" or "std"; None for none.
     """
 
     def __init__(self, axes: Axes, drive: Drive, name: str | None = None):
@@ -168,7 +168,7 @@ class _Map:
                 spot = "white"
         scale = 1.0 if axes.get_window_extent().width > 300 else 0.7
         style: dict[str, Any] = {"zorder": 5, "solid_capstyle": "round"}
-        (self._way,) = axes.plot([], [], color=spot, linewidth=1.8 * scale, **style)
+        (self._path,) = axes.plot([], [], color=spot, linewidth=1.8 * scale, **style)
         dashes = (0, (2.5, 1.5))
         (self._plan,) = axes.plot([], [], color=ORANGE, linewidth=1.8 * scale, linestyle=dashes, zorder=6)
         start = drive.legs[0].before
@@ -177,22 +177,22 @@ class _Map:
 
     @property
     def shows_plan(self) -> bool:
-        """Whether way and plan are drawn: over the standard deviation they would hide what is not known."""
+        """Whether path and plan are drawn; on the standard deviation they would hide the values."""
         return self.name != "std"
 
     def believe(self, step: int) -> None:
-        """Show what is believed after so many steps."""
+        """Show the belief after the given number of steps."""
         if self._image is not None and self.name in _BELIEF:
             maps = self._drive.belief.get(f"{self.name}s")
             self._image.set_data(self._drive.belief[self.name] if maps is None else maps[step])
 
-    def move(self, way: Floats, pose: Floats, leg: Leg | None) -> None:
-        """The robot has come here by this way, and follows the plan of this leg, or has come to the end."""
+    def move(self, path: Floats, pose: Floats, leg: Leg | None) -> None:
+        """Show the path so far, the robot at a pose, and the plan of a leg; None for no plan."""
         self._robot.set_data([pose[0]], [pose[1]])
         self._robot.set_marker(MarkerStyle(_ARROW, transform=Affine2D().rotate(float(pose[2]))))
         if not self.shows_plan:
             return
-        self._way.set_data(*way.T)
+        self._path.set_data(*path.T)
         line = smooth(leg.before, leg.plan) if leg is not None and leg.plan is not None else np.zeros((0, 2))
         self._plan.set_data(*line.T)
 
@@ -202,7 +202,7 @@ _TITLES = {"truth": "true field", "mean": "mean of the belief", "std": "its stan
 
 
 def _values(axes: Axes, drive: Drive, name: str) -> AxesImage:
-    """A map whose scale fits all steps; field and mean share one."""
+    """A map with one scale for all steps, which true field and mean share."""
     belief = drive.belief
     if name == "std":
         largest = np.nanmax(belief.get("stds", belief["std"]))
@@ -212,7 +212,7 @@ def _values(axes: Axes, drive: Drive, name: str) -> AxesImage:
 
 
 def _panels(figure: Figure, num_beside: int) -> list[Axes]:
-    """Axes of the main picture, and of those beside it: one large, or two small ones above each other."""
+    """Axes of the main image and of the images beside it: one large, or two small ones stacked."""
     width = figure.get_figwidth()
     y, height = _BOTTOM, _TOP - _BOTTOM
     main = figure.add_axes((0.08 / width, y, 4.04 / width, height))
@@ -226,7 +226,7 @@ def _panels(figure: Figure, num_beside: int) -> list[Axes]:
 
 
 def _poses(leg: Leg, is_free: bool) -> Floats:
-    """Where the robot is drawn along a leg, `[N, 3]`: as its body was, or interpolated between its poses.
+    """Poses at which the robot is drawn along a leg, `[N, 3]`: of its body, or interpolated.
 
     Args:
         leg: The leg.
@@ -242,7 +242,7 @@ def _poses(leg: Leg, is_free: bool) -> Floats:
 
 
 def _fit(axes: Axes, drive: Drive) -> None:
-    """Limits that show all that was driven and planned, of a problem whose domain is not known."""
+    """Set limits that show all paths, plans and shapes of a problem without a border."""
     shown = [leg.poses for leg in drive.legs] + [leg.plan for leg in drive.legs if leg.plan is not None]
     points = np.concatenate([drive.legs[0].before[None], *shown])[:, :2]
     if axes.patches:  # obstacles and goals

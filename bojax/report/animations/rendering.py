@@ -1,4 +1,4 @@
-"""Pictures of robots, drawn by MuJoCo without a screen: by EGL, or else by OSMesa. JAX is not needed."""
+"""Images of robots, rendered by MuJoCo without a screen, through EGL or OSMesa; needs no JAX."""
 
 import functools
 import importlib
@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 CAMERAS = "side", "overview"
-"""Names of cameras, the first of which that a model has is looked through; otherwise all of it is shown."""
+"""Names of cameras in order of preference; without them, MuJoCo's free camera shows the whole model."""
 
 BACKENDS = ("egl", "osmesa") if sys.platform == "linux" else ("",)
-"""Ways to draw that are tried, as `MUJOCO_GL` names them; elsewhere MuJoCo's own choice needs no screen."""
+"""Values of `MUJOCO_GL` that are tried; on other systems MuJoCo's default needs no screen."""
 
 _PROBE = (
     "import mujoco; model = mujoco.MjModel.from_xml_string('<mujoco/>'); "
@@ -24,23 +24,23 @@ _PATIENCE = 60.0
 
 
 class CannotDraw(RuntimeError):
-    """Why there are no pictures of robots on this machine, in one line.
+    """Robots cannot be rendered on this machine; the message says why in one line.
 
     Attributes:
-        exit_code: What the command line exits with.
+        exit_code: Exit code of the command line.
     """
 
     exit_code = 2
 
 
 def backend() -> str:
-    """The way to draw that works here, as `MUJOCO_GL` names it; empty for MuJoCo's own choice.
+    """The value of `MUJOCO_GL` that works on this machine; empty for MuJoCo's default.
 
-    What the user has set `MUJOCO_GL` to is tried alone. Each is tried in a process of its own: OpenGL can be
-    bound once in a process, and a broken driver may end it.
+    A value set by the user is the only one tried. Each value is tried in a separate process, since OpenGL can
+    be bound only once in a process and a broken driver may end the process.
 
     Raises:
-        CannotDraw: None does.
+        CannotDraw: No value works.
     """
     return _working(os.environ.get("MUJOCO_GL", "").strip().lower())
 
@@ -71,15 +71,15 @@ def _works(name: str) -> bool:
 
 
 class Renderer:
-    """Draws one model; to be closed, or used in a `with`.
+    """Renders one model; has to be closed, or used in a `with` statement.
 
     Args:
         model: A `RobotModel`.
-        width: Of the picture, in pixels.
-        height: Of the picture, in pixels.
+        width: Width of the images in pixels.
+        height: Height of the images in pixels.
 
     Raises:
-        CannotDraw: Nothing here can.
+        CannotDraw: Nothing on this machine can render.
         MissingExtra: MuJoCo is not installed.
         ValueError: MuJoCo refuses the model.
     """
@@ -91,7 +91,7 @@ class Renderer:
         if all(texture.type != mujoco.mjtTexture.mjTEXTURE_SKYBOX for texture in spec.textures):
             white = {"rgb1": [1.0, 1.0, 1.0], "rgb2": [1.0, 1.0, 1.0], "width": 8, "height": 8}
             sky, flat = mujoco.mjtTexture.mjTEXTURE_SKYBOX, mujoco.mjtBuiltin.mjBUILTIN_FLAT
-            spec.add_texture(name="bojax_sky", type=sky, builtin=flat, **white)  # it would be black
+            spec.add_texture(name="bojax_sky", type=sky, builtin=flat, **white)  # the default sky is black
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
         self._forward = functools.partial(mujoco.mj_forward, self._model, self._data)
@@ -100,14 +100,13 @@ class Renderer:
         self._renderer = mujoco.Renderer(self._model, height, width)
 
     def image(self, frame: NDArray[np.float64]) -> NDArray[np.uint8]:
-        """A picture, `[height, width, 3]`.
+        """An image, `[height, width, 3]`.
 
         Args:
-            frame: Generalised positions, then the positions of the bodies that are moved by hand
-                (`mocap="true"`), where they are kept.
+            frame: Generalised positions, optionally followed by the positions of mocap bodies.
 
         Raises:
-            ValueError: The model has not as many.
+            ValueError: The model has another number of them.
         """
         num, moved = self._model.nq, self._data.mocap_pos
         if len(frame) not in (num, num + moved.size):
@@ -120,7 +119,7 @@ class Renderer:
         return self._renderer.render()
 
     def close(self) -> None:
-        """Give the drawing context back."""
+        """Release the rendering context."""
         self._renderer.close()
 
     def __enter__(self) -> "Renderer":
@@ -131,7 +130,7 @@ class Renderer:
 
 
 def _mujoco() -> Any:
-    """MuJoCo, told how to draw: it reads `MUJOCO_GL` when it is imported."""
+    """The module `mujoco`, imported after `MUJOCO_GL` is set, which MuJoCo reads when it is imported."""
     name, was_there = backend(), "mujoco" in sys.modules
     if name and os.environ.get("MUJOCO_GL") != name:
         os.environ["MUJOCO_GL"] = name

@@ -1,4 +1,4 @@
-"""A robot in its world, as MuJoCo draws it."""
+"""A scene of a robot in its world, rendered by MuJoCo."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +16,7 @@ from bojax.robots.models import RobotModel
 
 
 class RobotScene(Scene):
-    """The picture of MuJoCo fills the axes; it is moved by frames."""
+    """An image of MuJoCo that fills the axes and is updated by frames."""
 
     has_trail = False
 
@@ -33,11 +33,11 @@ class RobotScene(Scene):
         self.show(moment.frame)
 
     def show(self, frame: NDArray[np.float64]) -> None:
-        """Draw a frame: generalised positions and those of bodies moved by hand, see `Renderer`."""
+        """Show a frame, as `Renderer.image` takes it."""
         try:
             self._picture.set_data(self._renderer.image(frame))
         except ValueError as error:
-            raise ResultsError(f"another model than the one that was simulated: {error}") from error
+            raise ResultsError(f"the model differs from the one that was simulated: {error}") from error
 
     @override
     def close(self) -> None:
@@ -68,10 +68,10 @@ def from_file(path: Path) -> RobotModel:
 
 
 def time_step(model: RobotModel) -> float:
-    """Seconds of a step of the physics."""
+    """Time step of the physics in seconds."""
     return float(model.compiled().opt.timestep)
 
 
 def is_free(model: RobotModel) -> bool:
-    """Whether generalised positions begin with a body's position and quaternion: the first joint is free."""
+    """Whether the first joint is free: generalised positions begin with a position and a quaternion."""
     return model.compiled().nq >= 7 and model.compiled().jnt_type[0] == models.mujoco.mjtJoint.mjJNT_FREE

@@ -29,7 +29,7 @@ _WALL, _PARKING_SPOT = [0.4, 0.42, 0.45, 1.0], [0.36, 0.62, 0.45, 1.0]
 
 
 def car_world(outline: Outline, ground: Heights | None = None) -> RobotModel:
-    """The wheeled robot on a floor that covers the domain, with walls and the spot of a parking task.
+    """The wheeled robot on a floor that covers the domain, with obstacles and goals.
 
     The camera `side` follows the robot, which is small compared with most domains.
 
@@ -54,10 +54,10 @@ def car_world(outline: Outline, ground: Heights | None = None) -> RobotModel:
 
 
 def quadrotor_world(outline: Outline, ground: Heights | None = None) -> RobotModel:
-    """The quadrotor above the ground of its problem, with walls and the spot of a parking task.
+    """The quadrotor above the ground of its problem, with obstacles and goals.
 
-    Blocks are drawn as boxes on a floor, every other field as a height field; without a field there is a
-    floor. The camera `overview` sees the whole domain.
+    Blocks are boxes on a floor, other fields are height fields; without a field there is a floor. The camera
+    `overview` sees the whole domain.
 
     Args:
         outline: The world of the problem.

@@ -1,4 +1,4 @@
-"""The pendulum: observations are the cosine and the sine of the angle from upright, and the velocity."""
+"""The pendulum; observations are cosine and sine of the angle from upright, and the velocity."""
 
 from math import degrees
 
