@@ -40,9 +40,14 @@ class _Regressor(abc.ABC):
 
     dtype: str | None
 
-    @abc.abstractmethod
     def predict(self, X: Any, return_std: bool = False) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
-        """Predictions for the rows of X."""
+        """Posterior mean, and standard deviation of the noise-free value, at the rows of X.
+
+        Raises:
+            ValueError: The estimator has not been fitted, or X has another number of columns than in `fit`.
+        """
+        mean, variance = self._moments(self._queries(X))
+        return (np.asarray(mean), np.sqrt(np.asarray(variance))) if return_std else np.asarray(mean)
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
         """The arguments of the constructor, as they were given."""
@@ -98,6 +103,10 @@ class _Regressor(abc.ABC):
         if X.shape[1] != self.n_features_in_:
             raise ValueError(f"X: got {X.shape[1]} columns; allowed: {self.n_features_in_}, as in fit")
         return X
+
+    @abc.abstractmethod
+    def _moments(self, X: np.ndarray) -> tuple[jax.Array, jax.Array]:
+        """Posterior mean and variance at the rows of X, which have been checked."""
 
     @abc.abstractmethod
     def _fitted_dtype(self) -> str:
@@ -217,15 +226,8 @@ class GaussianProcessRegressor(_Regressor):
         return self
 
     @override
-    def predict(self, X: Any, return_std: bool = False) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
-        """Posterior mean, and standard deviation of the noise-free function, at the rows of X.
-
-        Raises:
-            ValueError: The estimator has not been fitted, or X has another number of columns than in `fit`.
-        """
-        X = self._queries(X)
-        mean, variance = _predict(self.posterior_, jnp.asarray(X, self.posterior_.x.dtype))
-        return (np.asarray(mean), np.sqrt(np.asarray(variance))) if return_std else np.asarray(mean)
+    def _moments(self, X: np.ndarray) -> tuple[jax.Array, jax.Array]:
+        return _predict(self.posterior_, jnp.asarray(X, self.posterior_.x.dtype))
 
     @override
     def _fitted_dtype(self) -> str:
@@ -290,16 +292,8 @@ class BayesianLinearRegressor(_Regressor):
         return self
 
     @override
-    def predict(self, X: Any, return_std: bool = False) -> np.ndarray | tuple[np.ndarray, np.ndarray]:
-        """Posterior mean, and standard deviation of the noise-free value, at the rows of X.
-
-        Raises:
-            ValueError: The estimator has not been fitted, or X has another number of columns than in `fit`.
-        """
-        X = self._queries(X)
-        design = _design(self.features_, X, self._fitted_dtype())
-        mean, variance = self.posterior_.predict(design)
-        return (np.asarray(mean), np.sqrt(np.asarray(variance))) if return_std else np.asarray(mean)
+    def _moments(self, X: np.ndarray) -> tuple[jax.Array, jax.Array]:
+        return self.posterior_.predict(_design(self.features_, X, self._fitted_dtype()))
 
     @override
     def _fitted_dtype(self) -> str:
