@@ -118,17 +118,8 @@ class GaussianProcess(eqx.Module):
         self, x: Float[Array, "D"], y: Float[Array, ""], noise_variance: Float[Array, ""] | None = None
     ) -> "GaussianProcess":
         """The posterior after one more observation, which is ignored once the capacity is reached."""
-        at = self.count
         row = self.next_row(x, self.whiten(x[None, :])[:, 0], noise_variance)
-        return GaussianProcess(
-            kernel=self.kernel,
-            noise_variance=self.noise_variance,
-            x=self.x.at[at].set(x, mode="drop"),
-            y=self.y.at[at].set(y, mode="drop"),
-            inverse_cholesky=self.inverse_cholesky.at[at].set(row, mode="drop"),
-            count=jnp.minimum(at + 1, self.y.shape[0]).astype(at.dtype),
-            mean=self.mean,
-        )
+        return self._appended(self.count, x, y, row, jnp.ones_like(self.count))
 
     def extend(
         self,
@@ -154,17 +145,7 @@ class GaussianProcess(eqx.Module):
         at = jnp.where(is_valid, place, capacity)
         own = jnp.zeros((xs.shape[0], capacity), xs.dtype).at[:, at].set(inverse, mode="drop")
         rows = own - matmul(inverse, matmul(whitened.T, self.inverse_cholesky))
-        return GaussianProcess(
-            kernel=self.kernel,
-            noise_variance=self.noise_variance,
-            x=self.x.at[at].set(xs, mode="drop"),
-            y=self.y.at[at].set(ys, mode="drop"),
-            inverse_cholesky=self.inverse_cholesky.at[at].set(rows, mode="drop"),
-            count=jnp.minimum(self.count + jnp.sum(is_valid, dtype=self.count.dtype), capacity).astype(
-                self.count.dtype
-            ),
-            mean=self.mean,
-        )
+        return self._appended(at, xs, ys, rows, jnp.sum(is_valid, dtype=self.count.dtype))
 
     def noise(
         self, xs: Float[Array, "M D"], noise_variances: Float[Array, "M"] | None = None
@@ -302,6 +283,18 @@ class GaussianProcess(eqx.Module):
 
     def _prior_variance(self, xs: Float[Array, "M D"]) -> Float[Array, "M"]:
         return jax.vmap(lambda x: self.kernel(x, x))(xs)
+
+    def _appended(self, at, x, y, row, number: Int[Array, ""]) -> "GaussianProcess":
+        """The posterior with `number` more observations in the rows `at`; rows past the end are dropped."""
+        return GaussianProcess(
+            kernel=self.kernel,
+            noise_variance=self.noise_variance,
+            x=self.x.at[at].set(x, mode="drop"),
+            y=self.y.at[at].set(y, mode="drop"),
+            inverse_cholesky=self.inverse_cholesky.at[at].set(row, mode="drop"),
+            count=jnp.minimum(self.count + number, self.y.shape[0]).astype(self.count.dtype),
+            mean=self.mean,
+        )
 
     def is_held(self) -> Bool[Array, "N"]:
         """Whether each row holds an observation."""
