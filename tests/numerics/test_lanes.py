@@ -47,3 +47,16 @@ def test_a_loop_runs_until_the_slowest_lane_is_done():
     left, turns = jax.vmap(countdown, axis_name=LANES)(jnp.asarray([1, 5, 3]))
     np.testing.assert_array_equal(left, [0, 0, 0])
     np.testing.assert_array_equal(turns, [5, 5, 5])
+
+
+def test_the_predicate_of_a_loop_is_not_batched():
+    def count(limit):
+        return jax.lax.while_loop(
+            lambda n: any_lane(n < limit), lambda n: n + (n < limit).astype(n.dtype), jnp.zeros_like(limit)
+        )
+
+    limits = jnp.arange(5)
+    batched = jax.vmap(count, axis_name=LANES)
+    np.testing.assert_array_equal(batched(limits), limits)
+    (loop,) = [eqn for eqn in jax.make_jaxpr(batched)(limits).eqns if eqn.primitive.name == "while"]
+    assert loop.params["cond_jaxpr"].out_avals[0].shape == ()
