@@ -1,1 +1,1 @@
-"""What is learned on: environments with declared bounds, written for one lane."""
+"""Environments for learners, with declared bounds, written for one lane."""

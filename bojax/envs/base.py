@@ -1,4 +1,4 @@
-"""The protocol of an environment: what a learner acts in."""
+"""The interface of an environment."""
 
 import abc
 from typing import Any, ClassVar, TypeAlias
@@ -12,22 +12,22 @@ EnvState: TypeAlias = Any
 """The true state of an environment: a tree of arrays."""
 
 Observation: TypeAlias = Array
-"""What a learner sees of it: `[D]` numbers of a `Box`, or one `int32` of a `Discrete` space."""
+"""An observation of the state: `[D]` numbers of a `Box`, or one `int32` of a `Discrete` space."""
 
 Action: TypeAlias = Array
-"""The same of an action."""
+"""An action: `[D]` numbers of a `Box`, or one `int32` of a `Discrete` space."""
 
 
 class TimeStep(eqx.Module):
-    """What `Env.step` returns of the step, or of several, `[N, ...]`.
+    """The result of a step, or of several, `[N, ...]`.
 
     Attributes:
-        observation: Observation of the state that follows.
+        observation: Observation of the next state.
         reward: Reward of the step.
-        terminated: That state is absorbing: nothing comes after it.
-        truncated: The environment ends the episode there although the state is not absorbing. The limit of
-            `Env.max_steps` is not among it: that is the experiment's to keep.
-        success: The goal was reached with this step.
+        terminated: Whether the next state is terminal.
+        truncated: Whether the environment ends the episode in a state that is not terminal. The experiment,
+            not the environment, applies the time limit `Env.max_steps`.
+        success: Whether the step reached the goal.
     """
 
     observation: Observation
@@ -38,11 +38,11 @@ class TimeStep(eqx.Module):
 
 
 class Env(eqx.Module):
-    """An environment, written for one lane; it holds no state, and whoever steps it owns the resets.
+    """An environment, written for one lane. It holds no state; the caller keeps the state and calls `reset`.
 
     Attributes:
-        max_steps: Steps after which an episode is cut off; a time limit, no absorbing state.
-        is_hosted: Whether it steps on the host, one object for each lane, and cannot be compiled.
+        max_steps: Time limit: number of steps after which an episode is truncated.
+        is_hosted: Whether the environment steps on the host, one object for each lane, and is not compiled.
     """
 
     is_hosted: ClassVar[bool] = False
@@ -52,34 +52,34 @@ class Env(eqx.Module):
     @property
     @abc.abstractmethod
     def observation_space(self) -> Space:
-        """Declared bounds of observations; learners scale by them, and values outside are kept."""
+        """Declared bounds of observations, by which learners scale; observations may lie outside them."""
 
     @property
     @abc.abstractmethod
     def action_space(self) -> Space:
-        """Bounds of actions; an action outside is clipped by the environment."""
+        """Bounds of actions; the environment clips actions to them."""
 
     def of_run(self, key: Key[Array, ""]) -> "Env":
-        """The environment whose `reset` begins the episodes of one run, which may share what is drawn here.
+        """The environment of one run, with random properties that all episodes of the run share.
 
-        Only states carry that on: everything but `reset` is asked of the environment as it was built.
+        Only `reset` is called on the returned environment, so that the state must hold these properties.
         """
         del key
         return self
 
     @abc.abstractmethod
     def reset(self, key: Key[Array, ""]) -> EnvState:
-        """A state to start from."""
+        """An initial state."""
 
     @abc.abstractmethod
     def observe(self, state: EnvState) -> Observation:
-        """What is seen of a state."""
+        """The observation of a state."""
 
     def frame(self, state: EnvState) -> Float[Array, "Q"] | None:
-        """What an animation needs of a state, where observations do not tell it; recorded with the steps."""
+        """Numbers of a state that an animation needs besides observations; recorded with the steps."""
         del state
         return None
 
     @abc.abstractmethod
     def step(self, key: Key[Array, ""], state: EnvState, action: Action) -> tuple[EnvState, TimeStep]:
-        """The state that an action leads to, and what that means."""
+        """The next state after an action, and the result of the step."""

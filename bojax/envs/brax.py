@@ -1,4 +1,4 @@
-"""Brax, both ways: its environments as ours, compiled; and ours as Brax environments, for `brax.training`."""
+"""Brax environments for bojax, compiled; and environments of bojax for Brax, as for `brax.training`."""
 
 import functools
 from typing import Any
@@ -23,16 +23,16 @@ except ImportError as error:
 
 
 class BraxEnv(Env):
-    """An environment of Brax by its name; its state is Brax's, in 32-bit numbers whatever the precision.
+    """An environment of Brax, given by its name; its state has 32-bit numbers at any precision.
 
-    What Brax calls done is absorbing; its time limit is not used. Actions go from -1 to 1, as Brax has it.
-    A name that was added by `brax.envs.register_environment` will do too.
+    A state that Brax calls done is terminal; Brax's time limit is not used. Actions range from -1 to 1, as in
+    Brax. The name may have been registered by `brax.envs.register_environment`.
 
     Settings: `bojax.envs.settings.Brax`.
 
     Attributes:
-        observation_size: Numbers in an observation.
-        action_size: Numbers in an action.
+        observation_size: Number of dimensions of an observation.
+        action_size: Number of dimensions of an action.
     """
 
     low: Float[Array, "..."]
@@ -45,11 +45,11 @@ class BraxEnv(Env):
     action_size: int = eqx.field(static=True, init=False)
 
     def __post_init__(self):
-        """Create the environment and look at what it returns.
+        """Create the environment and check its observations.
 
         Raises:
-            ValueError: There is none of this name or backend; its observations are no vector; bounds are of
-                another size, or not in order.
+            ValueError: There is no environment of this name or backend; its observations are not vectors; a
+                bound has the wrong size, or a lower bound is not below the upper one.
         """
         if self.name not in brax_envs._envs:
             raise ValueError(
@@ -104,21 +104,21 @@ class BraxEnv(Env):
 
 
 class BojaxEnv(brax_envs.Env):
-    """One of our environments as an environment of Brax.
+    """An environment of bojax with the interface of Brax.
 
-    Actions go from -1 to 1, which are mapped to the bounds. Brax knows one `done`: it is set where ours
-    terminates or truncates; the time limit is for Brax to set (`episode_length`). The metric `success`
-    tells whether the goal was reached.
+    Actions range from -1 to 1, which are mapped to the bounds. Brax has a single flag `done`, set if a step
+    terminates or truncates the episode; Brax applies the time limit (`episode_length`). The metric `success`
+    tells whether a step reached the goal.
 
     Attributes:
-        env: The environment; its observations and actions have to be vectors.
+        env: The environment; its observations and actions must be vectors.
     """
 
     def __init__(self, env: Env):
         """Wrap an environment.
 
         Raises:
-            ValueError: Its observations or actions are numbered, not vectors.
+            ValueError: The observations or actions of the environment are discrete.
         """
         observations, actions = env.observation_space, env.action_space
         if not (isinstance(observations, Box) and isinstance(actions, Box)):
@@ -169,14 +169,14 @@ class BojaxEnv(brax_envs.Env):
 
 @functools.cache
 def _created(name: str, backend: str) -> brax_envs.Env:
-    """The environment; made once, outside of any trace."""
+    """The environment, created once and outside any trace."""
     with silenced(), plain_jax(), jax.ensure_compile_time_eval():
         return brax_envs.get_environment(name, backend=backend)
 
 
 @functools.cache
 def _sizes(name: str, backend: str) -> tuple[Any, int]:
-    """Shape of what it shows, and numbers in an action; `observation_size` of Brax would run it slowly."""
+    """Shape of an observation, and size of an action; Brax's `observation_size` would run a slow reset."""
     env = _created(name, backend)
     with plain_jax():
         state = jax.eval_shape(env.reset, jax.random.PRNGKey(0))

@@ -1,4 +1,4 @@
-"""What the continuous domains share (thesis, Section 5.7.2): a goal, and two ways to be paid."""
+"""The base of the continuous domains (thesis, Section 5.7.2): a goal, and two reward functions."""
 
 import abc
 from typing import Literal
@@ -13,12 +13,12 @@ from bojax.envs.spaces import Box
 
 
 class ControlTask(Env):
-    """A system that has to be brought to a goal.
+    """A system to be controlled to a goal.
 
-    With `reward` `"goal-only"` an episode pays 1 at the goal and -1 at a failure, both absorbing, and 0
-    otherwise (p. 106). With `"classic"` it pays what the domain pays in Gym, and each domain says what ends
-    it then. A step is a success where it reaches the goal, whatever it pays; where goal and failure meet,
-    it is a failure. A step to a state that no body can be in (`has_diverged`) pays NaN.
+    With the `"goal-only"` reward, a step to the goal pays 1 and a step to a failure pays -1; both states are
+    terminal, and all other steps pay 0 (p. 106). With the `"classic"` reward, steps pay the reward of the
+    domain in Gym, and each domain defines its terminal states. A step to the goal is a success with either
+    reward, unless the state is also a failure. A step after which the simulation has diverged pays NaN.
     """
 
     reward: eqx.AbstractVar[Literal["goal-only", "classic"]]
@@ -46,12 +46,12 @@ class ControlTask(Env):
         """Whether the goal is reached in a state."""
 
     def is_failure(self, state: EnvState) -> Bool[Array, ""]:
-        """Whether a state is a failure; most domains know none."""
+        """Whether a state is a failure; most domains have no failures."""
         del state
         return jnp.zeros((), bool)
 
     def has_diverged(self, state: EnvState) -> Bool[Array, ""]:
-        """Whether the simulation has left what is physical; closed equations do not."""
+        """Whether the simulation has diverged to a state that is not physical; by default it never does."""
         del state
         return jnp.zeros((), bool)
 
@@ -92,5 +92,5 @@ def symmetric(*high: Float[Array, ""]) -> Box:
 
 
 def sign(x: Float[Array, ""]) -> Float[Array, ""]:
-    """-1 below 0, and 1 from there on: an action that knows two values only."""
+    """-1 for negative numbers, otherwise 1: an action that takes two values only."""
     return jnp.where(x < 0.0, -jnp.ones_like(x), jnp.ones_like(x))

@@ -1,4 +1,4 @@
-"""Gymnasium, both ways: its environments as ours, stepped on the host; and ours as Gymnasium environments."""
+"""Gymnasium environments, stepped on the host, for bojax; and environments of bojax for Gymnasium."""
 
 import json
 import math
@@ -27,13 +27,13 @@ except ImportError as error:
 
 
 _INFINITE = 1e30
-"""What is as good as infinite: some declare the largest 32-bit number."""
+"""Bounds from here on count as infinite, since some environments declare the largest 32-bit number."""
 
 
 class GymnasiumEnv(gymnasium.Env):
-    """One of our environments as an environment of Gymnasium, compiled.
+    """An environment of bojax, compiled, with the interface of Gymnasium.
 
-    An episode is truncated after `max_steps` of the environment. Everything random follows from the seed of
+    An episode is truncated after the environment's `max_steps`. All random numbers follow from the seed of
     `reset`. Observations are 32-bit numbers.
 
     Attributes:
@@ -67,7 +67,7 @@ class GymnasiumEnv(gymnasium.Env):
         bounds = self.env.action_space
         action = jnp.asarray(action, bounds.low.dtype if isinstance(bounds, Box) else jnp.int32)
         step = jnp.asarray(self._num_steps, jnp.int32)
-        self._state, transition = _go_on(self.env, self._episode, step, self._state, action)
+        self._state, transition = _step(self.env, self._episode, step, self._state, action)
         terminated = bool(transition.terminated)
         is_last = self._num_steps >= self.env.max_steps and not terminated
         return (
@@ -85,11 +85,11 @@ class GymnasiumEnv(gymnasium.Env):
 
 
 class HostEnv(Env):
-    """An environment of Gymnasium: it steps on the host, one Python object a lane, and cannot be compiled.
+    """An environment of Gymnasium, which steps on the host as one Python object for each lane.
 
-    Observations of several axes are flattened, and discrete spaces count from 0. The time limit is
-    `max_steps`, here as for every other environment: Gymnasium's own is taken off, so that what it still
-    truncates is the environment's doing.
+    Observations with several axes are flattened, and discrete spaces count from 0. As for every environment,
+    the time limit is `max_steps`. Gymnasium's own time limit is removed, so that truncation comes from the
+    environment itself.
 
     Settings: `bojax.envs.settings.Gymnasium`.
 
@@ -120,12 +120,12 @@ class HostEnv(Env):
         max_steps: int | None,
         success: Literal["never", "terminated", "reward"],
     ):
-        """Make one, and see whether it does what it declares.
+        """Create an environment and check that it matches its declarations.
 
         Raises:
-            ValueError: There is none of this name, or it cannot be made; a space is neither box nor discrete,
-                or has infinite bounds and none were given; what it returns does not fit its spaces; it has
-                no time limit and none was given.
+            ValueError: There is no environment of this id, or it cannot be created; a space is neither a box
+                nor discrete, or has infinite bounds and no others are given; an observation or a reward has
+                the wrong shape; the environment has no time limit and none is given.
         """
         self.low, self.high, self.success_reward = low, high, success_reward
         self.id, self.kwargs, self.success = id, json.dumps(dict(kwargs), sort_keys=True), success
@@ -157,15 +157,15 @@ class HostEnv(Env):
         return self.actions
 
     def make(self) -> gymnasium.Env:
-        """One such environment, as `Idling` wraps it."""
+        """A new environment, wrapped by `Idling`."""
         return Idling(self._made(), self.observations, self.actions)
 
     def make_vector(self, num: int) -> gymnasium.vector.SyncVectorEnv:
-        """Several, stepped together: each waits at the end of its episode until it is reset by a seed."""
+        """Several environments, stepped together; each waits after its episode for a reset with a seed."""
         return gymnasium.vector.SyncVectorEnv([self.make] * num)
 
     def is_success(self, reward: Float[Array, "*N"], terminated: Bool[Array, "*N"]) -> Bool[Array, "*N"]:
-        """Whether steps with these rewards, with which episodes ended or not, are successes."""
+        """Whether steps with these rewards and terminations are successes."""
         if self.success == "terminated":
             return terminated
         if self.success == "reward":
@@ -183,26 +183,26 @@ class HostEnv(Env):
 
     @override
     def observe(self, state):
-        """Refused, as `reset` is."""
+        """Not available, see `reset`."""
         return self.reset(state)
 
     @override
     def step(self, key, state, action):
-        """Refused, as `reset` is."""
+        """Not available, see `reset`."""
         return self.reset(key)
 
     def _made(self) -> gymnasium.Env:
-        if ":" in self.id and str(Path.cwd()) not in sys.path:  # an installed command does not have it
+        if ":" in self.id and str(Path.cwd()) not in sys.path:  # an installed command lacks this entry
             sys.path.insert(0, str(Path.cwd()))
         kwargs = json.loads(self.kwargs)
         return gymnasium.make(self.id, max_episode_steps=-1, disable_env_checker=True, **kwargs)
 
 
 class Idling(gymnasium.Wrapper):
-    """Plain observations and actions; and after its end an episode stays where it is, whatever is done.
+    """A wrapper with flat observations and actions, in which an episode that has ended stays as it is.
 
-    A reset without a seed does not wake it: a vector environment resets whatever has ended, and whoever
-    drives it does not want the next episode before the other lanes have ended theirs.
+    Neither a step nor a reset without a seed changes it. A vector environment resets every environment whose
+    episode has ended, but the next episode must not begin before the episodes of all lanes have ended.
     """
 
     def __init__(self, env: gymnasium.Env, observations: Space, actions: Space):
@@ -252,18 +252,18 @@ def from_gymnasium(
     low: Float[Array, "..."] | None = None,
     high: Float[Array, "..."] | None = None,
 ) -> Space:
-    """A space of Gymnasium as one of ours; a box of several axes becomes a vector.
+    """Convert a space of Gymnasium; a box with several axes becomes a box of vectors.
 
     Args:
         space: The space.
-        what: What it is the space of, for messages.
+        what: `"observation"` or `"action"`, for messages.
         dtype: Precision of the bounds.
         low: Lower bound instead of the declared one.
-        high: Upper bound.
+        high: Upper bound instead of the declared one.
 
     Raises:
-        ValueError: It is neither a box nor discrete; a bound is infinite, or not below the other; there are
-            more or fewer bounds than numbers.
+        ValueError: The space is neither a box nor discrete; a bound is infinite or of the wrong size; a lower
+            bound is not below the upper one.
     """
     if isinstance(space, spaces.Discrete):
         return Discrete(int(space.n))
@@ -297,7 +297,7 @@ def _to_gymnasium(space: Space) -> gymnasium.Space:
 
 
 def _probe(env: gymnasium.Env, id: str) -> None:
-    """One reset and one step, and whether they return what they should."""
+    """Check the observations and the reward of one reset and one step."""
     try:
         env.action_space.seed(0)
         first, _ = env.reset(seed=0)
@@ -322,5 +322,5 @@ def _begin(env: Env, episode: Array) -> tuple[Any, Array]:
 
 
 @eqx.filter_jit
-def _go_on(env: Env, episode: Array, step: Array, state: Any, action: Array):
+def _step(env: Env, episode: Array, step: Array, state: Any, action: Array):
     return env.step(jax.random.fold_in(episode, step), state, action)

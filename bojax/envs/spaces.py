@@ -1,4 +1,4 @@
-"""The spaces of observations and actions: a box of numbers, or some of a kind."""
+"""Spaces of observations and actions: a box of vectors, or a finite set."""
 
 from typing import TypeAlias
 
@@ -8,11 +8,11 @@ from jaxtyping import Array, Float, Int
 
 
 class Box(eqx.Module):
-    """Vectors between two bounds; what lies outside them is no error, and is not clipped here.
+    """Vectors between two bounds. Vectors outside the bounds are accepted, and are not clipped.
 
     Attributes:
-        low: Lower bound of each dimension, in its unit.
-        high: Upper bound.
+        low: Lower bound of each dimension.
+        high: Upper bound of each dimension.
     """
 
     low: Float[Array, "D"]
@@ -38,18 +38,18 @@ class Discrete(eqx.Module):
     """The integers 0, ..., num - 1.
 
     Attributes:
-        num: How many there are.
+        num: Number of elements.
     """
 
     num: int = eqx.field(static=True)
 
     @property
     def num_dims(self) -> int:
-        """Number of dimensions of what `to_unit` gives."""
+        """Number of dimensions of the result of `to_unit`."""
         return 1
 
     def to_unit(self, x: Int[Array, "*N"]) -> Float[Array, "*N 1"]:
-        """Map the first one to 0 and the last one to 1."""
+        """Map the first element to 0 and the last one to 1."""
         return (x / max(self.num - 1, 1)).astype(jnp.result_type(float))[..., None]
 
 

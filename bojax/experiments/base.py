@@ -14,11 +14,11 @@ Carry = Any
 
 
 class Records(eqx.Module):
-    """What one advance of one lane reports.
+    """The records of one advance of one lane.
 
     Attributes:
-        tables: `{table: {column: [capacity], "valid": [capacity]}}`; rows that are not valid are dropped.
-        active_steps: Environment steps that this advance really made; 0 for a finished lane.
+        tables: `{table: {column: [capacity], "valid": [capacity]}}`; invalid rows are not stored.
+        active_steps: Number of environment steps of the advance; 0 for a finished lane.
     """
 
     tables: dict[str, dict[str, Array]]
@@ -26,33 +26,33 @@ class Records(eqx.Module):
 
 
 class Experiment(eqx.Module):
-    """One run, written for a single lane; batching is the engine's work.
+    """One run, written for a single lane; the engine batches lanes.
 
-    The module is its own parameter tree: every array leaf can be swept in one compiled program, every
-    static field fixes the program's structure. The parameters are never part of the carry. A finished
-    lane is a no-op: its carry stays, its records have no valid row and no active step. Randomness is
-    `fold_in(key, counter)`, never a chain of splits in the carry, so that a lane's numbers do not depend
-    on how often the engine paused.
+    The module is its own parameter tree: array leaves can be swept within one compiled program, and static
+    fields fix the structure of the program. Parameters are never part of the carry. An advance of a finished
+    lane keeps the carry and reports no valid rows and no active steps. Random keys are
+    `fold_in(key, counter)`, not a chain of splits in the carry, so that they do not depend on how often the
+    engine paused.
     """
 
     @property
     @abc.abstractmethod
     def tables(self) -> Mapping[str, Table]:
-        """Columns of every table: `"runs"` are those of `summary`, all others those of `Records`."""
+        """Columns of every table: those of `"runs"` come from `summary`, all others from `Records`."""
 
     @property
     def recorded_tables(self) -> frozenset[str]:
-        """Tables of which only the recorded runs' rows are kept (`record.runs`)."""
+        """Tables that keep only the rows of recorded runs (`record.runs`)."""
         return frozenset()
 
     @property
     def is_hosted(self) -> bool:
-        """Whether something of it steps on the host: then it cannot be compiled whole."""
+        """Whether a part of the experiment steps on the host, so that it cannot be compiled as a whole."""
         return False
 
     @property
     def lanes_on_cpu(self) -> int:
-        """Most lanes per device of a CPU where the config says nothing."""
+        """Default maximum of lanes per CPU device."""
         return 64
 
     @property
@@ -74,10 +74,10 @@ class Experiment(eqx.Module):
 
     @abc.abstractmethod
     def summary(self, carry: Carry) -> dict[str, Scalar]:
-        """The run's scalars: one row of `runs.parquet`."""
+        """The scalar results of the run: one row of `runs.parquet`."""
 
     def snapshot(self, carry: Carry) -> dict[str, dict[str, Array]]:
-        """Arrays worth keeping for the recorded runs: `{name: {array name: array}}`."""
+        """Arrays to keep for recorded runs: `{name: {array name: array}}`."""
         del carry
         return {}
 
