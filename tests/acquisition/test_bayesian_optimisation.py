@@ -31,7 +31,7 @@ NUM_ITERATIONS = 12
 TRACES: Counter[str] = Counter()
 """How often each program below was traced, and so compiled."""
 
-# These programs run for milliseconds: what costs time is to compile them.
+# These programs run for milliseconds; compilation dominates the time.
 _jit = eqx.filter_jit
 
 
@@ -230,7 +230,7 @@ def test_a_maximum_in_a_corner_is_found_there(name):
 
 @each_acquisition
 def test_a_constant_function_is_explored(acquisition):
-    # No point is better than another: all that is left is the variance, which sends it to new points.
+    # All means are equal, so the variance decides, which favours new points.
     _, xs, ys = maximise(optimisation(acquisition), jax.random.key(0), lambda key, x: jnp.asarray(2.5))
     assert np.all(np.isfinite(xs)) and np.all(ys == 2.5)
     distance = np.linalg.norm(np.asarray(xs)[:, None] - np.asarray(xs)[None], axis=-1)
@@ -258,7 +258,7 @@ def test_the_units_of_the_objective_do_not_matter(dtype):
             _, xs, ys = maximise(one, jax.random.key(0), bowl)
             assert xs.dtype == ys.dtype == dtype
             found.append(xs)
-        # What is left is rounding.
+        # The rest is rounding.
         for xs in found[1:]:
             np.testing.assert_allclose(xs, found[0], atol=1e-3 if dtype == jnp.float32 else 1e-8)
 
@@ -282,7 +282,7 @@ def test_what_is_relearned_has_the_greatest_posterior_density():
     values = (np.asarray(ys) - np.mean(ys)) / np.std(ys)
 
     def log_density(logs):
-        """Up to a constant: the evidence by SciPy, and the log-normal prior around what was given."""
+        """Up to a constant, the evidence by SciPy plus the log-normal prior around the given values."""
         lengthscale, noise = np.exp(logs[:2]), np.exp(logs[2])
         distance = (np.asarray(xs)[:, None] - np.asarray(xs)[None]) / lengthscale
         covariance = np.exp(-0.5 * np.sum(distance**2, axis=-1)) + noise * np.eye(len(values))

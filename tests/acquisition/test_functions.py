@@ -47,7 +47,7 @@ def test_log_expected_improvement_is_the_logarithm_of_the_expectation(std, xi):
     found = score(
         LogExpectedImprovement(jnp.asarray(xi)), jnp.asarray(mean), jnp.full(16, std), jnp.asarray(best)
     )
-    # The mean is rounded before it is standardised: ask for what is left.
+    # `mean` is rounded, so the expected scores are computed from its rounded values.
     z = (mean - (best + xi)) / std
     expected = [log_expected_improvement(value) + np.log(std) for value in z]
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-11)
@@ -129,7 +129,7 @@ def test_more_uncertainty_is_worth_more(acquisition, mean):
 
 
 def test_certainty_of_improvement_is_hurt_by_uncertainty():
-    # The probability of improvement prefers a sure gain, however small: why it is not monotone in std.
+    # The probability of improvement prefers a certain gain, however small: it is not monotone in std.
     std = jnp.asarray([0.1, 1.0, 10.0])
     values = score(ACQUISITIONS[1], jnp.full(3, 0.5), std, jnp.asarray(0.0))
     assert np.all(np.diff(values) < 0.0)

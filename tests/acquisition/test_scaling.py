@@ -1,4 +1,4 @@
-"""Values as a process sees them: without units, and defined whatever they are."""
+"""Standardised values have no unit and are always defined."""
 
 import jax
 import jax.numpy as jnp

@@ -27,7 +27,7 @@ def start_toy(out: Path, *options: str, resume: bool = False, env=None, **settin
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Everything in a results folder that an interruption must not change."""
+    """All content of a results folder that an interruption must not change."""
     files = [folder / name for name in ("runs.parquet", "steps.parquet")]
     files += sorted((folder / "arrays").glob("*.npz"))
     return {str(path.relative_to(folder)): path.read_bytes() for path in files}

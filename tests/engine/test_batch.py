@@ -1,4 +1,4 @@
-"""A compiled group does what single lanes do, on any number of (CPU) devices, compiled once."""
+"""A compiled group gives the results of single lanes, on any number of CPU devices, and is compiled once."""
 
 import jax
 import jax.numpy as jnp

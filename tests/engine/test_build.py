@@ -53,7 +53,7 @@ class Raising(eqx.Module):
 
 
 class Plain(eqx.Module):
-    """A user's class that is annotated with plain numbers."""
+    """A user's class annotated with plain numbers."""
 
     scale: float
     count: int

@@ -52,7 +52,7 @@ def test_identity_is_of_all_that_rows_depend_on():
         (200, 1, None, 200),  # all in one chunk
         (200, 2, None, 100),
         (600, 2, None, 150),  # two even chunks, not one of 512 and one of 88
-        (200, 1, 64, 64),  # what is asked for, so that bits can be compared
+        (200, 1, 64, 64),  # the given number, so that bits can be compared
         (3, 8, None, 1),
     ],
 )

@@ -1,4 +1,4 @@
-"""Process-wide decisions, each checked in a process of its own."""
+"""Process-wide flags, each checked in a process of its own."""
 
 import json
 import os

@@ -33,7 +33,7 @@ gymnasium = pytest.importorskip("gymnasium")
 
 
 class Corridor(gymnasium.Env):
-    """Five places in a row; the last one ends the episode. What it draws follows from the seed of a reset."""
+    """Five places in a row; the last one ends the episode. Random draws follow from the seed of `reset`."""
 
     def __init__(self, breaks: str = ""):
         self.observation_space = gymnasium.spaces.Discrete(5)

@@ -1,4 +1,4 @@
-"""What the manifest says of a sweep."""
+"""The content of the manifest."""
 
 from dataclasses import replace
 from types import SimpleNamespace

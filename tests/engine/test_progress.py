@@ -1,4 +1,4 @@
-"""Progress says what is done and how long the rest takes, without flooding a log."""
+"""Progress reports the runs done and the time left, without flooding a log."""
 
 import io
 

@@ -1,4 +1,4 @@
-"""A whole sweep: the results folder, and every way in which it can fail."""
+"""A whole sweep: its results folder, and its failures."""
 
 import errno
 import os

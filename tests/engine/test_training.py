@@ -1,4 +1,4 @@
-"""Training from Python gives what a sweep writes, and a policy that does what was learned."""
+"""Training from Python gives the results of a sweep, and a policy that exploits."""
 
 import jax
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""Estimators used as scikit-learn uses its own, and what they refuse."""
+"""The estimators within scikit-learn, and the inputs that they refuse."""
 
 import subprocess
 import sys

@@ -125,7 +125,7 @@ def test_observations_that_are_not_numbers_leave_the_hyper_parameters():
 
 
 def test_a_start_that_meets_nan_never_wins():
-    # -(log p)^2, which is not a number for p < 1/2, where many of the starts are.
+    # -(log p)^2, but NaN for p < 1/2, where many of the starting points are.
     def objective(p):
         return jnp.where(p["p"] < 0.5, jnp.nan, -(jnp.log(p["p"]) ** 2))
 
@@ -133,7 +133,7 @@ def test_a_start_that_meets_nan_never_wins():
         return maximise(objective, {"p": start}, jax.random.key(5), num_starts=16, spread=3.0)
 
     best = jax.jit(best)
-    for start in (0.1, 30.0):  # the first start of the first is not a number itself
+    for start in (0.1, 30.0):  # the objective is NaN at 0.1
         optimum = best(jnp.asarray(start))
         np.testing.assert_allclose(optimum.params["p"], 1.0, atol=1e-2)
         assert optimum.has_converged

@@ -242,7 +242,7 @@ def test_the_batch_posterior_and_its_evidence_are_those_of_scikit_learn(name):
 
 @pytest.mark.parametrize("num", [0, 1, 5, 9])
 def test_rows_past_the_count_do_not_exist(num):
-    # Whatever stands there: the posterior is that of the first rows alone.
+    # The posterior depends on the first rows only, whatever the values of the others.
     kernel, noise = COMPOSITES["sum"][0], jnp.asarray(0.1)
     x, y = observations(9)
     is_held = jnp.arange(9) < num
@@ -263,7 +263,7 @@ def test_a_batch_needs_room():
 
 @pytest.mark.parametrize("name, capacity", [("rbf", 30), ("matern12", 30), ("product", 30), ("sum", 11)])
 def test_a_block_of_observations_is_one_after_the_other(name, capacity):
-    # Five blocks of six points of which some are missing; the smaller capacity is exceeded inside a block.
+    # Five blocks of six points, some of them invalid; the smaller capacity is exceeded inside a block.
     kernel = EVERY_KERNEL[name][0]
     x, y = observations(30)
     is_valid = np.random.default_rng(3).random(30) < 0.6
@@ -468,7 +468,7 @@ def test_blocks_for_a_batch_of_processes_are_a_loop():
 @pytest.mark.parametrize("spread", [0.7, 1e-7])
 @pytest.mark.parametrize("seed", range(3))
 def test_without_noise_points_that_nearly_coincide_leave_a_finite_factor(seed, spread):
-    # Rounding makes the covariance of such points indefinite: what keeps the factor finite are its pivots.
+    # Rounding makes the covariance of such points indefinite; floored pivots keep the factor finite.
     rng = np.random.default_rng(seed)
     points = jnp.asarray(spread * rng.random((25, 8, 2)))
     values = jnp.sin(points[..., 0]) + jnp.cos(points[..., 1])
@@ -503,7 +503,7 @@ def paths(num: int, seed: int) -> np.ndarray:
 def test_without_noise_a_factor_that_grows_row_by_row_stays_one(
     variance, noise_variance, dtype, tolerance, size
 ):
-    # Samples of a smooth field along paths: nearly dependent rows of which each rounds the next.
+    # Samples of a smooth field along paths: nearly dependent rows, whose rounding errors accumulate.
     points = jnp.asarray(paths(200, seed=1), dtype)
     scale = variance**0.5
     values = jnp.asarray(scale, dtype) * jnp.sin(points[:, 0]) * jnp.cos(points[:, 1])

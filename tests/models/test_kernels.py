@@ -1,4 +1,4 @@
-"""Kernels and what is made of them against scikit-learn, and their gradients where two points coincide."""
+"""Kernels, sums and products against scikit-learn, and their gradients at coinciding points."""
 
 import jax
 import jax.numpy as jnp

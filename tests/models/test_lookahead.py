@@ -1,4 +1,4 @@
-"""Looking ahead is refitting: a Gaussian process fitted anew with all that was imagined says the same."""
+"""Lookahead equals a refit of the Gaussian process with all imagined observations."""
 
 import jax
 import jax.extend
@@ -120,7 +120,7 @@ def test_a_stage_does_not_know_its_own_observations_nor_later_ones():
     other = ahead(posterior, points, is_observed, innovations.at[SIZE:].set(0.0))
     np.testing.assert_array_equal(one.mean[: 2 * SIZE], other.mean[: 2 * SIZE])
     assert np.all(np.abs(one.mean - other.mean)[2 * SIZE :] > 1e-6)
-    # What was seen never enters a variance.
+    # Observed values never enter a variance.
     np.testing.assert_array_equal(one.variance, other.variance)
 
 
@@ -167,7 +167,7 @@ def test_without_noise_the_same_point_again_and_again_is_finite(kernel, lengthsc
     if lengthscale < 1.0:
         expected = np.tile(places[[0, 0, 1], 0], (NUM_STAGES, 1))
         np.testing.assert_allclose(found.mean.reshape(NUM_STAGES, SIZE)[:, :3], expected, atol=1e-4)
-        # What was imagined at the new place is what the next stage expects there.
+        # The next stage expects the imagined observation at its point.
         second, third = found.mean.reshape(NUM_STAGES, SIZE)[1:, 3]
         np.testing.assert_allclose(second, third, atol=1e-4)
 
@@ -194,7 +194,7 @@ def test_in_single_precision_the_error_is_that_of_rounding():
 
 
 def test_nothing_is_refitted():
-    # No library factors or solves anything: what is imagined is eliminated by elementwise arithmetic.
+    # No LAPACK call: imagined observations are eliminated by elementwise arithmetic.
     arguments = case(KERNELS["rbf"])
 
     def solved(jaxpr):

@@ -1,4 +1,4 @@
-"""Prior means: what they say, and what a Gaussian process makes of them."""
+"""Prior means alone, and as part of a Gaussian process."""
 
 import equinox as eqx
 import jax

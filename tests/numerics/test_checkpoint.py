@@ -1,4 +1,4 @@
-"""A checkpoint gives back the same bits, keys and shardings, or one line."""
+"""A checkpoint restores the same bits, keys and shardings, or fails in one line."""
 
 import logging
 
@@ -81,7 +81,7 @@ def test_missing(tmp_path, program):
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.filterwarnings("ignore:coroutine:RuntimeWarning")  # Orbax drops what it began to read
+@pytest.mark.filterwarnings("ignore:coroutine:RuntimeWarning")  # Orbax drops its unfinished reads
 def test_every_truncated_file_is_noticed(tmp_path, program, carry):
     checkpoint.save(tmp_path / "one", carry)
     needed = 0

@@ -18,7 +18,7 @@ def test_every_lane_sees_whether_any_flag_holds(flags):
 
 @pytest.mark.parametrize("flags", FLAGS)
 def test_the_answer_is_not_batched(flags):
-    # `out_axes=None` is refused for a value that differs, or might differ, between lanes.
+    # `out_axes=None` refuses a value that may differ between lanes.
     seen = jax.vmap(any_lane, axis_name=LANES, out_axes=None)(jnp.asarray(flags))
     assert bool(seen) == any(flags)
 

@@ -96,7 +96,7 @@ def test_products_keep_full_precision(left, right):
     a, b = rng.normal(size=left).astype(np.float32), rng.normal(size=right).astype(np.float32)
     exact = a.astype(np.float64) @ b.astype(np.float64)
     np.testing.assert_allclose(matmul(jnp.asarray(a), jnp.asarray(b)), exact, atol=1e-6)
-    # A CPU has no lower precision to fall into: look at what an accelerator would be told.
+    # A CPU has no lower precision, so the test reads the precision requested of an accelerator.
     assert "HIGHEST" in jax.jit(matmul).lower(a, b).as_text()
 
 
@@ -133,7 +133,7 @@ def test_the_inverse_factor_has_the_derivatives_of_its_parts():
 
 
 def test_pivots_stay_at_the_least_noise_where_rounding_makes_a_matrix_indefinite():
-    # Ones with noise 1e-12, of which rounding has taken 2e-12 from the last diagonal.
+    # A matrix of ones with noise 1e-12, whose last diagonal entry rounding has reduced by 2e-12.
     noise = jnp.full((3,), 1e-12)
     a = jnp.ones((3, 3)) + jnp.diag(noise) - jnp.diag(jnp.asarray([0.0, 0.0, 2e-12]))
     assert not np.all(np.isfinite(inverse_cholesky(a)))

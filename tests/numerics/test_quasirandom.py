@@ -38,7 +38,7 @@ def test_points_lie_in_the_box(num_dims, dtype):
 @pytest.mark.parametrize("num_dims", [1, 2, 3, 4])
 def test_points_are_more_even_than_random_ones(num_points, num_dims):
     def discrepancy(xs):
-        # The wrap-around discrepancy does not change under a shift modulo the box: one set stands for all.
+        # The wrap-around discrepancy is invariant under shifts modulo the box, so one set is enough.
         return qmc.discrepancy(xs, method="WD")
 
     even = np.asarray(points(jax.random.split(jax.random.key(1), 2), num_points, num_dims))

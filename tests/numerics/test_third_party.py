@@ -1,4 +1,4 @@
-"""Code of others is traced as if 64-bit numbers and strict promotion did not exist."""
+"""Third-party code is traced without 64-bit numbers and strict promotion."""
 
 import sys
 import warnings
