@@ -1,4 +1,4 @@
-"""`python -m bojax` is the command line `bojax`."""
+"""The command line `bojax`, as `python -m bojax`."""
 
 from bojax.cli.main import main
 

@@ -1,1 +1,1 @@
-"""The command line: `bojax COMMAND`. Nothing heavy is imported before the user's input is validated."""
+"""The command line `bojax COMMAND`. Heavy packages are imported after the input has been validated."""

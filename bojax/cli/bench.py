@@ -1,4 +1,4 @@
-"""`bojax bench`: the benchmarks of the repository, each beside its peer in the same process."""
+"""`bojax bench`: the benchmarks of the repository, which compare bojax with other packages."""
 
 import importlib.util
 import sys
@@ -11,27 +11,27 @@ from bojax.config.errors import one_of
 from bojax.config.files import shipped
 
 _EXAMPLES = """\
-  bojax bench          list the benchmarks and run them all
-  bojax bench kcbts    run one of them
+  bojax bench          all benchmarks
+  bojax bench kcbts    one benchmark
 """
 
 _PREFIX = "bench_"
 
 
 def main(name: str, words: Sequence[str]) -> int:
-    """Run the command."""
+    """Run the command and return its exit code."""
     parser = Parser(
         prog=f"bojax {name}",
         usage=f"bojax {name} [NAME ...]",
-        description="Run benchmarks: ./benchmarks/bench_NAME.py, or those beside bojax's sources.",
+        description="Run benchmarks: ./benchmarks/bench_NAME.py, or those of the repository of bojax.",
         examples=_EXAMPLES,
     )
-    parser.add_argument("names", nargs="*", metavar="NAME", help="benchmarks; all of them by default")
+    parser.add_argument("names", nargs="*", metavar="NAME", help="name of a benchmark (default: all)")
     args = parser.parse_intermixed_args(list(words))
     benchmarks = find_benchmarks()
     if not benchmarks:
         raise UsageError(
-            "no benchmarks here: they come with the repository, in benchmarks/, not with the package"
+            "no benchmarks found; run this command in a clone of bojax, which has them in benchmarks/"
         )
     for wanted in args.names:
         if wanted not in benchmarks:
@@ -43,7 +43,7 @@ def main(name: str, words: Sequence[str]) -> int:
 
 
 def find_benchmarks() -> dict[str, Path]:
-    """The benchmarks by name: those in ./benchmarks, or else those beside bojax's sources."""
+    """The benchmarks by name: those in ./benchmarks, or else those of the repository of bojax."""
     for folder in (Path("benchmarks"), shipped("benchmarks")):
         files = sorted(folder.glob(f"{_PREFIX}*.py"))
         if files:
@@ -56,7 +56,7 @@ def _load(path: Path) -> ModuleType:
     if spec is None or spec.loader is None:
         raise UsageError(f"{path}: cannot be imported")
     folder = str(path.parent.resolve())
-    if folder not in sys.path:  # benchmarks share helpers that lie beside them
+    if folder not in sys.path:  # the benchmarks import shared modules of this folder
         sys.path.insert(0, folder)
     module = importlib.util.module_from_spec(spec)
     sys.modules[path.stem] = module

@@ -1,4 +1,4 @@
-"""`bojax doctor`: what works on this machine, one line a check."""
+"""`bojax doctor`: checks of the installation, with one line per finding."""
 
 import importlib.metadata
 import io
@@ -15,8 +15,8 @@ from bojax.config.extras import how_to_install
 from bojax.text import error_line
 
 _EXAMPLES = """\
-  bojax doctor                      everything
-  JAX_PLATFORMS=cpu bojax doctor    as a machine without a GPU would see it
+  bojax doctor                      all checks
+  JAX_PLATFORMS=cpu bojax doctor    the same without the GPU
 """
 
 _PACKAGES = (
@@ -39,11 +39,11 @@ _PACKAGES = (
 
 @dataclass(frozen=True)
 class Finding:
-    """What a check found.
+    """A result of a check.
 
     Attributes:
-        state: "ok", "note" for what is worth knowing, "FAILED" for what will not work.
-        text: In words.
+        state: "ok", "note" for a limitation, "FAILED" for an error.
+        text: Description, one line.
     """
 
     state: str
@@ -51,11 +51,11 @@ class Finding:
 
 
 class Failure(Exception):
-    """A check that failed, and what to do about it."""
+    """A failed check; the message says what failed and how to correct it."""
 
 
 def main(name: str, words: Sequence[str]) -> int:
-    """Run the command; 1 if something will not work."""
+    """Run the command; the exit code is 1 if a check failed."""
     parser = Parser(
         prog=f"bojax {name}",
         usage=f"bojax {name}",
@@ -69,12 +69,12 @@ def main(name: str, words: Sequence[str]) -> int:
             findings.append(finding)
             print(f"{finding.state:<6}  {title:<12}  {finding.text}", flush=True)
     failed = sum(finding.state == "FAILED" for finding in findings)
-    print(f"\n{failed} of {len(findings)} checks failed" if failed else "\neverything works")
+    print(f"\n{failed} of {len(findings)} checks failed" if failed else "\nall checks passed")
     return 1 if failed else 0
 
 
 def examine(check: Callable[[], Iterator[Finding]]) -> Iterator[Finding]:
-    """The findings of a check; an exception is one more, a failure."""
+    """The findings of a check; an exception becomes a failure."""
     try:
         yield from check()
     except Failure as error:
@@ -97,7 +97,7 @@ def _packages() -> Iterator[Finding]:
             missing.append(package)
     yield Finding("ok", ", ".join(found))
     if missing:
-        raise Failure(f"not installed: {', '.join(missing)}; install bojax again")
+        raise Failure(f"not installed: {', '.join(missing)}; reinstall bojax")
 
 
 def _devices() -> Iterator[Finding]:
@@ -112,7 +112,7 @@ def _devices() -> Iterator[Finding]:
     if jax.default_backend() == "cpu" and Path("/proc/driver/nvidia/version").exists():
         yield Finding(
             "note",
-            f"an NVIDIA driver is installed, but JAX finds no GPU; {how_to_install('cuda13')} (or cuda12)",
+            f"there is an NVIDIA driver, but JAX finds no GPU; {how_to_install('cuda13')} (or cuda12)",
         )
 
 
@@ -123,10 +123,10 @@ def _computation() -> Iterator[Finding]:
     start = time.perf_counter()
     value = jax.jit(lambda x: jnp.sum(x * x))(jnp.linspace(0.0, 1.0, 11))
     if value.dtype != jnp.float64:
-        raise Failure("float64 is off: unset JAX_ENABLE_X64")
+        raise Failure("float64 is disabled; unset JAX_ENABLE_X64")
     if abs(float(value) - 3.85) > 1e-12:
-        raise Failure(f"a compiled sum gives {float(value)}, not 3.85")
-    yield Finding("ok", f"float64, a compiled program ran ({time.perf_counter() - start:.1f} s)")
+        raise Failure(f"a compiled sum is {float(value)} instead of 3.85")
+    yield Finding("ok", f"float64; compiled and ran a program in {time.perf_counter() - start:.1f} s")
 
 
 def _cache() -> Iterator[Finding]:
@@ -134,7 +134,7 @@ def _cache() -> Iterator[Finding]:
 
     folder = setting("jax_compilation_cache_dir")
     if not folder:
-        yield Finding("note", "no compilation cache: every start compiles anew")
+        yield Finding("note", "no compilation cache; every process compiles all programs")
         return
     _write_in(Path(folder))
     yield Finding("ok", str(folder))
@@ -145,7 +145,7 @@ def _tables() -> Iterator[Finding]:
     import pyarrow.parquet as pq
 
     pq.write_table(pa.table({"x": [1]}), buffer := io.BytesIO())
-    yield Finding("ok", f"parquet written, {len(buffer.getvalue())} bytes")
+    yield Finding("ok", f"wrote Parquet, {len(buffer.getvalue())} bytes")
 
 
 def _figures() -> Iterator[Finding]:
@@ -153,7 +153,7 @@ def _figures() -> Iterator[Finding]:
     from matplotlib.figure import Figure
 
     FigureCanvasAgg(Figure()).print_png(buffer := io.BytesIO())
-    yield Finding("ok", f"PNG drawn, {len(buffer.getvalue())} bytes")
+    yield Finding("ok", f"drew a PNG, {len(buffer.getvalue())} bytes")
 
 
 def _films() -> Iterator[Finding]:
@@ -162,28 +162,30 @@ def _films() -> Iterator[Finding]:
     from bojax.report.animations.rendering import BACKENDS, CannotDraw, backend
 
     has_ffmpeg = FFMpegWriter.isAvailable()
-    yield Finding("ok" if has_ffmpeg else "note", "GIF and MP4" if has_ffmpeg else "GIF; with ffmpeg MP4 too")
+    yield Finding(
+        "ok" if has_ffmpeg else "note", "GIF and MP4" if has_ffmpeg else "GIF only; MP4 needs ffmpeg"
+    )
     try:
         version = importlib.metadata.version("mujoco")
     except importlib.metadata.PackageNotFoundError:
-        yield Finding("note", f"no robots: MuJoCo is not installed; {how_to_install('robots')}")
+        yield Finding("note", f"no robots; MuJoCo is not installed; {how_to_install('robots')}")
         return
     try:
-        name = backend() or "its own choice"
+        name = backend() or "its default backend"
     except CannotDraw as error:
         yield Finding("note", str(error))
         return
-    yield Finding("ok", f"robots: MuJoCo {version} draws by {name.upper() if name in BACKENDS else name}")
+    yield Finding("ok", f"robots: MuJoCo {version} draws with {name.upper() if name in BACKENDS else name}")
 
 
 def _results() -> Iterator[Finding]:
     folder = Path("results")
     _write_in(folder if folder.exists() else Path.cwd())
-    yield Finding("ok", f"{folder.resolve()} can be written")
+    yield Finding("ok", f"{folder.resolve()} is writable")
 
 
 def _write_in(folder: Path) -> None:
-    """Raise unless a file can be made in this folder, or in the nearest one above that exists."""
+    """Raise a `Failure` if a file cannot be created in a folder, or in its nearest existing parent."""
     while not folder.exists() and folder != folder.parent:
         folder = folder.parent
     try:
@@ -204,4 +206,4 @@ CHECKS: dict[str, Callable[[], Iterator[Finding]]] = {
     "films": _films,
     "results": _results,
 }
-"""Every check, in order: later ones rely on JAX being set up by `devices`."""
+"""The checks, in order; `precision` and `cache` require that `devices` has configured JAX."""

@@ -1,4 +1,4 @@
-"""`bojax list`: what there is, and the settings of one part. Imports no JAX."""
+"""`bojax list`: the names of all parts, configs and sweeps, and the settings of a part. Imports no JAX."""
 
 import shutil
 import textwrap
@@ -13,23 +13,25 @@ from bojax.config.files import available, display
 from bojax.config.yaml_file import read_mapping
 
 _EXAMPLES = """\
-  bojax list           everything, one line each
+  bojax list           all names, with one line each
   bojax list kcbts     the settings of a part, with types, defaults and units
-  bojax list planners  one group
+  bojax list planners  the names of one group
 """
 
 _FILES = ("configs", "sweeps")
 
 
 def main(name: str, words: Sequence[str]) -> int:
-    """Run the command."""
+    """Run the command and return its exit code."""
     parser = Parser(
         prog=f"bojax {name}",
         usage=f"bojax {name} [NAME ...]",
-        description="List problems, planners and other parts, configs and sweeps; or the settings of a part.",
+        description="List parts (problems, planners, ...), configs and sweeps, or the settings of a part.",
         examples=_EXAMPLES,
     )
-    parser.add_argument("names", nargs="*", metavar="NAME", help="a part, a group, a config or a sweep")
+    parser.add_argument(
+        "names", nargs="*", metavar="NAME", help="name of a part, a group, a config or a sweep (default: all)"
+    )
     args = parser.parse_intermixed_args(list(words))
     groups = _groups()
     blocks = [_group(title, lines) for title, lines in groups.items()]
@@ -42,7 +44,7 @@ def main(name: str, words: Sequence[str]) -> int:
 
 
 def _groups() -> dict[str, dict[str, str]]:
-    """Every name with its line, by group; groups with nothing in them are left out."""
+    """Every name with its summary, by group, without empty groups."""
     groups = {
         base.plural: {kind: summary_of(schema) for kind, schema in kinds(role).items()}
         for role, base in roles().items()
@@ -55,9 +57,9 @@ def _title(path) -> str:
     try:
         mapping = read_mapping(path, display(path))
     except ConfigError as error:
-        return f"(broken: {printable(error)})"
+        return f"(invalid: {printable(error)})"
     if "alias" in mapping:
-        return f"the same as {mapping['alias']}"
+        return f"alias of {mapping['alias']}"
     return str(mapping.get("title", ""))
 
 
@@ -83,7 +85,7 @@ def _part(role: str, schema: type[Component]) -> str:
     kind = schema.model_fields["kind"].default
     head = f"{kind}: {_article(role)}\n{_indented(summary_of(schema))}"
     if not settings:
-        return f"{head}\n\n  It has no settings."
+        return f"{head}\n\n  This part has no settings."
     rows = [("setting", "type", "default", "meaning")]
     rows += [(setting.name, setting.type, setting.default, setting.meaning) for setting in settings]
     return f"{head}\n\n{_table(rows)}"
@@ -100,7 +102,7 @@ def _group(title: str, lines: dict[str, str]) -> str:
 
 
 def _table(rows: Sequence[Sequence[str]]) -> str:
-    """Columns aligned, the last one wrapped to the terminal."""
+    """A table with aligned columns, of which the last is wrapped to the width of the terminal."""
     rows = [[escaped(cell) for cell in row] for row in rows]
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]) - 1)]
     return "\n".join(_row(row, widths) for row in rows)

@@ -1,4 +1,4 @@
-"""The entry point `bojax`: picks the command, and turns a user's mistake into one line and an exit code."""
+"""The entry point `bojax`: runs a command, and reports a user's mistake as one line and an exit code."""
 
 import errno
 import importlib
@@ -12,31 +12,31 @@ from bojax.cli.parser import Parser, UsageError
 from bojax.config.errors import control_character, one_of, printable, shown
 
 COMMANDS = {
-    "list": ("listing", "what there is: problems, planners, configs, sweeps"),
-    "run": ("running", "run one experiment of configs/"),
+    "list": ("listing", "list problems, planners and other parts, configs and sweeps"),
+    "run": ("running", "run an experiment of configs/"),
     "sweep": ("running", "run a sweep of sweeps/ and write its report"),
-    "report": ("reporting", "figures, tables and claims of results folders"),
-    "render": ("rendering", "a film of a recorded run, or a still"),
-    "bench": ("bench", "the benchmarks, each beside its peer"),
-    "doctor": ("doctor", "what works here: versions, devices, precision, folders"),
+    "report": ("reporting", "rebuild the figures, tables and claims of results folders"),
+    "render": ("rendering", "draw a film or a still of a recorded run"),
+    "bench": ("bench", "run benchmarks that compare bojax with other packages"),
+    "doctor": ("doctor", "check versions, devices, precision and folders"),
 }
-"""Name of each command, with the module that holds it and what it does."""
+"""The module and the summary of each command."""
 
 _EXAMPLES = """\
   bojax sweep parking                       the parking study: four planners, 200 runs each
-  bojax sweep parking --runs 20             a quick look at it
+  bojax sweep parking --runs 20             the same with 20 runs each
   bojax run parking planner.iterations=100  one experiment, with a setting changed
   bojax list kcbts                          the settings of a planner
 """
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit code: 0, 2 for a mistake in the input, or the command's own."""
+    """Run a command and return its exit code: 0 for success, 2 for a mistake in the input."""
     words = list(sys.argv[1:] if argv is None else argv)
-    # Before NumPy is imported: runs are what is parallel here, and threads within a small factorisation fight
-    # for their cores (200 of 200 x 200 on two busy cores: 0.2 s with one thread, 7.6 s with two).
+    # Set before NumPy is imported. Runs are computed in parallel, and threads within small factorisations
+    # compete for the same cores (200 of size 200 x 200 on 2 busy cores: 1 thread 0.2 s, 2 threads 7.6 s).
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    if isinstance(sys.stdout, io.TextIOWrapper):  # a folder's name need not be text in UTF-8
+    if isinstance(sys.stdout, io.TextIOWrapper):  # names of folders may not be UTF-8
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
         return _run(words)
@@ -62,7 +62,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(words: list[str]) -> int:
     for word in words:
         if sign := control_character(word):
-            raise UsageError(f"{shown(word)}: an argument is text in UTF-8 without the character {sign}")
+            raise UsageError(
+                f"command line: got {shown(word)}; allowed: UTF-8 text without the character {sign}"
+            )
     name = words[0] if words else "--help"
     if name in ("--help", "-h"):
         _parser().print_help()
@@ -83,6 +85,6 @@ def _parser() -> Parser:
         prog="bojax",
         usage="bojax COMMAND ...",
         description="Batch experiments in Bayesian optimisation for planning and reinforcement learning.\n\n"
-        f"commands:\n{commands}\n\nbojax COMMAND --help tells more about a command.",
+        f"commands:\n{commands}\n\nbojax COMMAND --help describes a command.",
         examples=_EXAMPLES,
     )

@@ -1,4 +1,4 @@
-"""Argument parsing whose errors are one line, with the nearest name."""
+"""An argument parser with one-line errors."""
 
 import argparse
 from typing import NoReturn
@@ -9,17 +9,17 @@ from bojax.config.errors import did_you_mean
 
 
 class UsageError(Exception):
-    """A command line that means nothing, told in one line.
+    """An invalid command line; the message is one line.
 
     Attributes:
-        exit_code: What the command line exits with.
+        exit_code: Exit code of the command line.
     """
 
     exit_code = 2
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser that raises `UsageError` where argparse prints its usage and leaves."""
+    """An argument parser that raises a `UsageError` instead of printing the usage and exiting."""
 
     def __init__(self, *, prog: str, usage: str, description: str, examples: str):
         super().__init__(
@@ -33,7 +33,7 @@ class Parser(argparse.ArgumentParser):
 
     @override
     def error(self, message: str) -> NoReturn:
-        """Raise the mistake that argparse has found."""
+        """Raise an error of argparse; for an unknown option, with the nearest name."""
         unknown = message.removeprefix("unrecognized arguments: ")
         if unknown != message:
             name = unknown.split()[0].partition("=")[0]
@@ -43,16 +43,16 @@ class Parser(argparse.ArgumentParser):
 
 
 def integer(text: str) -> int:
-    """An argument that is an integer."""
+    """Convert an argument to an integer."""
     try:
         return int(text)
     except ValueError:
-        hint = f": write {float(text):.0f}" if _is_integral(text) else ""
-        raise argparse.ArgumentTypeError(f"got {text}; an integer is expected{hint}") from None
+        hint = f" (write {float(text):.0f})" if _is_integral(text) else ""
+        raise argparse.ArgumentTypeError(f"got {text}; allowed: an integer{hint}") from None
 
 
 def _is_integral(text: str) -> bool:
-    """Whether a text is an integer in the writing of floats, such as 1e3."""
+    """Whether a text is an integer in the notation of floats, such as 1e3."""
     try:
         return float(text).is_integer()
     except (ValueError, OverflowError):

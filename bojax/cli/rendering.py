@@ -1,4 +1,4 @@
-"""`bojax render`: a film of a recorded run, or a still, from the files of a results folder."""
+"""`bojax render`: a film or a still of a recorded run, from the files of a results folder."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -6,42 +6,44 @@ from pathlib import Path
 from bojax.cli.parser import Parser, integer
 
 _EXAMPLES = """\
-  bojax render results/mountain-car/20250101-120000               the first success of the first run
-  bojax render results/mountain-car/20250101-120000 --run 3       of another run
-  bojax render results/mountain-car/20250101-120000 --episode 1   another episode
-  bojax render results/fig-4.8/20250101-120000 --point 2          a planner's run, with plans and belief
-  bojax render results/mine --model my_robot.xml                  a robot of one's own
-  bojax render results/mine --still picture.png --at 0.5          one picture, from halfway
+  bojax render results/mountain-car/20250101-120000               first success of the first run
+  bojax render results/mountain-car/20250101-120000 --run 3       first success of run 3
+  bojax render results/mountain-car/20250101-120000 --episode 1   episode 1 of the first run
+  bojax render results/fig-4.8/20250101-120000 --point 2          run of a planner, with plans and belief
+  bojax render results/mine --model my_robot.xml                  a custom robot
+  bojax render results/mine --still picture.png --at 0.5          one image, at half the film
 """
 
 
 def main(name: str, words: Sequence[str]) -> int:
-    """Run the command."""
+    """Run the command and return its exit code."""
     parser = Parser(
         prog=f"bojax {name}",
         usage=f"bojax {name} DIR [--run N] [--episode E] [--point P] [--model FILE] "
         "[--still FILE [--at SHARE]]",
         description="Draw a recorded run of a planner, or an episode of a learning run, and write it to\n"
-        "DIR/animations/, as GIF and, where ffmpeg is installed, as MP4. Recorded are the first runs:\n"
-        "record.runs of the config. Robots are drawn by MuJoCo, without a screen.",
+        "DIR/animations/ as GIF and, if ffmpeg is installed, as MP4. The first runs of each point are\n"
+        "recorded; their number is record.runs. MuJoCo draws robots, and needs no display.",
         examples=_EXAMPLES,
     )
     parser.add_argument("folder", metavar="DIR", type=Path, help="results folder")
-    parser.add_argument("--run", type=integer, metavar="N", help="index of the run; the first recorded one")
     parser.add_argument(
-        "--episode", type=integer, metavar="E", help="number of the episode; the first success, or the last"
+        "--run", type=integer, metavar="N", help="index of the run (default: the first recorded run)"
+    )
+    parser.add_argument(
+        "--episode", type=integer, metavar="E", help="number of the episode (default: first success, or last)"
     )
     parser.add_argument("--point", type=integer, metavar="P", help="number of the point of a sweep")
-    parser.add_argument("--model", type=Path, metavar="FILE", help="MJCF of a robot of one's own")
+    parser.add_argument("--model", type=Path, metavar="FILE", help="MJCF file of a custom robot")
     parser.add_argument(
-        "--still", type=Path, metavar="FILE", help="write one picture instead, a PNG without words"
+        "--still", type=Path, metavar="FILE", help="write a PNG image without text instead of a film"
     )
     parser.add_argument(
         "--at",
         type=_share,
         metavar="SHARE",
         default=1.0,
-        help="how much of the film is over then, from 0 to 1; 1",
+        help="position of the image in the film, from 0 to 1 (default: 1)",
     )
     args = parser.parse_intermixed_args(list(words))
 
@@ -66,7 +68,7 @@ def main(name: str, words: Sequence[str]) -> int:
             paths = render(film, args.folder / "animations", lambda: progress.advance(task))
     except BrokenPipeError:
         raise
-    except Exception as error:  # the settings in a manifest may be anything
+    except Exception as error:  # the manifest may hold invalid settings
         if hasattr(error, "exit_code"):
             raise
         raise ResultsError(f"{args.folder}: cannot be drawn: {error_line(error)}") from error

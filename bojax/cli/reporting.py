@@ -1,4 +1,4 @@
-"""`bojax report`: figures, tables and claims of results folders, rebuilt from their files."""
+"""`bojax report`: rebuilding the figures, tables and claims of results folders from their files."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -6,18 +6,18 @@ from pathlib import Path
 from bojax.cli.parser import Parser
 
 _EXAMPLES = """\
-  bojax report results/parking/20250101-120000       rebuild the report of a sweep
-  bojax report results/parking/*                     of several
+  bojax report results/parking/20250101-120000       the report of one folder
+  bojax report results/parking/*                     the reports of several folders
 """
 
 
 def main(name: str, words: Sequence[str]) -> int:
-    """Run the command."""
+    """Run the command and return its exit code."""
     parser = Parser(
         prog=f"bojax {name}",
         usage=f"bojax {name} DIR...",
         description="Draw the figures, decide the claims and write report.html of finished results folders.\n"
-        "Everything it writes is derived: the tables stay as they are.",
+        "The tables are not changed.",
         examples=_EXAMPLES,
     )
     parser.add_argument("folders", nargs="+", metavar="DIR", type=Path, help="results folders")

@@ -1,4 +1,4 @@
-"""`bojax run` and `bojax sweep`: validate everything, run it, write the report."""
+"""`bojax run` and `bojax sweep`: validating the input, running it and writing the report."""
 
 import os
 import re
@@ -17,22 +17,22 @@ from bojax.config.sweep import Sweep, load_config, load_sweep
 _DOTTED = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)+")
 
 _OVERRIDES = """\
-key=value sets one setting by its dotted path, whatever the order: planner.iterations=100 problem=parking.
-Values are YAML. A new kind (planner=sbo) drops the settings of the old one. engine.device=cpu, record.runs=2
-and the like work too. Results go to results/NAME/TIME, or to --out; nothing there is ever overwritten.
+key=value changes a setting by its dotted path, as in planner.iterations=100 problem=parking record.runs=2.
+Values are YAML. A new kind (planner=sbo) discards the settings of the old kind. The order has no effect.
+Results are written to results/NAME/TIME, or to --out. Existing results are never overwritten.
 """
 
 _RUN = """\
   bojax run parking                                  configs/parking.yaml
-  bojax run my.yaml planner=sbo planner.depth=2      a file, with changes
-  bojax run parking problem=mine:Field --runs 4      a problem of your own, from mine.py
+  bojax run my.yaml planner=sbo planner.depth=2      a file, with two settings changed
+  bojax run parking problem=mine:Field --runs 4      a custom problem, class Field of mine.py
 """
 
 _SWEEP = """\
-  bojax sweep parking                                sweeps/parking.yaml, and its report
-  bojax sweep fig-4.2 fig-4.6 --out results/paper    two sweeps, each in a folder of its own below
+  bojax sweep parking                                sweeps/parking.yaml
+  bojax sweep fig-4.2 fig-4.6 --out results/paper    two sweeps, in results/paper/fig-4.2 and .../fig-4.6
   bojax sweep parking --runs 20 planner.iterations=50
-  bojax sweep parking --resume                       go on with the newest unfinished one
+  bojax sweep parking --resume                       resume the newest unfinished sweep
 """
 
 
@@ -41,24 +41,24 @@ def main(name: str, words: Sequence[str]) -> int:
     args = _parser(name).parse_intermixed_args(list(words))
     overrides = [word for word in args.words if "=" in word and not os.path.isfile(word)]
     sources = [word for word in args.words if word not in overrides]
-    parse_overrides(overrides)  # refused before the sources: a value that the shell has cut leaves words over
+    parse_overrides(overrides)  # before the sources: the shell may have split a value into words
     for word, value in pairwise(sources):
         if _DOTTED.fullmatch(word) and not word.endswith(SUFFIXES):
             raise UsageError(f"bojax {name}: got {word} {value}; did you mean {word}={value}?")
     if not sources or (name == "run" and len(sources) > 1):
-        expected = "one config" if name == "run" else "at least one sweep"
+        allowed = "one config" if name == "run" else "one sweep or more"
         got = ", ".join(sources) or "none"
-        raise UsageError(f"bojax {name}: got {got}; {expected} is expected (bojax list shows what there is)")
+        raise UsageError(f"bojax {name}: got {got}; allowed: {allowed} (bojax list shows the names)")
     load = load_config if name == "run" else load_sweep
     sweeps = [load(source, overrides, args.runs, args.seed) for source in sources]
     names = [sweep.name for sweep in sweeps]
-    if twins := {twin for twin in names if names.count(twin) > 1}:
-        raise UsageError(f"bojax {name}: {min(twins)} stands there twice")
+    if duplicates := {each for each in names if names.count(each) > 1}:
+        raise UsageError(f"bojax {name}: got {min(duplicates)} twice; allowed: distinct sweeps")
     folder = "configs" if name == "run" else "sweeps"
     for source in sources:
         if hidden := shadowed(source, folder):
             own = display(find(source, folder))
-            print(printable(f"note: {own} stands in the place of {hidden}, which differs"), file=sys.stderr)
+            print(printable(f"note: {own} hides {hidden}, which differs"), file=sys.stderr)
     return _run([_resolve(sweep) for sweep in sweeps], args, ["bojax", name, *words])
 
 
@@ -68,23 +68,23 @@ def _parser(name: str) -> Parser:
         prog=f"bojax {name}",
         usage=f"bojax {name} {'CONFIG' if is_run else 'SWEEP...'} [key=value ...] [--runs N] [--seed S] "
         "[--out DIR] [--resume]",
-        description=("Run one experiment.\n\n" if is_run else "Run sweeps and write a report of each.\n\n")
+        description=("Run one experiment.\n\n" if is_run else "Run sweeps and write their reports.\n\n")
         + _OVERRIDES,
         examples=_RUN if is_run else _SWEEP,
     )
-    what = "a file, or a name in configs/" if is_run else "files, or names in sweeps/"
+    source = "a file, or a name in configs/" if is_run else "files, or names in sweeps/"
     parser.add_argument(
-        "words", nargs="*", metavar="CONFIG" if is_run else "SWEEP", help=f"{what}, and settings to change"
+        "words", nargs="*", metavar="CONFIG" if is_run else "SWEEP", help=f"{source}, and settings to change"
     )
-    parser.add_argument("--runs", type=integer, metavar="N", help="runs of every point")
-    parser.add_argument("--seed", type=integer, metavar="S", help="seed of all random numbers")
+    parser.add_argument("--runs", type=integer, metavar="N", help="number of runs of each point")
+    parser.add_argument("--seed", type=integer, metavar="S", help="seed of the keys of all runs")
     parser.add_argument("--out", type=Path, metavar="DIR", help="results folder, new or empty")
-    parser.add_argument("--resume", action="store_true", help="go on with an interrupted run")
+    parser.add_argument("--resume", action="store_true", help="resume an interrupted or failed sweep")
     return parser
 
 
 def _resolve(sweep: Sweep) -> Sweep:
-    """Import the modules that the sweep names; this runs the user's code, so JAX is set up before."""
+    """Import the modules that the sweep names. This runs the user's code, so JAX is configured first."""
     from bojax.config.external import imports_code, resolve
 
     if not imports_code(sweep):
@@ -98,7 +98,7 @@ def _resolve(sweep: Sweep) -> Sweep:
 def _run(sweeps: Sequence[Sweep], args: Namespace, command: list[str]) -> int:
     from bojax.engine.signals import StopRequest
 
-    # While JAX is imported, a KeyboardInterrupt can be raised inside a callback, which discards it.
+    # During the import of JAX, a callback can raise a KeyboardInterrupt, which is discarded there.
     with StopRequest(announce=lambda _: None) as stop:
         from bojax.engine.run import run_sweep
     if stop:

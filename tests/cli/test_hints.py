@@ -56,7 +56,7 @@ HINTS = {
         "got 1000.0; allowed: an integer (write 1000)",
     ),
     "a fraction": (["run", "parking", "planner.iterations=1.5"], "got 1.5; allowed: an integer\n"),
-    "a float for an option": (["run", "parking", "--runs", "1e3"], "an integer is expected: write 1000"),
+    "a float for an option": (["run", "parking", "--runs", "1e3"], "allowed: an integer (write 1000)"),
 }
 
 
@@ -84,5 +84,5 @@ def test_a_file_that_hides_a_shipped_one_is_mentioned(ran, write, capsys, comman
     for source, is_mentioned in (("two-pits", True), (f"{folder}/two-pits.yaml", False)):
         assert main([command, source]) == 1
         err = capsys.readouterr().err
-        assert err.startswith(f"note: {folder}/two-pits.yaml stands in the place of ") is is_mentioned
+        assert err.startswith(f"note: {folder}/two-pits.yaml hides ") is is_mentioned
         assert err.count("\n") == is_mentioned

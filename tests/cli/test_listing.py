@@ -45,7 +45,7 @@ def test_a_setting_has_type_default_and_unit(listed):
 def test_configs_and_sweeps_say_how_to_start_them(listed):
     out = listed("parking")
     assert "bojax run parking" in out and "bojax sweep parking" in out
-    assert "the same as fig-4.6" in out
+    assert "alias of fig-4.6" in out
 
 
 def test_a_group(listed):
@@ -58,4 +58,4 @@ def test_a_broken_file_does_not_hide_the_others(listed, tmp_path, monkeypatch):
     (tmp_path / "configs").mkdir()
     (tmp_path / "configs" / "mine.yaml").write_text("a: [")
     out = listed("configs")
-    assert "(broken: configs/mine.yaml" in out and "Robot parking" in out
+    assert "(invalid: configs/mine.yaml" in out and "Robot parking" in out
