@@ -226,4 +226,6 @@ def _changes(old: Any, new: Any, path: str = ""):
 
 def _short(value: Any) -> str:
     text = str(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
+    if len(text) <= 60:
+        return text
+    return f"a list of {len(value)}" if isinstance(value, list) else f"{text[:57]}..."

@@ -87,6 +87,7 @@ def test_life_of_a_folder(tmp_path):
         ({"config": {"planner": {"kind": "sbo", "iterations": 300}}}, "config.planner.kind: kcbts -> sbo"),
         ({"config": {"planner": {"kind": "kcbts"}}}, "config.planner.iterations: 300 -> None"),
         ({"extra": [1, 2]}, r"extra: None -> \[1, 2\]"),
+        ({"extra": [1] * 100}, "extra: None -> a list of 100;"),
     ],
 )
 def test_changes_are_named(tmp_path, change, named):
