@@ -1,5 +1,7 @@
 """`bojax render`: a film or a still of a recorded run, from the files of a results folder."""
 
+import math
+from argparse import ArgumentTypeError
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -76,8 +78,11 @@ def main(name: str, words: Sequence[str]) -> int:
     return 0
 
 
-def _share(word: str) -> float:
-    value = float(word)
+def _share(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
     if not 0.0 <= value <= 1.0:
-        raise ValueError(word)
+        raise ArgumentTypeError(f"got {text}; allowed: a number from 0 to 1")
     return value

@@ -76,9 +76,15 @@ def _parser(name: str) -> Parser:
     parser.add_argument(
         "words", nargs="*", metavar="CONFIG" if is_run else "SWEEP", help=f"{source}, and settings to change"
     )
-    parser.add_argument("--runs", type=integer, metavar="N", help="number of runs of each point")
-    parser.add_argument("--seed", type=integer, metavar="S", help="seed of the keys of all runs")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="results folder, new or empty")
+    parser.add_argument(
+        "--runs", type=integer, metavar="N", help="number of runs of each point (default: as in the file)"
+    )
+    parser.add_argument(
+        "--seed", type=integer, metavar="S", help="seed of the keys of all runs (default: as in the file)"
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="results folder, new or empty (default: results/NAME/TIME)"
+    )
     parser.add_argument("--resume", action="store_true", help="resume an interrupted or failed sweep")
     return parser
 

@@ -36,6 +36,8 @@ MISTAKES = {
     ),
     "an abbreviated option": (["run", "parking", "--run=3"], 'unknown option --run; did you mean "--runs"?'),
     "no integer": (["run", "parking", "--runs", "x"], "--runs: got x; allowed: an integer"),
+    "no share": (["render", "x", "--at", "half"], "--at: got half; allowed: a number from 0 to 1"),
+    "a share above 1": (["render", "x", "--at", "2"], "--at: got 2; allowed: a number from 0 to 1"),
     "no value": (["run", "parking", "--runs"], "--runs: expected one argument"),
     "no runs": (["run", "parking", "--runs", "0"], "command line: runs: got 0; allowed: >= 1"),
     "a negative seed": (["sweep", "parking", "--seed", "-1"], "command line: seed: got -1; allowed: >= 0"),
