@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from bojax.config.component import merged, registry
-from bojax.config.errors import ConfigError, shown
+from bojax.config.errors import ConfigError, dotted, shown
 from bojax.config.limits import POINTS
 from bojax.config.overrides import Override, apply, assign
 from bojax.config.places import look_up
@@ -42,7 +42,7 @@ class Choice:
             if place and place.kind and not isinstance(below, str):
                 below = {"kind": place.kind} | (below or {})
             value = merged(below, value) if below is not None else value
-        return assign(experiment, self.axis, value, f"{source}: axes.{'.'.join(self.axis)}")
+        return assign(experiment, self.axis, value, f"{source}: axes.{dotted(self.axis)}")
 
     def sets(self, path: Path) -> bool:
         """Whether this choice sets the value at `path`, or a value below it."""
@@ -128,9 +128,9 @@ def split_overrides(
         axes = {choice.axis for choice in combinations[0] if _is_prefix(choice.axis, override.path)}
         for choice in itertools.chain.from_iterable(combinations):
             if choice.axis in axes and choice.sets(override.path):
-                where = ".".join(choice.axis) + (f".{choice.name}" if choice.name else "")
+                where = dotted(choice.axis) + (f".{choice.name}" if choice.name else "")
                 raise ConfigError(
-                    f"command line: {'.'.join(override.path)}: got {shown(override.value)}; "
+                    f"command line: {dotted(override.path)}: got {shown(override.value)}; "
                     f"a swept key cannot be overridden (axes.{where} in {source})"
                 )
         (below if axes else base).append(override)
@@ -183,7 +183,7 @@ def _refuse_overlap(axes: Sequence[Path], source: str) -> None:
     """Refuse an axis that sets a parent of what an earlier axis sets."""
     for first, second in itertools.permutations(axes, 2):
         if _is_prefix(first, second) and axes.index(first) > axes.index(second):
-            outer, inner = f"axes.{'.'.join(first)}", f"axes.{'.'.join(second)}"
+            outer, inner = f"axes.{dotted(first)}", f"axes.{dotted(second)}"
             raise ConfigError(f"{source}: {outer}: overwrites {inner}; allowed: {outer} before {inner}")
 
 

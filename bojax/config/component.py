@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterator, Mapping
 from typing import Any, ClassVar, Literal, get_args, get_origin
 
 import pydantic
+from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 from typing_extensions import override
 
@@ -203,9 +204,13 @@ def _mapping(value: Any) -> Any:
 def slots(schema: type[pydantic.BaseModel]) -> Iterator[tuple[str, Slot]]:
     """The fields of a schema that hold a component, with their slots."""
     for name, field in schema.model_fields.items():
-        for mark in field.metadata:
-            if isinstance(mark, Slot):
-                yield name, mark
+        if slot := slot_of(field):
+            yield name, slot
+
+
+def slot_of(field: FieldInfo) -> Slot | None:
+    """The slot of a field that holds a component; None for a plain setting."""
+    return next((mark for mark in field.metadata if isinstance(mark, Slot)), None)
 
 
 def merged(base: Any, new: Any) -> Any:

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 import pydantic
 from pydantic.fields import FieldInfo
 
-from bojax.config.component import Registered, Slot
+from bojax.config.component import Registered, slot_of
 from bojax.config.errors import shown
 
 
@@ -48,8 +48,7 @@ _SIGNS = {"ge": ">=", "gt": ">", "le": "<=", "lt": "<"}
 
 
 def _type(field: FieldInfo) -> str:
-    slot = next((mark for mark in field.metadata if isinstance(mark, Slot)), None)
-    if slot is not None:
+    if slot := slot_of(field):
         return f"{slot.role} | null" if slot.optional else slot.role
     bounds = [
         f"{sign} {getattr(mark, name):.15g}"

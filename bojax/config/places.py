@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from bojax.config.component import Component, Slot, registry
+from bojax.config.component import Component, registry, slot_of
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ def look_up(experiment: Mapping[str, Any], path: Sequence[str]) -> Place | None:
         field = schema.model_fields[name]
         default = getattr(default if isinstance(default, schema) else None, name, field.default)
         raw = raw.get(name) if isinstance(raw, Mapping) else None
-        slot = next((mark for mark in field.metadata if isinstance(mark, Slot)), None)
+        slot = slot_of(field)
         if slot is None:
             return Place() if depth == len(path) - 1 else None
         kind = raw.get("kind") if isinstance(raw, Mapping) else raw

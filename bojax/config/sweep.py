@@ -331,7 +331,7 @@ def _assemble(
 
 def _point(index: int, config: Component, combination: Combination) -> Point:
     swept = {
-        ".".join(choice.axis): _value_at(config, choice.axis, choice.value)
+        dotted(choice.axis): _value_at(config, choice.axis, choice.value)
         if choice.name is None
         else choice.name
         for choice in combination
