@@ -14,7 +14,7 @@ _HULL, _MOON, _FLAME = "#8296A6", "#ECEFF1", "#E69F00"
 
 
 class LunarLander(Scene):
-    """The hull on its legs, with flames of the engines that are on; the goal is for the centre of the hull."""
+    """The hull on its legs, with flames of the engines that are on; the goal is one for its centre."""
 
     time_step = geometry.TIME_STEP
 
