@@ -15,7 +15,8 @@ from bojax.config.axes import Combination, expand, read_axes, split_overrides
 from bojax.config.changed import changed_settings
 from bojax.config.claims import Claim
 from bojax.config.component import Component, Schema, Slot, merged
-from bojax.config.errors import ConfigError, Location, dotted, from_validation, one_of, shown
+from bojax.config.errors import ConfigError, Location, did_you_mean, dotted, from_validation, one_of, shown
+from bojax.config.figures import TABLES, figure_modules
 from bojax.config.files import SUFFIXES, display, find, shipped
 from bojax.config.limits import RUNS
 from bojax.config.origin import Origin
@@ -356,6 +357,13 @@ def _check_claims(sweep: Sweep, file: str) -> None:
             f"{file}: report.relative_to: got {shown(relative_to)}; unknown variant"
             f"{one_of(relative_to, variants)}"
         )
+    figures = [*figure_modules(), *TABLES]
+    for name in sweep.report.get("figures", ()):
+        if name not in figures:
+            raise ConfigError(
+                f"{file}: report.figures: got {shown(name)}; allowed: {', '.join(figures)}"
+                f"{did_you_mean(name, figures)}"
+            )
     seen = set()
     for index, claim in enumerate(sweep.claims):
         where = f"{file}: claims.{index}"

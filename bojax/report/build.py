@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Any
 
 from bojax.config.component import External
+from bojax.config.figures import TABLES, figure_modules
 from bojax.report import style
 from bojax.report.claims.evaluate import evaluate
-from bojax.report.figures import FIGURES
-from bojax.report.figures.base import Undrawable
+from bojax.report.drawing.base import Undrawable
+from bojax.report.figures import draw, ranked
 from bojax.report.manifest import Unread
 from bojax.report.page import Plate, plate, render
 from bojax.report.source import Results, load
@@ -17,9 +18,6 @@ from bojax.report.tables import count_nan_runs, thesis_gaps
 from bojax.report.text import counted, joined
 from bojax.results.store import ResultsError, explained, write_atomically
 from bojax.text import error_line
-
-_TABLES = ("latency",)
-"""Names allowed in `report.figures` for tables, which every page has."""
 
 
 def build_report(folders: Sequence[Path], at: Callable[[str], None] = lambda stage: None) -> Path:
@@ -58,7 +56,7 @@ def _build(folder: Path, at: Callable[[str], None]) -> Path:
     figures = folder / "figures"
     with explained(figures):
         figures.mkdir(exist_ok=True)
-    for name in FIGURES:
+    for name in figure_modules():
         for suffix in ("png", "svg"):
             path = figures / f"{name}.{suffix}"
             if name in images:
@@ -75,19 +73,19 @@ def _build(folder: Path, at: Callable[[str], None]) -> Path:
 def _figures(results: Results, at: Callable[[str], None]) -> tuple[dict[str, Any], list[Plate], list[str]]:
     """Image files by figure, the figures of the page, and notes on figures that are missing."""
     asked = results.report.figures
-    names = list(dict.fromkeys(asked or FIGURES))
+    names = list(dict.fromkeys(asked or ranked()))
     images, plates, notes = {}, [], []
     missing: list[str] = []
     for name in names:
-        if name in _TABLES:
+        if name in TABLES:
             continue
-        if name not in FIGURES:
-            notes.append(f"No figure is called {name}: the figures are {joined(list(FIGURES))}.")
+        if name not in figure_modules():
+            notes.append(f"No figure is called {name}: the figures are {joined(list(figure_modules()))}.")
             continue
         at(f"figure {name}")
         try:
             with style.settings() as unwritten:
-                drawing = FIGURES[name](results)
+                drawing = draw(name, results)
                 images[name] = style.encode(drawing.figure)
             missing += unwritten
         except Undrawable as reason:

@@ -7,9 +7,9 @@ import pytest
 from matplotlib.patches import Rectangle
 
 from bojax.report import style
-from bojax.report.figures import FIGURES
-from bojax.report.figures.base import Undrawable
-from bojax.report.figures.maps import beliefs
+from bojax.report.drawing.base import Undrawable
+from bojax.report.drawing.maps import beliefs
+from bojax.report.figures import draw
 from bojax.report.source import load
 from tests.report.synthetic import edit_manifest, write_monitoring
 
@@ -29,7 +29,7 @@ def results(tmp_path_factory):
 
 def drawing(results, name):
     with style.settings():
-        drawn = FIGURES[name](results)
+        drawn = draw(name, results)
         style.encode(drawn.figure)
         return drawn
 

@@ -7,10 +7,10 @@ import pytest
 
 from bojax.report import tables
 from bojax.report.build import build_report
-from bojax.report.figures import FIGURES
-from bojax.report.figures.base import Undrawable
+from bojax.report.drawing.base import Undrawable
+from bojax.report.drawing.swept import curves_over
+from bojax.report.figures import draw
 from bojax.report.figures.learning_curves import rolling_mean
-from bojax.report.figures.sweep_curve import curves_over
 from bojax.report.source import load
 from bojax.report.style import settings
 from tests.report.synthetic import edit_manifest, write_learning, write_results
@@ -39,7 +39,7 @@ def chains(tmp_path_factory):
 
 def drawn(name, results):
     with settings():
-        return FIGURES[name](results)
+        return draw(name, results)
 
 
 def heights(axes, place=0):
@@ -203,16 +203,16 @@ class TestSweptNumber:
 
     def test_without_a_number_there_is_no_such_figure(self, folder):
         with pytest.raises(Undrawable, match="no number to draw over"):
-            FIGURES["sweep-curve"](load(folder))
+            draw("sweep-curve", load(folder))
 
 
 @pytest.mark.parametrize("name", ["accumulated-reward", "success", "paths", "errors", "beliefs", "settings"])
 def test_figures_of_planning_are_not_drawn_of_learners(name, chains):
     with pytest.raises(Undrawable):
-        FIGURES[name](chains)
+        draw(name, chains)
 
 
 @pytest.mark.parametrize("name", [*LEARNING, "growth", "sweep-curve"])
 def test_figures_of_learning_are_not_drawn_of_planners(name, tmp_path):
     with pytest.raises(Undrawable):
-        FIGURES[name](load(write_results(tmp_path / "results", runs=3)))
+        draw(name, load(write_results(tmp_path / "results", runs=3)))

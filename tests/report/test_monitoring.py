@@ -12,11 +12,11 @@ from bojax.config.component import registry
 from bojax.config.sweep import Report
 from bojax.report import style
 from bojax.report.build import build_report
-from bojax.report.figures import FIGURES
-from bojax.report.figures.base import Undrawable
+from bojax.report.drawing.base import Undrawable
+from bojax.report.drawing.domains import draw_outline
+from bojax.report.drawing.maps import beliefs, draw_map
+from bojax.report.figures import draw
 from bojax.report.figures.beliefs import _maps, _norms
-from bojax.report.figures.domains import draw_outline
-from bojax.report.figures.maps import beliefs, draw_map
 from bojax.report.figures.paths import stops
 from bojax.report.source import Results, load
 from bojax.report.tables import outcomes, ratios, thesis_gaps
@@ -43,7 +43,7 @@ def page(folder):
 
 def drawing(results, name):
     with style.settings():
-        return FIGURES[name](results)
+        return draw(name, results)
 
 
 def legend(figure):

@@ -3,20 +3,16 @@ import re
 import subprocess
 import sys
 from html.parser import HTMLParser
-from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-import yaml
 
 from bojax.report.build import build_report
-from bojax.report.figures import FIGURES
 from bojax.results.store import ResultsError
 from tests.report.synthetic import BEHAVIOUR, edit_manifest, write_results
 
-SWEEPS = Path(__file__).parents[2] / "sweeps"
 DRAWN = ["accumulated-reward", "success", "returns", "paths"]
 
 
@@ -253,14 +249,3 @@ def test_reports_are_made_without_jax_and_without_pyplot(folder):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
-
-
-@pytest.mark.parametrize("sweep", sorted(SWEEPS.glob("*.yaml")), ids=lambda path: path.stem)
-def test_the_sweeps_ask_for_figures_that_exist(sweep):
-    report = yaml.safe_load(sweep.read_text()).get("report", {})
-    assert set(report.get("figures", [])) <= {*FIGURES, "latency"}
-
-
-def test_default_figures_are_those_of_the_registry():
-    assert list(FIGURES)[0] == "accumulated-reward"
-    assert set(DRAWN) < set(FIGURES)

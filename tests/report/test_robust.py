@@ -13,8 +13,8 @@ import pytest
 from bojax.cli.main import main
 from bojax.report import dark, progress, statistics, style
 from bojax.report.build import build_report
-from bojax.report.figures import FIGURES
-from bojax.report.figures.base import Drawing
+from bojax.report.drawing.base import Drawing
+from bojax.report.figures import draw
 from bojax.report.source import load
 from bojax.results.outline import Outline
 from bojax.results.store import ResultsError
@@ -59,7 +59,7 @@ def test_an_exception_in_a_figure_is_a_note(tmp_path, monkeypatch):
     def fail(results):
         raise ZeroDivisionError("of my own")
 
-    monkeypatch.setitem(FIGURES, "returns", fail)
+    monkeypatch.setattr("bojax.report.figures.returns.draw", fail)
     folder = write_results(tmp_path / "results", runs=2, recorded=0)
     text = build_report([folder]).read_text()
     assert "The figure returns could not be drawn: ZeroDivisionError: of my own." in text
@@ -121,7 +121,7 @@ def test_other_warnings_of_a_figure_are_shown(tmp_path, monkeypatch):
         warnings.warn("something else", stacklevel=2)
         return Drawing(style.figure(1.0)[0], "title", "caption", "alternative text of the figure")
 
-    monkeypatch.setitem(FIGURES, "returns", warn)
+    monkeypatch.setattr("bojax.report.figures.returns.draw", warn)
     folder = write_results(tmp_path / "results", runs=2, recorded=0, report={"figures": ["returns"]})
     with pytest.warns(UserWarning, match="something else"):
         build_report([folder])
@@ -198,7 +198,7 @@ def test_a_gallery_has_no_column_of_nans(tmp_path):
 def drawn_labels(folder):
     results = load(folder)
     with style.settings():
-        figure = FIGURES["paths"](results).figure
+        figure = draw("paths", results).figure
     return [text.get_text() for text in figure.legends[0].get_texts()], figure.axes[0].patches
 
 
@@ -246,7 +246,7 @@ def test_outlines_are_plain_numbers():
 
 def test_the_intervals_hide_no_dots(tmp_path):
     results = load(write_results(tmp_path / "results", runs=40, recorded=0))
-    axes = FIGURES["returns"](results).figure.axes[0]
+    axes = draw("returns", results).figure.axes[0]
     bars = [line.get_ydata()[0] for line in axes.lines]
     dots = [points.get_offsets()[:, 1] for points in axes.collections[::2]]
     for row, (bar, heights) in enumerate(zip(bars, dots, strict=True)):

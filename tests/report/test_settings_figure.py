@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from bojax.report.figures.base import Undrawable
-from bojax.report.figures.settings_compared import _curve_names, _short, marginals, values_of
+from bojax.report.drawing.base import Undrawable
+from bojax.report.figures.settings_ import _curve_names, _short, marginals, values_of
 from tests.report.synthetic import point_of
 
 

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 
 from bojax.report import style, text
-from bojax.report.figures.curves import step_ticks
+from bojax.report.drawing.curves import step_ticks
+from bojax.report.drawing.smooth import smooth
 from bojax.report.figures.returns import swarm
-from bojax.report.figures.smooth import smooth
 
 
 def test_labels_are_spread_no_further_than_needed():

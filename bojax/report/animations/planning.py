@@ -18,9 +18,9 @@ from typing_extensions import override
 from bojax.config.component import Component, External
 from bojax.report.animations.drive import Drive, Leg
 from bojax.report.animations.film import MAX_FRAMES, SLOWEST, STILL, Film, blank, photograph, slug
-from bojax.report.figures.domains import draw_outline
-from bojax.report.figures.maps import QUIET, draw_map
-from bojax.report.figures.smooth import smooth
+from bojax.report.drawing.domains import draw_outline
+from bojax.report.drawing.maps import QUIET, draw_map
+from bojax.report.drawing.smooth import smooth
 from bojax.report.statistics import Floats
 from bojax.report.style import BLUE, INK, ORANGE
 from bojax.results.store import ResultsError

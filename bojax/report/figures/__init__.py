@@ -1,43 +1,33 @@
-"""The figures of a report: one function in one file each, and one line here."""
+"""The figures of a report, one file each: the figure `steps-to-goal` is `steps_to_goal.py`.
 
-from collections.abc import Mapping
+The module of a figure defines two names:
 
-from bojax.report.figures import (
-    accumulated_reward,
-    beliefs,
-    error_map,
-    errors,
-    learning_curves,
-    paths,
-    returns,
-    settings_compared,
-    solved,
-    steps_to_goal,
-    success,
-    surfaces,
-    sweep_curve,
-    trajectories,
-    value_maps,
-)
-from bojax.report.figures.base import Draw
+- `draw(results)` returns a `bojax.report.drawing.base.Drawing`, or raises `Undrawable` with the reason why
+  these results do not allow the figure.
+- `RANK` is its position on the page of a sweep that does not list its figures; the lowest comes first.
+"""
 
-FIGURES: Mapping[str, Draw] = {
-    "accumulated-reward": accumulated_reward.draw,
-    "success": success.draw,
-    "learning-curves": learning_curves.draw,
-    "success-episodes": success.draw_episodes,
-    "solved-episodes": solved.draw,
-    "steps-to-goal": steps_to_goal.draw,
-    "value-maps": value_maps.draw,
-    "growth": sweep_curve.draw_growth,
-    "sweep-curve": sweep_curve.draw,
-    "returns": returns.draw,
-    "errors": errors.draw,
-    "paths": paths.draw,
-    "beliefs": beliefs.draw,
-    "surfaces": surfaces.draw,
-    "error-map": error_map.draw,
-    "trajectories": trajectories.draw,
-    "settings": settings_compared.draw,
-}
-"""By the name that a sweep's `report.figures` uses, which is also the name of the file."""
+import importlib
+from types import ModuleType
+
+from bojax.config.figures import figure_modules
+from bojax.report.drawing.base import Drawing
+from bojax.report.source import Results
+
+
+def draw(name: str, results: Results) -> Drawing:
+    """Draw a figure; its module is imported only now.
+
+    Raises:
+        Undrawable: The results do not allow the figure.
+    """
+    return _module(name).draw(results)
+
+
+def ranked() -> list[str]:
+    """The names of all figures, in the order of a page."""
+    return sorted(figure_modules(), key=lambda name: _module(name).RANK)
+
+
+def _module(name: str) -> ModuleType:
+    return importlib.import_module(figure_modules()[name])

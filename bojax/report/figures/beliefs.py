@@ -8,12 +8,14 @@ from matplotlib.colors import Normalize
 from matplotlib.ticker import MaxNLocator
 
 from bojax.report import style
-from bojax.report.figures.base import Drawing, Undrawable, drawn_points
-from bojax.report.figures.domains import draw_outline
-from bojax.report.figures.maps import Belief, beliefs, draw_map
+from bojax.report.drawing.base import Drawing, Undrawable, drawn_points
+from bojax.report.drawing.domains import draw_outline
+from bojax.report.drawing.maps import Belief, beliefs, draw_map
 from bojax.report.source import Results
 from bojax.report.statistics import Floats
 from bojax.report.text import joined, number
+
+RANK = 130
 
 MAX_ROWS = 6
 """More rows than this do not fit a screen: then the best point of each label is drawn."""

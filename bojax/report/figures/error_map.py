@@ -5,12 +5,13 @@ from matplotlib.colors import Normalize
 from matplotlib.patches import Rectangle
 
 from bojax.report import style
-from bojax.report.figures.base import Drawing, panel_grid
-from bojax.report.figures.domains import draw_outline
-from bojax.report.figures.maps import draw_map
-from bojax.report.figures.surfaces import height_maps
+from bojax.report.drawing.base import Drawing, panel_grid
+from bojax.report.drawing.domains import draw_outline
+from bojax.report.drawing.maps import draw_map, height_maps
 from bojax.report.source import Results
 from bojax.report.text import joined, number
+
+RANK = 150
 
 MAX_MAPS = 6
 """More maps than this do not fit a screen: then the best point of each label is drawn."""

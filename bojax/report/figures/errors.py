@@ -8,9 +8,11 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from bojax.report import statistics, style
-from bojax.report.figures.base import Drawing, Undrawable, drawn_points
+from bojax.report.drawing.base import Drawing, Undrawable, drawn_points
 from bojax.report.source import Point, Results
 from bojax.report.text import counted, number
+
+RANK = 110
 
 MEASURES = {
     "rmse": "RMSE: root mean square error",

@@ -6,10 +6,12 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from bojax.report import statistics, style
-from bojax.report.figures.base import Drawing, Undrawable, drawn_points
-from bojax.report.figures.curves import Band, add_curves, add_names, curve_figure
+from bojax.report.drawing.base import Drawing, Undrawable, drawn_points
+from bojax.report.drawing.curves import Band, add_curves, add_names, curve_figure
 from bojax.report.source import Point, Results
 from bojax.report.text import counted, number
+
+RANK = 30
 
 _PANELS = {"train": "return", "test": "return of tests"}
 _TAIL = 0.05

@@ -11,13 +11,15 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from bojax.report import style
-from bojax.report.figures.base import Drawing, Undrawable, drawn_points, panel_grid
-from bojax.report.figures.domains import TARGET, WALL, draw_outline, is_speck
-from bojax.report.figures.maps import QUIET, beliefs, draw_map
-from bojax.report.figures.smooth import smooth
+from bojax.report.drawing.base import Drawing, Undrawable, drawn_points, panel_grid
+from bojax.report.drawing.domains import TARGET, WALL, draw_outline, is_speck
+from bojax.report.drawing.maps import QUIET, beliefs, draw_map
+from bojax.report.drawing.smooth import smooth
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats
 from bojax.report.text import counted
+
+RANK = 120
 
 EXAMPLES = 2
 """Runs of each outcome in a panel: more cross too often to be followed."""

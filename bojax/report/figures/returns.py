@@ -4,9 +4,11 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 
 from bojax.report import statistics, style
-from bojax.report.figures.base import Drawing, Undrawable, drawn_points
+from bojax.report.drawing.base import Drawing, Undrawable, drawn_points
 from bojax.report.source import Results
 from bojax.report.text import number
+
+RANK = 100
 
 _BINS = 90
 _HALF_ROW = 0.38

@@ -3,10 +3,12 @@
 import numpy as np
 
 from bojax.report import statistics
-from bojax.report.figures.base import Drawing, Undrawable, drawn_points
-from bojax.report.figures.curves import add_curves, add_names, curve_figure
+from bojax.report.drawing.base import Drawing, Undrawable, drawn_points
+from bojax.report.drawing.curves import add_curves, add_names, curve_figure
 from bojax.report.source import Results
 from bojax.report.text import number
+
+RANK = 60
 
 
 def draw(results: Results) -> Drawing:

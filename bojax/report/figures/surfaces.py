@@ -8,38 +8,20 @@ from matplotlib import colormaps
 from matplotlib.colors import LightSource, Normalize
 from scipy.interpolate import RegularGridInterpolator
 
-from bojax.problems.settings import FieldProblem
 from bojax.report import style
-from bojax.report.figures.base import Drawing, Undrawable, drawn_points, panel_grid
-from bojax.report.figures.maps import Belief, beliefs
-from bojax.report.figures.smooth import smooth
-from bojax.report.source import Point, Results
+from bojax.report.drawing.base import Drawing, panel_grid
+from bojax.report.drawing.maps import Belief, height_maps
+from bojax.report.drawing.smooth import smooth
+from bojax.report.source import Results
 from bojax.report.statistics import Floats
 from bojax.report.text import joined, number
+
+RANK = 140
 
 MAX_MAPS = 5
 """More maps than this do not fit a screen: then the best point of each label is drawn."""
 
 _COLOURS = "YlGn_r"
-
-
-def height_maps(results: Results, most: int) -> tuple[list[tuple[Point, int, Belief]], str]:
-    """The first recorded map of each point that measures heights, and a sentence on what is left out.
-
-    Raises:
-        Undrawable: There is none.
-    """
-    points, note = drawn_points(results, most)
-    found = [
-        (point, *next(iter(maps.items())))
-        for point in points
-        if isinstance(point.problem, FieldProblem)
-        and point.problem.maps_heights
-        and (maps := beliefs(results, point))
-    ]
-    if not found:
-        raise Undrawable("no recorded map of heights in arrays/")
-    return found, note
 
 
 def draw(results: Results) -> Drawing:

@@ -3,10 +3,12 @@
 import numpy as np
 
 from bojax.report import style
-from bojax.report.figures.base import Drawing, Undrawable, drawn_points, panel_grid
-from bojax.report.figures.smooth import smooth
+from bojax.report.drawing.base import Drawing, Undrawable, drawn_points, panel_grid
+from bojax.report.drawing.smooth import smooth
 from bojax.report.source import Results
 from bojax.report.text import counted
+
+RANK = 160
 
 
 def draw(results: Results) -> Drawing:

@@ -13,10 +13,12 @@ from matplotlib.ticker import MaxNLocator
 from bojax.envs.settings import EnvironmentSettings
 from bojax.report import style
 from bojax.report.columns import Columns
-from bojax.report.figures.base import Drawing, Undrawable
+from bojax.report.drawing.base import Drawing, Undrawable
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats
 from bojax.report.text import joined, number
+
+RANK = 70
 
 MAX_ROWS = 3
 MAX_COLUMNS = 4

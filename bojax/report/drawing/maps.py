@@ -9,6 +9,8 @@ from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.image import AxesImage
 from matplotlib.patches import Rectangle
 
+from bojax.problems.settings import FieldProblem
+from bojax.report.drawing.base import Undrawable, drawn_points
 from bojax.report.snapshots import BELIEF
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats
@@ -23,6 +25,25 @@ def beliefs(results: Results, point: Point) -> dict[int, Belief]:
     """The final beliefs recorded of a point, by run; those without a true field are left out."""
     found = results.arrays(point, "belief")
     return {run: arrays for run, arrays in found if BELIEF <= arrays.keys()}
+
+
+def height_maps(results: Results, most: int) -> tuple[list[tuple[Point, int, Belief]], str]:
+    """The first recorded map of each point that measures heights, and a sentence on what is left out.
+
+    Raises:
+        Undrawable: There is none.
+    """
+    points, note = drawn_points(results, most)
+    found = [
+        (point, *next(iter(maps.items())))
+        for point in points
+        if isinstance(point.problem, FieldProblem)
+        and point.problem.maps_heights
+        and (maps := beliefs(results, point))
+    ]
+    if not found:
+        raise Undrawable("no recorded map of heights in arrays/")
+    return found, note
 
 
 def draw_map(axes: Axes, belief: Belief, values: Floats, norm: Normalize, cmap: Any) -> AxesImage:

@@ -6,9 +6,11 @@ from typing import Any
 import numpy as np
 
 from bojax.report import style
-from bojax.report.figures.base import Drawing, Undrawable, panel_grid
+from bojax.report.drawing.base import Drawing, Undrawable, panel_grid
 from bojax.report.source import Point, Results
 from bojax.report.text import number
+
+RANK = 170
 
 MAX_PANELS = 8
 

@@ -1,0 +1,1 @@
+"""What figures and films share: the protocol of a figure, curves, maps, and the outline of a domain."""
