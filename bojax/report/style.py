@@ -11,10 +11,12 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.font_manager import fontManager
 from matplotlib.transforms import offset_copy
+from scipy.optimize import isotonic_regression
 
 from bojax.report.source import Point
 
@@ -186,7 +188,9 @@ def direct_labels(
     figure = axes.figure
     assert isinstance(figure, Figure)
     low, high = axes.get_ylim()
-    gap = 13.0 / (0.8 * figure.get_figheight() * 72) * (high - low)
+    spec = axes.get_subplotspec()
+    rows = 1 if spec is None else spec.get_gridspec().nrows
+    gap = 13.0 / (0.8 * figure.get_figheight() / rows * 72) * (high - low)
     places = spread(heights, gap, low + gap / 2, high - gap / 2)
     span = axes.get_xlim()[1] - axes.get_xlim()[0]
     for height, place, name, ink in zip(heights, places, names, colours, strict=True):
@@ -197,27 +201,24 @@ def direct_labels(
 
 
 def spread(heights: Sequence[float], gap: float, low: float, high: float) -> list[float]:
-    """Places as near to `heights` as a gap allows, in the same order, within the bounds if they fit."""
+    """The positions nearest to `heights` that keep their order and a gap, within the bounds if they fit."""
     order = np.argsort(np.asarray(heights, dtype=np.float64), kind="stable")
     offsets = gap * np.arange(len(order))
-    # Moving neighbours apart by a gap is isotonic regression of the heights less their offsets.
-    blocks: list[list[float]] = []
-    for position, index in enumerate(order):
-        blocks.append([heights[index] - offsets[position], 1.0])
-        while len(blocks) > 1 and blocks[-2][0] > blocks[-1][0]:
-            mean, count = blocks.pop()
-            blocks[-1][0] = (blocks[-1][0] * blocks[-1][1] + mean * count) / (blocks[-1][1] + count)
-            blocks[-1][1] += count
-    flat = np.repeat([block[0] for block in blocks], [int(block[1]) for block in blocks])
-    room = max(low, high - (offsets[-1] if len(order) else 0.0))
-    places = np.empty(len(order))
-    places[order] = np.clip(flat, low, room) + offsets
-    return [float(place) for place in places]
+    # Keeping a gap between neighbours is isotonic regression of the heights less their offsets.
+    shifted = isotonic_regression(np.asarray(heights, dtype=np.float64)[order] - offsets).x
+    positions = np.empty(len(order))
+    positions[order] = np.clip(shifted, low, max(low, high - offsets[-1])) + offsets
+    return positions.tolist()
 
 
 def wrapped(name: str, width: int) -> str:
     """A long name on several lines."""
     return "\n".join(textwrap.wrap(name, width)) or name
+
+
+def plain_ticks(axis: Axis) -> None:
+    """Tick labels written out in full, with thousands separators and minus signs."""
+    axis.set_major_formatter(lambda value, _: f"{value:,.10g}".replace("-", "\N{MINUS SIGN}"))
 
 
 def quiet_grid(axes: Axes, which: str = "y") -> None:

@@ -86,7 +86,7 @@ def _intervals(axes: Axes, points: tuple[Point, ...], intervals: list[statistics
         axes.scatter([interval.estimate], [row], s=24, color=look["color"], zorder=3)
     axes.set_ylim(len(points) - 0.5, -0.5)
     axes.xaxis.set_major_locator(MaxNLocator(nbins=3))
-    axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.10g}".replace("-", "\N{MINUS SIGN}"))
+    style.plain_ticks(axes.xaxis)
     axes.spines["left"].set_visible(False)
     style.quiet_grid(axes, "x")
     axes.tick_params(axis="y", length=0)

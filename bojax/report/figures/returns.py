@@ -42,7 +42,7 @@ def draw(results: Results) -> Drawing:
     for tick, look in zip(axes.get_yticklabels(), style.looks(points), strict=True):
         tick.set_color(look["color"])
     axes.spines["left"].set_visible(False)
-    axes.xaxis.set_major_formatter(lambda value, _: f"{value:,.10g}".replace("-", "\N{MINUS SIGN}"))
+    style.plain_ticks(axes.xaxis)
     axes.xaxis.set_major_locator(MaxNLocator(nbins=5))
     what = "final return of every run"
     if any(point.is_learning for point in points):
