@@ -6,12 +6,16 @@ Random numbers come from one fixed seed, so that the same table gives the same r
 from dataclasses import dataclass
 from functools import lru_cache
 from statistics import NormalDist
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import special
 
 Floats = NDArray[np.float64]
+
+Band: TypeAlias = tuple[Floats, Floats, Floats]
+"""Mean, lower and upper bound of every column of a table."""
 
 RESAMPLES = 10_000
 """Number of bootstrap resamples; it fixes the bounds of a 95% interval to about 1% of its width."""
@@ -129,7 +133,7 @@ def ratio_interval(numerator: ArrayLike, denominator: ArrayLike, *, level: float
     return Interval(float(table[:, 0].mean() / table[:, 1].mean()), float(low), float(high))
 
 
-def mean_band(values: ArrayLike, *, level: float = LEVEL) -> tuple[Floats, Floats, Floats]:
+def mean_band(values: ArrayLike, *, level: float = LEVEL) -> Band:
     """Mean, lower and upper bound of every column of `[n, columns]`: a pointwise bootstrap band.
 
     NaNs are left out; a column with fewer than two values has a mean but no band.
@@ -147,17 +151,31 @@ def mean_band(values: ArrayLike, *, level: float = LEVEL) -> tuple[Floats, Float
     return mean, low, high
 
 
-def wilson(successes: ArrayLike, trials: int, *, level: float = LEVEL) -> tuple[Floats, Floats]:
-    """Bounds of Wilson's score interval for a share (Wilson 1927, eq. 1), without continuity correction."""
-    count = np.asarray(successes, dtype=np.float64)
-    if trials == 0:
-        return np.full(count.shape, np.nan), np.full(count.shape, np.nan)
+def share_band(flags: ArrayLike, *, level: float = LEVEL) -> Band:
+    """Share, lower and upper bound of every column of `[n, columns]` of 0 and 1: a pointwise Wilson band.
+
+    A NaN is no value; a column without values is NaN.
+    """
+    table = np.asarray(flags, dtype=np.float64)
+    count, hits = np.isfinite(table).sum(axis=0), np.nansum(table, axis=0)
+    share = np.divide(hits, count, out=np.full(hits.shape, np.nan), where=count > 0)
+    return share, *wilson(hits, count, level=level)
+
+
+def wilson(successes: ArrayLike, trials: ArrayLike, *, level: float = LEVEL) -> tuple[Floats, Floats]:
+    """Bounds of Wilson's score interval for a share (Wilson 1927, eq. 1), without continuity correction.
+
+    NaN where there are no trials.
+    """
+    n = np.asarray(trials, dtype=np.float64)
+    n = np.where(n > 0, n, np.nan)
+    count = np.where(n > 0, np.asarray(successes, dtype=np.float64), np.nan)
     z = NormalDist().inv_cdf(0.5 + level / 2)
-    share = count / trials
-    centre = (share + z**2 / (2 * trials)) / (1 + z**2 / trials)
-    half = z * np.sqrt(share * (1 - share) / trials + z**2 / (4 * trials**2)) / (1 + z**2 / trials)
+    share = count / n
+    centre = (share + z**2 / (2 * n)) / (1 + z**2 / n)
+    half = z * np.sqrt(share * (1 - share) / n + z**2 / (4 * n**2)) / (1 + z**2 / n)
     # At 0 and n the bound equals the share exactly, which rounding must not change.
-    return np.where(count == 0, 0.0, centre - half), np.where(count == trials, 1.0, centre + half)
+    return np.where(count == 0, 0.0, centre - half), np.where(count == n, 1.0, centre + half)
 
 
 def share_interval(flags: ArrayLike, *, level: float = LEVEL) -> Interval:

@@ -10,6 +10,7 @@ from bojax.report.build import build_report
 from bojax.report.drawing.base import Undrawable
 from bojax.report.drawing.swept import curves_over
 from bojax.report.figures import draw
+from bojax.report.figures.growth import nearest_law
 from bojax.report.figures.learning_curves import rolling_mean
 from bojax.report.source import load
 from bojax.report.style import settings
@@ -131,7 +132,7 @@ class TestCurves:
         folder = write_learning(tmp_path / "results", tests=0, report={"rolling": 2})
         drawing = drawn("learning-curves", load(folder))
         np.testing.assert_allclose(heights(drawing.figure.axes[0])[:5], [-1, -1, -0.5, 0.5, 1])
-        assert "the mean over the last 2 episodes" in drawing.caption
+        assert "its mean over the last 2 episodes" in drawing.caption
         edit_manifest(folder, lambda manifest: manifest.update(report={}))
         assert "over the last" not in drawn("learning-curves", load(folder)).caption
 
@@ -145,7 +146,7 @@ class TestCurves:
         results.episodes["return"] = np.where(bad, -1000.0, results.episodes["return"])
         drawing = drawn("learning-curves", results)
         assert drawing.figure.axes[0].get_ylim()[0] > -10
-        assert "What lies beyond the axis is cut off." in drawing.caption
+        assert "Extreme values lie beyond the axis." in drawing.caption
 
     def test_steps_to_the_goal_are_those_of_successful_episodes(self, folder):
         above, below = drawn("steps-to-goal", load(folder)).figure.axes
@@ -192,7 +193,7 @@ class TestSweptNumber:
 
     def test_the_nearest_law_is_drawn_and_told(self, chains):
         drawing = drawn("growth", chains)
-        law = curves_over(chains, "env.length", "steps_to_goal")[0].law
+        law = nearest_law(curves_over(chains, "env.length", "steps_to_goal")[0])
         assert law is not None and law.law == "linear" and float(law.b) == pytest.approx(3.5, rel=1e-6)
         assert "emu-q linear" in drawing.caption and "Hollow" in drawing.caption
 

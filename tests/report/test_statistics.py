@@ -150,3 +150,11 @@ def test_no_data_and_nan_have_no_interval():
     for values in ([], [1.0, float("nan")]):
         assert np.isnan(statistics.mean_interval(values).estimate)
     assert np.isnan(statistics.share_interval([]).low)
+
+
+def test_a_band_of_shares_counts_only_the_runs_with_a_value():
+    flags = [[0, 1, np.nan], [0, 1, np.nan], [1, np.nan, np.nan]]
+    share, low, high = statistics.share_band(flags)
+    np.testing.assert_allclose(share, [1 / 3, 1, np.nan])
+    for column, (hits, trials) in enumerate([(1, 3), (2, 2), (0, 0)]):
+        np.testing.assert_array_equal([low[column], high[column]], statistics.wilson(hits, trials))

@@ -1,8 +1,6 @@
 """What a figure is to the report: a function of the results that returns a drawing or says why it cannot."""
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -34,9 +32,6 @@ class Drawing:
     alt: str
 
 
-Draw: TypeAlias = Callable[[Results], Drawing]
-
-
 def drawn_points(results: Results, most: int = MAX_POINTS) -> tuple[tuple[Point, ...], str]:
     """The points that a figure shows, and a sentence for its caption where some are left out."""
     points = tuple(point for point in results.points if results.runs_of(point)["run"].size)
@@ -59,8 +54,3 @@ def panel_grid(count: int) -> tuple[int, int]:
     """Rows and columns of a grid of square panels: two columns stay readable on a phone."""
     columns = min(count, 2)
     return -(-count // columns), columns
-
-
-def names_of(points: Sequence[Point]) -> list[str]:
-    """Names of the points, in order."""
-    return [point.name for point in points]

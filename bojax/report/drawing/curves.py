@@ -1,98 +1,192 @@
-"""Curves with their bands, over steps or episodes: the common part of the figures over them."""
+"""Curves with bands over steps, episodes or swept numbers: figures extract the values, `Chart` draws them."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
-from bojax.report import style
+from bojax.report import statistics, style
+from bojax.report.drawing.base import Drawing, Undrawable
 from bojax.report.source import Point
-from bojax.report.statistics import Floats
-
-Band = tuple[Floats, Floats, Floats]
-"""Mean, lower and upper bound."""
+from bojax.report.statistics import Band, Floats
+from bojax.report.text import counted, joined, number, percent
 
 _MAX_DIRECT = 9
 _MAX_NAME = 14
-"""More or longer names than this go below the figure: beside the curves they would take its width."""
+"""More names, or longer ones, are listed below the figure: beside the curves they would take its width."""
 
 
-def draw_curves(
-    points: Sequence[Point],
-    curves: Mapping[int, Band],
-    ylabel: str,
-    *,
-    xlabel: str = "step",
-    first: int = 0,
-    is_share: bool = False,
-) -> Figure:
-    """One curve per point, with its band and its name at the right end.
+@dataclass(frozen=True)
+class Curve:
+    """Values of the runs of one setting.
 
-    Args:
-        points: What to draw.
-        curves: Mean, lower and upper bound by step or episode, by point index.
-        ylabel: Label of the vertical axis, with its unit.
-        xlabel: Label of the horizontal axis.
-        first: Number of the first step or episode of the curves.
-        is_share: Whether the values are shares of 1, drawn as percentages from 0 to 100.
+    Attributes:
+        point: A point of the setting, which gives the curve its name and colour.
+        x: `[n]` steps, episodes or swept numbers, in ascending order.
+        values: `[runs, n]` one value per run; NaN where a run has none.
     """
-    figure, grid = curve_figure(points, 1)
-    add_curves(grid[0, 0], points, curves, ylabel, first=first, is_share=is_share)
-    grid[0, 0].set_xlabel(xlabel)
-    add_names(figure, grid[0, 0], points, curves)
-    return figure
+
+    point: Point
+    x: Floats
+    values: Floats
+
+    @property
+    def is_partial(self) -> np.ndarray:
+        """Where some of the runs have no value."""
+        return np.isnan(self.values).sum(axis=0) > 0
 
 
-def curve_figure(points: Sequence[Point], rows: int) -> tuple[Figure, np.ndarray]:
-    """A figure for panels of curves, one above the other, with room for names below where they are long."""
-    rows_below = len(points) // 2 if _longest(points) > _MAX_NAME else 0
-    height = 3.6 if rows == 1 else 0.5 + 2.4 * rows
-    return style.figure(height + 0.2 * rows_below, rows, sharex=True)
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """The curves of one pair of axes.
+
+    Attributes:
+        label: Label of the vertical axis, with its unit.
+        quantity: What the curves are, for captions: `mean return`.
+        curves: One curve per setting.
+        is_share: Whether values are 0 or 1: their mean is then a percentage with a Wilson band, and otherwise
+            has a bootstrap band.
+        missing: Sentence for the caption of a panel in which some runs lack values.
+    """
+
+    label: str
+    quantity: str
+    curves: Sequence[Curve]
+    is_share: bool = False
+    missing: str = ""
+
+    @cached_property
+    def bands(self) -> list[Band]:
+        """Mean, lower and upper bound of each curve."""
+        band = statistics.share_band if self.is_share else statistics.mean_band
+        bands = [band(curve.values) for curve in self.curves]
+        for curve, (_, _, high) in zip(self.curves, bands, strict=True):
+            if self.is_share and curve.x[0] == 0:
+                high[0] = 0.0  # no run can have succeeded before the first step: this is not an estimate
+        return bands
+
+    @property
+    def drawn(self) -> list[tuple[Curve, Band, dict[str, Any]]]:
+        """Every curve that has a value, with its band and its look."""
+        looks = style.looks([curve.point for curve in self.curves])
+        entries = zip(self.curves, self.bands, looks, strict=True)
+        return [(curve, band, look) for curve, band, look in entries if np.isfinite(band[0]).any()]
 
 
-def add_curves(
-    axes: Axes,
-    points: Sequence[Point],
-    curves: Mapping[int, Band],
-    ylabel: str,
-    *,
-    first: int = 0,
-    is_share: bool = False,
-) -> None:
-    """The curves of the points, with their bands, in one panel; all have the same length."""
-    last = first
-    for point, look in zip(points, style.looks(points), strict=True):
-        mean, low, high = curves[point.index]
-        x = np.arange(first, first + len(mean))
-        last = int(x[-1])
-        axes.fill_between(x, low, high, color=look["color"], alpha=0.16, linewidth=0)
-        # A value without neighbours has no line: then it is a dot.
-        dots: dict[str, Any] = {"marker": "o", "markersize": 3} if len(mean) < 3 else {}
-        axes.plot(x, mean, label=point.name, **look, **dots)
-    axes.set_xlim(min(first, last - 1), max(last, 1))
-    axes.set_xticks([tick for tick in step_ticks(last) if tick >= first])
-    if is_share:
-        axes.set_ylim(0, 1)
-        axes.set_yticks([0, 0.25, 0.5, 0.75, 1], ["0", "25", "50", "75", "100"])
-    else:
-        axes.axhline(0, color="#9A9A9A", linewidth=0.8, zorder=0.5)
-        axes.yaxis.set_major_formatter(lambda value, _: f"{value:,.10g}".replace("-", "\N{MINUS SIGN}"))
-    axes.set_ylabel(ylabel)
-    style.quiet_grid(axes)
+class Chart:
+    """A figure of panels of curves, one above the other, and the words that go with it.
 
+    Attributes:
+        figure: The figure. The names of the curves are added by `drawing`.
+        axes: The axes of each panel, from the top.
+    """
 
-def add_names(figure: Figure, axes: Axes, points: Sequence[Point], curves: Mapping[int, Band]) -> None:
-    """Names of the curves beside their right ends in a panel, or below the figure where they are long."""
-    if len(points) > _MAX_DIRECT or _longest(points) > _MAX_NAME:
-        handles, names = axes.get_legend_handles_labels()
-        figure.legend(handles, names, loc="outside lower center", ncols=1 if _longest(points) > 24 else 2)
-        return
-    ends = [_end(curves[point.index][0]) for point in points]
-    names = [point.name for point in points]
-    inks = [look["color"] for look in style.looks(points)]
-    style.direct_labels(axes, axes.get_xlim()[1], ends, names, inks)
+    def __init__(self, panels: Sequence[Panel], xlabel: str, *, is_swept: bool = False) -> None:
+        """Draw panels over a common horizontal axis.
+
+        Args:
+            panels: What to draw; the same panel may be drawn twice, on different scales.
+            xlabel: What the horizontal axis counts: `step`, `episode` or the name of the swept number.
+            is_swept: Whether it is a swept number, whose values are marked.
+
+        Raises:
+            Undrawable: The first panel has no finite value.
+        """
+        if not panels[0].drawn:
+            raise Undrawable(f"no run has a finite value: {panels[0].quantity}")
+        self._panels, self._xlabel = panels, xlabel
+        self._named = max(panels, key=lambda panel: len(panel.drawn))
+        names = self._names
+        self._longest = max(map(len, names))
+        rows_below = len(names) // 2 if self._longest > _MAX_NAME else 0
+        height = (3.6 if len(panels) == 1 else 0.5 + 2.4 * len(panels)) + 0.2 * rows_below
+        self.figure, grid = style.figure(height, len(panels), sharex=not is_swept)
+        self.axes: list[Axes] = list(grid[:, 0])
+        for axes, panel in zip(self.axes, panels, strict=True):
+            _draw_panel(axes, panel, is_swept=is_swept)
+        self.axes[-1].set_xlabel(xlabel)
+
+    def drawing(self, title: str, details: str = "", note: str = "") -> Drawing:
+        """The figure with the names of its curves, its caption and its alternative text.
+
+        Args:
+            title: Its heading.
+            details: Sentences for the caption on what only this figure shows.
+            note: What `drawn_points` left out.
+        """
+        self._add_names()
+        caption = [self._subject, self._bands, details, *self._gaps]
+        return Drawing(
+            figure=self.figure,
+            title=title,
+            caption=" ".join(filter(None, caption)) + note,
+            alt=" ".join(map(self._described, self._distinct)),
+        )
+
+    @property
+    def _distinct(self) -> list[Panel]:
+        return list(dict.fromkeys(self._panels))
+
+    @property
+    def _names(self) -> list[str]:
+        return [curve.point.name for curve, _, _ in self._named.drawn]
+
+    @property
+    def _subject(self) -> str:
+        sizes = sorted({len(curve.values) for panel in self._panels for curve in panel.curves})
+        runs = counted(sizes[-1], "run") if len(sizes) == 1 else f"{sizes[0]} to {sizes[-1]} runs"
+        quantities = [panel.quantity for panel in self._distinct]
+        if len(quantities) == 1:
+            return f"{_sentence(quantities[0])}, by {self._xlabel}; {runs} per curve."
+        above, below = quantities
+        return f"Above: {above}. Below: {below}. Both by {self._xlabel}; {runs} per curve."
+
+    @property
+    def _bands(self) -> str:
+        methods = ["Wilson" if panel.is_share else "bootstrap" for panel in self._distinct]
+        if len(set(methods)) == 1:
+            return f"Bands: pointwise 95% {methods[0]} intervals."
+        return f"Bands: pointwise 95% intervals, {methods[0]} above and {methods[1]} below."
+
+    @property
+    def _gaps(self) -> list[str]:
+        """Sentences on runs without a value and on curves without any."""
+        told = [
+            panel.missing
+            for panel in self._distinct
+            if any(curve.is_partial.any() for curve, _, _ in panel.drawn)
+        ]
+        absent = [curve.point.name for curve in self._named.curves if curve.point.name not in self._names]
+        return [*told, f"Without a value: {joined(absent)}." if absent else ""]
+
+    def _described(self, panel: Panel) -> str:
+        write = percent if panel.is_share else number
+        ends = []
+        for curve, (mean, _, _), _ in panel.drawn:
+            known = mean[np.isfinite(mean)]
+            ends.append(f"{curve.point.name} {write(float(known[0]))} and {write(float(known[-1]))}")
+        return (
+            f"Line chart of the {panel.quantity}, by {self._xlabel}. "
+            f"First and last value of each curve: {'; '.join(ends)}."
+        )
+
+    def _add_names(self) -> None:
+        """Names beside the right ends of the curves, or below the figure where they are many or long."""
+        axes, names = self.axes[self._panels.index(self._named)], self._names
+        if len(names) > _MAX_DIRECT or self._longest > _MAX_NAME:
+            columns = 1 if self._longest > 24 else 2
+            self.figure.legend(
+                axes.get_legend_handles_labels()[0], names, loc="outside lower center", ncols=columns
+            )
+            return
+        entries = self._named.drawn
+        ends = [float(mean[np.isfinite(mean)][-1]) for _, (mean, _, _), _ in entries]
+        last = max(float(curve.x[-1]) for curve, _, _ in entries)
+        style.direct_labels(axes, last, ends, names, [look["color"] for _, _, look in entries])
 
 
 def step_ticks(last: int, most: int = 9) -> list[int]:
@@ -103,10 +197,40 @@ def step_ticks(last: int, most: int = 9) -> list[int]:
     return list(range(0, last + 1, spacing))
 
 
-def _longest(points: Sequence[Point]) -> int:
-    return max(len(point.name) for point in points)
+def _draw_panel(axes: Axes, panel: Panel, *, is_swept: bool) -> None:
+    for curve, (mean, low, high), look in panel.drawn:
+        axes.fill_between(curve.x, low, high, color=look["color"], alpha=0.16, linewidth=0)
+        # One or two values make no line that can be seen.
+        dots: dict[str, Any] = {"marker": "o", "markersize": 3} if len(mean) < 3 and not is_swept else {}
+        axes.plot(curve.x, mean, label=curve.point.name, **look, **dots)
+        if is_swept:
+            faces = np.where(curve.is_partial, "white", look["color"])
+            axes.scatter(curve.x, mean, s=16, facecolors=faces, edgecolors=look["color"], zorder=3)
+    numbers = np.unique(np.concatenate([curve.x for curve in panel.curves]))
+    if is_swept:
+        _tick_swept(axes, numbers)
+    else:
+        first, last = int(numbers[0]), int(numbers[-1])
+        axes.set_xlim(min(first, last - 1), max(last, 1))
+        axes.set_xticks([tick for tick in step_ticks(last) if tick >= first])
+    if panel.is_share:
+        axes.set_ylim(0, 1)
+        axes.set_yticks([0, 0.25, 0.5, 0.75, 1], ["0", "25", "50", "75", "100"])
+    else:
+        if not is_swept:
+            axes.axhline(0, color="#9A9A9A", linewidth=0.8, zorder=0.5)
+        style.plain_ticks(axes.yaxis)
+    axes.set_ylabel(panel.label)
+    style.quiet_grid(axes)
 
 
-def _end(mean: Floats) -> float:
-    known = mean[np.isfinite(mean)]
-    return float(known[-1]) if known.size else 0.0
+def _tick_swept(axes: Axes, numbers: Floats) -> None:
+    """Ticks at the swept numbers, unless they are too many or too close for their labels."""
+    if len(numbers) <= 10 and np.ptp(numbers) <= 20 * np.diff(numbers).min():
+        axes.set_xticks(numbers, [f"{value:g}" for value in numbers])
+    else:
+        axes.xaxis.set_major_locator(MaxNLocator(nbins=8))
+
+
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:]

@@ -1,4 +1,4 @@
-"""How a mean grows with a swept number: Figs. 5.6b and 5.6c of the thesis."""
+"""How a mean grows with a swept number: Figs. 5.6b and 5.6c of the thesis, with the nearest law of growth."""
 
 from typing import Any
 
@@ -6,62 +6,56 @@ import numpy as np
 
 from bojax.report import style
 from bojax.report.drawing.base import Drawing, Undrawable
-from bojax.report.drawing.swept import (
-    add_legend,
-    add_swept,
-    caption_of,
-    curve_looks,
-    ends_of,
-    heading,
-    read_curves,
-)
+from bojax.report.drawing.curves import Chart, Curve
+from bojax.report.drawing.swept import swept_panel
+from bojax.report.growth import LAWS, Fit, errors_of, fit
 from bojax.report.source import Results
 
 RANK = 80
 
-_FITTED: dict[str, Any] = {"linewidth": 1.1, "linestyle": (0, (2, 2)), "zorder": 1.8}
+_FITTED: dict[str, Any] = {
+    "color": style.INK,
+    "linewidth": 1.1,
+    "linestyle": (0, (2, 2)),
+    "zorder": 1.8,
+}
 
 
 def draw(results: Results) -> Drawing:
-    """The same with the nearest law of growth; below on axes on which a power is a straight line."""
-    over, column, curves = read_curves(results)
-    laws = [curve.law for curve in curves]
-    if not any(laws):
-        raise Undrawable("a law of growth needs positive means at four values at least")
-    figure, grid = style.figure(5.6, 2)
-    for axes in grid[:, 0]:
-        add_swept(axes, curves)
-        for curve, law, look in zip(curves, laws, curve_looks(curves), strict=True):
-            if law is not None:
-                x = np.linspace(curve.x[0], curve.x[-1], 200)
-                fitted = np.where(law(x) > 0, law(x), np.nan)
-                axes.plot(x, fitted, **{**look, **_FITTED, "color": style.INK})
-        axes.set_ylabel(f"mean {heading(column)}")
-    grid[0, 0].set_ylim(bottom=0)
-    lower = grid[1, 0]
-    lower.set_xscale("log")
-    lower.set_yscale("log")
-    numbers = curves[0].x
-    ticks = (
-        numbers if len(numbers) <= 8 else numbers[np.unique(np.geomspace(1, len(numbers), 6).astype(int)) - 1]
+    """The curves of `sweep-curve` with the nearest law of growth, on linear and on logarithmic axes."""
+    panel, over, column = swept_panel(results)
+    laws = [(curve, law) for curve in panel.curves if (law := nearest_law(curve)) is not None]
+    if not laws:
+        raise Undrawable("a law of growth needs positive means at four values or more")
+    chart = Chart([panel, panel], over, is_swept=True)
+    linear, logarithmic = chart.axes
+    for curve, law in laws:
+        x = np.linspace(curve.x[0], curve.x[-1], 200)
+        for axes in chart.axes:
+            axes.plot(x, np.where(law(x) > 0, law(x), np.nan), **_FITTED)
+    linear.set_ylim(bottom=0)
+    logarithmic.set_xscale("log")
+    logarithmic.set_yscale("log")
+    x = laws[0][0].x
+    ticks = x if len(x) <= 8 else x[np.unique(np.geomspace(1, len(x), 6).astype(int)) - 1]
+    logarithmic.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    logarithmic.minorticks_off()
+    style.plain_ticks(logarithmic.yaxis)
+    style.quiet_grid(logarithmic, "both")
+    fits = "; ".join(f"{curve.point.name} {law.law}, {law}" for curve, law in laws)
+    return chart.drawing(
+        f"Growth of {column}",
+        "Below: the same on logarithmic axes, where a power law is a straight line whose slope is its "
+        "exponent, and an exponential bends upwards. Dotted: the nearest of the linear, quadratic and "
+        f"exponential laws: {fits}.",
     )
-    lower.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
-    lower.minorticks_off()
-    lower.yaxis.set_major_formatter(lambda value, _: f"{value:,.10g}")
-    style.quiet_grid(lower, "both")
-    lower.set_xlabel(f"{heading(over)} (above: even scale, below: logarithmic)")
-    add_legend(figure, grid[0, 0], curves)
-    told = [
-        f"{curve.point.name} {law.law}, {law}"
-        for curve, law in zip(curves, laws, strict=True)
-        if law is not None
-    ]
-    return Drawing(
-        figure=figure,
-        title=f"Growth of {heading(column)}",
-        caption=f"{caption_of(column, over, curves)} Dotted: the nearest law of growth, of linear, quadratic "
-        f"and exponential ones: {'; '.join(told)}. On the lower axes a power is a straight line, as steep as "
-        "its exponent, and an exponential bends upwards.",
-        alt=f"Line charts of the mean {heading(column)} over {heading(over)}, on even and on logarithmic "
-        f"axes. {ends_of(curves)}. Nearest laws: {'; '.join(told)}.",
-    )
+
+
+def nearest_law(curve: Curve) -> Fit | None:
+    """The law of growth nearest to the means; None where these are too few or not positive."""
+    if len(curve.x) < 4 or (np.isfinite(curve.values).sum(axis=0) < 2).any():
+        return None
+    means, errors = np.nanmean(curve.values, axis=0), errors_of(curve.values)
+    if not (means > 0).all():
+        return None
+    return min((fit(law, curve.x, means, errors) for law in LAWS), key=lambda found: found.misfit)

@@ -1,12 +1,10 @@
-"""Training episodes solved so far, by episode: Fig. 5.8b of the thesis, with the bands that it leaves out."""
+"""Number of training episodes solved so far, by episode: Fig. 5.8b of the thesis, with bands."""
 
 import numpy as np
 
-from bojax.report import statistics
 from bojax.report.drawing.base import Drawing, Undrawable, drawn_points
-from bojax.report.drawing.curves import draw_curves
+from bojax.report.drawing.curves import Chart, Curve, Panel
 from bojax.report.source import Results
-from bojax.report.text import number
 
 RANK = 50
 
@@ -16,22 +14,12 @@ def draw(results: Results) -> Drawing:
     if "success" not in results.episodes:
         raise Undrawable("there is no episodes.parquet with a success")
     points, note = drawn_points(results)
-    solved = {
-        point.index: np.cumsum(np.nan_to_num(results.by_episode(point, "success")), axis=1)
-        for point in points
-    }
-    if max(values[:, -1].max(initial=0.0) for values in solved.values()) < 2:
+    curves = []
+    for point in points:
+        solved = np.nan_to_num(results.by_episode(point, "success")).cumsum(axis=1)
+        solved = np.pad(solved, ((0, 0), (1, 0)))  # nothing is solved before the first episode
+        curves.append(Curve(point, np.arange(float(solved.shape[1])), solved))
+    if max(curve.values.max(initial=0.0) for curve in curves) < 2:
         raise Undrawable("no run solved more than one episode: success-episodes shows when")
-    # Nothing is solved before the first episode.
-    curves = {
-        index: statistics.mean_band(np.pad(values, ((0, 0), (1, 0)))) for index, values in solved.items()
-    }
-    ends = ", ".join(f"{point.name} {number(float(curves[point.index][0][-1]))}" for point in points)
-    return Drawing(
-        figure=draw_curves(points, curves, "episodes solved", xlabel="episode"),
-        title="Episodes solved",
-        caption="Mean number of training episodes so far that reached the goal, with pointwise 95% bootstrap "
-        f"bands.{note}",
-        alt="Line chart of the mean number of training episodes that reached the goal by training episode. "
-        f"At the end: {ends}.",
-    )
+    panel = Panel("episodes solved", "mean number of training episodes that have reached the goal", curves)
+    return Chart([panel], "episode").drawing("Episodes solved", note=note)

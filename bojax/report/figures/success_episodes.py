@@ -1,38 +1,36 @@
-"""Share of runs that have reached the goal by each training episode, with Wilson bands."""
+"""Share of runs that have reached the goal by each training episode (Table 5.3 of the thesis)."""
 
 import numpy as np
 
-from bojax.report.columns import Columns
 from bojax.report.drawing.base import Drawing, Undrawable, drawn_points
-from bojax.report.drawing.curves import draw_curves
-from bojax.report.drawing.success import ends, success_curves
+from bojax.report.drawing.curves import Chart, Curve, Panel
 from bojax.report.source import Results
 
 RANK = 40
 
 
 def draw(results: Results) -> Drawing:
-    """Success by episode: the first training episode of a learner that reached the goal (Table 5.3)."""
+    """Success by episode; the axis ends soon after the last run that reaches the goal for the first time."""
     if "episodes_to_goal" not in results.runs or not results.num_episodes:
         raise Undrawable("runs.parquet has no episodes_to_goal")
     points, note = drawn_points(results)
-    latest = max(_first_successes(results.runs_of(point)).max(initial=1) for point in points)
+    when = [results.runs_of(point)["episodes_to_goal"].astype(np.float64) for point in points]
+    latest = max(first[np.isfinite(first)].max(initial=1) for first in when)
     last = min(results.num_episodes, max(10, int(1.2 * latest)))
-    curves = success_curves(results, points, last, _first_successes)
-    if last < results.num_episodes:
-        note = f" Nothing changes from episode {int(latest)} to the last, {results.num_episodes}.{note}"
-    return Drawing(
-        figure=draw_curves(
-            points, curves, "runs that have reached the goal (%)", xlabel="episode", is_share=True
-        ),
-        title="Success by episode",
-        caption="Share of runs that have reached the goal in one of the training episodes so far, with "
-        f"pointwise 95% Wilson bands.{note}",
-        alt="Line chart of the share of runs that have reached the goal by training episode. At the end: "
-        f"{ends(points, curves)}.",
+    x = np.arange(last + 1.0)
+    curves = [
+        Curve(point, x, (first[:, None] <= x).astype(np.float64))
+        for point, first in zip(points, when, strict=True)
+    ]
+    panel = Panel(
+        "runs that have reached the goal (%)",
+        "share of runs that have reached the goal",
+        curves,
+        is_share=True,
     )
-
-
-def _first_successes(table: Columns) -> np.ndarray:
-    when = table["episodes_to_goal"].astype(np.float64)
-    return when[np.isfinite(when)]
+    details = ""
+    if last < results.num_episodes:
+        details = (
+            f"The shares stay as they are from episode {int(latest)} to the last, {results.num_episodes}."
+        )
+    return Chart([panel], "episode").drawing("Success by episode", details, note)
