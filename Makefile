@@ -1,5 +1,6 @@
 # make run   the parking study: four planners, 200 runs each, and its report
 # make test  the tests, on the CPU
+# make slow  the tests of a release: claims of the thesis, and equal bits with XLA's default options
 # make check formatting, lints, types, layers
 # EXTRA=cuda13 (or cuda12) installs JAX for an NVIDIA GPU; PYTHON=python3.12 picks the interpreter.
 PYTHON ?= python3
@@ -9,13 +10,16 @@ PINS := constraints/$(shell $(PYTHON) -c 'import sys; print("py311" if sys.versi
 STAMP := .venv/.bojax-$(if $(EXTRA),$(EXTRA),cpu)
 TEST_STAMP := .venv/.bojax-test
 
-.PHONY: run test check format clean
+.PHONY: run test slow check format clean
 
 run: $(STAMP)
 	$(BIN)/bojax sweep sweeps/parking.yaml
 
 test: $(TEST_STAMP)
 	JAX_PLATFORMS=cpu $(BIN)/python -m pytest -n auto --dist loadfile -m "not slow" $(if $(CI),--durations=40)
+
+slow: $(TEST_STAMP)
+	BOJAX_TESTS=release JAX_PLATFORMS=cpu $(BIN)/python -m pytest -n auto --dist loadfile -m "slow or bits"
 
 check: $(TEST_STAMP)
 	$(BIN)/ruff format --check .

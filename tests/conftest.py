@@ -46,6 +46,28 @@ for flag, value in STRICT.items():
     jax.config.update(flag, value)
 install_import_hook([f"bojax.{package}" for package in CHECKED], "beartype.beartype")
 
+# Tracing allocates millions of objects; by default garbage is collected after every 700.
+gc.set_threshold(50_000)
+
+_USUAL = {
+    "jax_debug_key_reuse": False,
+    "jax_numpy_dtype_promotion": "standard",
+    "jax_numpy_rank_promotion": "allow",
+}
+"""JAX's defaults of the settings that are strict here."""
+
+
+@pytest.fixture
+def usual_jax():
+    """JAX checks what it checks by default, as in a process of `bojax`."""
+    strict = {flag: getattr(jax.config, flag) for flag in _USUAL}
+    for flag, value in _USUAL.items():
+        jax.config.update(flag, value)
+    yield
+    for flag, value in strict.items():
+        jax.config.update(flag, value)
+
+
 _MOST_MEMORY = 1_200_000
 """KiB of a worker after which compiled programs are dropped."""
 

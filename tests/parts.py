@@ -21,6 +21,7 @@ FILES = {"grid.csv": "1,2\n3,4", "rows.csv": "x,y,value\n0,0,1\n1,0,2\n0,1,3"}
 
 TINY: dict[str, Any] = {
     "depth": 2,
+    "integrator": "euler",  # the packaged models' RK4 evaluates the dynamics four times
     "iterations": 6,
     "max_actions": 4,
     "max_steps": 3,

@@ -63,6 +63,7 @@ def test_points_share_run_keys():
     assert summary["steps"][0] == summary["steps"][1]
 
 
+@pytest.mark.bits
 def test_run_17_alone_is_run_17_of_200():
     program = compile_toys(lanes_per_device=100)
     all_runs, _, _ = run_all(program, place(program, [0] * 200, list(range(200))))
@@ -73,6 +74,7 @@ def test_run_17_alone_is_run_17_of_200():
         np.testing.assert_allclose(values[17], small[name][0], rtol=1e-12)
 
 
+@pytest.mark.bits
 def test_two_devices_give_what_one_gives():
     runs = list(range(8))
     two = compile_toys(num_devices=2, lanes_per_device=4)

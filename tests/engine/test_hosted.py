@@ -133,6 +133,7 @@ def test_an_environment_that_exits_fails_its_chunk(tmp_path, capsys):
     assert "chunks failed: SystemExit: 0" in capsys.readouterr().err
 
 
+@pytest.mark.bits
 def test_a_sweep_goes_on_after_an_environment_crashed(tmp_path):
     assert run_sweep(sweep(), tmp_path / "a", False, ["bojax"]) == 0
     program = (
@@ -154,6 +155,7 @@ def test_a_sweep_goes_on_after_an_environment_crashed(tmp_path):
         ).read_bytes()
 
 
+@pytest.mark.bits
 def test_is_what_the_compiled_run_does():
     """One of our environments, stepped on the host, ends in the tables of its compiled run."""
     from bojax.envs.settings import Chain

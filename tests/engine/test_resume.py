@@ -53,6 +53,7 @@ def stop_in_the_middle(out: Path, number: signal.Signals) -> tuple[int, str]:
     return process.returncode, errors
 
 
+@pytest.mark.bits
 def test_killed_and_resumed(tmp_path, undisturbed):
     out = tmp_path / "toy"
     code, _ = stop_in_the_middle(out, signal.SIGKILL)
@@ -64,6 +65,7 @@ def test_killed_and_resumed(tmp_path, undisturbed):
     assert not (out / WORK).exists()
 
 
+@pytest.mark.bits
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_interrupted_and_resumed(tmp_path, undisturbed, number, code):
     out = tmp_path / "toy"
@@ -123,6 +125,7 @@ def one_line(capsys) -> str:
     return lines[0]
 
 
+@pytest.mark.bits
 def test_resume_twice(interrupted, undisturbed):
     assert stop_after(interrupted, segments=2, resume=True) == 130
     assert run_sweep_here(interrupted, resume=True) == 0

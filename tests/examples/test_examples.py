@@ -41,40 +41,53 @@ CHECKS: dict[str, Callable[[dict[str, list[float]]], bool]] = {
     ),
     "plan_once.py": lambda of: len(of[""]) == 31,
 }
-"""What has to be true of the numbers that an example prints, by the words before them."""
+"""Checks of the numbers that an example prints, by the words before them."""
 
 SHOWN = {tuple(words): None for page in PAGES for words in commands(page)}
-COMMANDS = [list(words) for words in SHOWN if _uses_example(list(words))]
+WITH_EXAMPLES = [list(words) for words in SHOWN if _uses_example(list(words))]
+COMMANDS = [words for words in WITH_EXAMPLES if words[0] == "bojax"]
+PROGRAMS = [words for words in WITH_EXAMPLES if words[0] != "bojax"]
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch, usual_jax):
+    """A working directory with the examples, and JAX as a user has it."""
+    shutil.copytree(ROOT / "examples", tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    yield tmp_path
+    for path in FILES:
+        sys.modules.pop(path.stem, None)
+
+
+@pytest.mark.parametrize("words", PROGRAMS, ids=[" ".join(words) for words in PROGRAMS])
+def test_a_program_of_the_pages_runs(words, folder):
+    """Each runs in a process of its own, under the settings of JAX that a user has."""
+    cache = {"JAX_COMPILATION_CACHE_DIR": os.environ["BOJAX_CACHE"]}
+    environment = {**os.environ, **cache, "PYTHONDONTWRITEBYTECODE": "1"}
+    command = [sys.executable, *words[1:]]
+    ran = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
+    assert ran.returncode == 0, ran.stderr
+    assert "nan" not in ran.stdout
+    assert CHECKS[words[1]](_numbers(ran.stdout)), ran.stdout
 
 
 @pytest.mark.parametrize("words", COMMANDS, ids=[" ".join(words) for words in COMMANDS])
-def test_a_command_of_the_pages_runs(words, tmp_path):
-    shutil.copytree(ROOT / "examples", tmp_path, dirs_exist_ok=True)
-    if words[0] == "bojax":
-        command = [sys.executable, "-m", *words, *_tiny(words), "--out", "out"]
-    else:
-        command = [sys.executable, *words[1:]]
-    cache = {"JAX_COMPILATION_CACHE_DIR": os.environ["BOJAX_CACHE"]}
-    environment = {**os.environ, **cache, "PYTHONDONTWRITEBYTECODE": "1"}
-    ran = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300)
-    assert ran.returncode == 0, ran.stderr
-    if (tmp_path / "out" / "learners").exists():
-        _evaluate(tmp_path, environment)
-    if words[0] == "python":
-        assert "nan" not in ran.stdout
-        assert CHECKS[words[1]](_numbers(ran.stdout)), ran.stdout
-        return
-    manifest = read_manifest(tmp_path / "out")
-    runs = read_table(tmp_path / "out" / "runs.parquet")
+def test_a_command_of_the_pages_runs(words, folder):
+    assert main([*words[1:], *_tiny(words), "--out", "out"]) == 0
+    if (folder / "out" / "learners").exists():
+        _evaluate(folder)
+    manifest = read_manifest(folder / "out")
+    runs = read_table(folder / "out" / "runs.parquet")
     assert manifest["status"] == "finished"
     assert runs.num_rows == 2 * len(manifest["points"]) and sum(runs["nans"].to_pylist()) == 0
-    assert (tmp_path / "out" / "report.html").exists()
-    if (model := tmp_path / f"{Path(words[2]).stem}.xml").exists():
-        _render(tmp_path / "out", model)
+    assert (folder / "out" / "report.html").exists()
+    if (model := folder / f"{Path(words[2]).stem}.xml").exists():
+        _render(folder / "out", model)
 
 
 def _render(folder, model) -> None:
-    """A robot of one's own can be watched, where this machine can draw."""
+    """Draw a film of a user's robot, where this machine can draw."""
     from bojax.report.animations.rendering import CannotDraw, backend
 
     try:
@@ -85,17 +98,15 @@ def _render(folder, model) -> None:
     assert len(list((folder / "animations").glob("*.gif"))) == 1
 
 
-def _evaluate(folder, environment) -> None:
-    """What was learned runs like any other config, and explores no more."""
-    command = [sys.executable, "-m", "bojax", "run", "out/learners/0-0", "episodes=3", "--out", "again"]
-    ran = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300)
-    assert ran.returncode == 0, ran.stderr
+def _evaluate(folder) -> None:
+    """A saved learner runs like any other config, and does not explore."""
+    assert main(["run", "out/learners/0-0", "episodes=3", "--out", "again"]) == 0
     episodes = read_table(folder / "again" / "episodes.parquet")
     assert episodes["kappa"].to_pylist() == [0.0] * 3
 
 
 def _tiny(words: list[str]) -> tuple[str, ...]:
-    """Budgets for a command: a planner that does not search has no depth, and a learner no planner."""
+    """Overrides with small budgets: a planner that does not search has no depth, a learner no planner."""
     if any(name in word for word in words for name in ("my_env", "my_learner", "my_gym_env", "my_robot_env")):
         return ("episodes=2", "env.max_steps=40", *TINY[2:])
     return TINY[1:] if any("my_planner" in word for word in words) else TINY

@@ -162,7 +162,7 @@ def test_lengthscales_and_variances_can_be_differentiated():
         features = RandomFourier.draw(jax.random.key(0), kernel, 4000, 1)
         return jnp.sum(features(x) * features(y))
 
-    by_lengthscale, by_variance = jax.grad(product, argnums=(0, 1))(number(0.5), number(2.0))
+    by_lengthscale, by_variance = jax.jit(jax.grad(product, argnums=(0, 1)))(number(0.5), number(2.0))
     correlation = np.exp(-0.5 * (0.7 / 0.5) ** 2)
     np.testing.assert_allclose(by_lengthscale, 2.0 * 0.7**2 / 0.5**3 * correlation, rtol=2e-3)
     np.testing.assert_allclose(by_variance, correlation, rtol=2e-3)
@@ -174,9 +174,14 @@ def test_bayesian_linear_regression_on_the_features_approaches_the_gaussian_proc
     kernel, noise = kernels()[name], number(0.05)
     x, queries = (jnp.asarray(rng.uniform(-1.0, 1.0, (num, 2))) for num in (30, 40))
     y = jnp.sin(3.0 * x[:, 0]) + x[:, 1] ** 2 + 0.2 * jnp.asarray(rng.normal(size=30))
-    exact = GaussianProcess.prior(kernel, noise, 30, num_dims=2)
-    exact, _ = jax.lax.scan(lambda gp, xy: (gp.update(*xy), None), exact, (x, y))
-    exact_mean, exact_variance = exact.predict(queries)
+
+    @jax.jit
+    def posterior(x, y):
+        exact = GaussianProcess.prior(kernel, noise, 30, num_dims=2)
+        exact, _ = jax.lax.scan(lambda gp, xy: (gp.update(*xy), None), exact, (x, y))
+        return exact.predict(queries)
+
+    exact_mean, exact_variance = posterior(x, y)
 
     @eqx.filter_jit
     def distances(keys, size):
@@ -197,9 +202,11 @@ def test_a_batch_of_features_is_a_loop():
         drawn(jax.random.split(jax.random.key(5), 3), RBF(number(0.5)), 16, 2, "quasi-random")
     )
     assert len(np.unique(batched[:, 3, 0])) == 3
+    draw_alone = jax.jit(lambda key: RandomFourier.draw(key, RBF(number(0.5)), 16, 2))
+    features = jax.jit(lambda alone, x: alone(x))
     for lane, key in enumerate(jax.random.split(jax.random.key(5), 3)):
-        alone = RandomFourier.draw(key, RBF(number(0.5)), 16, 2)
-        np.testing.assert_allclose(batched[lane], jnp.stack([alone(x) for x in POINTS]), atol=1e-13)
+        alone = draw_alone(key)
+        np.testing.assert_allclose(batched[lane], jnp.stack([features(alone, x) for x in POINTS]), atol=1e-13)
 
 
 @pytest.mark.parametrize("num_features", [-2, 0, 1, 7])

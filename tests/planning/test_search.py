@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from bojax.planning.tree import ROOT, UNVISITED
-from tests.planning.samples import POSES, TREE_PLANNERS, f64, kcbts, parking, search
+from tests.planning.samples import POSES, f64, gps_abt, kcbts, parking, sbo, search
 
+TREE_PLANNERS = {"kcbts": kcbts, "sbo": sbo, "gps-abt": gps_abt}
 # A node of GPS-ABT may get more actions than its tree lists; "beside the lot" it does.
 CASES = [
     (name, pose) for name in TREE_PLANNERS for pose in POSES if (name, pose) != ("gps-abt", "beside the lot")

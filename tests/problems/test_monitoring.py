@@ -173,10 +173,14 @@ def update(problem, belief, key, keys, paths):
     return world, beliefs
 
 
+PRIOR = monitoring(
+    start=(0.9, 1.2, 0.0), kernel=Scaled(Matern32(f64(0.7)), f64(2.0)), mean=ConstantMean(f64(0.4))
+)
+"""A problem whose prior is not its default; the tests of its beliefs share a program."""
+
+
 def test_the_belief_is_the_prior_conditioned_on_the_samples_taken():
-    problem = monitoring(
-        start=(0.9, 1.2, 0.0), kernel=Scaled(Matern32(f64(0.7)), f64(2.0)), mean=ConstantMean(f64(0.4))
-    )
+    problem = PRIOR
     _, paths = drives(4, seed=3)
     prior = problem.prior(jax.random.key(0), problem.reset(jax.random.key(1)), SIZE)
     assert prior.posterior.count == 0 and prior.posterior.y.shape == (problem.max_steps * SIZE,)
@@ -198,11 +202,11 @@ def test_the_belief_is_the_prior_conditioned_on_the_samples_taken():
 
 
 def test_the_snapshot_has_the_belief_after_every_step():
-    problem = monitoring(start=(0.9, 1.2, 0.0), mean=ConstantMean(f64(0.4)))
-    _, paths = drives(3, seed=3)
+    problem = PRIOR
+    _, paths = drives(4, seed=3)
     prior = problem.prior(jax.random.key(0), problem.reset(jax.random.key(1)), SIZE)
-    world, beliefs = update(problem, prior, jax.random.key(2), keys_of(0, 3), f64(paths))
-    steps = [prior, *(belief for belief, _ in beliefs)]
+    world, beliefs = update(problem, prior, jax.random.key(2), keys_of(0, 4), f64(paths))
+    steps = [prior, *(belief for belief, _ in beliefs[:3])]
     snapshot = jax.jit(lambda belief: problem.snapshot(world, belief)["belief"])
     kept = [snapshot(belief) for belief in steps]
     for step in range(4):
@@ -273,8 +277,8 @@ def test_the_reward_is_what_the_samples_are_worth_under_the_belief_before_them(o
 
 def test_without_an_objective_of_its_own_a_planner_has_the_tasks():
     belief = field_belief(WALLED, (0.0, 0.0, 0.0), 5)
-    drawn = [f64(part) for part in drives(20)]
-    both = [pay(WALLED, objective, belief, keys_of(0, 20), *drawn) for objective in (None, WALLED.objective)]
+    drawn = [f64(part) for part in drives(100)]
+    both = [pay(WALLED, objective, belief, keys_of(0, 100), *drawn) for objective in (None, WALLED.objective)]
     for own, given in zip(*both, strict=True):
         np.testing.assert_array_equal(own, given)
 
@@ -295,6 +299,7 @@ FIELDS = {"bumps": FIELD, "step": Step(f64([1.5, 1.2]), f64(0.6), f64(1.0), f64(
 @pytest.mark.parametrize("field", FIELDS.values(), ids=FIELDS)
 def test_the_weights_are_their_definitions(field):
     grid = np.asarray(monitoring().grid())
+    weigh = jax.jit(error_weights, static_argnums=2)
     values, gradients = np.asarray(field.values(f64(grid))), np.asarray(field.gradients(f64(grid)))
     norm = np.linalg.norm(gradients, axis=1)
     scaled = (gradients - gradients.min(axis=0)) / (gradients.max(axis=0) - gradients.min(axis=0))
@@ -304,7 +309,7 @@ def test_the_weights_are_their_definitions(field):
         "gradient": np.linalg.norm(scaled, axis=1),  # (3.7) as printed: signs included
     }
     for weighting, weights in expected.items():
-        np.testing.assert_allclose(error_weights(field, f64(grid), weighting), weights, atol=1e-12)
+        np.testing.assert_allclose(weigh(field, f64(grid), weighting), weights, atol=1e-12)
 
 
 def test_as_printed_a_flat_area_weighs_about_07():
@@ -354,9 +359,10 @@ def test_a_belief_without_uncertainty_has_a_finite_score():
     problem = monitoring(noise_variance=0.0, noise=0.0, resolution=2)
     belief = field_belief(problem, (0.5, 0.5, 0.0), 0)
     corners = problem.grid()
-    posterior = belief.posterior.extend(corners, problem.field.values(corners), jnp.ones(4, bool))
+    extend = jax.jit(lambda posterior, y: posterior.extend(corners, y, jnp.ones(4, bool)))
+    posterior = extend(belief.posterior, problem.field.values(corners))
     belief = dataclasses.replace(belief, posterior=posterior)
-    found = problem.score(problem.reset(jax.random.key(0)), belief)
+    found = jax.jit(lambda belief: problem.score(problem.reset(jax.random.key(0)), belief))(belief)
     assert all(np.isfinite(value) for value in found.values())
     np.testing.assert_allclose(found["rmse"], 0.0, atol=1e-9)
 

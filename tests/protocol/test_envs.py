@@ -20,13 +20,16 @@ def uniform(key, space):
 
 def two_steps(env, key, _):
     """The start of an episode under random actions, and the bounds of its observations."""
-    keys = jax.random.split(key, 6)
-    env = env.of_run(keys[0])
-    state = env.reset(keys[1])
-    start = env.observe(state)
-    state, first = env.step(keys[2], state, uniform(keys[3], env.action_space))
-    _, second = env.step(keys[4], state, uniform(keys[5], env.action_space))
-    return start, first, second, env.observation_space
+    key_run, key_reset, key_steps = jax.random.split(key, 3)
+    env = env.of_run(key_run)
+    state = env.reset(key_reset)
+
+    def step(state, key):
+        key_step, key_action = jax.random.split(key)
+        return env.step(key_step, state, uniform(key_action, env.action_space))
+
+    _, transitions = jax.lax.scan(step, state, jax.random.split(key_steps))
+    return env.observe(state), transitions, env.observation_space
 
 
 @each_kind("env")

@@ -99,6 +99,7 @@ def test_mjx_is_c_mujoco(name):
     assert not np.any(has_diverged)
 
 
+@pytest.mark.bits
 @pytest.mark.parametrize("wrong", [np.nan, 1e6], ids=["nan", "fast"])
 @pytest.mark.parametrize("name", MODELS)
 def test_a_lane_that_diverges_leaves_the_others_alone(name, wrong):
