@@ -51,15 +51,16 @@ gc.set_threshold(50_000)
 
 _USUAL = {
     "jax_debug_key_reuse": False,
+    "jax_enable_x64": False,
     "jax_numpy_dtype_promotion": "standard",
     "jax_numpy_rank_promotion": "allow",
 }
-"""JAX's defaults of the settings that are strict here."""
+"""JAX's defaults of settings that differ here."""
 
 
 @pytest.fixture
 def usual_jax():
-    """JAX checks what it checks by default, as in a process of `bojax`."""
+    """JAX with its default settings, as when a user's process begins."""
     strict = {flag: getattr(jax.config, flag) for flag in _USUAL}
     for flag, value in _USUAL.items():
         jax.config.update(flag, value)

@@ -1,5 +1,7 @@
 """Every planner that discovery finds: its plans, their expected rewards, batches and hyper-parameters."""
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -10,6 +12,7 @@ from bojax.config.catalog import kinds
 from bojax.engine.build import build
 from bojax.planning.base import Plan
 from bojax.planning.myopic import MyopicPlanner
+from bojax.planning.search import TreeSearch
 from tests.parts import tiny
 from tests.planning.samples import (
     FIELD_POSES,
@@ -25,16 +28,17 @@ from tests.planning.samples import (
 from tests.reference.bridge import reference_belief, reference_problem
 
 LANES = 3
-PROBLEMS = {
-    "parking": (parking(), [f64(POSES[name]) for name in ("far", "before the lot", "at the border")]),
-    "monitoring": (
-        monitoring("gradient"),
-        [
-            field_belief(monitoring(), FIELD_POSES[name], count)
-            for name, count in (("in a room", 4), ("before a wall", 0), ("at the border", 24))
-        ],
-    ),
-}
+PROBLEMS = ("parking", "monitoring")
+
+
+@functools.cache
+def task(problem):
+    """A problem and beliefs, one for each lane."""
+    if problem == "parking":
+        return parking(), [f64(POSES[name]) for name in ("far", "before the lot", "at the border")]
+    starts = (("in a room", 4), ("before a wall", 0), ("at the border", 24))
+    beliefs = [field_belief(monitoring(), FIELD_POSES[name], count) for name, count in starts]
+    return monitoring("gradient"), beliefs
 
 
 PLANNERS = {
@@ -55,7 +59,7 @@ CASES = [(kind, problem) for kind in PLANNERS for problem in PROBLEMS if takes(k
 def case(request):
     """A planner, a problem and beliefs, one for each lane."""
     kind, problem = request.param
-    return build(PLANNERS[kind], "float64"), *PROBLEMS[problem]
+    return build(PLANNERS[kind], "float64"), *task(problem)
 
 
 @pytest.fixture

@@ -70,22 +70,24 @@ def plan(start, path, end_heading):
     )
 
 
-def spline(action, start):
-    """A planned path of a metre in the world's frame."""
-    path = np.asarray(SplineSet(f64(1.0), 5, 8).paths())[action]
-    cos, sin = np.cos(start[2]), np.sin(start[2])
-    turn = np.array([[cos, sin], [-sin, cos]])
-    return np.column_stack([path[:, :2] @ turn + start[:2], path[:, 2] + start[2]])
-
-
 START = np.array([0.3, -0.2, 2.9])
-CASES = {action: spline(action, START) for action in (0, 1, 4)}
-each_path = pytest.mark.parametrize("action", CASES)
+
+
+@functools.cache
+def spline(action):
+    """A planned path of a metre from `START`, in the world's frame."""
+    path = np.asarray(jax.jit(SplineSet.paths)(SplineSet(f64(1.0), 5, 8)))[action]
+    cos, sin = np.cos(START[2]), np.sin(START[2])
+    turn = np.array([[cos, sin], [-sin, cos]])
+    return np.column_stack([path[:, :2] @ turn + START[:2], path[:, 2] + START[2]])
+
+
+each_path = pytest.mark.parametrize("action", (0, 1, 4))
 
 
 @each_path
 def test_a_way_goes_through_the_poses_from_rest_to_rest(action):
-    path = CASES[action]
+    path = spline(action)
     reference, steps = jax.tree.map(np.asarray, plan(f64(START), f64(path), f64(path[-1, 2] + np.pi)))
     np.testing.assert_allclose(reference.position[0], [*START[:2], ALTITUDE])
     np.testing.assert_array_equal(reference.position[:, 2], ALTITUDE)
@@ -106,7 +108,7 @@ def test_a_way_goes_through_the_poses_from_rest_to_rest(action):
 
 @each_path
 def test_velocities_and_accelerations_are_derivatives(action):
-    path = CASES[action]
+    path = spline(action)
     reference, _ = jax.tree.map(np.asarray, plan(f64(START), f64(path), f64(path[-1, 2] + 2.0)))
     for value, rate, tolerance in [
         (reference.position, reference.velocity, 0.01),
@@ -123,8 +125,8 @@ def test_velocities_and_accelerations_are_derivatives(action):
 
 
 def test_a_robot_that_is_stopped_stays_there():
-    path = np.repeat(CASES[1][2:3], 8, axis=0)
-    path[:2] = CASES[1][:2]
+    path = np.repeat(spline(1)[2:3], 8, axis=0)
+    path[:2] = spline(1)[:2]
     reference, steps = jax.tree.map(np.asarray, plan(f64(START), f64(path), f64(path[-1, 2] + np.pi)))
     np.testing.assert_allclose(reference.position[PATH:, :2], path[2:3, :2].repeat(REST, 0), atol=1e-9)
     assert np.all(steps[2:] == steps[2]) and steps[0] < steps[1] < steps[2] <= PATH
@@ -201,7 +203,7 @@ def test_it_rights_itself():
 
 
 def test_a_planned_path_is_flown_and_the_turn_made():
-    path = CASES[4]
+    path = spline(4)
     reference, steps = plan(f32(START), f32(path), f32(path[-1, 2] + np.pi))
     qpos, qvel = fly(jax.tree.map(np.asarray, reference), at(*START))
     assert np.linalg.norm(qpos[np.asarray(steps), :2] - path[:, :2], axis=1).max() < 0.03
@@ -212,7 +214,7 @@ def test_a_planned_path_is_flown_and_the_turn_made():
 
 def test_without_feed_forward_it_lags():
     """The test above would not tell a controller that ignores the acceleration."""
-    path = CASES[4]
+    path = spline(4)
     reference, _ = plan(f32(START), f32(path), f32(path[-1, 2]))
     reference = jax.tree.map(np.asarray, reference)
     blind = Reference(**{**vars(reference), "acceleration": 0.0 * reference.acceleration})
