@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
@@ -59,6 +60,7 @@ def folder(tmp_path, monkeypatch, usual_jax):
     yield tmp_path
     for path in FILES:
         sys.modules.pop(path.stem, None)
+    jax.clear_caches()  # no two examples share a program: a worker would grow to 2 GB
 
 
 @pytest.mark.parametrize("words", PROGRAMS, ids=[" ".join(words) for words in PROGRAMS])
