@@ -342,7 +342,7 @@ def test_working_files_gone(copy, capsys):
     assert run_sweep_here(copy, resume=True, **HALFWAY) == 2
     output = capsys.readouterr()
     assert "already finished" not in output.out
-    assert "status is interrupted, but its working folder .work is gone: give a new --out" in output.err
+    assert "status is interrupted, but the working folder .work is missing; give another --out" in output.err
 
 
 def test_deleting_a_bad_chunk_mends_it(interrupted, undisturbed):

@@ -233,12 +233,12 @@ def test_a_failed_chunk_does_not_stop_the_others(tmp_path, capsys, folder, monke
         patch.setattr(batch.Compiled, "place", fail)
         assert run_toy(out, runs=RUNS, lanes_per_device=10 // len(jax.devices())) == 1
     (line,) = errors(capsys)
-    assert "1 of 3 chunks failed: RuntimeError: boom (traceback in " in line
+    assert "1 of 3 chunks failed: RuntimeError: boom and a stack (traceback in " in line
     manifest = read_manifest(out)
     assert manifest["status"] == "failed"
     assert [chunk["status"] for chunk in manifest["chunks"]] == ["done", "failed", "done"]
     (stack,) = out.glob(f"{WORK}/error-*.txt")
-    assert manifest["chunks"][1]["error"] == f"RuntimeError: boom (traceback in {stack})"
+    assert manifest["chunks"][1]["error"] == f"RuntimeError: boom and a stack (traceback in {stack})"
     assert "and a stack" in stack.read_text()
     assert set(read_table(out / "runs.parquet")["point"].to_pylist()) == {0, 2}
     assert run_toy(out, runs=RUNS, lanes_per_device=10 // len(jax.devices()), resume=True) == 0
