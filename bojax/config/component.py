@@ -32,9 +32,9 @@ class Schema(pydantic.BaseModel, frozen=True):
         unknown = [name for name in data if name not in names]
         if unknown:
             name, names = unknown[0], [name for name in names if name != "kind"]
-            kinds = registry.get(getattr(cls, "role", ""), {})
-            owners = [kind for kind, schema in kinds.items() if name in schema.model_fields]
-            context = {"names": names, "others": len(unknown) - 1, "kinds": owners}
+            role = getattr(cls, "role", "")
+            owners = [kind for kind, schema in registry.get(role, {}).items() if name in schema.model_fields]
+            context = {"names": names, "others": len(unknown) - 1, "role": role, "kinds": owners}
             error = PydanticCustomError("unknown_key", "unknown key", context)
             details = InitErrorDetails(type=error, loc=(name,), input=data[name])
             raise pydantic.ValidationError.from_exception_data(cls.__name__, [details])

@@ -151,7 +151,8 @@ def _message(line: Any, siblings: Sequence[str]) -> str:
     if kind == "unknown_key":
         names = [*context["names"], *(siblings if len(line["loc"]) == 1 else ())]
         name, kinds = line["loc"][-1], context["kinds"]
-        owners = f" (a setting of kind={listed(name, kinds)})" if kinds else ""
+        key = "experiment" if context["role"] == "experiment" else "kind"
+        owners = f" (a setting of {key}={listed(name, kinds)})" if kinds else ""
         return "unknown key" + owners + one_of(name, names)
     if kind == "missing":
         return "missing; this setting has no default"

@@ -170,7 +170,7 @@ def _check_protocol(cls: type, role: str, kind: str) -> None:
     if missing:
         hint = f"; see {base.replace(':', '.')}" if base else ""
         names = ", ".join(sorted(missing))
-        raise _Refusal(f"got {shown(kind)}; the class lacks {names}, required by the role {role}{hint}")
+        raise _Refusal(f"got {shown(kind)}; the class does not implement {names}{hint}")
 
 
 def error_at_line(error: BaseException) -> str:

@@ -30,6 +30,14 @@ EXPERIMENTS = {
         "plannr: sbo",
         'x.yaml: plannr: unknown key; allowed: …; did you mean "planner"?',
     ),
+    "a setting of another kind": (
+        "planner: {kind: random, depth: 3}",
+        "x.yaml: planner.depth: unknown key (a setting of kind=…sbo…); allowed: …",
+    ),
+    "a setting of another experiment": (
+        "{experiment: learning, planner: sbo}",
+        "x.yaml: planner: unknown key (a setting of experiment=planning); allowed: …",
+    ),
     "an unknown kind": (
         "planner: kcbt",
         'x.yaml: planner: got "kcbt"; unknown planner; allowed: …; did you mean "kcbts"?',

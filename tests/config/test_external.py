@@ -217,7 +217,7 @@ def test_the_label_of_a_class_is_its_name(write, resolved):
         ),
         (
             ["planner.kernel=my_kernels:Lacking"],
-            "the class lacks __call__, required by the role kernel; see bojax.models.kernels.Kernel",
+            "the class does not implement __call__; see bojax.models.kernels.Kernel",
         ),
     ],
 )
