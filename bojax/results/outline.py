@@ -14,8 +14,8 @@ class Outline:
         border: The domain, as a box; None for a world without a border.
         obstacles: Boxes or discs that stop a path or end an episode.
         goals: Boxes or discs to reach.
-        start: Initial position, `(x, y)`; None where it differs between runs.
-        heading: Heading to reach in a goal, in radians; None where any will do.
+        start: Initial position, `(x, y)`; None if it differs between runs.
+        heading: Heading to reach in a goal, in radians; None if all are allowed.
         blocks: Boxes that stand on the ground, `(x_min, y_min, x_max, y_max, height)`.
     """
 
@@ -43,7 +43,7 @@ class Outline:
 
     @classmethod
     def of(cls, numbers: Mapping[str, Any]) -> "Outline":
-        """The outline that `as_numbers` describes; what is missing is left out."""
+        """The outline with the values of `as_numbers`; omitted values have their defaults."""
         return cls(**{name: value for name, value in numbers.items() if value is not None})
 
 

@@ -107,7 +107,7 @@ def test_the_settings_hold_the_checksum_of_the_file(write, schema: type[Componen
     settings = schema(file="table.csv", extent=EXTENT)
     assert settings.model_dump()["sha256"] == digest
     assert schema.model_validate(settings.model_dump()) == settings
-    # Other data under the same name are other settings: results do not go on with them.
+    # Other data in a file of the same name are different settings: results are not resumed with them.
     path.write_text("0,0,1\n1,0,2\n0,1,4")
     assert schema(file="table.csv", extent=EXTENT) != settings
     with pytest.raises(ValueError, match="the file has changed"):
