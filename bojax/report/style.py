@@ -20,19 +20,17 @@ from scipy.optimize import isotonic_regression
 
 from bojax.report.source import Point
 
-BLUE, ORANGE, GREEN, PINK, SKY, YELLOW, GREY, BROWN = (
+BLUE, ORANGE, GREEN, PINK, SKY, YELLOW, BROWN, GREY = PALETTE = (
     "#0072B2",
     "#D55E00",
     "#009E73",
     "#B8558F",
     "#3795CF",
     "#C98A00",
-    "#6B6B6B",
     "#7A4B2A",
+    "#6B6B6B",
 )
 """Okabe and Ito's palette for all kinds of colour vision, the light ones darkened to carry text."""
-
-PALETTE = (BLUE, ORANGE, GREEN, PINK, SKY, YELLOW, GREY, BROWN)
 
 COLOURS: Mapping[str, str] = {
     "kcbts": BLUE,
@@ -48,8 +46,6 @@ COLOURS: Mapping[str, str] = {
     "exploration-values": BLUE,
     "additive": ORANGE,
     "epsilon-greedy": GREY,
-    "dora": GREEN,
-    "vime": PINK,
 }
 """Colour of every identifier of the results format; planners and learners never share a figure."""
 
@@ -156,7 +152,7 @@ def colour(label: str, labels: Sequence[str]) -> str:
         return COLOURS[label]
     unknown = sorted({name for name in labels if name not in COLOURS} | {label})
     taken = {COLOURS[name] for name in labels if name in COLOURS}
-    free = [c for c in (BLUE, ORANGE, GREEN, PINK, SKY, YELLOW, BROWN, GREY) if c not in taken] or [GREY]
+    free = [ink for ink in PALETTE if ink not in taken] or [GREY]
     return free[unknown.index(label) % len(free)]
 
 

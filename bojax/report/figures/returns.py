@@ -1,10 +1,10 @@
-"""Final return of every run: one dot a run, since means hide that returns fall into separate groups."""
+"""Final return of every run, one dot per run: means hide that returns fall into separate groups."""
 
 import numpy as np
-from matplotlib.ticker import MaxNLocator
 
 from bojax.report import statistics, style
 from bojax.report.drawing.base import Drawing, Undrawable, drawn_points
+from bojax.report.drawing.rows import set_rows
 from bojax.report.source import Results
 from bojax.report.text import number
 
@@ -16,7 +16,7 @@ _MAX_DOTS = 400
 
 
 def draw(results: Results) -> Drawing:
-    """A swarm per point over the final return, its mean with the 95% interval below it."""
+    """A swarm of dots per point; below it, the mean with its 95% interval."""
     if "return" not in results.runs:
         raise Undrawable("runs.parquet has no return")
     points, note = drawn_points(results)
@@ -34,22 +34,14 @@ def draw(results: Results) -> Drawing:
         if sample.size:
             mean = statistics.mean_interval(sample)
             means.append(f"{point.name} {number(mean.estimate)}")
-            below = row + float(offsets.max()) + 0.11  # over the dots it would hide them
+            below = row + float(offsets.max()) + 0.11  # on the dots it would hide them
             axes.plot([mean.low, mean.high], [below, below], color=style.INK, linewidth=1.8, zorder=4)
             axes.scatter([mean.estimate], [below], marker="D", s=22, color=style.INK, linewidths=0, zorder=5)
-    axes.set_ylim(len(points) - 0.4, -0.5)
-    axes.set_yticks(range(len(points)), [style.wrapped(point.name, 14) for point in points])
-    for tick, look in zip(axes.get_yticklabels(), style.looks(points), strict=True):
-        tick.set_color(look["color"])
-    axes.spines["left"].set_visible(False)
-    style.plain_ticks(axes.xaxis)
-    axes.xaxis.set_major_locator(MaxNLocator(nbins=5))
+    set_rows(axes, points, bottom=0.6, ticks=5, name_width=14)
     what = "final return of every run"
     if any(point.is_learning for point in points):
         what = "return of every run's last training episode"
     axes.set_xlabel(what)
-    style.quiet_grid(axes, "x")
-    axes.tick_params(axis="y", length=0)
     return Drawing(
         figure=figure,
         title="Distribution of returns",
@@ -60,9 +52,9 @@ def draw(results: Results) -> Drawing:
 
 
 def swarm(sample: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Dots at the middles of their bins and their vertical offsets, stacked around the middle of the row.
+    """Positions of dots at the centres of their bins, and vertical offsets that stack them around their row.
 
-    A large sample is drawn by its quantiles. The fullest bin fills the row's height at most.
+    A large sample is drawn as its quantiles. The stack of the fullest bin is not higher than the row.
     """
     dots = np.sort(sample)
     if dots.size > _MAX_DOTS:
