@@ -26,9 +26,9 @@ STILL = (4.8, 3.6)
 """Inches of a still."""
 
 _FREQUENT, _REST = 40, 215
-"""Colours of a GIF: the most frequent ones as they are, and a choice among all others.
+"""Number of colours of a GIF that are the most frequent ones exactly, and number chosen among all others.
 
-One of the 256 is left for pixels that stay as they were, which then need no bytes.
+One entry of the 256 is left for pixels that do not change, which then need no bytes.
 """
 
 
@@ -122,7 +122,13 @@ def _make(folder: Path) -> None:
 
 
 def _write_gif(path: Path, images: Sequence[Image.Image], seconds: float) -> None:
-    # One palette for all, of the first, the middle and the last: pixels that stay need no bytes.
+    """Write a GIF with one palette, taken from the first, the middle and the last image.
+
+    Alternatives were measured on a film of 131 maps (287 KiB as written here). Pillow's palette for each image
+    takes 2.7 times as many bytes; one palette of Pillow's takes as many, but shifts white and increases the
+    mean error of colours 8 times. APNG (5 times as large) and lossless WebP (8 times) are exact; lossy WebP is
+    larger, too, and blurs lines.
+    """
     palette = _palette([images[i] for i in (0, len(images) // 2, -1)])
     frames = [_indexed(np.asarray(image), palette) for image in images]
     durations = [round(1000 * seconds)] * (len(frames) - 1) + [round(1000 * LAST_SECONDS)]
@@ -132,7 +138,7 @@ def _write_gif(path: Path, images: Sequence[Image.Image], seconds: float) -> Non
 
 
 def _palette(images: Sequence[Image.Image]) -> NDArray[np.uint8]:
-    """Colours that stand for all: those of large areas exactly, so that white stays white."""
+    """A palette that has the colours of large areas exactly, so that white stays white."""
     samples = np.concatenate([np.asarray(image).reshape(-1, 3) for image in images])
     values, counts = np.unique(_packed(samples), return_counts=True)
     order = np.argsort(-counts, kind="stable")
@@ -145,7 +151,7 @@ def _palette(images: Sequence[Image.Image]) -> NDArray[np.uint8]:
 
 
 def _indexed(image: NDArray[np.uint8], palette: NDArray[np.uint8]) -> Image.Image:
-    """The image in the nearest colours of a palette; Pillow's own search rounds, and white turns grey."""
+    """The image in the nearest colours of a palette. Pillow's own search rounds, and turns white into grey."""
     values, places = np.unique(_packed(image), return_inverse=True)
     colours, known = _unpacked(values).astype(np.float32), palette.astype(np.float32)
     nearest = np.argmin(np.sum(known**2, axis=-1) - 2.0 * colours @ known.T, axis=-1)
