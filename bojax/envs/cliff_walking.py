@@ -23,7 +23,7 @@ class CliffWalking(TabularEnv):
 
     States are numbered row by row from the upper left, actions are up, right, down, left, both as in
     Gymnasium's `CliffWalking-v1`. The cells between start and goal are the cliff: who falls is back at the
-    start, and the episode goes on. A step off the grid stays where it is.
+    start, and the episode continues. A step off the grid leaves the agent where it is.
 
     Settings: `bojax.envs.settings.CliffWalking`.
     """

@@ -136,7 +136,7 @@ class Learner(eqx.Module):
     def policy_state(self, state: LearnerState) -> LearnerState:
         """The part of the state that is exported: with the shapes of `init` at a capacity of 0.
 
-        It is enough to act, but not to go on learning.
+        It suffices to act, but not to continue learning.
         """
         return state
 

@@ -230,8 +230,8 @@ def load(folder: Path) -> Results:
     """A results folder; its tables are read when they are asked for.
 
     Raises:
-        ResultsError: If the folder is missing, is none of results, its manifest is not what a report reads,
-            or its sweep has not finished. Reading a damaged table or snapshot raises it too, later.
+        ResultsError: The folder is missing or holds no results, its manifest is damaged, or its sweep has not
+            finished. Damaged tables and snapshots raise it when they are read.
     """
     try:
         if not folder.is_dir():

@@ -96,7 +96,7 @@ def _counts(num_rows: int, resamples: int, block: int, seed: int) -> NDArray[np.
 def bootstrap_present(values: ArrayLike) -> Floats:
     """Means of resampled rows, as `bootstrap_means`, over the values that are not NaN.
 
-    A resample in which a column has no number gives NaN.
+    A resample without any value of a column gives NaN in that column.
     """
     table = np.asarray(values, dtype=np.float64)
     is_there = np.isfinite(table)

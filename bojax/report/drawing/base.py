@@ -1,4 +1,4 @@
-"""What a figure is to the report: a function of the results that returns a drawing or says why it cannot."""
+"""Drawings, which figures make from results, and the points that they show."""
 
 from dataclasses import dataclass
 
@@ -8,22 +8,22 @@ from matplotlib.figure import Figure
 from bojax.report.source import Point, Results
 
 MAX_POINTS = 12
-"""More curves or panels than this cannot be read: then the best point of each label is drawn."""
+"""Largest number of readable curves or panels; of more points, the best one of each label is drawn."""
 
 
 class Undrawable(Exception):
-    """Why a figure cannot be drawn from these results."""
+    """The results do not allow a figure; the message says why."""
 
 
 @dataclass(frozen=True)
 class Drawing:
-    """A figure with what stands around it on the page.
+    """A figure with its title and texts.
 
     Attributes:
         figure: The figure.
         title: Its heading.
-        caption: What is drawn, and how it was computed.
-        alt: What the figure shows, in words, for who cannot see it.
+        caption: Content of the figure, and how it was computed.
+        alt: Alternative text for screen readers.
     """
 
     figure: Figure
@@ -33,7 +33,7 @@ class Drawing:
 
 
 def drawn_points(results: Results, most: int = MAX_POINTS) -> tuple[tuple[Point, ...], str]:
-    """The points that a figure shows, and a sentence for its caption where some are left out."""
+    """The points that a figure shows, and a sentence for its caption if some are left out."""
     points = tuple(point for point in results.points if results.runs_of(point)["run"].size)
     if not points:
         raise Undrawable("no point has a run")
@@ -51,6 +51,6 @@ def drawn_points(results: Results, most: int = MAX_POINTS) -> tuple[tuple[Point,
 
 
 def panel_grid(count: int) -> tuple[int, int]:
-    """Rows and columns of a grid of square panels: two columns stay readable on a phone."""
+    """Numbers of rows and columns of a grid of square panels, readable on a phone."""
     columns = min(count, 2)
     return -(-count // columns), columns
