@@ -38,7 +38,7 @@ def save(path: Path, tree: PyTree[Array]) -> None:
     except Exception as error:
         if "No space left" in str(error) or getattr(error, "errno", None) == 28:
             raise ResultsError(
-                f"{path}: the disk is full: free some space, then run again with --resume", exit_code=1
+                f"{path}: the disk is full; free some space, then run again with --resume", exit_code=1
             ) from error
         raise ResultsError(f"{path}: the checkpoint cannot be written ({error_line(error)})", 1) from error
 
