@@ -124,10 +124,10 @@ def _make(folder: Path) -> None:
 def _write_gif(path: Path, images: Sequence[Image.Image], seconds: float) -> None:
     """Write a GIF with one palette, taken from the first, the middle and the last image.
 
-    Alternatives were measured on a film of 131 maps (287 KiB as written here). Pillow's palette for each image
-    takes 2.7 times as many bytes; one palette of Pillow's takes as many, but shifts white and increases the
-    mean error of colours 8 times. APNG (5 times as large) and lossless WebP (8 times) are exact; lossy WebP is
-    larger, too, and blurs lines.
+    The alternatives were measured on a film of 131 maps, which takes 287 KiB here. A palette of Pillow's for
+    each image takes 2.7 times as many bytes. One palette of Pillow's for all takes as many, but shifts white
+    and has 8 times the mean error of colours. APNG (5 times the bytes) and lossless WebP (8 times) are exact;
+    lossy WebP blurs lines and takes 1.4 times the bytes.
     """
     palette = _palette([images[i] for i in (0, len(images) // 2, -1)])
     frames = [_indexed(np.asarray(image), palette) for image in images]
@@ -151,7 +151,7 @@ def _palette(images: Sequence[Image.Image]) -> NDArray[np.uint8]:
 
 
 def _indexed(image: NDArray[np.uint8], palette: NDArray[np.uint8]) -> Image.Image:
-    """The image in the nearest colours of a palette. Pillow's own search rounds, and turns white into grey."""
+    """The image in the nearest colours of a palette. Pillow's search rounds, and turns white into grey."""
     values, places = np.unique(_packed(image), return_inverse=True)
     colours, known = _unpacked(values).astype(np.float32), palette.astype(np.float32)
     nearest = np.argmin(np.sum(known**2, axis=-1) - 2.0 * colours @ known.T, axis=-1)
