@@ -1,4 +1,4 @@
-"""Figures on a dark page: a style sheet within an SVG exchanges its greys where the reader prefers dark."""
+"""Figures on a dark page: a style sheet in the SVG replaces its greys where the reader prefers dark pages."""
 
 from collections.abc import Mapping
 
@@ -21,16 +21,16 @@ _GREYS: Mapping[str, str] = {
         if other == "black"
     },
 }
-"""What is too dark, or too light, on the card of a dark page, and what stands in its place."""
+"""Replacements of the colours that are too dark or too bright on a dark page."""
 
 _CARD = "#1c2025"
 
 
 def adapted(svg: bytes) -> bytes:
-    """An SVG of matplotlib's that is dark on a dark page, and unchanged elsewhere.
+    """Add dark colours to an SVG of matplotlib; they apply only where the reader prefers dark pages.
 
-    Maps are images, which keep their colours and so need the lines that were chosen for them: of a figure
-    with one, only background and text change.
+    The colours of a map, which is an image, do not change, and the colours of lines were chosen to stand out
+    from it. In a figure with a map, only the background and the text change.
     """
     where = "[id^=text_] " if b"<image" in svg else ""
     rules = [f"#patch_1 path{{fill:{_CARD}!important}}", "svg{fill:#e7e9ec}"]

@@ -1,4 +1,4 @@
-"""How means grow with a number: laws of two coefficients, fitted by weighted least squares."""
+"""Laws of growth with two coefficients, fitted to means by weighted least squares."""
 
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
@@ -12,11 +12,11 @@ from bojax.report.text import number
 Law: TypeAlias = Literal["linear", "quadratic", "exponential"]
 
 LAWS: dict[Law, str] = {"linear": "a + b x", "quadratic": "a + b x²", "exponential": "a exp(b x)"}
-"""The laws compared. All have two coefficients, so that none fits better by its freedom alone."""
+"""The laws that are compared. Each has two coefficients, so none fits better only by having more."""
 
 FLOOR = 0.05
-"""Share of a mean added to its standard error: no count follows a law exactly, least of all for small
-numbers, whose means are known best and would otherwise decide alone."""
+"""Share of each mean that is added to its standard error in quadrature. No mean follows a law exactly, least
+of all at small numbers, where standard errors are smallest and would otherwise decide the fit."""
 
 _RATES = 2001
 _BLOCK = 500
@@ -27,10 +27,10 @@ class Fit:
     """One law fitted to means, or to each resample of them.
 
     Attributes:
-        law: Which one.
+        law: The law.
         a: First coefficient, `[]` or `[resamples]`.
         b: Second coefficient.
-        misfit: Root mean square of the residuals, each over its error.
+        misfit: Root mean square of the residuals, each divided by its error.
     """
 
     law: Law
@@ -39,14 +39,14 @@ class Fit:
     misfit: Floats
 
     def __call__(self, x: Floats) -> Floats:
-        """The law at numbers `[n]`, of a single fit."""
+        """Evaluate a single fit at numbers `[n]`."""
         if self.law == "exponential":
             return self.a * np.exp(self.b * x)
         return self.a + self.b * (x if self.law == "linear" else x**2)
 
     @override
     def __str__(self) -> str:
-        """The law with its coefficients, of a single fit."""
+        """The formula of a single fit."""
         a, b = number(float(self.a)), number(abs(float(self.b)))
         sign = "-" if self.b < 0 else "+"
         if self.law == "exponential":
@@ -55,20 +55,20 @@ class Fit:
 
 
 def errors_of(values: Floats) -> Floats:
-    """Error of the mean of each column of `[runs, n]`, a NaN being no value: standard error and floor."""
+    """Error of the mean of each column of `[runs, n]`: standard error and floor. NaNs are left out."""
     count = np.isfinite(values).sum(axis=0)
     variance = np.nanvar(values, axis=0, ddof=1) / count
     return np.sqrt(variance + (FLOOR * np.nanmean(values, axis=0)) ** 2)
 
 
 def fit(law: Law, x: Floats, means: Floats, errors: Floats) -> Fit:
-    """The law nearest to means by weighted least squares.
+    """Fit a law to means by weighted least squares.
 
     Args:
-        law: Which law.
+        law: The law.
         x: `[n]` numbers.
         means: `[..., n]` means at these numbers.
-        errors: `[n]` error of each mean; its inverse square is its weight.
+        errors: `[n]` error of each mean, whose inverse square is the weight.
     """
     flat = np.atleast_2d(np.asarray(means, dtype=np.float64))
     a, b, squares = (_exponential if law == "exponential" else _polynomial)(law, x, flat, errors**-2)
@@ -78,7 +78,7 @@ def fit(law: Law, x: Floats, means: Floats, errors: Floats) -> Fit:
 
 
 def exponents(x: Floats, means: Floats, errors: Floats) -> Floats:
-    """Exponent k of the power law c x^k nearest to positive means, on logarithmic axes.
+    """Exponent k of the power law c x^k fitted to the logarithms of positive means.
 
     Args:
         x: `[n]` positive numbers.
@@ -99,11 +99,11 @@ def _polynomial(law: Law, x: Floats, means: Floats, weights: Floats) -> tuple[Fl
 
 
 def _exponential(law: Law, x: Floats, means: Floats, weights: Floats) -> tuple[Floats, Floats, Floats]:
-    """For each rate b of a fine grid the best a is known: the best pair is that of the least squares."""
+    """Search a fine grid of rates b; the best a for each b is known in closed form."""
     del law
     reach = 2.0 * np.log(means.max() / max(means.min(), 1e-9 * means.max())) + 1.0
     rates = np.linspace(-reach, reach, _RATES) / np.ptp(x)
-    # Curves are 1 in the middle of x, so that no rate overflows.
+    # The curves are 1 at the centre of x, so that no rate overflows.
     middle = (x.min() + x.max()) / 2
     curves = np.exp(rates[:, None] * (x - middle))
     norms = curves**2 @ weights

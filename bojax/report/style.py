@@ -1,4 +1,4 @@
-"""How figures look: one colour per identifier everywhere, sizes that survive a phone, files without dates."""
+"""The look of figures: one colour per identifier, text readable on a phone, files without dates."""
 
 import io
 import re
@@ -30,7 +30,10 @@ BLUE, ORANGE, GREEN, PINK, SKY, YELLOW, BROWN, GREY = PALETTE = (
     "#7A4B2A",
     "#6B6B6B",
 )
-"""Okabe and Ito's palette for all kinds of colour vision, the light ones darkened to carry text."""
+"""The palette of Okabe and Ito for all kinds of colour vision, its light colours darkened for text.
+
+Identifiers without a colour of their own take them in this order.
+"""
 
 COLOURS: Mapping[str, str] = {
     "kcbts": BLUE,
@@ -47,27 +50,27 @@ COLOURS: Mapping[str, str] = {
     "additive": ORANGE,
     "epsilon-greedy": GREY,
 }
-"""Colour of every identifier of the results format; planners and learners never share a figure."""
+"""Colour of each built-in planner and learner, which never share a figure."""
 
 LINES = ("-", (0, (5, 1.6)), (0, (1.2, 1.4)), (0, (6, 1.5, 1.2, 1.5)), (0, (2.5, 1.2)))
-"""Line styles that tell variants of one identifier apart."""
+"""Line styles that distinguish the variants of one identifier."""
 
 SHADES = (("white", 0.0), ("black", 0.45), ("white", 0.4), ("black", 0.25), ("white", 0.2))
-"""What the colour of an identifier is mixed with for its variants, and by which share."""
+"""The colour that is mixed into that of an identifier for each of its variants, and its share."""
 
 WIDTH = 4.7
-"""Width of every figure in inches: on a phone, 340 CSS pixels, its text is still 10 pixels high."""
+"""Width of every figure in inches: on a phone of 340 CSS pixels, text is still 10 pixels high."""
 
 INK, FAINT = "#222222", "#8A8A8A"
 
 _SETTINGS: Mapping[str, Any] = {
-    "font.family": ["DejaVu Sans"],  # comes with matplotlib: the same glyphs on every machine
-    "text.parse_math": False,  # names are the user's: a dollar sign is one
+    "font.family": ["DejaVu Sans"],  # part of matplotlib: the same glyphs on every machine
+    "text.parse_math": False,  # names are given by users and may contain dollar signs
     "font.size": 10.5,
     "axes.titlesize": 10.5,
     "axes.labelsize": 10.5,
     "axes.edgecolor": "#555555",
-    "axes.facecolor": "none",  # one background for the whole figure, see `bojax.report.dark`
+    "axes.facecolor": "none",  # the figure has the only background, see `bojax.report.dark`
     "axes.labelcolor": INK,
     "axes.linewidth": 0.8,
     "axes.spines.top": False,
@@ -97,18 +100,18 @@ _FALLBACKS = (
     *("PingFang SC", "Hiragino Sans", "Microsoft YaHei", "SimHei", "Yu Gothic", "Malgun Gothic"),
     *("Arial Unicode MS", "Noto Sans Devanagari", "Noto Sans Thai"),
 )
-"""Fonts for what DejaVu Sans has no glyphs of, used where they are installed."""
+"""Fonts for characters that DejaVu Sans lacks, used where they are installed."""
 
 _NO_GLYPH = "Glyph .* missing from"
 
 
 @contextmanager
 def settings() -> Iterator[list[str]]:
-    """Context in which figures are made and saved; matplotlib's defaults come back after it.
+    """Context with the settings of matplotlib under which figures are made and saved.
 
     Yields:
-        A list that holds, after the context, matplotlib's warnings of characters that no font has; they are
-        not shown, other warnings are.
+        A list that contains, after the context, matplotlib's warnings of characters that no font has. These
+        warnings are not shown; others are.
     """
     fonts = [
         *_SETTINGS["font.family"],
@@ -128,14 +131,14 @@ def settings() -> Iterator[list[str]]:
 
 
 def figure(height: float, rows: int = 1, columns: int = 1, **options: Any) -> tuple[Figure, np.ndarray]:
-    """A figure of the common width and its grid of axes, `[rows, columns]`, laid out without overlap."""
+    """A figure of the common width, and its grid of axes `[rows, columns]` in a constrained layout."""
     drawn = Figure(figsize=(WIDTH, height), layout="constrained")
     return drawn, drawn.subplots(rows, columns, squeeze=False, **options)
 
 
 def encode(drawn: Figure) -> Mapping[str, bytes]:
-    """The figure as `png` and `svg`, the same bytes every time: fixed ids, no date."""
-    # Panels of equal aspect move once the first layout is known: let it settle, so that nothing is cut off.
+    """The figure as `png` and `svg`. Equal figures give equal bytes: ids are fixed and dates left out."""
+    # Panels of equal aspect move in the second layout pass; without it they would be cut off.
     for _ in range(2):
         drawn.draw_without_rendering()
     files = {}
@@ -147,7 +150,7 @@ def encode(drawn: Figure) -> Mapping[str, bytes]:
 
 
 def colour(label: str, labels: Sequence[str]) -> str:
-    """Colour of an identifier; one that the format does not know gets a colour that no other label uses."""
+    """Colour of an identifier; one without a colour of its own gets a colour that no other label uses."""
     if label in COLOURS:
         return COLOURS[label]
     unknown = sorted({name for name in labels if name not in COLOURS} | {label})
@@ -157,13 +160,13 @@ def colour(label: str, labels: Sequence[str]) -> str:
 
 
 def look(label: str, labels: Sequence[str], variant: int) -> dict[str, Any]:
-    """Colour and line style of a variant of a label: a shade of the label's colour, and its own style."""
+    """Colour and line style of a variant of a label: a shade of the label's colour, and a line style."""
     ink = mixed(colour(label, labels), *SHADES[variant % len(SHADES)])
     return {"color": ink, "linestyle": LINES[variant % len(LINES)]}
 
 
 def mixed(ink: str, other: str, share: float) -> str:
-    """A colour with a share of another one in it."""
+    """A mixture of two colours with this share of the second."""
     red, green, blue = ((1 - share) * a + share * b for a, b in zip(to_rgb(ink), to_rgb(other), strict=True))
     return to_hex((red, green, blue)).upper()
 
@@ -180,7 +183,7 @@ def looks(points: Sequence[Point]) -> list[dict[str, Any]]:
 def direct_labels(
     axes: Axes, x: float, heights: Sequence[float], names: Sequence[str], colours: Sequence[str]
 ) -> None:
-    """Names beside the right ends of curves, moved apart until none overlaps, with a leader where moved."""
+    """Write names beside the right ends of curves, apart from each other; a line leads to a moved name."""
     figure = axes.figure
     assert isinstance(figure, Figure)
     low, high = axes.get_ylim()
@@ -197,7 +200,10 @@ def direct_labels(
 
 
 def spread(heights: Sequence[float], gap: float, low: float, high: float) -> list[float]:
-    """The positions nearest to `heights` that keep their order and a gap, within the bounds if they fit."""
+    """The positions nearest to `heights` in the same order with at least a gap between them.
+
+    They are within the bounds if there is enough room.
+    """
     order = np.argsort(np.asarray(heights, dtype=np.float64), kind="stable")
     offsets = gap * np.arange(len(order))
     # Keeping a gap between neighbours is isotonic regression of the heights less their offsets.
@@ -208,7 +214,7 @@ def spread(heights: Sequence[float], gap: float, low: float, high: float) -> lis
 
 
 def wrapped(name: str, width: int) -> str:
-    """A long name on several lines."""
+    """A name broken into lines of at most `width` characters."""
     return "\n".join(textwrap.wrap(name, width)) or name
 
 
@@ -218,6 +224,6 @@ def plain_ticks(axis: Axis) -> None:
 
 
 def quiet_grid(axes: Axes, which: str = "y") -> None:
-    """A faint grid along one axis."""
+    """Add a faint grid along one axis."""
     axes.grid(True, axis=which)  # type: ignore[arg-type]
     axes.tick_params(length=3)

@@ -1,4 +1,4 @@
-"""Maps: values on the grid of a belief, drawn over the domain."""
+"""Maps of values on the grid of a belief, drawn over the domain."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -22,16 +22,16 @@ Belief = Mapping[str, Floats]
 
 
 def beliefs(results: Results, point: Point) -> dict[int, Belief]:
-    """The final beliefs recorded of a point, by run; those without a true field are left out."""
+    """The recorded final beliefs of a point that include the true field, by run."""
     found = results.arrays(point, "belief")
     return {run: arrays for run, arrays in found if BELIEF <= arrays.keys()}
 
 
 def height_maps(results: Results, most: int) -> tuple[list[tuple[Point, int, Belief]], str]:
-    """The first recorded map of each point that measures heights, and a sentence on what is left out.
+    """The first recorded map of each point that measures heights, and the note of `drawn_points`.
 
     Raises:
-        Undrawable: There is none.
+        Undrawable: No such map is recorded.
     """
     points, note = drawn_points(results, most)
     found = [
@@ -47,7 +47,7 @@ def height_maps(results: Results, most: int) -> tuple[list[tuple[Point, int, Bel
 
 
 def draw_map(axes: Axes, belief: Belief, values: Floats, norm: Normalize, cmap: Any) -> AxesImage:
-    """Values `[y, x]` as colours, interpolated between the points of the grid and cut at its outermost."""
+    """Draw values `[y, x]` as colours, interpolated within the grid and not extrapolated beyond it."""
     (x_min, x_step), (y_min, y_step) = (_spacing(belief[name]) for name in ("x", "y"))
     x_max, y_max = float(belief["x"][-1]), float(belief["y"][-1])
     limits = axes.get_xlim(), axes.get_ylim()

@@ -1,23 +1,23 @@
-"""Smooth curves through the poses of a path, whose few samples are too coarse to be drawn as a polyline."""
+"""Smooth curves through the poses of a path: a polyline through its few samples would look angular."""
 
 import numpy as np
 
 from bojax.report.statistics import Floats
 
 _POINTS = 8
-"""Points of a curve between two poses."""
+"""Number of points of a curve from one pose to the next."""
 
 
 def smooth(start: Floats, poses: Floats) -> Floats:
     """A cubic Hermite curve from a start through poses, along the heading of each.
 
     Args:
-        start: `[2 or more]` position before the first pose; its heading is not used, since a trajectory
-            need not leave along it: the first piece is the parabola that arrives along the first pose.
+        start: `[2 or more]` position before the first pose. Its heading is not used, because a trajectory
+            need not begin along it: the first segment is the parabola that ends along the first heading.
         poses: `[S, 3]` x, y, heading.
 
     Returns:
-        `[8 S + 1, 2]` points, the start and every pose among them.
+        `[8 S + 1, 2]` points that include the start and every pose.
     """
     ends = np.concatenate([np.asarray(start)[None, :2], poses[:, :2]])
     chords = np.diff(ends, axis=0)

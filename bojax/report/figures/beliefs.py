@@ -18,14 +18,14 @@ from bojax.report.text import joined, number
 RANK = 130
 
 MAX_ROWS = 6
-"""More rows than this do not fit a screen: then the best point of each label is drawn."""
+"""Most rows that fit a screen; of more points, the best of each label is drawn."""
 
 _PANELS = {"true field": "viridis", "mean": "viridis", "error": "RdBu_r", "std": "PuBu"}
-"""Columns of the figure, with their colours."""
+"""Colour map of each column of the figure."""
 
 
 def draw(results: Results) -> Drawing:
-    """One row per point: true field, mean, error and standard deviation, one scale for each unit of them."""
+    """One row per point: true field, mean, error and standard deviation; field and mean share a scale."""
     points, note = drawn_points(results, MAX_ROWS)
     found = {point.index: beliefs(results, point) for point in points}
     points = tuple(point for point in points if found[point.index])
@@ -37,7 +37,9 @@ def draw(results: Results) -> Drawing:
     figure, grid = style.figure(
         1.16 * len(points) + 0.75, len(points), len(_PANELS), sharex=True, sharey=True
     )
-    figure.set_layout_engine("compressed")  # panels of equal aspect leave gaps that no other layout closes
+    figure.set_layout_engine(
+        "compressed"
+    )  # the only layout that closes the gaps between panels of equal aspect
     looks = style.looks(points)
     for row, point, look, (_, belief), values in zip(grid, points, looks, chosen, maps, strict=True):
         for axes, (panel, colours) in zip(row, _PANELS.items(), strict=True):
@@ -67,11 +69,11 @@ def draw(results: Results) -> Drawing:
     return Drawing(
         figure=figure,
         title="Final belief",
-        caption="The true field, and what is believed about it at the end of run "
-        f"{joined([str(run) for run in runs])}: mean, error (red: too high) and standard deviation, in the "
-        f"field's unit. A column has one scale for all settings. Dots: samples.{note}",
-        alt="Maps of the true field, of mean, error and standard deviation of the final belief, one row per "
-        f"setting. Root mean square of the error on the map: {', '.join(errors)}.",
+        caption="The true field, and the mean, error (red: too high) and standard deviation of the final "
+        f"belief of run {joined([str(run) for run in runs])}, in the unit of the field. All rows share the "
+        f"scales of the columns. Dots: samples.{note}",
+        alt="Maps of the true field and of the mean, error and standard deviation of the final belief, one "
+        f"row per setting. Root mean square error on the map: {', '.join(errors)}.",
     )
 
 
@@ -81,7 +83,7 @@ def _maps(belief: Belief) -> dict[str, Floats]:
 
 
 def _norms(maps: Sequence[Mapping[str, Floats]]) -> dict[str, Normalize]:
-    """Field and mean share a scale; that of the error is symmetric, that of the deviation begins at 0."""
+    """One scale for field and mean, a symmetric one for the error, one from 0 for the standard deviation."""
     fields = np.stack([values[panel] for values in maps for panel in ("true field", "mean")])
     error = max(float(np.abs(values["error"]).max()) for values in maps)
     std = max(float(values["std"].max()) for values in maps)

@@ -1,4 +1,4 @@
-"""Where a map of heights is wrong: its error without the mean of it (Fig. 3.8 of the thesis)."""
+"""Error of a map of heights, centred at zero (Fig. 3.8 of the thesis)."""
 
 import numpy as np
 from matplotlib.colors import Normalize
@@ -14,11 +14,11 @@ from bojax.report.text import joined, number
 RANK = 150
 
 MAX_MAPS = 6
-"""More maps than this do not fit a screen: then the best point of each label is drawn."""
+"""Most maps that fit a screen; of more points, the best of each label is drawn."""
 
 
 def draw(results: Results) -> Drawing:
-    """The centred error of the final mean of one run per point, one scale for all, props outlined."""
+    """The centred error of the final mean of one run per point, on a common scale, with outlined props."""
     maps, note = height_maps(results, MAX_MAPS)
     errors = [belief["mean"] - belief["truth"] for _, _, belief in maps]
     offsets = [float(error.mean()) for error in errors]
@@ -26,7 +26,9 @@ def draw(results: Results) -> Drawing:
     most = max(float(np.abs(error).max()) for error in errors)
     rows, columns = panel_grid(len(maps))
     figure, grid = style.figure(4.68 * rows / columns + 0.75, rows, columns, sharex=True, sharey=True)
-    figure.set_layout_engine("compressed")  # panels of equal aspect leave gaps that no other layout closes
+    figure.set_layout_engine(
+        "compressed"
+    )  # the only layout that closes the gaps between panels of equal aspect
     looks = style.looks([point for point, _, _ in maps])
     norm = Normalize(-most, most)
     for axes, (point, _, belief), error, look in zip(grid.flat, maps, errors, looks, strict=False):
@@ -53,7 +55,8 @@ def draw(results: Results) -> Drawing:
     return Drawing(
         figure=figure,
         title="Centred error of the map",
-        caption=f"The mean of the final belief of run {runs} less the true heights, without the mean of this "
-        f"(red: too high). {'; '.join(numbers)}. Outlines: props. Dots: samples.{note}",
+        caption=f"Difference between the mean of the final belief of run {runs} and the true heights, minus "
+        f"its average, the offset (red: too high). {'; '.join(numbers)}. Outlines: props. "
+        f"Dots: samples.{note}",
         alt=f"Maps of the centred error of the reconstructed heights. {'; '.join(numbers)}.",
     )

@@ -22,7 +22,7 @@ from bojax.report.text import counted
 RANK = 120
 
 EXAMPLES = 2
-"""Runs of each outcome in a panel: more cross too often to be followed."""
+"""Runs of each outcome in a panel; the paths of more runs would cross too often."""
 
 _DASHES = (0, (4, 1.5))
 _RED = "#C8102E"
@@ -37,9 +37,9 @@ _RING: dict[str, Any] = {"color": style.INK, "linestyle": "", "marker": "o"}
 
 
 def draw(results: Results) -> Drawing:
-    """The first recorded runs of each outcome; recorded runs are the first of the sweep, not a choice.
+    """The first recorded runs of each outcome; recorded runs are the first of the sweep, not a selection.
 
-    Where runs do not end at success, as in monitoring, it is the first recorded run alone, on the field.
+    If runs do not end at success, as in monitoring, only the first recorded run is drawn, on the field.
     """
     points, note = drawn_points(results)
     kept = {point.index: list(results.arrays(point, "paths")) for point in points}
@@ -107,7 +107,7 @@ def draw(results: Results) -> Drawing:
 def _outcomes_drawn(
     axes: Axes, results: Results, point: Point, kept: Sequence[tuple[int, Mapping[str, Any]]], colour: str
 ) -> dict[bool, int]:
-    """Draw the first runs of each outcome; how many were drawn."""
+    """Draw the first runs of each outcome, and count them."""
     outcomes, shown = _outcomes(results, point), {True: 0, False: 0}
     for run, arrays in kept:
         succeeded = outcomes.get(run, False)
@@ -124,7 +124,7 @@ def _outcomes(results: Results, point: Point) -> dict[int, bool]:
 
 
 def _run(axes: Axes, arrays: Mapping[str, Any], colour: str, *, is_success: bool) -> Floats:
-    """Draw a run; where it was stopped, `[stops, 2]`."""
+    """Draw a run; the result is the positions `[stops, 2]` at which the robot was stopped."""
     samples = [step[np.isfinite(step).all(axis=1)] for step in np.asarray(arrays["paths"], dtype=np.float64)]
     steps = [step for step in samples if len(step)]
     start = np.asarray(arrays["start"], dtype=np.float64) if "start" in arrays else None
@@ -171,7 +171,7 @@ def stops(ends: Sequence[Floats], steps: Sequence[Floats]) -> Floats:
 
     Args:
         ends: Pose before each step.
-        steps: Poses of each step; from where the robot was stopped on, they repeat.
+        steps: Poses of each step; after the robot is stopped, they repeat.
     """
     last_two = [
         np.concatenate([end[None, :2], step[:, :2]])[-2:] for end, step in zip(ends, steps, strict=False)
@@ -200,7 +200,7 @@ def _run_legend(outcomes: set[bool]) -> list[tuple[Any, str]]:
 
 
 def _domain_legend(points: Sequence[Point]) -> list[tuple[Any, str]]:
-    """The shapes of the domains."""
+    """Entries for the shapes of the domains."""
     entries: list[tuple[Any, str]] = []
     if any(point.outline.obstacles for point in points):
         entries.append((Patch(facecolor=WALL), "obstacle"))

@@ -1,4 +1,4 @@
-"""How each swept setting matters: the best and the mean over all other settings, for each of its values."""
+"""Effect of each swept setting: for each of its values, the best and the mean over all other settings."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -16,7 +16,7 @@ MAX_PANELS = 8
 
 
 def draw(results: Results) -> Drawing:
-    """One panel for each swept list of values; a pair of curves for each label."""
+    """One panel for each swept list of values, with two curves per label."""
     if "return" not in results.runs:
         raise Undrawable("runs.parquet has no return")
     if any(point.is_learning for point in results.points):
@@ -56,9 +56,9 @@ def draw(results: Results) -> Drawing:
     winner = points[int(np.nanargmax(means))]
     return Drawing(
         figure=figure,
-        title="How the settings matter",
+        title="Effect of the settings",
         caption="Mean return for each value of a swept setting: the best over all other settings (dots) and "
-        f"the mean over them (faint). The best of {len(points)} settings, chosen after the fact: "
+        f"the mean over them (faint). Best of {len(points)} settings, selected by these same returns: "
         f"{winner.name}, {number(float(np.nanmax(means)))}.",
         alt=f"Line charts of the mean return over {', '.join(keys)}; the best point is {winner.name}.",
     )
@@ -73,7 +73,7 @@ def values_of(points: Sequence[Point], key: str) -> list[Any]:
 def marginals(
     points: Sequence[Point], means: np.ndarray, key: str, values: Sequence[Any], is_drawn: Sequence[bool]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Best and mean, over the points drawn, of the mean returns at each value of a key."""
+    """Best and mean of the mean returns at each value of a key, over the drawn points."""
     chosen = [
         means[[d and point.swept.get(key) == value for point, d in zip(points, is_drawn, strict=True)]]
         for value in values
@@ -90,7 +90,7 @@ def _keys(points: Sequence[Point]) -> list[str]:
 
 
 def _curve_names(points: Sequence[Point], keys: list[str]) -> list[str]:
-    """Name of the curve of each point; drops from `keys` the named axes, which the curves stand for."""
+    """Name of the curve of each point. Named axes, which the curves distinguish, are removed from `keys`."""
     named = [key for key in keys if all(point.swept.get(key) in point.variant.split("/") for point in points)]
     for key in named:
         keys.remove(key)

@@ -1,4 +1,4 @@
-"""Surfaces from above: the true heights, and what a robot made of them (Figs. 3.5 and 3.7 of the thesis)."""
+"""Surfaces of the true heights and of their reconstructions (Figs. 3.5 and 3.7 of the thesis)."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -19,13 +19,13 @@ from bojax.report.text import joined, number
 RANK = 140
 
 MAX_MAPS = 5
-"""More maps than this do not fit a screen: then the best point of each label is drawn."""
+"""Most maps that fit a screen; of more points, the best of each label is drawn."""
 
 _COLOURS = "YlGn_r"
 
 
 def draw(results: Results) -> Drawing:
-    """The true surface, and the final mean of one run per point with the way of the robot on it."""
+    """The true surface, and the final mean of one run per point with the path of the robot on it."""
     maps, note = height_maps(results, MAX_MAPS)
     truth = maps[0][2]["truth"]
     maps = [entry for entry in maps if np.array_equal(entry[2]["truth"], truth)]
@@ -35,7 +35,7 @@ def draw(results: Results) -> Drawing:
     figure, grid = style.figure(
         1.95 * rows, rows, columns, subplot_kw={"projection": "3d", "computed_zorder": False}
     )
-    figure.set_layout_engine("none")  # no engine can measure what stands around a 3-D panel
+    figure.set_layout_engine("none")  # no engine can measure the labels of a 3-D panel
     panels = list(grid.flat)
     for index, axes in enumerate(panels):
         row, column = divmod(index, columns)
@@ -47,7 +47,7 @@ def draw(results: Results) -> Drawing:
         _surface(axes, belief, belief["mean"], norm)
         paths = dict(results.arrays(point, "paths")).get(run)
         if paths is not None:
-            axes.plot(*_way(paths, belief).T, color="black", linewidth=1.0, zorder=3, clip_on=False)
+            axes.plot(*_path(paths, belief).T, color="black", linewidth=1.0, zorder=3, clip_on=False)
         axes.set_title(style.wrapped(point.name, 24), color=look["color"], pad=-2)
     for axes in panels[1 + len(maps) :]:
         axes.set_visible(False)
@@ -61,8 +61,8 @@ def draw(results: Results) -> Drawing:
         title="Surface and reconstruction",
         caption=f"The true heights, and the mean of the final belief of run {runs}. Lengths are in metres; "
         f"heights, from {number(float(heights.min()))} to {number(float(heights.max()))} m, are drawn "
-        f"{number(_stretch(maps[0][2], norm))} times as large. Black: the way of the robot, put down on the "
-        f"surface.{note}",
+        f"{number(_stretch(maps[0][2], norm))} times as large. Black: the path of the robot, projected onto "
+        f"the surface.{note}",
         alt="Surfaces of the true heights and of their reconstructions with the trajectory in black. Root "
         f"mean square error: {', '.join(errors)}.",
     )
@@ -72,7 +72,7 @@ def _surface(axes: Any, belief: Belief, heights: Floats, norm: Normalize) -> Non
     x, y = np.meshgrid(belief["x"], belief["y"])
     shade = LightSource(azdeg=135, altdeg=50)
     colours = shade.shade(heights, cmap=colormaps[_COLOURS], norm=norm, vert_exag=2.0, blend_mode="soft")
-    # What the panel would cut off, its neighbours leave room for.
+    # Not clipped: the surface may extend beyond its panel, and there is room for it.
     axes.plot_surface(
         x,
         y,
@@ -99,8 +99,8 @@ def _surface(axes: Any, belief: Belief, heights: Floats, norm: Normalize) -> Non
     axes.zaxis.line.set_visible(False)
 
 
-def _way(paths: Mapping[str, Any], belief: Belief) -> Floats:
-    """Points of the way, `[N, 3]`, as high as the reconstruction there."""
+def _path(paths: Mapping[str, Any], belief: Belief) -> Floats:
+    """Points of the path, `[N, 3]`, at the height of the reconstruction."""
     steps = [step[np.isfinite(step).all(axis=1)] for step in np.asarray(paths["paths"], np.float64)]
     start = np.asarray(paths["start"], np.float64)
     curve: Sequence[Floats] = [start[None, :2]]

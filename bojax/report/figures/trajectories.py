@@ -1,4 +1,4 @@
-"""The trajectories that a motion family offers: Fig. 4.2 of the thesis, one panel per point of the sweep."""
+"""The trajectories of a motion family: Fig. 4.2 of the thesis, one panel per point of the sweep."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ RANK = 160
 
 
 def draw(results: Results) -> Drawing:
-    """All trajectories of each point's first run, from the robot at the origin, heading right."""
+    """All trajectories of the first run of each point, from a robot at the origin that heads right."""
     points, note = drawn_points(results)
     found = {}
     for point in points:
@@ -68,6 +68,6 @@ def draw(results: Results) -> Drawing:
     return Drawing(
         figure=figure,
         title="Trajectories",
-        caption=f"The robot stands at the origin and heads right (arrow).{note}",
-        alt=f"Trajectories from the origin, one panel each: {panels}.",
+        caption=f"The robot is at the origin and heads right (arrow).{note}",
+        alt=f"Trajectories from the origin, one panel per setting: {panels}.",
     )

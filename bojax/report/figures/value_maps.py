@@ -26,7 +26,7 @@ MAX_COLUMNS = 4
 
 @dataclass(frozen=True)
 class _Row:
-    """The maps of one recorded run: U `[K, R, R]`, first axis of a map the first observation."""
+    """The maps of one recorded run: U `[K, R, R]`, the first observation along the first axis of a map."""
 
     point: Point
     run: int
@@ -37,7 +37,7 @@ class _Row:
 
 
 def draw(results: Results) -> Drawing:
-    """One row per recorded run, one panel per kept episode, with the trajectory of that episode on it."""
+    """One row per recorded run, one panel per kept episode, which shows the trajectory of the episode."""
     rows = _rows(results)
     columns = max(len(row.episodes) for row in rows)
     figure, grid = style.figure(1.35 + 1.45 * len(rows), len(rows), columns, sharex=True, sharey=True)
@@ -84,9 +84,10 @@ def draw(results: Results) -> Drawing:
     return Drawing(
         figure=figure,
         title="Exploration values and trajectories",
-        caption=f"U at the middle action over {first} and {second}, after the training episodes named, on "
-        "one scale: bright where little was seen. Lines: the trajectory of that episode, from the circle to "
-        f"the cross, or to the star where it was rewarded. The first recorded: {named}.",
+        caption=f"U at the middle action over {first} and {second}, after single training episodes, on a "
+        "common scale: bright where few observations were made. Lines: the trajectory of the episode, from "
+        f"the circle to the cross, or to the star if the last step was rewarded. First recorded runs: "
+        f"{named}.",
         alt=f"Maps of the exploration value over {first} and {second} after {_told(rows[0])}, with the "
         f"trajectories of those episodes: {named}.",
     )
@@ -106,9 +107,9 @@ def _rows(results: Results) -> list[_Row]:
                     _Row(point, run, known, maps[kept, 1][:MAX_COLUMNS], arrays["low"], arrays["high"])
                 )
     if not rows:
-        raise Undrawable("no maps over two observations in arrays/: map_episodes asks for them")
+        raise Undrawable("no maps over two observations in arrays/; map_episodes records them")
     points = list(dict.fromkeys(row.point.index for row in rows))
-    if len(points) > 1:  # the first run of each, rather than all of the first
+    if len(points) > 1:  # the first run of each point, rather than all runs of the first point
         rows = [next(row for row in rows if row.point.index == index) for index in points]
     env = rows[0].point.env
     return [row for row in rows if row.point.env and env and row.point.env.kind == env.kind][:MAX_ROWS]
