@@ -36,9 +36,7 @@ def test_a_curve_is_the_mean_of_its_runs():
 
 def test_words_name_the_quantity_the_runs_the_bands_and_the_ends():
     drawn = drawing(Panel("reward", "mean reward", [RISING]))
-    assert drawn.caption == (
-        "Mean reward, by episode; 2 runs per curve. Bands: pointwise 95% bootstrap intervals."
-    )
+    assert drawn.caption == ("Mean reward, with pointwise 95% bootstrap bands. By episode, 2 runs per curve.")
     assert drawn.alt == (
         "Line chart of the mean reward, by episode. First and last value of each curve: a 0 and 3.00."
     )
@@ -49,10 +47,10 @@ def test_two_panels_are_told_apart():
         "successes (%)", "share of runs that succeed", [curve("a", [[0, 1], [0, 0]])], is_share=True
     )
     caption = drawing(Panel("reward", "mean reward", [RISING]), share).caption
-    assert caption.startswith(
-        "Above: mean reward. Below: share of runs that succeed. Both by episode; 2 runs"
+    assert caption == (
+        "Above: mean reward, with pointwise 95% bootstrap bands. Below: share of runs that succeed, with "
+        "pointwise 95% Wilson bands. By episode, 2 runs per curve."
     )
-    assert "bootstrap above and Wilson below" in caption
 
 
 def test_a_curve_without_values_is_not_drawn_but_told():

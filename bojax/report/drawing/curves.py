@@ -20,7 +20,7 @@ _MAX_NAME = 14
 """More names, or longer ones, are listed below the figure: beside the curves they would take its width."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Curve:
     """Values of the runs of one setting.
 
@@ -58,6 +58,11 @@ class Panel:
     curves: Sequence[Curve]
     is_share: bool = False
     missing: str = ""
+
+    @property
+    def method(self) -> str:
+        """How the bands are computed."""
+        return "Wilson" if self.is_share else "bootstrap"
 
     @cached_property
     def bands(self) -> list[Band]:
@@ -100,7 +105,7 @@ class Chart:
             raise Undrawable(f"no run has a finite value: {panels[0].quantity}")
         self._panels, self._xlabel = panels, xlabel
         self._named = max(panels, key=lambda panel: len(panel.drawn))
-        names = self._names
+        names = [curve.point.name for curve, _, _ in self._named.drawn]
         self._longest = max(map(len, names))
         rows_below = len(names) // 2 if self._longest > _MAX_NAME else 0
         height = (3.6 if len(panels) == 1 else 0.5 + 2.4 * len(panels)) + 0.2 * rows_below
@@ -119,56 +124,35 @@ class Chart:
             note: What `drawn_points` left out.
         """
         self._add_names()
-        caption = [self._subject, self._bands, details, *self._gaps]
+        panels = list(dict.fromkeys(self._panels))
+        drawn = [curve for panel in panels for curve, _, _ in panel.drawn]
+        sizes = sorted({len(curve.values) for curve in drawn})
+        runs = counted(sizes[-1], "run") if len(sizes) == 1 else f"{sizes[0]} to {sizes[-1]} runs"
+        quantities = [f"{panel.quantity}, with pointwise 95% {panel.method} bands." for panel in panels]
+        if len(panels) > 1:
+            quantities = [f"{row}: {text}" for row, text in zip(("above", "below"), quantities, strict=True)]
+        partial = [panel.missing for panel in panels if any(c.is_partial.any() for c, _, _ in panel.drawn)]
+        absent = [curve.point.name for curve in self._named.curves if curve not in drawn]
+        caption = [
+            *(text[0].upper() + text[1:] for text in quantities),
+            f"By {self._xlabel}, {runs} per curve.",
+            details,
+            *partial,
+            f"Without a value: {joined(absent)}." if absent else "",
+        ]
         return Drawing(
             figure=self.figure,
             title=title,
             caption=" ".join(filter(None, caption)) + note,
-            alt=" ".join(map(self._described, self._distinct)),
+            alt=" ".join(map(self._described, panels)),
         )
-
-    @property
-    def _distinct(self) -> list[Panel]:
-        return list(dict.fromkeys(self._panels))
-
-    @property
-    def _names(self) -> list[str]:
-        return [curve.point.name for curve, _, _ in self._named.drawn]
-
-    @property
-    def _subject(self) -> str:
-        sizes = sorted({len(curve.values) for panel in self._panels for curve in panel.curves})
-        runs = counted(sizes[-1], "run") if len(sizes) == 1 else f"{sizes[0]} to {sizes[-1]} runs"
-        quantities = [panel.quantity for panel in self._distinct]
-        if len(quantities) == 1:
-            return f"{_sentence(quantities[0])}, by {self._xlabel}; {runs} per curve."
-        above, below = quantities
-        return f"Above: {above}. Below: {below}. Both by {self._xlabel}; {runs} per curve."
-
-    @property
-    def _bands(self) -> str:
-        methods = ["Wilson" if panel.is_share else "bootstrap" for panel in self._distinct]
-        if len(set(methods)) == 1:
-            return f"Bands: pointwise 95% {methods[0]} intervals."
-        return f"Bands: pointwise 95% intervals, {methods[0]} above and {methods[1]} below."
-
-    @property
-    def _gaps(self) -> list[str]:
-        """Sentences on runs without a value and on curves without any."""
-        told = [
-            panel.missing
-            for panel in self._distinct
-            if any(curve.is_partial.any() for curve, _, _ in panel.drawn)
-        ]
-        absent = [curve.point.name for curve in self._named.curves if curve.point.name not in self._names]
-        return [*told, f"Without a value: {joined(absent)}." if absent else ""]
 
     def _described(self, panel: Panel) -> str:
         write = percent if panel.is_share else number
         ends = []
         for curve, (mean, _, _), _ in panel.drawn:
-            known = mean[np.isfinite(mean)]
-            ends.append(f"{curve.point.name} {write(float(known[0]))} and {write(float(known[-1]))}")
+            first, last = mean[np.isfinite(mean)][[0, -1]].tolist()
+            ends.append(f"{curve.point.name} {write(first)} and {write(last)}")
         return (
             f"Line chart of the {panel.quantity}, by {self._xlabel}. "
             f"First and last value of each curve: {'; '.join(ends)}."
@@ -176,14 +160,14 @@ class Chart:
 
     def _add_names(self) -> None:
         """Names beside the right ends of the curves, or below the figure where they are many or long."""
-        axes, names = self.axes[self._panels.index(self._named)], self._names
+        axes, entries = self.axes[self._panels.index(self._named)], self._named.drawn
+        names = [curve.point.name for curve, _, _ in entries]
         if len(names) > _MAX_DIRECT or self._longest > _MAX_NAME:
             columns = 1 if self._longest > 24 else 2
             self.figure.legend(
                 axes.get_legend_handles_labels()[0], names, loc="outside lower center", ncols=columns
             )
             return
-        entries = self._named.drawn
         ends = [float(mean[np.isfinite(mean)][-1]) for _, (mean, _, _), _ in entries]
         last = max(float(curve.x[-1]) for curve, _, _ in entries)
         style.direct_labels(axes, last, ends, names, [look["color"] for _, _, look in entries])
@@ -230,7 +214,3 @@ def _tick_swept(axes: Axes, numbers: Floats) -> None:
         axes.set_xticks(numbers, [f"{value:g}" for value in numbers])
     else:
         axes.xaxis.set_major_locator(MaxNLocator(nbins=8))
-
-
-def _sentence(text: str) -> str:
-    return text[:1].upper() + text[1:]

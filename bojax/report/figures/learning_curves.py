@@ -18,7 +18,7 @@ _PANELS = {
     "train": ("return", "mean return in training"),
     "test": (
         "return of tests",
-        "mean return of the tests after each episode, without exploration or learning",
+        "mean return of the tests after each episode, in which nothing is learned",
     ),
 }
 """Label and quantity of the panel of each phase."""
