@@ -34,8 +34,8 @@ print("batch:", *batch.predict(fourier.design(queries)))
 
 def learn(model, block):
     """Ten observations one by one (5.22), with one pass over the covariance at the end."""
-    for slot, (phi, target) in enumerate(zip(*block, strict=True)):
-        model = model.update(phi, target, slot=slot)
+    for step, (phi, target) in enumerate(zip(*block, strict=True)):
+        model = model.update(phi, target, step_in_block=step)
     return model.flush(), None
 
 

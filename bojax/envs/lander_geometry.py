@@ -7,7 +7,7 @@ give a gravity of 10 m/s^2.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import Float
 
 PIXEL = 1.0 / 30.0
 """Length of a pixel of Gym's window, in metres."""
@@ -65,11 +65,11 @@ class Mass(NamedTuple):
     """
 
     mass: float
-    centre: NDArray[np.float64]
+    centre: Float[np.ndarray, "2"]
     inertia: float
 
 
-def polygon(corners: NDArray[np.float64], density: float) -> Mass:
+def polygon(corners: Float[np.ndarray, "N 2"], density: float) -> Mass:
     """Mass properties of a polygon of uniform density in kg/m^2: sums over its triangles with the origin."""
     after = np.roll(corners, -1, axis=0)
     doubled = corners[:, 0] * after[:, 1] - corners[:, 1] * after[:, 0]
@@ -80,7 +80,7 @@ def polygon(corners: NDArray[np.float64], density: float) -> Mass:
     return Mass(mass, centre, inertia - mass * float(centre @ centre))
 
 
-def rotated(vectors: NDArray[np.float64], angle: float) -> NDArray[np.float64]:
+def rotated(vectors: Float[np.ndarray, "... 2"], angle: float) -> Float[np.ndarray, "... 2"]:
     """Vectors `[..., 2]` rotated anticlockwise by an angle in radians."""
     cosine, sine = np.cos(angle), np.sin(angle)
     return vectors @ np.array([[cosine, sine], [-sine, cosine]])

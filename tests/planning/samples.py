@@ -22,6 +22,8 @@ from bojax.motions.splines import CubicCurves, SplineSet
 from bojax.planning.cbts import ContinuousBeliefTreeSearch
 from bojax.planning.discrete import DiscreteTreeSearch
 from bojax.planning.gps_abt import PatternSearch
+from bojax.planning.myopic import MyopicPlanner
+from bojax.planning.random import RandomPlanner
 from bojax.problems.monitoring import FieldMonitoring
 from bojax.problems.objectives import GradientObjective, UncertaintyObjective, ValueObjective
 from bojax.problems.parking import Parking
@@ -206,6 +208,14 @@ def gps_abt(iterations=60, depth=3, discount=1.0, exploration=10.0, heuristic="r
         heuristic=heuristic,
         objective=objective,
     )
+
+
+def random_planner():
+    return RandomPlanner(motions=SplineSet(f64(1.0), 5, 6))
+
+
+def myopic(actions=5, objective=None):
+    return MyopicPlanner(SplineSet(f64(1.0), actions, 6), objective)
 
 
 POSES = {
