@@ -18,6 +18,7 @@ from bojax.problems.settings import RobotParking
 from bojax.problems.vehicles.settings import WheeledRobot
 from bojax.problems.vehicles.wheeled_robot import FRAME_EVERY
 from bojax.report.animations.robot_worlds import car_world
+from bojax.results.outline import Outline
 from bojax.robots.car import car_model, car_parameters
 from tests.compiling import REPEATABLY
 from tests.reference import pure_pursuit as reference
@@ -247,11 +248,11 @@ def test_a_plan_is_made_from_where_the_robot_takes_itself_to_be():
 
 
 def test_the_parking_place_can_be_drawn():
-    model = car_world(RobotParking(half_width=2.0, distance_tolerance=0.3).model_dump()).compiled()
+    model = car_world(RobotParking(half_width=2.0, distance_tolerance=0.3).outline).compiled()
     assert model.nq == MODEL.nq and model.camera("overview") is not None
     np.testing.assert_allclose(model.geom("floor").size[:2], 2.0)
-    assert model.geom("parking_spot").size[0] == pytest.approx(0.3)
-    field = car_world({"domain": (0.0, 1.0, 6.0, 5.0)}).compiled()
+    assert model.geom("goal_0").size[0] == pytest.approx(0.3)
+    field = car_world(Outline(border=(0.0, 1.0, 6.0, 5.0))).compiled()
     np.testing.assert_allclose(field.geom("floor").pos, [3.0, 3.0, 0.0])
     np.testing.assert_allclose(field.geom("floor").size[:2], [3.0, 2.0])
 

@@ -9,6 +9,7 @@ import pytest
 from bojax.fields.blocks import Blocks
 from bojax.fields.closed_form import Bumps
 from bojax.report.animations.robot_worlds import quadrotor_world
+from bojax.results.outline import Outline
 from bojax.robots.range_sensor import cone, ranges
 
 MAX_RANGE = 4.0
@@ -19,6 +20,10 @@ HILLS = {
     "widths": [0.5, 0.4],
 }
 PROPS = {"boxes": [[0.4, 0.5, 1.0, 1.2], [1.6, 1.4, 2.5, 2.4]], "heights": [0.4, 0.9]}
+PROP_WORLD = Outline(
+    border=DOMAIN,
+    blocks=[(*box, height) for box, height in zip(PROPS["boxes"], PROPS["heights"], strict=True)],
+)
 
 
 def f64(value):
@@ -96,7 +101,7 @@ def test_what_is_too_far_reads_as_the_range_and_what_is_inside_as_nothing():
 @pytest.mark.parametrize("lean", [0.0, 0.6])
 def test_blocks_are_seen_as_mujoco_sees_boxes(lean):
     blocks = Blocks(f64(PROPS["boxes"]), f64(PROPS["heights"]))
-    model = quadrotor_world({"domain": DOMAIN, "field": {"kind": "blocks", **PROPS}})
+    model = quadrotor_world(PROP_WORLD)
     origin, rotation, rays = origins(300), rotations(300, lean), cone(f64(0.1), 3)
     found = np.asarray(measure(blocks, f64(origin), f64(rotation), rays))
     expected = mujoco_ranges(model, origin, rotation, rays)
@@ -113,7 +118,7 @@ def test_hills_are_seen_as_mujoco_sees_a_height_field():
     hills = Bumps(*(f64(HILLS[name]) for name in ("heights", "centres", "widths")))
     axis = np.linspace(0.0, 3.0, 201)
     grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
-    model = quadrotor_world({"domain": DOMAIN}, np.asarray(hills.values(f64(grid))).reshape(201, 201))
+    model = quadrotor_world(Outline(border=DOMAIN), np.asarray(hills.values(f64(grid))).reshape(201, 201))
     origin, rotation, rays = origins(200), rotations(200, 0.4), cone(f64(0.1), 3)
     found = np.asarray(measure(hills, f64(origin), f64(rotation), rays))
     expected = mujoco_ranges(model, origin, rotation, rays)
@@ -123,18 +128,16 @@ def test_hills_are_seen_as_mujoco_sees_a_height_field():
     np.testing.assert_allclose(found[seen], expected[seen], atol=3e-4)
 
 
-@pytest.mark.parametrize("kind", ["bumps", "grid"])
-def test_any_recorded_field_but_blocks_is_a_height_field(kind):
+def test_any_recorded_field_but_blocks_is_a_height_field():
     x, y = np.linspace(0.0, 3.0, 4), np.linspace(0.0, 3.0, 7)
-    model = quadrotor_world({"domain": DOMAIN, "field": {"kind": kind}}, 0.1 * x[None] + 0.2 * y[:, None])
+    model = quadrotor_world(Outline(border=DOMAIN), 0.1 * x[None] + 0.2 * y[:, None])
     origin, rays = origins(100), cone(f64(0.0), 1)
     found = mujoco_ranges(model, origin, np.eye(3)[None].repeat(100, 0), rays)[:, 0]
     np.testing.assert_allclose(found, origin @ [-0.1, -0.2, 1.0], atol=1e-5)
 
 
 def test_blocks_stay_boxes_and_without_values_there_is_a_floor():
-    problem = {"domain": DOMAIN, "field": {"kind": "blocks", **PROPS}}
-    assert quadrotor_world(problem, np.ones((5, 5))).xml == quadrotor_world(problem).xml
-    flat = quadrotor_world({"domain": DOMAIN, "field": {"kind": "grid"}})
+    assert quadrotor_world(PROP_WORLD, np.ones((5, 5))).xml == quadrotor_world(PROP_WORLD).xml
+    flat = quadrotor_world(Outline(border=DOMAIN))
     found = mujoco_ranges(flat, origins(5), np.eye(3)[None].repeat(5, 0), cone(f64(0.0), 1))[:, 0]
     np.testing.assert_allclose(found, origins(5)[:, 2])
