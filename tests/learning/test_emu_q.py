@@ -69,7 +69,7 @@ def follow(reference, steps: Transition, after_step=None):
 
 
 def numpy_features(state):
-    phi = eqx.filter_jit(jax.vmap(state.features))
+    phi = eqx.filter_jit(lambda states, actions: jax.vmap(state.features)(states, actions))
     return lambda states, actions: np.asarray(phi(jnp.asarray(states), jnp.asarray(actions)))
 
 
