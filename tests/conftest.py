@@ -69,7 +69,7 @@ def usual_jax():
         jax.config.update(flag, value)
 
 
-_MOST_MEMORY = 1_200_000
+_MOST_MEMORY = 1_500_000
 """KiB of a worker after which compiled programs are dropped."""
 
 _MOST_MAPS = 30_000
