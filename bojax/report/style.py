@@ -1,6 +1,7 @@
 """The look of figures: one colour per identifier, text readable on a phone, files without dates."""
 
 import io
+import logging
 import re
 import textwrap
 import warnings
@@ -106,6 +107,18 @@ _NO_GLYPH = "Glyph .* missing from"
 
 
 @contextmanager
+def _quiet_fonts() -> Iterator[None]:
+    """Context without matplotlib's log messages of fallback fonts that lack the normal weight."""
+    logger = logging.getLogger("matplotlib.font_manager")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
+
+
+@contextmanager
 def settings() -> Iterator[list[str]]:
     """Context with the settings of matplotlib under which figures are made and saved.
 
@@ -121,7 +134,7 @@ def settings() -> Iterator[list[str]]:
     missing: list[str] = []
     with warnings.catch_warnings(record=True) as caught:
         warnings.filterwarnings("always", message=_NO_GLYPH)
-        with matplotlib.rc_context({**settings, "backend": "agg"}):
+        with matplotlib.rc_context({**settings, "backend": "agg"}), _quiet_fonts():
             yield missing
     for warning in caught:
         if re.match(_NO_GLYPH, str(warning.message)):

@@ -1,3 +1,5 @@
+import logging
+
 import numpy as np
 import pytest
 
@@ -74,3 +76,10 @@ def test_a_curve_in_reverse_has_no_loops():
     x = -np.linspace(0.0, 1.0, 5)[1:]
     curve = smooth(np.zeros(3), np.stack([x, 0 * x, 0 * x], axis=1))
     assert (np.diff(curve[:, 0]) < 0).all() and (curve[:, 1] == 0).all()
+
+
+def test_fallback_fonts_of_other_weights_are_no_messages():
+    logger = logging.getLogger("matplotlib.font_manager")
+    with style.settings():
+        assert not logger.isEnabledFor(logging.WARNING)
+    assert logger.isEnabledFor(logging.WARNING)
