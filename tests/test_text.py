@@ -10,7 +10,7 @@ def test_white_space_becomes_single_spaces():
 def test_an_exception_is_its_type_and_message():
     assert error_line(KeyError("planner")) == "KeyError: 'planner'"
     assert error_line(RuntimeError("first\nsecond")) == "RuntimeError: first second"
-    assert error_line(NotImplementedError()) == "NotImplementedError"
+    assert error_line(TimeoutError()) == "TimeoutError"
 
 
 def test_a_long_message_is_cut_off():

@@ -10,8 +10,7 @@ from bojax.config.component import Component, External, Slot
 from bojax.learning.settings import Constant, Exploit, UntilTarget
 from bojax.motions.settings import KernelTrajectories
 from bojax.planning.settings import KCBTS
-from bojax.problems.settings import FieldProblem, Parking, ProblemSettings
-from bojax.results.outline import Outline
+from bojax.problems.settings import FieldProblem, Parking
 
 
 class ExperimentSettings(Component, frozen=True):
@@ -22,21 +21,6 @@ class ExperimentSettings(Component, frozen=True):
     protocol: ClassVar[str] = "bojax.experiments.base:Experiment"
 
     dtype: Literal["float64", "float32"] = Field(default="float64", description="floating-point precision")
-
-    @property
-    def outline(self) -> Outline:
-        """The world of a run seen from above; empty where nothing is known of it."""
-        return Outline()
-
-    @property
-    def has_success(self) -> bool:
-        """Whether a run can succeed."""
-        return True
-
-    @property
-    def ends_at_success(self) -> bool:
-        """Whether a run is over once it has succeeded, so that its number of steps says when that was."""
-        return False
 
 
 class Planning(ExperimentSettings, frozen=True):
@@ -67,21 +51,6 @@ class Planning(ExperimentSettings, frozen=True):
     @override
     def label(self) -> str:
         return self.planner.label
-
-    @property
-    @override
-    def outline(self) -> Outline:
-        return self.problem.outline if isinstance(self.problem, ProblemSettings) else Outline()
-
-    @property
-    @override
-    def has_success(self) -> bool:
-        return not isinstance(self.problem, ProblemSettings) or self.problem.has_success
-
-    @property
-    @override
-    def ends_at_success(self) -> bool:
-        return not isinstance(self.problem, ProblemSettings) or self.problem.ends_at_success
 
 
 class Learning(ExperimentSettings, frozen=True):

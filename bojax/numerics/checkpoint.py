@@ -3,9 +3,9 @@
 Typed keys are saved as their key data.
 """
 
-import contextlib
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, PyTree
 
+from bojax.logs import quiet
 from bojax.results.store import ResultsError, fingerprint, read_checked_json, write_checked_json
 from bojax.text import error_line
 
@@ -119,13 +120,6 @@ def _orbax():
     return v1
 
 
-@contextlib.contextmanager
-def _quiet() -> Iterator[None]:
+def _quiet() -> AbstractContextManager[None]:
     """Silence Orbax's log, which would print a traceback for every failed write."""
-    logger = logging.getLogger("absl")
-    level = logger.level
-    logger.setLevel(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        logger.setLevel(level)
+    return quiet("absl", logging.CRITICAL)

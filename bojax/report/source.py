@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from bojax.config.claims import Claim
 from bojax.config.component import Component
 from bojax.config.sweep import Report
-from bojax.experiments.settings import ExperimentSettings, Learning, Planning
+from bojax.experiments.settings import Learning, Planning
+from bojax.problems.settings import ProblemSettings
 from bojax.report.columns import Columns, check_runs, read_columns
 from bojax.report.manifest import Manifest, PointEntry, Unread, claims_of, experiment_of, read
 from bojax.report.snapshots import Arrays, read_snapshot
@@ -63,12 +64,14 @@ class Point:
     @property
     def has_success(self) -> bool:
         """Whether its runs can succeed."""
-        return not isinstance(self.experiment, ExperimentSettings) or self.experiment.has_success
+        return not isinstance(self.problem, ProblemSettings) or self.problem.has_success
 
     @property
     def ends_at_success(self) -> bool:
-        """Whether a run is known to be over once it has succeeded."""
-        return isinstance(self.experiment, ExperimentSettings) and self.experiment.ends_at_success
+        """Whether a run is known to be over once it has succeeded, so that its steps say when that was."""
+        if isinstance(self.problem, ProblemSettings):
+            return self.problem.ends_at_success
+        return self.problem is not None
 
 
 @dataclass(frozen=True)
@@ -272,7 +275,8 @@ def _points(entries: Sequence[PointEntry]) -> tuple[Point, ...]:
     points = []
     for entry, variant, name, values in zip(entries, variants, names, swept, strict=True):
         experiment = experiment_of(entry)
-        known = experiment.outline if isinstance(experiment, ExperimentSettings) else Outline()
+        problem = experiment.problem if isinstance(experiment, Planning) else None
+        known = problem.outline if isinstance(problem, ProblemSettings) else Outline()
         outline = entry.outline or known
         points.append(
             Point(entry.index, entry.label, variant, name, values, entry.config or {}, experiment, outline)

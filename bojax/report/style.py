@@ -19,6 +19,7 @@ from matplotlib.font_manager import fontManager
 from matplotlib.transforms import offset_copy
 from scipy.optimize import isotonic_regression
 
+from bojax.logs import quiet
 from bojax.report.source import Point
 
 BLUE, ORANGE, GREEN, PINK, SKY, YELLOW, BROWN, GREY = PALETTE = (
@@ -107,18 +108,6 @@ _NO_GLYPH = "Glyph .* missing from"
 
 
 @contextmanager
-def _quiet_fonts() -> Iterator[None]:
-    """Context without matplotlib's log messages of fallback fonts that lack the normal weight."""
-    logger = logging.getLogger("matplotlib.font_manager")
-    level = logger.level
-    logger.setLevel(logging.ERROR)
-    try:
-        yield
-    finally:
-        logger.setLevel(level)
-
-
-@contextmanager
 def settings() -> Iterator[list[str]]:
     """Context with the settings of matplotlib under which figures are made and saved.
 
@@ -134,7 +123,9 @@ def settings() -> Iterator[list[str]]:
     missing: list[str] = []
     with warnings.catch_warnings(record=True) as caught:
         warnings.filterwarnings("always", message=_NO_GLYPH)
-        with matplotlib.rc_context({**settings, "backend": "agg"}), _quiet_fonts():
+        # Without this, matplotlib logs a message for each fallback font that lacks the normal weight.
+        no_messages = quiet("matplotlib.font_manager", logging.ERROR)
+        with matplotlib.rc_context({**settings, "backend": "agg"}), no_messages:
             yield missing
     for warning in caught:
         if re.match(_NO_GLYPH, str(warning.message)):

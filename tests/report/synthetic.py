@@ -10,6 +10,7 @@ import pyarrow.parquet as pq
 from bojax.experiments.settings import Learning, Planning
 from bojax.report.manifest import ClaimEntry, Manifest
 from bojax.report.source import Point, Results
+from bojax.results.outline import Outline
 
 MAX_STEPS = 15
 SAMPLES = 12
@@ -378,7 +379,7 @@ def in_memory(
         experiment = Learning.model_validate({"env": "mountain-car", "learner": "emu-q"})
     config = experiment.model_dump(mode="json")
     points = tuple(
-        Point(i, labels[name], name, name, keys[name], config, experiment, experiment.outline)
+        Point(i, labels[name], name, name, keys[name], config, experiment, Outline())
         for i, name in enumerate(names)
     )
     told = {"id": "x", "claim": "c", "source": "s"}
@@ -415,7 +416,7 @@ def manifest_of(**keys) -> Manifest:
 def point_of(index: int, label: str, variant: str, swept: dict | None = None) -> Point:
     """A point of which only these attributes matter."""
     experiment = Planning.model_validate({})
-    return Point(index, label, variant, variant, swept or {}, {}, experiment, experiment.outline)
+    return Point(index, label, variant, variant, swept or {}, {}, experiment, Outline())
 
 
 def _episode_rows(values: dict[str, np.ndarray], names: list[str], phase: str) -> dict[str, np.ndarray]:
