@@ -1,6 +1,6 @@
 """The command line `bojax`, as `python -m bojax`."""
 
-from bojax.cli.main import main
+from bojax.cli.main import entry
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    entry()

@@ -5,6 +5,7 @@ import importlib
 import io
 import os
 import sys
+import threading
 from collections.abc import Sequence
 
 from bojax import __version__
@@ -57,6 +58,20 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         print(printable(f"error: {error}"), file=sys.stderr)
         return code
+
+
+def entry() -> None:
+    """Run the command of `sys.argv` and exit.
+
+    Daemon threads that are still alive compile programs for a sweep that the user has stopped. Python cannot
+    end while XLA works, so the process then leaves without its usual clean-up.
+    """
+    code = main()
+    if any(thread.daemon for thread in threading.enumerate()):
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    sys.exit(code)
 
 
 def _run(words: list[str]) -> int:

@@ -106,19 +106,16 @@ def _run(sweeps: Sequence[Sweep], args: Namespace, command: list[str]) -> int:
 
     # During the import of JAX, a callback can raise a KeyboardInterrupt, which is discarded there.
     with StopRequest(announce=lambda _: None) as stop:
-        from bojax.engine.run import run_sweep
+        from bojax.engine.run import Request, run_sweeps
     if stop:
         print("interrupted", file=sys.stderr)
         return stop.exit_code
 
-    first_failure = 0
-    for sweep in sweeps:
-        out = args.out / sweep.name if args.out and len(sweeps) > 1 else args.out
-        code = run_sweep(sweep, out, args.resume, command, finish=_report)
-        if code in (130, 143):
-            return code
-        first_failure = first_failure or code
-    return first_failure
+    several = len(sweeps) > 1
+    requests = [
+        Request(sweep, args.out / sweep.name if args.out and several else args.out) for sweep in sweeps
+    ]
+    return run_sweeps(requests, args.resume, command, finish=_report)
 
 
 def _report(folder: Path) -> None:

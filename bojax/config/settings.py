@@ -31,7 +31,7 @@ class EngineConfig(Schema, frozen=True):
     segment_seconds: float = Field(default=2.0, gt=0, description="time between progress reports, s")
     checkpoint_seconds: float = Field(default=60.0, gt=0, description="time between checkpoints, s")
     latency: bool = Field(
-        default=True, description="whether the latency of a single run is measured at the end"
+        default=False, description="whether the latency of a single run is measured at the end"
     )
 
 

@@ -1,6 +1,6 @@
-"""A compiled static group: `vmap` over the lanes of a device, `shard_map` over devices.
+"""The compiled programs of a static group: `vmap` over the lanes of one device.
 
-A lane is one run of one point. Each device advances its own lanes; devices do not communicate.
+A lane is one run of one point. Each device has its own lanes, and devices do not communicate.
 """
 
 import time
@@ -12,103 +12,139 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jax.sharding import SingleDeviceSharding
 from jaxtyping import Array, Bool, Int, Key, PyTree
 
-from bojax.engine.devices import DEVICES
+from bojax.engine.devices import Device
 from bojax.engine.groups import StaticGroup
-from bojax.engine.protocol import VALID, check_advance, check_init, check_records, check_summary
+from bojax.engine.protocol import check_advance, check_init, check_records, check_summary
 from bojax.experiments.base import Carry, Experiment, Records
 from bojax.numerics.lanes import LANES
 
 compile_counts: Counter[str] = Counter()
 """Number of XLA compilations of the engine in this process, by program."""
 
-BY_LANE, REPLICATED = PartitionSpec(DEVICES), PartitionSpec()
-"""Placement of an array: divided among the devices by lane, or replicated on every device."""
-
 
 class Lanes(NamedTuple):
-    """Inputs of the lanes of a chunk, on the devices.
+    """Inputs of the lanes, on the device.
 
     Attributes:
         runs: Index of each lane's run, from which its key is derived.
-        is_real: False for lanes that only pad the chunk.
         swept: Leaves whose values differ between points.
     """
 
     runs: Int[Array, " lanes"]
-    is_real: Bool[Array, " lanes"]
     swept: PyTree
 
 
 class Status(NamedTuple):
-    """Progress after an advance, summed over the real lanes of each device.
+    """Progress after an advance.
 
     Attributes:
-        remaining: Number of lanes that are not done.
+        is_done: Whether the run of each lane has finished.
         active_steps: Environment steps of the advance.
     """
 
-    remaining: Int[Array, " devices"]
-    active_steps: Int[Array, " devices"]
+    is_done: Bool[Array, " lanes"]
+    active_steps: Int[Array, " lanes"]
 
 
-class Compiled:
-    """The programs of one static group at a fixed number of lanes.
+class Functions:
+    """The functions of a static group that are compiled for a number of lanes and a device.
+
+    JAX keeps the trace of each, so that a second device costs no second tracing.
+    """
+
+    def __init__(self, group: StaticGroup):
+        self.group = group
+        self.fill = jax.jit(partial(_fill, group), donate_argnums=1)
+        self.advance = jax.jit(partial(_advance, group), donate_argnums=0)
+        self.summary = jax.jit(partial(_summary, group))
+        self.snapshot = jax.jit(partial(_snapshot, group))
+        self.exported_state = jax.jit(partial(_exported_state, group))
+        self.select = jax.jit(_select)
+
+
+class Programs:
+    """The programs of one static group for a number of lanes on one device.
 
     Attributes:
-        num_lanes: Number of lanes of a chunk, on all devices together.
-        max_advances: Number of advances after which every lane is done.
+        num_lanes: Number of lanes.
+        device: The device.
+        max_advances: Number of advances after which a run is done.
         compile_seconds: Seconds spent on tracing and compiling.
     """
 
-    def __init__(self, group: StaticGroup, mesh: Mesh, lanes_per_device: int, seed: int, *, snapshots: bool):
+    def __init__(
+        self, functions: Functions, device: Device, num_lanes: int, seed: int, *, snapshots: bool, fills: bool
+    ):
+        """Compile the programs.
+
+        Args:
+            functions: The functions of the group.
+            device: The device.
+            num_lanes: Number of lanes.
+            seed: Seed of the sweep.
+            snapshots: Whether snapshots are kept.
+            fills: Whether runs start in these lanes; otherwise they come from a larger number of lanes.
+        """
         start = time.perf_counter()
-        self.num_lanes = lanes_per_device * mesh.size
-        self._group = group
-        self._by_lane = NamedSharding(mesh, BY_LANE)
-        everywhere = NamedSharding(mesh, REPLICATED)
-        self._key = jax.device_put(jax.random.key(seed), everywhere)
-        self._shared = jax.device_put(group.shared, everywhere)
-        one_point = np.zeros(self.num_lanes, dtype=np.int32)
-        lanes = self.place(one_point, one_point, np.ones(self.num_lanes, dtype=bool))
+        self.num_lanes, self.device = num_lanes, device
+        self._functions, self._group = functions, functions.group
+        self._sharding = SingleDeviceSharding(device)
+        self._key = jax.device_put(jax.random.key(seed), self._sharding)
+        self._shared = jax.device_put(self._group.shared, self._sharding)
+        one_point = np.zeros(num_lanes, dtype=np.int32)
+        lanes = self.place(one_point, one_point)
+        first = jax.device_put(self._group.swept_at(np.asarray(0)), self._sharding)
+        run = self._group.experiment(first, self._shared)
+        self.max_advances = run.max_advances
 
-        compiled = partial(_compile, mesh=mesh)
-        init = partial(_init, group)
-        carry = jax.eval_shape(init, self._key, lanes, self._shared)
+        carry = jax.eval_shape(partial(_init, self._group), self._key, lanes, self._shared)
         self.carry_structure = jax.tree.map(
-            lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=self._by_lane), carry
+            lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=self._sharding), carry
         )
-        self._init = compiled(init, (REPLICATED, BY_LANE, REPLICATED), self._key, lanes, self._shared)
         inputs = (self.carry_structure, lanes, self._shared)
-        specs = (BY_LANE, BY_LANE, REPLICATED)
-        self._advance = self._compile_advance(compiled, specs, *inputs)
-        self._summary = compiled(partial(_summary, group), specs, *inputs)
-        snapshot = partial(_snapshot, group)
-        has_snapshot = snapshots and bool(jax.tree.leaves(jax.eval_shape(snapshot, *inputs)))
-        self._snapshot = compiled(snapshot, specs, *inputs) if has_snapshot else None
-
-        self.max_advances = group.experiment(lanes.swept, self._shared).max_advances
+        if fills:
+            everywhere = jax.device_put(np.ones(num_lanes, dtype=bool), self._sharding)
+            self._empty = jax.jit(partial(_empty, carry), out_shardings=self._sharding).lower().compile()
+            self._fill = self._compile(
+                "fill", self._key, self.carry_structure, lanes, everywhere, self._shared
+            )
+        self._advance = self._compile_advance(run, *inputs)
+        self._summary = self._compile("summary", *inputs)
+        has_snapshot = snapshots and bool(jax.tree.leaves(jax.eval_shape(functions.snapshot, *inputs)))
+        self._snapshot = self._compile("snapshot", *inputs) if has_snapshot else None
         self.compile_seconds = time.perf_counter() - start
 
-    def _compile_advance(self, compiled: Callable, specs: tuple, *inputs: Any) -> Any:
-        return compiled(partial(_advance, self._group), specs, *inputs, donate=True)
+    def _compile(self, name: str, *inputs: Any) -> Callable:
+        """Compile for inputs of exactly these shapes on this device; a call with any other input raises."""
+        program = getattr(self._functions, name).lower(*inputs).compile()
+        compile_counts[name] += 1
+        return program
 
-    def place(self, positions: np.ndarray, runs: np.ndarray, is_real: np.ndarray) -> Lanes:
-        """Put the inputs of `num_lanes` lanes on the devices.
+    def _compile_advance(self, run: Experiment, *inputs: Any) -> Any:
+        del run
+        return self._compile("advance", *inputs)
+
+    def place(self, positions: np.ndarray, runs: np.ndarray) -> Lanes:
+        """Put the inputs of all lanes on the device.
 
         Args:
             positions: For each lane, the position of its point among the points of the group.
             runs: For each lane, the index of its run.
-            is_real: For each lane, whether it is more than padding.
         """
-        lanes = (runs.astype(np.int32), is_real, self._group.swept_at(positions))
-        return Lanes(*jax.device_put(lanes, self._by_lane))
+        lanes = (runs.astype(np.int32), self._group.swept_at(positions))
+        return Lanes(*jax.device_put(lanes, self._sharding))
 
     def init(self, lanes: Lanes) -> Carry:
         """The carry of every lane before its first advance."""
-        return self._init(self._key, lanes, self._shared)
+        return self.fill(self._empty(), lanes, np.ones(self.num_lanes, dtype=bool))
+
+    def fill(self, carry: Carry, lanes: Lanes, is_new: np.ndarray) -> Carry:
+        """Start the runs of some lanes; the buffers of the given carry are donated."""
+        is_new = jax.device_put(is_new, self._sharding)
+        return self._fill(self._key, carry, lanes, is_new, self._shared)
 
     def advance(self, carry: Carry, lanes: Lanes) -> tuple[Carry, dict[str, dict[str, Array]], Status]:
         """Advance every lane once; the buffers of the given carry are donated."""
@@ -118,20 +154,17 @@ class Compiled:
         """The summary of every lane."""
         return self._summary(carry, lanes, self._shared)
 
-    def exported_state(self, carry: Carry, lanes: Lanes) -> PyTree:
-        """The state of every lane that a saved learner is restored from."""
-        return jax.jit(partial(_exported_state, self._group))(carry, lanes, self._shared)
-
     def snapshot(self, carry: Carry, lanes: Lanes) -> dict[str, dict[str, Array]]:
         """The snapshot of every lane; empty if the experiment has none or if snapshots are not kept."""
         return {} if self._snapshot is None else self._snapshot(carry, lanes, self._shared)
 
+    def exported_state(self, carry: Carry, lanes: Lanes) -> PyTree:
+        """The state of every lane that a saved learner is restored from."""
+        return self._functions.exported_state(carry, lanes, self._shared)
 
-def _exported_state(group: StaticGroup, carry: Carry, lanes: Lanes, shared: PyTree) -> PyTree:
-    def one(carry, swept):
-        return group.experiment(swept, shared).exported_state(carry)
-
-    return jax.vmap(one, axis_name=LANES)(carry, lanes.swept)
+    def select(self, carry: Carry, lanes: np.ndarray) -> Carry:
+        """The carry of some of the lanes."""
+        return self._functions.select(carry, jax.device_put(lanes, self._sharding))
 
 
 def run_key(key: Key[Array, ""], run: Int[Array, ""]) -> Key[Array, ""]:
@@ -149,33 +182,26 @@ def _init(group: StaticGroup, key: Key[Array, ""], lanes: Lanes, shared: PyTree)
     return jax.vmap(one, axis_name=LANES)(lanes.runs, lanes.swept)
 
 
+def _fill(group: StaticGroup, key, carry: Carry, lanes: Lanes, is_new, shared: PyTree) -> Carry:
+    def choose(fresh, old):
+        return jnp.where(is_new.reshape(-1, *[1] * (old.ndim - 1)), fresh, old)
+
+    return jax.tree.map(choose, _init(group, key, lanes, shared), carry)
+
+
 def _advance(group: StaticGroup, carry: Carry, lanes: Lanes, shared: PyTree):
-    def one(carry, is_real, swept):
+    def one(carry, swept):
         experiment = group.experiment(swept, shared)
-        return checked_advance(experiment, carry, *experiment.advance(carry), is_real)
+        return checked_advance(experiment, carry, *experiment.advance(carry))
 
-    carry, tables, is_done, active_steps = jax.vmap(one, axis_name=LANES)(carry, lanes.is_real, lanes.swept)
-    return carry, tables, status_of(is_done, active_steps, lanes.is_real)
+    return jax.vmap(one, axis_name=LANES)(carry, lanes.swept)
 
 
-def checked_advance(
-    experiment: Experiment, before: Carry, after: Carry, records: Records, is_real: Bool[Array, ""]
-):
-    """Check an advance of one lane; returns its carry, its tables, whether it is done, and its steps."""
+def checked_advance(experiment: Experiment, before: Carry, after: Carry, records: Records):
+    """Check an advance of one lane; returns its carry, its tables and its status."""
     check_advance(experiment, before, after)
     check_records(experiment, records.tables)
-    tables = {name: {**columns, VALID: columns[VALID] & is_real} for name, columns in records.tables.items()}
-    return after, tables, experiment.is_done(after), records.active_steps
-
-
-def status_of(
-    is_done: Bool[Array, " lanes"], active_steps: Int[Array, " lanes"], is_real: Bool[Array, " lanes"]
-) -> Status:
-    """The status of the lanes of one device."""
-    return Status(
-        remaining=jnp.sum(~is_done & is_real, keepdims=True),
-        active_steps=jnp.sum(jnp.where(is_real, active_steps, 0), keepdims=True),
-    )
+    return after, records.tables, Status(experiment.is_done(after), records.active_steps)
 
 
 def _summary(group: StaticGroup, carry: Carry, lanes: Lanes, shared: PyTree) -> dict[str, Array]:
@@ -195,11 +221,16 @@ def _snapshot(group: StaticGroup, carry: Carry, lanes: Lanes, shared: PyTree) ->
     return jax.vmap(one, axis_name=LANES)(carry, lanes.swept)
 
 
-def _compile(function: Callable, in_specs: tuple, *inputs: Any, mesh: Mesh, donate: bool = False) -> Callable:
-    """Compile for inputs of exactly these shapes and shardings; a call with any other input raises."""
-    # The loop carry of an experiment may begin as a replicated constant and become a value of the lane, which
-    # `check_vma` would refuse. The check protects communication between devices, and there is none.
-    sharded = jax.shard_map(function, mesh=mesh, in_specs=in_specs, out_specs=BY_LANE, check_vma=False)
-    program = jax.jit(sharded, donate_argnums=0 if donate else ()).lower(*inputs).compile()
-    compile_counts[function.func.__name__.lstrip("_")] += 1  # type: ignore[attr-defined]
-    return program
+def _exported_state(group: StaticGroup, carry: Carry, lanes: Lanes, shared: PyTree) -> PyTree:
+    def one(carry, swept):
+        return group.experiment(swept, shared).exported_state(carry)
+
+    return jax.vmap(one, axis_name=LANES)(carry, lanes.swept)
+
+
+def _select(carry: Carry, lanes: Int[Array, " selected"]) -> Carry:
+    return jax.tree.map(lambda leaf: leaf[lanes], carry)
+
+
+def _empty(structure: PyTree[jax.ShapeDtypeStruct]) -> Carry:
+    return jax.tree.map(jnp.empty_like, structure)

@@ -1,26 +1,93 @@
-"""Chunks: the lanes of a static group divided into batches of a fixed size."""
+"""Chunks: the runs of a static group divided into queues, each of which one device works off."""
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from bojax.engine.groups import StaticGroup
+from bojax.experiments.base import Experiment
+
+LANES_ON_ACCELERATOR = 4096
+"""Default maximum of lanes on an accelerator; on a CPU it is `Experiment.lanes_on_cpu`."""
+
+QUEUE_ON_CPU = 64
+"""Maximum of runs in a queue on a CPU."""
+
+QUEUES_ON_CPU, SHORTEST_QUEUE = 4, 8
+"""On a CPU a group is divided into this number of queues, so that several cores share it, unless they would
+be shorter than this."""
+
+REPACKINGS = 100
+"""Number of repackings of a run that lasts for all its advances. A repacking waits for the device, so this
+bounds the time lost to them: about 0.2 ms each."""
+
+NARROWING = 8
+"""Factor between two numbers of lanes of a queue, and the smallest of them."""
 
 
 @dataclass(frozen=True)
+class Layout:
+    """How the runs of a group are divided and advanced. The bits of the results depend on it.
+
+    It depends on the kind of device, but not on the number of devices.
+
+    Attributes:
+        queue: Maximum of runs in a chunk.
+        widths: Numbers of lanes, in descending order. A chunk starts with the first.
+        repack: Number of advances after which finished runs leave their lanes: runs of the queue take their
+            places, or, if there is none, the others move to the next smaller number of lanes. 0 for never.
+    """
+
+    queue: int
+    widths: tuple[int, ...]
+    repack: int
+
+    @property
+    def lanes(self) -> int:
+        """Number of lanes with which a chunk starts."""
+        return self.widths[0]
+
+
+def choose_layout(experiment: Experiment, num_runs: int, platform: str, given: int | None) -> Layout:
+    """The layout of a group.
+
+    Args:
+        experiment: An experiment of the group.
+        num_runs: Number of runs of all points of the group.
+        platform: Platform of the devices, such as "cpu".
+        given: Number of lanes chosen by the user; None for the default.
+    """
+    is_cpu = platform == "cpu"
+    limit = given or (experiment.lanes_on_cpu if is_cpu else LANES_ON_ACCELERATOR)
+    longest = limit if experiment.is_hosted else QUEUE_ON_CPU if is_cpu else LANES_ON_ACCELERATOR
+    num_queues = math.ceil(num_runs / longest)
+    if is_cpu:
+        num_queues = max(num_queues, min(QUEUES_ON_CPU, num_runs // SHORTEST_QUEUE))
+    queue = math.ceil(num_runs / num_queues)
+    if experiment.is_hosted:
+        return Layout(queue, (queue,), 0)
+    widths = [min(limit, queue)]
+    while not is_cpu and experiment.has_stragglers and widths[-1] >= NARROWING**2:
+        widths.append(math.ceil(widths[-1] / NARROWING))
+    return Layout(queue, tuple(widths), math.ceil(experiment.max_advances / REPACKINGS))
+
+
+@dataclass(frozen=True, eq=False)
 class Chunk:
-    """A batch of lanes of one group.
+    """A queue of runs of one group.
 
     Attributes:
         group: Index of the group.
         index: Index of the chunk in the sweep.
-        positions: For each lane, the position of its point among those of the group.
-        points: For each lane, the index of its point in the sweep.
-        runs: For each lane, the index of its run.
+        positions: For each run, the position of its point among those of the group.
+        points: For each run, the index of its point in the sweep.
+        runs: For each run, its index among the runs of the point.
+        layout: How the runs are advanced.
         identity: Hash of everything that the rows of the chunk depend on.
     """
 
@@ -29,11 +96,12 @@ class Chunk:
     positions: np.ndarray
     points: np.ndarray
     runs: np.ndarray
+    layout: Layout
     identity: str
 
     @property
-    def num_lanes(self) -> int:
-        """Number of real lanes."""
+    def num_runs(self) -> int:
+        """Number of runs."""
         return len(self.runs)
 
     @property
@@ -43,23 +111,15 @@ class Chunk:
 
     @property
     def point(self) -> int:
-        """The point of all lanes; -1 if the lanes belong to several points."""
+        """The point of all runs; -1 if they belong to several points."""
         points = np.unique(self.points)
         return int(points[0]) if len(points) == 1 else -1
-
-    def padded(self, num_lanes: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Positions, runs and `is_real` of `num_lanes` lanes.
-
-        The padding repeats real lanes, so that it takes no longer than they do.
-        """
-        lanes = np.arange(num_lanes) % self.num_lanes
-        return self.positions[lanes], self.runs[lanes], np.arange(num_lanes) < self.num_lanes
 
 
 def cut(
     group: StaticGroup,
     runs: Sequence[int],
-    num_lanes: int,
+    layout: Layout,
     configs: Sequence[Mapping[str, Any]],
     context: Mapping[str, Any],
     first_index: int = 0,
@@ -69,19 +129,20 @@ def cut(
     Args:
         group: The group.
         runs: Indices of the runs of every point.
-        num_lanes: Number of lanes of a chunk, on all devices together.
+        layout: How the runs are divided and advanced.
         configs: Resolved config of each point of the sweep.
-        context: Everything else that the rows depend on, such as seed, lanes per device and code.
+        context: Everything else that the rows depend on, such as seed and code.
         first_index: Index of the first chunk in the sweep.
     """
     positions = np.repeat(np.arange(len(group.points)), len(runs))
     all_runs = np.tile(np.asarray(runs, dtype=np.int32), len(group.points))
     points = np.asarray(group.points, dtype=np.int32)[positions]
     chunks = []
-    for start in range(0, len(all_runs), num_lanes):
-        part = slice(start, start + num_lanes)
-        lanes = list(zip(points[part].tolist(), all_runs[part].tolist(), strict=True))
-        described = {point: configs[point] for point in sorted({point for point, _ in lanes})}
+    for start in range(0, len(all_runs), layout.queue):
+        part = slice(start, start + layout.queue)
+        queue = list(zip(points[part].tolist(), all_runs[part].tolist(), strict=True))
+        described = {point: configs[point] for point in sorted({point for point, _ in queue})}
+        content = {"configs": described, "queue": queue, "layout": asdict(layout), "context": dict(context)}
         chunks.append(
             Chunk(
                 group=group.index,
@@ -89,7 +150,8 @@ def cut(
                 positions=positions[part],
                 points=points[part],
                 runs=all_runs[part],
-                identity=digest({"configs": described, "lanes": lanes, "context": dict(context)}),
+                layout=layout,
+                identity=digest(content),
             )
         )
     return chunks

@@ -12,7 +12,7 @@ from jaxtyping import PyTree
 from bojax.experiments.base import Experiment
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class StaticGroup:
     """Points whose modules have equal tree structure, shapes and dtypes.
 

@@ -11,14 +11,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh
 from jaxtyping import Array, PyTree
 from typing_extensions import override
 
-from bojax.engine.batch import BY_LANE, REPLICATED, Compiled, Lanes, Status, checked_advance, status_of
-from bojax.engine.groups import StaticGroup
+from bojax.engine.batch import Lanes, Programs, Status, checked_advance
 from bojax.envs.base import TimeStep
-from bojax.experiments.base import Carry
+from bojax.experiments.base import Carry, Experiment
 from bojax.experiments.episode import EpisodeState
 from bojax.experiments.learning import LearningRun
 from bojax.experiments.phases import Choice
@@ -39,18 +37,11 @@ class PhasePrograms(NamedTuple):
     flush: Callable[..., EpisodeState]
 
 
-class Hosted(Compiled):
+class Hosted(Programs):
     """The programs of one static group of learning runs with a vector environment on the host."""
 
-    def __init__(self, group: StaticGroup, mesh: Mesh, lanes_per_device: int, seed: int, *, snapshots: bool):
-        self._mesh = mesh
-        super().__init__(group, mesh, lanes_per_device, seed, snapshots=snapshots)
-        run = group.experiment(jax.tree.map(jnp.asarray, group.swept_at(np.asarray(0))), self._shared)
-        assert isinstance(run, LearningRun)
-        self._num_tests, self._block = run.tests, run.learner.block
-        self._open(run)
-
     def _open(self, run: LearningRun) -> None:
+        self._num_tests, self._block = run.tests, run.learner.block
         self._env: Any = run.env
         self._dtype = run.learner.exploration_weight.dtype
         self._vector = self._env.make_vector(self.num_lanes)
@@ -67,8 +58,7 @@ class Hosted(Compiled):
         rows = (
             {name: jnp.stack([test[name] for test in tests], axis=1) for name in tests[0]} if tests else None
         )
-        after, tables, is_done, steps = self._close(lanes, carry, episode, learner, rows, lanes.is_real)
-        return after, tables, status_of(is_done, steps, lanes.is_real)
+        return self._close(lanes, carry, episode, learner, rows)
 
     def _run_episode(
         self, phase: PhasePrograms, lanes: Lanes, carry: Carry, learner: PyTree, number: int
@@ -87,9 +77,11 @@ class Hosted(Compiled):
         return phase.flush(*call, episode)
 
     @override
-    def _compile_advance(self, compiled: Callable, specs: tuple, *inputs: Any) -> Any:
+    def _compile_advance(self, run: Experiment, *inputs: Any) -> Any:
         """Create the programs of an episode; each is compiled at its first call."""
-        del compiled, specs, inputs
+        del inputs
+        assert isinstance(run, LearningRun)
+        self._open(run)
         self._training = self._phase_programs(lambda run, carry, number: run.training(carry))
         self._test = self._phase_programs(lambda run, carry, number: run.test(carry, number))
         self._end_episode = self._program(lambda run, carry, episode: run.end_episode(carry, episode))
@@ -109,15 +101,7 @@ class Hosted(Compiled):
 
             return jax.vmap(one, axis_name=LANES)(swept, arrays)
 
-        program = jax.jit(
-            jax.shard_map(
-                batched,
-                mesh=self._mesh,
-                in_specs=(BY_LANE, REPLICATED, BY_LANE),
-                out_specs=BY_LANE,
-                check_vma=False,
-            )
-        )
+        program = jax.jit(batched)
         return lambda lanes, *arrays: program(lanes.swept, self._shared, arrays)
 
     def _reset(self, phase: PhasePrograms, lanes: Lanes, carry: Carry, number: Array) -> Array:
@@ -145,7 +129,7 @@ class Hosted(Compiled):
             values = values.astype(self._dtype)
         elif values.dtype.kind in "iu":
             values = values.astype(np.int32)
-        return jax.device_put(values, self._by_lane)
+        return jax.device_put(values, self._sharding)
 
     def _all(self, number: int) -> Array:
         return self._put(np.full(self.num_lanes, number))
@@ -177,5 +161,5 @@ def _keys(phase, step):
     return jax.random.wrap_key_data(phase.step_keys(step[None])[0])
 
 
-def _close(run: LearningRun, carry, episode, learner, tests, is_real):
-    return checked_advance(run, carry, *run.close(carry, episode, learner, tests), is_real)
+def _close(run: LearningRun, carry, episode, learner, tests):
+    return checked_advance(run, carry, *run.close(carry, episode, learner, tests))

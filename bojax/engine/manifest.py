@@ -93,7 +93,7 @@ def describe_chunk(chunk: Chunk, state: ChunkState, error: str | None) -> dict[s
         "chunk": chunk.index,
         "group": chunk.group,
         "point": chunk.point,
-        "runs": chunk.num_lanes,
+        "runs": chunk.num_runs,
         "identity": chunk.identity,
         "status": "failed" if error else "done" if state.is_done else "unfinished",
         "error": error,

@@ -1,25 +1,115 @@
-"""The plan of a sweep: everything that its numbers depend on. A resumed sweep must have the same plan."""
+"""The plan of a sweep: its points are built, grouped and divided into chunks before anything runs."""
 
 import json
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from bojax.engine.provenance import code_hashes, versions
+from bojax.config.errors import ConfigError
+from bojax.config.files import display
+from bojax.config.limits import CHUNKS
+from bojax.engine.build import build
+from bojax.engine.chunks import Chunk, Layout, choose_layout, cut
+from bojax.engine.devices import Device
+from bojax.engine.groups import StaticGroup, static_groups
+from bojax.engine.provenance import code_hashes, device_description, versions
 from bojax.experiments.base import Experiment
 
 if TYPE_CHECKING:
-    from bojax.config.sweep import Sweep
+    from bojax.config.sweep import Point, Sweep
 
 
-def make_plan(
-    sweep: "Sweep",
-    modules: Sequence[Experiment],
-    device: Mapping[str, Any],
-    lanes_per_device: Sequence[int],
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What a sweep computes, and in which chunks.
+
+    Attributes:
+        sweep: The sweep.
+        modules: The experiment of each point.
+        groups: The static groups.
+        chunks: All chunks, group by group.
+        device: Description of the devices.
+        content: Everything that the numbers of the sweep depend on, as plain values. A sweep can only be
+            resumed with equal content.
+    """
+
+    sweep: "Sweep"
+    modules: Sequence[Experiment]
+    groups: Sequence[StaticGroup]
+    chunks: Sequence[Chunk]
+    device: Mapping[str, Any]
+    content: Mapping[str, Any]
+
+    def experiment(self, group: StaticGroup) -> Experiment:
+        """The experiment of the first point of a group."""
+        return self.modules[group.points[0]]
+
+    def layout(self, group: StaticGroup) -> Layout:
+        """How the runs of a group are divided and advanced."""
+        return next(chunk.layout for chunk in self.chunks if chunk.group == group.index)
+
+    def name(self, group: StaticGroup) -> str:
+        """The variants of a group, for messages."""
+        names = list(dict.fromkeys(self.sweep.points[point].variant for point in group.points))
+        return names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
+
+
+def make_plan(sweep: "Sweep", devices: Sequence[Device]) -> Plan:
+    """Build, group and divide the points of a sweep.
+
+    Raises:
+        ConfigError: A point cannot be built, or there are too many chunks.
+        ResultsError: A saved learner cannot be read.
+    """
+    device = device_description(devices)
+    modules = [_build(sweep, point) for point in sweep.points]
+    groups = static_groups(modules)
+    layouts = [
+        choose_layout(
+            modules[group.points[0]],
+            len(group.points) * sweep.runs,
+            device["platform"],
+            sweep.engine.lanes_per_device,
+        )
+        for group in groups
+    ]
+    content = _content(sweep, modules, device, layouts)
+    return Plan(sweep, modules, groups, _cut(sweep, groups, layouts, content), device, content)
+
+
+def _build(sweep: "Sweep", point: "Point") -> Experiment:
+    """The module of a point; its errors name the file of the sweep."""
+    try:
+        return build(point.config, getattr(point.config, "dtype", "float64"))
+    except ConfigError as error:
+        number = f" (point {point.index})" if len(sweep.points) > 1 else ""
+        raise ConfigError(f"{display(sweep.source)}: {error}{number}") from error
+
+
+def _cut(
+    sweep: "Sweep", groups: Sequence[StaticGroup], layouts: Sequence[Layout], content: Mapping[str, Any]
+) -> list[Chunk]:
+    configs = [point["config"] for point in content["points"]]
+    context = {key: content[key] for key in ("seed", "record", "device", "versions", "code")}
+    numbers = [
+        math.ceil(len(group.points) * sweep.runs / layout.queue)
+        for group, layout in zip(groups, layouts, strict=True)
+    ]
+    CHUNKS.check(sum(numbers), "engine.lanes_per_device")
+    chunks: list[Chunk] = []
+    for group, layout in zip(groups, layouts, strict=True):
+        chunks += cut(group, range(sweep.runs), layout, configs, context, first_index=len(chunks))
+    return chunks
+
+
+def _content(
+    sweep: "Sweep", modules: Sequence[Experiment], device: Mapping[str, Any], layouts: Sequence[Layout]
 ) -> dict[str, Any]:
-    """Runs, seed, resolved configs, device, lanes, versions and code.
+    """Runs, seed, resolved configs, kind of device, layouts, versions and code.
 
-    The length of segments and the settings of the report are left out, since they may change on resume.
+    The length of segments, the settings of the report and the number of devices are left out, since they may
+    change on resume.
     """
     used = versions()
     return plain(
@@ -37,8 +127,8 @@ def make_plan(
                 }
                 for point in sweep.points
             ],
-            "device": {key: device[key] for key in ("platform", "kind", "count")},
-            "lanes_per_device": list(lanes_per_device),
+            "device": {key: device[key] for key in ("platform", "kind")},
+            "layouts": [asdict(layout) for layout in layouts],
             "versions": {name: used[name] for name in ("jax", "jaxlib", "bojax") if name in used},
             "code": {name: value[:16] for name, value in code_hashes(modules).items()},
         }

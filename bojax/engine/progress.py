@@ -1,6 +1,8 @@
-"""Progress of a sweep: a live bar in a terminal, otherwise a plain line every few seconds."""
+"""Progress of sweeps: a live bar in a terminal, otherwise a plain line every few seconds."""
 
+import threading
 import time
+from collections.abc import Sequence
 from types import TracebackType
 
 from rich.console import Console
@@ -8,30 +10,49 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from bojax.config.errors import printable
+from bojax.engine.forecast import GroupProgress, forecast
+from bojax.engine.runner import Segment
 
 LINE_SECONDS = 10.0
 """Minimum time between two plain lines."""
 
+RECENT_SECONDS = 10.0
+"""Time over which the pace is averaged."""
+
 
 class SweepProgress:
-    """Reports the progress of a sweep: runs done, steps per second, lane utilisation, time left, compilation.
+    """Reports the progress of sweeps: runs done, steps per second, lane utilisation, compilation, time left.
+
+    Its methods may be called from any thread.
 
     Args:
         title: Name of the sweep.
-        num_lanes: Number of real lanes of the whole sweep.
+        num_runs: Number of runs of the whole sweep.
+        workers: Number of chunks that run side by side.
+        threads: Number of compilations side by side.
+        shares_cores: Whether compilation and runs take turns on the same cores.
         console: Console to write to; standard error by default.
     """
 
-    def __init__(self, title: str, num_lanes: int, console: Console | None = None):
+    def __init__(
+        self,
+        title: str,
+        num_runs: int,
+        *,
+        workers: int = 1,
+        threads: int = 1,
+        shares_cores: bool = True,
+        console: Console | None = None,
+    ):
         self._console = console or Console(stderr=True, highlight=False)
-        self._title = title
-        self._num_lanes = num_lanes
-        self._work_before = 0.0  # done by earlier processes; not part of the pace of this one
-        self._lanes_done = 0
-        self._chunk_lanes, self._chunk_share, self._chunk_runs = 0, 0.0, 0
-        self._steps, self._seconds = 0, 0.0
-        self._busy, self._issued = 0, 0
+        self._title, self._num_runs = title, num_runs
+        self._workers, self._threads, self._shares_cores = workers, threads, shares_cores
+        self._groups: list[GroupProgress] = []
+        self._runs_done = 0
+        self._steps = self._issued = 0
+        self._recent: list[tuple[float, float, int]] = []  # start, end and steps of segments
         self._last_line = time.monotonic()
+        self._lock = threading.RLock()
         self._bar: Progress | None = None
 
     def __enter__(self) -> "SweepProgress":
@@ -39,7 +60,7 @@ class SweepProgress:
             columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(bar_width=24))
             texts = (TextColumn("{task.fields[text]}"), TimeElapsedColumn())
             self._bar = Progress(*columns, *texts, console=self._console)
-            self._task = self._bar.add_task(escape(self._title), total=self._num_lanes, text="")
+            self._task = self._bar.add_task(escape(self._title), total=self._num_runs, text="")
             self._bar.start()
         return self
 
@@ -51,86 +72,88 @@ class SweepProgress:
 
     def say(self, text: str) -> None:
         """Print a line that stays on the screen."""
-        self._console.print(escape(printable(text)), soft_wrap=True)
+        with self._lock:
+            self._console.print(escape(printable(text)), soft_wrap=True)
 
-    def compiling(self, what: str) -> None:
-        """Report that a compilation has started."""
-        self._set_text(f"compiling {what} ...")
+    def add(self, groups: Sequence[GroupProgress], runs_done: int = 0) -> None:
+        """Add groups that have unfinished chunks, and count runs that earlier processes finished."""
+        with self._lock:
+            self._groups += groups
+            self._runs_done += runs_done
 
-    def compiled(self, what: str, seconds: float) -> None:
-        """Report that a compilation has ended."""
-        self.say(f"compiled {what} in {seconds:.1f} s")
+    def compiling(self, group: GroupProgress) -> None:
+        """Report that the compilation of a group has started."""
+        with self._lock:
+            group.compiling_since = time.monotonic()
+            if self._bar is None:
+                self.say(f"compiling {group.name} ...")
+            self._show()
+
+    def compiled(self, group: GroupProgress, seconds: float) -> None:
+        """Report that the compilation of a group has ended."""
+        with self._lock:
+            group.compile_seconds = seconds
+            self.say(f"compiled {group.name} in {seconds:.1f} s")
+            self._show()
 
     def timing(self, what: str) -> None:
         """Report that a single run is being compiled and timed."""
-        self._set_text(f"timing a single run of {what} ...")
+        self.say(f"timing a single run of {what} ...")
 
-    def skip(self, lanes: int) -> None:
-        """Count lanes that an earlier process finished."""
-        self._work_before += lanes
-        self._lanes_done += lanes
-        self._show()
+    def segment(self, group: GroupProgress, chunk: int, segment: Segment) -> None:
+        """Report that a segment of a chunk has ended."""
+        with self._lock:
+            group.finished += segment.finished
+            group.lane_advances += segment.lane_advances
+            group.seconds += segment.seconds
+            group.advances += segment.advances
+            state = group.chunks[chunk]
+            state.live, state.waiting = segment.live, segment.waiting
+            state.advances_left = segment.advances_left
+            state.seconds_per_advance = segment.seconds / max(1, segment.advances)
+            self._runs_done += segment.finished
+            self._steps += segment.active_steps
+            self._issued += segment.issued_steps
+            now = time.monotonic()
+            self._recent.append((now - segment.seconds, now, segment.active_steps))
+            self._show()
 
-    def start_chunk(self, lanes: int, share: float) -> None:
-        """Report that a chunk starts, or resumes after this share of its advances."""
-        self._chunk_lanes, self._chunk_share, self._chunk_runs = lanes, share, 0
-        self._work_before += lanes * share
-
-    def segment(self, *, share: float, runs: int, steps: int, seconds: float, busy: int, issued: int) -> None:
-        """Report that a segment has ended.
-
-        Args:
-            share: Share of the chunk's advances made so far.
-            runs: Number of runs of the chunk that are done.
-            steps: Number of environment steps in the segment.
-            seconds: Duration of the segment.
-            busy: Number of (lane, advance) pairs of the segment in which the lane was active.
-            issued: Number of all (lane, advance) pairs of the segment, including padding.
-        """
-        self._chunk_share, self._chunk_runs = share, runs
-        self._steps += steps
-        self._seconds += seconds
-        self._busy += busy
-        self._issued += issued
-        self._show()
-
-    def end_chunk(self) -> None:
-        """Report that all lanes of the chunk are done."""
-        self._lanes_done += self._chunk_lanes
-        self._chunk_lanes, self._chunk_share, self._chunk_runs = 0, 0.0, 0
-        self._show()
+    def end_chunk(self, group: GroupProgress, chunk: int) -> None:
+        """Report that a chunk has ended or failed."""
+        with self._lock:
+            group.chunks.pop(chunk, None)
 
     def describe(self) -> str:
-        """The progress of the sweep in one line."""
-        runs = self._lanes_done + self._chunk_runs
-        rate = self._steps / self._seconds if self._seconds else 0.0
-        utilisation = self._busy / self._issued if self._issued else 1.0
-        text = f"{runs}/{self._num_lanes} runs, {_si(rate)} steps/s, lanes {utilisation:.0%} busy"
-        left = self._time_left()
-        return text if left is None else f"{text}, {_duration(left)} left"
+        """The progress in one line."""
+        busy = self._steps / self._issued if self._issued else 1.0
+        text = f"{self._runs_done}/{self._num_runs} runs"
+        if rate := self._rate():
+            text += f", {_si(rate)} steps/s, lanes {busy:.0%} busy"
+        compiling = sum(1 for group in self._groups if group.chunks and group.compile_seconds is None)
+        if compiling:
+            text += f", {compiling} of {len(self._groups)} programs to compile"
+        left = forecast(
+            self._groups,
+            now=time.monotonic(),
+            workers=self._workers,
+            threads=self._threads,
+            shares_cores=self._shares_cores,
+        )
+        return text if left is None else f"{text}, {_duration(left.seconds)} left"
 
-    def _work(self) -> float:
-        return self._lanes_done + self._chunk_lanes * self._chunk_share
-
-    def _time_left(self) -> float | None:
-        """Seconds left at the pace so far, without compilation; an upper bound if lanes finish early."""
-        done = self._work() - self._work_before
-        if done <= 0 or not self._seconds:
-            return None
-        return self._seconds / done * (self._num_lanes - self._work())
+    def _rate(self) -> float:
+        """Steps per second of the last segments."""
+        now = time.monotonic()
+        self._recent = [segment for segment in self._recent if now - segment[1] <= RECENT_SECONDS]
+        passed = now - min((start for start, _, _ in self._recent), default=now)
+        return sum(steps for _, _, steps in self._recent) / passed if passed else 0.0
 
     def _show(self) -> None:
         if self._bar is not None:
-            self._bar.update(self._task, completed=self._work(), text=escape(self.describe()))
+            self._bar.update(self._task, completed=self._runs_done, text=escape(self.describe()))
         elif time.monotonic() - self._last_line >= LINE_SECONDS:
             self._last_line = time.monotonic()
             self.say(f"{self._title}: {self.describe()}")
-
-    def _set_text(self, text: str) -> None:
-        if self._bar is not None:
-            self._bar.update(self._task, text=escape(text))
-        else:
-            self.say(text)
 
 
 def _duration(seconds: float) -> str:

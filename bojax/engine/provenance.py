@@ -4,7 +4,7 @@ import hashlib
 import importlib.metadata
 import subprocess
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +55,7 @@ def git_revision() -> dict[str, Any] | None:
     return {"revision": revision, "has_changes": bool(status)}
 
 
-def device_description(devices: list[Device]) -> dict[str, Any]:
+def device_description(devices: Sequence[Device]) -> dict[str, Any]:
     """Platform, kind, number, runtime and driver of the devices."""
     first = devices[0]
     driver = Path("/proc/driver/nvidia/version")

@@ -1,148 +1,295 @@
-"""Runs a chunk: a part file for each segment of advances, periodic checkpoints, a summary at the end."""
+"""Runs a chunk on one device: its queue passes through the lanes, and its rows go to a sink.
+
+The chunk pauses after every segment of a few seconds, to write rows and to save checkpoints. Pauses do not
+change the results: when runs leave and enter lanes depends on the number of advances alone.
+"""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import jax
 import numpy as np
-import yaml
 
-from bojax.config.files import EXPERIMENT
-from bojax.engine.batch import Compiled, Lanes
+from bojax.engine.batch import Lanes, Programs
 from bojax.engine.chunks import Chunk
 from bojax.engine.errors import FAILURE, EngineError
-from bojax.engine.progress import SweepProgress
-from bojax.engine.segments import Segment, fetch_rows, run_segment
-from bojax.engine.signals import StopRequest
-from bojax.experiments.base import Carry
-from bojax.numerics import checkpoint
-from bojax.results.parts import ChunkFolder
-from bojax.results.schema import Table
-from bojax.results.store import write_atomically
+from bojax.engine.segments import Rows, fetch_rows, run_advances
+from bojax.engine.sinks import Sink
+from bojax.experiments.base import Experiment
 from bojax.results.tables import KEYS, to_arrow
 
 AT_END = "end"
 """Label of the snapshot of a finished run."""
 
-LEARNED = "learned"
-"""Folder of a saved learner's arrays, next to the config that evaluates the learner."""
+EMPTY = -1
+"""In a map from lanes to the runs of a queue: a lane without a run."""
 
-EVALUATION_EPISODES = 20
-"""Number of episodes of an evaluation; `episodes=` overrides it."""
-
-
-def evaluation(config: Mapping[str, Any]) -> dict[str, Any]:
-    """The config that evaluates a learner saved by an experiment of the given config."""
-    kept = {name: value for name, value in config.items() if name not in ("kind", "target_return", "tests")}
-    changed = {"saved": LEARNED, "schedule": "exploit", "episodes": EVALUATION_EPISODES, "stop": "never"}
-    return {"experiment": config["kind"], **kept, **changed, "map_episodes": []}
+MOST_ADVANCES = 512
+MOST_RECORD_BYTES = 1 << 28
+"""Limits of a segment: its advances, and the bytes of their records, which stay on the device meanwhile."""
 
 
 @dataclass(frozen=True)
-class ChunkRunner:
-    """Runs the chunks of one static group.
+class Segment:
+    """What a segment did.
 
     Attributes:
-        program: The compiled group.
-        tables: Schemas of the experiment's tables.
-        recorded_tables: Tables that keep only the rows of recorded runs.
-        recorded_runs: Number of recorded runs of each point, the first ones; their snapshots are kept.
-        saves_learners: Whether the learners of recorded runs are saved.
-        configs: Resolved config of each point.
-        segment_seconds: Wall time of a segment.
-        checkpoint_seconds: Minimum time between two checkpoints.
-        progress: Progress of the sweep, updated after every segment.
-        stop: Request to stop, checked after every advance.
+        finished: Number of runs that finished.
+        live: Number of unfinished runs in lanes.
+        waiting: Number of runs that wait for a lane.
+        advances: Number of advances of all lanes together.
+        lane_advances: Number of advances of unfinished runs.
+        advances_left: Upper bound of the advances that the runs in lanes still need.
+        active_steps: Number of environment steps.
+        issued_steps: Number of steps if all lanes had always been busy.
+        seconds: Wall time.
     """
 
-    program: Compiled
-    tables: Mapping[str, Table]
-    recorded_tables: frozenset[str]
-    recorded_runs: int
-    saves_learners: bool
-    configs: Sequence[Mapping[str, Any]]
+    finished: int
+    live: int
+    waiting: int
+    advances: int
+    lane_advances: int
+    advances_left: int
+    active_steps: int
+    issued_steps: int
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Limits:
+    """When a chunk pauses.
+
+    Attributes:
+        segment_seconds: Wall time of a segment.
+        checkpoint_seconds: Minimum time between two checkpoints.
+        stop: Whether a stop is requested; checked after every advance.
+    """
+
     segment_seconds: float
     checkpoint_seconds: float
-    progress: SweepProgress
-    stop: StopRequest
+    stop: Callable[[], bool]
 
-    def run(self, chunk: Chunk, files: ChunkFolder) -> None:
-        """Run a chunk to its end, or to a checkpoint if a stop is requested."""
-        state = files.state
-        lanes = self.program.place(*chunk.padded(self.program.num_lanes))
-        if state.checkpoint is None:
-            carry, state.remaining = self.program.init(lanes), chunk.num_lanes
-        else:
-            carry = checkpoint.restore(files.committed(state.checkpoint), self.program.carry_structure)
-        self.progress.start_chunk(chunk.num_lanes, state.advances / self.program.max_advances)
+
+class ChunkRunner:
+    """The state of a chunk while it runs.
+
+    Args:
+        chunk: The chunk.
+        experiment: An experiment of the group.
+        programs: The programs for one of the chunk's numbers of lanes.
+        sink: Receives rows and checkpoints, and holds the state from which the chunk is resumed.
+        limits: When the chunk pauses.
+        report: Called after every segment.
+    """
+
+    def __init__(
+        self,
+        chunk: Chunk,
+        experiment: Experiment,
+        programs: Callable[[int], Programs],
+        sink: Sink,
+        limits: Limits,
+        report: Callable[[Segment], None],
+    ):
+        self._chunk, self._experiment, self._sink = chunk, experiment, sink
+        self._programs_of, self._limits, self._report = programs, limits, report
+        self._state = sink.state
+        self._summaries: list[Rows] = []
+
+    def run(self) -> None:
+        """Run the chunk to its end, or to a checkpoint if a stop is requested."""
+        self._start()
         saved = time.monotonic()
-        while state.remaining and not self.stop:
-            segment = self._advance(chunk, carry, lanes, files)
-            carry = segment.carry
-            is_due = time.monotonic() - saved >= self.checkpoint_seconds
-            if state.remaining and (self.stop or is_due):
-                state.checkpoint = files.checkpoint_path().name
-                checkpoint.save(files.checkpoint_path(), carry)
-                files.commit()
+        while self._is_unfinished and not self._limits.stop():
+            self._report(self._segment())
+            is_due = time.monotonic() - saved >= self._limits.checkpoint_seconds
+            if self._is_unfinished and (self._limits.stop() or is_due):
+                self._sink.save(self._carry)
                 saved = time.monotonic()
-        if not state.remaining:
-            self._finish(chunk, carry, lanes, files)
+        if not self._is_unfinished:
+            self._sink.finish()
 
-    def _advance(self, chunk: Chunk, carry: Carry, lanes: Lanes, files: ChunkFolder) -> Segment:
-        state, program = files.state, self.program
-        left = program.max_advances - state.advances
-        if left <= 0:
-            raise EngineError(f"{state.remaining} runs are not done after {state.advances} advances", FAILURE)
-        segment = run_segment(program, carry, lanes, state.remaining, self.segment_seconds, left, self.stop)
-        rows = fetch_rows(segment.records, self.tables, chunk.points, chunk.runs, self._kept(chunk))
-        tables = {name: to_arrow(KEYS + self.tables[name], columns) for name, columns in rows.items()}
-        files.write_part(tables)
-        state.advances += segment.advances
-        state.remaining = segment.remaining
-        state.segments.append([chunk.num_lanes, segment.active_steps, segment.seconds])
-        self.progress.segment(
-            share=state.advances / program.max_advances,
-            runs=chunk.num_lanes - segment.remaining,
-            steps=segment.active_steps,
-            seconds=segment.seconds,
-            busy=segment.lane_advances,
-            issued=segment.advances * program.num_lanes,
+    @property
+    def _is_unfinished(self) -> bool:
+        return any(run != EMPTY for run in self._state.lanes)
+
+    @property
+    def _map(self) -> np.ndarray:
+        """The run of the queue in each lane."""
+        return np.asarray(self._state.lanes, dtype=np.int64)
+
+    def _start(self) -> None:
+        state, chunk = self._state, self._chunk
+        if state.checkpoint is None:
+            self._programs = self._programs_of(chunk.layout.lanes)
+            count = min(chunk.layout.lanes, chunk.num_runs)
+            state.lanes = [*range(count), *[EMPTY] * (chunk.layout.lanes - count)]
+            state.started, state.next_run = [0] * chunk.layout.lanes, count
+            self._carry = self._programs.init(self._place())
+        else:
+            self._programs = self._programs_of(len(state.lanes))
+            self._place()
+            self._carry = self._sink.load(self._programs.carry_structure)
+
+    def _place(self) -> Lanes:
+        """Put the inputs of the lanes on the device. A lane without a run repeats one that has a run."""
+        lanes = self._map
+        lanes = np.where(lanes == EMPTY, lanes.max(), lanes)
+        self._lanes = self._programs.place(self._chunk.positions[lanes], self._chunk.runs[lanes])
+        return self._lanes
+
+    def _segment(self) -> Segment:
+        """Advance the lanes for some seconds, and write the rows."""
+        state, repack = self._state, self._chunk.layout.repack
+        start, first_advance = time.perf_counter(), state.advances
+        rounds: list[tuple[np.ndarray, list[Any]]] = []
+        finished = lane_advances = active_steps = issued_steps = num_bytes = 0
+        while True:
+            left = self._limits.segment_seconds - (time.perf_counter() - start)
+            most = MOST_ADVANCES - (state.advances - first_advance)
+            made = run_advances(
+                self._programs,
+                self._carry,
+                self._lanes,
+                most=min(most, repack - state.advances % repack) if repack else most,
+                most_bytes=MOST_RECORD_BYTES - num_bytes,
+                seconds=left,
+                stop=self._limits.stop,
+            )
+            self._carry = made.carry
+            state.advances += len(made.records)
+            num_bytes += made.num_bytes
+            lanes = self._map
+            rounds.append((lanes, made.records))
+            lane_advances += int((lanes != EMPTY).sum()) * len(made.statuses)
+            for status in made.statuses:
+                steps = np.where(lanes == EMPTY, 0, status.active_steps)
+                active_steps += int(steps.sum())
+                issued_steps += int(steps.max()) * len(lanes)
+            is_done = made.statuses[-1].is_done
+            self._check_end(is_done)
+            finished += self._repack(is_done)
+            is_full = num_bytes >= MOST_RECORD_BYTES or state.advances - first_advance >= MOST_ADVANCES
+            is_late = time.perf_counter() - start > self._limits.segment_seconds
+            if is_full or is_late or self._limits.stop() or not self._is_unfinished:
+                break
+        jax.block_until_ready(self._carry)
+        seconds = time.perf_counter() - start
+        self._write(rounds)
+        state.segments.append([len(state.lanes), active_steps, seconds])
+        occupied = self._map != EMPTY
+        youngest = int(np.max(np.asarray(state.started)[occupied], initial=0))
+        return Segment(
+            finished=finished,
+            live=int(occupied.sum()),
+            waiting=self._chunk.num_runs - state.next_run,
+            advances=state.advances - first_advance,
+            lane_advances=lane_advances,
+            advances_left=max(0, self._experiment.max_advances - (state.advances - int(youngest))),
+            active_steps=active_steps,
+            issued_steps=issued_steps,
+            seconds=seconds,
         )
-        return segment
 
-    def _finish(self, chunk: Chunk, carry: Carry, lanes: Lanes, files: ChunkFolder) -> None:
-        summary = jax.device_get(self.program.summary(carry, lanes))
-        columns = {name: values[: chunk.num_lanes] for name, values in summary.items()}
-        table = to_arrow(KEYS + self.tables["runs"], {"point": chunk.points, "run": chunk.runs} | columns)
-        files.write_part({"runs": table})
-        recorded = self._recorded(chunk)
-        if recorded.size:
-            for name, arrays in jax.device_get(self.program.snapshot(carry, lanes)).items():
-                for lane in recorded:
+    def _check_end(self, is_done: np.ndarray) -> None:
+        """Raise if a run should have ended."""
+        state, most = self._state, self._experiment.max_advances
+        late = (self._map != EMPTY) & ~is_done & (state.advances - np.asarray(state.started) >= most)
+        if late.any():
+            raise EngineError(f"{late.sum()} runs are not done after {most} advances", FAILURE)
+
+    def _repack(self, is_done: np.ndarray) -> int:
+        """Let finished runs leave their lanes if it is time to, and return their number.
+
+        The next runs of the queue take their lanes. If there are none, the unfinished runs move to fewer
+        lanes, once the next smaller number is enough for them.
+        """
+        state, layout = self._state, self._chunk.layout
+        lanes = self._map
+        done = np.nonzero((lanes != EMPTY) & is_done)[0]
+        live = np.nonzero((lanes != EMPTY) & ~is_done)[0]
+        num_waiting = self._chunk.num_runs - state.next_run
+        if not len(live) and not num_waiting:
+            self._hand_in(done)
+            return len(done)
+        if not len(done) or not layout.repack or state.advances % layout.repack:
+            return 0
+        if num_waiting:
+            self._hand_in(done)
+            self._refill(done[:num_waiting])
+            return len(done)
+        fitting = [width for width in layout.widths if len(live) <= width < len(lanes)]
+        if not fitting:
+            return 0
+        self._hand_in(done)
+        self._narrow(live, min(fitting))
+        return len(done)
+
+    def _refill(self, free: np.ndarray) -> None:
+        state = self._state
+        for lane in free.tolist():
+            state.lanes[lane], state.started[lane] = state.next_run, state.advances
+            state.next_run += 1
+        is_new = np.zeros(len(state.lanes), dtype=bool)
+        is_new[free] = True
+        self._carry = self._programs.fill(self._carry, self._place(), is_new)
+
+    def _narrow(self, live: np.ndarray, width: int) -> None:
+        state = self._state
+        selected = np.resize(live, width)
+        self._carry = self._programs.select(self._carry, selected)
+        state.started = [state.started[lane] for lane in selected.tolist()]
+        state.lanes = [state.lanes[lane] for lane in live.tolist()] + [EMPTY] * (width - len(live))
+        self._programs = self._programs_of(width)
+        self._place()
+
+    def _hand_in(self, lanes: np.ndarray) -> None:
+        """Keep the summaries, snapshots and learners of finished runs, and empty their lanes."""
+        queued = self._map[lanes]
+        points, runs = self._chunk.points[queued], self._chunk.runs[queued]
+        summary = jax.device_get(self._programs.summary(self._carry, self._lanes))
+        columns = {name: values[lanes] for name, values in summary.items()}
+        self._summaries.append({"point": points, "run": runs} | columns)
+        keys = list(zip(lanes.tolist(), points.tolist(), runs.tolist(), strict=True))
+        if any(run < self._sink.recorded_runs for _, _, run in keys):
+            snapshots = jax.device_get(self._programs.snapshot(self._carry, self._lanes))
+            for lane, point, run in keys:
+                for name, arrays in snapshots.items() if run < self._sink.recorded_runs else ():
                     kept = {key: values[lane] for key, values in arrays.items()}
-                    files.write_snapshot(int(chunk.points[lane]), int(chunk.runs[lane]), name, AT_END, kept)
-        if recorded.size and self.saves_learners:
-            self._save_learners(chunk, carry, lanes, files, recorded)
-        files.state.is_done, files.state.checkpoint = True, None
-        files.commit()
-        self.progress.end_chunk()
+                    self._sink.write_snapshot(point, run, name, AT_END, kept)
+        if any(run < self._sink.saved_learners for _, _, run in keys):
+            learned = self._programs.exported_state(self._carry, self._lanes)
+            for lane, point, run in keys if jax.tree.leaves(learned) else ():
+                if run < self._sink.saved_learners:
+                    of_run = jax.tree.map(lambda leaf, lane=lane: leaf[lane], learned)
+                    self._sink.write_learner(point, run, of_run)
+        for lane in lanes.tolist():
+            self._state.lanes[lane] = EMPTY
 
-    def _save_learners(
-        self, chunk: Chunk, carry: Carry, lanes: Lanes, files: ChunkFolder, recorded: np.ndarray
-    ) -> None:
-        learned = self.program.exported_state(carry, lanes)
-        for lane in recorded if jax.tree.leaves(learned) else ():
-            point, run = int(chunk.points[lane]), int(chunk.runs[lane])
-            folder = files.learner_folder(point, run)
-            text = yaml.safe_dump(evaluation(self.configs[point]), sort_keys=False)
-            write_atomically(folder / EXPERIMENT, lambda temporary, text=text: temporary.write_text(text))
-            checkpoint.save(folder / LEARNED, jax.tree.map(lambda leaf, lane=lane: leaf[lane], learned))
+    def _write(self, rounds: list[tuple[np.ndarray, list[Any]]]) -> None:
+        """Write the rows of a segment: those of the advances, and the summaries of finished runs."""
+        tables = self._experiment.tables
+        rows: dict[str, list[Rows]] = {"runs": self._summaries}
+        for lanes, records in rounds:
+            runs = np.where(lanes == EMPTY, EMPTY, self._chunk.runs[lanes])
+            kept = dict.fromkeys(
+                self._experiment.recorded_tables,
+                np.nonzero((runs != EMPTY) & (runs < self._sink.recorded_runs))[0],
+            )
+            for name, found in fetch_rows(records, tables, self._chunk.points[lanes], runs, kept).items():
+                rows.setdefault(name, []).append(found)
+        self._sink.write_part(
+            {
+                name: to_arrow(KEYS + tables[name], _concatenated(found))
+                for name, found in rows.items()
+                if found
+            }
+        )
+        self._summaries = []
 
-    def _recorded(self, chunk: Chunk) -> np.ndarray:
-        """The lanes of recorded runs."""
-        return np.nonzero(chunk.runs < self.recorded_runs)[0]
 
-    def _kept(self, chunk: Chunk) -> dict[str, np.ndarray]:
-        return dict.fromkeys(self.recorded_tables, self._recorded(chunk))
+def _concatenated(parts: list[Rows]) -> Mapping[str, np.ndarray]:
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}

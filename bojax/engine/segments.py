@@ -1,8 +1,8 @@
-"""Segments: advances grouped by wall time and issued ahead, so that the device never waits for the host."""
+"""Advances issued ahead, so that the device does not wait for the host, and the rows of their records."""
 
 import time
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,9 +10,8 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
-from bojax.engine.batch import Compiled, Lanes, Status
+from bojax.engine.batch import Lanes, Programs, Status
 from bojax.engine.protocol import VALID
-from bojax.engine.signals import StopRequest
 from bojax.experiments.base import Carry
 from bojax.results.schema import Table
 
@@ -21,91 +20,67 @@ LOOKAHEAD_SECONDS = 0.02
 advance is issued only when the previous one has ended, so that none is wasted after all lanes are done."""
 
 MAX_LOOKAHEAD = 16
-MAX_ADVANCES = 512
-MAX_RECORD_BYTES = 1 << 28
-"""Limits of a segment: its advances, and the bytes of their records, which stay on the device meanwhile."""
-
 Rows = dict[str, np.ndarray]
 
 
 @dataclass(frozen=True)
-class Segment:
-    """The result of a segment.
+class Advances:
+    """Consecutive advances of the same lanes.
 
     Attributes:
-        carry: The carry after the segment.
-        records: The tables of each advance, on the device.
-        advances: Number of advances.
-        remaining: Number of real lanes that are not done.
-        active_steps: Number of environment steps of all lanes.
-        lane_advances: Number of (lane, advance) pairs in which the lane was active.
-        seconds: Wall time of the advances.
+        carry: The carry after them.
+        records: The tables of each, on the device.
+        statuses: The `Status` after each, on the host.
+        num_bytes: Size of the records.
     """
 
     carry: Carry
     records: list[Any]
-    advances: int
-    remaining: int
-    active_steps: int
-    lane_advances: int
-    seconds: float
+    statuses: list[Any]
+    num_bytes: int
 
 
-def run_segment(
-    program: Compiled,
+def run_advances(
+    programs: Programs,
     carry: Carry,
     lanes: Lanes,
-    remaining: int,
+    *,
+    most: int,
+    most_bytes: int,
     seconds: float,
-    max_advances: int,
-    stop: StopRequest,
-) -> Segment:
-    """Advance all lanes until they are done, the time is up, or a stop is requested.
+    stop: Callable[[], bool],
+) -> Advances:
+    """Advance all lanes until they are done, a limit is reached, or a stop is requested.
 
     Args:
-        program: The compiled group.
+        programs: The compiled programs.
         carry: The carry to start from; its buffers are donated.
         lanes: Inputs of the lanes.
-        remaining: Number of real lanes that are not done at the start.
+        most: Maximum number of advances.
+        most_bytes: Size of records after which no further advance is issued.
         seconds: Wall time after which no further advance is issued.
-        max_advances: Maximum number of advances.
-        stop: Request to stop, checked after each advance.
+        stop: Whether a stop is requested, checked after each advance.
     """
     start = time.perf_counter()
     records: list[Any] = []
     statuses: list[Status] = []
     waiting: deque[Status] = deque()
-    lookahead, finished = 0, 0
-    limit = min(max_advances, MAX_ADVANCES)
-    while len(records) < limit:
-        carry, tables, status = program.advance(carry, lanes)
-        if not records:
-            num_bytes = sum(column.nbytes for column in jax.tree.leaves(tables))
-            limit = min(limit, max(1, MAX_RECORD_BYTES // max(1, num_bytes)))
+    lookahead, finished, num_bytes = 0, 0, 0
+    while len(records) < most and (num_bytes < most_bytes or not records):
+        carry, tables, status = programs.advance(carry, lanes)
+        num_bytes += sum(column.nbytes for column in jax.tree.leaves(tables))
         records.append(tables)
         statuses.append(status)
         waiting.append(status)
         if len(waiting) <= lookahead:
             continue
-        is_done = not np.asarray(waiting.popleft().remaining).any()
+        is_done = np.asarray(waiting.popleft().is_done).all()
         finished += 1
         elapsed = time.perf_counter() - start
         lookahead = min(MAX_LOOKAHEAD, int(LOOKAHEAD_SECONDS * finished / elapsed))
-        if is_done or elapsed > seconds or stop:
+        if is_done or elapsed > seconds or stop():
             break
-    jax.block_until_ready(carry)
-    elapsed = time.perf_counter() - start
-    fetched = jax.device_get(statuses)
-    left = [int(status.remaining.sum()) for status in fetched]
-    return Segment(
-        carry=carry,
-        records=records,
-        advances=len(records),
-        remaining=left[-1],
-        active_steps=sum(int(status.active_steps.sum()) for status in fetched),
-        lane_advances=remaining + sum(left[:-1]),
-        seconds=elapsed,
-    )
+    return Advances(carry, records, jax.device_get(statuses), num_bytes)
 
 
 def fetch_rows(
@@ -115,19 +90,20 @@ def fetch_rows(
     runs: np.ndarray,
     kept: Mapping[str, np.ndarray],
 ) -> dict[str, Rows]:
-    """The valid rows of a segment's records, `{table: {column: [rows]}}`, with the point and run of each.
+    """The valid rows of the records of advances, `{table: {column: [rows]}}`, with the point and run of each.
 
     Args:
         records: The tables of each advance, columns `[lanes, rows]`.
         tables: Schemas of the tables.
-        points: Point of each real lane; the padding after them has no valid rows.
-        runs: Run of each real lane.
+        points: Point of each lane.
+        runs: Run of each lane; the rows of lanes without a run, -1, are left out.
         kept: For each table of which only some lanes are kept, those lanes.
     """
     fetched = jax.device_get([_lanes_of(advance, kept) for advance in records])
     rows: dict[str, Rows] = {}
     for name in fetched[0] if fetched else ():
-        found = [np.nonzero(advance[name][VALID]) for advance in fetched]
+        real = (runs >= 0)[kept[name] if name in kept else slice(None), None]
+        found = [np.nonzero(advance[name][VALID] & real) for advance in fetched]
         lanes = np.concatenate([lane for lane, _ in found])
         if name in kept:
             lanes = kept[name][lanes]

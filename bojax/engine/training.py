@@ -14,22 +14,25 @@ import jax.numpy as jnp
 import numpy as np
 import pyarrow as pa
 import pydantic
+from rich.console import Console
 
 from bojax.config.catalog import roles
 from bojax.config.component import Component, Slot
 from bojax.config.errors import dotted, from_validation
-from bojax.engine.batch import Compiled
 from bojax.engine.build import build, import_target
-from bojax.engine.devices import LANES_ON_ACCELERATOR, choose_lanes, make_mesh
+from bojax.engine.chunks import choose_layout, cut
+from bojax.engine.devices import find_devices
+from bojax.engine.execute import GroupTask, execute
 from bojax.engine.groups import static_groups
-from bojax.engine.hosted import Hosted
-from bojax.engine.segments import fetch_rows
+from bojax.engine.progress import SweepProgress
+from bojax.engine.runner import Limits
+from bojax.engine.sinks import MemorySink
 from bojax.envs.base import Env
 from bojax.envs.spaces import Box
 from bojax.experiments.learning import LearningRun
 from bojax.learning.base import Learner, LearnerState
 from bojax.learning.schedules import Schedule
-from bojax.results.tables import KEYS, sort_rows, to_arrow
+from bojax.results.tables import sort_rows
 
 Settings: TypeAlias = str | Mapping[str, Any] | Component
 """A built-in part as in a config file: its kind, its kind with settings, or its schema class."""
@@ -119,15 +122,44 @@ def train(
         map_resolution=2,
         saved=None,
     )
-    program = _compiled(experiment, runs, seed)
-    chunks = [_run(program, experiment, first, runs) for first in range(0, runs, program.num_lanes)]
-    summaries, rows, learned = zip(*chunks, strict=True)
+    sinks = _run(experiment, runs, seed)
+    tables = {
+        name: pa.concat_tables(part for sink in sinks for part in sink.tables[name]).drop_columns("point")
+        for name in ("runs", "episodes")
+    }
+    learned = {run: state for sink in sinks for run, state in sink.learned.items()}
     return Training(
-        runs=pa.concat_tables(summaries),
-        episodes=sort_rows(pa.concat_tables(rows)),
+        runs=sort_rows(tables["runs"]),
+        episodes=sort_rows(tables["episodes"]),
         experiment=experiment,
-        learned=jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *learned),
+        learned=jax.tree.map(lambda *leaves: jnp.stack(leaves), *(learned[run] for run in range(runs))),
     )
+
+
+def _run(experiment: LearningRun, runs: int, seed: int) -> list[MemorySink]:
+    """Run an experiment on all devices of JAX, and return what its chunks produced."""
+    devices = find_devices("auto")
+    (group,) = static_groups([experiment])
+    layout = choose_layout(experiment, runs, devices[0].platform, None)
+    chunks = [(chunk, MemorySink(runs)) for chunk in cut(group, range(runs), layout, [{}], {})]
+    errors: list[BaseException] = []
+    task = GroupTask(
+        group=group,
+        experiment=experiment,
+        name="train",
+        seed=seed,
+        layout=layout,
+        chunks=list(chunks),
+        limits=Limits(float("inf"), float("inf"), bool),
+        compiled=lambda _: None,
+        failed=lambda _, error: str(errors.append(error)),
+    )
+    quiet = SweepProgress("train", runs, console=Console(quiet=True))
+    for _ in execute([task], devices, quiet, bool):
+        pass
+    if errors:
+        raise errors[0]
+    return [sink for _, sink in chunks]
 
 
 def _part(role: str, part: Any, dtype: Literal["float64", "float32"]) -> Any:
@@ -139,35 +171,3 @@ def _part(role: str, part: Any, dtype: Literal["float64", "float32"]) -> Any:
     except pydantic.ValidationError as error:
         raise from_validation(error, lambda location: dotted((role, *location))) from error
     return build(settings, dtype)
-
-
-def _compiled(experiment: LearningRun, runs: int, seed: int) -> Compiled:
-    mesh = make_mesh(jax.devices())
-    limit = experiment.lanes_on_cpu if jax.default_backend() == "cpu" else LANES_ON_ACCELERATOR
-    lanes = choose_lanes(runs, mesh.size, limit, None)
-    (group,) = static_groups([experiment])
-    return (Hosted if experiment.is_hosted else Compiled)(group, mesh, lanes, seed, snapshots=False)
-
-
-def _run(
-    program: Compiled, experiment: LearningRun, first: int, runs: int
-) -> tuple[pa.Table, pa.Table, LearnerState]:
-    """Run one batch: as many runs as there are lanes, starting with the run of index `first`."""
-    numbers = np.arange(first, min(first + program.num_lanes, runs))
-    num_lanes, every = len(numbers), np.arange(program.num_lanes)
-    lanes = program.place(np.zeros_like(every), np.resize(numbers, len(every)), every < num_lanes)
-    carry, records, is_done = program.init(lanes), [], False
-    while not is_done:
-        carry, tables, status = program.advance(carry, lanes)
-        records.append({"episodes": tables["episodes"]})
-        is_done = not np.asarray(status.remaining).any()
-    points = np.zeros_like(numbers)
-    keys = {"point": points, "run": numbers}
-    summary = {name: np.asarray(values)[:num_lanes] for name, values in program.summary(carry, lanes).items()}
-    rows = fetch_rows(records, experiment.tables, points, numbers, {})["episodes"]
-    learned = jax.tree.map(lambda leaf: leaf[:num_lanes], program.exported_state(carry, lanes))
-    return (
-        to_arrow(KEYS + experiment.tables["runs"], keys | summary).drop_columns("point"),
-        to_arrow(KEYS + experiment.tables["episodes"], rows).drop_columns("point"),
-        learned,
-    )

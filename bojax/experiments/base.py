@@ -52,8 +52,13 @@ class Experiment(eqx.Module):
 
     @property
     def lanes_on_cpu(self) -> int:
-        """Default maximum of lanes per CPU device."""
-        return 64
+        """Default number of lanes on a core of a CPU."""
+        return 16
+
+    @property
+    def has_stragglers(self) -> bool:
+        """Whether a few runs may take many more advances than the others."""
+        return False
 
     @property
     @abc.abstractmethod

@@ -108,6 +108,11 @@ class LearningRun(Experiment):
 
     @property
     @override
+    def has_stragglers(self) -> bool:
+        return self.stop != "never"
+
+    @property
+    @override
     def max_advances(self) -> int:
         return self.episodes
 

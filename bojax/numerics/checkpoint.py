@@ -4,6 +4,7 @@ Typed keys are saved as their key data.
 """
 
 import logging
+import threading
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -16,6 +17,9 @@ from jaxtyping import Array, PyTree
 from bojax.logs import quiet
 from bojax.results.store import ResultsError, fingerprint, read_checked_json, write_checked_json
 from bojax.text import error_line
+
+_ONE_AT_A_TIME = threading.Lock()
+"""Orbax runs an event loop, which threads cannot share; nor can they share the level of its log."""
 
 _CHECKSUM = "checksum.json"
 """File with the size and SHA-256 of every other file of the checkpoint; Orbax does not detect all damage."""
@@ -31,7 +35,7 @@ def save(path: Path, tree: PyTree[Array]) -> None:
     # Orbax refuses empty arrays; `restore` creates them from their shape.
     leaves = {_name(i): _plain(leaf) for i, leaf in enumerate(jax.tree.leaves(tree)) if leaf.size}
     try:
-        with _quiet():
+        with _ONE_AT_A_TIME, _quiet():
             ocp.save(str(path.resolve()), leaves, overwrite=True)
         write_checked_json(path / _CHECKSUM, {"files": fingerprint(path)})
     except ResultsError:
@@ -65,7 +69,7 @@ def restore(path: Path, structure: PyTree[jax.ShapeDtypeStruct], advice: str | N
     }
     try:
         _check_files(path)
-        with _quiet():
+        with _ONE_AT_A_TIME, _quiet():
             _check_shapes(ocp.metadata(str(path.resolve())).metadata, plain)
             leaves = ocp.load(str(path.resolve()), plain)
     except Exception as error:

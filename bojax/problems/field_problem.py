@@ -231,12 +231,6 @@ class FieldProblem(Problem):
 
     @property
     @override
-    def lanes_on_cpu(self) -> int:
-        # The factors of a few hundred samples fill the cache: 8 to 16 lanes are fastest.
-        return 16
-
-    @property
-    @override
     def turning_radius(self) -> float:
         return self.vehicle.turning_radius
 

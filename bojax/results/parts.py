@@ -37,7 +37,9 @@ class ChunkState:
     Attributes:
         parts: Number of committed parts.
         advances: Number of advances at the checkpoint.
-        remaining: Number of unfinished lanes at the checkpoint.
+        lanes: For each lane at the checkpoint, the index of its run in the chunk; -1 for none.
+        started: For each lane, the number of advances at which its run started.
+        next_run: Index of the next run that waits for a lane.
         checkpoint: Name of the checkpoint to resume from; None before the first and after the last.
         is_done: Whether the parts hold all rows of the chunk.
         segments: `[lanes, active steps, seconds]` of each segment.
@@ -47,7 +49,9 @@ class ChunkState:
 
     parts: int = 0
     advances: int = 0
-    remaining: int = 0
+    lanes: list[int] = field(default_factory=list)
+    started: list[int] = field(default_factory=list)
+    next_run: int = 0
     checkpoint: str | None = None
     is_done: bool = False
     segments: list[list[float]] = field(default_factory=list)

@@ -88,14 +88,14 @@ def _command(given: Given) -> int:
         import bojax.engine.run
         import bojax.report.build
 
-        run_sweep = bojax.engine.run.run_sweep
+        run_sweeps = bojax.engine.run.run_sweeps
 
-        def stop_before_it_runs(sweep: Any, *options: Any, **named: Any) -> int:
-            code = run_sweep(sweep, *options, **named)
-            return _trace(sweep) if given.traces and code == 0 else code
+        def stop_before_they_run(requests: Any, *options: Any, **named: Any) -> int:
+            code = run_sweeps(requests, *options, **named)
+            return _trace(requests[0].sweep) if given.traces and code == 0 else code
 
-        bojax.engine.run.run_sweep = stop_before_it_runs
-        bojax.engine.run.SweepRun.execute = lambda self, **options: 0
+        bojax.engine.run.run_sweeps = stop_before_they_run
+        bojax.engine.run.carry_out = lambda *_: 0
         bojax.report.build.build_report = lambda folders, *_: folders[0]
     return main(list(given.words))
 
@@ -677,7 +677,7 @@ def _places(draw: random.Random, place: Path) -> Given:
     (place / "link").symlink_to("full")
     os.mkfifo(place / "fifo")
     more = ("--resume",) if draw.random() < 0.3 else ()
-    words = ("run", "chain", "--runs", "1", "episodes=1", "engine.latency=false", f"--out={out}", *more)
+    words = ("run", "chain", "--runs", "1", "episodes=1", f"--out={out}", *more)
     return Given(f"--out={out[:40]} {' '.join(more)}", words, stops=False)
 
 

@@ -39,7 +39,6 @@ def check(seed: int) -> Outcome:
     """Run a small experiment with settings that follow from the seed."""
     draw = random.Random(f"numbers {seed}")
     words = _bad_parts(draw) if draw.random() < 0.25 else _extremes(draw)
-    words += ("engine.latency=false",)
     with scratch() as place:
 
         def start() -> int:

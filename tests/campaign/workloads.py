@@ -13,7 +13,7 @@ from pathlib import Path
 
 from tests.campaign.process import Ended, run
 
-OFTEN = ["engine.segment_seconds=0.000001", "engine.checkpoint_seconds=0.000001", "engine.latency=false"]
+OFTEN = ["engine.segment_seconds=0.000001", "engine.checkpoint_seconds=0.000001"]
 """Every advance is a segment and leaves a checkpoint."""
 
 _TOY_POINTS = ({"scale": 1.0, "max_length": 60}, {"scale": 2.0, "max_length": 60}, {"max_length": 30})
@@ -87,7 +87,7 @@ WORKLOADS = {
         ),
         Workload(
             "variants",
-            ("sweep", "fig-5.2a", "--runs", "4", "episodes=40", "env.max_steps=60", "engine.latency=false"),
+            ("sweep", "fig-5.2a", "--runs", "4", "episodes=40", "env.max_steps=60"),
         ),
     )
 }
@@ -161,13 +161,13 @@ def _start(workload: Workload, out: Path, resume: bool, report: bool) -> int:
         # Patched by name, where the command line imports it: a report takes longer than these sweeps.
         bojax.report.build.build_report = lambda folders, *_: folders[0] / "report.html"
     if not workload.words:
-        from bojax.engine.run import run_sweep
+        from bojax.engine.run import Request, run_sweeps
         from tests.toy import toy_sweep
 
         sweep = toy_sweep(
             *_TOY_POINTS, runs=6, lanes_per_device=3, segment_seconds=1e-6, checkpoint_seconds=1e-6
         )
-        return run_sweep(sweep, out, resume, ["bojax", "sweep", "toy"])
+        return run_sweeps([Request(sweep, out)], resume, ["bojax", "sweep", "toy"])
     from bojax.cli.main import main
 
     return main([*workload.words, "--out", str(out), *(["--resume"] if resume else [])])

@@ -71,7 +71,7 @@ def test_hints(write, capsys, case):
 @pytest.fixture
 def ran(monkeypatch):
     """Runs nothing."""
-    monkeypatch.setattr("bojax.engine.run.run_sweep", lambda *_, **__: 1)
+    monkeypatch.setattr("bojax.engine.run.run_sweeps", lambda *_, **__: 1)
 
 
 @pytest.mark.parametrize(("command", "folder"), [("run", "configs"), ("sweep", "sweeps")])

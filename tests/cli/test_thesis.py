@@ -22,7 +22,7 @@ CLAIMS = {
 @pytest.mark.parametrize("name", CLAIMS)
 def test_claims_are_reproduced(name, tmp_path):
     runs, expected = CLAIMS[name]
-    words = [str(ROOT / "sweeps" / f"{name}.yaml"), "engine.latency=false", "--out", str(tmp_path)]
+    words = [str(ROOT / "sweeps" / f"{name}.yaml"), "--out", str(tmp_path)]
     assert main(["sweep", *words, "--runs", str(runs)]) == 0
     claims = json.loads((tmp_path / "claims.json").read_text())
     verdicts = {claim["id"].split("/")[1]: claim["verdict"] for claim in claims}
@@ -32,7 +32,7 @@ def test_claims_are_reproduced(name, tmp_path):
 def test_the_first_runs_of_many_are_those_of_few(tmp_path):
     tables = {}
     for runs in (4, 10):
-        words = ["run", "parking", "engine.lanes_per_device=4", "engine.latency=false", "--runs", str(runs)]
+        words = ["run", "parking", "engine.lanes_per_device=4", "--runs", str(runs)]
         assert main([*words, "--out", str(tmp_path / str(runs))]) == 0
         tables[runs] = read_table(tmp_path / str(runs) / "runs.parquet").slice(0, 4)
     assert tables[4].equals(tables[10])

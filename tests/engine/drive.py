@@ -10,11 +10,17 @@ COMMAND = ["bojax", "sweep", "toy"]
 
 
 def run_toy(out: Path | None, *points: dict, resume: bool = False, **settings) -> int:
-    """`run_sweep` of a toy sweep, with its exit code."""
-    from bojax.engine.run import run_sweep
+    """Run or resume a toy sweep; the exit code."""
     from tests.toy import toy_sweep
 
     return run_sweep(toy_sweep(*points, **settings), out, resume, COMMAND)
+
+
+def run_sweep(sweep, out: Path | None, resume: bool = False, command: list[str] = COMMAND) -> int:
+    """Run or resume a sweep; the exit code."""
+    from bojax.engine.run import Request, run_sweeps
+
+    return run_sweeps([Request(sweep, out)], resume, command)
 
 
 def start_toy(out: Path, *options: str, resume: bool = False, env=None, **settings) -> subprocess.Popen:

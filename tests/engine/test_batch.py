@@ -1,4 +1,4 @@
-"""A compiled group gives the results of single lanes, on any number of CPU devices, and is compiled once."""
+"""A compiled group gives the results of single lanes, on any device, and is compiled once."""
 
 import jax
 import jax.numpy as jnp
@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from bojax.engine import batch
-from bojax.engine.batch import Compiled, run_key
-from bojax.engine.devices import make_mesh
+from bojax.engine.batch import Functions, Programs, run_key
 from bojax.engine.errors import EngineError
 from bojax.engine.groups import static_groups
 from tests.toy import Toy, toy
@@ -16,18 +15,15 @@ SEED = 5
 MODULES = [toy(scale=1.0), toy(scale=2.0)]
 
 
-def compile_toys(num_devices=2, lanes_per_device=4, modules=MODULES) -> Compiled:
+def compile_toys(num_lanes=8, modules=MODULES, device=0, **options) -> Programs:
     (group,) = static_groups(modules)
-    return Compiled(
-        group, make_mesh(jax.devices("cpu")[:num_devices]), lanes_per_device, SEED, snapshots=True
-    )
+    given = {"snapshots": True, "fills": True} | options
+    return Programs(Functions(group), jax.devices("cpu")[device], num_lanes, SEED, **given)
 
 
 def place(program, positions, runs):
-    pad = program.num_lanes - len(runs)
-    return program.place(
-        np.array(positions + [0] * pad), np.array(runs + [0] * pad), np.arange(program.num_lanes) < len(runs)
-    )
+    pad = [0] * (program.num_lanes - len(runs))
+    return program.place(np.array(positions + pad), np.array(runs + pad))
 
 
 def run_all(program, lanes):
@@ -65,25 +61,22 @@ def test_points_share_run_keys():
 
 @pytest.mark.bits
 def test_run_17_alone_is_run_17_of_200():
-    program = compile_toys(lanes_per_device=100)
+    program = compile_toys(200)
     all_runs, _, _ = run_all(program, place(program, [0] * 200, list(range(200))))
     one_run, _, _ = run_all(program, place(program, [0], [17]))
-    small, _, _ = run_all(*(lambda p: (p, place(p, [0], [17])))(compile_toys(1, 1)))
+    small, _, _ = run_all(*(lambda p: (p, place(p, [0], [17])))(compile_toys(1)))
     for name, values in all_runs.items():
-        assert values[17].tobytes() == one_run[name][0].tobytes()  # equal lanes per device: equal bits
+        assert values[17].tobytes() == one_run[name][0].tobytes()  # equal lanes: equal bits
         np.testing.assert_allclose(values[17], small[name][0], rtol=1e-12)
 
 
 @pytest.mark.bits
-def test_two_devices_give_what_one_gives():
-    runs = list(range(8))
-    two = compile_toys(num_devices=2, lanes_per_device=4)
-    one = compile_toys(num_devices=1, lanes_per_device=4)
-    both, _, _ = run_all(two, place(two, [1] * 8, runs))
-    first, _, _ = run_all(one, place(one, [1] * 4, runs[:4]))
-    second, _, _ = run_all(one, place(one, [1] * 4, runs[4:]))
-    for name, values in both.items():
-        assert values.tobytes() == np.concatenate([first[name], second[name]]).tobytes()
+def test_every_device_gives_the_same_bits():
+    first, second = compile_toys(4), compile_toys(4, device=1)
+    results = [run_all(program, place(program, [1] * 4, [0, 1, 2, 3])) for program in (first, second)]
+    assert results[1][2].position.devices() == {jax.devices("cpu")[1]}
+    for name, values in results[0][0].items():
+        assert values.tobytes() == results[1][0][name].tobytes()
 
 
 def test_a_finished_lane_is_a_no_op():
@@ -93,19 +86,34 @@ def test_a_finished_lane_is_a_no_op():
     before = jax.device_get(jax.tree.map(batch.jnp.copy, (carry.step, carry.position)))
     carry, records, status = program.advance(carry, lanes)
     assert not np.asarray(records["steps"]["valid"]).any()
-    assert np.asarray(status.remaining).sum() == 0 and np.asarray(status.active_steps).sum() == 0
+    assert np.asarray(status.is_done).all() and not np.asarray(status.active_steps).any()
     after = jax.device_get((carry.step, carry.position))
     assert jax.tree.all(jax.tree.map(np.array_equal, before, after))
 
 
-def test_padding_leaves_no_trace():
-    program = compile_toys()
-    lanes = place(program, [0, 0, 0], [0, 1, 2])
-    carry = program.init(lanes)
-    carry, records, status = program.advance(carry, lanes)
-    assert not np.asarray(records["steps"]["valid"])[3:].any()
-    assert np.asarray(status.remaining).sum() <= 3
-    assert np.asarray(status.active_steps).sum() == np.asarray(carry.step)[:3].sum()
+def test_filling_starts_the_new_runs_and_leaves_the_others_alone():
+    program = compile_toys(4)
+    lanes = place(program, [0] * 4, [0, 1, 2, 3])
+    carry, _, _ = program.advance(program.init(lanes), lanes)
+    before = jax.device_get(carry.position)
+    lanes = place(program, [0, 1, 0, 1], [0, 9, 2, 7])
+    carry = program.fill(carry, lanes, np.array([False, True, False, True]))
+    expected = np.array(program.init(lanes).position)
+    expected[[0, 2]] = before[[0, 2]]
+    np.testing.assert_array_equal(carry.position, expected)
+
+
+def test_a_selection_of_lanes_goes_on_in_fewer():
+    wide = compile_toys(8)
+    narrow = Programs(wide._functions, wide.device, 2, SEED, snapshots=True, fills=False)
+    lanes = place(wide, [0, 1] * 4, list(range(8)))
+    carry, _, _ = wide.advance(wide.init(lanes), lanes)
+    chosen = np.array([6, 1])
+    fewer, few = wide.select(carry, chosen), place(narrow, [0, 1], [6, 1])
+    carry, records, _ = wide.advance(carry, lanes)
+    fewer, selected, _ = narrow.advance(fewer, few)
+    np.testing.assert_allclose(fewer.position, np.asarray(carry.position)[chosen], rtol=1e-12)
+    np.testing.assert_array_equal(selected["steps"]["valid"], np.asarray(records["steps"]["valid"])[chosen])
 
 
 def test_each_program_is_compiled_once():
@@ -121,7 +129,7 @@ def test_each_program_is_compiled_once():
             program.snapshot(carry, lanes)
     finally:
         jax.monitoring.clear_event_listeners()
-    assert batch.compile_counts - before == {"init": 1, "advance": 1, "summary": 1, "snapshot": 1}
+    assert batch.compile_counts - before == {"fill": 1, "advance": 1, "summary": 1, "snapshot": 1}
     assert not [name for name in events if "compile" in name]
 
 
@@ -135,7 +143,7 @@ def test_the_carry_is_donated():
 
 def test_another_shape_raises():
     program = compile_toys()
-    other = compile_toys(lanes_per_device=3)
+    other = compile_toys(3)
     with pytest.raises((TypeError, ValueError)):
         program.init(place(other, [0], [0]))
 

@@ -5,19 +5,18 @@ import os
 import subprocess
 import sys
 
-import pytest
-
-from bojax.engine.devices import cache_folder, usable_cores
+from bojax.engine.devices import cache_folder, usable_cores, workers_of
 
 REPORT = """
 import json
 import jax
 {before}
-from bojax.engine.devices import find_devices, prepare, setting
+from bojax.engine.devices import find_devices, prepare, setting, workers_of
 assert not jax.config.read("jax_enable_x64")
 prepare({device!r})
 flags = ("jax_enable_x64", "jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
-print(json.dumps([len(find_devices("cpu")), *map(setting, flags)]))
+found = find_devices("cpu")
+print(json.dumps([len(found), len(workers_of(found)), *map(setting, flags)]))
 """
 
 
@@ -30,23 +29,23 @@ def prepared(device="cpu", before="", **environment):
     return json.loads(result.stdout)
 
 
-def test_one_cpu_device_per_core(tmp_path):
-    count, x64, cache, least = prepared(XDG_CACHE_HOME=str(tmp_path))
-    assert count == usable_cores()
+def test_a_cpu_is_one_device_of_a_worker_for_each_core(tmp_path):
+    count, workers, x64, cache, least = prepared(XDG_CACHE_HOME=str(tmp_path))
+    assert (count, workers) == (1, usable_cores())
     assert x64 is True
     assert cache == str(tmp_path / "bojax" / "jax") and least == 0.0
 
 
-@pytest.mark.parametrize(
-    ("settings", "count"),
-    [
-        ({"XLA_FLAGS": "--xla_force_host_platform_device_count=3"}, 3),
-        ({"JAX_NUM_CPU_DEVICES": "5"}, 5),
-        ({"before": "jax.devices()"}, 1),  # a backend runs already: its starter has chosen
-    ],
-)
-def test_what_the_user_has_set_is_left_alone(settings, count):
-    assert prepared(JAX_COMPILATION_CACHE_DIR="/elsewhere", **settings)[::2] == [count, "/elsewhere"]
+def test_every_accelerator_has_one_worker():
+    class Accelerator:
+        platform = "gpu"
+
+    devices = [Accelerator(), Accelerator()]
+    assert workers_of(devices) == devices
+
+
+def test_what_the_user_has_set_is_left_alone():
+    assert prepared(JAX_COMPILATION_CACHE_DIR="/elsewhere")[3] == "/elsewhere"
 
 
 def test_cache_folder(monkeypatch, tmp_path):

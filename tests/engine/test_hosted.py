@@ -13,16 +13,14 @@ import pytest
 
 from bojax.config.settings import EngineConfig, Record
 from bojax.config.sweep import Point, Sweep
-from bojax.engine.batch import Compiled
+from bojax.engine.batch import Functions, Programs
 from bojax.engine.build import build
-from bojax.engine.devices import make_mesh
 from bojax.engine.groups import static_groups
 from bojax.engine.hosted import Hosted
-from bojax.engine.run import run_sweep
 from bojax.envs.settings import Gymnasium
 from bojax.experiments.settings import Learning
 from bojax.learning.settings import EpsilonGreedy
-from tests.engine.drive import ROOT
+from tests.engine.drive import ROOT, run_sweep
 
 GRID = Gymnasium(id="tests.engine.test_hosted:Corridor-v0", success="terminated", max_steps=12)
 
@@ -163,16 +161,11 @@ def test_is_what_the_compiled_run_does():
     compiled_run = build(
         Learning(env=Chain(), learner=EpsilonGreedy(epsilon=0.3, block=4), episodes=3, tests=1), "float32"
     )
-    mesh = make_mesh(jax.devices("cpu")[:1])
-    group = static_groups([compiled_run])[0]
-    positions, runs, is_real = np.zeros(3, np.int32), np.arange(3, dtype=np.int32), np.ones(3, bool)
-    programs = (
-        Compiled(group, mesh, 3, 0, snapshots=False),
-        OurHosted(group, mesh, 3, 0, snapshots=False),
-    )
+    given = Functions(static_groups([compiled_run])[0]), jax.devices("cpu")[0], 3, 0
+    programs = [kind(*given, snapshots=False, fills=True) for kind in (Programs, OurHosted)]
     ends = []
     for program in programs:
-        lanes = program.place(positions, runs, is_real)
+        lanes = program.place(np.zeros(3, np.int32), np.arange(3, dtype=np.int32))
         carry = program.init(lanes)
         for _ in range(3):
             carry, _, _ = program.advance(carry, lanes)
@@ -186,6 +179,7 @@ class OurHosted(Hosted):
     """Steps one of our environments with the keys of the compiled run, in place of a vector environment."""
 
     def _open(self, run):
+        self._num_tests, self._block = run.tests, run.learner.block
         self._dtype = run.learner.exploration_weight.dtype
         self._our_reset = self._program(our_reset)
         self._our_step = self._program(our_step)

@@ -6,7 +6,9 @@ import pytest
 from rich.console import Console
 
 from bojax.engine import progress
+from bojax.engine.forecast import ChunkProgress, GroupProgress
 from bojax.engine.progress import SweepProgress
+from bojax.engine.runner import Segment
 
 
 @pytest.fixture
@@ -18,53 +20,82 @@ def clock(monkeypatch):
     return Clock
 
 
-def make(num_lanes=100, *, is_terminal=False):
+def make(num_runs=100, *, is_terminal=False, **options):
     console = Console(file=io.StringIO(), force_terminal=is_terminal, width=120)
-    return SweepProgress("toy", num_lanes, console), console.file
+    return SweepProgress("toy", num_runs, console=console, **options), console.file
+
+
+def group_of(*waiting: int, name="toy", lanes=10, max_advances=20, compile_seconds: float | None = 1.0):
+    chunks = {i: ChunkProgress(lanes, lanes, number, max_advances) for i, number in enumerate(waiting)}
+    return GroupProgress(name, max_advances, chunks, compile_seconds=compile_seconds)
+
+
+def segment(**changed) -> Segment:
+    usual = {"finished": 0, "live": 10, "waiting": 0, "advances": 1, "lane_advances": 10, "advances_left": 10}
+    return Segment(**(usual | {"active_steps": 1, "issued_steps": 1, "seconds": 1.0} | changed))
 
 
 def test_counts_rates_and_time_left(clock):
-    shown, _ = make(num_lanes=100)
-    shown.skip(20)
-    shown.start_chunk(40, 0.0)
-    shown.segment(share=0.25, runs=3, steps=5000, seconds=2.0, busy=60, issued=80)
-    # 10 of the 80 lanes' worth of work that are left at the start took 2 s: 70 are left.
-    assert shown.describe() == "23/100 runs, 2.5k steps/s, lanes 75% busy, 14 s left"
-    shown.end_chunk()
-    assert shown.describe().startswith("60/100 runs")
+    shown, _ = make()
+    group = group_of(70)
+    shown.add([group], runs_done=20)
+    clock.now += 4.0
+    shown.segment(
+        group,
+        0,
+        segment(
+            finished=10,
+            waiting=60,
+            advances=4,
+            lane_advances=40,
+            active_steps=8000,
+            issued_steps=10000,
+            seconds=4.0,
+        ),
+    )
+    # A run takes 4 advances of 1 s. The 60 waiting ones take 6 times 4 in 10 lanes, and the last of the 10 in
+    # lanes 10 at most.
+    assert shown.describe() == "30/100 runs, 2k steps/s, lanes 80% busy, 34 s left"
+    shown.end_chunk(group, 0)
+    assert shown.describe().endswith(", 0 s left")
 
 
-def test_a_resumed_chunk_does_not_flatter_the_pace(clock):
-    shown, _ = make(num_lanes=40)
-    shown.start_chunk(40, 0.5)
-    assert shown.describe() == "0/40 runs, 0 steps/s, lanes 100% busy"
-    shown.segment(share=0.75, runs=0, steps=10, seconds=3.0, busy=1, issued=1)
-    assert shown.describe().endswith("3 s left")
+def test_runs_of_earlier_processes_do_not_flatter_the_pace(clock):
+    shown, _ = make(num_runs=40)
+    group = group_of(0)
+    shown.add([group], runs_done=30)
+    assert shown.describe() == "30/40 runs"
 
 
 def test_plain_lines_are_rare(clock):
     shown, text = make()
+    group = group_of(0)
+    shown.add([group])
     with shown:
-        shown.start_chunk(100, 0.0)
-        for i in range(250):
+        for _ in range(250):
             clock.now += 0.1
-            shown.segment(share=i / 250, runs=0, steps=1, seconds=0.1, busy=1, issued=1)
+            shown.segment(group, 0, segment())
     assert len(text.getvalue().splitlines()) == 2
 
 
 def test_compiling_is_shown_with_its_time(clock):
     shown, text = make()
+    group, other = group_of(0, name="kcbts", compile_seconds=None), group_of(0, compile_seconds=None)
     with shown:
-        shown.compiling("kcbts")
-        shown.compiled("kcbts", 4.21)
+        shown.add([group, other])
+        shown.compiling(group)
+        shown.compiled(group, 4.21)
     assert text.getvalue().splitlines() == ["compiling kcbts ...", "compiled kcbts in 4.2 s"]
+    assert shown.describe() == "0/100 runs, 1 of 2 programs to compile"
 
 
 def test_a_terminal_gets_a_bar(clock):
     shown, text = make(is_terminal=True)
+    group = group_of(0, name="kcbts [x]")
     with shown:
-        shown.compiling("kcbts [x]")
-        shown.segment(share=0.0, runs=0, steps=1, seconds=1.0, busy=1, issued=1)
+        shown.add([group])
+        shown.compiling(group)
+        shown.segment(group, 0, segment())
     assert "\x1b[" in text.getvalue()
 
 

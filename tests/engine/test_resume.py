@@ -102,20 +102,21 @@ def interrupted(tmp_path) -> Path:
 def stop_after(out: Path, segments: int, **settings) -> int:
     from bojax.engine.runner import ChunkRunner
 
-    original, count = ChunkRunner._advance, 0
+    original, count = ChunkRunner._segment, 0
 
-    def advance(self, *arguments):
+    def segment(self):
         nonlocal count
-        result = original(self, *arguments)
+        result = original(self)
         count += 1
         if count == segments:
             os.kill(os.getpid(), signal.SIGINT)
-            while not self.stop:
+            while not self._limits.stop():
                 time.sleep(0.001)
         return result
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ChunkRunner, "_advance", advance)
+        patch.setattr(ChunkRunner, "_segment", segment)
+        patch.setattr("bojax.engine.devices.usable_cores", lambda: 1)  # one chunk after the other
         return run_sweep_here(out, **{**OFTEN, **settings})
 
 
@@ -139,7 +140,7 @@ def test_resume_twice(interrupted, undisturbed):
         ({"seed": 4}, "seed: 3 -> 4"),
         ({"points": ({"scale": 1.5, "max_length": 400}, *POINTS[1:])}, "config.scale: 1.0 -> 1.5"),
         ({"points": (*POINTS[:2], {"max_length": 31})}, "points.2.config.max_length: 30 -> 31"),
-        ({"lanes_per_device": 5}, "lanes_per_device.0: 4 -> 5"),
+        ({"lanes_per_device": 5}, "layouts.0.widths.0: 4 -> 5"),
     ],
 )
 def test_changed_config_is_refused(interrupted, capsys, change, named):
@@ -162,8 +163,8 @@ def test_segments_and_reports_may_change(interrupted, undisturbed):
     assert contents(interrupted) == contents(undisturbed)
 
 
-HALFWAY = {"points": ({"scale": 1.0}, {"scale": 2.0}), "runs": 6, "lanes_per_device": 2}
-"""Three chunks of four runs, each of at most six segments."""
+HALFWAY = {"points": ({"scale": 1.0}, {"scale": 2.0}), "runs": 12, "lanes_per_device": 4}
+"""Three chunks of eight runs."""
 
 
 @pytest.fixture(scope="module")
@@ -177,7 +178,7 @@ def undamaged(tmp_path_factory) -> Path:
 def halfway(tmp_path_factory) -> Path:
     """A folder with a finished chunk, one that stopped at a checkpoint, and one that has not begun."""
     out = tmp_path_factory.mktemp("halfway") / "toy"
-    assert stop_after(out, segments=9, **HALFWAY) == 130
+    assert stop_after(out, segments=12, **HALFWAY) == 130
     chunks = sorted((out / WORK).glob("chunk-*"))
     assert [len(list(chunk.glob("checkpoint-*"))) for chunk in chunks] == [0, 1, 0]
     assert list(chunks[0].glob("arrays/*.npz"))
@@ -299,7 +300,7 @@ def test_what_no_number_depends_on_may_be_damaged(copy, undamaged, is_folder):
     (second / "part-foo.parquet").write_text("stray")
     (second / "part-000009-steps.parquet").mkdir()
     shutil.copy(first / "part-000000-steps.parquet", second / "part-000008-steps.parquet")  # not committed
-    shutil.copy(first / "arrays" / "0-0-walk-end.npz", second / "arrays" / "1-1-walk-end.npz")
+    shutil.copy(first / "arrays" / "0-0-walk-end.npz", second / "arrays" / "1-9-walk-end.npz")
     (second / "checkpoint-00000099").mkdir()
     (second / "learners" / "0-0" / "learned").mkdir(parents=True)
     assert run_sweep_here(copy, resume=True, **HALFWAY) == 0

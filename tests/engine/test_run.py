@@ -2,6 +2,8 @@
 
 import errno
 import os
+import signal
+import time
 from pathlib import Path
 
 import jax
@@ -12,9 +14,10 @@ import pytest
 from bojax.config.errors import ConfigError
 from bojax.config.limits import Limit
 from bojax.engine import batch
+from bojax.engine.run import Request, run_sweeps
 from bojax.results.store import WORK, ResultsError, read_manifest, read_table
 from tests.engine.drive import contents, run_toy, start_toy
-from tests.toy import Toy
+from tests.toy import Toy, toy_sweep
 
 RUNS = 10
 
@@ -25,7 +28,7 @@ def folder(tmp_path_factory) -> Path:
     before = batch.compile_counts.copy()
     assert run_toy(out, runs=RUNS, latency=True) == 0
     # Two static groups: the points that differ in a number share one.
-    each = {name: 2 for name in ("init", "advance", "summary", "snapshot")}
+    each = {name: 2 for name in ("fill", "advance", "summary", "snapshot")}
     assert batch.compile_counts - before == each
     return out
 
@@ -91,8 +94,8 @@ def test_manifest(folder):
 
 def test_timings(folder):
     timings = read_table(folder / "timings.parquet")
-    assert timings["point"].to_pylist() == [-1, 2]
-    assert timings["lanes"].to_pylist() == [2 * RUNS, RUNS]
+    assert timings["point"].to_pylist() == [0, 1, 2]
+    assert timings["lanes"].to_pylist() == [RUNS] * 3
     assert all(seconds > 0 for seconds in timings["seconds"].to_pylist())
 
 
@@ -108,18 +111,20 @@ def test_chunks_and_segments_change_nothing(folder, tmp_path):
     assert contents(out) == contents(folder)
 
 
-def test_four_cpu_devices_give_what_two_give(folder, tmp_path):
-    out = tmp_path / "toy"
-    # The test settings ask for two devices; here XLA's flag is to decide, as on a user's machine.
-    flags = "--xla_force_host_platform_device_count=4"
-    environment = os.environ | {"XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu"}
-    undo = "import jax; jax.config.update('jax_num_cpu_devices', -1)"
-    process = start_toy(out, undo, env=environment, runs=RUNS)
-    assert process.wait(timeout=120) == 0
-    assert read_manifest(out)["device"]["count"] == 4
-    ours, theirs = (columns(where / "runs.parquet") for where in (out, folder))
-    np.testing.assert_allclose(ours["return"], theirs["return"], rtol=1e-12)
-    assert (ours["steps"] == theirs["steps"]).all()
+@pytest.mark.bits
+def test_any_number_of_devices_gives_the_same_bytes(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr("bojax.engine.run.find_devices", lambda _: jax.devices("cpu"))
+    assert len(jax.devices("cpu")) == 2
+    assert run_toy(tmp_path / "toy", runs=RUNS) == 0
+    assert read_manifest(tmp_path / "toy")["device"]["count"] == 2
+    assert contents(tmp_path / "toy") == contents(folder)
+
+
+@pytest.mark.bits
+def test_any_number_of_workers_gives_the_same_bytes(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr("bojax.engine.devices.usable_cores", lambda: 5)
+    assert run_toy(tmp_path / "toy", runs=RUNS) == 0
+    assert contents(tmp_path / "toy") == contents(folder)
 
 
 def test_nans_are_counted(tmp_path, capsys):
@@ -169,7 +174,7 @@ def test_settings_that_a_constructor_refuses(tmp_path, capsys, monkeypatch):
     def refuse(component, dtype):
         raise ConfigError("problem.size: got -1; allowed: > 0")
 
-    monkeypatch.setattr("bojax.engine.run.build", refuse)
+    monkeypatch.setattr("bojax.engine.plan.build", refuse)
     assert run_toy(tmp_path / "toy") == 2
     assert errors(capsys) == ["error: toy.yaml: problem.size: got -1; allowed: > 0 (point 0)"]
     assert not (tmp_path / "toy").exists()
@@ -209,29 +214,29 @@ def test_full_disk_at_a_checkpoint(tmp_path, capsys, monkeypatch):
     assert "the disk is full" in line
 
 
-@pytest.mark.parametrize("program", ["advance", "init"])
+@pytest.mark.parametrize("program", ["advance", "fill"])
 def test_out_of_memory_names_the_setting(tmp_path, capsys, monkeypatch, program):
     def exhausted(self, *_):
         raise jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 99 bytes.")
 
-    monkeypatch.setattr(batch.Compiled, program, exhausted)
-    assert run_toy(tmp_path / "toy", lanes_per_device=16) == 1
+    monkeypatch.setattr(batch.Programs, program, exhausted)
+    assert run_toy(tmp_path / "toy", runs=64, lanes_per_device=16) == 1
     (line,) = errors(capsys)
     assert "16 lanes per device: try engine.lanes_per_device=8" in line
 
 
 def test_a_failed_chunk_does_not_stop_the_others(tmp_path, capsys, folder, monkeypatch):
     out = tmp_path / "toy"
-    place = batch.Compiled.place
+    place = batch.Programs.place
 
-    def fail(self, positions, runs, is_real):
+    def fail(self, positions, runs):
         if runs[0] == 0 and positions[0] == 1:
             raise RuntimeError("boom\nand a stack")
-        return place(self, positions, runs, is_real)
+        return place(self, positions, runs)
 
     with monkeypatch.context() as patch:
-        patch.setattr(batch.Compiled, "place", fail)
-        assert run_toy(out, runs=RUNS, lanes_per_device=10 // len(jax.devices())) == 1
+        patch.setattr(batch.Programs, "place", fail)
+        assert run_toy(out, runs=RUNS, lanes_per_device=10) == 1
     (line,) = errors(capsys)
     assert "1 of 3 chunks failed: RuntimeError: boom and a stack (traceback in " in line
     manifest = read_manifest(out)
@@ -241,9 +246,70 @@ def test_a_failed_chunk_does_not_stop_the_others(tmp_path, capsys, folder, monke
     assert manifest["chunks"][1]["error"] == f"RuntimeError: boom and a stack (traceback in {stack})"
     assert "and a stack" in stack.read_text()
     assert set(read_table(out / "runs.parquet")["point"].to_pylist()) == {0, 2}
-    assert run_toy(out, runs=RUNS, lanes_per_device=10 // len(jax.devices()), resume=True) == 0
+    assert run_toy(out, runs=RUNS, lanes_per_device=10, resume=True) == 0
     assert contents(out) == contents(folder)
     assert read_manifest(out)["status"] == "finished"
+
+
+def run_two(tmp_path, *, resume=False, finish=lambda _: None) -> int:
+    first, second = toy_sweep({"scale": 1.0}, name="first"), toy_sweep({"scale": 3.0}, name="second")
+    requests = [Request(first, tmp_path / "first"), Request(second, tmp_path / "second")]
+    return run_sweeps(requests, resume, ["bojax", "sweep", "first", "second"], finish)
+
+
+@pytest.mark.bits
+def test_several_sweeps_are_one_plan_and_give_what_each_gives_alone(tmp_path):
+    finished = []
+    assert run_two(tmp_path, finish=finished.append) == 0
+    assert sorted(path.name for path in finished) == ["first", "second"]
+    for name, scale in (("first", 1.0), ("second", 3.0)):
+        assert run_toy(tmp_path / "alone" / name, {"scale": scale}) == 0
+        assert contents(tmp_path / name) == contents(tmp_path / "alone" / name)
+
+
+def test_a_failed_sweep_does_not_stop_the_others_and_is_tried_again(tmp_path, capsys, monkeypatch):
+    finished = []
+    with monkeypatch.context() as patch:
+        patch.setattr(batch.Programs, "summary", fail_for_scale(3.0))
+        assert run_two(tmp_path, finish=finished.append) == 1
+    assert [path.name for path in finished] == ["first"]
+    assert "RuntimeError: boom" in capsys.readouterr().err
+    assert [read_manifest(tmp_path / name)["status"] for name in ("first", "second")] == [
+        "finished",
+        "failed",
+    ]
+    assert run_two(tmp_path, resume=True, finish=finished.append) == 0
+    assert [path.name for path in finished] == ["first", "first", "second"]
+    assert f"{tmp_path / 'first'}: already finished" in capsys.readouterr().out
+
+
+def fail_for_scale(scale):
+    summary = batch.Programs.summary
+
+    def fail(self, carry, lanes):
+        if float(self._shared.scale) == scale:
+            raise RuntimeError("boom")
+        return summary(self, carry, lanes)
+
+    return fail
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_during_compilation_is_answered_at_once(tmp_path, number):
+    slow = (
+        "import time; from bojax.engine.batch import Programs; compile = Programs._compile; "
+        "Programs._compile = lambda self, *a: (time.sleep(60), compile(self, *a))[1]"
+    )
+    process = start_toy(tmp_path / "toy", slow)
+    for line in process.stderr:
+        if line.startswith("compiling"):
+            break
+    start = time.monotonic()
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=60)
+    assert time.monotonic() - start < 5  # 2 s on an idle machine
+    assert process.returncode == 128 + number
+    assert f"bojax sweep toy --out {tmp_path / 'toy'} --resume" in errors
 
 
 def test_an_experiment_that_does_not_end(tmp_path, capsys, monkeypatch):
@@ -271,7 +337,7 @@ def test_finished_sweep_resumed(folder, capsys):
 
 
 def test_more_chunks_than_memory_holds_are_refused_before_anything_is_written(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("bojax.engine.run.CHUNKS", Limit("chunks", 2**60, at_least=1))
+    monkeypatch.setattr("bojax.engine.plan.CHUNKS", Limit("chunks", 2**60, at_least=1))
     assert run_toy(tmp_path / "toy", runs=6, lanes_per_device=2) == 2
     (message,) = errors(capsys)
     assert (

@@ -8,11 +8,11 @@ import pytest
 from bojax.config.errors import ConfigError
 from bojax.config.sweep import load_config
 from bojax.engine.build import build
-from bojax.engine.run import run_sweep
 from bojax.engine.training import train
 from bojax.envs.settings import Chain, MountainCar
 from bojax.learning.settings import EMUQ, AdditiveRewards, Budget, RandomFourierFeatures
 from bojax.results.store import read_table
+from tests.engine.drive import run_sweep
 from tests.learning.probes import Bandit
 
 CHAIN = {"kind": "chain", "length": 4, "max_length": 4, "max_steps": 40}

@@ -17,7 +17,7 @@ from bojax.cli.main import main
 from bojax.results.store import read_manifest, read_table
 from tests.examples.pages import PAGES, ROOT, commands
 
-TINY = ("planner.depth=1", "problem.max_steps=2", "engine.latency=false", "record.runs=1", "--runs", "2")
+TINY = ("planner.depth=1", "problem.max_steps=2", "record.runs=1", "--runs", "2")
 FILES = [path for path in (ROOT / "examples").iterdir() if path.is_file()]
 
 

@@ -7,8 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bojax.engine.batch import Compiled
-from bojax.engine.devices import make_mesh
+from bojax.engine.batch import Functions, Programs
 from bojax.engine.groups import static_groups
 from bojax.numerics import checkpoint
 from bojax.results.store import ResultsError
@@ -18,12 +17,12 @@ from tests.toy import toy
 @pytest.fixture(scope="module")
 def program():
     (group,) = static_groups([toy(), toy(scale=2.0)])
-    return Compiled(group, make_mesh(jax.devices("cpu")), 3, 0, snapshots=False)
+    return Programs(Functions(group), jax.devices("cpu")[1], 6, 0, snapshots=False, fills=True)
 
 
 @pytest.fixture
 def carry(program):
-    lanes = program.place(np.arange(6) % 2, np.arange(6), np.ones(6, dtype=bool))
+    lanes = program.place(np.arange(6) % 2, np.arange(6))
     carry, _, _ = program.advance(program.init(lanes), lanes)
     return carry
 
@@ -44,7 +43,7 @@ def test_round_trip(tmp_path, program, carry):
 
 
 def test_a_restored_carry_goes_on(tmp_path, program, carry):
-    lanes = program.place(np.arange(6) % 2, np.arange(6), np.ones(6, dtype=bool))
+    lanes = program.place(np.arange(6) % 2, np.arange(6))
     checkpoint.save(tmp_path / "one", carry)
     restored = checkpoint.restore(tmp_path / "one", program.carry_structure)
     expected, _, _ = program.advance(carry, lanes)

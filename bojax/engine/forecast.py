@@ -1,0 +1,145 @@
+"""Forecast of the time that is left, from the runs that have ended and the programs still to be compiled."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass
+class ChunkProgress:
+    """The progress of a chunk.
+
+    Attributes:
+        lanes: Number of lanes at the start.
+        live: Number of unfinished runs in lanes.
+        waiting: Number of runs that wait for a lane.
+        advances_left: Upper bound of the advances of the runs in lanes.
+        seconds_per_advance: Wall time of an advance of all lanes in the last segment; None before the first.
+    """
+
+    lanes: int
+    live: int
+    waiting: int
+    advances_left: int
+    seconds_per_advance: float | None = None
+
+
+@dataclass
+class GroupProgress:
+    """The progress of a static group.
+
+    Attributes:
+        name: Name of the group.
+        max_advances: Number of advances after which a run is done.
+        chunks: The unfinished chunks, by index.
+        seconds: Wall time of all its advances in this process.
+        advances: Number of its advances in this process.
+        finished: Number of runs that finished in this process.
+        lane_advances: Number of advances of all its runs in this process.
+        compiling_since: Time at which its compilation started; None before.
+        compile_seconds: Duration of its compilation; None before its end.
+    """
+
+    name: str
+    max_advances: int
+    chunks: dict[int, ChunkProgress] = field(default_factory=dict)
+    seconds: float = 0.0
+    advances: int = 0
+    finished: int = 0
+    lane_advances: int = 0
+    compiling_since: float | None = None
+    compile_seconds: float | None = None
+
+    @property
+    def seconds_per_advance(self) -> float | None:
+        """Mean wall time of an advance; None before the first."""
+        return self.seconds / self.advances if self.advances else None
+
+    @property
+    def mean_advances(self) -> float | None:
+        """Mean number of advances of a run; None if no run has ended.
+
+        The maximum likelihood estimate for a constant rate of ending, which counts unfinished runs as well.
+        """
+        if not self.finished:
+            return None
+        return min(self.lane_advances / self.finished, float(self.max_advances))
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """Seconds that are left.
+
+    Attributes:
+        compiling: Wall time of the compilations that are left.
+        running: Wall time of the advances that are left.
+        shares_cores: Whether compilation and advances take turns on the same cores.
+    """
+
+    compiling: float
+    running: float
+    shares_cores: bool
+
+    @property
+    def seconds(self) -> float:
+        """Seconds until the sweep is done."""
+        if self.shares_cores:
+            return self.compiling + self.running
+        return max(self.compiling, self.running)
+
+
+def forecast(
+    groups: Sequence[GroupProgress], *, now: float, workers: int, threads: int, shares_cores: bool
+) -> Forecast | None:
+    """The time that is left; None while nothing is known of the duration of an advance.
+
+    A group of which nothing is known is taken for an average one.
+
+    Args:
+        groups: All groups with unfinished chunks, and those that are done.
+        now: The time.
+        workers: Number of chunks that run side by side.
+        threads: Number of compilations side by side.
+        shares_cores: Whether compilation and advances take turns on the same cores.
+    """
+    paces = [group.seconds_per_advance for group in groups if group.seconds_per_advance is not None]
+    if not paces:
+        return None
+    shares = [group.mean_advances / group.max_advances for group in groups if group.mean_advances is not None]
+    usual_pace, usual_share = float(np.mean(paces)), float(np.mean(shares)) if shares else 1.0
+    running, longest = 0.0, 0.0
+    for group in groups:
+        mean = group.mean_advances
+        mean = usual_share * group.max_advances if mean is None else mean
+        for chunk in group.chunks.values():
+            pace = chunk.seconds_per_advance or group.seconds_per_advance or usual_pace
+            seconds = _advances_left(chunk, mean) * pace
+            running, longest = running + seconds, max(longest, seconds)
+    return Forecast(_compiling(groups, now, threads), max(running / workers, longest), shares_cores)
+
+
+def _advances_left(chunk: ChunkProgress, mean: float) -> float:
+    """Expected number of advances until the last run of a chunk ends.
+
+    Of `n` runs that end at a constant rate, the last one takes the mean times the harmonic number of `n`.
+    """
+    harmonic = float(np.sum(1.0 / np.arange(1, chunk.live + 1)))
+    return chunk.waiting / chunk.lanes * mean + min(mean * harmonic, chunk.advances_left)
+
+
+def _compiling(groups: Sequence[GroupProgress], now: float, threads: int) -> float:
+    done = [group.compile_seconds for group in groups if group.compile_seconds is not None]
+    passed = [
+        now - group.compiling_since
+        for group in groups
+        if group.compiling_since is not None and group.compile_seconds is None and group.chunks
+    ]
+    usual = float(np.mean(done)) if done else max(passed, default=0.0)
+    not_started = sum(
+        1
+        for group in groups
+        if group.compiling_since is None and group.compile_seconds is None and group.chunks
+    )
+    left = [max(usual - seconds, 0.0) for seconds in passed] + [usual] * not_started
+    return max(sum(left) / max(1, threads), max(left, default=0.0))

@@ -1,0 +1,79 @@
+"""The forecast, on batches whose runs end at a constant rate, or all at the same advance."""
+
+import numpy as np
+import pytest
+
+from bojax.engine.forecast import ChunkProgress, GroupProgress, forecast
+
+PACE = 0.5
+"""Seconds of an advance."""
+
+USUAL = {"now": 0.0, "workers": 1, "threads": 1, "shares_cores": True}
+
+
+def simulate(lengths: np.ndarray, lanes: int, most: int):
+    """The forecast and the truth after every advance of a queue in so many lanes."""
+    waiting, left = list(lengths[lanes:]), list(lengths[:lanes])
+    ages = [0] * len(left)
+    group = GroupProgress("toy", most, compile_seconds=1.0)
+    chunk = group.chunks[0] = ChunkProgress(lanes, len(left), len(waiting), most)
+    seen = []
+    while left:
+        group.advances += 1
+        group.seconds += PACE
+        group.lane_advances += len(left)
+        left, ages = [each - 1 for each in left], [age + 1 for age in ages]
+        ended = sum(each == 0 for each in left)
+        kept = [(each, age) for each, age in zip(left, ages, strict=True) if each]
+        kept += [(waiting.pop(0), 0) for _ in range(min(ended, len(waiting)))]
+        left, ages = [each for each, _ in kept], [age for _, age in kept]
+        group.finished += ended
+        chunk.live, chunk.waiting, chunk.seconds_per_advance = len(left), len(waiting), PACE
+        chunk.advances_left = most - min(ages, default=0)
+        found = forecast([group], **USUAL)
+        assert found is not None
+        seen.append(found.seconds)
+    total = PACE * len(seen)
+    return [(seconds, total - PACE * (i + 1)) for i, seconds in enumerate(seen)]
+
+
+@pytest.mark.parametrize(
+    ("mean", "most", "lanes"), [(20, 400, 8), (60, 60, 16), (10, 1000, 200), (5, 15, 16)]
+)
+def test_the_time_left_is_within_a_factor_of_two_after_a_tenth(mean, most, lanes):
+    good = []
+    for seed in range(20):
+        draw = np.random.default_rng(seed)
+        lengths = np.minimum(draw.geometric(1 / mean, 200), most) if mean < most else np.full(200, most)
+        seen = simulate(lengths, lanes, most)
+        # Towards the end it depends on how long the last few runs take, which nothing tells.
+        good += [truth / 2 <= left <= 2 * truth for left, truth in seen[len(seen) // 10 : len(seen) // 2]]
+    assert np.mean(good) > 0.9
+
+
+def test_nothing_is_forecast_before_the_first_advance():
+    group = GroupProgress("toy", 10, {0: ChunkProgress(4, 4, 0, 10)})
+    assert forecast([group], **USUAL) is None
+
+
+def test_an_unknown_group_is_taken_for_an_average_one():
+    known = GroupProgress(
+        "known", 10, seconds=8.0, advances=4, finished=1, lane_advances=5, compile_seconds=3.0
+    )
+    unknown = GroupProgress("unknown", 100, {0: ChunkProgress(1, 1, 0, 100)})
+    found = forecast([known, unknown], **USUAL)
+    assert found is not None
+    assert found.running == pytest.approx(50 * 2.0)  # half of its advances, like the known group
+    assert found.compiling == pytest.approx(3.0)
+    assert found.seconds == pytest.approx(103.0)
+
+
+def test_workers_share_chunks_and_a_compilation_hides_behind_an_accelerator():
+    chunks = {i: ChunkProgress(1, 1, 0, 10, seconds_per_advance=1.0) for i in range(4)}
+    group = GroupProgress("toy", 10, chunks, seconds=1.0, advances=1, compile_seconds=2.0)
+    other = GroupProgress("other", 10, {9: ChunkProgress(1, 1, 0, 10)}, compiling_since=-1.0)
+    found = forecast([group, other], now=0.0, workers=2, threads=1, shares_cores=False)
+    assert found is not None
+    assert found.running == pytest.approx(25.0)  # five chunks of ten advances on two workers
+    assert found.compiling == pytest.approx(1.0)
+    assert found.seconds == pytest.approx(25.0)

@@ -1,0 +1,203 @@
+"""Runs leave and enter lanes: every run is that of a plain loop, and the clock changes no bit."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from bojax.config.settings import Record
+from bojax.engine.ahead import Stopped
+from bojax.engine.batch import Functions, Programs, run_key
+from bojax.engine.chunks import Layout, choose_layout, cut
+from bojax.engine.groups import static_groups
+from bojax.engine.runner import ChunkRunner, Limits
+from bojax.engine.sinks import FolderSink, MemorySink
+from bojax.results.parts import ChunkFolder
+from bojax.results.tables import sort_rows
+from tests.toy import Toy, toy
+
+SEED, RUNS = 5, 12
+MODULES = [toy(scale=1.0, max_length=30), toy(scale=2.0, max_length=30)]
+(GROUP,) = static_groups(MODULES)
+FUNCTIONS = Functions(GROUP)
+NEVER = Limits(float("inf"), float("inf"), bool)
+
+PLAIN = Layout(24, (24,), 0)
+LAYOUTS = {
+    "refilled": Layout(24, (5,), 1),
+    "refilled now and then": Layout(24, (5,), 4),
+    "narrowed": Layout(24, (24, 8, 2), 1),
+    "narrowed now and then": Layout(24, (24, 7), 3),
+    "refilled and narrowed": Layout(24, (8, 3), 2),
+    "two queues": Layout(13, (4, 1), 1),
+}
+programs: dict[tuple[int, bool], Programs] = {}
+
+
+def programs_of(layout: Layout):
+    def compiled(width):
+        key = width, width == layout.lanes
+        if key not in programs:
+            device = jax.devices("cpu")[0]
+            programs[key] = Programs(FUNCTIONS, device, width, SEED, snapshots=True, fills=key[1])
+        return programs[key]
+
+    return compiled
+
+
+def chunks_of(layout: Layout):
+    return cut(GROUP, range(RUNS), layout, [{}, {}], {})
+
+
+def run_in_memory(layout: Layout, limits: Limits = NEVER) -> tuple[dict[str, pa.Table], list]:
+    parts, segments = {}, []
+    for chunk in chunks_of(layout):
+        sink = MemorySink(0)
+        ChunkRunner(chunk, MODULES[0], programs_of(layout), sink, limits, segments.append).run()
+        assert sink.state.is_done and sink.state.next_run == chunk.num_runs
+        for name, tables in sink.tables.items():
+            parts.setdefault(name, []).extend(tables)
+    return {name: sort_rows(pa.concat_tables(tables)) for name, tables in parts.items()}, segments
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return run_in_memory(PLAIN)[0]
+
+
+def test_a_batch_gives_the_rows_of_a_loop_over_runs(plain):
+    rows = []
+    for point, module in enumerate(MODULES):
+        for run in range(RUNS):
+            carry = module.init(run_key(jax.random.key(SEED), jnp.asarray(run, jnp.int32)))
+            advance = jax.jit(lambda carry, module=module: module.advance(carry))
+            while not carry_is_done(module, carry):
+                carry, _ = advance(carry)
+            rows.append((point, run, float(module.summary(carry)["return"]), int(carry.step)))
+    found = plain["runs"]
+    assert found["steps"].to_pylist() == [steps for *_, steps in rows]
+    np.testing.assert_allclose(found["return"].to_numpy(), [value for _, _, value, _ in rows], rtol=1e-12)
+    assert len({steps for *_, steps in rows}) > 5
+
+
+def carry_is_done(module: Toy, carry) -> bool:
+    return bool(module.is_done(carry))
+
+
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_every_layout_gives_the_rows_of_a_plain_batch(name, plain):
+    tables, segments = run_in_memory(LAYOUTS[name])
+    assert tables.keys() == plain.keys()
+    for table, expected in plain.items():
+        assert tables[table].num_rows == expected.num_rows
+        for column in expected.column_names:
+            ours, theirs = tables[table][column], expected[column]
+            if pa.types.is_floating(ours.type):
+                np.testing.assert_allclose(ours.to_numpy(), theirs.to_numpy(), rtol=1e-12)
+            else:
+                assert ours.equals(theirs), (table, column)
+    assert sum(segment.finished for segment in segments) == 2 * RUNS
+    assert sum(segment.active_steps for segment in segments) == tables["steps"].num_rows
+
+
+def test_repacking_keeps_lanes_busy():
+    def busy(layout):
+        _, segments = run_in_memory(layout)
+        issued = sum(segment.issued_steps for segment in segments)
+        return sum(segment.active_steps for segment in segments) / issued
+
+    assert busy(LAYOUTS["refilled"]) > busy(LAYOUTS["refilled now and then"]) > busy(PLAIN)
+    assert busy(LAYOUTS["narrowed"]) > busy(PLAIN)
+
+
+@pytest.mark.bits
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_the_clock_changes_no_bit(name):
+    often = Limits(1e-9, float("inf"), bool)
+    (once, few), (again, many) = run_in_memory(LAYOUTS[name]), run_in_memory(LAYOUTS[name], often)
+    assert len(many) > len(few)
+    for table, expected in once.items():
+        assert again[table].equals(expected)
+
+
+@pytest.mark.bits
+@pytest.mark.parametrize("name", LAYOUTS)
+def test_stopped_and_resumed_after_every_segment(name, tmp_path):
+    layout, folders = LAYOUTS[name], []
+    expected, _ = run_in_memory(layout)
+    for chunk in chunks_of(layout):
+        stops = 0
+        while True:
+            files = ChunkFolder(tmp_path / chunk.name, tmp_path)
+            files.open()
+            if files.state.is_done:
+                break
+            sink = FolderSink(files, [{}, {}], Record(runs=1))
+            seen = []
+            limits = Limits(1e-9, float("inf"), lambda seen=seen: bool(seen))
+            ChunkRunner(chunk, MODULES[0], programs_of(layout), sink, limits, seen.append).run()
+            stops += 1
+        assert stops > 5
+        folders.append(files)
+    for table, rows in expected.items():
+        parts = [part for files in folders for part in files.tables(table)]
+        assert sort_rows(pa.concat_tables(parts)).equals(rows)
+    saved = sorted(name for files in folders for name in files.saved())
+    assert saved == ["arrays/0-0-walk-end.npz", "arrays/1-0-walk-end.npz"]
+
+
+def test_a_stop_while_waiting_for_a_program_loses_nothing_but_the_last_segment(tmp_path):
+    layout = LAYOUTS["narrowed"]
+    (chunk,) = chunks_of(layout)
+
+    def without_narrow(width):
+        if width < layout.lanes:
+            raise Stopped
+        return programs_of(layout)(width)
+
+    files = ChunkFolder(tmp_path / "chunk", tmp_path)
+    files.open()
+    with pytest.raises(Stopped):
+        sink = FolderSink(files, [{}, {}], Record(runs=0))
+        ChunkRunner(chunk, MODULES[0], without_narrow, sink, NEVER, lambda _: None).run()
+    files = ChunkFolder(tmp_path / "chunk", tmp_path)
+    files.open()
+    sink = FolderSink(files, [{}, {}], Record(runs=0))
+    ChunkRunner(chunk, MODULES[0], programs_of(layout), sink, NEVER, lambda _: None).run()
+    expected, _ = run_in_memory(layout)
+    assert sort_rows(pa.concat_tables(files.tables("runs"))).equals(expected["runs"])
+
+
+@pytest.mark.parametrize(
+    ("platform", "runs", "given", "queue", "widths"),
+    [
+        ("cpu", 200, None, 50, (16,)),  # four queues, which several cores share
+        ("cpu", 1000, None, 63, (16,)),
+        ("cpu", 20, None, 10, (10,)),
+        ("cpu", 3, None, 3, (3,)),
+        ("cpu", 20, 4, 10, (4,)),
+        ("gpu", 200, None, 200, (200,)),
+        ("gpu", 5000, None, 2500, (2500,)),
+        ("gpu", 5000, 100, 2500, (100,)),
+    ],
+)
+def test_layout(platform, runs, given, queue, widths):
+    layout = choose_layout(toy(), runs, platform, given)
+    assert (layout.queue, layout.widths) == (queue, widths)
+    assert layout.repack == 1
+
+
+def test_runs_with_stragglers_narrow_on_an_accelerator(monkeypatch):
+    monkeypatch.setattr(Toy, "has_stragglers", True)
+    assert choose_layout(toy(), 4000, "gpu", None).widths == (4000, 500, 63)
+    assert choose_layout(toy(), 200, "gpu", None).widths == (200, 25)
+    assert choose_layout(toy(), 8, "gpu", None).widths == (8,)
+    assert choose_layout(toy(), 4000, "cpu", None).widths == (16,)
+    assert choose_layout(toy(max_length=1001), 8, "gpu", None).repack == 6  # of 501
+
+
+def test_a_host_steps_all_runs_of_a_queue_together(monkeypatch):
+    monkeypatch.setattr(Toy, "is_hosted", True)
+    layout = choose_layout(toy(), 40, "cpu", None)
+    assert layout.widths == (layout.queue,) == (10,) and layout.repack == 0
