@@ -15,6 +15,7 @@ from bojax.config.claims import Claim
 from bojax.config.component import Component
 from bojax.config.errors import dotted, from_validation
 from bojax.config.sweep import Report, validate_experiment
+from bojax.report.text import MISSING
 from bojax.results.outline import Outline
 from bojax.results.store import ResultsError
 
@@ -41,7 +42,9 @@ class Unread:
     reason: str
 
 
-class _Part(pydantic.BaseModel):
+class Part(pydantic.BaseModel):
+    """A mapping in a file that a report reads; keys that it does not know are kept."""
+
     model_config = pydantic.ConfigDict(extra="allow", strict=True)
 
 
@@ -63,7 +66,7 @@ def _known(report: Any) -> Any:
     return {key: value for key, value in report.items() if key in Report.model_fields and value is not None}
 
 
-class PointEntry(_Part):
+class PointEntry(Part):
     """A point of the sweep."""
 
     index: Annotated[int, Field(ge=0, lt=2**31)]
@@ -74,7 +77,7 @@ class PointEntry(_Part):
     outline: Annotated[Outline, PlainValidator(_outline)] | None = None
 
 
-class ClaimEntry(_Part):
+class ClaimEntry(Part):
     """A claim; `claims_of` turns it into settings."""
 
     id: str
@@ -84,7 +87,7 @@ class ClaimEntry(_Part):
     test: dict[str, Any] | None = None
 
 
-class Group(_Part):
+class Group(Part):
     """Times of a static group."""
 
     points: list[int] | None = None
@@ -96,13 +99,13 @@ class Group(_Part):
     latency_seconds: dict[str, float | None] | None = None
 
 
-class Chunk(_Part):
+class Chunk(Part):
     """A chunk of the sweep, with what went wrong."""
 
     error: str | None = None
 
 
-class Manifest(_Part):
+class Manifest(Part):
     """The keys that are read; only `points` and `status` have to be there."""
 
     points: Annotated[list[PointEntry], Field(min_length=1)]
@@ -127,6 +130,24 @@ class Manifest(_Part):
     device: Any = None
     precision: Any = None
 
+    @property
+    def run_seconds(self) -> float:
+        """Run time of all groups."""
+        return sum(group.run_seconds or 0 for group in self.groups)
+
+    @property
+    def compile_seconds(self) -> float:
+        """Compile time of all groups."""
+        return sum(group.compile_seconds or 0 for group in self.groups)
+
+    @property
+    def revision(self) -> str:
+        """The git revision; empty without one."""
+        if self.git is None:
+            return ""
+        changes = ", with uncommitted changes" if self.git.get("has_changes") else ""
+        return f"{self.git.get('revision', MISSING)}{changes}"
+
 
 def read(manifest: Any, path: str) -> Manifest:
     """The manifest, of the types and shapes that a report relies on, its text encodable.
@@ -138,18 +159,26 @@ def read(manifest: Any, path: str) -> Manifest:
     Raises:
         ResultsError: A key has another type or shape; one line that names the key.
     """
-    manifest = _encodable(manifest, MAX_DEPTH, path)
     if not manifest.get("points"):
         raise ResultsError(f"{path}: points: missing or empty: not a results folder of bojax")
-    try:
-        checked = Manifest.model_validate(manifest)
-    except pydantic.ValidationError as error:
-        raise ResultsError(str(from_validation(error, lambda place: f"{path}: {_indexed(place)}"))) from error
+    checked = validated(Manifest, manifest, path)
     indices = [entry.index for entry in checked.points]
     if len(set(indices)) < len(indices):
         twin = next(index for index in indices if indices.count(index) > 1)
         raise ResultsError(f"{path}: points: two have the index {twin}; allowed: every index once")
     return checked
+
+
+def validated(schema: type[T], content: Any, path: str) -> T:
+    """The content of a JSON file as a schema describes it, its text encodable.
+
+    Raises:
+        ResultsError: A key has another type or shape; one line that names the key.
+    """
+    try:
+        return pydantic.TypeAdapter(schema).validate_python(_encodable(content, MAX_DEPTH, path))
+    except pydantic.ValidationError as error:
+        raise ResultsError(str(from_validation(error, lambda place: f"{path}: {_indexed(place)}"))) from error
 
 
 def experiment_of(point: PointEntry) -> Component | Unread:

@@ -1,12 +1,9 @@
 """The page: fills the template with the texts, tables and figures of a report."""
 
 import base64
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
-
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from bojax.config.component import Component
 from bojax.experiments.settings import Learning, Planning
@@ -14,10 +11,9 @@ from bojax.report import statistics, tables
 from bojax.report.dark import adapted
 from bojax.report.manifest import Unread
 from bojax.report.source import Results
-from bojax.report.text import MISSING, counted, joined, percent, plain, seconds, with_bounds
-
-VERDICTS = ("reproduced", "not reproduced", "inconclusive")
-_MARKS = {"reproduced": "\N{CHECK MARK}", "not reproduced": "\N{MULTIPLICATION SIGN}", "inconclusive": "?"}
+from bojax.report.template import fill
+from bojax.report.text import counted, joined, line, plain, seconds
+from bojax.report.verdicts import TestedClaim, tally
 
 
 @dataclass(frozen=True)
@@ -48,22 +44,17 @@ def render(
         plates: Figures in the order of the page; the first one is the reproduced figure.
         notes: Remarks of the report on what is missing.
     """
-    environment = Environment(
-        loader=PackageLoader("bojax.report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    )
-    environment.filters["minus"] = _minus
-    return environment.get_template("report.html.j2").render(
+    tested = [TestedClaim.model_validate(claim) for claim in claims]
+    return fill(
+        "report.html.j2",
         title=results.title,
         name=results.name,
         summary=summary(results),
-        counts=[
-            (verdict, _MARKS[verdict], sum(claim["verdict"] == verdict for claim in claims))
-            for verdict in VERDICTS
-        ],
+        counts=tally(tested),
         changed=[
-            (key, *(_line(value) or "none" for value in values)) for key, values in results.changed.items()
+            (key, *(line(value) or "none" for value in values)) for key, values in results.changed.items()
         ],
-        claims=[_claim(claim) for claim in claims],
+        claims=tested,
         plates=plates,
         outcomes=tables.outcomes(results),
         ratios=tables.ratios(results),
@@ -101,8 +92,8 @@ def summary(results: Results) -> str:
     each = " each" if len(names) > 1 else ""
     longest = max((length for length in lengths if length), default=None)
     steps = f" of up to {counted(*longest)}" if longest and all(lengths) else ""
-    run, build = _times(results)
-    time = f", in {seconds(run)} of run time and {seconds(build)} of compilation" if run else ""
+    run, build = seconds(results.manifest.run_seconds), seconds(results.manifest.compile_seconds)
+    time = f", in {run} of run time and {build} of compilation" if results.manifest.run_seconds else ""
     return f"{what}{listed}{where}: {runs}{each}{steps}{time}."
 
 
@@ -120,93 +111,22 @@ def _described(experiment: Component | Unread) -> tuple[str, tuple[str, str] | N
 def provenance(results: Results) -> list[tuple[str, str]]:
     """Provenance of the results: command, times, seeds, versions, device."""
     manifest = results.manifest
+    run, build = seconds(manifest.run_seconds), seconds(manifest.compile_seconds)
     rows = [
-        ("command", _line(manifest.command)),
-        ("written", _line(manifest.written)),
-        ("time taken", _time_taken(results)),
+        ("command", line(manifest.command)),
+        ("written", line(manifest.written)),
+        ("time taken", f"{run} of run time, {build} of compilation" if manifest.groups else ""),
         ("runs, seed", f"{plain(manifest.runs)}, {plain(manifest.seed)}"),
-        ("revision", _revision(manifest.git)),
-        ("device", _line(manifest.device)),
-        ("versions", _line(manifest.versions)),
-        ("precision", _line(manifest.precision)),
-        ("hash of settings", _line(manifest.config_hash)),
+        ("revision", manifest.revision),
+        ("device", line(manifest.device)),
+        ("versions", line(manifest.versions)),
+        ("precision", line(manifest.precision)),
+        ("hash of settings", line(manifest.config_hash)),
     ]
     return [(key, value) for key, value in rows if value]
-
-
-def _claim(claim: Mapping[str, Any]) -> dict[str, Any]:
-    test = claim["test"]
-    comparisons = test.get("comparisons") or []
-    is_share = test.get("kind") == "share" or test.get("share") is not None
-    bounds = _share_bounds if is_share else with_bounds
-    ours = claim["ours"]
-    if isinstance(ours, float):
-        ours = bounds(ours, *claim["interval"])[0]
-    listed = [
-        (c["of"].replace(" - ", " \N{MINUS SIGN} "), *bounds(c["estimate"], *c["interval"]))
-        for c in comparisons
-    ]
-    # The interval of a single comparison is shown beside our number if it is the interval of that number.
-    is_single = len(listed) == 1 and comparisons[0]["estimate"] == claim["ours"]
-    return {
-        **claim,
-        "mark": _MARKS[claim["verdict"]],
-        "slug": claim["verdict"].replace(" ", "-"),
-        "thesis": "" if claim["thesis"] is None else plain(claim["thesis"]),
-        "ours": MISSING if ours is None else ours,
-        "interval": listed[0][2] if is_single else "",
-        "comparisons": [] if is_single else listed,
-        "reason": test.get("reason", ""),
-        "method": test.get("method", ""),
-        "chosen": [
-            f"{label} is represented by {variant}"
-            for label, variant in (test.get("chosen") or {}).items()
-            if variant != label
-        ],
-    }
 
 
 def _resampling(results: Results) -> str:
     """A sentence on what the bootstrap resamples, if not single runs."""
     most = max(results.runs_of(point)["run"].size for point in results.points)
     return f" The bootstrap resamples {statistics.resampled(most)}." if most > statistics.GROUPS else ""
-
-
-def _share_bounds(estimate: float, low: float, high: float) -> tuple[str, str]:
-    return percent(estimate), f"[{percent(low)}, {percent(high)}]"
-
-
-def _line(value: Any) -> str:
-    if isinstance(value, Mapping):
-        return ", ".join(f"{key} {_line(item)}" for key, item in value.items() if item not in (None, ""))
-    if isinstance(value, list):
-        lines = [_line(item) for item in value]
-        kinds = list(dict.fromkeys(lines))
-        return ", ".join(f"{lines.count(kind)} x {kind}" if lines.count(kind) > 1 else kind for kind in kinds)
-    return "" if value is None else plain(value)
-
-
-def _revision(git: Mapping[str, Any] | None) -> str:
-    if git is None:
-        return ""
-    return f"{git.get('revision', MISSING)}{', with uncommitted changes' if git.get('has_changes') else ''}"
-
-
-def _times(results: Results) -> tuple[float, float]:
-    """Seconds of run time and of compilation, of all groups."""
-    groups = results.manifest.groups
-    return sum(group.run_seconds or 0 for group in groups), sum(
-        group.compile_seconds or 0 for group in groups
-    )
-
-
-def _time_taken(results: Results) -> str:
-    if not results.manifest.groups:
-        return ""
-    run, build = _times(results)
-    return f"{seconds(run)} of run time, {seconds(build)} of compilation"
-
-
-def _minus(text: Any) -> str:
-    """A text in which a hyphen before a digit is a minus sign, as numbers are typeset."""
-    return re.sub(r"(?<![\w.])-(?=\d)", "\N{MINUS SIGN}", str(text))

@@ -1,6 +1,7 @@
 """Formats numbers for the page, the figures and `claims.json`."""
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 MISSING = "–"
@@ -61,6 +62,17 @@ def plain(value: Any) -> str:
     if isinstance(value, list | tuple):
         return ", ".join(plain(item) for item in value)
     return str(value)
+
+
+def line(value: Any) -> str:
+    """A nested value on one line, empty entries left out; equal items of a list are counted: `2 x a, b`."""
+    if isinstance(value, Mapping):
+        return ", ".join(f"{key} {line(item)}" for key, item in value.items() if item not in (None, ""))
+    if isinstance(value, list):
+        lines = [line(item) for item in value]
+        kinds = list(dict.fromkeys(lines))
+        return ", ".join(f"{lines.count(kind)} x {kind}" if lines.count(kind) > 1 else kind for kind in kinds)
+    return "" if value is None else plain(value)
 
 
 def joined(names: list[str]) -> str:
