@@ -66,6 +66,7 @@ def render(
         own=tables.own_settings(results),
         notes=[*filter(None, map(str.strip, results.report.notes.split("\n\n"))), *notes],
         provenance=provenance(results),
+        footer="Written by bojax from the tables of this folder, which hold every number shown here.",
     )
 
 

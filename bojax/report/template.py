@@ -25,4 +25,5 @@ def _minus(text: Any) -> str:
 
 def _markdown(text: Any) -> str:
     """A text on one line of Markdown or in a cell of its tables, its special characters escaped."""
-    return re.sub(r"([\\`*_{}\[\]<>|$~])", r"\\\1", " ".join(str(text).split()))
+    plain = " ".join(str(text).split()).replace("&", "&amp;").replace("<", "&lt;")
+    return re.sub(r"([\\`*_|])", r"\\\1", plain)

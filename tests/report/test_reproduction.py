@@ -1,0 +1,277 @@
+"""The page over several results folders: every claim with its verdict, in the order of the thesis."""
+
+import json
+import re
+import subprocess
+import sys
+
+import pytest
+
+from bojax.cli.main import main
+from bojax.report.build import build_report
+from bojax.report.reproduction import reproduction
+from bojax.results.store import ResultsError
+from tests.report.synthetic import edit_manifest, write_results
+from tests.report.test_report import Page
+
+COMMAND = "bojax reproduce all --runs 200"
+
+MANIFEST = {
+    "status": "finished",
+    "title": "Title",
+    "runs": 200,
+    "points": [{"index": 0, "label": "a"}, {"index": 1, "label": "b"}],
+    "groups": [
+        {"compile_seconds": 7.25, "run_seconds": 1.5},
+        {"compile_seconds": 0.75, "run_seconds": None},
+    ],
+    "written": "2026-01-02T10:01:35+0000",
+    "versions": {"python": "3.12.3", "jax": "0.11.2"},
+    "git": {"revision": "97d835b", "has_changes": False},
+    "device": {"platform": "gpu", "kind": "NVIDIA H200", "count": 1, "driver": None},
+}
+
+
+def claim(name, source, verdict="reproduced", **changes):
+    """A share of 80%, as `claims.json` has it."""
+    test = {
+        "kind": "share",
+        "comparisons": [{"of": "share of a with success", "estimate": 0.8, "interval": [0.74, 0.85]}],
+    }
+    entry = {"id": name, "source": source, "claim": f"statement {name}", "thesis": 0.75, "changed": {}}
+    entry |= {"ours": 0.8, "interval": [0.74, 0.85], "runs": 200, "verdict": verdict, "test": test}
+    return {**entry, **changes}
+
+
+def write(folder, claims, **changes):
+    """A results folder of which only the manifest, the claims and the report are there."""
+    folder.mkdir(parents=True)
+    (folder / "manifest.json").write_text(json.dumps({**MANIFEST, "name": folder.name, **changes}))
+    (folder / "claims.json").write_text(json.dumps(claims))
+    (folder / "report.html").write_text("its report")
+    return folder
+
+
+def pages(folder, sources, **options):
+    """The page as a browser finds it, and the text."""
+    path = reproduction(folder, sources, COMMAND, 1533.0, **options)
+    assert path == folder / "reproduction.html"
+    return Page(path.read_text(encoding="utf-8")), (folder / "reproduction.md").read_text(encoding="utf-8")
+
+
+def cells(text, start):
+    """Cells of the row of a Markdown table that contains a text."""
+    (row,) = [line for line in text.splitlines() if start in line]
+    return [cell.strip() for cell in re.split(r"(?<!\\)\|", row)[1:-1]]
+
+
+def test_claims_are_counted_and_shown_beside_the_thesis(tmp_path):
+    order = {
+        "kind": "order",
+        "comparisons": [
+            {"of": "a - b", "estimate": 12.0, "interval": [3.0, 21.0]},
+            {"of": "b - c", "estimate": 1.0, "interval": [-2.0, 4.0]},
+        ],
+    }
+    claims = [
+        claim("fig-4.6/share", "Fig. 4.6, p. 99-100 of the PDF"),
+        claim(
+            "fig-4.6/order",
+            "Fig. 4.6, p. 100 of the PDF",
+            "inconclusive",
+            thesis="a > b > c",
+            ours="a 20 > b 8 > c 7",
+            interval=[-2.0, 4.0],
+            test=order,
+        ),
+        claim("fig-4.6/fails", "Fig. 4.6, p. 100 of the PDF", "not reproduced"),
+    ]
+    page, text = pages(tmp_path, [write(tmp_path / "fig-4.6", claims)])
+    sentence = "3 claims, tested by 1 sweep: 1 reproduced, 1 not reproduced and 1 inconclusive."
+    assert sentence in page.text and sentence in text
+    assert cells(text, "statement fig-4.6/share") == [
+        "Fig. 4.6, p. 99-100",
+        "statement fig-4.6/share",
+        "0.75",
+        "80.0% [74.0%, 85.0%]",
+        "200",
+        "reproduced",
+        "`fig-4.6`",
+    ]
+    here = cells(text, "statement fig-4.6/order")[3]
+    assert here == "a 20 > b 8 > c 7 (b \N{MINUS SIGN} c 1.0 [\N{MINUS SIGN}2.0, 4.0])"
+    assert cells(text, "statement fig-4.6/fails")[5] == "**not reproduced**"
+    for said in ("80.0%", "[74.0%, 85.0%]", "99-100", "a 20 > b 8 > c 7", "Chapter 4: Sequential planning"):
+        assert said in page.text
+
+
+def test_claims_are_in_the_order_of_the_thesis(tmp_path):
+    sources = [
+        "Fig. 5.8b, p. 138 of the PDF",
+        "Table 5.1, p. 123 of the PDF",
+        "Fig. 5.4 (top), p. 123-124 of the PDF",
+        "Section 4.7.1, p. 98 of the PDF",
+        "Fig. 4.10, p. 97 of the PDF",
+        "Fig. 4.4, p. 97 of the PDF",
+        "Fig. 5.2 and text, p. 120 of the PDF",
+        "Fig. 5.2a, p. 119-120 of the PDF",
+    ]
+    claims = [claim(f"c{number}", source) for number, source in enumerate(sources)]
+    folders = [write(tmp_path / "z", claims[:4]), write(tmp_path / "y", claims[4:])]
+    page, text = pages(tmp_path, folders)
+    order = [5, 4, 3, 6, 7, 2, 0, 1]
+    assert re.findall(r"statement c(\d)", text) == [str(number) for number in order]
+    assert re.findall(r"statement c(\d)", page.text) == [str(number) for number in order]
+    assert "Fig. 5.4 (top)" in page.text and page.text.index("Chapter 4") < page.text.index("Chapter 5")
+
+
+def test_claims_of_other_sources_stand_with_their_figure(tmp_path):
+    code = claim("table-5.3-mountain-car/published", "the author's <code>")
+    alone = claim("mine", None)
+    page, text = pages(tmp_path, [write(tmp_path / "mine", [alone, code])])
+    assert "Table 5.3" in page.text and "source: the author's <code>" in page.text
+    assert cells(text, "statement table-5.3")[0] == "the author's &lt;code>"
+    assert text.index("Chapter 5") < text.index("Other claims") < text.index("statement mine")
+
+
+def test_changed_settings_are_marked_and_listed(tmp_path):
+    changed = {"planner.iterations": [300, 50]}
+    folders = [
+        write(tmp_path / "fig-3.1", [claim("a", "Fig. 3.1", changed=changed)], changed=changed),
+        write(tmp_path / "fig-3.3", [claim("b", "Fig. 3.3", changed=changed)], changed=changed),
+        write(tmp_path / "fig-3.5", [claim("c", "Fig. 3.5")]),
+    ]
+    page, text = pages(tmp_path, folders)
+    assert "2 claims were tested with changed settings." in text
+    assert [cells(text, f"statement {name}")[5] for name in "abc"] == [
+        *("reproduced, changed", "reproduced, changed", "reproduced"),
+    ]
+    assert cells(text, "planner.iterations") == ["`planner.iterations`", "300", "50", "fig-3.1 and fig-3.3"]
+    assert page.text.count("changed") > 3 and page.loaded.count("#changed") == 2
+
+
+def test_links_lead_to_the_reports_and_nothing_is_loaded(tmp_path):
+    folders = [
+        write(tmp_path / "results" / "fig 4.6" / "now", [claim("a", "Fig. 4.6")], name="fig-4.6"),
+        write(tmp_path / "results" / "fig-4.4", [claim("b", "Fig. 4.4")]),
+    ]
+    (folders[1] / "report.html").unlink()
+    page, text = pages(tmp_path / "all", folders)
+    assert set(page.loaded) == {"../results/fig%204.6/now/report.html"}
+    html = (tmp_path / "all" / "reproduction.html").read_text()
+    assert not page.all("script") and not re.search(r"url\(|@import|https?://", html)
+    assert "](" not in text  # a copy of the text elsewhere has no broken links
+
+
+def test_the_machine_the_time_and_the_command_are_said(tmp_path):
+    other = {"device": {"platform": "cpu", "kind": "cpu", "count": 2}, "written": "2026-01-03T00:00:00+0000"}
+    folders = [
+        write(tmp_path / "fig-3.1", [claim("a", "Fig. 3.1")]),
+        write(tmp_path / "fig-3.3", [claim("b", "Fig. 3.3")], **other),
+    ]
+    page, text = pages(tmp_path, folders)
+    assert cells(text, "| command") == ["command", f"`{COMMAND}`"]
+    assert cells(text, "time taken")[1] == "25 min 33 s"
+    assert cells(text, "last sweep written")[1] == "2026-01-03T00:00:00+0000"
+    assert cells(text, "| revision")[1] == "97d835b"
+    assert cells(text, "| device")[1] == (
+        "platform gpu, kind NVIDIA H200, count 1 (fig-3.1); platform cpu, kind cpu, count 2 (fig-3.3)"
+    )
+    assert cells(text, "| `fig-3.1` | 2 ") == ["`fig-3.1`", "2", "200", "1", "8.00 s", "1.50 s"]
+    assert cells(text, "| all |")[3:] == ["2", "16.0 s", "3.00 s"]
+    assert COMMAND in page.text and "25 min 33 s" in page.text
+
+
+def test_sweeps_that_cannot_be_read_are_one_line_each(tmp_path):
+    broken = {
+        "no-claims": lambda folder: (folder / "claims.json").unlink(),
+        "bad-claims": lambda folder: (folder / "claims.json").write_text('[{"id": 3}]'),
+        "cut-claims": lambda folder: (folder / "claims.json").write_text("[{"),
+        "bad-manifest": lambda folder: (folder / "manifest.json").write_text("[]"),
+        "running": lambda folder: edit_manifest(folder, lambda manifest: manifest.update(status="running")),
+        "bad-verdict": lambda folder: (folder / "claims.json").write_text(
+            json.dumps([claim("x", None, verdict="proved")])
+        ),
+    }
+    folders = [write(tmp_path / name, [claim(name, "Fig. 3.1")]) for name in ("good", *broken)]
+    for folder, damage in zip(folders[1:], broken.values(), strict=True):
+        damage(folder)
+    errors = [{"error": None}, {"error": "out | of memory"}, {"error": "out | of memory"}]
+    failed = write(tmp_path / "failed", [claim("f", "Fig. 3.3")], status="failed", chunks=errors)
+    page, text = pages(tmp_path, [*folders, failed, tmp_path / "nowhere"], skipped={"fig-4.8": "needs a GPU"})
+    rows = re.findall(r"^\| `(.*?)` \| (.*) \|$", text.split("## Chapter")[0], re.MULTILINE)
+    assert [name for name, _ in rows] == ["fig-4.8", *broken, "failed", "nowhere"]
+    reasons = dict(rows)
+    assert reasons["fig-4.8"] == "needs a GPU" and reasons["nowhere"] == "no such results folder"
+    assert reasons["failed"] == "some runs are missing: out \\| of memory"
+    assert "claims.json: no such file" in reasons["no-claims"] and "--resume" in reasons["running"]
+    assert "[0].id" in reasons["bad-claims"] and "truncated" in reasons["cut-claims"]
+    assert "2 claims, tested by 2 sweeps" in text and "Incomplete or left out: 9 sweeps." in text
+    assert "statement good" in text and "statement f" in text
+    assert all(name in page.text for name in reasons)
+
+
+def test_nothing_to_read_is_still_a_page(tmp_path):
+    page, text = pages(tmp_path / "new", [])
+    assert "0 claims, tested by 0 sweeps" in page.text and COMMAND in text
+
+
+def test_equal_input_gives_equal_files(tmp_path):
+    folders = [write(tmp_path / name, [claim(name, "Fig. 3.1")]) for name in ("a", "b")]
+    reproduction(tmp_path, folders, COMMAND, 1.0)
+    first = (tmp_path / "reproduction.html").read_bytes(), (tmp_path / "reproduction.md").read_bytes()
+    reproduction(tmp_path, folders, COMMAND, 1.0)
+    assert first == (
+        (tmp_path / "reproduction.html").read_bytes(),
+        (tmp_path / "reproduction.md").read_bytes(),
+    )
+
+
+def test_a_folder_that_cannot_be_written_is_one_line(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(ResultsError) as error:
+        reproduction(tmp_path / "file", [], COMMAND, 1.0)
+    assert "\n" not in str(error.value)
+
+
+def test_the_page_shows_what_the_report_shows(tmp_path):
+    folder = write_results(tmp_path / "parking", runs=40, recorded=0, report={"figures": ["returns"]})
+    build_report([folder])
+    page, _ = pages(tmp_path, [folder])
+    for entry in json.loads((folder / "claims.json").read_text()):
+        assert entry["claim"] in page.text and entry["verdict"] in page.text
+        if entry["test"]["kind"] == "share":
+            low, high = entry["interval"]
+            assert f"{entry['ours']:.1%} [{low:.1%}, {high:.1%}]" in page.text
+    assert "no runs of cbts" in page.text  # why a claim has no verdict
+
+
+def test_a_real_sweep(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.yaml").write_text("""
+title: Chain
+base: chain
+axes: {learner: {exploration-values: {}, epsilon-greedy: {kind: epsilon-greedy}}}
+runs: 2
+claims:
+  - id: fig-5.6b/faster
+    source: Fig. 5.6b, p. 131-132 of the PDF
+    claim: exploration values find the goal sooner
+    test: {kind: order, column: steps, less: [exploration-values, epsilon-greedy]}
+""")
+    assert main(["sweep", "mine.yaml", "episodes=2", "--out", "mine"]) == 0
+    page, text = pages(tmp_path / "all", [tmp_path / "mine"])
+    verdict = cells(text, "exploration values find the goal sooner")[5]
+    assert verdict.startswith("inconclusive: ") and "at least 20 are needed" in verdict
+    assert "../mine/report.html" in page.loaded and "kind cpu" in page.text
+
+
+def test_the_page_is_made_without_jax_and_without_matplotlib(tmp_path):
+    folder = write(tmp_path / "fig-3.1", [claim("a", "Fig. 3.1")])
+    code = (
+        "import sys, pathlib; from bojax.report.reproduction import reproduction; "
+        f"reproduction(pathlib.Path({str(tmp_path)!r}), [pathlib.Path({str(folder)!r})], 'c', 1.0); "
+        "print([name for name in ('jax', 'equinox', 'matplotlib') if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
