@@ -13,6 +13,8 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.font_manager import fontManager
@@ -89,8 +91,7 @@ _SETTINGS: Mapping[str, Any] = {
     "legend.fontsize": 9.5,
     "lines.linewidth": 1.9,
     "lines.solid_capstyle": "round",
-    "savefig.facecolor": "white",
-    "savefig.dpi": 200,
+    "figure.dpi": 200,
     "svg.hashsalt": "bojax",
     "svg.fonttype": "path",
     "path.simplify": True,
@@ -142,15 +143,16 @@ def figure(height: float, rows: int = 1, columns: int = 1, **options: Any) -> tu
 
 def encode(drawn: Figure) -> Mapping[str, bytes]:
     """The figure as `png` and `svg`. Equal figures give equal bytes: ids are fixed and dates left out."""
-    # Panels of equal aspect move in the second layout pass; without it they would be cut off.
-    for _ in range(2):
-        drawn.draw_without_rendering()
-    files = {}
-    for kind, metadata in (("png", {"Software": None}), ("svg", {"Date": None, "Creator": None})):
-        buffer = io.BytesIO()
-        drawn.savefig(buffer, format=kind, metadata=metadata)
-        files[kind] = buffer.getvalue()
-    return files
+    if (engine := drawn.get_layout_engine()) is not None:
+        # Panels of equal aspect move in the second layout; without it they would be cut off.
+        for _ in range(2):
+            engine.execute(drawn)
+        # Both files have this layout. `Figure.savefig` would repeat it, with two more drawings, for each.
+        drawn.set_layout_engine("none")
+    png, svg = io.BytesIO(), io.BytesIO()
+    FigureCanvasAgg(drawn).print_png(png, metadata={"Software": None})
+    FigureCanvasSVG(drawn).print_svg(svg, metadata={"Date": None, "Creator": None})
+    return {"png": png.getvalue(), "svg": svg.getvalue()}
 
 
 def colour(label: str, labels: Sequence[str]) -> str:
