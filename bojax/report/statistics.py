@@ -10,7 +10,6 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import special
 
 Floats = NDArray[np.float64]
 
@@ -213,6 +212,8 @@ def welch_difference(
     difference, variance = first[0] - second[0], float(variances.sum())
     if variance == 0:
         return Interval(difference, difference, difference)
+    from scipy import special  # takes a tenth of a second to import, and few reports need it
+
     freedom = variance**2 / float((variances**2 / np.array([first[2] - 1, second[2] - 1])).sum())
     half = float(special.stdtrit(freedom, 0.5 + level / 2)) * np.sqrt(variance)
     return Interval(difference, float(difference - half), float(difference + half))

@@ -19,7 +19,6 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.font_manager import fontManager
 from matplotlib.transforms import offset_copy
-from scipy.optimize import isotonic_regression
 
 from bojax.logs import quiet
 from bojax.report.source import Point
@@ -213,10 +212,25 @@ def spread(heights: Sequence[float], gap: float, low: float, high: float) -> lis
     order = np.argsort(np.asarray(heights, dtype=np.float64), kind="stable")
     offsets = gap * np.arange(len(order))
     # Keeping a gap between neighbours is isotonic regression of the heights less their offsets.
-    shifted = isotonic_regression(np.asarray(heights, dtype=np.float64)[order] - offsets).x
+    shifted = _isotonic(np.asarray(heights, dtype=np.float64)[order] - offsets)
     positions = np.empty(len(order))
     positions[order] = np.clip(shifted, low, max(low, high - offsets[-1])) + offsets
     return positions.tolist()
+
+
+def _isotonic(values: np.ndarray) -> np.ndarray:
+    """The non-decreasing numbers nearest to `values` in least squares, by pooling adjacent violators.
+
+    `scipy.optimize` has it, but its import takes longer than two figures.
+    """
+    pools: list[tuple[float, int]] = []
+    for value in values:
+        total, count = float(value), 1
+        while pools and pools[-1][0] / pools[-1][1] > total / count:
+            above, more = pools.pop()
+            total, count = total + above, count + more
+        pools.append((total, count))
+    return np.repeat([total / count for total, count in pools], [count for _, count in pools])
 
 
 def wrapped(name: str, width: int) -> str:

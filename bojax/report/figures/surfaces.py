@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.colors import LightSource, Normalize
-from scipy.interpolate import RegularGridInterpolator
 
 from bojax.report import style
 from bojax.report.drawing.base import Drawing, panel_grid
@@ -101,6 +100,8 @@ def _surface(axes: Any, belief: Belief, heights: Floats, norm: Normalize) -> Non
 
 def _path(paths: Mapping[str, Any], belief: Belief) -> Floats:
     """Points of the path, `[N, 3]`, at the height of the reconstruction."""
+    from scipy.interpolate import RegularGridInterpolator  # only this figure needs its slow import
+
     steps = [step[np.isfinite(step).all(axis=1)] for step in np.asarray(paths["paths"], np.float64)]
     start = np.asarray(paths["start"], np.float64)
     curve: Sequence[Floats] = [start[None, :2]]
