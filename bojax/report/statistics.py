@@ -20,6 +20,8 @@ RESAMPLES = 10_000
 """Number of bootstrap resamples; it fixes the bounds of a 95% interval to about 1% of its width."""
 LEVEL = 0.95
 """Coverage of every interval in a report."""
+TAIL = (1 - LEVEL) / 2
+"""Probability outside such an interval on either side."""
 SEED = 0
 GROUPS = 5_000
 """Largest number of rows that are resampled one by one; more rows are resampled in this many groups of
@@ -39,7 +41,10 @@ class Interval:
     high: float
 
 
-def bootstrap_means(values: ArrayLike, *, resamples: int = RESAMPLES, seed: int = SEED) -> Floats:
+_UNKNOWN = Interval(float("nan"), float("nan"), float("nan"))
+
+
+def bootstrap_means(values: ArrayLike, *, resamples: int = RESAMPLES) -> Floats:
     """Means of resampled rows, one row of the result per resample.
 
     Rows are drawn with replacement and every column takes the same rows: columns that belong to the same
@@ -54,7 +59,6 @@ def bootstrap_means(values: ArrayLike, *, resamples: int = RESAMPLES, seed: int 
     Args:
         values: `[n]` or `[n, columns]`.
         resamples: Number of resamples.
-        seed: Seed of the resampling.
 
     Returns:
         `[resamples]` or `[resamples, columns]`.
@@ -70,7 +74,7 @@ def bootstrap_means(values: ArrayLike, *, resamples: int = RESAMPLES, seed: int 
         table = sums
     means = np.empty((resamples, *table.shape[1:]))
     block = max(1, _BLOCK_CELLS // max(1, len(table)))
-    counts = _counts(len(table), resamples, block, seed)
+    counts = _counts(len(table), resamples, block)
     for start in range(0, resamples, block):
         drawn = counts[start : start + block].astype(np.float64)
         rows = drawn @ sizes
@@ -79,9 +83,9 @@ def bootstrap_means(values: ArrayLike, *, resamples: int = RESAMPLES, seed: int 
 
 
 @lru_cache(maxsize=2)
-def _counts(num_rows: int, resamples: int, block: int, seed: int) -> NDArray[np.uint16]:
+def _counts(num_rows: int, resamples: int, block: int) -> NDArray[np.uint16]:
     """How often each resample draws each row, `[resamples, rows]`: the same for all tables of a length."""
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(SEED)
     counts = np.empty((resamples, num_rows), dtype=np.uint16)
     for start in range(0, resamples, block):
         size = min(block, resamples - start)
@@ -111,28 +115,45 @@ def resampled(rows: int) -> str:
     return "whole runs" if rows <= GROUPS else f"{GROUPS:,} groups into which {rows:,} runs were dealt"
 
 
-def mean_interval(values: ArrayLike, *, level: float = LEVEL) -> Interval:
+def central(samples: Floats) -> tuple[float, float]:
+    """Bounds between which `LEVEL` of `[resamples]` lie."""
+    low, high = np.quantile(samples, [TAIL, 1 - TAIL])
+    return float(low), float(high)
+
+
+def mean_interval(values: ArrayLike) -> Interval:
     """Mean of `[n]` values with its percentile bootstrap interval; NaN for no value or a NaN among them."""
-    table = np.asarray(values, dtype=np.float64)
-    if table.size == 0 or not np.isfinite(table).all():
-        return Interval(float("nan"), float("nan"), float("nan"))
-    low, high = _central(bootstrap_means(table), level)
-    return Interval(float(table.mean()), float(low), float(high))
+    return _mean_interval(np.asarray(values, dtype=np.float64).tobytes())
 
 
-def ratio_interval(numerator: ArrayLike, denominator: ArrayLike, *, level: float = LEVEL) -> Interval:
+def ratio_interval(numerator: ArrayLike, denominator: ArrayLike) -> Interval:
     """Ratio of the means of two columns of equal runs, `[n]` each, with its percentile bootstrap interval.
 
     NaN if a mean, or that of any resample, is not positive, since the ratio is then meaningless.
     """
-    table = np.stack([np.asarray(values, dtype=np.float64) for values in (numerator, denominator)], axis=1)
+    columns = [np.asarray(values, dtype=np.float64) for values in (numerator, denominator)]
+    return _ratio_interval(np.stack(columns, axis=1).tobytes())
+
+
+# Claims, figures and tables ask for the same intervals: each is resampled once, and known by its values.
+@lru_cache(maxsize=256)
+def _mean_interval(values: bytes) -> Interval:
+    table = np.frombuffer(values)
+    if table.size == 0 or not np.isfinite(table).all():
+        return _UNKNOWN
+    return Interval(float(table.mean()), *central(bootstrap_means(table)))
+
+
+@lru_cache(maxsize=256)
+def _ratio_interval(values: bytes) -> Interval:
+    table = np.frombuffer(values).reshape(-1, 2)
     if table.size == 0 or not np.isfinite(table).all() or not (means := bootstrap_means(table)).min() > 0:
-        return Interval(float("nan"), float("nan"), float("nan"))
-    low, high = _central(means[:, 0] / means[:, 1], level)
-    return Interval(float(table[:, 0].mean() / table[:, 1].mean()), float(low), float(high))
+        return _UNKNOWN
+    ratio = float(table[:, 0].mean() / table[:, 1].mean())
+    return Interval(ratio, *central(means[:, 0] / means[:, 1]))
 
 
-def mean_band(values: ArrayLike, *, level: float = LEVEL) -> Band:
+def mean_band(values: ArrayLike) -> Band:
     """Mean, lower and upper bound of every column of `[n, columns]`: a pointwise bootstrap band.
 
     NaNs are left out; a column with fewer than two values has a mean but no band.
@@ -144,13 +165,12 @@ def mean_band(values: ArrayLike, *, level: float = LEVEL) -> Band:
     mean = np.divide(total, count, out=np.full(count.shape, np.nan), where=count > 0)
     low, high = (np.full(count.shape, np.nan) for _ in range(2))
     if (known := count > 1).any():
-        tail = (1 - level) / 2
         samples = bootstrap_present(table[:, known])
-        low[known], high[known] = np.nanquantile(samples, [tail, 1 - tail], axis=0)
+        low[known], high[known] = np.nanquantile(samples, [TAIL, 1 - TAIL], axis=0)
     return mean, low, high
 
 
-def share_band(flags: ArrayLike, *, level: float = LEVEL) -> Band:
+def share_band(flags: ArrayLike) -> Band:
     """Share, lower and upper bound of every column of `[n, columns]` of 0 and 1: a pointwise Wilson band.
 
     A NaN is no value; a column without values is NaN.
@@ -158,10 +178,10 @@ def share_band(flags: ArrayLike, *, level: float = LEVEL) -> Band:
     table = np.asarray(flags, dtype=np.float64)
     count, hits = np.isfinite(table).sum(axis=0), np.nansum(table, axis=0)
     share = np.divide(hits, count, out=np.full(hits.shape, np.nan), where=count > 0)
-    return share, *wilson(hits, count, level=level)
+    return share, *wilson(hits, count)
 
 
-def wilson(successes: ArrayLike, trials: ArrayLike, *, level: float = LEVEL) -> tuple[Floats, Floats]:
+def wilson(successes: ArrayLike, trials: ArrayLike) -> tuple[Floats, Floats]:
     """Bounds of Wilson's score interval for a share (Wilson 1927, eq. 1), without continuity correction.
 
     NaN where there are no trials.
@@ -169,7 +189,7 @@ def wilson(successes: ArrayLike, trials: ArrayLike, *, level: float = LEVEL) -> 
     n = np.asarray(trials, dtype=np.float64)
     n = np.where(n > 0, n, np.nan)
     count = np.where(n > 0, np.asarray(successes, dtype=np.float64), np.nan)
-    z = NormalDist().inv_cdf(0.5 + level / 2)
+    z = NormalDist().inv_cdf(1 - TAIL)
     share = count / n
     centre = (share + z**2 / (2 * n)) / (1 + z**2 / n)
     half = z * np.sqrt(share * (1 - share) / n + z**2 / (4 * n**2)) / (1 + z**2 / n)
@@ -177,36 +197,31 @@ def wilson(successes: ArrayLike, trials: ArrayLike, *, level: float = LEVEL) -> 
     return np.where(count == 0, 0.0, centre - half), np.where(count == n, 1.0, centre + half)
 
 
-def share_interval(flags: ArrayLike, *, level: float = LEVEL) -> Interval:
+def share_interval(flags: ArrayLike) -> Interval:
     """Share of `[n]` booleans that hold, with Wilson's interval."""
     hits = np.asarray(flags, dtype=bool)
-    low, high = wilson(hits.sum(), hits.size, level=level)
+    low, high = wilson(hits.sum(), hits.size)
     return Interval(float(hits.mean()) if hits.size else float("nan"), float(low), float(high))
 
 
-def share_difference(
-    successes: int, trials: int, other_successes: float, other_trials: int, *, level: float = LEVEL
-) -> Interval:
+def share_difference(successes: int, trials: int, other_successes: float, other_trials: int) -> Interval:
     """Difference of two independent shares with the hybrid score interval (Newcombe 1998, method 10)."""
     first, second = successes / trials, other_successes / other_trials
     (low, high), (other_low, other_high) = (
-        wilson(successes, trials, level=level),
-        wilson(other_successes, other_trials, level=level),
+        wilson(successes, trials),
+        wilson(other_successes, other_trials),
     )
     below = np.hypot(first - low, other_high - second)
     above = np.hypot(high - first, second - other_low)
     return Interval(first - second, float(first - second - below), float(first - second + above))
 
 
-def welch_difference(
-    first: tuple[float, float, int], second: tuple[float, float, int], *, level: float = LEVEL
-) -> Interval:
+def welch_difference(first: tuple[float, float, int], second: tuple[float, float, int]) -> Interval:
     """Difference of two independent means with Welch's t interval.
 
     Args:
         first: Mean, standard deviation (of n - 1) and number of values.
         second: The same of what is subtracted.
-        level: Coverage.
     """
     variances = np.array([first[1] ** 2 / first[2], second[1] ** 2 / second[2]])
     difference, variance = first[0] - second[0], float(variances.sum())
@@ -215,7 +230,7 @@ def welch_difference(
     from scipy import special  # takes a tenth of a second to import, and few reports need it
 
     freedom = variance**2 / float((variances**2 / np.array([first[2] - 1, second[2] - 1])).sum())
-    half = float(special.stdtrit(freedom, 0.5 + level / 2)) * np.sqrt(variance)
+    half = float(special.stdtrit(freedom, 1 - TAIL)) * np.sqrt(variance)
     return Interval(difference, float(difference - half), float(difference + half))
 
 
@@ -244,10 +259,8 @@ def carry_forward(
     step: ArrayLike,
     value: ArrayLike,
     num_steps: int,
-    *,
-    initial: float = 0.0,
 ) -> Floats:
-    """Values per run and step; the last value of a run is carried forward after its end.
+    """Values per run and step, 0 at step 0; the last value of a run is carried forward after its end.
 
     Args:
         runs: `[R]` run indices, in the order of the result.
@@ -255,7 +268,6 @@ def carry_forward(
         step: `[rows]` its step, from 1.
         value: `[rows]` its value.
         num_steps: Number of steps of the result.
-        initial: Value at step 0.
 
     Returns:
         `[R, num_steps + 1]`, from step 0 on. A run with no row at all is NaN.
@@ -269,11 +281,5 @@ def carry_forward(
     source = np.zeros(table.shape, dtype=np.int64)
     source[row, step[kept]] = step[kept]
     table[row, step[kept]] = np.asarray(value, dtype=np.float64)[kept]
-    table[np.isin(wanted, run[kept]), 0] = initial
+    table[np.isin(wanted, run[kept]), 0] = 0.0
     return np.take_along_axis(table, np.maximum.accumulate(source, axis=1), axis=1)
-
-
-def _central(samples: Floats, level: float) -> tuple[Floats, Floats]:
-    tail = (1 - level) / 2
-    low, high = np.quantile(samples, [tail, 1 - tail], axis=0)
-    return low, high

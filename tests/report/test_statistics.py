@@ -158,3 +158,18 @@ def test_a_band_of_shares_counts_only_the_runs_with_a_value():
     np.testing.assert_allclose(share, [1 / 3, 1, np.nan])
     for column, (hits, trials) in enumerate([(1, 3), (2, 2), (0, 0)]):
         np.testing.assert_array_equal([low[column], high[column]], statistics.wilson(hits, trials))
+
+
+def test_claims_figures_and_tables_share_the_resamples_of_equal_values(monkeypatch):
+    drawn = []
+    original = statistics.bootstrap_means
+    monkeypatch.setattr(statistics, "bootstrap_means", lambda table: drawn.append(1) or original(table))
+    values = np.random.default_rng(11).exponential(size=50)
+    first = statistics.mean_interval(values), statistics.ratio_interval(values, values[::-1])
+    assert len(drawn) == 2
+    assert (
+        statistics.mean_interval(values.tolist()),
+        statistics.ratio_interval(values, values[::-1]),
+    ) == first
+    assert len(drawn) == 2
+    assert statistics.mean_interval(values + 1e-12) != first[0] and len(drawn) == 3

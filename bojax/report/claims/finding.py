@@ -9,9 +9,6 @@ from bojax.report import statistics
 
 Verdict = Literal["reproduced", "not reproduced", "inconclusive"]
 
-TAIL = (1 - statistics.LEVEL) / 2
-"""Probability outside a 95% interval on either side."""
-
 
 @dataclass(frozen=True)
 class Comparison:

@@ -6,7 +6,7 @@ import numpy as np
 
 from bojax.report import growth as laws
 from bojax.report import statistics
-from bojax.report.claims.finding import TAIL, Comparison, Finding, Verdict, bootstrap
+from bojax.report.claims.finding import Comparison, Finding, Verdict, bootstrap
 from bojax.report.claims.samples import Undecidable, column, enough, most_present, named
 from bojax.report.claims.settings import Growth
 from bojax.report.source import Point, Results
@@ -28,7 +28,7 @@ def growth(results: Results, test: Growth) -> Finding:
     values = _samples(results, points, label, name, test.missing)
     is_there = np.isfinite(values)
     means = statistics.bootstrap_present(values)
-    low, high = np.quantile(means[:, -1] - means[:, 0], [TAIL, 1 - TAIL])
+    low, high = statistics.central(means[:, -1] - means[:, 0])
     if not low > 0:
         raise Undecidable(
             f"the mean {name} of {label} does not clearly grow: from {over} {x[0]:g} to {x[-1]:g} it "
@@ -57,7 +57,7 @@ def growth(results: Results, test: Growth) -> Finding:
     power = ""
     if x[0] > 0 and means.min() > 0:
         exponent, *many = laws.exponents(x, np.vstack([ours, means]), errors / ours)
-        low, high = np.quantile(many, [TAIL, 1 - TAIL])
+        low, high = statistics.central(np.asarray(many))
         power = f"; exponent of a power law: {exponent:.2f} [{low:.2f}, {high:.2f}]"
     left_out = f"; {counted(lacking, 'run')} without a value left out" if lacking else ""
     return Finding(
@@ -103,5 +103,5 @@ def _samples(
 
 def _ratio(above: Any, below: Any, many_above: Any, many_below: Any) -> statistics.Interval:
     tiny = np.finfo(np.float64).tiny
-    low, high = np.quantile(many_above / np.maximum(many_below, tiny), [TAIL, 1 - TAIL])
-    return statistics.Interval(float(above / max(below, tiny)), float(low), float(high))
+    bounds = statistics.central(many_above / np.maximum(many_below, tiny))
+    return statistics.Interval(float(above / max(below, tiny)), *bounds)

@@ -7,7 +7,7 @@ from itertools import pairwise, product
 import numpy as np
 
 from bojax.report import statistics
-from bojax.report.claims.finding import TAIL, Comparison, Finding, Verdict, bootstrap
+from bojax.report.claims.finding import Comparison, Finding, Verdict, bootstrap
 from bojax.report.claims.samples import Measure, paired, stand_ins
 from bojax.report.claims.settings import Order
 from bojax.report.source import Results
@@ -42,8 +42,8 @@ def order(results: Results, test: Order) -> Finding:
         allowed = np.array([link.allowance.mean() for link in links])
         sample = np.vstack([sample, allowed + 1.0, allowed - 1.0])
     means = statistics.bootstrap_means(sample)
-    low_levels = statistics.holm_levels((means <= 0).mean(axis=0), TAIL)
-    high_levels = statistics.holm_levels((means >= 0).mean(axis=0), TAIL)
+    low_levels = statistics.holm_levels((means <= 0).mean(axis=0), statistics.TAIL)
+    high_levels = statistics.holm_levels((means >= 0).mean(axis=0), statistics.TAIL)
     comparisons = []
     for pair, link in enumerate(links):
         low = float(np.quantile(means[:, pair], low_levels[pair]))
@@ -64,7 +64,7 @@ def order(results: Results, test: Order) -> Finding:
         ),
         runs=len(table),
         method=f"mean difference of {measure} between paired runs{' plus the margin' if margin else ''}, "
-        f"each pair of neighbours, one-sided at {TAIL:.1%} with Holm's correction over "
+        f"each pair of neighbours, one-sided at {statistics.TAIL:.1%} with Holm's correction over "
         f"{counted(len(comparisons), 'pair')}, intervals at the corrected levels; {bootstrap(len(table))}"
         f"{', one run added in each direction' if is_share else ''}",
         chosen=chosen,

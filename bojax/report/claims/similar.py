@@ -5,7 +5,7 @@ from itertools import combinations
 import numpy as np
 
 from bojax.report import statistics
-from bojax.report.claims.finding import TAIL, Comparison, Finding, Verdict, bootstrap
+from bojax.report.claims.finding import Comparison, Finding, Verdict, bootstrap
 from bojax.report.claims.samples import Measure, Undecidable, paired, score, stand_ins
 from bojax.report.claims.settings import Similar
 from bojax.report.source import Results
@@ -35,7 +35,7 @@ def similar(results: Results, test: Similar) -> Finding:
     comparisons = []
     for a, b in pairs:
         differences = (resampled[:, a] - resampled[:, b]) / spreads
-        low, high = np.quantile(differences, [TAIL / len(pairs), 1 - TAIL / len(pairs)])
+        low, high = np.quantile(differences, [statistics.TAIL / len(pairs), 1 - statistics.TAIL / len(pairs)])
         estimate = float((at[:, a] - at[:, b]).mean()) / scale
         interval = statistics.Interval(estimate, float(low), float(high))
         comparisons.append(Comparison(f"{names[a]} - {names[b]}", interval))
