@@ -111,7 +111,10 @@ def _exponential(law: Law, x: Floats, means: Floats, weights: Floats) -> tuple[F
     for start in range(0, len(means), _BLOCK):
         block = means[start : start + _BLOCK]
         along = (block * weights) @ curves.T
-        best = np.argmax(np.where(along > 0, along, 0.0) ** 2 / norms, axis=1)
+        explained = np.maximum(along, 0.0)
+        explained *= explained  # in place, as is the next line: these arrays are what this function costs
+        explained /= norms
+        best = np.argmax(explained, axis=1)
         height = along[np.arange(len(block)), best] / norms[best]
         squares = (block - height[:, None] * curves[best]) ** 2 @ weights
         found.append((height * np.exp(-rates[best] * middle), rates[best], squares))
