@@ -80,7 +80,7 @@ def _figures(results: Results, at: Callable[[str], None]) -> tuple[dict[str, Any
         if name in TABLES:
             continue
         if name not in figure_modules():
-            notes.append(f"No figure is called {name}: the figures are {joined(list(figure_modules()))}.")
+            notes.append(f"No figure is called {name}: the figures are {joined(figure_modules())}.")
             continue
         at(f"figure {name}")
         try:
@@ -115,7 +115,7 @@ def _gaps(results: Results) -> list[str]:
         missing = sum(wanted - results.runs_of(point)["run"].size for point in short)
         errors = dict.fromkeys(chunk.error for chunk in results.manifest.chunks if chunk.error)
         notes.append(
-            f"Missing: {counted(missing, 'run')} of {joined([point.name for point in short])}; "
+            f"Missing: {counted(missing, 'run')} of {joined(point.name for point in short)}; "
             f"--resume runs them again.{''.join(f' {error}.' for error in errors)}"
         )
     bad = [f"{point.name} {count}" for point in results.points if (count := count_nan_runs(results, point))]
@@ -134,8 +134,8 @@ def _unknown(results: Results) -> list[str]:
     }
     if refused:
         notes.append(
-            f"This version of bojax cannot read the settings of {joined(list(refused))} "
-            f"({joined(list(dict.fromkeys(refused.values())))}): figures and tables that depend on them are "
+            f"This version of bojax cannot read the settings of {joined(refused)} "
+            f"({joined(dict.fromkeys(refused.values()))}): figures and tables that depend on them are "
             "left out."
         )
     parts = (part for point in results.points for part in (point.experiment, point.problem))

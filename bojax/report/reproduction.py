@@ -236,7 +236,7 @@ def _changes(manifests: Iterable[Manifest]) -> list[tuple[str, str, str, str]]:
 
 
 def _verdicts(claims: Sequence[TestedClaim]) -> str:
-    return joined([f"{count} {verdict}" for verdict, _, count in tally(claims)])
+    return joined(f"{count} {verdict}" for verdict, _, count in tally(claims))
 
 
 def _said(sweeps: Sequence[Sweep], of: Callable[[Manifest], str]) -> str:

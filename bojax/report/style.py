@@ -140,6 +140,13 @@ def figure(height: float, rows: int = 1, columns: int = 1, **options: Any) -> tu
     return drawn, drawn.subplots(rows, columns, squeeze=False, **options)
 
 
+def compressed(height: float, rows: int, columns: int) -> tuple[Figure, np.ndarray]:
+    """A figure of panels of equal aspect and a common scale, without the gaps of other layouts."""
+    drawn, grid = figure(height, rows, columns, sharex=True, sharey=True)
+    drawn.set_layout_engine("compressed")
+    return drawn, grid
+
+
 def encode(drawn: Figure) -> Mapping[str, bytes]:
     """The figure as `png` and `svg`. Equal figures give equal bytes: ids are fixed and dates left out."""
     if (engine := drawn.get_layout_engine()) is not None:

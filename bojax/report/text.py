@@ -1,7 +1,7 @@
 """Formats numbers for the page, the figures and `claims.json`."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 MISSING = "–"
@@ -75,9 +75,10 @@ def line(value: Any) -> str:
     return "" if value is None else plain(value)
 
 
-def joined(names: list[str]) -> str:
-    """Names as a list in a sentence: `a`, `a and b`, `a, b and c`."""
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+def joined(items: Iterable[object]) -> str:
+    """Names or numbers as a list in a sentence: `a`, `a and b`, `a, b and c`."""
+    *most, last = map(str, items)
+    return f"{', '.join(most)} and {last}" if most else last
 
 
 def counted(count: int, noun: str) -> str:

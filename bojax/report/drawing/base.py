@@ -1,10 +1,14 @@
 """Drawings, which figures make from results, and the points that they show."""
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from bojax.report import style
 from bojax.report.source import Point, Results
 
 MAX_POINTS = 12
@@ -48,6 +52,15 @@ def drawn_points(results: Results, most: int = MAX_POINTS) -> tuple[tuple[Point,
             best[point.label] = (score, point)
     kept = tuple(point for _, point in best.values())[:most]
     return kept, f" Of {len(points)} points, the one with the best mean return of each label is drawn."
+
+
+def name_panels(panels: Iterable[Axes], points: Sequence[Point], pad: float = 4) -> None:
+    """Write the name of each point, in its colour, above its panel; hide the panels that remain."""
+    for axes, point, look in zip_longest(panels, points, style.looks(points)):
+        if point is None:
+            axes.set_visible(False)
+        else:
+            axes.set_title(style.wrapped(point.name, 24), color=look["color"], pad=pad)
 
 
 def panel_grid(count: int) -> tuple[int, int]:

@@ -1,15 +1,18 @@
 """Maps of values on the grid of a belief, drawn over the domain."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colorbar import Colorbar
 from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.patches import Rectangle
 
 from bojax.problems.settings import FieldProblem
+from bojax.report import style
 from bojax.report.drawing.base import Undrawable, drawn_points
 from bojax.report.snapshots import BELIEF
 from bojax.report.source import Point, Results
@@ -65,6 +68,20 @@ def draw_map(axes: Axes, belief: Belief, values: Floats, norm: Normalize, cmap: 
     axes.set_xlim(limits[0])
     axes.set_ylim(limits[1])
     return image
+
+
+def draw_samples(axes: Axes, belief: Belief) -> None:
+    """Draw a dot at each sample of a belief that records them."""
+    if "samples" in belief:
+        axes.scatter(*belief["samples"][:, :2].T, s=1.6, color=style.INK, linewidths=0, zorder=2.4)
+
+
+def draw_scale(figure: Figure, image: AxesImage, panels: Iterable[Axes], **options: Any) -> Colorbar:
+    """Draw the scale of a map below its panels."""
+    bar = figure.colorbar(image, ax=list(panels), location="bottom", **options)
+    bar.ax.spines["outline"].set_visible(False)
+    bar.ax.tick_params(length=2, labelsize=8.5)
+    return bar
 
 
 def _spacing(places: Floats) -> tuple[float, float]:

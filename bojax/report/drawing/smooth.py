@@ -1,6 +1,10 @@
 """Smooth curves through the poses of a path: a polyline through its few samples would look angular."""
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 
 from bojax.report.statistics import Floats
 
@@ -34,6 +38,18 @@ def smooth(start: Floats, poses: Floats) -> Floats:
         + (u**3 - u**2) * arriving[:, None]
     )
     return np.concatenate([ends[:1], pieces.reshape(-1, 2)])
+
+
+def driven(arrays: Mapping[str, NDArray[Any]]) -> tuple[Floats | None, list[Floats]]:
+    """The start of a recorded path, and the poses of each of its steps: the finite ones, `[S, 3]`.
+
+    Without a recorded start it is the first pose; None without any.
+    """
+    steps = [step[np.isfinite(step).all(axis=1)] for step in np.asarray(arrays["paths"], dtype=np.float64)]
+    steps = [step for step in steps if len(step)]
+    if "start" in arrays:
+        return np.asarray(arrays["start"], dtype=np.float64), steps
+    return (steps[0][0] if steps else None), steps
 
 
 def _along(headings: Floats, chords: Floats) -> Floats:

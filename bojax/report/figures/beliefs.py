@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator
 from bojax.report import style
 from bojax.report.drawing.base import Drawing, Undrawable, drawn_points
 from bojax.report.drawing.domains import draw_outline
-from bojax.report.drawing.maps import Belief, beliefs, draw_map
+from bojax.report.drawing.maps import Belief, beliefs, draw_map, draw_samples, draw_scale
 from bojax.report.source import Results
 from bojax.report.statistics import Floats
 from bojax.report.text import joined, number
@@ -34,12 +34,7 @@ def draw(results: Results) -> Drawing:
     chosen = [next(iter(found[point.index].items())) for point in points]
     maps = [_maps(belief) for _, belief in chosen]
     norms = _norms(maps)
-    figure, grid = style.figure(
-        1.16 * len(points) + 0.75, len(points), len(_PANELS), sharex=True, sharey=True
-    )
-    figure.set_layout_engine(
-        "compressed"
-    )  # the only layout that closes the gaps between panels of equal aspect
+    figure, grid = style.compressed(1.16 * len(points) + 0.75, len(points), len(_PANELS))
     looks = style.looks(points)
     for row, point, look, (_, belief), values in zip(grid, points, looks, chosen, maps, strict=True):
         for axes, (panel, colours) in zip(row, _PANELS.items(), strict=True):
@@ -47,30 +42,25 @@ def draw(results: Results) -> Drawing:
             draw_map(axes, belief, values[panel], norms[panel], colours)
             axes.set_xticks([])
             axes.set_yticks([])
-        if "samples" in belief:
-            row[-1].scatter(*belief["samples"][:, :2].T, s=1.6, color=style.INK, linewidths=0, zorder=2.4)
+        draw_samples(row[-1], belief)
         size = 10.5 if len(point.name) <= 14 else 8.0
         row[0].set_ylabel(style.wrapped(point.name, 19), color=look["color"], labelpad=2, fontsize=size)
     for axes, panel in zip(grid[0], _PANELS, strict=True):
         axes.set_title(panel, pad=4)
     for columns in ([0, 1], [2], [3]):
         image = grid[0, columns[0]].images[0]
-        bar = figure.colorbar(
-            image, ax=list(grid[:, columns].flat), location="bottom", aspect=9 * len(columns)
-        )
-        bar.ax.spines["outline"].set_visible(False)
+        bar = draw_scale(figure, image, grid[:, columns].flat, aspect=9 * len(columns))
         bar.ax.xaxis.set_major_locator(MaxNLocator(nbins=2 + len(columns)))
-        bar.ax.tick_params(length=2, labelsize=8.5)
-    runs = sorted({run for run, _ in chosen})
     errors = [
         f"{point.name} {number(float(np.sqrt(np.mean(values['error'] ** 2))))}"
         for point, values in zip(points, maps, strict=True)
     ]
+    runs = joined(sorted({run for run, _ in chosen}))
     return Drawing(
         figure=figure,
         title="Final belief",
         caption="The true field, and the mean, error (red: too high) and standard deviation of the final "
-        f"belief of run {joined([str(run) for run in runs])}, in the unit of the field. All rows share the "
+        f"belief of run {runs}, in the unit of the field. All rows share the "
         f"scales of the columns. Dots: samples.{note}",
         alt="Maps of the true field and of the mean, error and standard deviation of the final belief, one "
         f"row per setting. Root mean square error on the map: {', '.join(errors)}.",

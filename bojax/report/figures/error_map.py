@@ -5,9 +5,9 @@ from matplotlib.colors import Normalize
 from matplotlib.patches import Rectangle
 
 from bojax.report import style
-from bojax.report.drawing.base import Drawing, panel_grid
+from bojax.report.drawing.base import Drawing, name_panels, panel_grid
 from bojax.report.drawing.domains import draw_outline
-from bojax.report.drawing.maps import draw_map, height_maps
+from bojax.report.drawing.maps import draw_map, draw_samples, draw_scale, height_maps
 from bojax.report.source import Results
 from bojax.report.text import joined, number
 
@@ -25,33 +25,24 @@ def draw(results: Results) -> Drawing:
     errors = [error - offset for error, offset in zip(errors, offsets, strict=True)]
     most = max(float(np.abs(error).max()) for error in errors)
     rows, columns = panel_grid(len(maps))
-    figure, grid = style.figure(4.68 * rows / columns + 0.75, rows, columns, sharex=True, sharey=True)
-    figure.set_layout_engine(
-        "compressed"
-    )  # the only layout that closes the gaps between panels of equal aspect
-    looks = style.looks([point for point, _, _ in maps])
+    figure, grid = style.compressed(4.68 * rows / columns + 0.75, rows, columns)
     norm = Normalize(-most, most)
-    for axes, (point, _, belief), error, look in zip(grid.flat, maps, errors, looks, strict=False):
+    for axes, (point, _, belief), error in zip(grid.flat, maps, errors, strict=False):
         draw_outline(axes, point.outline)
         draw_map(axes, belief, error, norm, "RdBu_r")
         for x_min, y_min, x_max, y_max, _ in point.outline.blocks:
             edge = {"facecolor": "none", "edgecolor": style.INK, "linewidth": 0.9, "zorder": 2.5}
             axes.add_patch(Rectangle((x_min, y_min), x_max - x_min, y_max - y_min, **edge))
-        if "samples" in belief:
-            axes.scatter(*belief["samples"][:, :2].T, s=1.6, color=style.INK, linewidths=0, zorder=2.4)
-        axes.set_title(style.wrapped(point.name, 24), color=look["color"], pad=4)
-    for axes in list(grid.flat)[len(maps) :]:
-        axes.set_visible(False)
-    bar = figure.colorbar(grid[0, 0].images[0], ax=list(grid.flat), location="bottom", aspect=36, shrink=0.8)
+        draw_samples(axes, belief)
+    name_panels(grid.flat, [point for point, _, _ in maps])
+    bar = draw_scale(figure, grid[0, 0].images[0], grid.flat, aspect=36, shrink=0.8)
     bar.set_label("centred error (m)")
-    bar.ax.spines["outline"].set_visible(False)
-    bar.ax.tick_params(length=2, labelsize=8.5)
     numbers = [
         f"{point.name}: offset {number(100 * offset)} cm, standard deviation "
         f"{number(100 * float(error.std()))} cm"
         for (point, _, _), offset, error in zip(maps, offsets, errors, strict=True)
     ]
-    runs = joined([str(run) for run in sorted({run for _, run, _ in maps})])
+    runs = joined(sorted({run for _, run, _ in maps}))
     return Drawing(
         figure=figure,
         title="Centred error of the map",

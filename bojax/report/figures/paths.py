@@ -11,10 +11,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from bojax.report import style
-from bojax.report.drawing.base import Drawing, Undrawable, drawn_points, panel_grid
+from bojax.report.drawing.base import Drawing, Undrawable, drawn_points, name_panels, panel_grid
 from bojax.report.drawing.domains import TARGET, WALL, draw_outline, is_speck
 from bojax.report.drawing.maps import QUIET, beliefs, draw_map
-from bojax.report.drawing.smooth import smooth
+from bojax.report.drawing.smooth import driven, smooth
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats
 from bojax.report.text import counted
@@ -72,9 +72,7 @@ def draw(results: Results) -> Drawing:
             if point.has_success:
                 reached = f", goal {'' if _outcomes(results, point).get(run) else 'not '}reached"
             told.append(f"{point.name}: run {run}, stopped {counted(len(stopped), 'time')}{reached}")
-        axes.set_title(style.wrapped(point.name, 24), color=look["color"], pad=4)
-    for axes in grid.flat[len(points) :]:
-        axes.set_visible(False)
+    name_panels(grid.flat, points)
     for axes in grid[:, 0]:
         axes.set_ylabel("y (m)", labelpad=1)
     for axes in grid[-1]:
@@ -125,11 +123,7 @@ def _outcomes(results: Results, point: Point) -> dict[int, bool]:
 
 def _run(axes: Axes, arrays: Mapping[str, Any], colour: str, *, is_success: bool) -> Floats:
     """Draw a run; the result is the positions `[stops, 2]` at which the robot was stopped."""
-    samples = [step[np.isfinite(step).all(axis=1)] for step in np.asarray(arrays["paths"], dtype=np.float64)]
-    steps = [step for step in samples if len(step)]
-    start = np.asarray(arrays["start"], dtype=np.float64) if "start" in arrays else None
-    if start is None and steps:
-        start = steps[0][0]
+    start, steps = driven(arrays)
     if start is None:
         return np.zeros((0, 2))
     ends = [start, *(step[-1] for step in steps)]

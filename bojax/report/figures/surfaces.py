@@ -1,6 +1,6 @@
 """Surfaces of the true heights and of their reconstructions (Figs. 3.5 and 3.7 of the thesis)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -8,9 +8,9 @@ from matplotlib import colormaps
 from matplotlib.colors import LightSource, Normalize
 
 from bojax.report import style
-from bojax.report.drawing.base import Drawing, panel_grid
+from bojax.report.drawing.base import Drawing, name_panels, panel_grid
 from bojax.report.drawing.maps import Belief, height_maps
-from bojax.report.drawing.smooth import smooth
+from bojax.report.drawing.smooth import driven, smooth
 from bojax.report.source import Results
 from bojax.report.statistics import Floats
 from bojax.report.text import joined, number
@@ -31,9 +31,8 @@ def draw(results: Results) -> Drawing:
     heights = np.stack([truth, *(belief["mean"] for _, _, belief in maps)])
     norm = Normalize(float(heights.min()), float(heights.max()))
     rows, columns = panel_grid(1 + len(maps))
-    figure, grid = style.figure(
-        1.95 * rows, rows, columns, subplot_kw={"projection": "3d", "computed_zorder": False}
-    )
+    projection = {"projection": "3d", "computed_zorder": False}
+    figure, grid = style.figure(1.95 * rows, rows, columns, subplot_kw=projection)
     figure.set_layout_engine("none")  # no engine can measure the labels of a 3-D panel
     panels = list(grid.flat)
     for index, axes in enumerate(panels):
@@ -41,16 +40,13 @@ def draw(results: Results) -> Drawing:
         axes.set_position((column / columns, 1 - (row + 0.92) / rows, 0.96 / columns, 0.82 / rows))
     _surface(panels[0], maps[0][2], truth, norm)
     panels[0].set_title("true surface", pad=-2)
-    looks = style.looks([point for point, _, _ in maps])
-    for axes, (point, run, belief), look in zip(panels[1:], maps, looks, strict=False):
+    for axes, (point, run, belief) in zip(panels[1:], maps, strict=False):
         _surface(axes, belief, belief["mean"], norm)
         paths = dict(results.arrays(point, "paths")).get(run)
         if paths is not None:
             axes.plot(*_path(paths, belief).T, color="black", linewidth=1.0, zorder=3, clip_on=False)
-        axes.set_title(style.wrapped(point.name, 24), color=look["color"], pad=-2)
-    for axes in panels[1 + len(maps) :]:
-        axes.set_visible(False)
-    runs = joined([str(run) for run in sorted({run for _, run, _ in maps})])
+    name_panels(panels[1:], [point for point, _, _ in maps], pad=-2)
+    runs = joined(sorted({run for _, run, _ in maps}))
     errors = [
         f"{point.name} {number(float(np.sqrt(np.mean((belief['mean'] - truth) ** 2))))} m"
         for point, _, belief in maps
@@ -102,11 +98,10 @@ def _path(paths: Mapping[str, Any], belief: Belief) -> Floats:
     """Points of the path, `[N, 3]`, at the height of the reconstruction."""
     from scipy.interpolate import RegularGridInterpolator  # only this figure needs its slow import
 
-    steps = [step[np.isfinite(step).all(axis=1)] for step in np.asarray(paths["paths"], np.float64)]
-    start = np.asarray(paths["start"], np.float64)
-    curve: Sequence[Floats] = [start[None, :2]]
-    for step in (step for step in steps if len(step)):
-        curve = [*curve, smooth(curve[-1][-1], step)]
+    start, steps = driven(paths)
+    curve = [np.zeros((0, 2)) if start is None else start[None, :2]]
+    for step in steps:
+        curve.append(smooth(curve[-1][-1], step))
     points = np.concatenate(curve)
     axes = belief["x"], belief["y"]
     inside = np.clip(points, [axis[0] for axis in axes], [axis[-1] for axis in axes])

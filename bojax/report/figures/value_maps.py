@@ -14,6 +14,7 @@ from bojax.envs.settings import EnvironmentSettings
 from bojax.report import style
 from bojax.report.columns import Columns
 from bojax.report.drawing.base import Drawing, Undrawable
+from bojax.report.drawing.maps import draw_scale
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats
 from bojax.report.text import joined, number
@@ -74,13 +75,10 @@ def draw(results: Results) -> Drawing:
             axes_row[-1].set_ylabel(_row_name(rows, row), rotation=270, labelpad=11, fontsize=9)
             axes_row[-1].yaxis.set_label_position("right")
     if image is not None:
-        bar = figure.colorbar(image, ax=list(grid.flat), location="bottom", aspect=32)
-        bar.set_label("exploration value U")
-        bar.ax.spines["outline"].set_visible(False)
-        bar.ax.tick_params(length=2, labelsize=8.5)
-    named = joined([f"{row.point.name}, run {row.run}" for row in rows])
+        draw_scale(figure, image, grid.flat, aspect=32).set_label("exploration value U")
+    named = joined(f"{row.point.name}, run {row.run}" for row in rows)
     if len({row.point.index for row in rows}) == 1 < len(rows):
-        named = f"{rows[0].point.name}, runs {joined([str(row.run) for row in rows])}"
+        named = f"{rows[0].point.name}, runs {joined(row.run for row in rows)}"
     return Drawing(
         figure=figure,
         title="Exploration values and trajectories",
