@@ -34,19 +34,6 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Speed:
-    """Speed of one static group, with the latency of each of its points at batch 1."""
-
-    latencies: list[tuple[str, str]]
-    lanes: str
-    steps: str
-    steps_per_second: str
-    iterations_per_second: str
-    run: str
-    compile: str
-
-
-@dataclass(frozen=True)
 class _Measure:
     heading: str
     column: str
@@ -115,29 +102,40 @@ def count_nan_runs(results: Results, point: Point) -> int:
     return int((results.runs_of(point).get("nans", np.zeros(0)) > 0).sum())
 
 
-def speeds(results: Results) -> list[Speed]:
-    """One entry per static group of the manifest; empty where it has no timings."""
+def speeds(results: Results) -> Table | None:
+    """One row per static group of the manifest; None where it has no timings.
+
+    The latency of a group is that of its points at batch 1.
+    """
     points = {point.index: point for point in results.points}
-    entries = []
+    is_learning = any(point.is_learning for point in results.points)
+    headings = ["latency at batch 1", "lanes per device", "steps in all"]
+    if is_learning:
+        headings += ["environment steps per second", "run", "compile"]
+    else:
+        headings += ["steps (plans) per second", "search iterations per second", "run", "compile"]
+    rows = []
     for group in results.manifest.groups:
         members = [points[index] for index in group.points or [] if index in points]
         run, steps = group.run_seconds, group.active_steps
         rate = steps / run if steps and run else None
         iterations = {_iterations(point) for point in members}
         per_step = iterations.pop() if len(iterations) == 1 else None
-        latency = group.latency_seconds or {}
-        entries.append(
-            Speed(
-                latencies=[(point.name, seconds(latency.get(str(point.index)))) for point in members],
-                lanes=MISSING if group.lanes_per_device is None else plain(group.lanes_per_device),
-                steps=MISSING if steps is None else f"{steps:,}",
-                steps_per_second=number(rate),
-                iterations_per_second=number(rate * per_step if rate and per_step else None),
-                run=seconds(run),
-                compile=seconds(group.compile_seconds),
-            )
-        )
-    return entries
+        known = group.latency_seconds or {}
+        latencies = dict.fromkeys(seconds(known.get(str(point.index))) for point in members)
+        texts = [
+            ", ".join(text for text in latencies if text != MISSING) or MISSING,
+            MISSING if group.lanes_per_device is None else plain(group.lanes_per_device),
+            MISSING if steps is None else f"{steps:,}",
+            number(rate),
+            *([] if is_learning else [number(rate * per_step if rate and per_step else None)]),
+            seconds(run),
+            seconds(group.compile_seconds),
+        ]
+        names = ", ".join(point.name for point in members)
+        name = names if len(members) <= 3 else f"{len(members)} settings"
+        rows.append((name, [Cell(text) for text in texts]))
+    return Table(headings, rows) if rows else None
 
 
 def common_settings(results: Results) -> list[tuple[str, str]]:
