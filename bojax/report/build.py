@@ -1,7 +1,7 @@
-"""Builds reports: writes figures, `claims.json` and `report.html` of results folders, each atomically."""
+"""Builds a report: writes figures, `claims.json` and `report.html` of a results folder, each atomically."""
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,29 +20,19 @@ from bojax.results.store import ResultsError, explained, write_atomically
 from bojax.text import error_line
 
 
-def build_report(folders: Sequence[Path], at: Callable[[str], None] = lambda stage: None) -> Path:
-    """Write the report of each folder into the folder, replacing an earlier report.
+def build_report(folder: Path, at: Callable[[str], None] = lambda stage: None) -> Path:
+    """Write the report of a results folder into it, replacing an earlier report, and return `report.html`.
 
     Figures, claims and page depend on the tables and the manifest alone, and equal input gives equal files.
     Nothing is written before everything is ready.
 
     Args:
-        folders: Results folders.
+        folder: The results folder.
         at: Called with the name of each stage before it begins.
 
-    Returns:
-        The last folder's `report.html`.
-
     Raises:
-        ResultsError: If a folder is missing, unfinished, damaged or cannot be written; one line.
+        ResultsError: If the folder is missing, unfinished, damaged or cannot be written; one line.
     """
-    page = Path()
-    for folder in folders:
-        page = _build(Path(folder), at)
-    return page
-
-
-def _build(folder: Path, at: Callable[[str], None]) -> Path:
     at("tables")
     results = load(folder)
     at(f"claims of {counted(results.runs['run'].size, 'run')}")

@@ -31,6 +31,6 @@ def report(folder: Path) -> Path:
         has_spoken = True
 
     try:
-        return build_report([folder], at)
+        return build_report(folder, at)
     finally:
         status.stop()

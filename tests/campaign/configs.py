@@ -96,7 +96,7 @@ def _command(given: Given) -> int:
 
         bojax.engine.run.run_sweeps = stop_before_they_run
         bojax.engine.run.carry_out = lambda *_: 0
-        bojax.report.build.build_report = lambda folders, *_: folders[0]
+        bojax.report.build.build_report = lambda folder, *_: folder
     return main(list(given.words))
 
 

@@ -159,7 +159,7 @@ def _start(workload: Workload, out: Path, resume: bool, report: bool) -> int:
         import bojax.report.build
 
         # Patched by name, where the command line imports it: a report takes longer than these sweeps.
-        bojax.report.build.build_report = lambda folders, *_: folders[0] / "report.html"
+        bojax.report.build.build_report = lambda folder, *_: folder / "report.html"
     if not workload.words:
         from bojax.engine.run import Request, run_sweeps
         from tests.toy import toy_sweep

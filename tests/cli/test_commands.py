@@ -26,9 +26,9 @@ def calls(tmp_path, monkeypatch):
                 finish(request.out or FOLDER)
         return max(codes.values(), default=0)
 
-    def build_report(folders, watch):
-        made.append(("report", *folders))
-        return folders[0] / "report.html"
+    def build_report(folder, watch):
+        made.append(("report", folder))
+        return folder / "report.html"
 
     monkeypatch.setattr("bojax.engine.run.run_sweeps", run_sweeps)
     monkeypatch.setattr("bojax.report.progress.build_report", build_report)

@@ -15,7 +15,7 @@ from tests.report.synthetic import edit_manifest, write_learning, write_monitori
 
 def refusal(folder):
     with pytest.raises(ResultsError) as error:
-        build_report([folder])
+        build_report(folder)
     assert not (folder / "report.html").exists() and not (folder / "claims.json").exists()
     message = str(error.value)
     assert "\n" not in message and len(message) - len(str(folder)) < 250 and error.value.exit_code == 2
@@ -177,7 +177,7 @@ def test_snapshots_of_other_shapes_are_refused(tmp_path, capsys, command, name, 
 def test_snapshots_of_a_problem_of_ones_own_are_left_alone(tmp_path):
     folder = write_monitoring(tmp_path / "results", runs=2, recorded=1)
     np.savez(folder / "arrays" / "0-0-belief-end.npz", mean=np.zeros(3), weights=np.zeros((2, 2)))
-    build_report([folder])
+    build_report(folder)
     assert (folder / "figures" / "paths.png").exists()
 
 
@@ -196,6 +196,6 @@ def test_rows_in_another_order_give_the_same_report(tmp_path):
         table = pq.read_table(path)
         pq.write_table(table.take(np.random.default_rng(0).permutation(table.num_rows)), path)
     for folder in folders:
-        build_report([folder])
+        build_report(folder)
     first, second = ((folder / "claims.json").read_bytes() for folder in folders)
     assert first == second

@@ -27,7 +27,7 @@ def folder(tmp_path_factory):
         "best_return": 1.0,
     }
     folder = write_learning(tmp_path_factory.mktemp("learning") / "results", report=report)
-    build_report([folder])
+    build_report(folder)
     return folder
 
 
@@ -112,7 +112,7 @@ class TestPage:
             },
         ]
         folder = write_learning(tmp_path / "results", claims=claims)
-        build_report([folder])
+        build_report(folder)
         text = Page((folder / "report.html").read_text()).text
         assert text.count("✓ reproduced") == 2
         # The interval is that of the difference, and does not stand beside our mean.

@@ -37,11 +37,11 @@ def test_settings_of_another_version_leave_a_page_that_says_so(tmp_path):
     edit_manifest(folder, lambda m: m["points"][0]["config"]["planner"].update(cleverness=3))
     results = load(folder)
     assert isinstance(results.points[0].experiment, Unread) and results.points[0].outline.border is None
-    page = build_report([folder]).read_text()
+    page = build_report(folder).read_text()
     assert "This version of bojax cannot read the settings of kcbts (planner.cleverness: unknown" in page
 
 
 def test_parts_by_import_path_are_named(tmp_path):
     folder = write_monitoring(tmp_path / "results", runs=2, recorded=0)
     edit_manifest(folder, lambda m: m["points"][0]["config"]["problem"].update(kind="mine:Dock"))
-    assert "mine:Dock: given by import path" in build_report([folder]).read_text()
+    assert "mine:Dock: given by import path" in build_report(folder).read_text()

@@ -32,7 +32,7 @@ REPORT = {"thesis": THESIS, "relative_to": "kcbts"}
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = write_monitoring(tmp_path_factory.mktemp("monitoring") / "results", report=REPORT)
-    build_report([folder])
+    build_report(folder)
     return folder
 
 
@@ -57,7 +57,7 @@ def test_all_that_makes_sense_is_drawn(folder):
 
 def test_rebuilding_gives_the_same_bytes(folder):
     first = {path: path.read_bytes() for path in sorted((folder / "figures").iterdir())}
-    build_report([folder])
+    build_report(folder)
     assert {path: path.read_bytes() for path in first} == first
 
 

@@ -38,7 +38,7 @@ class Page(HTMLParser):
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = write_results(tmp_path_factory.mktemp("report") / "results", runs=40)
-    assert build_report([folder]) == folder / "report.html"
+    assert build_report(folder) == folder / "report.html"
     return folder
 
 
@@ -100,7 +100,7 @@ def test_figures_are_written_as_png_and_svg(folder):
 
 def test_rebuilding_gives_the_same_bytes(folder):
     first = derived(folder)
-    build_report([folder])
+    build_report(folder)
     assert derived(folder) == first
 
 
@@ -115,7 +115,7 @@ def test_report_settings_choose_figures_and_notes(tmp_path):
     (folder / "figures").mkdir()
     (folder / "figures" / "success.png").write_bytes(b"of an earlier report")
     (folder / "figures" / "mine.png").write_bytes(b"of the user")
-    build_report([folder])
+    build_report(folder)
     page = Page((folder / "report.html").read_text())
     assert {path.name for path in (folder / "figures").iterdir()} == {
         "returns.png",
@@ -138,7 +138,7 @@ def test_missing_runs_and_nans_are_said(tmp_path):
     nans[:2] = 3
     table = table.set_column(table.column_names.index("nans"), "nans", pa.array(nans))
     pq.write_table(table, folder / "runs.parquet")
-    build_report([folder])
+    build_report(folder)
     text = Page((folder / "report.html").read_text()).text
     assert "Missing: 10 runs of kcbts, sbo-5, sbo-9, gps-abt and random" in text
     assert "out of memory" in text
@@ -152,7 +152,7 @@ def test_a_nan_is_shown_as_one(tmp_path):
     returns[3] = np.nan
     table = table.set_column(table.column_names.index("return"), "return", pa.array(returns))
     pq.write_table(table, folder / "runs.parquet")
-    build_report([folder])
+    build_report(folder)
     assert "NaN in 1 run" in Page((folder / "report.html").read_text()).text
 
 
@@ -162,7 +162,7 @@ def test_trajectories_are_drawn_one_panel_a_point(tmp_path):
     paths = np.stack([np.cos(angle), np.sin(angle), angle], axis=-1)
     for point in range(3):
         np.savez(folder / "arrays" / f"{point}-0-trajectories-end.npz", paths=paths)
-    build_report([folder])
+    build_report(folder)
     (alt,) = [
         image["alt"]
         for image in Page((folder / "report.html").read_text()).all("img")
@@ -187,16 +187,10 @@ def test_many_points_are_drawn_by_the_best_of_each_label(tmp_path):
             table.set_column(0, "point", pa.array(table["point"].to_numpy() + 5 * copy)) for copy in range(3)
         ]
         pq.write_table(pa.concat_tables(copies), folder / f"{name}.parquet")
-    build_report([folder])
+    build_report(folder)
     text = Page((folder / "report.html").read_text()).text
     assert "Of 15 points, the one with the best mean return of each label is drawn." in text
     assert "kcbts, kappa 5" in text
-
-
-def test_several_folders_get_a_report_each(tmp_path):
-    folders = [write_results(tmp_path / name, runs=2, report={"figures": ["success"]}) for name in ("a", "b")]
-    assert build_report(folders) == folders[1] / "report.html"
-    assert (folders[0] / "report.html").exists()
 
 
 def _truncate(name):
@@ -236,7 +230,7 @@ def test_unreadable_folders_end_in_one_line_and_nothing_is_written(tmp_path, dam
     folder = write_results(tmp_path / "results", runs=2)
     damage(folder)
     with pytest.raises(ResultsError) as error:
-        build_report([folder])
+        build_report(folder)
     assert "\n" not in str(error.value) and str(folder) in str(error.value) and named in str(error.value)
     assert not (folder / "report.html").exists() and not (folder / "claims.json").exists()
 
@@ -244,7 +238,7 @@ def test_unreadable_folders_end_in_one_line_and_nothing_is_written(tmp_path, dam
 def test_reports_are_made_without_jax_and_without_pyplot(folder):
     code = (
         "import sys, pathlib; from bojax.report.build import build_report; "
-        f"build_report([pathlib.Path({str(folder)!r})]); "
+        f"build_report(pathlib.Path({str(folder)!r})); "
         "print([name for name in ('jax', 'equinox', 'matplotlib.pyplot') if name in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

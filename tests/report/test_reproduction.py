@@ -236,7 +236,7 @@ def test_a_folder_that_cannot_be_written_is_one_line(tmp_path):
 
 def test_the_page_shows_what_the_report_shows(tmp_path):
     folder = write_results(tmp_path / "parking", runs=40, recorded=0, report={"figures": ["returns"]})
-    build_report([folder])
+    build_report(folder)
     page, _ = pages(tmp_path, [folder])
     for entry in json.loads((folder / "claims.json").read_text()):
         assert entry["claim"] in page.text and entry["verdict"] in page.text

@@ -40,7 +40,7 @@ def test_numbers_of_any_size_leave_a_page(tmp_path, value):
     set_returns(folder, value)
     edit_manifest(folder, sweep_a_number)
     with np.errstate(all="ignore"):
-        text = build_report([folder]).read_text()
+        text = build_report(folder).read_text()
     assert "could not be drawn" not in text
     names = {path.name for path in (folder / "figures").iterdir()}
     assert ("returns.png" in names) == bool(np.isfinite(value))
@@ -61,7 +61,7 @@ def test_an_exception_in_a_figure_is_a_note(tmp_path, monkeypatch):
 
     monkeypatch.setattr("bojax.report.figures.returns.draw", fail)
     folder = write_results(tmp_path / "results", runs=2, recorded=0)
-    text = build_report([folder]).read_text()
+    text = build_report(folder).read_text()
     assert "The figure returns could not be drawn: ZeroDivisionError: of my own." in text
     assert (folder / "figures" / "success.png").exists() and not (folder / "figures" / "returns.png").exists()
 
@@ -72,7 +72,7 @@ def test_an_exception_in_a_test_leaves_its_claim_open(tmp_path, monkeypatch):
 
     monkeypatch.setattr("bojax.report.claims.share.share", fail)
     folder = write_results(tmp_path / "results", runs=20, recorded=0)
-    build_report([folder])
+    build_report(folder)
     found = {claim["id"]: claim for claim in json.loads((folder / "claims.json").read_text())}
     assert found["share-holds"]["verdict"] == "inconclusive"
     assert found["share-holds"]["test"]["reason"] == "the test failed: ZeroDivisionError: of my own"
@@ -82,7 +82,7 @@ def test_an_exception_in_a_test_leaves_its_claim_open(tmp_path, monkeypatch):
 def test_a_claim_with_a_margin_of_text_is_inconclusive(tmp_path):
     folder = write_results(tmp_path / "results", runs=20, recorded=0)
     edit_manifest(folder, lambda manifest: manifest["claims"][0]["test"].update(margin="wide"))
-    build_report([folder])
+    build_report(folder)
     claim = json.loads((folder / "claims.json").read_text())[0]
     assert claim["verdict"] == "inconclusive" and 'margin: got "wide"' in claim["test"]["reason"]
 
@@ -98,7 +98,7 @@ def test_names_are_drawn_as_they_are(tmp_path, name):
         manifest["points"][0]["variant"] = name
 
     edit_manifest(folder, rename)
-    text = build_report([folder]).read_text(encoding="utf-8")
+    text = build_report(folder).read_text(encoding="utf-8")
     assert "could not be drawn" not in text
     assert {"returns.png", "paths.png"} <= {path.name for path in (folder / "figures").iterdir()}
 
@@ -111,7 +111,7 @@ def test_a_name_in_chinese_is_drawn_without_warnings(tmp_path, monkeypatch, has_
     edit_manifest(folder, lambda manifest: manifest["points"][0].update(variant="停车"))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        text = build_report([folder]).read_text(encoding="utf-8")
+        text = build_report(folder).read_text(encoding="utf-8")
     if not has_font:  # whether one is installed depends on the machine
         assert text.count("Figures show some characters of names as boxes") == 1
 
@@ -124,14 +124,14 @@ def test_other_warnings_of_a_figure_are_shown(tmp_path, monkeypatch):
     monkeypatch.setattr("bojax.report.figures.returns.draw", warn)
     folder = write_results(tmp_path / "results", runs=2, recorded=0, report={"figures": ["returns"]})
     with pytest.warns(UserWarning, match="something else"):
-        build_report([folder])
+        build_report(folder)
 
 
 def test_changed_settings_are_told_at_the_top_and_with_every_verdict(tmp_path):
     folder = write_results(tmp_path / "results", runs=20, recorded=0)
     changed = {"planner.iterations": [300, 20], "problem.vehicle": [None, {"kind": "wheeled-robot"}]}
     edit_manifest(folder, lambda manifest: manifest.update(changed=changed))
-    text = build_report([folder]).read_text()
+    text = build_report(folder).read_text()
     verdicts = json.loads((folder / "claims.json").read_text())
     assert all(claim["changed"] == changed for claim in verdicts)
     assert text.index("planner.iterations") < text.index("Claims of the thesis")
@@ -141,7 +141,7 @@ def test_changed_settings_are_told_at_the_top_and_with_every_verdict(tmp_path):
 
 def test_a_sweep_as_shipped_has_no_such_box(tmp_path):
     folder = write_results(tmp_path / "results", runs=20, recorded=0)
-    text = build_report([folder]).read_text()
+    text = build_report(folder).read_text()
     assert "Settings changed" not in text and "settings changed" not in text
     assert all(claim["changed"] == {} for claim in json.loads((folder / "claims.json").read_text()))
 
@@ -154,7 +154,7 @@ def test_a_label_is_not_said_to_stand_for_itself(tmp_path):
         manifest["points"][1]["swept"] = manifest["points"][2]["swept"] = {}
 
     edit_manifest(folder, rename)
-    text = build_report([folder]).read_text()
+    text = build_report(folder).read_text()
     assert "sbo is represented by sbo" not in text
     assert "variant with the best mean" not in text
 
@@ -166,7 +166,7 @@ def test_variants_of_a_label_differ_in_colour():
 
 def test_plates_are_dark_on_a_dark_page(tmp_path):
     folder = write_results(tmp_path / "results", runs=4, recorded=0, report={"figures": ["returns"]})
-    page = build_report([folder]).read_text()
+    page = build_report(folder).read_text()
     code = page.partition("data:image/svg+xml;base64,")[2].partition('"')[0]
     drawn = base64.b64decode(code).decode()
     assert "<style>@media (prefers-color-scheme: dark){#patch_1 path{fill:" in drawn
@@ -186,13 +186,13 @@ def test_lines_on_maps_keep_their_colours():
 def test_the_summary_says_the_limit_of_an_episode(tmp_path):
     folder = write_results(tmp_path / "results", runs=4, recorded=0)
     edit_manifest(folder, lambda m: [p["config"]["problem"].update(max_steps=40) for p in m["points"]])
-    assert "4 runs each of up to 40 steps" in build_report([folder]).read_text()
+    assert "4 runs each of up to 40 steps" in build_report(folder).read_text()
 
 
 def test_a_gallery_has_no_column_of_nans(tmp_path):
     folder = write_results(tmp_path / "results", runs=2, recorded=0)
     edit_manifest(folder, lambda m: [p.update(config={"kind": "trajectories"}) for p in m["points"]])
-    assert "runs with NaN" not in build_report([folder]).read_text()
+    assert "runs with NaN" not in build_report(folder).read_text()
 
 
 def drawn_labels(folder):
@@ -291,7 +291,7 @@ def test_a_slow_report_says_one_line_where_there_is_no_terminal(
 def test_many_runs_are_told_to_be_resampled_in_groups(tmp_path, monkeypatch):
     monkeypatch.setattr(statistics, "GROUPS", 10)
     folder = write_results(tmp_path / "results", runs=20, recorded=0)
-    text = build_report([folder]).read_text()
+    text = build_report(folder).read_text()
     assert "The bootstrap resamples 10 groups into which 20 runs were dealt." in text
     claim = json.loads((folder / "claims.json").read_text())[0]
     assert claim["test"]["method"].count("10,000 resamples of 10 groups into which 20 runs were dealt") == 1
