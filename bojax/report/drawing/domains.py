@@ -25,7 +25,6 @@ def draw_outline(axes: Axes, outline: Outline) -> None:
         margin = 0.04 * max(x_max - x_min, y_max - y_min)
         axes.set_xlim(x_min - margin, x_max + margin)
         axes.set_ylim(y_min - margin, y_max + margin)
-        _ticks(axes, (x_min, 0.5 * (x_min + x_max), x_max), (y_min, 0.5 * (y_min + y_max), y_max))
         axes.add_patch(_shape(outline.border, facecolor=FLOOR, edgecolor="none", zorder=0))
         # The border covers the ends of maps and walls.
         border = _shape(outline.border, facecolor="none", edgecolor=EDGE, linewidth=1.1, zorder=2.6)
@@ -45,6 +44,15 @@ def draw_outline(axes: Axes, outline: Outline) -> None:
     axes.tick_params(length=0)
     for side in axes.spines.values():
         side.set_visible(False)
+
+
+def tick_outline(axes: Axes, outline: Outline) -> None:
+    """Set ticks at the ends and in the middle of a domain with a border."""
+    if outline.border is not None:
+        x_min, y_min, x_max, y_max = outline.border
+        for axis, low, high in ((axes.xaxis, x_min, x_max), (axes.yaxis, y_min, y_max)):
+            places = (low, 0.5 * (low + high), high)
+            axis.set_ticks(places, [f"{place:g}".replace("-", "\N{MINUS SIGN}") for place in places])
 
 
 def is_speck(outline: Outline, shape: Sequence[float]) -> bool:
@@ -72,12 +80,3 @@ def _shape(numbers: Sequence[float], **options: Any) -> Patch:
         return Circle((numbers[0], numbers[1]), numbers[2], **options)
     x_min, y_min, x_max, y_max = numbers
     return Rectangle((x_min, y_min), x_max - x_min, y_max - y_min, **options)
-
-
-def _ticks(axes: Axes, x: Sequence[float], y: Sequence[float]) -> None:
-    axes.set_xticks(x, [_tick(value) for value in x])
-    axes.set_yticks(y, [_tick(value) for value in y])
-
-
-def _tick(value: float) -> str:
-    return f"{value:g}".replace("-", "\N{MINUS SIGN}")

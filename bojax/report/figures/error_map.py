@@ -6,7 +6,7 @@ from matplotlib.patches import Rectangle
 
 from bojax.report import style
 from bojax.report.drawing.base import Drawing, name_panels, panel_grid
-from bojax.report.drawing.domains import draw_outline
+from bojax.report.drawing.domains import draw_outline, tick_outline
 from bojax.report.drawing.maps import draw_map, draw_samples, draw_scale, height_maps
 from bojax.report.source import Results
 from bojax.report.text import joined, number
@@ -29,6 +29,7 @@ def draw(results: Results) -> Drawing:
     norm = Normalize(-most, most)
     for axes, (point, _, belief), error in zip(grid.flat, maps, errors, strict=False):
         draw_outline(axes, point.outline)
+        tick_outline(axes, point.outline)
         draw_map(axes, belief, error, norm, "RdBu_r")
         for x_min, y_min, x_max, y_max, _ in point.outline.blocks:
             edge = {"facecolor": "none", "edgecolor": style.INK, "linewidth": 0.9, "zorder": 2.5}

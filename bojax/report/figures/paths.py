@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 
 from bojax.report import style
 from bojax.report.drawing.base import Drawing, Undrawable, drawn_points, name_panels, panel_grid
-from bojax.report.drawing.domains import TARGET, WALL, draw_outline, is_speck
+from bojax.report.drawing.domains import TARGET, WALL, draw_outline, is_speck, tick_outline
 from bojax.report.drawing.maps import QUIET, beliefs, draw_map
 from bojax.report.drawing.smooth import driven, smooth
 from bojax.report.source import Point, Results
@@ -54,6 +54,7 @@ def draw(results: Results) -> Drawing:
     told, is_outcome_shown, stops, outcomes = [], False, 0, set[bool]()
     for axes, point, look in zip(grid.flat, points, style.looks(points), strict=False):
         draw_outline(axes, point.outline)
+        tick_outline(axes, point.outline)
         if point.ends_at_success:
             is_outcome_shown = True
             shown = _outcomes_drawn(axes, results, point, kept[point.index], look["color"])
