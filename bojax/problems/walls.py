@@ -40,23 +40,21 @@ def drive_until_blocked(
     with a wall inside which it starts, provided that it ends beyond the nearest face. This does not apply to
     a start exactly on the face.
     """
-    # Unrolled over the few poses and walls, this becomes elementwise arithmetic in one kernel; each reduction
-    # and each shifted copy would be a further kernel on a GPU.
-    is_on, collided = jnp.ones((), bool), jnp.zeros((), bool)
-    before = stop = start
-    is_driven = []
+    # The segments are one array and the few walls are unrolled: elementwise arithmetic in one kernel, where a
+    # reduction over the walls would be a further kernel on a GPU. Unrolled over the segments as well, the
+    # program takes twice as long to compile.
+    trajectory = jnp.concatenate([start[None], poses])
+    is_hit = _touches_any(trajectory[:-1], poses, walls, may_leave=True)
+    is_free = ~is_hit & _is_inside(poses, domain)
+    is_on, collided, number = jnp.ones((), bool), jnp.zeros((), bool), jnp.zeros((), jnp.int32)
     for index in range(poses.shape[0]):
-        pose = poses[index]
-        is_hit = _touches_any(before, pose, walls, is_first=index == 0)
-        collided = collided | (is_on & is_hit)
-        is_on = is_on & ~is_hit & _is_inside(pose, domain)
-        stop = jnp.where(is_on, pose, stop)
-        is_driven.append(is_on)
-        before = pose
-    reached = jnp.stack(is_driven)
+        collided = collided | (is_on & is_hit[index])
+        is_on = is_on & is_free[index]
+        number = number + is_on.astype(jnp.int32)
+    index = jnp.arange(1, poses.shape[0] + 1, dtype=jnp.int32)
     return Drive(
-        poses=jnp.where(reached[:, None], poses, stop[None]),
-        is_driven=reached,
+        poses=trajectory[jnp.minimum(index, number)],
+        is_driven=index <= number,
         collided=collided,
         exited=~is_on & ~collided,
     )
@@ -73,11 +71,11 @@ def _is_inside(points: Float[Array, "*N _"], domain: Float[Array, "4"]) -> Bool[
 
 
 def _touches_any(
-    begin: Float[Array, "*N _"], end: Float[Array, "*N _"], walls: Boxes | None, is_first: bool = False
+    begin: Float[Array, "*N _"], end: Float[Array, "*N _"], walls: Boxes | None, may_leave: bool = False
 ) -> Bool[Array, "*N"]:
     """Whether line segments intersect a wall: the separating axis test with x, y and the segment's normal.
 
-    `across` is twice an area, which avoids a division. The first segment of a path may leave a wall.
+    `across` is twice an area, which avoids a division. With `may_leave`, the first segment may leave a wall.
     """
     touches = jnp.zeros(begin.shape[:-1], bool)
     low_x, high_x = jnp.minimum(begin[..., 0], end[..., 0]), jnp.maximum(begin[..., 0], end[..., 0])
@@ -90,8 +88,9 @@ def _touches_any(
         across = jnp.abs(step_x * y - step_y * x)
         widest = 0.5 * ((x_max - x_min) * jnp.abs(step_y) + (y_max - y_min) * jnp.abs(step_x))
         is_apart = is_apart | (across > widest)
-        if is_first:
-            is_apart = is_apart | _leaves(begin, end, wall)
+        if may_leave:
+            is_first = jnp.arange(begin.shape[0]) == 0
+            is_apart = is_apart | (is_first & _leaves(begin[0], end[0], wall))
         touches = touches | ~is_apart
     return touches
 
