@@ -210,7 +210,11 @@ class ContinuousBeliefTreeSearch(TreeSearch[NodeModels, CBTSDraws, NodeModelUpda
 
     @override
     def path_of(self, memory: NodeModels, child: Int[Array, ""]) -> Path:
-        return self.motions.path(memory.params[child])
+        params = memory.params[child]
+        if self.refine_steps > 0:
+            return self.motions.path(params)
+        # The action is one of the candidates, whose paths are known: half as many paths to compile.
+        return memory.paths[jnp.argmax(jnp.all(memory.candidates == params[None, :], axis=1))]
 
 
 def _scale(rewards: Float[Array, "A"], exists: Bool[Array, "A"], scaling: Scaling) -> Float[Array, "A"]:
