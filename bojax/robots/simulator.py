@@ -7,6 +7,7 @@ from typing import Any, Literal
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from bojax.config.extras import MissingExtra
@@ -109,8 +110,9 @@ class Simulator(eqx.Module):
 
     @property
     def _advance(self) -> Any:
-        model, data = self._compiled[1:]
+        compiled, model, data = self._compiled
         substeps = self.substeps
+        step = _runge_kutta_step if _has_one_stage_site(compiled, self.physics) else _step
 
         @standard_jax
         def advance(state: RobotState, control: jax.Array) -> RobotState:
@@ -118,8 +120,7 @@ class Simulator(eqx.Module):
                 before = data.replace(
                     qpos=state.qpos, qvel=state.qvel, qacc_warmstart=state.qacc_warmstart, ctrl=control
                 )
-                after = mjx.step(model, before)
-                return RobotState(after.qpos, after.qvel, after.qacc_warmstart)
+                return step(model, before)
 
             # A single call site of `step`, whatever the number of substeps: each one takes long to compile.
             return jax.lax.fori_loop(0, substeps, small_step, state)
@@ -169,6 +170,41 @@ def _compiled(
             return compiled, put, mjx.make_data(compiled, impl=impl)
     except (ValueError, NotImplementedError) as error:
         raise ValueError(f"MJX refuses the model: {one_line(error)}") from error
+
+
+def _step(model: Any, before: Any) -> RobotState:
+    after = mjx.step(model, before)
+    return RobotState(after.qpos, after.qvel, after.qacc_warmstart)
+
+
+def _has_one_stage_site(model: MjModel, physics: Physics) -> bool:
+    """Whether `_runge_kutta_step` applies: RK4 of a model whose velocities are derivatives of positions."""
+    simple = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+    is_rk4 = model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4)
+    return is_rk4 and physics.impl == "jax" and bool(np.isin(model.jnt_type, simple).all())
+
+
+_STAGES = np.asarray([[0.0, 1.0 / 6.0], [0.5, 1.0 / 3.0], [0.5, 1.0 / 3.0], [1.0, 1.0 / 6.0]], np.float32)
+"""The Runge-Kutta method of fourth order: step and weight of every stage."""
+
+
+def _runge_kutta_step(model: Any, before: Any) -> RobotState:
+    """The step of `mjx.step` by RK4, with a single call site of the dynamics; MJX has one for each stage."""
+    h = model.opt.timestep
+
+    def stage(carry: Any, numbers: jax.Array) -> tuple[Any, None]:
+        (velocity, acceleration), sums = carry
+        size, weight = numbers
+        now = before.replace(
+            qpos=before.qpos + h * (size * velocity), qvel=before.qvel + size * acceleration * h
+        )
+        slopes = now.qvel, mjx.forward(model, now).qacc
+        sums = tuple(total + weight * slope for total, slope in zip(sums, slopes, strict=True))
+        return (slopes, sums), None
+
+    zero = jnp.zeros_like(before.qvel)
+    (_, acceleration), (velocity, change) = jax.lax.scan(stage, ((zero, zero), (zero, zero)), _STAGES)[0]
+    return RobotState(before.qpos + h * velocity, before.qvel + h * change, acceleration)
 
 
 def _unsupported(model: MjModel) -> str:
