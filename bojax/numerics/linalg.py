@@ -9,6 +9,8 @@ from jax.lax import Precision
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 
+from bojax.numerics.loops import short_loop
+
 HIGHEST = Precision.HIGHEST
 """Precision of every matrix product. TF32, JAX's default on NVIDIA GPUs, errs by up to 4e-2 in a GP mean."""
 
@@ -52,24 +54,6 @@ def one_by_one_on_cpu(function: Callable[[Array], Any]) -> Callable[[Array], Any
         return jax.lax.platform_dependent(a, cpu=in_turn, default=function)
 
     return call
-
-
-def repeat(number: int, step: Callable[[Any, Array], Array], start: Array) -> Array:
-    """Apply `step(k, x)` for k = 0, ..., number - 1: a few steps of elementwise arithmetic on a small array.
-
-    On a CPU this is a loop: unrolled, 16 steps of `guarded_cholesky` take six times as long to compile and
-    are no faster. On a GPU, up to 32 steps are unrolled, since every iteration of a loop launches kernels.
-    """
-
-    def loop(x: Array) -> Array:
-        return jax.lax.fori_loop(0, number, step, x)
-
-    def unrolled(x: Array) -> Array:
-        for k in range(number):
-            x = step(k, x)
-        return x
-
-    return jax.lax.platform_dependent(start, cpu=loop, default=unrolled if number <= 32 else loop)
 
 
 @one_by_one_on_cpu
@@ -140,7 +124,7 @@ def guarded_cholesky(
         rows = rows - factors[:, None] * scaled[None, :]
         return jnp.where(is_k[:, None], jnp.where(is_k, pivot, scaled)[None, :], rows)
 
-    rows = repeat(num, eliminate, a)[:num]
+    rows = short_loop(num, eliminate, a)[:num]
     is_pivot = jnp.eye(num, dtype=bool)
     inverse = jnp.where(is_pivot, 1.0 / jnp.diagonal(rows)[:, None], rows[:, :num])
     return jnp.tril(rows.T), jnp.tril(inverse)
@@ -171,7 +155,7 @@ def solve_small(a: Float[Array, "N N"], b: Float[Array, "N K"]) -> Float[Array, 
         rest = rows - rows[:, k][:, None] * pivot_row[None, :]
         return jnp.where((index == k)[:, None], pivot_row[None, :], rest)
 
-    return repeat(n, eliminate, jnp.concatenate([a, b], axis=-1))[:, n:]
+    return short_loop(n, eliminate, jnp.concatenate([a, b], axis=-1))[:, n:]
 
 
 def solve(a: Float[Array, "N N"], b: Float[Array, "N K"]) -> Float[Array, "N K"]:

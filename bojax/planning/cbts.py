@@ -69,7 +69,9 @@ class NodeModelUpdate(eqx.Module):
     has_converged: Bool[Array, ""]
 
 
-class ContinuousBeliefTreeSearch(TreeSearch[NodeModels, CBTSDraws, NodeModelUpdate, ContinuousMotions]):
+class ContinuousBeliefTreeSearch(
+    TreeSearch[NodeModels, CBTSDraws, Int[Array, ""], NodeModelUpdate, ContinuousMotions]
+):
     """CBTS; with kernel trajectories, kCBTS.
 
     A node with fewer than `max_actions` actions adds the action that maximises the acquisition under the
@@ -134,20 +136,25 @@ class ContinuousBeliefTreeSearch(TreeSearch[NodeModels, CBTSDraws, NodeModelUpda
         return memory.paths[draws.rollout]
 
     @override
-    def select(self, tree: Tree, memory: NodeModels, node: Int[Array, ""]) -> Int[Array, ""]:
-        children = tree.children[node]
+    def view(self, tree: Tree, memory: NodeModels, node: Int[Array, ""]) -> Int[Array, ""]:
+        del tree, memory
+        return node
+
+    @override
+    def select(self, tree: Tree, memory: NodeModels, view: Int[Array, ""]) -> Int[Array, ""]:
+        children = tree.children[view]
         exists = children != UNVISITED
         is_full = jnp.all(exists) | jnp.any(exists & memory.has_converged[children])
-        return jnp.where(is_full, best_by_uct(tree, node, self.exploration), UNVISITED)
+        return jnp.where(is_full, best_by_uct(tree, view, self.exploration), UNVISITED)
 
     @override
     def propose(
-        self, tree: Tree, memory: NodeModels, node: Int[Array, ""], draws: CBTSDraws
+        self, tree: Tree, memory: NodeModels, view: Int[Array, ""], draws: CBTSDraws
     ) -> Proposal[NodeModelUpdate]:
-        model, best = self._model(tree, memory, node)
+        model, best = self._model(tree, memory, view)
         is_initial = model.count < self.num_initial
         # UNVISITED is -1, which reads the last row; no child has this row, and it stays zero.
-        whitened_all = memory.whitened[tree.children[node]]
+        whitened_all = memory.whitened[tree.children[view]]
         choice = best_candidate(self.acquisition, model, best, memory.candidates, whitened_all)
         choice = jnp.where(is_initial, draws.initial, choice)
         params, path, whitened = memory.candidates[choice], memory.paths[choice], whitened_all[:, choice]

@@ -36,7 +36,7 @@ class DiscreteDraws(eqx.Module):
     order: Float[Array, "... A"]
 
 
-class DiscreteTreeSearch(TreeSearch[DiscreteMemory, DiscreteDraws, None, DiscreteMotions]):
+class DiscreteTreeSearch(TreeSearch[DiscreteMemory, DiscreteDraws, Int[Array, ""], None, DiscreteMotions]):
     """A node tries its untried actions first, in random order, then follows the upper confidence bound.
 
     Settings: `bojax.planning.settings.SBO` and `BOPOMDP`.
@@ -72,16 +72,21 @@ class DiscreteTreeSearch(TreeSearch[DiscreteMemory, DiscreteDraws, None, Discret
         return memory.paths[draws.rollout]
 
     @override
-    def select(self, tree: Tree, memory: DiscreteMemory, node: Int[Array, ""]) -> Int[Array, ""]:
+    def view(self, tree: Tree, memory: DiscreteMemory, node: Int[Array, ""]) -> Int[Array, ""]:
+        del tree, memory
+        return node
+
+    @override
+    def select(self, tree: Tree, memory: DiscreteMemory, view: Int[Array, ""]) -> Int[Array, ""]:
         del memory
-        is_open = tree.num_children(node) < self.num_actions
-        return jnp.where(is_open, UNVISITED, best_by_uct(tree, node, self.exploration))
+        is_open = tree.num_children(view) < self.num_actions
+        return jnp.where(is_open, UNVISITED, best_by_uct(tree, view, self.exploration))
 
     @override
     def propose(
-        self, tree: Tree, memory: DiscreteMemory, node: Int[Array, ""], draws: DiscreteDraws
+        self, tree: Tree, memory: DiscreteMemory, view: Int[Array, ""], draws: DiscreteDraws
     ) -> Proposal[None]:
-        is_untried = tree.children[node] == UNVISITED
+        is_untried = tree.children[view] == UNVISITED
         action = jnp.argmax(jnp.where(is_untried, draws.order, -1.0)).astype(jnp.int32)
         return Proposal(path=memory.paths[action], index=action, update=None)
 

@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from typing_extensions import override
 
 from bojax.motions.base import ContinuousMotions, Path
+from bojax.numerics.loops import short_loop
 from bojax.planning.search import Proposal, TreeSearch
 from bojax.planning.tree import ROOT, UNVISITED, Tree
 from bojax.problems.base import Objective
@@ -48,6 +49,7 @@ class Walk(eqx.Module):
     """Result of the descent through a node's stencil tree along the points of highest mean return.
 
     Attributes:
+        node: The node.
         stencil: The last stencil.
         point: Its point of highest mean return.
         has_unvisited: Whether the last stencil has points that have not been simulated.
@@ -56,12 +58,31 @@ class Walk(eqx.Module):
         most_visited: Most visited child among the best points on the way.
     """
 
+    node: Int[Array, ""]
     stencil: Int[Array, ""]
     point: Int[Array, ""]
     has_unvisited: Bool[Array, ""]
     may_refine: Bool[Array, ""]
     best_ucb: Int[Array, ""]
     most_visited: Int[Array, ""]
+
+
+class _Descent(eqx.Module):
+    """The state of a descent through a node's stencil tree.
+
+    Attributes:
+        walk: The result so far.
+        is_walking: Whether the descent has not ended.
+        best_bound: Highest upper confidence bound.
+        most_visits: Number of visits of `Walk.most_visited`.
+        fewest_visits: Smallest number of visits of a best point.
+    """
+
+    walk: Walk
+    is_walking: Bool[Array, ""]
+    best_bound: Float[Array, ""]
+    most_visits: Int[Array, ""]
+    fewest_visits: Float[Array, ""]
 
 
 class StencilDraws(eqx.Module):
@@ -100,7 +121,7 @@ class StencilUpdate(eqx.Module):
     member: Int[Array, "P"]
 
 
-class PatternSearch(TreeSearch[Stencils, StencilDraws, StencilUpdate, ContinuousMotions]):
+class PatternSearch(TreeSearch[Stencils, StencilDraws, Walk, StencilUpdate, ContinuousMotions]):
     """The pattern search of the public ABT toolkit, on the belief tree that all planners here share.
 
     At a node, unvisited points of a stencil are tried first, in random order. Otherwise the search descends
@@ -165,33 +186,38 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, StencilUpdate, Continuous
         return memory.paths[draws.rollout]
 
     @override
-    def select(self, tree: Tree, memory: Stencils, node: Int[Array, ""]) -> Int[Array, ""]:
-        walk = self._walk(tree, memory, node)
-        return jnp.where(walk.has_unvisited | walk.may_refine, UNVISITED, walk.best_ucb)
+    def view(self, tree: Tree, memory: Stencils, node: Int[Array, ""]) -> Walk:
+        return self._walk(tree, memory, node)
+
+    @override
+    def select(self, tree: Tree, memory: Stencils, view: Walk) -> Int[Array, ""]:
+        del tree, memory
+        return jnp.where(view.has_unvisited | view.may_refine, UNVISITED, view.best_ucb)
 
     @override
     def propose(
-        self, tree: Tree, memory: Stencils, node: Int[Array, ""], draws: StencilDraws
+        self, tree: Tree, memory: Stencils, view: Walk, draws: StencilDraws
     ) -> Proposal[StencilUpdate]:
-        walk = self._walk(tree, memory, node)
-        centre, radius, member = self._finer(memory, walk.stencil, walk.point)
-        centre = jnp.where(walk.may_refine, centre, memory.centre[walk.stencil])
-        radius = jnp.where(walk.may_refine, radius, memory.radius[walk.stencil])
-        member = jnp.where(walk.may_refine, member, memory.member[walk.stencil])
+        centre, radius, member = self._finer(memory, view.stencil, view.point)
+        centre = jnp.where(view.may_refine, centre, memory.centre[view.stencil])
+        radius = jnp.where(view.may_refine, radius, memory.radius[view.stencil])
+        member = jnp.where(view.may_refine, member, memory.member[view.stencil])
         points = _points(centre, radius)
         is_new = _is_inside(points) & (member == UNVISITED)
         point = jnp.argmax(jnp.where(is_new, draws.order, -1.0)).astype(jnp.int32)
         update = StencilUpdate(
             params=points[point],
-            stencil=walk.stencil,
+            stencil=view.stencil,
             point=point,
-            refined=walk.point,
-            is_refinement=walk.may_refine,
+            refined=view.point,
+            is_refinement=view.may_refine,
             centre=centre,
             radius=radius,
             member=member,
         )
-        return Proposal(path=self.motions.path(points[point]), index=tree.num_children(node), update=update)
+        return Proposal(
+            path=self.motions.path(points[point]), index=tree.num_children(view.node), update=update
+        )
 
     @override
     def learn(
@@ -230,13 +256,26 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, StencilUpdate, Continuous
     def _walk(self, tree: Tree, memory: Stencils, node: Int[Array, ""]) -> Walk:
         dtype = tree.reward.dtype
         visits_of_node = jnp.maximum(tree.visits[node], 1).astype(dtype)
-        stencil, point = node, jnp.asarray(CENTRE, jnp.int32)
-        is_walking = jnp.asarray(True)
-        has_unvisited, may_refine = jnp.asarray(False), jnp.asarray(False)
-        best_ucb, best_ucb_child = jnp.asarray(-jnp.inf, dtype), jnp.asarray(UNVISITED, jnp.int32)
-        most_visits, most_visited = jnp.asarray(-1, jnp.int32), jnp.asarray(UNVISITED, jnp.int32)
-        fewest_visits = jnp.asarray(jnp.inf, dtype)
-        for level in range(self.max_levels):
+        nobody = jnp.asarray(UNVISITED, jnp.int32)
+        start = _Descent(
+            walk=Walk(
+                node=node,
+                stencil=node,
+                point=jnp.asarray(CENTRE, jnp.int32),
+                has_unvisited=jnp.asarray(False),
+                may_refine=jnp.asarray(False),
+                best_ucb=nobody,
+                most_visited=nobody,
+            ),
+            is_walking=jnp.asarray(True),
+            best_bound=jnp.asarray(-jnp.inf, dtype),
+            most_visits=jnp.asarray(-1, jnp.int32),
+            fewest_visits=jnp.asarray(jnp.inf, dtype),
+        )
+
+        def descend(level, descent: _Descent) -> _Descent:
+            walk, is_walking = descent.walk, descent.is_walking
+            stencil = walk.stencil
             is_inside = _is_inside(memory.points(stencil))
             member = jnp.where(is_inside, memory.member[stencil], UNVISITED)
             visits = jnp.where(member == UNVISITED, 0, tree.visits[member])
@@ -248,32 +287,42 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, StencilUpdate, Continuous
                 jnp.log(visits_of_node) / jnp.maximum(visits, 1).astype(dtype)
             )
             highest = jnp.argmax(bound)
-            is_higher = is_walking & (bound[highest] > best_ucb)
-            best_ucb = jnp.where(is_higher, bound[highest], best_ucb)
-            best_ucb_child = jnp.where(is_higher, member[highest], best_ucb_child)
+            is_higher = is_walking & (bound[highest] > descent.best_bound)
             best = jnp.argmax(mean).astype(jnp.int32)
-            is_most = is_walking & (member[best] != UNVISITED) & (visits[best] > most_visits)
-            most_visits = jnp.where(is_most, visits[best], most_visits)
-            most_visited = jnp.where(is_most, member[best], most_visited)
+            is_most = is_walking & (member[best] != UNVISITED) & (visits[best] > descent.most_visits)
             fewest_visits = jnp.where(
-                is_walking, jnp.minimum(fewest_visits, visits[best].astype(dtype)), fewest_visits
+                is_walking,
+                jnp.minimum(descent.fewest_visits, visits[best].astype(dtype)),
+                descent.fewest_visits,
             )
 
-            goes_on = is_walking & ~unvisited & (memory.finer[stencil, best] != UNVISITED)
-            is_leaf = is_walking & ~unvisited & ~goes_on
+            finer = memory.finer[stencil, best]
+            goes_on = is_walking & ~unvisited & (finer != UNVISITED)
+            levels = jnp.asarray(level + 1, dtype)
             refines = (
-                is_leaf
+                (is_walking & ~unvisited & ~goes_on)
                 & (fewest_visits >= self.min_visits)
-                & ((level + 1) * jnp.log(self.growth) < jnp.log(visits_of_node))
+                & (levels * jnp.log(self.growth) < jnp.log(visits_of_node))
                 & (memory.radius[stencil] > self.min_radius)
+                & (levels < self.max_levels)
             )
-            if level + 1 == self.max_levels:
-                refines = jnp.zeros_like(refines)
-            has_unvisited, may_refine = has_unvisited | unvisited, may_refine | refines
-            point = jnp.where(is_walking, best, point)
-            stencil = jnp.where(goes_on, memory.finer[stencil, best], stencil)
-            is_walking = goes_on
-        return Walk(stencil, point, has_unvisited, may_refine, best_ucb_child, most_visited)
+            return _Descent(
+                walk=Walk(
+                    node=walk.node,
+                    stencil=jnp.where(goes_on, finer, stencil),
+                    point=jnp.where(is_walking, best, walk.point),
+                    has_unvisited=walk.has_unvisited | unvisited,
+                    may_refine=walk.may_refine | refines,
+                    best_ucb=jnp.where(is_higher, member[highest], walk.best_ucb),
+                    most_visited=jnp.where(is_most, member[best], walk.most_visited),
+                ),
+                is_walking=goes_on,
+                best_bound=jnp.where(is_higher, bound[highest], descent.best_bound),
+                most_visits=jnp.where(is_most, visits[best], descent.most_visits),
+                fewest_visits=fewest_visits,
+            )
+
+        return short_loop(self.max_levels, descend, start).walk
 
     def _finer(
         self, memory: Stencils, stencil: Int[Array, ""], point: Int[Array, ""]

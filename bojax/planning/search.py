@@ -20,6 +20,9 @@ Memory = TypeVar("Memory", bound=eqx.Module)
 Draws = TypeVar("Draws", bound=eqx.Module)
 """Random numbers of all iterations, drawn before the first: arrays with a leading axis of iterations."""
 
+View = TypeVar("View")
+"""What a planner reads at a node, both to descend and to propose an action there."""
+
 Update = TypeVar("Update", bound=eqx.Module | None)
 """What a new action changes in the memory."""
 
@@ -38,7 +41,7 @@ class Proposal(eqx.Module, Generic[Update]):
     update: Update
 
 
-class TreeSearch(Planner[M], Generic[Memory, Draws, Update, M]):
+class TreeSearch(Planner[M], Generic[Memory, Draws, View, Update, M]):
     """The tree search that all tree planners share; a planner defines how a node chooses its actions.
 
     An iteration descends from the root as long as `select` returns a child. At the first node where it does
@@ -67,12 +70,16 @@ class TreeSearch(Planner[M], Generic[Memory, Draws, Update, M]):
         """Paths of the rollout after a new action, possibly none; `draws` are those of one iteration."""
 
     @abc.abstractmethod
-    def select(self, tree: Tree, memory: Memory, node: Int[Array, ""]) -> Int[Array, ""]:
-        """The child of `node` to descend to, or `UNVISITED` to add a new action there."""
+    def view(self, tree: Tree, memory: Memory, node: Int[Array, ""]) -> View:
+        """What `select` and `propose` read at `node`: at least its index."""
 
     @abc.abstractmethod
-    def propose(self, tree: Tree, memory: Memory, node: Int[Array, ""], draws: Draws) -> Proposal[Update]:
-        """A new action of `node`."""
+    def select(self, tree: Tree, memory: Memory, view: View) -> Int[Array, ""]:
+        """The child of the node to descend to, or `UNVISITED` to add a new action there."""
+
+    @abc.abstractmethod
+    def propose(self, tree: Tree, memory: Memory, view: View, draws: Draws) -> Proposal[Update]:
+        """A new action of the node."""
 
     @abc.abstractmethod
     def learn(
@@ -128,8 +135,11 @@ class TreeSearch(Planner[M], Generic[Memory, Draws, Update, M]):
         node = jnp.asarray(ROOT, jnp.int32)
         is_descending = jnp.asarray(True)
         visited = []  # per level: the node, and whether the descent reached it
+        view = None  # of the node at which the descent ends
         for _ in range(self.depth):
-            selected = self.select(tree, memory, node)
+            here = self.view(tree, memory, node)
+            view = here if view is None else _where(is_descending, here, view)
+            selected = self.select(tree, memory, here)
             is_descending = is_descending & (selected != UNVISITED) & ~tree.is_terminal[node]
             node = jnp.where(is_descending, selected, node)
             visited.append((node, is_descending))
@@ -137,7 +147,7 @@ class TreeSearch(Planner[M], Generic[Memory, Draws, Update, M]):
         is_new = (level < self.depth) & ~tree.is_terminal[node]
 
         # Expand and roll out in one simulation; rewards past the horizon or a terminal state do not count.
-        proposal = self.propose(tree, memory, node, draws)
+        proposal = self.propose(tree, memory, view, draws)
         paths = jnp.concatenate([proposal.path[None], self.rollout(memory, draws)])
         belief = jax.tree.map(lambda leaf: leaf[node], tree.belief)
         simulation = problem.simulate(key, root, belief, paths, self.objective)
@@ -170,3 +180,7 @@ class TreeSearch(Planner[M], Generic[Memory, Draws, Update, M]):
             children=tree.children.at[node, index].set(child, mode="drop"),
         )
         return tree, self.learn(memory, child, proposal, is_new)
+
+
+def _where(condition: Bool[Array, ""], yes: View, no: View) -> View:
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
