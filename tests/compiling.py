@@ -4,7 +4,9 @@ With `BOJAX_TESTS=release`, XLA's own defaults are used, as by a sweep.
 """
 
 import importlib.metadata
+import itertools
 import os
+import threading
 
 IS_CPU = os.environ.get("JAX_PLATFORMS", "cpu") == "cpu"
 
@@ -24,3 +26,31 @@ def quick_flags() -> list[str]:
     if tuple(map(int, importlib.metadata.version("jax").split(".")[:2])) < (0, 11):  # later ones refuse it
         flags.append("--xla_cpu_use_fusion_emitters=false")
     return flags
+
+
+_PROGRAMS_PER_CONTEXT = 200
+"""A context keeps every constant and type that its programs name, until it is dropped."""
+
+
+def share_lowering_contexts() -> None:
+    """Lower consecutive programs of a thread in one MLIR context.
+
+    JAX makes a context for each program, which takes longer than to trace, lower and compile a small one. The
+    programs are the same. What JAX calls for a context is private: where a version has another name for it,
+    nothing is shared.
+    """
+    from jax._src.interpreters import mlir
+
+    make = getattr(mlir, "make_ir_context", None)
+    if make is None:
+        return
+    own = threading.local()
+
+    def context():
+        if not hasattr(own, "count"):
+            own.count = itertools.count()
+        if next(own.count) % _PROGRAMS_PER_CONTEXT == 0:
+            own.context = make()
+        return own.context
+
+    mlir.make_ir_context = context

@@ -10,7 +10,7 @@ if os.environ.setdefault("JAX_PLATFORMS", "cpu") == "cuda":
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("BOJAX_CACHE", str(Path(__file__).parents[1] / ".pytest_cache" / "jax"))
 
-from tests.compiling import quick_flags  # noqa: E402
+from tests.compiling import quick_flags, share_lowering_contexts  # noqa: E402
 
 given = os.environ.get("XLA_FLAGS", "").split()
 os.environ["XLA_FLAGS"] = " ".join(dict.fromkeys([*quick_flags(), *given]))
@@ -45,6 +45,8 @@ CHECKED = (
 for flag, value in STRICT.items():
     jax.config.update(flag, value)
 install_import_hook([f"bojax.{package}" for package in CHECKED], "beartype.beartype")
+
+share_lowering_contexts()
 
 # Tracing allocates millions of objects; by default garbage is collected after every 700.
 gc.set_threshold(50_000)
