@@ -26,7 +26,7 @@ STRICT = {
     "jax_debug_key_reuse": True,
     "jax_num_cpu_devices": 2,
     "jax_compilation_cache_dir": os.environ["BOJAX_CACHE"],
-    "jax_persistent_cache_min_compile_time_secs": 0.05,
+    "jax_persistent_cache_min_compile_time_secs": 0.0,
 }
 CHECKED = (
     "numerics",
