@@ -28,10 +28,10 @@ def test_the_ratio_is_the_root_of_its_polynomial(num_dims):
 @pytest.mark.parametrize("num_dims", [1, 3])
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 def test_points_lie_in_the_box(num_dims, dtype):
-    xs = points(jax.random.split(jax.random.key(0), 10), 1000, num_dims, dtype)
+    xs = np.asarray(points(jax.random.split(jax.random.key(0), 10), 1000, num_dims, dtype))
     assert xs.shape == (10, 1000, num_dims)
     assert xs.dtype == dtype
-    assert jnp.all(jnp.abs(xs) <= 1.0)
+    assert np.all(np.abs(xs) <= 1.0)
 
 
 @pytest.mark.parametrize("num_points", [32, 128])
@@ -70,14 +70,17 @@ def halton(keys, num_points, num_dims, dtype=jnp.float64):
     return jax.vmap(lambda key: scrambled_halton(key, num_points, num_dims, dtype))(keys)
 
 
+quantiles = jax.jit(jax.scipy.special.ndtri)
+
+
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 @pytest.mark.parametrize("num_points, num_dims", [(0, 2), (1, 1), (2, 3), (300, 15)])
 def test_scrambled_points_have_finite_quantiles(num_points, num_dims, dtype):
     xs = halton(jax.random.split(jax.random.key(0), 20), num_points, num_dims, dtype)
     assert xs.shape == (20, num_points, num_dims)
     assert xs.dtype == dtype
-    assert jnp.all(xs > 0.0) and jnp.all(xs < 1.0)
-    assert jnp.all(jnp.isfinite(jax.scipy.special.ndtri(xs)))
+    assert np.all(np.asarray(xs) > 0.0) and np.all(np.asarray(xs) < 1.0)
+    assert np.all(np.isfinite(quantiles(xs)))
 
 
 @pytest.mark.parametrize("num_dims", [1, 2, 5])
