@@ -107,6 +107,16 @@ DENSE = 400
 """Number of poses of a path for computing its curvature; more change no family's radius by half a percent."""
 
 
+@jax.jit
+def _all_paths(motions: DiscreteMotions) -> Float[Array, "A S 3"]:
+    return motions.paths()
+
+
+@jax.jit
+def _paths_of(motions: ContinuousMotions, params: Float[Array, "N P"]) -> Float[Array, "N S 3"]:
+    return jax.vmap(motions.path)(params)
+
+
 def tightest_radius(motions: Motions) -> float:
     """Radius in metres of the tightest curve in a family, computed on the host before anything runs.
 
@@ -118,11 +128,11 @@ def tightest_radius(motions: Motions) -> float:
     if any(field.name == "num_samples" and field.init for field in dataclasses.fields(motions)):
         motions = dataclasses.replace(motions, num_samples=max(motions.num_samples, DENSE))
     if isinstance(motions, DiscreteMotions):
-        paths = motions.paths()
+        paths = _all_paths(motions)
     else:
         levels = np.meshgrid(*[[-1.0, 0.0, 1.0]] * motions.num_params)
         params = jnp.asarray(np.stack(levels, axis=-1).reshape(-1, motions.num_params), motions.length.dtype)
-        paths = jax.jit(jax.vmap(motions.path))(params)
+        paths = _paths_of(motions, params)
     headings = np.unwrap(np.asarray(paths)[..., 2], axis=-1)
     step = float(motions.length) / headings.shape[-1]
     headings = np.concatenate([np.zeros_like(headings[:, :1]), headings], axis=-1)
