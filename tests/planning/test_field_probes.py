@@ -24,6 +24,7 @@ from tests.planning.samples import (
 
 OPEN = {"walls": None, "target_area": None, "domain": (0.0, 0.0, 4.0, 4.0)}
 PEAK = Bumps(f64([2.0]), f64([[3.0, 3.0]]), f64([0.6]))
+STEEP = Step(f64([2.0, 2.0]), f64(0.0), f64(1.0), f64(0.3))
 VALUE = eqx.tree_at(lambda o: o.kappa, OBJECTIVES["value"], f64(0.1))
 
 
@@ -69,7 +70,7 @@ def test_in_an_episode_a_value_planner_comes_to_the_peak():
 
 
 def test_an_explorer_covers_the_domain():
-    problem = monitoring(field=PEAK, start=(0.5, 0.5, 0.0), max_steps=25, **OPEN)
+    problem = monitoring(field=STEEP, start=(0.5, 0.5, 0.0), max_steps=25, **OPEN)
     explorer, std = sbo(5, iterations=40, objective=OBJECTIVES["uncertainty"]), []
     for seed in range(2):
         scores, points, is_taken, *_ = episode(problem, explorer, jax.random.key(seed))
@@ -82,8 +83,7 @@ def test_an_explorer_covers_the_domain():
 
 
 def test_a_gradient_planner_samples_the_steep_band_more():
-    steep = Step(f64([2.0, 2.0]), f64(0.0), f64(1.0), f64(0.3))
-    problem = monitoring(field=steep, start=(1.0, 0.5, 1.5), max_steps=25, noise=0.05, **OPEN)
+    problem = monitoring(field=STEEP, start=(1.0, 0.5, 1.5), max_steps=25, noise=0.05, **OPEN)
     seeker = sbo(5, iterations=40, objective=GradientObjective(f64(0.1)))
     explorer = sbo(5, iterations=40, objective=OBJECTIVES["uncertainty"])
     in_band, slope = np.zeros((2, 3)), np.zeros((2, 3))
