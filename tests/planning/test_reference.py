@@ -21,7 +21,6 @@ VARIANTS = {
     "kcbts, unscaled, pi, discount": kcbts("pi", scaling="none", num_initial=0, discount=0.9),
     "sbo-5": sbo(5),
     "sbo-5, discount": sbo(5, discount=0.8),
-    "sbo-9": sbo(9),
     "sbo-17": sbo(17, iterations=150),
     "gps-abt": gps_abt(),
     "gps-abt, much exploration": gps_abt(exploration=1000.0, discount=0.95),
