@@ -38,7 +38,7 @@ def kernels() -> dict[str, Kernel]:
 
 
 KERNELS = tuple(kernels())
-RATES = ("rbf", "matern12", "matern32", "matern52", "sum", "product")
+RATES = ("rbf", "matern12", "sum", "product")
 SAMPLINGS = ("monte-carlo", "quasi-random")
 SIZES = (32, 512)
 POINTS = jnp.asarray(np.random.default_rng(0).uniform(-1.0, 1.0, (25, 2)))
@@ -93,29 +93,41 @@ def test_quasi_random_frequencies_have_a_smaller_error_that_falls_faster(name):
         assert slope(name, "quasi-random") < -0.8
 
 
-@pytest.mark.parametrize("name", KERNELS)
-@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+# In single precision, the kernel that is made of all others.
+@pytest.mark.parametrize("name, dtype", [*((name, jnp.float64) for name in KERNELS), ("nested", jnp.float32)])
 def test_the_variance_is_exact_and_of_the_precision_of_the_kernel(name, dtype):
     kernel = jax.tree.map(lambda leaf: leaf.astype(dtype), kernels()[name])
-    features = drawn(jax.random.split(jax.random.key(0), 2), kernel, 10, 2, "quasi-random")
-    assert features.frequencies.dtype == features.amplitudes.dtype == dtype
+
+    @jax.jit
+    def designed(keys, points):
+        features = drawn(keys, kernel, 10, 2, "quasi-random")
+        variance = kernels()[name](POINTS[0], POINTS[0])
+        return features, jax.vmap(lambda one: one.design(points))(features), variance
+
+    keys = jax.random.split(jax.random.key(0), 2)
+    features, design, variance = designed(keys, np.asarray(POINTS, dtype))
+    assert features.frequencies.dtype == features.amplitudes.dtype == design.dtype == dtype
     assert np.all(np.isfinite(features.frequencies))
-    design = jax.vmap(lambda one: one.design(POINTS.astype(dtype)))(features)
-    assert design.dtype == dtype
-    variance = kernels()[name](POINTS[0], POINTS[0])
-    np.testing.assert_allclose(jnp.sum(design**2, axis=2), variance, rtol=8.0 * float(jnp.finfo(dtype).eps))
+    squares = np.sum(np.asarray(design) ** 2, axis=2)
+    np.testing.assert_allclose(squares, variance, rtol=8.0 * float(jnp.finfo(dtype).eps))
 
 
 @pytest.mark.parametrize("name", sorted(set(KERNELS) - set(RATES)))
 @pytest.mark.parametrize("sampling", SAMPLINGS)
 def test_the_features_are_unbiased(name, sampling):
     kernel = kernels()[name]
-    features = drawn(jax.random.split(jax.random.key(1), 4000), kernel, 8, 2, sampling)
     x, y = POINTS[0], POINTS[0] + jnp.asarray([0.3, -0.2])
-    products = np.asarray(jax.vmap(lambda one: jnp.sum(one(x) * one(y)))(features))
-    standard_error = products.std() / np.sqrt(len(products))
-    assert abs(products.mean() - kernel(x, y)) < 4.0 * standard_error
-    assert standard_error < 0.02 * kernel(x, x)
+
+    @jax.jit
+    def products_of(keys):
+        features = drawn(keys, kernel, 8, 2, sampling)
+        products = jax.vmap(lambda one: jnp.sum(one(x) * one(y)))(features)
+        return products, kernel(x, y), kernel(x, x)
+
+    products, covariance, variance = products_of(jax.random.split(jax.random.key(1), 4000))
+    standard_error = np.std(products) / np.sqrt(len(products))
+    assert abs(np.mean(products) - covariance) < 4.0 * standard_error
+    assert standard_error < 0.02 * variance
 
 
 @pytest.mark.parametrize(
@@ -138,9 +150,9 @@ def test_frequencies_follow_a_student_t_of_twice_the_smoothness(kernel, degrees,
 
 @pytest.mark.parametrize("sampling", SAMPLINGS)
 def test_a_product_adds_frequencies_and_a_sum_shares_them_out(sampling):
-    both = RandomFourier.draw(
-        jax.random.key(3), Scaled(RBF(number(1.0)), number(4.0)) + RBF(number(1e6)), 14, 2, sampling=sampling
-    )
+    kernel = Scaled(RBF(number(1.0)), number(4.0)) + RBF(number(1e6))
+    one = drawn(jax.random.key(3)[None], kernel, 14, 2, sampling)
+    both = jax.tree.map(lambda leaf: np.asarray(leaf)[0], one)
     assert both.num_features == 14
     np.testing.assert_allclose(both.amplitudes**2, [4.0 / 4] * 4 + [1.0 / 3] * 3)
     assert np.all(np.abs(both.frequencies[4:]) < 1e-4) and np.all(
@@ -168,7 +180,7 @@ def test_lengthscales_and_variances_can_be_differentiated():
     np.testing.assert_allclose(by_variance, correlation, rtol=2e-3)
 
 
-@pytest.mark.parametrize("name", ["rbf", "matern52", "sum"])
+@pytest.mark.parametrize("name", ["matern52", "sum"])
 def test_bayesian_linear_regression_on_the_features_approaches_the_gaussian_process(name):
     rng = np.random.default_rng(4)
     kernel, noise = kernels()[name], number(0.05)
@@ -198,9 +210,12 @@ def test_bayesian_linear_regression_on_the_features_approaches_the_gaussian_proc
 
 
 def test_a_batch_of_features_is_a_loop():
-    batched = jax.vmap(lambda one: one.design(POINTS))(
-        drawn(jax.random.split(jax.random.key(5), 3), RBF(number(0.5)), 16, 2, "quasi-random")
-    )
+    @jax.jit
+    def designs(keys):
+        features = drawn(keys, RBF(number(0.5)), 16, 2, "quasi-random")
+        return jax.vmap(lambda one: one.design(POINTS))(features)
+
+    batched = np.asarray(designs(jax.random.split(jax.random.key(5), 3)))
     assert len(np.unique(batched[:, 3, 0])) == 3
     draw_alone = jax.jit(lambda key: RandomFourier.draw(key, RBF(number(0.5)), 16, 2))
     features = jax.jit(lambda alone, x: alone(x))
@@ -258,7 +273,8 @@ def test_polynomials_are_those_of_scikit_learn(degree, num_dims, has_bias):
     features = Polynomial(degree, num_dims, has_bias)
     xs = np.random.default_rng(0).uniform(-2.0, 2.0, (9, num_dims))
     expected = PolynomialFeatures(degree, include_bias=has_bias).fit_transform(xs)
-    np.testing.assert_allclose(features.design(jnp.asarray(xs)), expected, rtol=1e-13)
+    design = jax.jit(lambda xs: features.design(xs))(xs)
+    np.testing.assert_allclose(design, expected, rtol=1e-13)
     assert features.num_features == expected.shape[1]
 
 
@@ -267,7 +283,7 @@ def test_a_polynomial_of_degree_zero_is_the_bias():
 
 
 def test_polynomials_have_finite_gradients_at_zero():
-    gradient = jax.jacobian(Polynomial(3, 2))(jnp.zeros(2))
+    gradient = np.asarray(jax.jit(jax.jacobian(Polynomial(3, 2)))(np.zeros(2)))
     np.testing.assert_array_equal(gradient[1:3], np.eye(2))
     assert not np.any(gradient[3:])
 
