@@ -24,6 +24,7 @@ TINY: dict[str, Any] = {
     "integrator": "euler",  # the packaged models' RK4 evaluates the dynamics four times
     "iterations": 6,
     "max_actions": 4,
+    "max_levels": 3,
     "max_steps": 3,
     "num_actions": 3,
     "num_candidates": 4,
