@@ -16,6 +16,7 @@ COMMANDS = {
     "list": ("listing", "list problems, planners and other parts, configs and sweeps"),
     "run": ("running", "run an experiment of configs/"),
     "sweep": ("running", "run a sweep of sweeps/ and write its report"),
+    "reproduce": ("reproducing", "run the sweeps of a figure, a chapter or the whole thesis"),
     "report": ("reporting", "rebuild the figures, tables and claims of results folders"),
     "render": ("rendering", "draw a film or a still of a recorded run"),
     "bench": ("bench", "run benchmarks that compare bojax with other packages"),

@@ -59,7 +59,7 @@ def main(name: str, words: Sequence[str]) -> int:
         if hidden := shadowed(source, folder):
             own = display(find(source, folder))
             print(printable(f"note: {own} hides {hidden}, which differs"), file=sys.stderr)
-    return _run([_resolve(sweep) for sweep in sweeps], args, ["bojax", name, *words])
+    return _run([resolved(sweep) for sweep in sweeps], args, ["bojax", name, *words])
 
 
 def _parser(name: str) -> Parser:
@@ -89,7 +89,7 @@ def _parser(name: str) -> Parser:
     return parser
 
 
-def _resolve(sweep: Sweep) -> Sweep:
+def resolved(sweep: Sweep) -> Sweep:
     """Import the modules that the sweep names. This runs the user's code, so JAX is configured first."""
     from bojax.config.external import imports_code, resolve
 
@@ -111,14 +111,10 @@ def _run(sweeps: Sequence[Sweep], args: Namespace, command: list[str]) -> int:
         print("interrupted", file=sys.stderr)
         return stop.exit_code
 
+    from bojax.cli.background import Reports
+
     several = len(sweeps) > 1
-    requests = [
-        Request(sweep, args.out / sweep.name if args.out and several else args.out) for sweep in sweeps
-    ]
-    return run_sweeps(requests, args.resume, command, finish=_report)
-
-
-def _report(folder: Path) -> None:
-    from bojax.report.progress import report
-
-    print(report(folder))
+    folders = [args.out / sweep.name if args.out and several else args.out for sweep in sweeps]
+    requests = [Request(sweep, out) for sweep, out in zip(sweeps, folders, strict=True)]
+    with Reports(in_background=several) as reports:
+        return run_sweeps(requests, args.resume, command, finish=reports.write)

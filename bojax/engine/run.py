@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bojax.config.errors import ConfigError, printable
+from bojax.config.extras import MissingExtra
 from bojax.engine.devices import Device, find_devices, prepare, workers_of
 from bojax.engine.errors import FAILURE, EngineError
 from bojax.engine.execute import GroupTask, compile_threads, execute
@@ -44,6 +45,7 @@ def run_sweeps(
     resume: bool,
     command: Sequence[str],
     finish: Callable[[Path], Any] = lambda _: None,
+    skipped: dict[str, str] | None = None,
 ) -> int:
     """Run or resume sweeps as one plan, and write their results folders.
 
@@ -54,13 +56,15 @@ def run_sweeps(
         resume: Continue unfinished sweeps, each in its `out` or in the newest unfinished folder of its name.
         command: The command line, for the manifests and for the hint on how to resume.
         finish: Called with the results folder of each finished sweep, for instance to write a report.
+        skipped: Receives the names of sweeps whose extra is not installed, and the reasons. If None, such a
+            sweep is an error.
 
     Returns:
         The exit code: 0; 1 if something failed; 2 for an input error; 130 or 143 after a signal.
     """
     try:
         with StopRequest() as stop:
-            return _run(requests, resume, command, finish, stop)
+            return _run(requests, resume, command, finish, skipped, stop)
     except (ConfigError, ResultsError, EngineError) as error:
         print(printable(f"error: {error}"), file=sys.stderr)
         return error.exit_code
@@ -71,6 +75,7 @@ def _run(
     resume: bool,
     command: Sequence[str],
     finish: Callable[[Path], Any],
+    skipped: dict[str, str] | None,
     stop: StopRequest,
 ) -> int:
     chosen = [choose_folder(request.sweep.name, request.out, resume=resume) for request in requests]
@@ -78,7 +83,14 @@ def _run(
     devices = find_devices(requests[0].sweep.engine.device)
     journals: list[Journal] = []
     for request, (path, is_resumed) in zip(requests, chosen, strict=True):
-        plan = make_plan(request.sweep, devices)
+        try:
+            plan = make_plan(request.sweep, devices)
+        except MissingExtra as error:
+            if skipped is None:
+                raise
+            skipped[request.sweep.name] = str(error)
+            print(f"{request.sweep.name}: skipped: {error}", file=sys.stderr)
+            continue
         if is_resumed and not is_unfinished(path):
             check_finished(path, plan.content)
             drop_leftovers(path)
@@ -117,12 +129,13 @@ def _execute(
     journals: Sequence[Journal], devices: Sequence[Device], finish: Callable[[Path], Any], stop: StopRequest
 ) -> None:
     """Run the chunks of all sweeps; merge and finish each sweep once its chunks are done."""
-    tasks = {task: journal for journal in journals for task in _tasks(journal, stop)}
+    several = len(journals) > 1
+    tasks = {task: journal for journal in journals for task in _tasks(journal, stop, name_sweep=several)}
     left = {journal: sum(1 for each in tasks.values() if each is journal) for journal in journals}
     num_runs = sum(chunk.num_runs for journal in journals for chunk in journal.plan.chunks)
     waiting = sum(chunk.num_runs for task in tasks for chunk, _ in task.chunks)
     progress = SweepProgress(
-        journals[0].plan.sweep.name if len(journals) == 1 else f"{len(journals)} sweeps",
+        f"{len(journals)} sweeps" if several else journals[0].plan.sweep.name,
         num_runs,
         workers=len(workers_of(devices)),
         threads=compile_threads(),
@@ -136,7 +149,7 @@ def _execute(
             left[journal] -= 1
             if not left[journal]:
                 ended.append(journal)
-            if not left[journal] and len(journals) > 1 and not journal.plan.sweep.engine.latency:
+            if not left[journal] and several and not journal.plan.sweep.engine.latency:
                 _conclude(journal, progress.say, finish)  # while the other sweeps run
         for journal in ended:
             _measure_latency(journal, devices[0], progress, stop)
@@ -145,7 +158,7 @@ def _execute(
             _conclude(journal, lambda text: print(text, file=sys.stderr), finish)
 
 
-def _tasks(journal: Journal, stop: StopRequest) -> Iterable[GroupTask]:
+def _tasks(journal: Journal, stop: StopRequest, *, name_sweep: bool) -> Iterable[GroupTask]:
     """The groups of a sweep that have unfinished chunks."""
     plan, engine = journal.plan, journal.plan.sweep.engine
     for group in plan.groups:
@@ -155,7 +168,7 @@ def _tasks(journal: Journal, stop: StopRequest) -> Iterable[GroupTask]:
             yield GroupTask(
                 group=group,
                 experiment=plan.experiment(group),
-                name=plan.name(group),
+                name=f"{plan.sweep.name}: {plan.name(group)}" if name_sweep else plan.name(group),
                 seed=plan.sweep.seed,
                 layout=plan.layout(group),
                 chunks=todo,

@@ -74,7 +74,7 @@ def test_the_exit_code_is_that_of_the_engine(calls, code):
     made, codes = calls
     codes["fig-4.2"] = code
     assert main(["sweep", "fig-4.2", "fig-4.6"]) == code
-    assert [call[0] for call in made] == ["run", "run", "report"]
+    assert [call[0] for call in made] == ["run", "run"]
 
 
 def test_resume_without_anything_to_resume(tmp_path, monkeypatch, capsys):

@@ -1,0 +1,69 @@
+"""Reports of finished sweeps, written in other processes while further sweeps run."""
+
+import multiprocessing
+import os
+import signal
+import sys
+from concurrent.futures import Future, ProcessPoolExecutor
+from pathlib import Path
+from types import TracebackType
+
+from bojax.config.errors import printable
+
+PROCESSES = 4
+"""Maximum number of reports that are written at the same time."""
+
+
+class Reports:
+    """Writes reports. On leaving its `with` block, it waits for all and prints their paths.
+
+    Args:
+        in_background: Whether other processes write them: drawing holds the interpreter, so that in this
+            process it would delay the devices.
+    """
+
+    def __init__(self, *, in_background: bool):
+        self._pool: ProcessPoolExecutor | None = None
+        self._pending: dict[Path, Future[Path]] = {}
+        if in_background:
+            self._pool = ProcessPoolExecutor(
+                min(PROCESSES, os.cpu_count() or 1),
+                mp_context=multiprocessing.get_context(
+                    "spawn"
+                ),  # JAX has threads, which a fork would not have
+                initializer=_ignore_signals,
+            )
+
+    def __enter__(self) -> "Reports":
+        return self
+
+    def write(self, folder: Path) -> None:
+        """Write the report of a results folder."""
+        if self._pool is None:
+            from bojax.report.progress import report
+
+            print(report(folder))
+        else:
+            self._pending[folder] = self._pool.submit(_build, folder)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for folder, pending in self._pending.items():
+            try:
+                print(pending.result())
+            except Exception as problem:  # the report can be rebuilt from the results, which are complete
+                print(printable(f"error: the report of {folder} is missing: {problem}"), file=sys.stderr)
+        if self._pool is not None:
+            self._pool.shutdown()
+
+
+def _build(folder: Path) -> Path:
+    from bojax.report.build import build_report
+
+    return build_report(folder)
+
+
+def _ignore_signals() -> None:
+    """Leave Ctrl-C, which a terminal sends to every process, to the main process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

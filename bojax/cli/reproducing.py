@@ -1,0 +1,130 @@
+"""`bojax reproduce`: the sweeps of a figure, a chapter or the thesis as one plan, and one page over all."""
+
+import shlex
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from bojax.cli.parser import Parser, UsageError, integer
+from bojax.cli.running import resolved
+from bojax.config.errors import did_you_mean, listed
+from bojax.config.files import available
+from bojax.config.sweep import load_sweep
+
+FOLDER = Path("results/reproduction")
+"""Folder of reproductions without `--out`, each named after the time of its start."""
+
+CHAPTERS = {f"chapter{number}": f"{number}." for number in (3, 4, 5)}
+"""The chapters of the thesis with results, and how the numbers of their figures begin."""
+
+STUDY = "study-"
+"""Prefix of sweeps that answer a question which the thesis leaves open."""
+
+_DESCRIPTION = """\
+Run the sweeps of the thesis as one plan, write the report of each, and one page with all claims: the number
+of the thesis and ours side by side, and the verdict.
+
+ID is a sweep (fig-4.6), a figure or table with several sweeps (fig-5.5, table-5.3), chapter3, chapter4,
+chapter5, or all: every sweep with claims of the thesis. Studies are run by name. Sweeps whose extra is not
+installed are skipped.
+"""
+
+_EXAMPLES = """\
+  bojax reproduce fig-4.6 table-5.1                     a figure and a table
+  bojax reproduce chapter5 --runs 20                    a quick look at a chapter
+  bojax reproduce all --out results/thesis              the whole thesis
+  bojax reproduce all --out results/thesis --resume     go on after an interruption
+"""
+
+
+def main(name: str, words: Sequence[str]) -> int:
+    """Run the command and return its exit code."""
+    args = _parser(name).parse_intermixed_args(list(words))
+    start = time.monotonic()
+    command = ["bojax", name, *words]
+    sweeps = [load_sweep(sweep, (), args.runs, args.seed) for sweep in selected(args.ids)]
+    out = args.out or (_newest(FOLDER) if args.resume else FOLDER / time.strftime("%Y%m%d-%H%M%S"))
+    if not args.out:  # so that the printed command resumes this folder
+        command += ["--out", str(out)]
+
+    from bojax.cli.background import Reports
+    from bojax.engine.run import Request, run_sweeps
+    from bojax.report.reproduction import reproduction
+
+    requests = [Request(resolved(sweep), out / sweep.name) for sweep in sweeps]
+    skipped: dict[str, str] = {}
+    with Reports(in_background=len(sweeps) > 1) as reports:
+        code = run_sweeps(requests, args.resume, command, finish=reports.write, skipped=skipped)
+    if code not in (0, 1):
+        return code
+    sources = [request.out for request in requests if request.sweep.name not in skipped]
+    page = reproduction(out, sources, shlex.join(command), time.monotonic() - start, skipped)
+    print(page)
+    return code
+
+
+def selected(ids: Sequence[str]) -> list[str]:
+    """The names of the sweeps that are meant.
+
+    Raises:
+        UsageError: An id means no sweep.
+    """
+    names = [name for name, path in available("sweeps").items() if not _is_alias(path)]
+    of_thesis = [name for name in names if not name.startswith(STUDY)]
+    found: dict[str, None] = {}
+    for each in ids:
+        if each == "all":
+            meant = _with_claims(of_thesis)
+        elif each in CHAPTERS:
+            meant = _with_claims([n for n in of_thesis if n.partition("-")[2].startswith(CHAPTERS[each])])
+        else:
+            meant = [n for n in names if n == each] or [n for n in names if _is_part_of(n, each)]
+        if not meant:
+            allowed = ["all", *CHAPTERS, *names]
+            raise UsageError(
+                f"bojax reproduce: got {each}; allowed: {listed(each, allowed)}{did_you_mean(each, allowed)}"
+            )
+        found |= dict.fromkeys(meant)
+    return list(found)
+
+
+def _is_part_of(name: str, figure: str) -> bool:
+    """Whether a sweep reproduces a part of a figure or table: `fig-5.5-mountain-car` or `fig-5.2a`."""
+    rest = name.removeprefix(figure)
+    return rest != name and figure[-1:].isdigit() and not rest[0].isdigit() and rest[0] != "."
+
+
+def _is_alias(path: Path) -> bool:
+    return any(line.startswith("alias:") for line in path.read_text().splitlines())
+
+
+def _with_claims(names: Sequence[str]) -> list[str]:
+    return [name for name in names if load_sweep(name).claims]
+
+
+def _newest(folder: Path) -> Path:
+    found = sorted(folder.iterdir()) if folder.is_dir() else []
+    if not found:
+        raise UsageError(f"{folder}: no reproduction to resume; to start one, leave out --resume")
+    return found[-1]
+
+
+def _parser(name: str) -> Parser:
+    parser = Parser(
+        prog=f"bojax {name}",
+        usage=f"bojax {name} ID... [--runs N] [--seed S] [--out DIR] [--resume]",
+        description=_DESCRIPTION,
+        examples=_EXAMPLES,
+    )
+    parser.add_argument("ids", nargs="+", metavar="ID", help="sweeps, figures, tables, chapters, or all")
+    parser.add_argument(
+        "--runs", type=integer, metavar="N", help="number of runs of each point (default: as in the sweeps)"
+    )
+    parser.add_argument(
+        "--seed", type=integer, metavar="S", help="seed of the keys of all runs (default: as in the sweeps)"
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help=f"folder of the results (default: {FOLDER}/TIME)"
+    )
+    parser.add_argument("--resume", action="store_true", help="go on with interrupted or failed sweeps")
+    return parser

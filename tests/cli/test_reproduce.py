@@ -1,0 +1,99 @@
+"""`bojax reproduce`: which sweeps an id means, and one page over all of them."""
+
+from pathlib import Path
+
+import pytest
+
+from bojax.cli.main import main
+from bojax.cli.reproducing import selected
+from bojax.config.extras import MissingExtra
+from bojax.config.files import available
+from bojax.config.sweep import load_sweep
+from bojax.engine.plan import make_plan
+
+SMALL = """\
+base: {experiment: learning, env: chain, learner: epsilon-greedy, episodes: 2, runs: 2}
+claims:
+- id: %s/higher
+  source: Fig. 5.2, p. 100
+  claim: the first is above the second
+  test: {kind: order, column: return, greater: [epsilon-greedy, additive]}
+axes:
+  learner:
+    epsilon-greedy: {kind: epsilon-greedy}
+    additive: {kind: additive}
+"""
+
+
+def test_all_is_every_sweep_with_claims_of_the_thesis_once():
+    names = selected(["all"])
+    assert len(set(names)) == len(names)
+    assert set(names) == {
+        name
+        for name, path in available("sweeps").items()
+        if load_sweep(name).claims and not name.startswith("study-") and "alias:" not in path.read_text()
+    }
+    chapters = [name for chapter in ("chapter3", "chapter4", "chapter5") for name in selected([chapter])]
+    assert sorted(chapters) == sorted(names)
+    assert not any(name.startswith("study-") for name in names)
+
+
+@pytest.mark.parametrize(
+    ("ids", "names"),
+    [
+        (["fig-4.6"], ["fig-4.6"]),
+        (["fig-5.3"], ["fig-5.3-cliff", "fig-5.3-taxi"]),
+        (["fig-5.2"], ["fig-5.2a", "fig-5.2b", "fig-5.2c", "fig-5.2d"]),
+        (["table-5.1", "fig-5.3-taxi", "table-5.1"], ["table-5.1", "fig-5.3-taxi"]),
+        (["study-jaco"], ["study-jaco"]),
+    ],
+)
+def test_ids(ids, names):
+    assert selected(ids) == names
+
+
+@pytest.mark.parametrize("name", ["fig-4.66", "fig-", "chapter6", "", "parkin"])
+def test_an_unknown_id_is_one_line(capsys, name):
+    assert main(["reproduce", name]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith(f"error: bojax reproduce: got {name}; allowed: ") and err.count("\n") == 1
+
+
+def test_nothing_to_resume(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["reproduce", "fig-4.6", "--resume"]) == 2
+    assert "no reproduction to resume" in capsys.readouterr().err and not list(tmp_path.iterdir())
+
+
+@pytest.fixture
+def two(tmp_path, monkeypatch):
+    """Two small sweeps of a figure in the working directory."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "sweeps").mkdir()
+    for name in ("fig-9.1a", "fig-9.1b"):
+        (tmp_path / "sweeps" / f"{name}.yaml").write_text(SMALL % name)
+    return tmp_path
+
+
+def test_sweeps_of_a_figure_and_one_page(two, capfd):
+    assert main(["reproduce", "fig-9.1", "--out", "out"]) == 0
+    assert capfd.readouterr().out.splitlines()[-1] == "out/reproduction.html"
+    for name in ("fig-9.1a", "fig-9.1b"):
+        assert (two / "out" / name / "report.html").is_file()
+    text = (two / "out" / "reproduction.md").read_text()
+    assert "bojax reproduce fig-9.1 --out out" in text and "2 claims, tested by 2 sweeps" in text
+    assert main(["reproduce", "fig-9.1", "--out", "out", "--resume"]) == 0
+    assert "out/fig-9.1a: already finished" in capfd.readouterr().out
+
+
+def test_a_sweep_without_its_extra_is_skipped(two, capfd, monkeypatch):
+    def plan(sweep, devices):
+        if sweep.name == "fig-9.1a":
+            raise MissingExtra("mujoco-mjx", "robots")
+        return make_plan(sweep, devices)
+
+    monkeypatch.setattr("bojax.engine.run.make_plan", plan)
+    assert main(["reproduce", "fig-9.1", "--out", "out"]) == 0
+    assert "fig-9.1a: skipped: mujoco-mjx is not installed" in capfd.readouterr().err
+    text = Path("out/reproduction.md").read_text()
+    assert "mujoco-mjx is not installed" in text and "1 claim, tested by 1 sweep" in text
