@@ -57,7 +57,7 @@ def main(name: str, words: Sequence[str]) -> int:
         code = run_sweeps(requests, args.resume, command, finish=reports.write, skipped=skipped)
     if code not in (0, 1):
         return code
-    sources = [request.out for request in requests if request.sweep.name not in skipped]
+    sources = [out / sweep.name for sweep in sweeps if sweep.name not in skipped]
     page = reproduction(out, sources, shlex.join(command), time.monotonic() - start, skipped)
     print(page)
     return code

@@ -3,16 +3,18 @@
 A lane is one run of one point. Each device has its own lanes, and devices do not communicate.
 """
 
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import SingleDeviceSharding
+from jax.stages import Lowered
 from jaxtyping import Array, Bool, Int, Key, PyTree
 
 from bojax.engine.devices import Device
@@ -23,6 +25,9 @@ from bojax.numerics.lanes import LANES
 
 compile_counts: Counter[str] = Counter()
 """Number of XLA compilations of the engine in this process, by program."""
+
+_TRACING = threading.Lock()
+"""Tracing holds the interpreter's lock: the programs of one group are ready sooner if no other is traced."""
 
 
 class Lanes(NamedTuple):
@@ -75,6 +80,9 @@ class Programs:
         compile_seconds: Seconds spent on tracing and compiling.
     """
 
+    _is_compiled: ClassVar[bool] = True
+    """Whether an advance is one compiled program."""
+
     def __init__(
         self, functions: Functions, device: Device, num_lanes: int, seed: int, *, snapshots: bool, fills: bool
     ):
@@ -88,44 +96,46 @@ class Programs:
             snapshots: Whether snapshots are kept.
             fills: Whether runs start in these lanes; otherwise they come from a larger number of lanes.
         """
-        start = time.perf_counter()
         self.num_lanes, self.device = num_lanes, device
         self._functions, self._group = functions, functions.group
         self._sharding = SingleDeviceSharding(device)
-        self._key = jax.device_put(jax.random.key(seed), self._sharding)
-        self._shared = jax.device_put(self._group.shared, self._sharding)
-        one_point = np.zeros(num_lanes, dtype=np.int32)
-        lanes = self.place(one_point, one_point)
-        first = jax.device_put(self._group.swept_at(np.asarray(0)), self._sharding)
-        run = self._group.experiment(first, self._shared)
-        self.max_advances = run.max_advances
+        with _TRACING:
+            start = time.perf_counter()
+            self._key = jax.device_put(jax.random.key(seed), self._sharding)
+            self._shared = jax.device_put(self._group.shared, self._sharding)
+            first = jax.device_put(self._group.swept_at(np.asarray(0)), self._sharding)
+            run = self._group.experiment(first, self._shared)
+            self.max_advances = run.max_advances
+            self._prepare(run)
+            lowered = self._lower(snapshots=snapshots, fills=fills)
+            traced = time.perf_counter()
+        compiling = time.perf_counter()
+        self._programs = {name: _compile(name, program) for name, program in lowered.items()}
+        self.compile_seconds = traced - start + time.perf_counter() - compiling
 
+    def _prepare(self, run: Experiment) -> None:
+        """Prepare what a subclass needs of the first run."""
+
+    def _lower(self, *, snapshots: bool, fills: bool) -> dict[str, Lowered]:
+        """The programs, traced for inputs of exactly these shapes on this device."""
+        functions, one_point = self._functions, np.zeros(self.num_lanes, dtype=np.int32)
+        lanes = self.place(one_point, one_point)
         carry = jax.eval_shape(partial(_init, self._group), self._key, lanes, self._shared)
         self.carry_structure = jax.tree.map(
             lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=self._sharding), carry
         )
         inputs = (self.carry_structure, lanes, self._shared)
+        lowered = {"advance": functions.advance.lower(*inputs)} if self._is_compiled else {}
+        lowered["summary"] = functions.summary.lower(*inputs)
+        if snapshots and jax.tree.leaves(jax.eval_shape(functions.snapshot, *inputs)):
+            lowered["snapshot"] = functions.snapshot.lower(*inputs)
         if fills:
-            everywhere = jax.device_put(np.ones(num_lanes, dtype=bool), self._sharding)
-            self._empty = jax.jit(partial(_empty, carry), out_shardings=self._sharding).lower().compile()
-            self._fill = self._compile(
-                "fill", self._key, self.carry_structure, lanes, everywhere, self._shared
+            everywhere = jax.device_put(np.ones(self.num_lanes, dtype=bool), self._sharding)
+            lowered["empty"] = jax.jit(partial(_empty, carry), out_shardings=self._sharding).lower()
+            lowered["fill"] = functions.fill.lower(
+                self._key, self.carry_structure, lanes, everywhere, self._shared
             )
-        self._advance = self._compile_advance(run, *inputs)
-        self._summary = self._compile("summary", *inputs)
-        has_snapshot = snapshots and bool(jax.tree.leaves(jax.eval_shape(functions.snapshot, *inputs)))
-        self._snapshot = self._compile("snapshot", *inputs) if has_snapshot else None
-        self.compile_seconds = time.perf_counter() - start
-
-    def _compile(self, name: str, *inputs: Any) -> Callable:
-        """Compile for inputs of exactly these shapes on this device; a call with any other input raises."""
-        program = getattr(self._functions, name).lower(*inputs).compile()
-        compile_counts[name] += 1
-        return program
-
-    def _compile_advance(self, run: Experiment, *inputs: Any) -> Any:
-        del run
-        return self._compile("advance", *inputs)
+        return lowered
 
     def place(self, positions: np.ndarray, runs: np.ndarray) -> Lanes:
         """Put the inputs of all lanes on the device.
@@ -139,24 +149,26 @@ class Programs:
 
     def init(self, lanes: Lanes) -> Carry:
         """The carry of every lane before its first advance."""
-        return self.fill(self._empty(), lanes, np.ones(self.num_lanes, dtype=bool))
+        return self.fill(self._programs["empty"](), lanes, np.ones(self.num_lanes, dtype=bool))
 
     def fill(self, carry: Carry, lanes: Lanes, is_new: np.ndarray) -> Carry:
         """Start the runs of some lanes; the buffers of the given carry are donated."""
         is_new = jax.device_put(is_new, self._sharding)
-        return self._fill(self._key, carry, lanes, is_new, self._shared)
+        return self._programs["fill"](self._key, carry, lanes, is_new, self._shared)
 
     def advance(self, carry: Carry, lanes: Lanes) -> tuple[Carry, dict[str, dict[str, Array]], Status]:
         """Advance every lane once; the buffers of the given carry are donated."""
-        return self._advance(carry, lanes, self._shared)
+        return self._programs["advance"](carry, lanes, self._shared)
 
     def summary(self, carry: Carry, lanes: Lanes) -> dict[str, Array]:
         """The summary of every lane."""
-        return self._summary(carry, lanes, self._shared)
+        return self._programs["summary"](carry, lanes, self._shared)
 
     def snapshot(self, carry: Carry, lanes: Lanes) -> dict[str, dict[str, Array]]:
         """The snapshot of every lane; empty if the experiment has none or if snapshots are not kept."""
-        return {} if self._snapshot is None else self._snapshot(carry, lanes, self._shared)
+        if "snapshot" not in self._programs:
+            return {}
+        return self._programs["snapshot"](carry, lanes, self._shared)
 
     def exported_state(self, carry: Carry, lanes: Lanes) -> PyTree:
         """The state of every lane that a saved learner is restored from."""
@@ -165,6 +177,13 @@ class Programs:
     def select(self, carry: Carry, lanes: np.ndarray) -> Carry:
         """The carry of some of the lanes."""
         return self._functions.select(carry, jax.device_put(lanes, self._sharding))
+
+
+def _compile(name: str, lowered: Lowered) -> Callable:
+    """The program; a call with inputs of another shape or on another device raises."""
+    program = lowered.compile()
+    compile_counts[name] += 1
+    return program
 
 
 def run_key(key: Key[Array, ""], run: Int[Array, ""]) -> Key[Array, ""]:

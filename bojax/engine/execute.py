@@ -24,9 +24,6 @@ COMPILE_THREADS = 8
 AHEAD = 24
 """Number of groups that are compiled ahead; their programs take memory."""
 
-NARROWER_LATER = 8
-"""Number of groups that are compiled between a group and its programs for fewer lanes."""
-
 
 @dataclass(eq=False)
 class GroupTask:
@@ -137,8 +134,7 @@ class _Executor:
         unfinished = [(i, task) for i, task in enumerate(self._tasks) if task.chunks or task.running]
         for i, task in unfinished[:AHEAD]:
             device = self._devices[i % len(self._devices)]
-            for rank, width in enumerate(task.layout.widths):
-                self._request(task, device, width, priority=i + rank * NARROWER_LATER)
+            self._request(task, device, task.layout.lanes, priority=i)
 
     def _request(self, task: GroupTask, device: Device, width: int, priority: int = 0) -> None:
         key = (task, device, width)
@@ -159,6 +155,8 @@ class _Executor:
         )
         if is_first:
             self._progress.compiled(task.progress, programs.compile_seconds)
+            for narrower in task.layout.widths[1:]:  # needed after the first runs have ended
+                self._request(task, device, narrower)
         task.compiled(programs.compile_seconds)
         return programs
 

@@ -40,6 +40,8 @@ class PhasePrograms(NamedTuple):
 class Hosted(Programs):
     """The programs of one static group of learning runs with a vector environment on the host."""
 
+    _is_compiled = False
+
     def _open(self, run: LearningRun) -> None:
         self._num_tests, self._block = run.tests, run.learner.block
         self._env: Any = run.env
@@ -77,9 +79,8 @@ class Hosted(Programs):
         return phase.flush(*call, episode)
 
     @override
-    def _compile_advance(self, run: Experiment, *inputs: Any) -> Any:
-        """Create the programs of an episode; each is compiled at its first call."""
-        del inputs
+    def _prepare(self, run: Experiment) -> None:
+        """Open the environments and create the programs of an episode, each compiled at its first call."""
         assert isinstance(run, LearningRun)
         self._open(run)
         self._training = self._phase_programs(lambda run, carry, number: run.training(carry))

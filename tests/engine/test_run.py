@@ -28,7 +28,7 @@ def folder(tmp_path_factory) -> Path:
     before = batch.compile_counts.copy()
     assert run_toy(out, runs=RUNS, latency=True) == 0
     # Two static groups: the points that differ in a number share one.
-    each = {name: 2 for name in ("fill", "advance", "summary", "snapshot")}
+    each = {name: 2 for name in ("empty", "fill", "advance", "summary", "snapshot")}
     assert batch.compile_counts - before == each
     return out
 
@@ -297,8 +297,8 @@ def fail_for_scale(scale):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_during_compilation_is_answered_at_once(tmp_path, number):
     slow = (
-        "import time; from bojax.engine.batch import Programs; compile = Programs._compile; "
-        "Programs._compile = lambda self, *a: (time.sleep(60), compile(self, *a))[1]"
+        "import time; from bojax.engine import batch; compile = batch._compile; "
+        "batch._compile = lambda *a: (time.sleep(60), compile(*a))[1]"
     )
     process = start_toy(tmp_path / "toy", slow)
     for line in process.stderr:
