@@ -49,6 +49,21 @@ def follow():
     return follow
 
 
+@eqx.filter_jit
+def poses_of(vehicle, bodies):
+    return jax.vmap(vehicle.pose)(bodies)
+
+
+@eqx.filter_jit
+def placed(vehicle, starts):
+    """The vehicle at each start."""
+    return jax.vmap(vehicle.reset)(starts)
+
+
+rotations = jax.jit(jax.vmap(jax.vmap(rotation_matrix)))
+
+
+@jax.jit
 def paths_from(starts, turn=0.0):
     """A path of a metre for every start, all actions in turn, and where it ends."""
     paths = SplineSet(f64(1.0), 5, SIZE).paths()
@@ -75,15 +90,15 @@ def ride(quadrotor, follow):
     """Paths flown with noise, and a turn by pi after them."""
     starts = starts_of()
     paths, ends = paths_from(starts, turn=np.pi)
-    bodies = jax.vmap(quadrotor.reset)(starts)
+    bodies = placed(quadrotor, starts)
     found = follow(quadrotor, keys_of(1), bodies, paths, ends, f64(NOISE))
     return starts, paths, ends, jax.tree.map(np.asarray, found)
 
 
 def test_it_starts_where_it_is_placed_and_knows_it(quadrotor):
     starts = starts_of()
-    bodies = jax.vmap(quadrotor.reset)(starts)
-    pose, estimate = jax.vmap(quadrotor.pose)(bodies), jax.vmap(quadrotor.estimate)(bodies)
+    bodies = placed(quadrotor, starts)
+    pose, estimate = poses_of(quadrotor, bodies), jax.jit(jax.vmap(quadrotor.estimate))(bodies)
     np.testing.assert_allclose(pose[:, :2], starts[:, :2], atol=1e-6)
     assert apart(pose[:, 2], starts[:, 2]).max() < 1e-5 and pose.dtype == jnp.float64
     np.testing.assert_array_equal(estimate, starts)
@@ -107,7 +122,7 @@ def test_it_flies_near_the_path_and_stops_at_its_end(ride):
 
 def test_it_turns_on_the_spot(quadrotor, ride):
     _, paths, ends, found = ride
-    pose = jax.vmap(quadrotor.pose)(jax.tree.map(jnp.asarray, found.state))
+    pose = np.asarray(poses_of(quadrotor, found.state))
     assert apart(pose[:, 2], ends[:, 2]).max() < 0.05
     assert apart(paths[:, -1, 2], ends[:, 2]).min() > 3.0
     assert np.all((pose[:, 2] >= 0.0) & (pose[:, 2] <= 2.0 * np.pi))
@@ -120,9 +135,7 @@ def test_estimates_are_readings_of_the_stated_spread(quadrotor, ride):
     spread = wrong.reshape(-1, 3)
     assert spread.std(axis=0) == pytest.approx(NOISE, rel=0.15)
     assert np.abs(spread.mean(axis=0)).max() < 0.004
-    reading = found.state.reading - np.asarray(
-        jax.vmap(quadrotor.pose)(jax.tree.map(jnp.asarray, found.state))
-    )
+    reading = found.state.reading - np.asarray(poses_of(quadrotor, found.state))
     assert 0.01 < reading[:, :2].std() < 0.03
 
 
@@ -130,7 +143,7 @@ def test_mounts_are_where_the_sensor_is(ride):
     _, _, _, found = ride
     position, quaternion = found.sensor_poses[..., :3], found.sensor_poses[..., 3:]
     np.testing.assert_allclose(np.linalg.norm(quaternion, axis=-1), 1.0, atol=1e-5)
-    rotation = np.asarray(jax.vmap(jax.vmap(rotation_matrix))(f64(quaternion)))
+    rotation = np.asarray(rotations(f64(quaternion)))
     body = position + 0.04 * rotation[..., 2]
     np.testing.assert_allclose(body[..., :2], found.poses[..., :2], atol=1e-5)
     np.testing.assert_allclose(body[..., 2], ALTITUDE, atol=0.03)
@@ -149,14 +162,14 @@ def test_frames_are_ten_a_second(ride):
 def test_readings_do_not_matter_where_there_is_no_noise(quadrotor, follow):
     starts = starts_of()
     paths, ends = paths_from(starts)
-    found = follow(quadrotor, keys_of(2), jax.vmap(quadrotor.reset)(starts), paths, ends, 0.0 * f64(NOISE))
+    found = follow(quadrotor, keys_of(2), placed(quadrotor, starts), paths, ends, 0.0 * f64(NOISE))
     np.testing.assert_array_equal(found.estimates, found.poses)
-    np.testing.assert_allclose(found.state.reading, jax.vmap(quadrotor.pose)(found.state), atol=2e-6)
+    np.testing.assert_allclose(found.state.reading, poses_of(quadrotor, found.state), atol=2e-6)
 
 
 def test_a_robot_that_diverges_fails_alone(quadrotor, follow, ride):
     starts, paths, ends, before = ride
-    bodies = jax.vmap(quadrotor.reset)(f64(starts))
+    bodies = placed(quadrotor, starts)
     broken = eqx.tree_at(
         lambda b: b.robot.qvel, bodies, bodies.robot.qvel.at[5, 0].set(jnp.nan).at[7, 3].set(1e7)
     )
@@ -181,9 +194,14 @@ def sensor(**settings):
     return build(Range(**{"altitude_noise": 0.0, **settings}))
 
 
-def measured(sensor, field, mounts, noise=0.0, seed=0):
+@eqx.filter_jit
+def measure(sensor, key, field, mounts, noise):
     poses = jnp.column_stack([mounts[:, :2], jnp.zeros(len(mounts))])
-    return np.asarray(sensor(jax.random.key(seed), field, poses, mounts, f64(noise)))
+    return sensor(key, field, poses, mounts, noise)
+
+
+def measured(sensor, field, mounts, noise=0.0, seed=0):
+    return np.asarray(measure(sensor, jax.random.key(seed), field, mounts, f64(noise)))
 
 
 LEVEL = build(Bumps(heights=(0.3,), widths=(1e3,)))
@@ -266,7 +284,7 @@ def test_samples_are_learned_where_the_robot_takes_itself_to_be():
         return world, after, samples, events, problem.update(belief, path, samples)
 
     world, after, samples, events, belief = jax.vmap(step)(keys_of(3))
-    samples, events = jax.tree.map(np.asarray, (samples, events))
+    samples, events, posterior = jax.tree.map(np.asarray, (samples, events, belief.posterior))
     taken = samples.is_taken
     np.testing.assert_array_equal(events.is_driven, taken)
     np.testing.assert_allclose(samples.values[taken], 0.3, atol=0.15)
@@ -277,8 +295,8 @@ def test_samples_are_learned_where_the_robot_takes_itself_to_be():
     np.testing.assert_array_equal(belief.pose, after.vehicle.reading)
     for lane in range(LANES):
         number = taken[lane].sum()
-        assert int(belief.posterior.count[lane]) == number
-        np.testing.assert_array_equal(belief.posterior.x[lane, :number], samples.points[lane, taken[lane]])
+        assert posterior.count[lane] == number
+        np.testing.assert_array_equal(posterior.x[lane, :number], samples.points[lane, taken[lane]])
     is_stopped = events.exited
     assert is_stopped.any() and not is_stopped.all() and not events.failed.any()
     # Where the border stopped it, it has turned round.
@@ -286,6 +304,9 @@ def test_samples_are_learned_where_the_robot_takes_itself_to_be():
     assert turn[is_stopped].min() > 2.8 and turn[~is_stopped].max() < 0.3
     assert events.frames.shape == (LANES, (PATH_STEPS + REST_STEPS) // 10, 7)
     assert np.all(world.vehicle.reading[:, :2] >= 0.0)
+
+
+values_of = eqx.filter_jit(lambda field, points: field.values(points))
 
 
 @pytest.fixture(scope="module")
@@ -302,21 +323,26 @@ def belief_of(problem, points, values):
     return world, dataclasses.replace(belief, posterior=posterior)
 
 
-def scored(problem, points, values):
+@eqx.filter_jit
+def score_and_map(problem, points, values):
     world, belief = belief_of(problem, points, values)
-    score = jax.jit(lambda world, belief: problem.score(world, belief))(world, belief)
+    return problem.score(world, belief), final_map(problem, belief)
+
+
+def scored(problem, points, values):
+    score, found = score_and_map(problem, points, values)
     assert set(score) == {column.name for column in problem.scores}
-    return {name: float(value) for name, value in score.items()}, final_map(problem, belief)
+    return {name: float(value) for name, value in score.items()}, found
 
 
 def test_scores_are_those_of_the_grid(room):
     rng = np.random.default_rng(4)
     points = rng.uniform(0.2, 2.8, (60, 2))
-    values = np.asarray(room.field.values(f64(points))) + 0.05 + 0.02 * rng.normal(size=60)
+    values = np.asarray(values_of(room.field, f64(points))) + 0.05 + 0.02 * rng.normal(size=60)
     score, found = scored(room, points, values)
     axis = np.linspace(0.0, 3.0, 29)
     x, y = (part.ravel() for part in np.meshgrid(axis, axis))
-    truth = np.asarray(room.field.values(f64(np.column_stack([x, y]))))
+    truth = np.asarray(values_of(room.field, f64(np.column_stack([x, y]))))
     error = np.asarray(found.mean) - truth
     offset, centred = error.mean(), error - error.mean()
     rms = lambda where: np.sqrt(np.mean(centred[where] ** 2))  # noqa: E731
@@ -344,13 +370,22 @@ def test_scores_are_those_of_the_grid(room):
     assert corner.sum() == 12**2 and 0.02 < offset
 
 
+@eqx.filter_jit
+def which_are_found(problem, points, shown):
+    """Which props are found in a map that shows these heights."""
+    found = Map(points, shown, shown, shown, f64(0.0), jnp.ones(len(points), bool))
+    return problem._is_found(found, problem._outside(points))
+
+
 def test_props_are_found_where_the_map_shows_them_in_their_place(room):
     def share(shift, left_out=()):
         points = np.column_stack([part.ravel() for part in room.grid().T])
-        heights = room.field.heights.at[jnp.asarray(left_out, jnp.int32)].set(0.0)
-        shown = dataclasses.replace(room.field, heights=heights).values(f64(points - np.asarray(shift)))
-        found = Map(f64(points), shown, shown, shown, f64(0.0), jnp.ones(len(points), bool))
-        return np.asarray(room._is_found(found, room._outside(f64(points))))
+        heights = np.array(room.field.heights)
+        heights[list(left_out)] = 0.0
+        shown = values_of(
+            dataclasses.replace(room.field, heights=f64(heights)), f64(points - np.asarray(shift))
+        )
+        return np.asarray(which_are_found(room, f64(points), shown))
 
     np.testing.assert_array_equal(share((0.0, 0.0)), True)
     np.testing.assert_array_equal(share((0.1, 0.0)), True)
