@@ -110,22 +110,7 @@ class Simulator(eqx.Module):
 
     @property
     def _advance(self) -> Any:
-        compiled, model, data = self._compiled
-        substeps = self.substeps
-        step = _runge_kutta_step if _has_one_stage_site(compiled, self.physics) else _step
-
-        @standard_jax
-        def advance(state: RobotState, control: jax.Array) -> RobotState:
-            def small_step(_: Any, state: RobotState) -> RobotState:
-                before = data.replace(
-                    qpos=state.qpos, qvel=state.qvel, qacc_warmstart=state.qacc_warmstart, ctrl=control
-                )
-                return step(model, before)
-
-            # A single call site of `step`, whatever the number of substeps: each one takes long to compile.
-            return jax.lax.fori_loop(0, substeps, small_step, state)
-
-        return advance
+        return _stepping(*self._key, self.substeps)
 
     @property
     def _sites(self) -> Any:
@@ -139,9 +124,40 @@ class Simulator(eqx.Module):
 
     @property
     def _compiled(self) -> tuple[MjModel, Any, Any]:
+        return _compiled(*self._key)
+
+    @property
+    def _key(self) -> tuple[RobotModel, int | None, int | None, str | None, str]:
         physics = self.physics
-        settings = (physics.iterations, physics.ls_iterations, physics.integrator, physics.impl)
-        return _compiled(self.model, *settings)
+        return self.model, physics.iterations, physics.ls_iterations, physics.integrator, physics.impl
+
+
+@functools.cache
+def _stepping(
+    model: RobotModel,
+    iterations: int | None,
+    ls_iterations: int | None,
+    integrator: str | None,
+    impl: str,
+    substeps: int,
+) -> Any:
+    """Several simulation steps under constant controls, traced once for all programs that call it."""
+    compiled, put, data = _compiled(model, iterations, ls_iterations, integrator, impl)
+    step = _runge_kutta_step if _has_one_stage_site(compiled, impl) else _step
+
+    @standard_jax
+    @jax.jit
+    def advance(state: RobotState, control: jax.Array) -> RobotState:
+        def small_step(_: Any, state: RobotState) -> RobotState:
+            before = data.replace(
+                qpos=state.qpos, qvel=state.qvel, qacc_warmstart=state.qacc_warmstart, ctrl=control
+            )
+            return step(put, before)
+
+        # A single call site of `step`, whatever the number of substeps: each one takes long to compile.
+        return jax.lax.fori_loop(0, substeps, small_step, state)
+
+    return advance
 
 
 @functools.cache
@@ -177,11 +193,11 @@ def _step(model: Any, before: Any) -> RobotState:
     return RobotState(after.qpos, after.qvel, after.qacc_warmstart)
 
 
-def _has_one_stage_site(model: MjModel, physics: Physics) -> bool:
+def _has_one_stage_site(model: MjModel, impl: str) -> bool:
     """Whether `_runge_kutta_step` applies: RK4 of a model whose velocities are derivatives of positions."""
     simple = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
     is_rk4 = model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4)
-    return is_rk4 and physics.impl == "jax" and bool(np.isin(model.jnt_type, simple).all())
+    return is_rk4 and impl == "jax" and bool(np.isin(model.jnt_type, simple).all())
 
 
 _STAGES = np.asarray([[0.0, 1.0 / 6.0], [0.5, 1.0 / 3.0], [0.5, 1.0 / 3.0], [1.0, 1.0 / 6.0]], np.float32)
