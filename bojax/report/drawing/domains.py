@@ -14,6 +14,9 @@ FLOOR, WALL, EDGE = "#F6F6F4", "#4A4A4A", "#555555"
 TARGET: Mapping[str, Any] = {"facecolor": "none", "edgecolor": style.INK, "linestyle": (0, (2, 1.5))}
 """Style of a goal area."""
 
+ARROWS: Mapping[str, Any] = {"units": "inches", "scale_units": "inches", "pivot": "mid", "headwidth": 5}
+"""Style of arrows that show headings."""
+
 _SPECK = 0.05
 """Radius of a goal, as a share of the side of the domain, up to which it is drawn as a dot in a ring."""
 

@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 
 from bojax.report import style
 from bojax.report.drawing.base import Drawing, Undrawable, drawn_points, name_panels, panel_grid
-from bojax.report.drawing.domains import TARGET, WALL, draw_outline, is_speck, tick_outline
+from bojax.report.drawing.domains import ARROWS, TARGET, WALL, draw_outline, is_speck, tick_outline
 from bojax.report.drawing.maps import QUIET, beliefs, draw_map
 from bojax.report.drawing.smooth import driven, smooth
 from bojax.report.source import Point, Results
@@ -130,34 +130,17 @@ def _run(axes: Axes, arrays: Mapping[str, Any], colour: str, *, is_success: bool
     ends = [start, *(step[-1] for step in steps)]
     curves = [smooth(begin, step) for begin, step in zip(ends, steps, strict=False)]
     whole = np.concatenate(curves) if curves else start[None, :2]
-    line = "-" if is_success else _DASHES
-    axes.plot(
-        whole[:, 0],
-        whole[:, 1],
-        color=colour,
-        linewidth=1.4 if is_success else 1.1,
-        linestyle=line,
-        zorder=3 if is_success else 2,
+    line = (
+        {"linewidth": 1.4, "zorder": 3}
+        if is_success
+        else {"linewidth": 1.1, "linestyle": _DASHES, "zorder": 2}
     )
+    axes.plot(*whole.T, color=colour, **line)
     axes.scatter(*start[:2], s=22, facecolors="white", edgecolors=colour, linewidths=1.3, zorder=5)
     poses = np.stack([step[-1] for step in steps]) if steps else start[None]
-    axes.quiver(
-        poses[:, 0],
-        poses[:, 1],
-        np.cos(poses[:, 2]),
-        np.sin(poses[:, 2]),
-        color=colour,
-        pivot="mid",
-        angles="uv",
-        units="inches",
-        scale_units="inches",
-        scale=1 / 0.075,
-        width=0.015,
-        headwidth=5,
-        headlength=4.6,
-        headaxislength=4.2,
-        zorder=4,
-    )
+    x, y, heading = poses.T
+    shape = {"scale": 1 / 0.075, "width": 0.015, "headlength": 4.6, "headaxislength": 4.2}
+    axes.quiver(x, y, np.cos(heading), np.sin(heading), color=colour, zorder=4, **ARROWS, **shape)
     return stops(ends, steps)
 
 

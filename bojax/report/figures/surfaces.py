@@ -68,19 +68,8 @@ def _surface(axes: Any, belief: Belief, heights: Floats, norm: Normalize) -> Non
     shade = LightSource(azdeg=135, altdeg=50)
     colours = shade.shade(heights, cmap=colormaps[_COLOURS], norm=norm, vert_exag=2.0, blend_mode="soft")
     # Not clipped: the surface may extend beyond its panel, and there is room for it.
-    axes.plot_surface(
-        x,
-        y,
-        heights,
-        facecolors=colours,
-        rstride=1,
-        cstride=1,
-        linewidth=0,
-        antialiased=False,
-        shade=False,
-        rasterized=True,
-        clip_on=False,
-    )
+    exactly = {"rstride": 1, "cstride": 1, "linewidth": 0, "antialiased": False, "shade": False}
+    axes.plot_surface(x, y, heights, facecolors=colours, rasterized=True, clip_on=False, **exactly)
     axes.set_box_aspect((np.ptp(x), np.ptp(y), 0.3 * max(np.ptp(x), np.ptp(y))), zoom=1.2)
     axes.set_zlim(norm.vmin, norm.vmax)
     axes.view_init(elev=42, azim=-60)

@@ -4,6 +4,7 @@ import numpy as np
 
 from bojax.report import style
 from bojax.report.drawing.base import Drawing, Undrawable, drawn_points, panel_grid
+from bojax.report.drawing.domains import ARROWS
 from bojax.report.drawing.smooth import smooth
 from bojax.report.source import Results
 from bojax.report.text import counted
@@ -36,22 +37,8 @@ def draw(results: Results) -> Drawing:
         for path in found[point.index]:
             curve = smooth(np.zeros(2), path)
             axes.plot(curve[:, 0], curve[:, 1], color=look["color"], linewidth=1.3)
-        axes.quiver(
-            [0],
-            [0],
-            [1],
-            [0],
-            color=style.INK,
-            units="inches",
-            scale_units="inches",
-            scale=1 / 0.2,
-            width=0.03,
-            pivot="mid",
-            headwidth=5,
-            headlength=4.5,
-            headaxislength=4,
-            zorder=5,
-        )
+        shape = {"scale": 1 / 0.2, "width": 0.03, "headlength": 4.5, "headaxislength": 4}
+        axes.quiver([0], [0], [1], [0], color=style.INK, zorder=5, **ARROWS, **shape)
         axes.set_title(style.wrapped(point.name, 24), pad=4)
         axes.set_aspect("equal")
         axes.set_xlim(low[0] - margin, high[0] + margin)
