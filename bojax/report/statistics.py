@@ -6,7 +6,7 @@ Random numbers come from one fixed seed, so that the same table gives the same r
 from dataclasses import dataclass
 from functools import lru_cache
 from statistics import NormalDist
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -76,17 +76,20 @@ def bootstrap_means(values: ArrayLike, *, resamples: int = RESAMPLES) -> Floats:
     block = max(1, _BLOCK_CELLS // max(1, len(table)))
     counts = _counts(len(table), resamples, block)
     for start in range(0, resamples, block):
-        drawn = counts[start : start + block].astype(np.float64)
+        drawn = counts[start : start + block].astype(np.float64, copy=False)
         rows = drawn @ sizes
         means[start : start + block] = drawn @ table / rows.reshape(-1, *[1] * (table.ndim - 1))
     return means
 
 
 @lru_cache(maxsize=2)
-def _counts(num_rows: int, resamples: int, block: int) -> NDArray[np.uint16]:
-    """How often each resample draws each row, `[resamples, rows]`: the same for all tables of a length."""
+def _counts(num_rows: int, resamples: int, block: int) -> NDArray[Any]:
+    """How often each resample draws each row, `[resamples, rows]`: the same for all tables of a length.
+
+    Counts of one block are numbers for a product; those of several blocks are small integers, to save memory.
+    """
     random = np.random.default_rng(SEED)
-    counts = np.empty((resamples, num_rows), dtype=np.uint16)
+    counts = np.empty((resamples, num_rows), dtype=np.float64 if resamples <= block else np.uint16)
     for start in range(0, resamples, block):
         size = min(block, resamples - start)
         drawn = random.integers(0, num_rows, (size, num_rows))
