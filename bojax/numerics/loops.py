@@ -17,15 +17,11 @@ def short_loop(number: int, step: Callable[[Any, T], T], start: T) -> T:
 
     On a CPU this is a loop. Unrolled, the 16 steps of `bojax.numerics.linalg.guarded_cholesky` take six times
     as long to compile and are no faster. On a GPU the steps are unrolled, since every iteration of a loop
-    launches kernels of its own.
+    launches kernels of its own. The default backend decides: a wrong guess costs time only, and
+    `jax.lax.platform_dependent` would trace both forms.
     """
-
-    def loop(x: T) -> T:
-        return jax.lax.fori_loop(0, number, step, x)
-
-    def unrolled(x: T) -> T:
-        for k in range(number):
-            x = step(k, x)
-        return x
-
-    return jax.lax.platform_dependent(start, cpu=loop, default=unrolled if number <= MOST_UNROLLED else loop)
+    if number > MOST_UNROLLED or jax.default_backend() == "cpu":
+        return jax.lax.fori_loop(0, number, step, start)
+    for k in range(number):
+        start = step(k, start)
+    return start
