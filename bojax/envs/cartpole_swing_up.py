@@ -10,6 +10,7 @@ from typing_extensions import override
 
 from bojax.envs.control import ControlTask, sign, symmetric
 from bojax.envs.spaces import Box
+from bojax.numerics.choices import Choice, one_of
 
 _GRAVITY, _CART, _POLE, _HALF_LENGTH = 9.8, 1.0, 0.1, 0.5
 
@@ -36,7 +37,7 @@ class CartpoleSwingUp(ControlTask):
     time_step: Float[Array, ""]
     max_steps: int = eqx.field(static=True)
     reward: Literal["goal-only", "classic"] = eqx.field(static=True)
-    actions: Literal["continuous", "sign"] = eqx.field(static=True)
+    actions: Choice = eqx.field(converter=one_of("continuous", "sign"))
 
     @property
     @override
@@ -68,8 +69,7 @@ class CartpoleSwingUp(ControlTask):
         """One explicit Euler step."""
         del key
         (force,) = action
-        if self.actions == "sign":
-            force = self.max_force * sign(force)
+        force = jnp.where(self.actions.is_("sign"), self.max_force * sign(force), force)
         _, velocity, angle, speed = state
         cosine, sine = jnp.cos(angle), jnp.sin(angle)
         push = (force + _POLE * _HALF_LENGTH * speed**2 * sine) / (_CART + _POLE)

@@ -11,6 +11,7 @@ from typing_extensions import override
 from bojax.envs.control import ControlTask, sign, symmetric
 from bojax.envs.spaces import Box
 from bojax.numerics.angles import wrap_to_pi
+from bojax.numerics.choices import Choice, one_of
 
 _GRAVITY = 9.8
 
@@ -39,9 +40,9 @@ class DoublePendulum(ControlTask):
     time_step: Float[Array, ""]
     max_steps: int = eqx.field(static=True)
     reward: Literal["goal-only", "classic"] = eqx.field(static=True)
-    actuated: Literal["base", "elbow"] = eqx.field(static=True)
+    actuated: Choice = eqx.field(converter=one_of("base", "elbow"))
     goal: Literal["distance", "height"] = eqx.field(static=True)
-    actions: Literal["continuous", "sign"] = eqx.field(static=True)
+    actions: Choice = eqx.field(converter=one_of("continuous", "sign"))
 
     @property
     @override
@@ -72,8 +73,7 @@ class DoublePendulum(ControlTask):
         """One Runge-Kutta step, after which angles are wrapped and velocities are clipped to their bounds."""
         del key
         (torque,) = action
-        if self.actions == "sign":
-            torque = self.max_torque * sign(torque)
+        torque = jnp.where(self.actions.is_("sign"), self.max_torque * sign(torque), torque)
         h = self.time_step
         k1 = self.velocity(state, torque)
         k2 = self.velocity(state + 0.5 * h * k1, torque)
@@ -96,10 +96,9 @@ class DoublePendulum(ControlTask):
         rest1 = weight1 - twist * speed2 * (speed2 + 2.0 * speed1)
         rest2 = weight2 + twist * speed1**2
         force1, force2 = -rest1, -rest2
-        if self.actuated == "base":
-            force1 = torque + force1
-        else:
-            force2 = torque + force2
+        is_base = self.actuated.is_("base")
+        force1 = jnp.where(is_base, torque + force1, force1)
+        force2 = jnp.where(is_base, force2, torque + force2)
         ratio = inertia12 / inertia11
         acceleration2 = (force2 - ratio * force1) / (inertia22 - ratio * inertia12)
         acceleration1 = (force1 - inertia12 * acceleration2) / inertia11

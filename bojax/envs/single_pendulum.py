@@ -36,7 +36,7 @@ class SinglePendulum(ControlTask):
     time_step: Float[Array, ""]
     max_steps: int = eqx.field(static=True)
     reward: Literal["goal-only", "classic"] = eqx.field(static=True)
-    classic_ends_at_goal: bool = eqx.field(static=True)
+    classic_ends_at_goal: Bool[Array, ""] = eqx.field(converter=jnp.asarray)
 
     @property
     @override
@@ -88,6 +88,5 @@ class SinglePendulum(ControlTask):
     ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
         del failure, after
         cost = wrap_to_pi(state[0]) ** 2 + 0.1 * state[1] ** 2 + 0.001 * action[0] ** 2
-        if not self.classic_ends_at_goal:
-            return -cost, jnp.zeros_like(success)
-        return jnp.where(success, jnp.zeros_like(cost), -cost), success
+        ends = success & self.classic_ends_at_goal
+        return jnp.where(ends, jnp.zeros_like(cost), -cost), ends

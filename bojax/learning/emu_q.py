@@ -12,12 +12,13 @@ from bojax.envs.base import Action, Observation
 from bojax.envs.spaces import Box, Discrete, Space
 from bojax.learning.actions import even_actions, refined_action
 from bojax.learning.base import Episode, ExplorationState, Learner, Transition
-from bojax.learning.emu_q_model import EMUQModel, EMUQState, Q, U
+from bojax.learning.emu_q_model import TERMINAL_Q, TERMINAL_U, EMUQModel, EMUQState, Q, U
 from bojax.learning.features import FeatureSpec
 from bojax.learning.memory import Memory
 from bojax.learning.policy import best_action
 from bojax.learning.refit import Refit
 from bojax.models.bayesian_linear_regression import BayesianLinearRegression
+from bojax.numerics.choices import Choice
 
 
 class EMUQ(Learner):
@@ -42,8 +43,8 @@ class EMUQ(Learner):
     draw_actions: Literal["once", "always"] = eqx.field(static=True)
     refine_steps: int = eqx.field(static=True)
     reward_order: Literal["before", "after"] = eqx.field(static=True)
-    terminal_q: Literal["zero", "bootstrap"] = eqx.field(static=True)
-    terminal_u: Literal["absorbing", "bootstrap", "zero"] = eqx.field(static=True)
+    terminal_q: Choice = eqx.field(converter=TERMINAL_Q)
+    terminal_u: Choice = eqx.field(converter=TERMINAL_U)
     optimistic_u: bool = eqx.field(static=True)
     has_noise: bool = eqx.field(static=True)
     refit: Literal["sweeps", "direct", "none"] = eqx.field(static=True)

@@ -17,10 +17,17 @@ from bojax.learning.features import StateActionFeatures
 from bojax.learning.memory import Memory
 from bojax.learning.policy import Ties
 from bojax.models.bayesian_linear_regression import BayesianLinearRegression
+from bojax.numerics.choices import Choice, one_of
 from bojax.numerics.linalg import matmul
 
 Q, U = 0, 1
 """Columns of the mean of the weights."""
+
+TERMINAL_Q = one_of("zero", "bootstrap")
+"""Readings of Q of a terminal state."""
+
+TERMINAL_U = one_of("absorbing", "bootstrap", "zero")
+"""Readings of U of a terminal state."""
 
 
 class EMUQState(eqx.Module):
@@ -55,8 +62,8 @@ class EMUQModel(eqx.Module):
     state_lengthscale: Float[Array, ""]
     draw_actions: Literal["once", "always"] = eqx.field(static=True)
     reward_order: Literal["before", "after"] = eqx.field(static=True)
-    terminal_q: Literal["zero", "bootstrap"] = eqx.field(static=True)
-    terminal_u: Literal["absorbing", "bootstrap", "zero"] = eqx.field(static=True)
+    terminal_q: Choice
+    terminal_u: Choice
     optimistic_u: bool = eqx.field(static=True)
     has_noise: bool = eqx.field(static=True)
     mixes_transitions: bool = eqx.field(static=True)
@@ -158,27 +165,21 @@ class EMUQModel(eqx.Module):
         terminated: Bool[Array, ""],
     ) -> Float[Array, "2"]:
         """R + gamma Q(s', a') and r_e + gamma U(s', a')."""
-        q, u = next_values[Q], next_values[U]
-        if self.terminal_q == "zero":
-            q = jnp.where(terminated, 0.0, q)
-        if self.terminal_u == "zero":
-            u = jnp.where(terminated, 0.0, u)
-        elif self.terminal_u == "absorbing":
-            u = jnp.where(terminated, bonus / (1.0 - self.discount), u)
+        q = jnp.where(terminated & self.terminal_q.is_("zero"), 0.0, next_values[Q])
+        forever = jnp.where(self.terminal_u.is_("absorbing"), bonus / (1.0 - self.discount), 0.0)
+        u = jnp.where(terminated & ~self.terminal_u.is_("bootstrap"), forever, next_values[U])
         return jnp.stack([reward + self.discount * q, bonus + self.discount * u], axis=-1)
 
     def q_discount(self, terminated: Bool[Array, "B"], is_valid: Bool[Array, "B"]) -> Float[Array, "B"]:
         """Factor of Q(s', a') in the TD target of Q; 0 for rows that are not valid."""
-        continues = is_valid if self.terminal_q == "bootstrap" else is_valid & ~terminated
+        continues = is_valid & (self.terminal_q.is_("bootstrap") | ~terminated)
         return self.discount * continues.astype(self.discount.dtype)
 
     def u_terms(
         self, bonus: Float[Array, "B"], factor: Float[Array, "B"], terminated: Bool[Array, "B"]
     ) -> tuple[Float[Array, "B"], Float[Array, "B"]]:
         """Constant term of the TD target of U, and its factor of phi(s', a')'m_U."""
-        constant, discount = bonus, self.discount * factor
-        if self.terminal_u != "bootstrap":
-            discount = jnp.where(terminated, 0.0, discount)
-        if self.terminal_u == "absorbing":
-            constant = jnp.where(terminated, bonus / (1.0 - self.discount), bonus)
-        return constant, discount
+        is_absorbing = terminated & self.terminal_u.is_("absorbing")
+        constant = jnp.where(is_absorbing, bonus / (1.0 - self.discount), bonus)
+        ends = terminated & ~self.terminal_u.is_("bootstrap")
+        return constant, jnp.where(ends, 0.0, self.discount * factor)

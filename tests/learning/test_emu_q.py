@@ -129,6 +129,11 @@ def test_a_second_episode_is_the_numpy_version_too():
     )
 
 
+def test_readings_of_terminal_states_are_one_program():
+    readings = [{}, {"terminal_u": "bootstrap"}, {"terminal_u": "zero", "terminal_q": "bootstrap"}]
+    assert len({jax.tree.structure(build(EMUQ(**reading))) for reading in readings}) == 1
+
+
 @pytest.mark.parametrize("terminal_u", ["absorbing", "bootstrap", "zero"])
 def test_sweeps_converge_to_the_direct_solution(terminal_u):
     # One candidate: the policy is given. With several, sweeps may go back and forth between policies.

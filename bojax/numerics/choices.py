@@ -1,0 +1,34 @@
+"""Choices between cheap alternatives as array leaves: points that differ in one share a compiled program."""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Int
+
+
+class Choice(eqx.Module):
+    """One of several names.
+
+    Attributes:
+        index: Position of the name.
+        names: All names.
+    """
+
+    index: Int[Array, ""]
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    def is_(self, name: str) -> Bool[Array, ""]:
+        """Whether this name is chosen."""
+        return self.index == self.names.index(name)
+
+
+def one_of(*names: str) -> Callable[["str | Choice"], Choice]:
+    """The converter of a field that takes one of these names."""
+
+    def convert(value: "str | Choice") -> Choice:
+        if isinstance(value, Choice):
+            return value
+        return Choice(jnp.asarray(names.index(value), jnp.int32), names)
+
+    return convert
