@@ -1,5 +1,6 @@
 """Continuous belief tree search: nodes choose new actions by Bayesian optimisation (Algorithms 3-4)."""
 
+import math
 from typing import Literal
 
 import equinox as eqx
@@ -113,8 +114,8 @@ class ContinuousBeliefTreeSearch(
 
     @override
     def begin(self, key: Key[Array, ""], dtype) -> tuple[NodeModels, CBTSDraws]:
-        key_candidates, key_rollout, key_initial = jax.random.split(key, 3)
-        candidates = shifted_kronecker(key_candidates, self.num_candidates, self.motions.num_params, dtype)
+        keys = jax.random.split(key, 3)
+        candidates = shifted_kronecker(keys[0], self.num_candidates, self.motions.num_params, dtype)
         num_nodes = self.iterations + 1
         memory = NodeModels(
             candidates=candidates,
@@ -124,10 +125,13 @@ class ContinuousBeliefTreeSearch(
             whitened=jnp.zeros((num_nodes + 1, self.num_candidates), dtype),
             has_converged=jnp.zeros((num_nodes,), bool),
         )
+        # Both sets of numbers come from one call, since random draws are slow to compile. As every element is
+        # drawn by its position, the first numbers of a longer draw are those of a shorter one.
+        size = self.iterations * max(1, self.depth - 1)
+        numbers = jax.vmap(lambda key: jax.random.randint(key, (size,), 0, self.num_candidates))(keys[1:])
         shape = (self.iterations, self.depth - 1)
         draws = CBTSDraws(
-            rollout=jax.random.randint(key_rollout, shape, 0, self.num_candidates),
-            initial=jax.random.randint(key_initial, (self.iterations,), 0, self.num_candidates),
+            rollout=numbers[0, : math.prod(shape)].reshape(shape), initial=numbers[1, : self.iterations]
         )
         return memory, draws
 
