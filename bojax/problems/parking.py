@@ -5,7 +5,7 @@ from typing import Literal
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Bool, Float, Key
 from typing_extensions import override
 
 from bojax.motions.base import Pose
@@ -39,11 +39,11 @@ class Parking(PoseProblem):
     exit_reward: Float[Array, ""]
     position_noise: Float[Array, ""]
     heading_noise: Float[Array, ""]
+    success_needs_bearing: Bool[Array, ""] = eqx.field(converter=jnp.asarray)
+    exit_terminates: Bool[Array, ""] = eqx.field(converter=jnp.asarray)
+    park_along_path: Bool[Array, ""] = eqx.field(converter=jnp.asarray)
     max_steps: int = eqx.field(static=True)
     bearing: Literal["world", "robot"] = eqx.field(static=True)
-    success_needs_bearing: bool = eqx.field(static=True)
-    exit_terminates: bool = eqx.field(static=True)
-    park_along_path: bool = eqx.field(static=True)
 
     @override
     def start(self, key: Key[Array, ""]) -> Pose:
@@ -62,22 +62,17 @@ class Parking(PoseProblem):
         off_heading = jnp.abs(jnp.sin(path[:, 2]))
         off_axis = self._off_axis(path, distance)
         is_parked = (distance <= self.distance_tolerance) & (off_heading <= self.heading_tolerance)
-        if self.success_needs_bearing:
-            is_parked = is_parked & (off_axis <= self.bearing_tolerance)
-        if not self.park_along_path:
-            is_parked = is_parked & (index == end)
+        is_parked = is_parked & (~self.success_needs_bearing | (off_axis <= self.bearing_tolerance))
+        is_parked = is_parked & (self.park_along_path | (index == end))
         first_parked = jnp.min(jnp.where(is_parked, index, end + 1))
         first_outside = jnp.min(jnp.where(is_outside, index, end + 1))
-        if self.exit_terminates:
-            success = first_parked < first_outside
-            exited = first_outside < first_parked
-            terminated = success | exited
-            last = jnp.minimum(jnp.minimum(first_parked, first_outside), end)
-        else:
-            was_inside = jnp.max(jnp.abs(start[:2])) <= self.half_width
-            success = terminated = first_parked <= end
-            exited = was_inside & (first_outside < first_parked)
-            last = jnp.minimum(first_parked, end)
+        # With `exit_terminates`, the first pose outside the domain ends the path unless it is parked before.
+        was_inside = self.exit_terminates | (jnp.max(jnp.abs(start[:2])) <= self.half_width)
+        ends_outside = jnp.where(self.exit_terminates, first_outside, end + 1)
+        success = (first_parked <= end) & (first_parked < ends_outside)
+        exited = was_inside & (first_outside < first_parked)
+        terminated = success | (self.exit_terminates & exited)
+        last = jnp.minimum(jnp.minimum(first_parked, ends_outside), end)
         farthest = 2.0**0.5 * self.half_width
         shaped = jnp.where(
             off_axis[-1] > self.bearing_tolerance,
