@@ -135,10 +135,11 @@ class TreeSearch(Planner[M], Generic[Memory, Draws, View, Update, M]):
         node = jnp.asarray(ROOT, jnp.int32)
         is_descending = jnp.asarray(True)
         visited = []  # per level: the node, and whether the descent reached it
-        view = None  # of the node at which the descent ends
-        for _ in range(self.depth):
-            here = self.view(tree, memory, node)
-            view = here if view is None else _where(is_descending, here, view)
+        view = here = self.view(tree, memory, node)
+        for level in range(self.depth):
+            if level > 0:
+                here = self.view(tree, memory, node)
+                view = _where(is_descending, here, view)  # of the node at which the descent ends
             selected = self.select(tree, memory, here)
             is_descending = is_descending & (selected != UNVISITED) & ~tree.is_terminal[node]
             node = jnp.where(is_descending, selected, node)

@@ -219,7 +219,8 @@ def _runge_kutta_step(model: Any, before: Any) -> RobotState:
         return (slopes, sums), None
 
     zero = jnp.zeros_like(before.qvel)
-    (_, acceleration), (velocity, change) = jax.lax.scan(stage, ((zero, zero), (zero, zero)), _STAGES)[0]
+    start = (zero, zero), (zero, zero)
+    (_, acceleration), (velocity, change) = jax.lax.scan(stage, start, jnp.asarray(_STAGES))[0]
     return RobotState(before.qpos + h * velocity, before.qvel + h * change, acceleration)
 
 
