@@ -132,11 +132,11 @@ class PlanningEpisode(Experiment):
     @override
     def advance(self, carry: PlanningState) -> tuple[PlanningState, Records]:
         active = ~carry.is_done
+        key = jax.random.fold_in(carry.key_planner, carry.step)
+        plan = self.planner.plan(key, self.problem, carry.belief)
         # Counters 0 and 1 of the world's stream were used by `init`.
-        streams = jnp.stack([carry.key_planner, carry.key_world])
-        key_plan, key_execute = jax.vmap(jax.random.fold_in)(streams, jnp.stack([carry.step, carry.step + 2]))
-        plan = self.planner.plan(key_plan, self.problem, carry.belief)
-        world, observation, events = self.problem.execute(key_execute, carry.world, plan.path)
+        key = jax.random.fold_in(carry.key_world, carry.step + 2)
+        world, observation, events = self.problem.execute(key, carry.world, plan.path)
         reward = self.problem.reward(None, carry.belief, plan.path, events)
         belief = self.problem.update(carry.belief, plan.path, observation)
         failed = jnp.zeros((), bool) if events.failed is None else events.failed
