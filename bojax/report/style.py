@@ -18,6 +18,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.font_manager import fontManager
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.transforms import offset_copy
 
 from bojax.logs import quiet
@@ -140,10 +141,17 @@ def figure(height: float, rows: int = 1, columns: int = 1, **options: Any) -> tu
     return drawn, drawn.subplots(rows, columns, squeeze=False, **options)
 
 
+class _Compressed(ConstrainedLayoutEngine):
+    """A layout without gaps between panels of equal aspect, which need no second layout."""
+
+    def __init__(self):
+        super().__init__(compress=True)
+
+
 def compressed(height: float, rows: int, columns: int) -> tuple[Figure, np.ndarray]:
     """A figure of panels of equal aspect and a common scale, without the gaps of other layouts."""
     drawn, grid = figure(height, rows, columns, sharex=True, sharey=True)
-    drawn.set_layout_engine("compressed")
+    drawn.set_layout_engine(_Compressed())
     return drawn, grid
 
 
@@ -151,7 +159,7 @@ def encode(drawn: Figure) -> Mapping[str, bytes]:
     """The figure as `png` and `svg`. Equal figures give equal bytes: ids are fixed and dates left out."""
     if (engine := drawn.get_layout_engine()) is not None:
         # Panels of equal aspect move in the second layout; without it they would be cut off.
-        for _ in range(2):
+        for _ in range(1 if isinstance(engine, _Compressed) else 2):
             engine.execute(drawn)
         # Both files have this layout. `Figure.savefig` would repeat it, with two more drawings, for each.
         drawn.set_layout_engine("none")
