@@ -13,7 +13,7 @@ from bojax.config.sweep import Report
 from bojax.report import style
 from bojax.report.build import build_report
 from bojax.report.drawing.base import Undrawable
-from bojax.report.drawing.domains import draw_outline
+from bojax.report.drawing.domains import draw_outline, tick_outline
 from bojax.report.drawing.maps import beliefs, draw_map
 from bojax.report.figures import draw
 from bojax.report.figures.beliefs import _maps, _norms
@@ -102,7 +102,9 @@ class TestMaps:
         with style.settings():
             _, grid = style.figure(3.0)
             settings = {**SPACE, "kind": kind, "domain": [-1.0, 0.0, 9.0, 4.0]}
-            draw_outline(grid[0, 0], registry["problem"][kind].model_validate(settings).outline)
+            outline = registry["problem"][kind].model_validate(settings).outline
+            draw_outline(grid[0, 0], outline)
+            tick_outline(grid[0, 0], outline)
         boxes = [
             list(patch.get_bbox().extents) for patch in grid[0, 0].patches if isinstance(patch, Rectangle)
         ]
