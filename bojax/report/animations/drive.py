@@ -52,12 +52,7 @@ class Drive:
 
 
 def choose_drive(results: Results, point: int | None = None, run: int | None = None) -> Drive:
-    """A recorded run of a planner.
-
-    Args:
-        results: The results folder.
-        point: Index of the point; by default the first point with a recorded run.
-        run: Index of the run; by default the first recorded run.
+    """A recorded run of a planner, chosen by the arguments of `choose_film`.
 
     Raises:
         ResultsError: The run was not recorded.

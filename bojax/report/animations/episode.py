@@ -45,13 +45,7 @@ class Episode:
 def choose_episode(
     results: Results, point: int | None = None, run: int | None = None, episode: int | None = None
 ) -> Episode:
-    """A recorded episode.
-
-    Args:
-        results: The results folder.
-        point: Index of the point; by default the first point with recorded steps.
-        run: Index of the run; by default the first recorded run.
-        episode: Number of the episode; by default the first success of the run, else its last episode.
+    """A recorded episode, chosen by the arguments of `choose_film`.
 
     Raises:
         ResultsError: The episode was not recorded.

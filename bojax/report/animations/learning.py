@@ -26,11 +26,7 @@ _SIZE = (4.0, 4.0)
 
 
 class LearningFilm(Film):
-    """The steps of an episode, one after the other.
-
-    Args:
-        episode: The episode shown.
-        model: MJCF file of the robot; by default the model that the settings name.
+    """The steps of an episode, one after the other; a robot may be drawn from another MJCF file.
 
     Raises:
         ResultsError: There is no drawing of this environment.

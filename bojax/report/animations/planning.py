@@ -43,9 +43,7 @@ class PlanningFilm(Film):
     the plan. Beside it are mean and standard deviation of the belief about a field, if there is one, or else
     the map if the main image shows the robot.
 
-    Args:
-        drive: The run shown.
-        model: MJCF file of the robot; by default the model that the settings name.
+    A robot may be drawn from another MJCF file.
 
     Raises:
         ResultsError: The robot cannot be drawn.

@@ -139,7 +139,7 @@ def _run(axes: Axes, arrays: Mapping[str, Any], colour: str, *, is_success: bool
     axes.scatter(*start[:2], s=22, facecolors="white", edgecolors=colour, linewidths=1.3, zorder=5)
     poses = np.stack([step[-1] for step in steps]) if steps else start[None]
     x, y, heading = poses.T
-    shape = {"scale": 1 / 0.075, "width": 0.015, "headlength": 4.6, "headaxislength": 4.2}
+    shape: dict[str, Any] = {"scale": 1 / 0.075, "width": 0.015, "headlength": 4.6, "headaxislength": 4.2}
     axes.quiver(x, y, np.cos(heading), np.sin(heading), color=colour, zorder=4, **ARROWS, **shape)
     return stops(ends, steps)
 
