@@ -227,25 +227,14 @@ def spread(heights: Sequence[float], gap: float, low: float, high: float) -> lis
     order = np.argsort(np.asarray(heights, dtype=np.float64), kind="stable")
     offsets = gap * np.arange(len(order))
     # Keeping a gap between neighbours is isotonic regression of the heights less their offsets.
-    shifted = _isotonic(np.asarray(heights, dtype=np.float64)[order] - offsets)
+    shifted = np.asarray(heights, dtype=np.float64)[order] - offsets
+    if (np.diff(shifted) < 0).any():
+        from scipy.optimize import isotonic_regression  # imported late: it takes longer than two figures
+
+        shifted = isotonic_regression(shifted).x
     positions = np.empty(len(order))
     positions[order] = np.clip(shifted, low, max(low, high - offsets[-1])) + offsets
     return positions.tolist()
-
-
-def _isotonic(values: np.ndarray) -> np.ndarray:
-    """The non-decreasing numbers nearest to `values` in least squares, by pooling adjacent violators.
-
-    `scipy.optimize` has it, but its import takes longer than two figures.
-    """
-    pools: list[tuple[float, int]] = []
-    for value in values:
-        total, count = float(value), 1
-        while pools and pools[-1][0] / pools[-1][1] > total / count:
-            above, more = pools.pop()
-            total, count = total + above, count + more
-        pools.append((total, count))
-    return np.repeat([total / count for total, count in pools], [count for _, count in pools])
 
 
 def wrapped(name: str, width: int) -> str:

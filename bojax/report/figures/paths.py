@@ -140,7 +140,7 @@ def _run(axes: Axes, arrays: Mapping[str, Any], colour: str, *, is_success: bool
     poses = np.stack([step[-1] for step in steps]) if steps else start[None]
     x, y, heading = poses.T
     shape: dict[str, Any] = {"scale": 1 / 0.075, "width": 0.015, "headlength": 4.6, "headaxislength": 4.2}
-    axes.quiver(x, y, np.cos(heading), np.sin(heading), color=colour, zorder=4, **ARROWS, **shape)
+    axes.quiver(x, y, np.cos(heading), np.sin(heading), color=colour, zorder=4, **shape, **ARROWS)
     return stops(ends, steps)
 
 
