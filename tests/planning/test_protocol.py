@@ -146,11 +146,17 @@ def test_a_batch_is_a_loop_and_its_lanes_differ(planner, problem, beliefs):
     assert len({float(value) for value in lanes.value}) == LANES
 
 
+def scaled(part, factor):
+    """A part with all numbers multiplied; Booleans and choices stay."""
+    return jax.tree.map(
+        lambda leaf: factor * leaf if jnp.issubdtype(leaf.dtype, jnp.floating) else leaf, part
+    )
+
+
 def test_new_keys_beliefs_and_hyperparameters_compile_nothing(planner, problem, beliefs):
     plan(planner, key(0), problem, beliefs[0])
     before = TRACES["plan"]
-    changed = jax.tree.map(lambda leaf: 0.9 * leaf, planner)
-    harder = jax.tree.map(lambda leaf: 0.95 * leaf, problem)
+    changed, harder = scaled(planner, 0.9), scaled(problem, 0.95)
     first = plan(changed, key(1), problem, beliefs[1])
     second = plan(planner, key(2), harder, beliefs[2])
     assert TRACES["plan"] == before
