@@ -261,9 +261,11 @@ class _Executor:
 
 def _progress_of(chunk: Chunk, sink: Sink, max_advances: int) -> ChunkProgress:
     state = sink.state
-    lanes = chunk.layout.lanes
+    layout = chunk.layout
     if state.checkpoint is None:
-        live = min(lanes, chunk.num_runs)
-        return ChunkProgress(lanes, live, chunk.num_runs - live, max_advances)
-    live = sum(1 for run in state.lanes if run >= 0)
-    return ChunkProgress(lanes, live, chunk.num_runs - state.next_run, max_advances)
+        lanes, live = layout.lanes, min(layout.lanes, chunk.num_runs)
+        waiting = chunk.num_runs - live
+    else:
+        lanes, live = len(state.lanes), sum(1 for run in state.lanes if run >= 0)
+        waiting = chunk.num_runs - state.next_run
+    return ChunkProgress(lanes, layout.widths[-1], live, waiting, max_advances)

@@ -11,7 +11,8 @@ class ChunkProgress:
     """The progress of a chunk.
 
     Attributes:
-        lanes: Number of lanes at the start.
+        lanes: Number of lanes.
+        narrowest: Smallest number of lanes to which its runs can move.
         live: Number of unfinished runs in lanes.
         waiting: Number of runs that wait for a lane.
         advances_left: Upper bound of the advances of the runs in lanes.
@@ -19,6 +20,7 @@ class ChunkProgress:
     """
 
     lanes: int
+    narrowest: int
     live: int
     waiting: int
     advances_left: int
@@ -120,12 +122,16 @@ def forecast(
 
 
 def _advances_left(chunk: ChunkProgress, mean: float) -> float:
-    """Expected number of advances until the last run of a chunk ends.
+    """Expected number of advances of the present lanes that take as long as the chunk still takes.
 
-    Of `n` runs that end at a constant rate, the last one takes the mean times the harmonic number of `n`.
+    Of `n` runs that end at a constant rate, the first ends after the mean divided by `n`, and the last one
+    after the mean times the harmonic number of `n`. Advances of fewer lanes take less time.
     """
-    harmonic = float(np.sum(1.0 / np.arange(1, chunk.live + 1)))
-    return chunk.waiting / chunk.lanes * mean + min(mean * harmonic, chunk.advances_left)
+    live = np.arange(1, chunk.live + 1)
+    harmonic = float(np.sum(1.0 / live))
+    narrowed = float(np.sum(np.maximum(live, chunk.narrowest) / live)) / chunk.lanes
+    share = min(1.0, chunk.advances_left / (mean * harmonic)) if chunk.live else 0.0
+    return mean * (chunk.waiting / chunk.lanes + share * min(harmonic, narrowed))
 
 
 def _compiling(groups: Sequence[GroupProgress], now: float, threads: int) -> float:

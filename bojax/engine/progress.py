@@ -108,7 +108,7 @@ class SweepProgress:
             group.seconds += segment.seconds
             group.advances += segment.advances
             state = group.chunks[chunk]
-            state.live, state.waiting = segment.live, segment.waiting
+            state.lanes, state.live, state.waiting = segment.lanes, segment.live, segment.waiting
             state.advances_left = segment.advances_left
             state.seconds_per_advance = segment.seconds / max(1, segment.advances)
             self._runs_done += segment.finished

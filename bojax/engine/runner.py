@@ -37,6 +37,7 @@ class Segment:
 
     Attributes:
         finished: Number of runs that finished.
+        lanes: Number of lanes at its end.
         live: Number of unfinished runs in lanes.
         waiting: Number of runs that wait for a lane.
         advances: Number of advances of all lanes together.
@@ -48,6 +49,7 @@ class Segment:
     """
 
     finished: int
+    lanes: int
     live: int
     waiting: int
     advances: int
@@ -184,6 +186,7 @@ class ChunkRunner:
         youngest = int(np.max(np.asarray(state.started)[occupied], initial=0))
         return Segment(
             finished=finished,
+            lanes=len(state.lanes),
             live=int(occupied.sum()),
             waiting=self._chunk.num_runs - state.next_run,
             advances=state.advances - first_advance,

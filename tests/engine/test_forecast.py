@@ -16,7 +16,7 @@ def simulate(lengths: np.ndarray, lanes: int, most: int):
     waiting, left = list(lengths[lanes:]), list(lengths[:lanes])
     ages = [0] * len(left)
     group = GroupProgress("toy", most, compile_seconds=1.0)
-    chunk = group.chunks[0] = ChunkProgress(lanes, len(left), len(waiting), most)
+    chunk = group.chunks[0] = ChunkProgress(lanes, lanes, len(left), len(waiting), most)
     seen = []
     while left:
         group.advances += 1
@@ -52,7 +52,7 @@ def test_the_time_left_is_within_a_factor_of_two_after_a_tenth(mean, most, lanes
 
 
 def test_nothing_is_forecast_before_the_first_advance():
-    group = GroupProgress("toy", 10, {0: ChunkProgress(4, 4, 0, 10)})
+    group = GroupProgress("toy", 10, {0: ChunkProgress(4, 4, 4, 0, 10)})
     assert forecast([group], **USUAL) is None
 
 
@@ -60,7 +60,7 @@ def test_an_unknown_group_is_taken_for_an_average_one():
     known = GroupProgress(
         "known", 10, seconds=8.0, advances=4, finished=1, lane_advances=5, compile_seconds=3.0
     )
-    unknown = GroupProgress("unknown", 100, {0: ChunkProgress(1, 1, 0, 100)})
+    unknown = GroupProgress("unknown", 100, {0: ChunkProgress(1, 1, 1, 0, 100)})
     found = forecast([known, unknown], **USUAL)
     assert found is not None
     assert found.running == pytest.approx(50 * 2.0)  # half of its advances, like the known group
@@ -69,11 +69,29 @@ def test_an_unknown_group_is_taken_for_an_average_one():
 
 
 def test_workers_share_chunks_and_a_compilation_hides_behind_an_accelerator():
-    chunks = {i: ChunkProgress(1, 1, 0, 10, seconds_per_advance=1.0) for i in range(4)}
+    chunks = {i: ChunkProgress(1, 1, 1, 0, 10, seconds_per_advance=1.0) for i in range(4)}
     group = GroupProgress("toy", 10, chunks, seconds=1.0, advances=1, compile_seconds=2.0)
-    other = GroupProgress("other", 10, {9: ChunkProgress(1, 1, 0, 10)}, compiling_since=-1.0)
+    other = GroupProgress("other", 10, {9: ChunkProgress(1, 1, 1, 0, 10)}, compiling_since=-1.0)
     found = forecast([group, other], now=0.0, workers=2, threads=1, shares_cores=False)
     assert found is not None
     assert found.running == pytest.approx(25.0)  # five chunks of ten advances on two workers
     assert found.compiling == pytest.approx(1.0)
     assert found.seconds == pytest.approx(25.0)
+
+
+def test_the_last_runs_take_less_time_in_fewer_lanes():
+    def left(narrowest):
+        chunk = ChunkProgress(4000, narrowest, 100, 0, 1000, seconds_per_advance=1.0)
+        group = GroupProgress(
+            "toy", 1000, {0: chunk}, finished=3900, lane_advances=39000, compile_seconds=1.0
+        )
+        group.seconds, group.advances = 10.0, 10
+        found = forecast([group], **USUAL)
+        assert found is not None
+        return found.seconds
+
+    harmonic = np.sum(1 / np.arange(1, 101))
+    assert left(4000) == pytest.approx(10 * harmonic)
+    # Of 100 runs left in 4,000 lanes: an advance of the k last ones takes k / 4,000 of the time.
+    assert left(1) == pytest.approx(10 * 100 / 4000)
+    assert left(1) < left(63) < left(500) < left(4000)

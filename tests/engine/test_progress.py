@@ -26,12 +26,20 @@ def make(num_runs=100, *, is_terminal=False, **options):
 
 
 def group_of(*waiting: int, name="toy", lanes=10, max_advances=20, compile_seconds: float | None = 1.0):
-    chunks = {i: ChunkProgress(lanes, lanes, number, max_advances) for i, number in enumerate(waiting)}
+    chunks = {i: ChunkProgress(lanes, lanes, lanes, number, max_advances) for i, number in enumerate(waiting)}
     return GroupProgress(name, max_advances, chunks, compile_seconds=compile_seconds)
 
 
 def segment(**changed) -> Segment:
-    usual = {"finished": 0, "live": 10, "waiting": 0, "advances": 1, "lane_advances": 10, "advances_left": 10}
+    usual = {
+        "finished": 0,
+        "lanes": 10,
+        "live": 10,
+        "waiting": 0,
+        "advances": 1,
+        "lane_advances": 10,
+        "advances_left": 10,
+    }
     return Segment(**(usual | {"active_steps": 1, "issued_steps": 1, "seconds": 1.0} | changed))
 
 
