@@ -2,6 +2,7 @@
 
 import shlex
 import time
+from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -9,7 +10,7 @@ from bojax.cli.parser import Parser, UsageError, integer
 from bojax.cli.running import resolved
 from bojax.config.errors import did_you_mean, listed
 from bojax.config.files import available
-from bojax.config.sweep import load_sweep
+from bojax.config.sweep import Sweep, load_sweep
 
 FOLDER = Path("results/reproduction")
 """Folder of reproductions without `--out`, each named after the time of its start."""
@@ -40,9 +41,12 @@ _EXAMPLES = """\
 def main(name: str, words: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     args = _parser(name).parse_intermixed_args(list(words))
-    start = time.monotonic()
-    command = ["bojax", name, *words]
     sweeps = [load_sweep(sweep, (), args.runs, args.seed) for sweep in selected(args.ids)]
+    return _run(sweeps, args, ["bojax", name, *words])
+
+
+def _run(sweeps: Sequence[Sweep], args: Namespace, command: list[str]) -> int:
+    start = time.monotonic()
     out = args.out or (_newest(FOLDER) if args.resume else FOLDER / time.strftime("%Y%m%d-%H%M%S"))
     if not args.out:  # so that the printed command resumes this folder
         command += ["--out", str(out)]

@@ -55,6 +55,7 @@ class GroupTask:
 
     def __post_init__(self):
         self.functions = Functions(self.group)
+        self.keeps_snapshots = any(sink.recorded_runs > 0 for _, sink in self.chunks)
         self.progress = GroupProgress(self.name, self.experiment.max_advances)
         for chunk, sink in self.chunks:
             self.progress.chunks[chunk.index] = _progress_of(chunk, sink, self.experiment.max_advances)
@@ -150,7 +151,7 @@ class _Executor:
             device,
             width,
             task.seed,
-            snapshots=any(sink.recorded_runs > 0 for _, sink in task.chunks),
+            snapshots=task.keeps_snapshots,
             fills=is_first,
         )
         if is_first:

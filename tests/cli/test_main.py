@@ -22,7 +22,7 @@ def here(tmp_path, monkeypatch):
 MISTAKES = {
     "an unknown command": (
         ["swep"],
-        "unknown command swep; allowed: bench, doctor, list, render, report, run, sweep; "
+        "unknown command swep; allowed: bench, doctor, list, render, report, reproduce, run, sweep; "
         'did you mean "sweep"?',
     ),
     "a path of many names": (

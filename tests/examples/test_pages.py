@@ -13,7 +13,7 @@ from bojax.config.places import look_up
 from bojax.config.sweep import load_config, load_sweep
 from bojax.engine.build import build
 from bojax.engine.manifest import timings
-from bojax.engine.runner import evaluation
+from bojax.engine.sinks import evaluation
 from bojax.experiments.settings import Learning
 from tests.examples.pages import PAGES, ROOT, blocks, commands, links
 
@@ -55,7 +55,8 @@ def test_every_page_is_in_the_navigation_and_in_both_lists():
 def test_a_command_is_understood(page, words, monkeypatch, capsys, tmp_path):
     """Up to the point where a sweep would be run; the learner that is evaluated is one of mountain car."""
     asked = []
-    monkeypatch.setattr("bojax.cli.running._run", lambda sweeps, *_: asked.extend(sweeps) or 0)
+    for module in ("running", "reproducing"):
+        monkeypatch.setattr(f"bojax.cli.{module}._run", lambda sweeps, *_: asked.extend(sweeps) or 0)
     monkeypatch.setattr("bojax.cli.reporting.main", lambda *_: 0)
     monkeypatch.setattr("bojax.cli.rendering.main", lambda *_: 0)
     monkeypatch.setattr("bojax.cli.doctor.main", lambda *_: 0)
@@ -67,7 +68,7 @@ def test_a_command_is_understood(page, words, monkeypatch, capsys, tmp_path):
             config = load_config("mountain-car").points[0].config.model_dump(mode="json")
             Path(word, EXPERIMENT).write_text(yaml.safe_dump(evaluation(config)))
     assert cli.main(words[1:]) == 0, capsys.readouterr().err
-    assert asked or words[1] not in ("run", "sweep")
+    assert asked or words[1] not in ("run", "sweep", "reproduce")
 
 
 def test_make_targets_exist():
