@@ -116,7 +116,9 @@ def _tiny(words: list[str]) -> tuple[str, ...]:
     """Overrides with small budgets: a planner that does not search has no depth, a learner no planner."""
     if any(name in word for word in words for name in ("my_env", "my_learner", "my_gym_env", "my_robot_env")):
         return ("episodes=2", "env.max_steps=40", *TINY[2:])
-    if words[2].endswith(".yaml") and len(words) > 3:  # a film of this config is drawn without the overrides
+    if words[2].endswith(".yaml") and any(
+        "=" in word for word in words[3:]
+    ):  # a film of this config is drawn without the overrides
         return (*TINY[:-3], "record.runs=0", *TINY[-2:])
     return TINY[1:] if any("my_planner" in word for word in words) else TINY
 
