@@ -28,6 +28,7 @@ _EXAMPLES = """\
   bojax sweep parking                       the parking study: four planners, 200 runs each
   bojax sweep parking --runs 20             the same with 20 runs each
   bojax run parking planner.iterations=100  one experiment, with a setting changed
+  bojax reproduce chapter4                  the sweeps of a chapter of the thesis, with one page over all
   bojax list kcbts                          the settings of a planner
 """
 
@@ -96,7 +97,7 @@ def _run(words: list[str]) -> int:
 
 
 def _parser() -> Parser:
-    commands = "\n".join(f"  {name:<8} {summary}" for name, (_, summary) in COMMANDS.items())
+    commands = "\n".join(f"  {name:<9} {summary}" for name, (_, summary) in COMMANDS.items())
     return Parser(
         prog="bojax",
         usage="bojax COMMAND ...",
