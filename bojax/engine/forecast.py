@@ -92,7 +92,7 @@ class Forecast:
 
 
 def forecast(
-    groups: Sequence[GroupProgress], *, now: float, workers: int, threads: int, shares_cores: bool
+    groups: Sequence[GroupProgress], *, now: float, workers: int, shares_cores: bool
 ) -> Forecast | None:
     """The time that is left; None while nothing is known of the duration of an advance.
 
@@ -102,7 +102,6 @@ def forecast(
         groups: All groups with unfinished chunks, and those that are done.
         now: The time.
         workers: Number of chunks that run side by side.
-        threads: Number of compilations side by side.
         shares_cores: Whether compilation and advances take turns on the same cores.
     """
     paces = [group.seconds_per_advance for group in groups if group.seconds_per_advance is not None]
@@ -118,7 +117,7 @@ def forecast(
             pace = chunk.seconds_per_advance or group.seconds_per_advance or usual_pace
             seconds = _advances_left(chunk, mean) * pace
             running, longest = running + seconds, max(longest, seconds)
-    return Forecast(_compiling(groups, now, threads), max(running / workers, longest), shares_cores)
+    return Forecast(_compiling(groups, now), max(running / workers, longest), shares_cores)
 
 
 def _advances_left(chunk: ChunkProgress, mean: float) -> float:
@@ -134,18 +133,13 @@ def _advances_left(chunk: ChunkProgress, mean: float) -> float:
     return mean * (chunk.waiting / chunk.lanes + share * min(harmonic, narrowed))
 
 
-def _compiling(groups: Sequence[GroupProgress], now: float, threads: int) -> float:
-    done = [group.compile_seconds for group in groups if group.compile_seconds is not None]
-    passed = [
-        now - group.compiling_since
-        for group in groups
-        if group.compiling_since is not None and group.compile_seconds is None and group.chunks
-    ]
-    usual = float(np.mean(done)) if done else max(passed, default=0.0)
-    not_started = sum(
-        1
-        for group in groups
-        if group.compiling_since is None and group.compile_seconds is None and group.chunks
+def _compiling(groups: Sequence[GroupProgress], now: float) -> float:
+    """Seconds until all groups are compiled, at the pace at which compilations have ended so far."""
+    starts = [group.compiling_since for group in groups if group.compiling_since is not None]
+    left = sum(1 for group in groups if group.compile_seconds is None and group.chunks)
+    if not starts or not left:
+        return 0.0
+    done = sum(
+        1 for group in groups if group.compile_seconds is not None and group.compiling_since is not None
     )
-    left = [max(usual - seconds, 0.0) for seconds in passed] + [usual] * not_started
-    return max(sum(left) / max(1, threads), max(left, default=0.0))
+    return (now - min(starts)) / max(1, done) * left

@@ -29,7 +29,6 @@ class SweepProgress:
         title: Name of the sweep.
         num_runs: Number of runs of the whole sweep.
         workers: Number of chunks that run side by side.
-        threads: Number of compilations side by side.
         shares_cores: Whether compilation and runs take turns on the same cores.
         console: Console to write to; standard error by default.
     """
@@ -40,13 +39,12 @@ class SweepProgress:
         num_runs: int,
         *,
         workers: int = 1,
-        threads: int = 1,
         shares_cores: bool = True,
         console: Console | None = None,
     ):
         self._console = console or Console(stderr=True, highlight=False)
         self._title, self._num_runs = title, num_runs
-        self._workers, self._threads, self._shares_cores = workers, threads, shares_cores
+        self._workers, self._shares_cores = workers, shares_cores
         self._groups: list[GroupProgress] = []
         self._runs_done = 0
         self._steps = self._issued = 0
@@ -136,7 +134,6 @@ class SweepProgress:
             self._groups,
             now=time.monotonic(),
             workers=self._workers,
-            threads=self._threads,
             shares_cores=self._shares_cores,
         )
         return text if left is None else f"{text}, {_duration(left.seconds)} left"

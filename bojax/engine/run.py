@@ -12,7 +12,7 @@ from bojax.config.errors import ConfigError, printable
 from bojax.config.extras import MissingExtra
 from bojax.engine.devices import Device, find_devices, prepare, workers_of
 from bojax.engine.errors import FAILURE, EngineError
-from bojax.engine.execute import GroupTask, compile_threads, execute
+from bojax.engine.execute import GroupTask, execute
 from bojax.engine.journal import Journal
 from bojax.engine.latency import measure_latency
 from bojax.engine.plan import make_plan
@@ -138,7 +138,6 @@ def _execute(
         f"{len(journals)} sweeps" if several else journals[0].plan.sweep.name,
         num_runs,
         workers=len(workers_of(devices)),
-        threads=compile_threads(),
         shares_cores=devices[0].platform == "cpu",
     )
     progress.add([task.progress for task in tasks], runs_done=num_runs - waiting)

@@ -8,7 +8,7 @@ from bojax.engine.forecast import ChunkProgress, GroupProgress, forecast
 PACE = 0.5
 """Seconds of an advance."""
 
-USUAL = {"now": 0.0, "workers": 1, "threads": 1, "shares_cores": True}
+USUAL = {"now": 0.0, "workers": 1, "shares_cores": True}
 
 
 def simulate(lengths: np.ndarray, lanes: int, most: int):
@@ -58,7 +58,14 @@ def test_nothing_is_forecast_before_the_first_advance():
 
 def test_an_unknown_group_is_taken_for_an_average_one():
     known = GroupProgress(
-        "known", 10, seconds=8.0, advances=4, finished=1, lane_advances=5, compile_seconds=3.0
+        "known",
+        10,
+        seconds=8.0,
+        advances=4,
+        finished=1,
+        lane_advances=5,
+        compile_seconds=3.0,
+        compiling_since=-3.0,
     )
     unknown = GroupProgress("unknown", 100, {0: ChunkProgress(1, 1, 1, 0, 100)})
     found = forecast([known, unknown], **USUAL)
@@ -71,11 +78,12 @@ def test_an_unknown_group_is_taken_for_an_average_one():
 def test_workers_share_chunks_and_a_compilation_hides_behind_an_accelerator():
     chunks = {i: ChunkProgress(1, 1, 1, 0, 10, seconds_per_advance=1.0) for i in range(4)}
     group = GroupProgress("toy", 10, chunks, seconds=1.0, advances=1, compile_seconds=2.0)
+    group.compiling_since = -4.0
     other = GroupProgress("other", 10, {9: ChunkProgress(1, 1, 1, 0, 10)}, compiling_since=-1.0)
-    found = forecast([group, other], now=0.0, workers=2, threads=1, shares_cores=False)
+    found = forecast([group, other], now=0.0, workers=2, shares_cores=False)
     assert found is not None
     assert found.running == pytest.approx(25.0)  # five chunks of ten advances on two workers
-    assert found.compiling == pytest.approx(1.0)
+    assert found.compiling == pytest.approx(4.0)  # one program was compiled in the 4 s so far
     assert found.seconds == pytest.approx(25.0)
 
 
