@@ -41,6 +41,9 @@ def save(path: Path, tree: PyTree[Array]) -> None:
     except ResultsError:
         raise
     except Exception as error:
+        # Tasks of Orbax may fail, and be logged with a traceback, after the call has raised.
+        for name in ("absl", "asyncio"):
+            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
         if "No space left" in str(error) or getattr(error, "errno", None) == 28:
             raise ResultsError(
                 f"{path}: the disk is full; free some space, then run again with --resume", exit_code=1
