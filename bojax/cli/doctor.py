@@ -25,7 +25,6 @@ _PACKAGES = (
     "equinox",
     "jaxtyping",
     "optax",
-    "orbax-checkpoint",
     "numpy",
     "scipy",
     "pyarrow",

@@ -2,10 +2,10 @@
 
 import abc
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pyarrow as pa
 import yaml
@@ -17,10 +17,10 @@ from bojax.config.settings import Record
 from bojax.experiments.base import Carry
 from bojax.numerics import checkpoint
 from bojax.results.parts import ChunkFolder, ChunkState
-from bojax.results.store import write_atomically
+from bojax.results.store import LEARNERS, write_atomically
 
-LEARNED = "learned"
-"""Folder of a saved learner's arrays, next to the config that evaluates the learner."""
+LEARNED = "learner.npz"
+"""File of a saved learner's arrays, next to the config that evaluates the learner."""
 
 EVALUATION_EPISODES = 20
 """Number of episodes of an evaluation; `episodes=` overrides it."""
@@ -94,16 +94,14 @@ class FolderSink(Sink):
 
     @override
     def write_learner(self, point: int, run: int, learned: PyTree) -> None:
-        folder = self._files.learner_folder(point, run)
+        folder = f"{LEARNERS}/{point}-{run}"
         text = yaml.safe_dump(evaluation(self._configs[point]), sort_keys=False)
-        write_atomically(folder / EXPERIMENT, lambda temporary: temporary.write_text(text))
-        checkpoint.save(folder / LEARNED, learned)
+        write_atomically(self._files.add(f"{folder}/{EXPERIMENT}"), lambda file: file.write_text(text))
+        checkpoint.save(self._files.add(f"{folder}/{LEARNED}"), learned)
 
     @override
     def save(self, carry: Carry) -> None:
-        path: Path = self._files.checkpoint_path()
-        self.state.checkpoint = path.name
-        checkpoint.save(path, carry)
+        checkpoint.save(self._files.add_checkpoint(), carry)
         self._files.commit()
 
     @override
@@ -118,18 +116,21 @@ class FolderSink(Sink):
 
 
 class MemorySink(Sink):
-    """Keeps rows and learners in memory, and saves no checkpoints.
+    """Keeps everything in memory.
 
     Attributes:
         tables: The parts of each table.
-        learned: Exported state of the learner of each run.
+        snapshots: The named arrays of each `(point, run, name, when)`.
+        learned: The exported state of the learner of each `(point, run)`.
     """
 
-    def __init__(self, runs: int):
+    def __init__(self, *, recorded_runs: int = 0, saved_learners: int = 0):
         self.state = ChunkState()
-        self.recorded_runs, self.saved_learners = 0, runs
+        self.recorded_runs, self.saved_learners = recorded_runs, saved_learners
         self.tables: dict[str, list[pa.Table]] = {}
-        self.learned: dict[int, PyTree] = {}
+        self.snapshots: dict[tuple[int, int, str, str], dict[str, np.ndarray]] = {}
+        self.learned: dict[tuple[int, int], PyTree] = {}
+        self._checkpoint: Carry | None = None
 
     @override
     def write_part(self, tables: dict[str, pa.Table]) -> None:
@@ -140,24 +141,29 @@ class MemorySink(Sink):
     def write_snapshot(
         self, point: int, run: int, name: str, when: str, arrays: dict[str, np.ndarray]
     ) -> None:
-        raise NotImplementedError
+        self.snapshots[point, run, name, when] = arrays
 
     @override
     def write_learner(self, point: int, run: int, learned: PyTree) -> None:
-        del point
-        self.learned[run] = learned
+        self.learned[point, run] = learned
 
     @override
     def save(self, carry: Carry) -> None:
-        raise NotImplementedError
+        self.state.checkpoint = f"after {self.state.advances} advances"
+        self._checkpoint = _copy(carry)
 
     @override
     def load(self, structure: PyTree[jax.ShapeDtypeStruct]) -> Carry:
-        raise NotImplementedError
+        return _copy(self._checkpoint)
 
     @override
     def finish(self) -> None:
-        self.state.is_done = True
+        self.state.is_done, self.state.checkpoint, self._checkpoint = True, None, None
+
+
+def _copy(carry: Carry) -> Carry:
+    """A copy, since an advance takes over the buffers of its carry."""
+    return jax.tree.map(jnp.copy, carry)
 
 
 def evaluation(config: Mapping[str, Any]) -> dict[str, Any]:

@@ -127,7 +127,7 @@ def train(
         name: pa.concat_tables(part for sink in sinks for part in sink.tables[name]).drop_columns("point")
         for name in ("runs", "episodes")
     }
-    learned = {run: state for sink in sinks for run, state in sink.learned.items()}
+    learned = {run: state for sink in sinks for (_, run), state in sink.learned.items()}
     return Training(
         runs=sort_rows(tables["runs"]),
         episodes=sort_rows(tables["episodes"]),
@@ -141,7 +141,7 @@ def _run(experiment: LearningRun, runs: int, seed: int) -> list[MemorySink]:
     devices = find_devices("auto")
     (group,) = static_groups([experiment])
     layout = choose_layout(experiment, runs, devices[0].platform, None)
-    chunks = [(chunk, MemorySink(runs)) for chunk in cut(group, range(runs), layout, [{}], {})]
+    chunks = [(chunk, MemorySink(saved_learners=runs)) for chunk in cut(group, range(runs), layout, [{}], {})]
     errors: list[BaseException] = []
     task = GroupTask(
         group=group,

@@ -84,7 +84,7 @@ class Learning(ExperimentSettings, frozen=True):
     )
     map_resolution: int = Field(default=48, ge=2, description="number of cells of a map along each dimension")
     saved: str | None = Field(
-        default=None, description="folder of a saved learner to start from; null for a new learner"
+        default=None, description="file of a saved learner to start from; null for a new learner"
     )
 
     @pydantic.model_validator(mode="after")

@@ -2,7 +2,6 @@
 
 import json
 import os
-import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -57,9 +56,7 @@ def merge(
 
 
 def _move(source: Path, target: Path) -> None:
-    target.parent.mkdir(exist_ok=True)
-    if target.is_dir():  # from an earlier computation of the same chunk
-        shutil.rmtree(target)
+    target.parent.mkdir(parents=True, exist_ok=True)
     os.replace(source, target)
 
 

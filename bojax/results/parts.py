@@ -2,7 +2,6 @@
 
 import os
 import re
-import shutil
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -43,8 +42,7 @@ class ChunkState:
         checkpoint: Name of the checkpoint to resume from; None before the first and after the last.
         is_done: Whether the parts hold all rows of the chunk.
         segments: `[lanes, active steps, seconds]` of each segment.
-        files: Size and SHA-256 of every committed file, by path in the folder of the chunk. A checkpoint and
-            a saved learner are folders, and have one entry each.
+        files: Size and SHA-256 of every committed file, by path in the folder of the chunk.
     """
 
     parts: int = 0
@@ -88,7 +86,7 @@ class ChunkFolder:
             ResultsError: A committed file is missing or has changed; in this case nothing is deleted.
         """
         with explained(self.path):
-            (self.path / ARRAYS).mkdir(parents=True, exist_ok=True)
+            self.path.mkdir(parents=True, exist_ok=True)
         if os.path.lexists(self._state_file):
             self.state = self._read_state()
         for name in self.state.files:
@@ -99,46 +97,38 @@ class ChunkFolder:
         """Write a part, to be committed by the next commit."""
         for table, rows in tables.items():
             if rows.num_rows:
-                name = f"part-{self.state.parts:06d}-{table}.parquet"
-                write_table(self.path / name, rows)
-                self._new.append(name)
+                write_table(self.add(f"part-{self.state.parts:06d}-{table}.parquet"), rows)
         self.state.parts += 1
 
     def write_snapshot(
         self, point: int, run: int, name: str, when: str, arrays: dict[str, np.ndarray]
     ) -> None:
         """Write named arrays of a run, to be committed by the next commit."""
-        file = f"{ARRAYS}/{array_file(point, run, name, when)}"
-        write_arrays(self.path / file, arrays)
-        self._new.append(file)
+        write_arrays(self.add(f"{ARRAYS}/{array_file(point, run, name, when)}"), arrays)
 
-    def learner_folder(self, point: int, run: int) -> Path:
-        """A new folder for the learner of a run, whose files are committed by the next commit."""
-        name = f"{LEARNERS}/{point}-{run}"
-        with explained(self.path / name):
-            (self.path / name).mkdir(parents=True, exist_ok=True)
+    def add(self, name: str) -> Path:
+        """The path of a new file in an existing folder, to be committed by the next commit."""
+        path = self.path / name
+        with explained(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
         self._new.append(name)
-        return self.path / name
+        return path
 
-    def checkpoint_path(self) -> Path:
-        """The path of the checkpoint after the current number of advances."""
-        return self.path / f"{_CHECKPOINT}{self.state.advances:08d}"
+    def add_checkpoint(self) -> Path:
+        """The path of the checkpoint after the current number of advances, which replaces the one before."""
+        self.state.checkpoint = f"{_CHECKPOINT}{self.state.advances:08d}.npz"
+        return self.add(self.state.checkpoint)
 
     def commit(self) -> None:
-        """Commit all files written since the last commit, and the checkpoint that the state names."""
+        """Commit all files added since the last commit; a checkpoint that is not the last one is dropped."""
         state = self.state
         state.files = {
             name: found
             for name, found in state.files.items()
             if name == state.checkpoint or not name.startswith(_CHECKPOINT)
         }
-        if state.checkpoint is not None and state.checkpoint not in state.files:
-            self._new.append(state.checkpoint)
-        folders = [self.path / name for name in self._new if (self.path / name).is_dir()]
         with explained(self.path):
-            # Files in learners and checkpoints may be written by others, who do not sync them.
-            sync(*(path for folder in folders for path in (folder, *folder.rglob("*"))))
-            sync(self.path / ARRAYS, self.path)
+            sync(*{folder for name in self._new for folder in self._folders(name)}, self.path)
         for name in self._new:
             found = fingerprint(self.path / name)
             if found is None:
@@ -151,7 +141,7 @@ class ChunkFolder:
         self._drop_checkpoints()
 
     def committed(self, name: str) -> Path:
-        """The path of a committed file or folder, which merging may have moved to the results folder.
+        """The path of a committed file, which merging may have moved to the results folder.
 
         Raises:
             ResultsError: The file is missing or has changed.
@@ -191,20 +181,21 @@ class ChunkFolder:
 
     def _drop_uncommitted(self) -> None:
         with explained(self.path, "deleted"):
-            for path in (*self.path.iterdir(), *(self.path / ARRAYS).iterdir()):
+            for path in self.path.rglob("*"):
                 name = path.relative_to(self.path).as_posix()
-                is_ours = _PART.fullmatch(name) or name.startswith(f"{ARRAYS}/")
+                is_ours = _PART.fullmatch(name) or name.startswith((f"{ARRAYS}/", f"{LEARNERS}/"))
                 if is_ours and name not in self.state.files and not path.is_dir():
                     path.unlink()
-        for path in (self.path / LEARNERS).glob("*"):
-            if path.relative_to(self.path).as_posix() not in self.state.files:
-                shutil.rmtree(path, ignore_errors=True)
-        self._drop_checkpoints()
+            self._drop_checkpoints()
 
     def _drop_checkpoints(self) -> None:
         for path in self.path.glob(f"{_CHECKPOINT}*"):
-            if path.name != self.state.checkpoint:
-                shutil.rmtree(path, ignore_errors=True)
+            if path.name != self.state.checkpoint and not path.is_dir():
+                path.unlink()
+
+    def _folders(self, name: str) -> list[Path]:
+        """The folders below that of the chunk in which a file lies."""
+        return [self.path / folder for folder in Path(name).parents][:-1]
 
     def _refusal(self, path: Path, what: str) -> ResultsError:
         return ResultsError(

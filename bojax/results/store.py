@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import ArrayLike
 
 from bojax.text import one_line
 
@@ -94,22 +95,17 @@ def sync(*paths: Path) -> None:
             os.close(descriptor)
 
 
-def fingerprint(path: Path, without: str = "") -> dict[str, Any] | None:
-    """Size and SHA-256 of a file, or of all files in a folder; None if the path does not exist.
-
-    Args:
-        path: The file or folder.
-        without: Name of a file in the folder that is left out.
+def fingerprint(path: Path) -> dict[str, Any] | None:
+    """Size and SHA-256 of a file; None if there is no such file.
 
     Raises:
-        ResultsError: A file cannot be read.
+        ResultsError: The file cannot be read.
     """
     with explained(path, "read"):
-        if path.is_dir():
-            files = sorted(file.relative_to(path) for file in path.rglob("*") if file.is_file())
-            found = {str(file): _file_fingerprint(path / file) for file in files if str(file) != without}
-            return {"size": sum(each["size"] for each in found.values()), "sha256": _digest(found)}
-        return _file_fingerprint(path) if path.is_file() else None
+        if not path.is_file():
+            return None
+        with path.open("rb") as file:
+            return {"size": path.stat().st_size, "sha256": hashlib.file_digest(file, "sha256").hexdigest()}
 
 
 def write_json(path: Path, content: Any) -> None:
@@ -164,7 +160,7 @@ def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
         raise ResultsError(f"{path}: not a readable parquet file ({reason}): was it truncated?") from error
 
 
-def write_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:
+def write_arrays(path: Path, arrays: Mapping[str, ArrayLike]) -> None:
     """Write named arrays to an npz file."""
 
     def write(temporary: Path) -> None:
@@ -196,11 +192,6 @@ def _require_file(path: Path) -> None:
         raise ResultsError(f"{path}: no such file")
     if not os.path.isfile(path):
         raise ResultsError(f"{path}: cannot be read: not a regular file")
-
-
-def _file_fingerprint(path: Path) -> dict[str, Any]:
-    with path.open("rb") as file:
-        return {"size": path.stat().st_size, "sha256": hashlib.file_digest(file, "sha256").hexdigest()}
 
 
 def _digest(content: Any) -> str:

@@ -54,9 +54,6 @@ def import_all() -> None:
         importlib.import_module(f"bojax.{name}")
     for name in ("report.build", "report.animations.choose", "report.animations.film", "config.external"):
         importlib.import_module(f"bojax.{name}")
-    from orbax.checkpoint import v1
-
-    del v1
 
 
 def run(

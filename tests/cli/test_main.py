@@ -9,7 +9,7 @@ import pytest
 from bojax import __version__
 from bojax.cli.main import COMMANDS, main
 
-HEAVY = ("jax", "equinox", "orbax", "numpy", "pyarrow", "matplotlib", "rich", "jinja2")
+HEAVY = ("jax", "equinox", "numpy", "pyarrow", "matplotlib", "rich", "jinja2")
 
 
 @pytest.fixture

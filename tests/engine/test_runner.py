@@ -12,7 +12,7 @@ from bojax.engine.batch import Functions, Programs, run_key
 from bojax.engine.chunks import Layout, choose_layout, cut
 from bojax.engine.groups import static_groups
 from bojax.engine.runner import ChunkRunner, Limits
-from bojax.engine.sinks import FolderSink, MemorySink
+from bojax.engine.sinks import FolderSink, MemorySink, Sink
 from bojax.results.parts import ChunkFolder
 from bojax.results.tables import sort_rows
 from tests.toy import Toy, toy
@@ -53,7 +53,7 @@ def chunks_of(layout: Layout):
 def run_in_memory(layout: Layout, limits: Limits = NEVER) -> tuple[dict[str, pa.Table], list]:
     parts, segments = {}, []
     for chunk in chunks_of(layout):
-        sink = MemorySink(0)
+        sink = MemorySink()
         ChunkRunner(chunk, MODULES[0], programs_of(layout), sink, limits, segments.append).run()
         assert sink.state.is_done and sink.state.next_run == chunk.num_runs
         for name, tables in sink.tables.items():
@@ -121,24 +121,44 @@ def test_the_clock_changes_no_bit(name):
         assert again[table].equals(expected)
 
 
+def run_for_a_segment(chunk, layout: Layout, sink: Sink) -> None:
+    seen = []
+    limits = Limits(1e-9, float("inf"), lambda: bool(seen))
+    ChunkRunner(chunk, MODULES[0], programs_of(layout), sink, limits, seen.append).run()
+
+
 @pytest.mark.bits
 @pytest.mark.parametrize("name", LAYOUTS)
-def test_stopped_and_resumed_after_every_segment(name, tmp_path):
+def test_stopped_and_resumed_after_every_segment(name):
+    layout, sinks = LAYOUTS[name], []
+    expected, _ = run_in_memory(layout)
+    for chunk in chunks_of(layout):
+        sink, stops = MemorySink(recorded_runs=1), 0
+        while not sink.state.is_done:
+            run_for_a_segment(chunk, layout, sink)
+            stops += 1
+        assert stops > 5
+        sinks.append(sink)
+    for table, rows in expected.items():
+        parts = [part for sink in sinks for part in sink.tables[table]]
+        assert sort_rows(pa.concat_tables(parts)).equals(rows)
+    saved = {key: arrays for sink in sinks for key, arrays in sink.snapshots.items()}
+    assert sorted(saved) == [(0, 0, "walk", "end"), (1, 0, "walk", "end")]
+    assert all(np.isfinite(values).all() for arrays in saved.values() for values in arrays.values())
+
+
+@pytest.mark.bits
+@pytest.mark.parametrize("name", ["refilled and narrowed", "two queues"])
+def test_stopped_and_resumed_from_a_folder_after_every_segment(name, tmp_path):
     layout, folders = LAYOUTS[name], []
     expected, _ = run_in_memory(layout)
     for chunk in chunks_of(layout):
-        stops = 0
         while True:
             files = ChunkFolder(tmp_path / chunk.name, tmp_path)
             files.open()
             if files.state.is_done:
                 break
-            sink = FolderSink(files, [{}, {}], Record(runs=1))
-            seen = []
-            limits = Limits(1e-9, float("inf"), lambda seen=seen: bool(seen))
-            ChunkRunner(chunk, MODULES[0], programs_of(layout), sink, limits, seen.append).run()
-            stops += 1
-        assert stops > 5
+            run_for_a_segment(chunk, layout, FolderSink(files, [{}, {}], Record(runs=1)))
         folders.append(files)
     for table, rows in expected.items():
         parts = [part for files in folders for part in files.tables(table)]

@@ -545,8 +545,8 @@ def test_saved_learners_enter_as_arrays_and_share_a_program(tmp_path):
     states = [learned(seed) for seed in (1, 2)]
     assert not np.array_equal(states[0].columns, states[1].columns)
     for number, state in enumerate(states):
-        checkpoint.save(tmp_path / str(number), state)
-    runs = [run_of(**EVALUATED, saved=str(tmp_path / str(number))) for number in range(2)]
+        checkpoint.save(tmp_path / f"{number}.npz", state)
+    runs = [run_of(**EVALUATED, saved=str(tmp_path / f"{number}.npz")) for number in range(2)]
     for run, state in zip(runs, states, strict=True):
         begun = lane_of(_start(run, jax.random.split(jax.random.key(0), 1)), 0)
         np.testing.assert_array_equal(begun.learner.columns, state.columns)
@@ -555,7 +555,7 @@ def test_saved_learners_enter_as_arrays_and_share_a_program(tmp_path):
 
 
 def test_a_saved_learner_of_other_spaces_is_refused_in_one_line(tmp_path):
-    checkpoint.save(tmp_path / "learned", learned(1))
+    checkpoint.save(tmp_path / "learner.npz", learned(1))
     with pytest.raises(ResultsError, match="same kind of learner, features and spaces") as error:
-        run_of(**EVALUATED | {"env": CHAIN | {"max_length": 7}}, saved=str(tmp_path / "learned"))
+        run_of(**EVALUATED | {"env": CHAIN | {"max_length": 7}}, saved=str(tmp_path / "learner.npz"))
     assert "\n" not in str(error.value) and error.value.exit_code == 2
