@@ -9,6 +9,7 @@ from pathlib import Path
 from types import TracebackType
 
 from bojax.config.errors import printable
+from bojax.text import error_line
 
 PROCESSES = 4
 """Maximum number of reports that are written at the same time."""
@@ -17,22 +18,22 @@ PROCESSES = 4
 class Reports:
     """Writes reports. On leaving its `with` block, it waits for all and prints their paths.
 
+    Attributes:
+        exit_code: 1 if a report could not be written in the background, 0 otherwise.
+
     Args:
         in_background: Whether other processes write them: drawing holds the interpreter, so that in this
             process it would delay the devices.
     """
 
     def __init__(self, *, in_background: bool):
+        self.exit_code = 0
         self._pool: ProcessPoolExecutor | None = None
         self._pending: dict[Path, Future[Path]] = {}
         if in_background:
-            self._pool = ProcessPoolExecutor(
-                min(PROCESSES, os.cpu_count() or 1),
-                mp_context=multiprocessing.get_context(
-                    "spawn"
-                ),  # JAX has threads, which a fork would not have
-                initializer=_ignore_signals,
-            )
+            fresh = multiprocessing.get_context("spawn")  # a fork would lack JAX's threads
+            processes = min(PROCESSES, os.cpu_count() or 1)
+            self._pool = ProcessPoolExecutor(processes, mp_context=fresh, initializer=_ignore_signals)
 
     def __enter__(self) -> "Reports":
         return self
@@ -53,7 +54,10 @@ class Reports:
             try:
                 print(pending.result())
             except Exception as problem:  # the report can be rebuilt from the results, which are complete
-                print(printable(f"error: the report of {folder} is missing: {problem}"), file=sys.stderr)
+                self.exit_code = 1
+                reason = f"the report of {folder} cannot be written: {error_line(problem)}"
+                advice = f"to try again: bojax report {folder}"
+                print(printable(f"error: {reason}; {advice}"), file=sys.stderr)
         if self._pool is not None:
             self._pool.shutdown()
 

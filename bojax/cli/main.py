@@ -7,6 +7,7 @@ import os
 import sys
 import threading
 from collections.abc import Sequence
+from typing import NoReturn
 
 from bojax import __version__
 from bojax.cli.parser import Parser, UsageError
@@ -63,12 +64,16 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def entry() -> None:
-    """Run the command of `sys.argv` and exit.
+    """Run the command of `sys.argv` and exit."""
+    leave(main())
 
-    Daemon threads that are still alive compile programs for a sweep that the user has stopped. Python cannot
-    end while XLA works, so the process then leaves without its usual clean-up.
+
+def leave(code: int) -> NoReturn:
+    """End the process.
+
+    Daemon threads that are still alive compile programs that are no longer needed. Python cannot end while
+    XLA works, so the process then leaves without its usual clean-up.
     """
-    code = main()
     if any(thread.daemon for thread in threading.enumerate()):
         sys.stdout.flush()
         sys.stderr.flush()

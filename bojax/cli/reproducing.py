@@ -10,7 +10,7 @@ from bojax.cli.parser import Parser, UsageError, integer
 from bojax.cli.running import resolved
 from bojax.config.errors import did_you_mean, listed
 from bojax.config.files import available
-from bojax.config.sweep import Sweep, load_sweep
+from bojax.config.sweep import Sweep, is_alias, load_sweep
 
 FOLDER = Path("results/reproduction")
 """Folder of reproductions without `--out`, each named after the time of its start."""
@@ -64,7 +64,7 @@ def _run(sweeps: Sequence[Sweep], args: Namespace, command: list[str]) -> int:
     sources = [out / sweep.name for sweep in sweeps if sweep.name not in skipped]
     page = reproduction(out, sources, shlex.join(command), time.monotonic() - start, skipped)
     print(page)
-    return code
+    return code or reports.exit_code
 
 
 def selected(ids: Sequence[str]) -> list[str]:
@@ -73,7 +73,7 @@ def selected(ids: Sequence[str]) -> list[str]:
     Raises:
         UsageError: An id means no sweep.
     """
-    names = [name for name, path in available("sweeps").items() if not _is_alias(path)]
+    names = [name for name, path in available("sweeps").items() if not is_alias(path)]
     of_thesis = [name for name in names if not name.startswith(STUDY)]
     found: dict[str, None] = {}
     for each in ids:
@@ -96,10 +96,6 @@ def _is_part_of(name: str, figure: str) -> bool:
     """Whether a sweep reproduces a part of a figure or table: `fig-5.5-mountain-car` or `fig-5.2a`."""
     rest = name.removeprefix(figure)
     return rest != name and figure[-1:].isdigit() and not rest[0].isdigit() and rest[0] != "."
-
-
-def _is_alias(path: Path) -> bool:
-    return any(line.startswith("alias:") for line in path.read_text().splitlines())
 
 
 def _with_claims(names: Sequence[str]) -> list[str]:

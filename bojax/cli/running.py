@@ -117,4 +117,5 @@ def _run(sweeps: Sequence[Sweep], args: Namespace, command: list[str]) -> int:
     folders = [args.out / sweep.name if args.out and several else args.out for sweep in sweeps]
     requests = [Request(sweep, out) for sweep, out in zip(sweeps, folders, strict=True)]
     with Reports(in_background=several) as reports:
-        return run_sweeps(requests, args.resume, command, finish=reports.write)
+        code = run_sweeps(requests, args.resume, command, finish=reports.write)
+    return code or reports.exit_code

@@ -233,6 +233,11 @@ def _read_sweep(mapping: Mapping[str, Any], file: str, source: str) -> tuple[Swe
         ) from error
 
 
+def is_alias(path: Path) -> bool:
+    """Whether a file of a sweep is another name of a sweep."""
+    return "alias" in read_mapping(path, display(path))
+
+
 def _follow_alias(path: Path) -> tuple[Path, dict[str, Any]]:
     """The file that a chain of aliases ends at, and its content."""
     seen = []

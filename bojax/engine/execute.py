@@ -123,7 +123,8 @@ class _Executor:
                     return
 
     def close(self) -> None:
-        self._is_closed = True
+        with self._changed:
+            self._is_closed = True
         for worker in self._workers:
             worker.join()
         self._ahead.close()
@@ -158,7 +159,9 @@ class _Executor:
             self._progress.compiled(task.progress, programs.compile_seconds)
             for narrower in task.layout.widths[1:]:  # needed after the first runs have ended
                 self._request(task, device, narrower)
-        task.compiled(programs.compile_seconds)
+        with self._changed:  # a compilation may end after the sweep has ended
+            if not self._is_closed:
+                task.compiled(programs.compile_seconds)
         return programs
 
     def _programs(self, task: GroupTask, device: Device, width: int) -> Programs:
@@ -174,8 +177,6 @@ class _Executor:
                 self._run(task, chunk, sink, device)
             except Stopped:
                 pass
-            except ResultsError as error:
-                self.error = error
             except (Exception, SystemExit) as error:  # user's code may call sys.exit
                 self._fail(task, [chunk], error)
             self._release(task, chunk)
@@ -243,6 +244,8 @@ class _Executor:
 
     def _fail(self, task: GroupTask, chunks: Sequence[Chunk], error: BaseException) -> None:
         try:
+            if isinstance(error, ResultsError):  # of the folder, which all chunks write to
+                raise error
             message = task.failed(chunks, error)
         except ResultsError as problem:
             self.error = problem
@@ -253,8 +256,10 @@ class _Executor:
     def _fail_all(self, task: GroupTask, error: BaseException) -> None:
         """Fail the chunks of a group that cannot be compiled."""
         chunks = [chunk for chunk, _ in task.chunks]
-        task.chunks.clear()
         self._fail(task, chunks, error)
+        if self.error is not None:
+            return
+        task.chunks.clear()
         for chunk in chunks:
             self._progress.end_chunk(task.progress, chunk.index)
         self._end_if_done(task)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from bojax.config.errors import ConfigError, printable
 from bojax.config.extras import MissingExtra
@@ -19,7 +19,13 @@ from bojax.engine.plan import make_plan
 from bojax.engine.progress import SweepProgress
 from bojax.engine.runner import Limits
 from bojax.engine.signals import StopRequest
-from bojax.results.folder import check_finished, choose_folder, drop_leftovers, is_unfinished
+from bojax.results.folder import (
+    NothingToResume,
+    check_finished,
+    choose_folder,
+    drop_leftovers,
+    is_unfinished,
+)
 from bojax.results.store import ResultsError
 from bojax.text import error_line
 
@@ -78,11 +84,12 @@ def _run(
     skipped: dict[str, str] | None,
     stop: StopRequest,
 ) -> int:
-    chosen = [choose_folder(request.sweep.name, request.out, resume=resume) for request in requests]
-    prepare(requests[0].sweep.engine.device)
-    devices = find_devices(requests[0].sweep.engine.device)
+    device = _common_device([request.sweep for request in requests])
+    chosen = _choose_folders(requests, resume=resume)
+    prepare(device)
+    devices = find_devices(device)
     journals: list[Journal] = []
-    for request, (path, is_resumed) in zip(requests, chosen, strict=True):
+    for request, path, is_resumed in chosen:
         try:
             plan = make_plan(request.sweep, devices)
         except MissingExtra as error:
@@ -102,6 +109,33 @@ def _run(
             )
             journals.append(journal)
     return carry_out(journals, devices, command, finish, stop) if journals else 0
+
+
+def _common_device(sweeps: Sequence["Sweep"]) -> Literal["auto", "cpu", "gpu"]:
+    """The device that all sweeps ask for."""
+    asked = {sweep.engine.device: sweep.name for sweep in sweeps}
+    if len(asked) > 1:
+        each = ", ".join(f"{device} ({name})" for device, name in asked.items())
+        raise ConfigError(f"engine.device: got {each}; allowed: one device for all sweeps")
+    return sweeps[0].engine.device
+
+
+def _choose_folders(requests: Sequence[Request], *, resume: bool) -> list[tuple[Request, Path, bool]]:
+    """The results folder of each sweep, and whether it is resumed there.
+
+    Of several sweeps to resume, those without an unfinished folder are left out.
+    """
+    chosen, finished = [], []
+    for request in requests:
+        try:
+            chosen.append((request, *choose_folder(request.sweep.name, request.out, resume=resume)))
+        except NothingToResume as error:
+            finished.append(error)
+    if not chosen:
+        raise finished[0]
+    for error in finished:
+        print(printable(f"note: {error}"), file=sys.stderr)
+    return chosen
 
 
 def carry_out(

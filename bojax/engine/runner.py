@@ -191,7 +191,7 @@ class ChunkRunner:
             waiting=self._chunk.num_runs - state.next_run,
             advances=state.advances - first_advance,
             lane_advances=lane_advances,
-            advances_left=max(0, self._experiment.max_advances - (state.advances - int(youngest))),
+            advances_left=max(0, self._experiment.max_advances - (state.advances - youngest)),
             active_steps=active_steps,
             issued_steps=issued_steps,
             seconds=seconds,

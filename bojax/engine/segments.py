@@ -20,6 +20,7 @@ LOOKAHEAD_SECONDS = 0.02
 advance is issued only when the previous one has ended, so that none is wasted after all lanes are done."""
 
 MAX_LOOKAHEAD = 16
+
 Rows = dict[str, np.ndarray]
 
 

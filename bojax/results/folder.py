@@ -28,6 +28,10 @@ _ASKED_FOR = ("runs", "seed", "record", "config", "points")
 """Keys of a plan that define the runs; the others describe the code, the versions and the device."""
 
 
+class NothingToResume(ResultsError):
+    """A sweep has no unfinished folder."""
+
+
 class RunFolder:
     """The results folder of a sweep that is running.
 
@@ -139,7 +143,8 @@ def choose_folder(name: str, out: Path | None, *, resume: bool) -> tuple[Path, b
         resume: Whether to resume an unfinished sweep, in `out` or in the newest unfinished folder.
 
     Raises:
-        ResultsError: The folder is not empty, or there is no unfinished sweep.
+        NothingToResume: There is no unfinished sweep.
+        ResultsError: The folder is not empty.
     """
     if out is None and resume:
         return _newest_unfinished(ROOT / name), True
@@ -208,7 +213,7 @@ def _newest_unfinished(root: Path) -> Path:
     for folder in reversed(folders):
         if is_unfinished(folder):
             return folder
-    raise ResultsError(f"{root}: no unfinished sweep to resume; to start a sweep, leave out --resume")
+    raise NothingToResume(f"{root}: no unfinished sweep to resume; to start a sweep, leave out --resume")
 
 
 def _changes(old: Any, new: Any, path: str = ""):

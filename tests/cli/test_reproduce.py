@@ -86,6 +86,19 @@ def test_sweeps_of_a_figure_and_one_page(two, capfd):
     assert "out/fig-9.1a: already finished" in capfd.readouterr().out
 
 
+def test_a_missing_report_is_an_error(two, capfd):
+    assert main(["reproduce", "fig-9.1", "--out", "out"]) == 0
+    (two / "out" / "fig-9.1a" / "report.html").unlink()
+    (two / "out" / "fig-9.1a" / "report.html").mkdir()
+    capfd.readouterr()
+    assert main(["reproduce", "fig-9.1", "--out", "out", "--resume"]) == 1
+    error = capfd.readouterr().err
+    assert (
+        "error: the report of out/fig-9.1a cannot be written" in error
+        and "bojax report out/fig-9.1a" in error
+    )
+
+
 def test_a_sweep_without_its_extra_is_skipped(two, capfd, monkeypatch):
     def plan(sweep, devices):
         if sweep.name == "fig-9.1a":

@@ -41,8 +41,9 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 if __name__ == "__main__":
     import tests.conftest  # noqa: F401 (strict settings)
+    from bojax.cli.main import leave
 
     given = json.loads(sys.argv[1])
     for option in sys.argv[2:]:
         exec(option)
-    sys.exit(run_toy(Path(given.pop("out")), *given.pop("points", ()), **given))
+    leave(run_toy(Path(given.pop("out")), *given.pop("points", ()), **given))
