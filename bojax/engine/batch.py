@@ -6,7 +6,6 @@ A lane is one run of one point. Each device has its own lanes, and devices do no
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable
 from functools import partial
 from typing import ClassVar, NamedTuple
 
@@ -14,9 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import SingleDeviceSharding
-from jax.stages import Lowered
+from jax.stages import Compiled, Lowered
 from jaxtyping import Array, Bool, Int, Key, PyTree
 
+from bojax.engine import executables
 from bojax.engine.devices import Device
 from bojax.engine.groups import StaticGroup
 from bojax.engine.protocol import check_advance, check_init, check_records, check_summary
@@ -77,7 +77,7 @@ class Programs:
         num_lanes: Number of lanes.
         device: The device.
         max_advances: Number of advances after which a run is done.
-        compile_seconds: Seconds spent on tracing and compiling.
+        compile_seconds: Seconds spent on tracing and compiling, or on loading.
     """
 
     _is_compiled: ClassVar[bool] = True
@@ -99,32 +99,46 @@ class Programs:
         self.num_lanes, self.device = num_lanes, device
         self._functions, self._group = functions, functions.group
         self._sharding = SingleDeviceSharding(device)
-        with _TRACING:
+        self._key = jax.device_put(jax.random.key(seed), self._sharding)
+        self._shared = jax.device_put(self._group.shared, self._sharding)
+        first = jax.device_put(self._group.swept_at(np.asarray(0)), self._sharding)
+        run = self._group.experiment(first, self._shared)
+        self.max_advances = run.max_advances
+        self._prepare(run)
+        key = executables.key_of(self._group, device, type(self), num_lanes, snapshots, fills)
+        start = time.perf_counter()
+        if found := executables.load(key, device):
+            self._programs, carry = found
+            self.compile_seconds = time.perf_counter() - start
+        else:
+            with _TRACING:
+                start = time.perf_counter()
+                lowered, carry = self._lower(snapshots=snapshots, fills=fills)
+                traced = time.perf_counter() - start
             start = time.perf_counter()
-            self._key = jax.device_put(jax.random.key(seed), self._sharding)
-            self._shared = jax.device_put(self._group.shared, self._sharding)
-            first = jax.device_put(self._group.swept_at(np.asarray(0)), self._sharding)
-            run = self._group.experiment(first, self._shared)
-            self.max_advances = run.max_advances
-            self._prepare(run)
-            lowered = self._lower(snapshots=snapshots, fills=fills)
-            traced = time.perf_counter()
-        compiling = time.perf_counter()
-        self._programs = {name: _compile(name, program) for name, program in lowered.items()}
-        self.compile_seconds = traced - start + time.perf_counter() - compiling
+            with executables.compiled_anew() as compiled:
+                self._programs = {name: _compile(name, program) for name, program in lowered.items()}
+            self.compile_seconds = traced + time.perf_counter() - start
+            if len(compiled) == len(self._programs):
+                executables.save(key, self._programs, carry)
+        self.carry_structure = self._on_device(carry)
 
     def _prepare(self, run: Experiment) -> None:
         """Prepare what a subclass needs of the first run."""
 
-    def _lower(self, *, snapshots: bool, fills: bool) -> dict[str, Lowered]:
-        """The programs, traced for inputs of exactly these shapes on this device."""
+    def _on_device(self, structure: PyTree[jax.ShapeDtypeStruct]) -> PyTree[jax.ShapeDtypeStruct]:
+        return jax.tree.map(
+            lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=self._sharding), structure
+        )
+
+    def _lower(
+        self, *, snapshots: bool, fills: bool
+    ) -> tuple[dict[str, Lowered], PyTree[jax.ShapeDtypeStruct]]:
+        """The programs, traced for inputs of exactly these shapes on this device, and their carry."""
         functions, one_point = self._functions, np.zeros(self.num_lanes, dtype=np.int32)
         lanes = self.place(one_point, one_point)
         carry = jax.eval_shape(partial(_init, self._group), self._key, lanes, self._shared)
-        self.carry_structure = jax.tree.map(
-            lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=self._sharding), carry
-        )
-        inputs = (self.carry_structure, lanes, self._shared)
+        inputs = (self._on_device(carry), lanes, self._shared)
         lowered = {"advance": functions.advance.lower(*inputs)} if self._is_compiled else {}
         lowered["summary"] = functions.summary.lower(*inputs)
         if snapshots and jax.tree.leaves(jax.eval_shape(functions.snapshot, *inputs)):
@@ -132,10 +146,8 @@ class Programs:
         if fills:
             everywhere = jax.device_put(np.ones(self.num_lanes, dtype=bool), self._sharding)
             lowered["empty"] = jax.jit(partial(_empty, carry), out_shardings=self._sharding).lower()
-            lowered["fill"] = functions.fill.lower(
-                self._key, self.carry_structure, lanes, everywhere, self._shared
-            )
-        return lowered
+            lowered["fill"] = functions.fill.lower(self._key, inputs[0], lanes, everywhere, self._shared)
+        return lowered, carry
 
     def place(self, positions: np.ndarray, runs: np.ndarray) -> Lanes:
         """Put the inputs of all lanes on the device.
@@ -179,7 +191,7 @@ class Programs:
         return self._functions.select(carry, jax.device_put(lanes, self._sharding))
 
 
-def _compile(name: str, lowered: Lowered) -> Callable:
+def _compile(name: str, lowered: Lowered) -> Compiled:
     """The program; a call with inputs of another shape or on another device raises."""
     program = lowered.compile()
     compile_counts[name] += 1

@@ -1,5 +1,6 @@
 """Provenance of results: versions, git revision, devices, and hashes of the code."""
 
+import contextlib
 import hashlib
 import importlib.metadata
 import subprocess
@@ -15,7 +16,7 @@ import bojax
 from bojax.engine.devices import Device
 
 PACKAGE = Path(bojax.__file__).parent
-PACKAGES = ("bojax", "jax", "jaxlib", "equinox", "optax", "orbax-checkpoint", "numpy", "pyarrow")
+PACKAGES = ("bojax", "jax", "jaxlib", "equinox", "optax", "numpy", "pyarrow")
 UNHASHED = ("cli", "report")
 """Subpackages that no result depends on; they may change while a sweep is paused."""
 
@@ -37,12 +38,15 @@ def code_hashes(modules: Iterable[Any]) -> dict[str, str]:
 
 def versions() -> dict[str, str]:
     """Versions of Python and of the packages that results depend on."""
-    found = {"python": sys.version.split()[0]}
-    for package in PACKAGES:
-        try:
+    return {"python": sys.version.split()[0], **installed(PACKAGES)}
+
+
+def installed(packages: Iterable[str]) -> dict[str, str]:
+    """Versions of those packages that are installed."""
+    found: dict[str, str] = {}
+    for package in packages:
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             found[package] = importlib.metadata.version(package)
-        except importlib.metadata.PackageNotFoundError:
-            continue
     return found
 
 

@@ -1,0 +1,201 @@
+"""A cache of compiled programs that is looked up without tracing.
+
+JAX's compilation cache saves the work of XLA, but a program must be traced before it can be looked up.
+Tracing a group takes seconds, and holds the interpreter. The keys here are made of what a trace depends on
+instead: the code, versions, flags, the device, and the static content of the group. Only groups whose classes
+and functions come from bojax and a few packages of known versions are cached: other code can change unseen.
+"""
+
+import contextlib
+import functools
+import hashlib
+import io
+import os
+import pickle
+import platform
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.monitoring
+from jax.experimental import serialize_executable
+from jax.stages import Compiled
+from jaxtyping import PyTree
+from typing_extensions import override
+
+from bojax.engine.devices import Device, setting
+from bojax.engine.groups import StaticGroup
+from bojax.engine.provenance import code_hashes, installed
+
+PACKAGES = (
+    "bojax",
+    "equinox",
+    "jax",
+    "jaxlib",
+    "jaxtyping",
+    "mujoco",
+    "mujoco-mjx",
+    "numpy",
+    "optax",
+    "scipy",
+)
+"""Packages, with their versions in the key, whose classes and functions a cached group may contain."""
+
+_DIGEST_BYTES = hashlib.sha256().digest_size
+_KNOWN = {*sys.stdlib_module_names, *PACKAGES}
+_UNUSED_SECONDS = 30 * 24 * 3600
+"""Time after which an entry that was not used is deleted."""
+
+Programs = Mapping[str, Compiled]
+
+
+def key_of(group: StaticGroup, device: Device, *details: object) -> str | None:
+    """Name of the programs of a group on a device; None if they cannot be cached.
+
+    Args:
+        group: The group. The values of its arrays are inputs of the programs, and not part of the name.
+        device: The device; a program is loaded for the device that it was compiled for.
+        details: What else the programs depend on, such as the number of lanes.
+    """
+    if _folder() is None:
+        return None
+    content = jax.tree.map(_abstract, (group.swept, group.shared)), group.static
+    parts = (_environment(), _flags(), device.device_kind, device.client.platform_version, device.id)
+    try:
+        with io.BytesIO() as file:
+            _Pickler(file).dump((parts, content, details))
+            return hashlib.sha256(file.getvalue()).hexdigest()
+    except Exception:  # foreign code, or something that cannot be pickled
+        return None
+
+
+def load(key: str | None, device: Device) -> tuple[dict[str, Compiled], PyTree] | None:
+    """The programs and the structure saved under a key; None if there are none, or if they are damaged."""
+    folder = _folder()
+    if key is None or folder is None:
+        return None
+    path = folder / key
+    try:
+        content = path.read_bytes()
+        digest, content = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
+        if hashlib.sha256(content).digest() != digest:
+            return None
+        programs, structure = pickle.loads(content)
+        loaded = {name: _loaded(program, device) for name, program in programs.items()}
+        os.utime(path)
+    except Exception:  # missing, or refused by XLA
+        return None
+    return loaded, structure
+
+
+def save(key: str | None, programs: Programs, structure: PyTree[jax.ShapeDtypeStruct]) -> None:
+    """Save the programs of a group, and the structure of its carry without shardings, if that is possible."""
+    folder = _folder()
+    if key is None or folder is None:
+        return
+    try:
+        content = pickle.dumps(({name: _serialized(each) for name, each in programs.items()}, structure))
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=folder, delete=False) as file:
+            file.write(hashlib.sha256(content).digest() + content)
+        os.replace(file.name, folder / key)
+        _drop_unused(folder)
+    except Exception:  # a program with callbacks, a full disk: the next sweep compiles again
+        return
+
+
+def _serialized(program: Compiled) -> tuple[bytes, PyTree, PyTree]:
+    """A program, and trees of the structures of its inputs and outputs.
+
+    Trees stand for structures: those of Equinox modules hold sentinels, which would lose their identity.
+    """
+    content, inputs, outputs = serialize_executable.serialize(program)
+    return content, _tree(inputs), _tree(outputs)
+
+
+def _tree(structure: Any) -> PyTree:
+    return jax.tree.unflatten(structure, range(structure.num_leaves))
+
+
+def _loaded(saved: tuple[bytes, PyTree, PyTree], device: Device) -> Compiled:
+    content, inputs, outputs = saved
+    structures = jax.tree.structure(inputs), jax.tree.structure(outputs)
+    return serialize_executable.deserialize_and_load(content, *structures, execution_devices=[device])
+
+
+@contextlib.contextmanager
+def compiled_anew() -> Iterator[list[str]]:
+    """An entry for each program that XLA compiles in this thread within the context.
+
+    Others come from JAX's cache, and XLA cannot serialise them again: on a CPU they lose their kernels.
+    """
+    _misses.found = []
+    yield _misses.found
+    _misses.found = None
+
+
+def _note(event: str, **_: object) -> None:
+    if event == "/jax/compilation_cache/cache_misses" and getattr(_misses, "found", None) is not None:
+        _misses.found.append(event)
+
+
+_misses = threading.local()
+jax.monitoring.register_event_listener(_note)
+
+
+def _drop_unused(folder: Path) -> None:
+    oldest = time.time() - _UNUSED_SECONDS
+    for path in folder.iterdir():
+        if path.stat().st_mtime < oldest:
+            path.unlink()
+
+
+def _folder() -> Path | None:
+    """The folder of the cache, in that of JAX's; None if there is none on a local disk."""
+    folder = setting("jax_compilation_cache_dir")
+    if folder is None or "://" in folder or not setting("jax_enable_compilation_cache"):
+        return None
+    return Path(folder) / "programs"
+
+
+def _abstract(leaf: Any) -> jax.ShapeDtypeStruct:
+    return jax.ShapeDtypeStruct(leaf.shape, leaf.dtype)
+
+
+@functools.cache
+def _environment() -> str:
+    """Code, versions, and processor, which do not change while the process runs."""
+    parts = [
+        code_hashes(()),
+        installed(PACKAGES),
+        sys.version,
+        platform.machine(),
+        os.environ.get("XLA_FLAGS"),
+    ]
+    cpus = Path("/proc/cpuinfo")
+    if cpus.exists():
+        parts.append(sorted({line for line in cpus.read_text().splitlines() if line.startswith("flags")}))
+    return repr(parts)
+
+
+def _flags() -> str:
+    """JAX's flags, without the place of the cache."""
+    names = sorted(name for name in jax.config.values if "cache_dir" not in name)
+    return repr([(name, str(getattr(jax.config, name, None))) for name in names])
+
+
+class _Pickler(pickle.Pickler):
+    """Refuses classes and functions of unknown code."""
+
+    @override
+    def reducer_override(self, obj: Any) -> Any:
+        if isinstance(obj, type) or callable(obj):
+            module = getattr(obj, "__module__", None) or ""
+            if module.partition(".")[0] not in _KNOWN:
+                raise pickle.PicklingError(f"{obj!r} is not part of a known package")
+        return NotImplemented

@@ -1,0 +1,175 @@
+"""Programs come back from the cache untraced, with the same bits; what may change unseen is not cached."""
+
+import os
+import time
+
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+from jax.experimental.compilation_cache import compilation_cache
+
+from bojax.config.sweep import load_sweep
+from bojax.engine import batch, executables
+from bojax.engine.batch import Functions, Programs
+from bojax.engine.build import build
+from bojax.engine.groups import static_groups
+from tests.toy import toy
+
+DEVICE = jax.devices("cpu")[0]
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path, monkeypatch):
+    """An empty cache, beside an empty one of JAX."""
+    before = jax.config.jax_compilation_cache_dir
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path / "cache"))
+    compilation_cache.reset_cache()
+    yield tmp_path / "cache" / "programs"
+    jax.config.update("jax_compilation_cache_dir", before)
+    compilation_cache.reset_cache()
+
+
+def group_of(**changes):
+    overrides = [f"{name}={value}" for name, value in {"episodes": 2, **changes}.items()]
+    (group,) = static_groups([build(chain_config(overrides), "float64")])
+    return group
+
+
+def chain_config(overrides):
+    from bojax.config.overrides import parse_overrides
+    from bojax.config.sweep import load_config
+
+    parse_overrides(overrides)
+    (point,) = load_config("chain", overrides, None, None).points
+    return point.config
+
+
+def programs_of(group, lanes: int = 3) -> Programs:
+    return Programs(Functions(group), DEVICE, lanes, 0, snapshots=False, fills=True)
+
+
+def advanced(programs: Programs):
+    lanes = programs.place(np.zeros(3, int), np.arange(3))
+    carry, records, status = programs.advance(programs.init(lanes), lanes)
+    return jax.device_get((programs.summary(carry, lanes), records, status))
+
+
+def files(folder):
+    return sorted(folder.iterdir()) if folder.exists() else []
+
+
+@pytest.mark.bits
+def test_loaded_programs_are_neither_traced_nor_compiled_and_give_the_same_bits(cache, monkeypatch):
+    compiled = programs_of(group_of())
+    assert len(files(cache)) == 1
+    count = batch.compile_counts.total()
+    monkeypatch.setattr(Programs, "_lower", lambda *_, **__: pytest.fail("traced"))
+    loaded = programs_of(group_of())
+    assert batch.compile_counts.total() == count
+    assert jax.tree.structure(loaded.carry_structure) == jax.tree.structure(compiled.carry_structure)
+    assert jax.tree.leaves(loaded.carry_structure) == jax.tree.leaves(compiled.carry_structure)
+    first, second = advanced(compiled), advanced(loaded)
+    assert jax.tree.structure(first) == jax.tree.structure(second)
+    for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True):
+        assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
+
+
+def test_programs_of_jax_s_cache_are_not_saved(cache):
+    programs_of(group_of())
+    (path,) = files(cache)
+    path.unlink()
+    jax.clear_caches()
+    expected = advanced(programs_of(group_of()))
+    assert not files(cache)
+    for path in cache.parent.iterdir():
+        if path.is_file():
+            path.unlink()
+    jax.clear_caches()
+    programs_of(group_of())
+    assert len(files(cache)) == 1
+    found = advanced(programs_of(group_of()))
+    np.testing.assert_array_equal(found[0]["success"], expected[0]["success"])
+
+
+def test_another_number_takes_the_same_programs(cache):
+    key = executables.key_of(group_of(), DEVICE, 3)
+    assert key is not None and executables.key_of(group_of(seed=1), DEVICE, 3) == key
+    assert executables.key_of(group_of(**{"learner.discount": 0.5}), DEVICE, 3) == key
+
+
+def test_everything_else_takes_others(cache, monkeypatch):
+    group = group_of()
+    keys = [executables.key_of(group, DEVICE, 3, True)]
+    keys += [executables.key_of(group, DEVICE, 4, True), executables.key_of(group, DEVICE, 3, False)]
+    keys += [executables.key_of(group_of(episodes=3), DEVICE, 3, True)]
+    keys += [executables.key_of(group_of(**{"env.max_length": 30}), DEVICE, 3, True)]
+    keys += [executables.key_of(group, jax.devices("cpu")[1], 3, True)]
+    with jax.debug_nans(True):
+        keys += [executables.key_of(group, DEVICE, 3, True)]
+    for name, value in {"code_hashes": {"bojax": "changed"}, "installed": {"jax": "9"}}.items():
+        with monkeypatch.context() as patch:
+            patch.setattr(executables, name, lambda _, value=value: value)
+            executables._environment.cache_clear()
+            keys += [executables.key_of(group, DEVICE, 3, True)]
+    executables._environment.cache_clear()
+    assert None not in keys and len(set(keys)) == len(keys) == 9
+
+
+def test_foreign_code_is_not_cached(cache):
+    (group,) = static_groups([toy()])
+    assert executables.key_of(group, DEVICE, 3) is None
+    programs_of(group)
+    assert not files(cache)
+
+
+@pytest.mark.parametrize("part", [lambda x: x, toy, toy(), time])
+def test_nothing_foreign_may_be_part_of_a_group(cache, part):
+    assert executables.key_of(group_of(), DEVICE, np.tanh, eqx.nn.Linear) is not None
+    assert executables.key_of(group_of(), DEVICE, part) is None
+
+
+@pytest.mark.parametrize("damage", ["emptied", "cut off", "flipped"])
+def test_a_damaged_entry_is_not_used(cache, damage):
+    expected = advanced(programs_of(group_of()))
+    (path,) = files(cache)
+    whole = path.read_bytes()
+    middle = len(whole) // 2
+    flipped = whole[:middle] + bytes([whole[middle] ^ 1]) + whole[middle + 1 :]
+    path.write_bytes({"emptied": b"", "cut off": whole[:middle], "flipped": flipped}[damage])
+    count = batch.compile_counts.total()
+    found = advanced(programs_of(group_of()))
+    assert batch.compile_counts.total() > count
+    np.testing.assert_array_equal(found[0]["success"], expected[0]["success"])
+
+
+def test_entries_that_are_not_used_are_deleted(cache):
+    cache.mkdir(parents=True)
+    for name, days in (("old", 40), ("new", 3)):
+        (cache / name).write_bytes(b"")
+        os.utime(cache / name, times=(time.time() - days * 86400,) * 2)
+    programs_of(group_of())
+    names = [path.name for path in files(cache)]
+    assert "old" not in names and "new" in names and len(names) == 2
+
+
+@pytest.mark.parametrize("folder", [None, "gs://bucket/cache"])
+def test_without_a_folder_nothing_is_cached(folder, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    jax.config.update("jax_compilation_cache_dir", folder)
+    group = group_of()
+    assert executables.key_of(group, DEVICE, 3) is None
+    assert executables.load(None, DEVICE) is None and not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_cannot_be_written_costs_nothing_else(cache):
+    cache.parent.mkdir()
+    cache.write_text("a file")
+    assert advanced(programs_of(group_of()))[0]["success"].shape == (3,)
+
+
+@pytest.mark.parametrize("name", ["parking", "fig-5.2a", "table-5.3-mountain-car"])
+def test_groups_of_shipped_sweeps_are_cached(cache, name):
+    sweep = load_sweep(name)
+    modules = [build(point.config, getattr(point.config, "dtype", "float64")) for point in sweep.points]
+    assert None not in [executables.key_of(group, DEVICE, 3) for group in static_groups(modules)]
