@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from bojax.experiments.settings import Planning, Trajectories
+from bojax.experiments.settings import Trajectories
 from bojax.report import statistics
-from bojax.report.columns import Columns
 from bojax.report.source import Point, Results
 from bojax.report.text import MISSING, counted, joined, number, percent, plain, seconds, with_bounds
 
@@ -35,9 +34,17 @@ class Table:
 
 @dataclass(frozen=True)
 class _Measure:
+    """A column of the table of outcomes, shown if `runs.parquet` has the columns that its cell needs."""
+
     heading: str
-    column: str
-    cell: Callable[[Columns], Cell]
+    name: str  # in `report.thesis`
+    cell: Callable[..., Cell]
+    columns: tuple[str, ...] = ()
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Columns that are passed to `cell`."""
+        return self.columns or (self.name,)
 
 
 def outcomes(results: Results) -> Table:
@@ -49,8 +56,9 @@ def outcomes(results: Results) -> Table:
         runs = results.runs_of(point)
         cells = [Cell(f"{runs['run'].size:,}")]
         for measure in measures:
-            cell = measure.cell(runs) if runs["run"].size else Cell(MISSING)
-            value = results.thesis(point, measure.column)
+            is_empty = not runs["run"].size
+            cell = Cell(MISSING) if is_empty else measure.cell(*(runs[column] for column in measure.needs))
+            value = results.thesis(point, measure.name)
             cells.append(Cell(cell.text, cell.interval, "" if value is None else plain(value)))
         if has_numbers:
             cells.append(Cell(f"{count_nan_runs(results, point):,}"))
@@ -88,7 +96,7 @@ def ratios(results: Results) -> Table | None:
 
 def thesis_gaps(results: Results) -> list[str]:
     """Notes on names in `report.thesis` and `report.relative_to` that the results do not have."""
-    measured = {measure.column for measure in _measures(results)}
+    measured = {measure.name for measure in _measures(results)}
     unknown = [column for column in _thesis_columns(results) if column not in measured]
     notes = [f"report.thesis has {joined(unknown)}, which is no column of the results."] if unknown else []
     name = results.report.relative_to
@@ -109,32 +117,30 @@ def speeds(results: Results) -> Table | None:
     """
     points = {point.index: point for point in results.points}
     is_learning = any(point.is_learning for point in results.points)
-    headings = ["latency at batch 1", "lanes per device", "steps in all"]
-    if is_learning:
-        headings += ["environment steps per second", "run", "compile"]
-    else:
-        headings += ["steps (plans) per second", "search iterations per second", "run", "compile"]
+    unit = ["environment steps per second"]
+    if not is_learning:
+        unit = ["steps (plans) per second", "search iterations per second"]
     rows = []
     for group in results.manifest.groups:
         members = [points[index] for index in group.points or [] if index in points]
-        run, steps = group.run_seconds, group.active_steps
+        run, steps, known = group.run_seconds, group.active_steps, group.latency_seconds or {}
         rate = steps / run if steps and run else None
-        iterations = {_iterations(point) for point in members}
+        planners = [getattr(point.experiment, "planner", None) for point in members]
+        iterations = {getattr(planner, "iterations", None) for planner in planners}
         per_step = iterations.pop() if len(iterations) == 1 else None
-        known = group.latency_seconds or {}
         latencies = dict.fromkeys(seconds(known.get(str(point.index))) for point in members)
         texts = [
             ", ".join(text for text in latencies if text != MISSING) or MISSING,
             MISSING if group.lanes_per_device is None else plain(group.lanes_per_device),
             MISSING if steps is None else f"{steps:,}",
-            number(rate),
-            *([] if is_learning else [number(rate * per_step if rate and per_step else None)]),
+            *[number(rate), number(rate * per_step if rate and per_step else None)][: len(unit)],
             seconds(run),
             seconds(group.compile_seconds),
         ]
         names = ", ".join(point.name for point in members)
         name = names if len(members) <= 3 else f"{len(members)} settings"
         rows.append((name, [Cell(text) for text in texts]))
+    headings = ["latency at batch 1", "lanes per device", "steps in all", *unit, "run", "compile"]
     return Table(headings, rows) if rows else None
 
 
@@ -163,96 +169,38 @@ def flatten(config: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]
 
 
 def _measures(results: Results) -> list[_Measure]:
-    """Measures shown for every point: those whose columns `runs.parquet` has."""
-    if any(point.is_learning for point in results.points):
-        measures, known = _learning_measures(results.runs)
-    else:
-        measures, known = _planning_measures(results)
-    known |= {"point", "label", "variant", "run", "seed", "nans"}
-    known |= {key for point in results.points for key in point.swept}
-    for column, values in results.runs.items():
-        if column in known or values.dtype.kind not in "bfiu":
-            continue
-        draw = share_cell if values.dtype.kind == "b" else mean_cell
-        measures.append(
-            _Measure(_heading(column), column, lambda table, column=column, draw=draw: draw(table[column]))
-        )
-    return measures
+    """Measures shown for every point: the known ones, then all other columns of numbers and Booleans."""
+    runs, points = results.runs, results.points
+    is_learning = any(point.is_learning for point in points)
+    special = _LEARNING if is_learning else _planning(results.report.by_step or BY_STEP)
+    known = {"point", "label", "variant", "run", "seed", "nans"}
+    known.update(*(point.swept for point in points), *(measure.needs for measure in special))
+    if not is_learning and not all(point.ends_at_success for point in points):
+        special = [measure for measure in special if "steps" not in measure.needs]
+    if not is_learning and not all(point.has_success for point in points):
+        special = [measure for measure in special if measure.name != "success"]
+    others = [
+        _Measure(_heading(column), column, share_cell if values.dtype.kind == "b" else mean_cell)
+        for column, values in runs.items()
+        if column not in known and values.dtype.kind in "bfiu"
+    ]
+    return [measure for measure in special if runs.keys() >= {*measure.needs}] + others
 
 
-def _planning_measures(results: Results) -> tuple[list[_Measure], set[str]]:
-    runs, measures = results.runs, []
-    if "return" in runs:
-        measures.append(_Measure("final return", "return", lambda table: mean_cell(table["return"])))
-    has_success = all(point.has_success for point in results.points)
-    if "success" in runs and has_success:
-        measures.append(_Measure("success", "success", lambda table: share_cell(table["success"])))
-    if "success" in runs and "steps" in runs and all(point.ends_at_success for point in results.points):
-        limit = results.report.by_step or BY_STEP
-        measures.append(
-            _Measure(
-                f"success by step {limit}",
-                f"success_by_{limit}",
-                lambda table: share_cell(
-                    np.asarray(table["success"], dtype=bool) & (table["steps"] <= limit)
-                ),
-            )
-        )
-        measures.append(
-            _Measure(
-                "steps to success",
-                "steps_to_success",
-                lambda table: mean_cell(
-                    table["steps"][np.asarray(table["success"], dtype=bool)], empty="never"
-                ),
-            )
-        )
-    if "exits" in runs:
-        measures.append(_Measure("runs with an exit", "exits", lambda table: share_cell(table["exits"] > 0)))
-    return measures, {"return", "success", "steps", "exits"}
+def _planning(limit: int) -> list[_Measure]:
+    def early(success: np.ndarray, steps: np.ndarray) -> Cell:
+        return share_cell(success.astype(bool) & (steps <= limit))
 
+    def when(success: np.ndarray, steps: np.ndarray) -> Cell:
+        return mean_cell(steps[success.astype(bool)], empty="never")
 
-_GOALS = {
-    "success": ("success", {"episodes_to_goal": "episodes", "steps_to_goal": "steps"}),
-    "reached": ("target reached", {"episodes_to_target": "episodes"}),
-}
-"""Goals of a learner, by flag: heading, and the columns of when the goal was reached, each with the column
-of when the run ended."""
-
-
-def _learning_measures(runs: Columns) -> tuple[list[_Measure], set[str]]:
-    measures, known = [], {"return", "episodes", "steps", "return_after_target"}
-    if "return" in runs:
-        measures.append(_Measure("last training return", "return", lambda table: mean_cell(table["return"])))
-    for flag, (heading, times) in _GOALS.items():
-        known |= {flag, *times}
-        if flag not in runs:
-            continue
-        measures.append(_Measure(heading, flag, lambda table, flag=flag: share_cell(table[flag])))
-        for column, end in times.items():
-            if column not in runs:
-                continue
-            measures += [
-                _Measure(
-                    f"{_heading(column)}, runs that reached it",
-                    column,
-                    lambda table, column=column: among_cell(table[column]),
-                ),
-                _Measure(
-                    f"{_heading(column)}, all runs",
-                    f"{column}_of_all",
-                    lambda table, column=column, end=end: censored_cell(table[column], table[end]),
-                ),
-            ]
-    if "return_after_target" in runs:
-        measures.append(
-            _Measure(
-                "return after target",
-                "return_after_target",
-                lambda table: among_cell(table["return_after_target"]),
-            )
-        )
-    return measures, known
+    return [
+        _Measure("final return", "return", mean_cell),
+        _Measure("success", "success", share_cell),
+        _Measure(f"success by step {limit}", f"success_by_{limit}", early, ("success", "steps")),
+        _Measure("steps to success", "steps_to_success", when, ("success", "steps")),
+        _Measure("runs with an exit", "exits", lambda exits: share_cell(exits > 0)),
+    ]
 
 
 def mean_cell(values: np.ndarray, *, empty: str = MISSING) -> Cell:
@@ -296,6 +244,30 @@ def share_cell(flags: np.ndarray) -> Cell:
     return Cell(percent(interval.estimate), f"[{percent(interval.low)}, {percent(interval.high)}]")
 
 
+def _heading(column: str) -> str:
+    return column.replace("_", " ")
+
+
+def _times(column: str, end: str) -> list[_Measure]:
+    """When a goal was reached, NaN for never, in runs that ended at `end`."""
+    heading = _heading(column)
+    return [
+        _Measure(f"{heading}, runs that reached it", column, among_cell),
+        _Measure(f"{heading}, all runs", f"{column}_of_all", censored_cell, (column, end)),
+    ]
+
+
+_LEARNING = [
+    _Measure("last training return", "return", mean_cell),
+    _Measure("success", "success", share_cell),
+    *_times("episodes_to_goal", "episodes"),
+    *_times("steps_to_goal", "steps"),
+    _Measure("target reached", "reached", share_cell),
+    *_times("episodes_to_target", "episodes"),
+    _Measure("return after target", "return_after_target", among_cell),
+]
+
+
 def _thesis_columns(results: Results) -> list[str]:
     rows = results.report.thesis.values()
     return list(dict.fromkeys(column for row in rows if isinstance(row, Mapping) for column in row))
@@ -308,16 +280,4 @@ def _has_ratios(results: Results, column: str) -> bool:
     is_positive = all(isinstance(value, int | float) and value > 0 for value in values)
     return (
         is_positive and sum(results.thesis_ratio(point, column) is not None for point in results.points) > 1
-    )
-
-
-def _heading(column: str) -> str:
-    return column.replace("_", " ")
-
-
-def _iterations(point: Point) -> int | None:
-    return (
-        getattr(point.experiment.planner, "iterations", None)
-        if isinstance(point.experiment, Planning)
-        else None
     )
