@@ -36,13 +36,12 @@ def decide(results: Results, test: Test) -> Finding:
 
 
 def _entry(results: Results, claim: Claim | Unread) -> dict[str, Any]:
-    if isinstance(claim, Unread):
-        settings, test = claim.mapping, claim.mapping.get("test") or {}
-    else:
-        settings = claim.model_dump(mode="json")
-        test = claim.test.model_dump(mode="json", exclude_none=True)
+    is_read = isinstance(claim, Claim)
+    settings = claim.model_dump(mode="json") if is_read else claim.mapping
+    test = claim.test.model_dump(mode="json", exclude_none=True) if is_read else settings.get("test") or {}
     entry: dict[str, Any] = {key: settings.get(key) for key in ("id", "source", "claim", "thesis")}
-    entry["changed"] = dict(results.changed)
+    entry |= {"changed": dict(results.changed), "ours": None, "interval": None, "runs": 0}
+    entry["verdict"] = "inconclusive"
     try:
         if isinstance(claim, Unread):
             raise Undecidable(claim.reason)
@@ -53,14 +52,7 @@ def _entry(results: Results, claim: Claim | Unread) -> dict[str, Any]:
         raise
     except Exception as error:  # a failed test must not cost the other verdicts
         reason = str(error) if isinstance(error, Undecidable) else f"the test failed: {error_line(error)}"
-        return {
-            **entry,
-            "ours": None,
-            "interval": None,
-            "runs": 0,
-            "verdict": "inconclusive",
-            "test": {**test, "reason": reason},
-        }
+        return {**entry, "test": {**test, "reason": reason}}
     return {
         **entry,
         "ours": finding.ours if isinstance(finding.ours, str) else _rounded(finding.ours),

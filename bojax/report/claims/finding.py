@@ -40,6 +40,21 @@ class Finding:
     method: str
     chosen: Mapping[str, str] = field(default_factory=dict)
 
+    @classmethod
+    def single(
+        cls,
+        of: str,
+        interval: statistics.Interval,
+        verdict: Verdict,
+        *,
+        runs: int,
+        method: str,
+        chosen: Mapping[str, str],
+    ) -> "Finding":
+        """The result of a test of one statement, whose estimate is the counterpart of `thesis`."""
+        comparison = Comparison(of, interval)
+        return cls(interval.estimate, verdict, [comparison], comparison, runs, method, chosen)
+
 
 def bootstrap(runs: int) -> str:
     """The bootstrap of a number of runs, in words."""

@@ -1,7 +1,5 @@
 """Test of an order: whether means are in the order that a claim states."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from itertools import pairwise, product
 
 import numpy as np
@@ -24,31 +22,43 @@ def order(results: Results, test: Order) -> Finding:
     """
     measure, margin, baseline = Measure.of(test), test.margin, test.baseline
     sign, tiers = (-1.0 if test.greater is None else 1.0), test.tiers
-    names = test.names
-    points, chosen = stand_ins(results, test, names, measure, sign)
-    table = paired(results, names, points, measure)
-    values = dict(zip(names, np.asarray(table, dtype=np.float64).T, strict=True))
+    points, chosen = stand_ins(results, test, measure, sign)
+    table = paired(results, test, points, measure)
+    values = dict(zip(test.names, np.asarray(table, dtype=np.float64).T, strict=True))
 
-    links = [
-        _link(values, a, b, sign, margin, baseline)
-        for above, below in pairwise(tiers)
-        for a, b in product(above, below)
-    ]
-    sample = np.stack([link.difference + link.allowance for link in links], axis=1)
+    def ahead(above: str, below: str) -> tuple[str, statistics.Floats]:
+        of = f"{above} - {below}" if sign > 0 else f"{below} - {above}"
+        return of, sign * (values[above] - values[below])
+
+    # Each pair: the difference of paired runs, and the allowance of the margin. The mean of their sum has to
+    # be positive.
+    told, differences, allowances = [], [], []
+    for a, b in (pair for above, below in pairwise(tiers) for pair in product(above, below)):
+        of, difference = ahead(a, b)
+        allowance = np.full_like(difference, margin)
+        if margin and baseline is None:
+            of += f" + {margin:g}"
+        elif margin and baseline is not None:
+            lead, allowance = ahead(b, baseline)
+            of, allowance = f"{of} + {margin:g} ({lead})", margin * allowance
+        told.append(of)
+        differences.append(difference)
+        allowances.append(allowance)
+    sample = np.stack(differences, axis=1) + np.stack(allowances, axis=1)
     estimates = sample.mean(axis=0)
     is_share = table.dtype == bool
     if is_share:
         # One added run in each direction (Bonett and Price 2012), since few or no runs may differ.
-        allowed = np.array([link.allowance.mean() for link in links])
+        allowed = np.mean(allowances, axis=1)
         sample = np.vstack([sample, allowed + 1.0, allowed - 1.0])
     means = statistics.bootstrap_means(sample)
     low_levels = statistics.holm_levels((means <= 0).mean(axis=0), statistics.TAIL)
     high_levels = statistics.holm_levels((means >= 0).mean(axis=0), statistics.TAIL)
     comparisons = []
-    for pair, link in enumerate(links):
+    for pair, of in enumerate(told):
         low = float(np.quantile(means[:, pair], low_levels[pair]))
         high = float(np.quantile(means[:, pair], 1 - high_levels[pair]))
-        comparisons.append(Comparison(link.of, statistics.Interval(float(estimates[pair]), low, high)))
+        comparisons.append(Comparison(of, statistics.Interval(float(estimates[pair]), low, high)))
     verdict: Verdict = "inconclusive"
     if all(comparison.interval.low > 0 for comparison in comparisons):
         verdict = "reproduced"
@@ -69,34 +79,3 @@ def order(results: Results, test: Order) -> Finding:
         f"{', one run added in each direction' if is_share else ''}",
         chosen=chosen,
     )
-
-
-@dataclass(frozen=True)
-class _Link:
-    """Two terms whose sum must have a positive mean: a paired difference, and the allowance of the margin."""
-
-    of: str
-    difference: statistics.Floats
-    allowance: statistics.Floats
-
-
-def _link(
-    values: Mapping[str, statistics.Floats],
-    above: str,
-    below: str,
-    sign: float,
-    margin: float,
-    baseline: str | None,
-) -> _Link:
-    difference = sign * (values[above] - values[below])
-    if not margin:
-        return _Link(_minus(above, below, sign), difference, np.zeros_like(difference))
-    if baseline is None:
-        of = f"{_minus(above, below, sign)} + {margin:g}"
-        return _Link(of, difference, np.full_like(difference, margin))
-    of = f"{_minus(above, below, sign)} + {margin:g} ({_minus(below, baseline, sign)})"
-    return _Link(of, difference, margin * sign * (values[below] - values[baseline]))
-
-
-def _minus(above: str, below: str, sign: float) -> str:
-    return f"{above} - {below}" if sign > 0 else f"{below} - {above}"

@@ -3,8 +3,8 @@
 import numpy as np
 
 from bojax.report import statistics
-from bojax.report.claims.finding import Comparison, Finding, bootstrap, within
-from bojax.report.claims.samples import Measure, Undecidable, paired, score, stand_ins
+from bojax.report.claims.finding import Finding, bootstrap, within
+from bojax.report.claims.samples import Measure, Undecidable, paired, stand_ins
 from bojax.report.claims.settings import Ratio
 from bojax.report.source import Results
 from bojax.report.text import number
@@ -16,10 +16,9 @@ def ratio(results: Results, test: Ratio) -> Finding:
     It is reproduced if the interval lies within the tolerance, and not reproduced if it lies outside. A wide
     interval that contains the expected ratio decides nothing.
     """
-    measure, names = Measure.of(test), test.names
-    expected, factor = test.expected, 1.0 + test.tolerance
-    points, chosen = stand_ins(results, test, names, score(results, measure))
-    table = paired(results, names, points, measure)
+    measure, expected, factor = Measure.of(test), test.expected, 1.0 + test.tolerance
+    points, chosen = stand_ins(results, test, measure)
+    table = paired(results, test, points, measure)
     interval = statistics.ratio_interval(table[:, 0], table[:, 1])
     if not np.isfinite(interval.low):
         raise Undecidable(f"the means of {measure} are not clearly positive: their ratio is meaningless")
@@ -27,11 +26,10 @@ def ratio(results: Results, test: Ratio) -> Finding:
     is_apart = interval.low > 1 or interval.high < 1
     agrees = ", as claimed" if (interval.estimate > 1) == (expected > 1) else ", contrary to the claim"
     side = f"{'above' if interval.low > 1 else 'below'} 1{agrees}" if is_apart else "on both sides of 1"
-    return Finding(
-        ours=interval.estimate,
-        verdict=within(interval, *bounds),
-        comparisons=[(comparison := Comparison(f"{measure} of {names[0]} / {names[1]}", interval))],
-        decisive=comparison,
+    return Finding.single(
+        f"{measure} of {test.label} / {test.to}",
+        interval,
+        within(interval, *bounds),
         runs=len(table),
         method=f"ratio of the means of {measure} over paired runs, 95% interval against "
         f"[{number(bounds[0])}, {number(bounds[1])}], {expected:g} up to a factor of {factor:g}; "

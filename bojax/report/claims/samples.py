@@ -75,17 +75,21 @@ class Measure:
 
 
 def stand_ins(
-    results: Results, test: Test, names: Sequence[str], measure: Measure, sign: float = 1.0
+    results: Results, test: Test, measure: Measure, sign: float | None = None
 ) -> tuple[list[Point], dict[str, str]]:
-    """The point that represents each name: of several variants the one with the best mean, named as well."""
+    """The point that represents each name of a test; of several variants, the best is chosen and named.
+
+    It has the best mean return, if runs have one return: in tests over episodes, and where `sign` is given,
+    it has the best mean of the tested measure, the largest times `sign`.
+    """
+    if sign is None and "return" in results.runs and not isinstance(measure.place, Window):
+        measure = Measure("return")
     found, chosen = [], {}
-    for name in names:
+    for name in test.names:
         points = named(results, test, name)
         if len(points) > 1:
-            means = [
-                sign * float(np.mean(measure.values(results, point, results.runs_of(point)["run"])))
-                for point in points
-            ]
+            samples = [measure.values(results, point, results.runs_of(point)["run"]) for point in points]
+            means = [(sign or 1.0) * float(np.mean(sample)) for sample in samples]
             points = [points[int(np.argmax(np.nan_to_num(means, nan=-np.inf)))]]
             chosen[name] = points[0].name
         found.append(points[0])
@@ -102,18 +106,9 @@ def named(results: Results, test: Test, name: str) -> list[Point]:
     return points
 
 
-def score(results: Results, measure: Measure) -> Measure:
-    """The measure by which a variant is chosen to represent a label: the return of a run, if runs have one.
-
-    Tests over episodes use the tested measure itself, since a run then has many returns.
-    """
-    is_run = "return" in results.runs and not isinstance(measure.place, Window)
-    return Measure("return") if is_run else measure
-
-
-def paired(results: Results, names: Sequence[str], points: Sequence[Point], measure: Measure) -> NDArray[Any]:
-    """A measure in the runs that all points have, `[runs, points]`, every value finite."""
-    for name, point in zip(names, points, strict=True):
+def paired(results: Results, test: Test, points: Sequence[Point], measure: Measure) -> NDArray[Any]:
+    """A measure in the runs that the points of all names of a test have, `[runs, names]`, all finite."""
+    for name, point in zip(test.names, points, strict=True):
         finite(measure.values(results, point, results.runs_of(point)["run"]), name, str(measure))
     shared = results.shared_runs(points)
     enough(len(shared), "paired run" if len(points) > 1 else "run")

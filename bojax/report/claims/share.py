@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from bojax.config.claims import Window
 from bojax.report import statistics
-from bojax.report.claims.finding import Comparison, Finding, within
+from bojax.report.claims.finding import Finding, within
 from bojax.report.claims.samples import (
     Measure,
     Undecidable,
@@ -14,7 +14,6 @@ from bojax.report.claims.samples import (
     enough,
     episodes_in,
     finite,
-    score,
     stand_ins,
 )
 from bojax.report.claims.settings import Share
@@ -25,8 +24,7 @@ from bojax.report.text import counted
 def share(results: Results, test: Share) -> Finding:
     """Whether the share of runs in which a condition holds is above, or below, a threshold."""
     label, limit, window = test.label, test.within, test.window
-    measure = Measure(test.column, window)
-    (point,), chosen = stand_ins(results, test, [label], score(results, measure))
+    (point,), chosen = stand_ins(results, test, Measure(test.column, window))
     if limit is not None and not point.ends_at_success:
         raise Undecidable(
             f"a run of {label} continues after its success, so its steps do not say when it succeeded"
@@ -43,14 +41,13 @@ def share(results: Results, test: Share) -> Finding:
         condition += f" in {'' if window.first == window.last else 'any of '}{episodes_in(window)}"
     enough(hits.size, "run")
     interval = statistics.share_interval(hits)
-    return Finding(
-        ours=interval.estimate,
-        verdict=within(interval, test.above, test.below),
-        comparisons=[(comparison := Comparison(f"share of {label} with {condition}", interval))],
-        decisive=comparison,
+    threshold = f"less than {test.below:g}" if test.above is None else f"more than {test.above:g}"
+    return Finding.single(
+        f"share of {label} with {condition}",
+        interval,
+        within(interval, test.above, test.below),
         runs=int(hits.size),
-        method=f"Wilson 95% interval of the share of runs with {condition}, against "
-        f"{f'less than {test.below:g}' if test.above is None else f'more than {test.above:g}'}",
+        method=f"Wilson 95% interval of the share of runs with {condition}, against {threshold}",
         chosen=chosen,
     )
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from bojax.report import statistics
 from bojax.report.claims.finding import Comparison, Finding, Verdict, bootstrap
-from bojax.report.claims.samples import Measure, Undecidable, paired, score, stand_ins
+from bojax.report.claims.samples import Measure, Undecidable, paired, stand_ins
 from bojax.report.claims.settings import Similar
 from bojax.report.source import Results
 from bojax.report.text import counted, number
@@ -22,8 +22,8 @@ def similar(results: Results, test: Similar) -> Finding:
     names, margin, spread_at = test.names, test.margin, test.spread_at
     measure = Measure(test.column, test.step or test.window, test.since)
     spread = measure if spread_at is None else Measure(test.column, spread_at)
-    points, chosen = stand_ins(results, test, names, score(results, measure))
-    at, later = (paired(results, names, points, each).astype(np.float64) for each in (measure, spread))
+    points, chosen = stand_ins(results, test, measure)
+    at, later = (paired(results, test, points, each).astype(np.float64) for each in (measure, spread))
     means = statistics.bootstrap_means(np.concatenate([at, later], axis=1))
     resampled, spreads = means[:, : len(names)], np.ptp(means[:, len(names) :], axis=1)
     scale = float(np.ptp(later.mean(axis=0)))
