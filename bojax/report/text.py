@@ -84,3 +84,9 @@ def joined(items: Iterable[object]) -> str:
 def counted(count: int, noun: str) -> str:
     """A count with its noun: `1 run`, `200 runs`."""
     return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
+
+
+def ranged(counts: Iterable[int], noun: str) -> str:
+    """The smallest and the greatest of several counts with their noun: `200 runs`, `150 to 200 runs`."""
+    low, *others = sorted({int(count) for count in counts})
+    return f"{low:,} to {counted(others[-1], noun)}" if others else counted(low, noun)

@@ -1,15 +1,18 @@
 """Drawings, which figures make from results, and the points that they show."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from itertools import zip_longest
+from typing import Any, TypeVar
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from bojax.report import style
 from bojax.report.source import Point, Results
+
+T = TypeVar("T")
 
 MAX_POINTS = 12
 """Largest number of readable curves or panels; of more points, the best one of each label is drawn."""
@@ -21,19 +24,12 @@ class Undrawable(Exception):
 
 @dataclass(frozen=True)
 class Drawing:
-    """A figure with its title and texts.
-
-    Attributes:
-        figure: The figure.
-        title: Its heading.
-        caption: Content of the figure, and how it was computed.
-        alt: Alternative text for screen readers.
-    """
+    """A figure with its title and texts."""
 
     figure: Figure
     title: str
-    caption: str
-    alt: str
+    caption: str  # content of the figure, and how it was computed
+    alt: str  # alternative text for screen readers
 
 
 def drawn_points(results: Results, most: int = MAX_POINTS) -> tuple[tuple[Point, ...], str]:
@@ -43,27 +39,71 @@ def drawn_points(results: Results, most: int = MAX_POINTS) -> tuple[tuple[Point,
         raise Undrawable("no point has a run")
     if len(points) <= most:
         return points, ""
-    best: dict[str, tuple[float, Point]] = {}
-    for point in points:
-        returns = results.runs_of(point).get("return", np.zeros(1))
-        mean = float(np.mean(returns))
-        score = mean if np.isfinite(mean) else -np.inf
-        if point.label not in best or score > best[point.label][0]:
-            best[point.label] = (score, point)
-    kept = tuple(point for _, point in best.values())[:most]
-    return kept, f" Of {len(points)} points, the one with the best mean return of each label is drawn."
+
+    def score(point: Point) -> float:
+        mean = float(np.mean(results.runs_of(point).get("return", np.zeros(1))))
+        return mean if np.isfinite(mean) else -np.inf
+
+    labels = dict.fromkeys(point.label for point in points)
+    best = [max((point for point in points if point.label == label), key=score) for label in labels]
+    note = f" Of {len(points)} points, the one with the best mean return of each label is drawn."
+    return tuple(best[:most]), note
+
+
+def points_with(
+    results: Results, recorded: Callable[[Point], dict[int, T]], missing: str, most: int = MAX_POINTS
+) -> tuple[list[tuple[Point, dict[int, T]]], str]:
+    """The drawn points with what was recorded of them, by run, and the note of `drawn_points`.
+
+    Raises:
+        Undrawable: Nothing was recorded; the message is `missing`.
+    """
+    points, note = drawn_points(results, most)
+    found = [(point, kept) for point in points if (kept := recorded(point))]
+    if not found:
+        raise Undrawable(missing)
+    return found, note
+
+
+def panel_grid(
+    count: int,
+    height: Callable[[int], float],
+    spare: float,
+    make: Callable[..., tuple[Figure, np.ndarray]] = style.figure,
+    **options: Any,
+) -> tuple[Figure, np.ndarray]:
+    """A figure with a grid of panels, readable on a phone, of which those beyond `count` are hidden.
+
+    A panel has this height in inches, by the number of columns, and the figure a spare height. `make` is a
+    function of `bojax.report.style`, with its options.
+    """
+    columns = min(count, 2)
+    rows = -(-count // columns)
+    figure, grid = make(rows * height(columns) + spare, rows, columns, **options)
+    for axes in grid.flat[count:]:
+        axes.set_visible(False)
+    return figure, grid
 
 
 def name_panels(panels: Iterable[Axes], points: Sequence[Point], pad: float = 4) -> None:
-    """Write the name of each point, in its colour, above its panel; hide the panels that remain."""
-    for axes, point, look in zip_longest(panels, points, style.looks(points)):
-        if point is None:
-            axes.set_visible(False)
-        else:
-            axes.set_title(style.wrapped(point.name, 24), color=look["color"], pad=pad)
+    """Write the name of each point, in its colour, above its panel."""
+    for axes, point, look in zip(panels, points, style.looks(points), strict=False):
+        axes.set_title(style.wrapped(point.name, 24), color=look["color"], pad=pad)
 
 
-def panel_grid(count: int) -> tuple[int, int]:
-    """Numbers of rows and columns of a grid of square panels, readable on a phone."""
-    columns = min(count, 2)
-    return -(-count // columns), columns
+def set_rows(axes: Axes, points: Sequence[Point], *, bottom: float, ticks: int, name_width: int = 0) -> None:
+    """Set the limits and ticks of a panel with one row per point, from the top, and `bottom` rows below.
+
+    The horizontal axis has at most `ticks` intervals.
+    A line of a name has `name_width` characters, 0 for none.
+    """
+    names = [style.wrapped(point.name, name_width) for point in points] if name_width else []
+    axes.set_yticks(range(len(names)), names)
+    for tick, look in zip(axes.get_yticklabels(), style.looks(points), strict=False):
+        tick.set_color(look["color"])
+    axes.set_ylim(len(points) - 1 + bottom, -0.5)
+    axes.spines["left"].set_visible(False)
+    axes.xaxis.set_major_locator(MaxNLocator(nbins=ticks))
+    style.plain_ticks(axes.xaxis)
+    style.quiet_grid(axes, "x")
+    axes.tick_params(axis="y", length=0)

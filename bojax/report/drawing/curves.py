@@ -13,7 +13,7 @@ from bojax.report import statistics, style
 from bojax.report.drawing.base import Drawing, Undrawable
 from bojax.report.source import Point
 from bojax.report.statistics import Band, Floats
-from bojax.report.text import counted, joined, number, percent
+from bojax.report.text import joined, number, percent, ranged
 
 _MAX_DIRECT = 9
 _MAX_NAME = 14
@@ -22,17 +22,11 @@ _MAX_NAME = 14
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """Values of the runs of one setting.
+    """Values of the runs of one setting."""
 
-    Attributes:
-        point: A point of the setting, which gives the curve its name and colour.
-        x: `[n]` steps, episodes or swept numbers, in ascending order.
-        values: `[runs, n]` one value per run; NaN where a run has none.
-    """
-
-    point: Point
-    x: Floats
-    values: Floats
+    point: Point  # a point of the setting, which gives the curve its name and colour
+    x: Floats  # `[n]` steps, episodes or swept numbers, in ascending order
+    values: Floats  # `[runs, n]` one value per run; NaN where a run has none
 
     @property
     def is_partial(self) -> np.ndarray:
@@ -42,27 +36,15 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """The curves of one pair of axes.
+    """The curves of one pair of axes."""
 
-    Attributes:
-        label: Label of the vertical axis, with its unit.
-        quantity: What the curves are, for captions: `mean return`.
-        curves: One curve per setting.
-        is_share: Whether values are 0 or 1: their mean is then a percentage with a Wilson band, and otherwise
-            has a bootstrap band.
-        missing: Sentence for the caption of a panel in which some runs lack values.
-    """
-
-    label: str
-    quantity: str
-    curves: Sequence[Curve]
+    label: str  # label of the vertical axis, with its unit
+    quantity: str  # what the curves are, for captions: `mean return`
+    curves: Sequence[Curve]  # one curve per setting
+    # Whether values are 0 or 1: their mean is then a percentage with a Wilson band, and otherwise has a
+    # bootstrap band.
     is_share: bool = False
-    missing: str = ""
-
-    @property
-    def method(self) -> str:
-        """How the bands are computed."""
-        return "Wilson" if self.is_share else "bootstrap"
+    missing: str = ""  # sentence for the caption of a panel in which some runs lack values
 
     @cached_property
     def bands(self) -> list[Band]:
@@ -91,12 +73,7 @@ class Chart:
     """
 
     def __init__(self, panels: Sequence[Panel], xlabel: str, *, is_swept: bool = False) -> None:
-        """Draw panels over a common horizontal axis.
-
-        Args:
-            panels: What to draw; the same panel may be drawn twice, on different scales.
-            xlabel: What the horizontal axis counts: `step`, `episode` or the name of the swept number.
-            is_swept: Whether it is a swept number, whose values are marked.
+        """Draw panels, of which the same may be drawn twice, over `step`, `episode` or a swept number.
 
         Raises:
             Undrawable: The first panel has no finite value.
@@ -118,23 +95,20 @@ class Chart:
     def drawing(self, title: str, details: str = "", note: str = "") -> Drawing:
         """The figure with the names of its curves, its caption and its alternative text.
 
-        Args:
-            title: Its heading.
-            details: Sentences for the caption on what only this figure shows.
-            note: What `drawn_points` left out.
+        `details` is what the caption says of this figure alone, `note` what `drawn_points` left out.
         """
         self._add_names()
         panels = list(dict.fromkeys(self._panels))
         drawn = [curve for panel in panels for curve, _, _ in panel.drawn]
-        sizes = sorted({len(curve.values) for curve in drawn})
-        runs = counted(sizes[-1], "run") if len(sizes) == 1 else f"{sizes[0]} to {sizes[-1]} runs"
-        quantities = [f"{panel.quantity}, with pointwise 95% {panel.method} bands." for panel in panels]
-        if len(panels) > 1:
-            quantities = [f"{row}: {text}" for row, text in zip(("above", "below"), quantities, strict=True)]
+        runs = ranged((len(curve.values) for curve in drawn), "run")
+        caption = []
+        for panel, row in zip(panels, ("Above: ", "Below: "), strict=False):
+            text = panel.quantity if len(panels) > 1 else panel.quantity[0].upper() + panel.quantity[1:]
+            method = "Wilson" if panel.is_share else "bootstrap"
+            caption.append(f"{row * (len(panels) > 1)}{text}, with pointwise 95% {method} bands.")
         partial = [panel.missing for panel in panels if any(c.is_partial.any() for c, _, _ in panel.drawn)]
         absent = [curve.point.name for curve in self._named.curves if curve not in drawn]
-        caption = [
-            *(text[0].upper() + text[1:] for text in quantities),
+        caption += [
             f"By {self._xlabel}, {runs} per curve.",
             details,
             *partial,
@@ -191,8 +165,10 @@ def _draw_panel(axes: Axes, panel: Panel, *, is_swept: bool) -> None:
             faces = np.where(curve.is_partial, "white", look["color"])
             axes.scatter(curve.x, mean, s=16, facecolors=faces, edgecolors=look["color"], zorder=3)
     numbers = np.unique(np.concatenate([curve.x for curve in panel.curves]))
-    if is_swept:
-        _tick_swept(axes, numbers)
+    if is_swept and len(numbers) <= 10 and np.ptp(numbers) <= 20 * np.diff(numbers).min():
+        axes.set_xticks(numbers, [f"{value:g}" for value in numbers])
+    elif is_swept:  # too many numbers, or too close for their labels
+        axes.xaxis.set_major_locator(MaxNLocator(nbins=8))
     else:
         first, last = int(numbers[0]), int(numbers[-1])
         axes.set_xlim(min(first, last - 1), max(last, 1))
@@ -206,11 +182,3 @@ def _draw_panel(axes: Axes, panel: Panel, *, is_swept: bool) -> None:
         style.plain_ticks(axes.yaxis)
     axes.set_ylabel(panel.label)
     style.quiet_grid(axes)
-
-
-def _tick_swept(axes: Axes, numbers: Floats) -> None:
-    """Ticks at the swept numbers, unless they are too many or too close for their labels."""
-    if len(numbers) <= 10 and np.ptp(numbers) <= 20 * np.diff(numbers).min():
-        axes.set_xticks(numbers, [f"{value:g}" for value in numbers])
-    else:
-        axes.xaxis.set_major_locator(MaxNLocator(nbins=8))

@@ -13,7 +13,7 @@ from matplotlib.patches import Rectangle
 
 from bojax.problems.settings import FieldProblem
 from bojax.report import style
-from bojax.report.drawing.base import Undrawable, drawn_points
+from bojax.report.drawing.base import points_with
 from bojax.report.snapshots import BELIEF
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats
@@ -36,17 +36,13 @@ def height_maps(results: Results, most: int) -> tuple[list[tuple[Point, int, Bel
     Raises:
         Undrawable: No such map is recorded.
     """
-    points, note = drawn_points(results, most)
-    found = [
-        (point, *next(iter(maps.items())))
-        for point in points
-        if isinstance(point.problem, FieldProblem)
-        and point.problem.maps_heights
-        and (maps := beliefs(results, point))
-    ]
-    if not found:
-        raise Undrawable("no recorded map of heights in arrays/")
-    return found, note
+
+    def maps(point: Point) -> dict[int, Belief]:
+        is_height = isinstance(point.problem, FieldProblem) and point.problem.maps_heights
+        return beliefs(results, point) if is_height else {}
+
+    found, note = points_with(results, maps, "no recorded map of heights in arrays/", most)
+    return [(point, *next(iter(kept.items()))) for point, kept in found], note
 
 
 def draw_map(axes: Axes, belief: Belief, values: Floats, norm: Normalize, cmap: Any) -> AxesImage:

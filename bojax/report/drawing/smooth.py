@@ -40,16 +40,20 @@ def smooth(start: Floats, poses: Floats) -> Floats:
     return np.concatenate([ends[:1], pieces.reshape(-1, 2)])
 
 
-def driven(arrays: Mapping[str, NDArray[Any]]) -> tuple[Floats | None, list[Floats]]:
-    """The start of a recorded path, and the poses of each of its steps: the finite ones, `[S, 3]`.
+def driven(arrays: Mapping[str, NDArray[Any]]) -> tuple[list[Floats], list[Floats], Floats]:
+    """A recorded path: the poses between its steps, the poses `[S, 3]` of each step, and a curve `[N, 2]`.
 
-    Without a recorded start it is the first pose; None without any.
+    Only finite poses count, and the curve through them is smooth. Without a recorded start, the path starts
+    at its first pose; without any pose, everything is empty.
     """
     steps = [step[np.isfinite(step).all(axis=1)] for step in np.asarray(arrays["paths"], dtype=np.float64)]
     steps = [step for step in steps if len(step)]
-    if "start" in arrays:
-        return np.asarray(arrays["start"], dtype=np.float64), steps
-    return (steps[0][0] if steps else None), steps
+    if "start" not in arrays and not steps:
+        return [], [], np.zeros((0, 2))
+    start = np.asarray(arrays["start"] if "start" in arrays else steps[0][0], dtype=np.float64)
+    ends = [start, *(step[-1] for step in steps)]
+    curves = [smooth(begin, step) for begin, step in zip(ends, steps, strict=False)]
+    return ends, steps, np.concatenate(curves or [start[None, :2]])
 
 
 def _along(headings: Floats, chords: Floats) -> Floats:

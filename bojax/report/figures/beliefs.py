@@ -8,7 +8,7 @@ from matplotlib.colors import Normalize
 from matplotlib.ticker import MaxNLocator
 
 from bojax.report import style
-from bojax.report.drawing.base import Drawing, Undrawable, drawn_points
+from bojax.report.drawing.base import Drawing, points_with
 from bojax.report.drawing.domains import draw_outline
 from bojax.report.drawing.maps import Belief, beliefs, draw_map, draw_samples, draw_scale
 from bojax.report.source import Results
@@ -26,12 +26,10 @@ _PANELS = {"true field": "viridis", "mean": "viridis", "error": "RdBu_r", "std":
 
 def draw(results: Results) -> Drawing:
     """One row per point: true field, mean, error and standard deviation; field and mean share a scale."""
-    points, note = drawn_points(results, MAX_ROWS)
-    found = {point.index: beliefs(results, point) for point in points}
-    points = tuple(point for point in points if found[point.index])
-    if not points:
-        raise Undrawable("no recorded belief in arrays/")
-    chosen = [next(iter(found[point.index].items())) for point in points]
+    found, note = points_with(
+        results, lambda point: beliefs(results, point), "no recorded belief in arrays/", MAX_ROWS
+    )
+    points, chosen = [point for point, _ in found], [next(iter(kept.items())) for _, kept in found]
     maps = [_maps(belief) for _, belief in chosen]
     norms = _norms(maps)
     figure, grid = style.compressed(1.16 * len(points) + 0.75, len(points), len(_PANELS))
@@ -68,8 +66,8 @@ def draw(results: Results) -> Drawing:
 
 
 def _maps(belief: Belief) -> dict[str, Floats]:
-    error = belief["mean"] - belief["truth"]
-    return {"true field": belief["truth"], "mean": belief["mean"], "error": error, "std": belief["std"]}
+    truth, mean = belief["truth"], belief["mean"]
+    return {"true field": truth, "mean": mean, "error": mean - truth, "std": belief["std"]}
 
 
 def _norms(maps: Sequence[Mapping[str, Floats]]) -> dict[str, Normalize]:

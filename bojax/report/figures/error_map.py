@@ -24,8 +24,7 @@ def draw(results: Results) -> Drawing:
     offsets = [float(error.mean()) for error in errors]
     errors = [error - offset for error, offset in zip(errors, offsets, strict=True)]
     most = max(float(np.abs(error).max()) for error in errors)
-    rows, columns = panel_grid(len(maps))
-    figure, grid = style.compressed(4.68 * rows / columns + 0.75, rows, columns)
+    figure, grid = panel_grid(len(maps), lambda columns: 4.68 / columns, 0.75, style.compressed)
     norm = Normalize(-most, most)
     for axes, (point, _, belief), error in zip(grid.flat, maps, errors, strict=False):
         draw_outline(axes, point.outline)

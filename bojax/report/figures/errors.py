@@ -3,16 +3,14 @@
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from bojax.report import style
-from bojax.report.drawing.base import Drawing, Undrawable, drawn_points
-from bojax.report.drawing.rows import set_rows
+from bojax.report.drawing.base import Drawing, Undrawable, drawn_points, set_rows
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Interval, mean_interval, ratio_interval
-from bojax.report.text import counted, number
+from bojax.report.text import number, ranged
 
 RANK = 110
 
@@ -50,23 +48,26 @@ def draw(results: Results) -> Drawing:
         axes.set_title(column.upper())
         listed = [f"{point.name} {number(mean.estimate)}" for point, mean in zip(points, means, strict=True)]
         told.append(f"{column.upper()}: {', '.join(listed)}")
+    runs = ranged((results.runs_of(point)["run"].size for point in points), "run")
     caption = (
-        f"Mean error of the final belief of {_runs(results, points)}, with its 95% bootstrap interval; "
+        f"Mean error of the final belief of {runs}, with its 95% bootstrap interval; "
         f"smaller is better. {'. '.join(MEASURES[column] for column in columns)}.{note}"
     )
     if ratios and reference is not None:
         for axes, column in zip(grid[1], columns, strict=True):
             axes.set_visible(column in ratios)
             if column in ratios:
-                _draw_ratios(axes, results, points, reference, column)
+                axes.axvline(1, color="#9A9A9A", linewidth=0.8, zorder=0.5)
+                pairs = [results.paired([point, reference], column).T for point in points]
+                _draw_intervals(axes, points, [ratio_interval(*pair) for pair in pairs])
+                for row, point in enumerate(points):
+                    thesis = results.thesis_ratio(point, column)
+                    if thesis is not None and point is not reference:
+                        axes.plot([thesis], [row + 0.24], color=style.INK, zorder=4, **_THESIS)
                 axes.set_title(f"{column.upper()} ratio")
         key: dict[str, Any] = {"linestyle": "", "color": style.INK}
-        figure.legend(
-            [Line2D([], [], marker="o", markersize=5, **key), Line2D([], [], **_THESIS, **key)],
-            ["here", "thesis"],
-            loc="outside lower center",
-            ncols=2,
-        )
+        handles = [Line2D([], [], marker="o", markersize=5, **key), Line2D([], [], **_THESIS, **key)]
+        figure.legend(handles, ["here", "thesis"], loc="outside lower center", ncols=2)
         caption += (
             f" Below: ratios of the means to those of {reference.name}, paired by run. The numbers of "
             "the thesis are compared as ratios because it shows its field only as a picture, without a unit."
@@ -83,20 +84,3 @@ def _draw_intervals(axes: Axes, points: Sequence[Point], intervals: Sequence[Int
     for row, (look, interval) in enumerate(zip(style.looks(points), intervals, strict=True)):
         axes.plot([interval.low, interval.high], [row, row], color=look["color"], linewidth=2)
         axes.scatter([interval.estimate], [row], s=24, color=look["color"], zorder=3)
-
-
-def _draw_ratios(
-    axes: Axes, results: Results, points: Sequence[Point], reference: Point, column: str
-) -> None:
-    axes.axvline(1, color="#9A9A9A", linewidth=0.8, zorder=0.5)
-    tables = [results.paired([point, reference], column) for point in points]
-    _draw_intervals(axes, points, [ratio_interval(table[:, 0], table[:, 1]) for table in tables])
-    for row, point in enumerate(points):
-        thesis = results.thesis_ratio(point, column)
-        if thesis is not None and point is not reference:
-            axes.plot([thesis], [row + 0.24], color=style.INK, zorder=4, **_THESIS)
-
-
-def _runs(results: Results, points: Sequence[Point]) -> str:
-    numbers = np.unique([results.runs_of(point)["run"].size for point in points])
-    return counted(int(numbers[0]), "run") if len(numbers) == 1 else f"{numbers[0]} to {numbers[-1]} runs"

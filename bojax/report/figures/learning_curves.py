@@ -43,10 +43,8 @@ def draw(results: Results) -> Drawing:
     for phase, (label, quantity) in _PANELS.items():
         if (results.episodes["phase"] == phase).any():
             tables = [rolling_mean(results.by_episode(point, "return", phase), rolling) for point in points]
-            curves = [
-                Curve(point, np.arange(1.0, table.shape[1] + 1), table)
-                for point, table in zip(points, tables, strict=True)
-            ]
+            x = np.arange(1.0, tables[0].shape[1] + 1)
+            curves = [Curve(point, x, table) for point, table in zip(points, tables, strict=True)]
             missing = "A run is left out after its last episode." if phase == "train" else ""
             panels.append(Panel(label, quantity, curves, missing=missing))
     best = results.report.best_return
@@ -70,24 +68,18 @@ def rolling_mean(values: Floats, width: int) -> Floats:
     if width == 1:
         return values
     is_there = np.isfinite(values)
-    sums, counts = (
-        np.cumsum(np.pad(table, ((0, 0), (width, 0))), axis=1)
-        for table in (np.where(is_there, values, 0.0), is_there.astype(np.float64))
-    )
-    total, count = sums[:, width:] - sums[:, :-width], counts[:, width:] - counts[:, :-width]
+    tables = np.stack([np.where(is_there, values, 0.0), is_there])
+    sums = np.cumsum(np.pad(tables, ((0, 0), (0, 0), (width, 0))), axis=2)
+    total, count = sums[:, :, width:] - sums[:, :, :-width]
     means = np.divide(total, count, out=np.full(values.shape, np.nan), where=count > 0.5)
     return np.where(is_there, means, np.nan)
 
 
 def limit(axes: Axes, panel: Panel, lines: Sequence[float]) -> bool:
     """Set the limits of the vertical axis by the bulk of the means; whether a mean lies beyond them."""
-    means, bounds = (
-        values[np.isfinite(values)]
-        for values in (
-            np.concatenate([mean for mean, _, _ in panel.bands]),
-            np.concatenate([bound for band in panel.bands for bound in band]),
-        )
-    )
+    means = np.concatenate([mean for mean, _, _ in panel.bands])
+    bounds = np.concatenate([bound for band in panel.bands for bound in band])
+    means, bounds = means[np.isfinite(means)], bounds[np.isfinite(bounds)]
     if not means.size:
         return False
     low = min([float(np.quantile(means, _TAIL, method="higher")), *lines])

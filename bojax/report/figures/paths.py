@@ -11,10 +11,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from bojax.report import style
-from bojax.report.drawing.base import Drawing, Undrawable, drawn_points, name_panels, panel_grid
+from bojax.report.drawing.base import Drawing, name_panels, panel_grid, points_with
 from bojax.report.drawing.domains import ARROWS, TARGET, WALL, draw_outline, is_speck, tick_outline
 from bojax.report.drawing.maps import QUIET, beliefs, draw_map
-from bojax.report.drawing.smooth import driven, smooth
+from bojax.report.drawing.smooth import driven
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats
 from bojax.report.text import counted
@@ -41,27 +41,26 @@ def draw(results: Results) -> Drawing:
 
     If runs do not end at success, as in monitoring, only the first recorded run is drawn, on the field.
     """
-    points, note = drawn_points(results)
-    kept = {point.index: list(results.arrays(point, "paths")) for point in points}
-    points = tuple(point for point in points if kept[point.index])
-    if not points:
-        raise Undrawable("no recorded paths in arrays/")
-    rows, columns = panel_grid(len(points))
-    figure, grid = style.figure(2.34 * rows * 2 / columns + 0.45, rows, columns, sharex=True, sharey=True)
+    found, note = points_with(
+        results, lambda point: dict(results.arrays(point, "paths")), "no recorded paths in arrays/"
+    )
+    points, recorded = [point for point, _ in found], [runs for _, runs in found]
+    options: dict[str, Any] = {"sharex": True, "sharey": True}
+    figure, grid = panel_grid(len(points), lambda columns: 4.68 / columns, 0.45, **options)
     fields = {point.index: beliefs(results, point) for point in points}
     truths = [belief["truth"] for found in fields.values() for belief in found.values()]
     norm = Normalize(np.min(truths), np.max(truths)) if truths else None
     told, is_outcome_shown, stops, outcomes = [], False, 0, set[bool]()
-    for axes, point, look in zip(grid.flat, points, style.looks(points), strict=False):
+    for axes, point, runs, look in zip(grid.flat, points, recorded, style.looks(points), strict=False):
         draw_outline(axes, point.outline)
         tick_outline(axes, point.outline)
         if point.ends_at_success:
             is_outcome_shown = True
-            shown = _outcomes_drawn(axes, results, point, kept[point.index], look["color"])
+            shown = _outcomes_drawn(axes, results, point, runs, look["color"])
             outcomes |= {outcome for outcome, count in shown.items() if count}
             told.append(f"{point.name}: {shown[True]} successful and {shown[False]} failed")
         else:
-            run, arrays = kept[point.index][0]
+            run, arrays = next(iter(runs.items()))
             if norm is not None and run in fields[point.index]:
                 belief = fields[point.index][run]
                 draw_map(axes, belief, belief["truth"], norm, QUIET)
@@ -78,10 +77,8 @@ def draw(results: Results) -> Drawing:
         axes.set_ylabel("y (m)", labelpad=1)
     for axes in grid[-1]:
         axes.set_xlabel("x (m)", labelpad=1)
-    legend = _run_legend(outcomes) if is_outcome_shown else _monitoring_legend(has_stops=stops > 0)
-    legend += _domain_legend(points)
     figure.legend(
-        *zip(*legend, strict=True),
+        *zip(*_legend(points, outcomes if is_outcome_shown else None, has_stops=stops > 0), strict=True),
         handler_map={tuple: HandlerTuple(ndivide=1)},
         loc="outside lower center",
         ncols=4 if is_outcome_shown else 3,
@@ -104,11 +101,11 @@ def draw(results: Results) -> Drawing:
 
 
 def _outcomes_drawn(
-    axes: Axes, results: Results, point: Point, kept: Sequence[tuple[int, Mapping[str, Any]]], colour: str
+    axes: Axes, results: Results, point: Point, runs: Mapping[int, Mapping[str, Any]], colour: str
 ) -> dict[bool, int]:
     """Draw the first runs of each outcome, and count them."""
     outcomes, shown = _outcomes(results, point), {True: 0, False: 0}
-    for run, arrays in kept:
+    for run, arrays in runs.items():
         succeeded = outcomes.get(run, False)
         if shown[succeeded] < EXAMPLES and "paths" in arrays:
             shown[succeeded] += 1
@@ -124,68 +121,46 @@ def _outcomes(results: Results, point: Point) -> dict[int, bool]:
 
 def _run(axes: Axes, arrays: Mapping[str, Any], colour: str, *, is_success: bool) -> Floats:
     """Draw a run; the result is the positions `[stops, 2]` at which the robot was stopped."""
-    start, steps = driven(arrays)
-    if start is None:
-        return np.zeros((0, 2))
-    ends = [start, *(step[-1] for step in steps)]
-    curves = [smooth(begin, step) for begin, step in zip(ends, steps, strict=False)]
-    whole = np.concatenate(curves) if curves else start[None, :2]
-    line = (
-        {"linewidth": 1.4, "zorder": 3}
-        if is_success
-        else {"linewidth": 1.1, "linestyle": _DASHES, "zorder": 2}
-    )
-    axes.plot(*whole.T, color=colour, **line)
-    axes.scatter(*start[:2], s=22, facecolors="white", edgecolors=colour, linewidths=1.3, zorder=5)
-    poses = np.stack([step[-1] for step in steps]) if steps else start[None]
-    x, y, heading = poses.T
+    ends, steps, curve = driven(arrays)
+    if not ends:
+        return curve
+    line: dict[str, Any] = {"linewidth": 1.4, "zorder": 3}
+    if not is_success:
+        line = {"linewidth": 1.1, "linestyle": _DASHES, "zorder": 2}
+    axes.plot(*curve.T, color=colour, **line)
+    axes.scatter(*ends[0][:2], s=22, facecolors="white", edgecolors=colour, linewidths=1.3, zorder=5)
+    x, y, heading = np.stack(ends[1:] or ends).T
     shape: dict[str, Any] = {"scale": 1 / 0.075, "width": 0.015, "headlength": 4.6, "headaxislength": 4.2}
     axes.quiver(x, y, np.cos(heading), np.sin(heading), color=colour, zorder=4, **shape, **ARROWS)
     return stops(ends, steps)
 
 
 def stops(ends: Sequence[Floats], steps: Sequence[Floats]) -> Floats:
-    """Positions `[stops, 2]` at which the robot was stopped within a step.
+    """Positions `[stops, 2]` at which the robot was stopped within a step, after which its poses repeat.
 
-    Args:
-        ends: Pose before each step.
-        steps: Poses of each step; after the robot is stopped, they repeat.
+    The ends are the poses before the steps.
     """
-    last_two = [
-        np.concatenate([end[None, :2], step[:, :2]])[-2:] for end, step in zip(ends, steps, strict=False)
-    ]
+    pairs = zip(ends, steps, strict=False)
+    last_two = [np.concatenate([end[None, :2], step[:, :2]])[-2:] for end, step in pairs]
     return np.array([last for before, last in last_two if (before == last).all()]).reshape(-1, 2)
 
 
-def _monitoring_legend(*, has_stops: bool) -> list[tuple[Any, str]]:
-    entries: list[tuple[Any, str]] = [
-        (Line2D([], [], color=style.INK, linewidth=1.4), "path"),
-        (Line2D([], [], **_RING, markersize=5, markerfacecolor="white"), "start"),
-    ]
-    if has_stops:
-        red = {"markeredgecolor": _RED, "markerfacecolor": "none", "markeredgewidth": 1.5}
-        entries.append((Line2D([], [], linestyle="", marker="o", markersize=8, **red), "stopped"))
-    return entries
-
-
-def _run_legend(outcomes: set[bool]) -> list[tuple[Any, str]]:
-    entries: list[tuple[Any, str]] = []
-    if True in outcomes:
-        entries.append((Line2D([], [], color=style.INK, linewidth=1.4), "success"))
-    if False in outcomes:
-        entries.append((Line2D([], [], color=style.FAINT, linewidth=1.1, linestyle=_DASHES), "failure"))
-    return [*entries, (Line2D([], [], **_RING, markersize=5, markerfacecolor="white"), "start")]
-
-
-def _domain_legend(points: Sequence[Point]) -> list[tuple[Any, str]]:
-    """Entries for the shapes of the domains."""
-    entries: list[tuple[Any, str]] = []
-    if any(point.outline.obstacles for point in points):
-        entries.append((Patch(facecolor=WALL), "obstacle"))
+def _legend(points: Sequence[Point], outcomes: set[bool] | None, *, has_stops: bool) -> list[tuple[Any, str]]:
+    """Entries for paths, by outcome or None, and for the shapes of the domains."""
     specks = {is_speck(point.outline, shape) for point in points for shape in point.outline.goals}
-    if True in specks:
-        ring = Line2D([], [], **_RING, markersize=9, markerfacecolor="none")
-        entries.append(((ring, Line2D([], [], **_RING, markersize=2.5)), "goal"))
-    if False in specks:
-        entries.append((Patch(**TARGET), "goal"))
-    return entries
+    line = Line2D([], [], color=style.INK, linewidth=1.4)
+    failure = Line2D([], [], color=style.FAINT, linewidth=1.1, linestyle=_DASHES)
+    red = {"markeredgecolor": _RED, "markerfacecolor": "none", "markeredgewidth": 1.5}
+    ring = Line2D([], [], **_RING, markersize=9, markerfacecolor="none")
+    stopped = Line2D([], [], linestyle="", marker="o", markersize=8, **red)
+    entries = [
+        (outcomes is None, line, "path"),
+        (True in (outcomes or ()), line, "success"),
+        (False in (outcomes or ()), failure, "failure"),
+        (True, Line2D([], [], **_RING, markersize=5, markerfacecolor="white"), "start"),
+        (has_stops and outcomes is None, stopped, "stopped"),
+        (any(point.outline.obstacles for point in points), Patch(facecolor=WALL), "obstacle"),
+        (True in specks, (ring, Line2D([], [], **_RING, markersize=2.5)), "goal"),
+        (False in specks, Patch(**TARGET), "goal"),
+    ]
+    return [(handle, text) for is_shown, handle, text in entries if is_shown]

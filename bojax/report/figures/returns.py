@@ -3,8 +3,7 @@
 import numpy as np
 
 from bojax.report import statistics, style
-from bojax.report.drawing.base import Drawing, Undrawable, drawn_points
-from bojax.report.drawing.rows import set_rows
+from bojax.report.drawing.base import Drawing, Undrawable, drawn_points, set_rows
 from bojax.report.source import Results
 from bojax.report.text import number
 
@@ -20,7 +19,8 @@ def draw(results: Results) -> Drawing:
     if "return" not in results.runs:
         raise Undrawable("runs.parquet has no return")
     points, note = drawn_points(results)
-    samples = [_finite(results.runs_of(point)["return"]) for point in points]
+    returns = [results.runs_of(point)["return"].astype(np.float64) for point in points]
+    samples = [values[np.isfinite(values)] for values in returns]
     everything = np.concatenate(samples)
     if not everything.size:
         raise Undrawable("no run has a finite return")
@@ -65,8 +65,3 @@ def swarm(sample: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray
     rank = np.arange(dots.size) - np.concatenate([[0], np.cumsum(counts)[:-1]])[bins]
     height = min(0.07, 2 * _HALF_ROW / max(1, counts.max(initial=1) - 1))
     return middles[bins], (rank - (counts[bins] - 1) / 2) * height
-
-
-def _finite(values: np.ndarray) -> np.ndarray:
-    values = np.asarray(values, dtype=np.float64)
-    return values[np.isfinite(values)]

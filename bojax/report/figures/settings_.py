@@ -22,7 +22,8 @@ def draw(results: Results) -> Drawing:
     if any(point.is_learning for point in results.points):
         raise Undrawable("a run of a learner has many returns: sweep-curve draws a mean over a swept number")
     points = [point for point in results.points if results.runs_of(point)["run"].size]
-    keys = [key for key in _keys(points) if len(values_of(points, key)) > 1][:MAX_PANELS]
+    swept = dict.fromkeys(key for point in points for key in point.swept)
+    keys = [key for key in swept if len(values_of(points, key)) > 1][:MAX_PANELS]
     if not keys:
         raise Undrawable("the sweep has no list of values")
     names = _curve_names(points, keys)
@@ -30,8 +31,7 @@ def draw(results: Results) -> Drawing:
     means = np.array([np.mean(results.runs_of(point)["return"]) for point in points])
     if not np.isfinite(means).any():
         raise Undrawable("no point has a finite mean return")
-    rows, columns = panel_grid(len(keys))
-    figure, grid = style.figure(0.8 + 2.0 * rows, rows, columns, sharey=True)
+    figure, grid = panel_grid(len(keys), lambda columns: 2.0, 0.8, sharey=True)
     labels = [point.label for point in points]
     for axes, key in zip(grid.flat, keys, strict=False):
         values = values_of(points, key)
@@ -46,8 +46,6 @@ def draw(results: Results) -> Drawing:
         axes.set_xticks(places, [_short(value) for value in values], fontsize=8 if len(values) > 6 else 9.5)
         axes.set_title(style.wrapped(key.removeprefix("planner."), 26))
         style.quiet_grid(axes)
-    for axes in list(grid.flat)[len(keys) :]:
-        axes.set_axis_off()
     for row in grid:
         row[0].set_ylabel("mean return")
     if len(curves) > 1:
@@ -74,19 +72,10 @@ def marginals(
     points: Sequence[Point], means: np.ndarray, key: str, values: Sequence[Any], is_drawn: Sequence[bool]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Best and mean of the mean returns at each value of a key, over the drawn points."""
-    chosen = [
-        means[[d and point.swept.get(key) == value for point, d in zip(points, is_drawn, strict=True)]]
-        for value in values
-    ]
-    empty = np.array([np.nan])
-    return (
-        np.array([np.max(c if c.size else empty) for c in chosen]),
-        np.array([np.mean(c if c.size else empty) for c in chosen]),
-    )
-
-
-def _keys(points: Sequence[Point]) -> list[str]:
-    return list(dict.fromkeys(key for point in points for key in point.swept))
+    drawn = list(zip(points, is_drawn, strict=True))
+    at = [[means[i] for i, (point, d) in enumerate(drawn) if d and point.swept.get(key) == v] for v in values]
+    best, mean = (np.array([of(each or [np.nan]) for each in at]) for of in (np.max, np.mean))
+    return best, mean
 
 
 def _curve_names(points: Sequence[Point], keys: list[str]) -> list[str]:

@@ -18,19 +18,10 @@ def draw(results: Results) -> Drawing:
     latest = max(first[np.isfinite(first)].max(initial=1) for first in when)
     last = min(results.num_episodes, max(10, int(1.2 * latest)))
     x = np.arange(last + 1.0)
-    curves = [
-        Curve(point, x, (first[:, None] <= x).astype(np.float64))
-        for point, first in zip(points, when, strict=True)
-    ]
-    panel = Panel(
-        "runs that have reached the goal (%)",
-        "share of runs that have reached the goal",
-        curves,
-        is_share=True,
-    )
-    details = ""
-    if last < results.num_episodes:
-        details = (
-            f"The shares stay as they are from episode {int(latest)} to the last, {results.num_episodes}."
-        )
+    shares = [(first[:, None] <= x).astype(np.float64) for first in when]
+    curves = [Curve(point, x, share) for point, share in zip(points, shares, strict=True)]
+    what = "runs that have reached the goal"
+    panel = Panel(f"{what} (%)", f"share of {what}", curves, is_share=True)
+    constant = f"The shares stay as they are from episode {int(latest)} to the last, {results.num_episodes}."
+    details = constant if last < results.num_episodes else ""
     return Chart([panel], "episode").drawing("Success by episode", details, note)

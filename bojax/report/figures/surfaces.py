@@ -7,10 +7,9 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.colors import LightSource, Normalize
 
-from bojax.report import style
 from bojax.report.drawing.base import Drawing, name_panels, panel_grid
 from bojax.report.drawing.maps import Belief, height_maps
-from bojax.report.drawing.smooth import driven, smooth
+from bojax.report.drawing.smooth import driven
 from bojax.report.source import Results
 from bojax.report.statistics import Floats
 from bojax.report.text import joined, number
@@ -29,12 +28,13 @@ def draw(results: Results) -> Drawing:
     truth = maps[0][2]["truth"]
     maps = [entry for entry in maps if np.array_equal(entry[2]["truth"], truth)]
     heights = np.stack([truth, *(belief["mean"] for _, _, belief in maps)])
-    norm = Normalize(float(heights.min()), float(heights.max()))
-    rows, columns = panel_grid(1 + len(maps))
+    low, high = float(heights.min()), float(heights.max())
+    norm = Normalize(low, high)
+    stretch = round(0.3 * max(np.ptp(maps[0][2][axis]) for axis in "xy") / max(high - low, 1e-9), 1)
     projection = {"projection": "3d", "computed_zorder": False}
-    figure, grid = style.figure(1.95 * rows, rows, columns, subplot_kw=projection)
+    figure, grid = panel_grid(1 + len(maps), lambda columns: 1.95, 0.0, subplot_kw=projection)
     figure.set_layout_engine("none")  # no engine can measure the labels of a 3-D panel
-    panels = list(grid.flat)
+    (rows, columns), panels = grid.shape, list(grid.flat)
     for index, axes in enumerate(panels):
         row, column = divmod(index, columns)
         axes.set_position((column / columns, 1 - (row + 0.92) / rows, 0.96 / columns, 0.82 / rows))
@@ -55,8 +55,8 @@ def draw(results: Results) -> Drawing:
         figure=figure,
         title="Surface and reconstruction",
         caption=f"The true heights, and the mean of the final belief of run {runs}. Lengths are in metres; "
-        f"heights, from {number(float(heights.min()))} to {number(float(heights.max()))} m, are drawn "
-        f"{number(_stretch(maps[0][2], norm))} times as large. Black: the path of the robot, projected onto "
+        f"heights, from {number(low)} to {number(high)} m, are drawn "
+        f"{number(stretch)} times as large. Black: the path of the robot, projected onto "
         f"the surface.{note}",
         alt="Surfaces of the true heights and of their reconstructions with the trajectory in black. Root "
         f"mean square error: {', '.join(errors)}.",
@@ -87,17 +87,7 @@ def _path(paths: Mapping[str, Any], belief: Belief) -> Floats:
     """Points of the path, `[N, 3]`, at the height of the reconstruction."""
     from scipy.interpolate import RegularGridInterpolator  # only this figure needs its slow import
 
-    start, steps = driven(paths)
-    curve = [np.zeros((0, 2)) if start is None else start[None, :2]]
-    for step in steps:
-        curve.append(smooth(curve[-1][-1], step))
-    points = np.concatenate(curve)
+    _, _, points = driven(paths)
     axes = belief["x"], belief["y"]
     inside = np.clip(points, [axis[0] for axis in axes], [axis[-1] for axis in axes])
     return np.column_stack([points, RegularGridInterpolator(axes, belief["mean"].T)(inside)])
-
-
-def _stretch(belief: Belief, norm: Normalize) -> float:
-    assert norm.vmin is not None and norm.vmax is not None
-    side = max(float(np.ptp(belief["x"])), float(np.ptp(belief["y"])))
-    return round(0.3 * side / max(norm.vmax - norm.vmin, 1e-9), 1)

@@ -1,7 +1,7 @@
 """The exploration value U over the first two observations after some episodes: Fig. 5.7 of the thesis."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,6 @@ from matplotlib.ticker import MaxNLocator
 
 from bojax.envs.settings import EnvironmentSettings
 from bojax.report import style
-from bojax.report.columns import Columns
 from bojax.report.drawing.base import Drawing, Undrawable
 from bojax.report.drawing.maps import draw_scale
 from bojax.report.source import Point, Results
@@ -44,41 +43,39 @@ def draw(results: Results) -> Drawing:
     figure, grid = style.figure(1.35 + 1.45 * len(rows), len(rows), columns, sharex=True, sharey=True)
     values = np.concatenate([row.values.ravel() for row in rows])
     norm = Normalize(float(values.min()), float(values.max()))
-    image = None
+    is_one, image = len({row.point.index for row in rows}) == 1, None
     for axes_row, row in zip(grid, rows, strict=True):
-        steps = _steps(results, row)
-        for axes, episode, value in zip(axes_row, row.episodes, row.values, strict=False):
-            image = axes.imshow(
-                value.T,
-                origin="lower",
-                extent=(row.low[0], row.high[0], row.low[1], row.high[1]),
-                aspect="auto",
-                norm=norm,
-                cmap="viridis",
-                interpolation="bilinear",
-            )
-            _draw_trajectory(axes, steps, episode)
-            axes.set_xlim(row.low[0], row.high[0])
-            axes.set_ylim(row.low[1], row.high[1])
+        (x_min, y_min), (x_max, y_max) = row.low[:2], row.high[:2]
+        box: dict[str, Any] = {"extent": (x_min, x_max, y_min, y_max), "origin": "lower", "aspect": "auto"}
+        for axes, episode, value in zip_longest(axes_row, row.episodes, row.values):
+            if episode is None:
+                axes.set_axis_off()
+                continue
+            image = axes.imshow(value.T, **box, norm=norm, cmap="viridis", interpolation="bilinear")
+            _draw_trajectory(axes, results, row, episode)
+            axes.set_xlim(x_min, x_max)
+            axes.set_ylim(y_min, y_max)
             axes.xaxis.set_major_locator(MaxNLocator(nbins=4 if columns < 3 else 2))
             axes.yaxis.set_major_locator(MaxNLocator(nbins=4))
             axes.tick_params(length=3, labelsize=8.5)
-        for axes in axes_row[len(row.episodes) :]:
-            axes.set_axis_off()
+        if len(rows) > 1:
+            name = f"run {row.run}" if is_one else style.wrapped(row.point.name, 18)
+            axes_row[-1].set_ylabel(name, rotation=270, labelpad=11, fontsize=9)
+            axes_row[-1].yaxis.set_label_position("right")
     for axes, episode in zip(grid[0], rows[0].episodes, strict=False):
         axes.set_title(f"episode {episode}", pad=4)
-    first, second = _axis_names(rows)
+    env = rows[0].point.env
+    known = env if isinstance(env, EnvironmentSettings) else EnvironmentSettings
+    first, second = known.observation_names
     figure.supylabel(second, fontsize=10.5)
     grid[-1, columns // 2].set_xlabel(first)
-    if len(rows) > 1:
-        for axes_row, row in zip(grid, rows, strict=True):
-            axes_row[-1].set_ylabel(_row_name(rows, row), rotation=270, labelpad=11, fontsize=9)
-            axes_row[-1].yaxis.set_label_position("right")
     if image is not None:
         draw_scale(figure, image, grid.flat, aspect=32).set_label("exploration value U")
     named = joined(f"{row.point.name}, run {row.run}" for row in rows)
-    if len({row.point.index for row in rows}) == 1 < len(rows):
+    if is_one and len(rows) > 1:
         named = f"{rows[0].point.name}, runs {joined(row.run for row in rows)}"
+    means = [number(float(value.mean())) for value in rows[0].values]
+    told = [f"episode {at} (mean {mean})" for at, mean in zip(rows[0].episodes, means, strict=True)]
     return Drawing(
         figure=figure,
         title="Exploration values and trajectories",
@@ -86,7 +83,7 @@ def draw(results: Results) -> Drawing:
         "common scale: bright where few observations were made. Lines: the trajectory of the episode, from "
         f"the circle to the cross, or to the star if the last step was rewarded. First recorded runs: "
         f"{named}.",
-        alt=f"Maps of the exploration value over {first} and {second} after {_told(rows[0])}, with the "
+        alt=f"Maps of the exploration value over {first} and {second} after {joined(told)}, with the "
         f"trajectories of those episodes: {named}.",
     )
 
@@ -113,47 +110,18 @@ def _rows(results: Results) -> list[_Row]:
     return [row for row in rows if row.point.env and env and row.point.env.kind == env.kind][:MAX_ROWS]
 
 
-def _steps(results: Results, row: _Row) -> Columns:
-    rows = results.steps_of(row.point)
-    if not {"episode", "observation_0", "observation_1"} <= rows.keys():
-        return {}
-    return {name: column[rows["run"] == row.run] for name, column in rows.items()}
-
-
-def _draw_trajectory(axes: Axes, steps: Columns, episode: int) -> None:
-    if not steps:
+def _draw_trajectory(axes: Axes, results: Results, row: _Row, episode: int) -> None:
+    steps = results.steps_of(row.point)
+    if not {"episode", "observation_0", "observation_1"} <= steps.keys():
         return
-    there = steps["episode"] == episode
+    there = (steps["run"] == row.run) & (steps["episode"] == episode)
+    if not there.any():
+        return
     x, y = steps["observation_0"][there], steps["observation_1"][there]
-    if not x.size:
-        return
     outline = [withStroke(linewidth=2.2, foreground="#00000080")]
     axes.plot(x, y, color="white", linewidth=1.0, path_effects=outline, zorder=3)
     is_rewarded = float(steps["reward"][there][-1]) > 0
     marks: dict[str, Any] = {"color": "white", "edgecolors": style.INK, "linewidths": 0.8, "zorder": 4}
     axes.scatter(x[:1], y[:1], s=26, marker="o", **marks)
-    axes.scatter(
-        x[-1:],
-        y[-1:],
-        s=80 if is_rewarded else 40,
-        marker="*" if is_rewarded else "X",
-        **marks,
-        clip_on=False,
-    )
-
-
-def _axis_names(rows: Sequence[_Row]) -> tuple[str, str]:
-    env = rows[0].point.env
-    return (env if isinstance(env, EnvironmentSettings) else EnvironmentSettings).observation_names
-
-
-def _row_name(rows: Sequence[_Row], row: _Row) -> str:
-    is_one = len({other.point.index for other in rows}) == 1
-    return f"run {row.run}" if is_one else style.wrapped(row.point.name, 18)
-
-
-def _told(row: _Row) -> str:
-    means = [number(float(value.mean())) for value in row.values]
-    return joined(
-        [f"episode {episode} (mean {mean})" for episode, mean in zip(row.episodes, means, strict=True)]
-    )
+    end = {"s": 80, "marker": "*"} if is_rewarded else {"s": 40, "marker": "X"}
+    axes.scatter(x[-1:], y[-1:], **end, **marks, clip_on=False)
