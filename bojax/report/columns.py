@@ -31,12 +31,7 @@ _NUMBERED = ("observation_", "action_", "qpos_")
 
 
 def read_columns(folder: Path, name: str, points: Sequence[int]) -> Columns:
-    """A table of a results folder.
-
-    Args:
-        folder: The results folder.
-        name: `runs`, `steps` or `episodes`.
-        points: Indices of the points in the manifest.
+    """A table of a results folder, whose manifest has points of these indices.
 
     Raises:
         ResultsError: The file cannot be read, a column has the wrong type, a row belongs to an unknown point
@@ -61,7 +56,9 @@ def read_columns(folder: Path, name: str, points: Sequence[int]) -> Columns:
             columns[column] = (values.cast(pa.int64()) if column in keys else values).to_numpy()
         except (pa.ArrowException, NotImplementedError, ValueError) as error:
             raise ResultsError(f"{path}: {column}: a column of {values.type} cannot be read") from error
-    columns = _sorted(columns, keys)
+    order = np.lexsort([columns[key] for key in reversed(keys)])
+    if (np.diff(order) != 1).any():  # bojax writes rows in the order of their keys
+        columns = {column: values[order] for column, values in columns.items()}
     unknown = np.setdiff1d(columns["point"], points)
     if unknown.size:
         raise ResultsError(f"{path}: point: got {unknown[0]}, which the manifest does not have")
@@ -70,6 +67,12 @@ def read_columns(folder: Path, name: str, points: Sequence[int]) -> Columns:
     else:
         _check_rows(path, columns, keys)
     return columns
+
+
+def where(columns: Columns, **values: Any) -> Columns:
+    """The rows with these values of columns; an empty table has none."""
+    kept = np.logical_and.reduce([columns[name] == value for name, value in values.items() if columns])
+    return {key: column[kept] for key, column in columns.items()}
 
 
 def check_runs(folder: Path, name: str, columns: Columns, runs: Columns) -> None:
@@ -82,19 +85,22 @@ def check_runs(folder: Path, name: str, columns: Columns, runs: Columns) -> None
 
 
 def _check_type(path: Path, column: str, values: pa.ChunkedArray, *, is_key: bool) -> None:
-    kind = values.type
+    kind, is_boolean = values.type, pa.types.is_boolean(values.type)
+    is_integer, is_text = (
+        pa.types.is_integer(kind),
+        pa.types.is_string(kind) or pa.types.is_large_string(kind),
+    )
     wanted = None
     if is_key:
-        wanted = None if pa.types.is_integer(kind) else "integers"
+        wanted = is_integer, "integers"
     elif column == "phase":
-        wanted = None if pa.types.is_string(kind) or pa.types.is_large_string(kind) else "text"
+        wanted = is_text, "text"
     elif column in _BOOLEANS:
-        wanted = None if pa.types.is_boolean(kind) else "true or false"
+        wanted = is_boolean, "true or false"
     elif column in _NUMBERS or column.startswith(_NUMBERED):
-        is_number = pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)
-        wanted = None if is_number else "numbers"
-    if wanted is not None:
-        raise ResultsError(f"{path}: {column}: got a column of {kind}; allowed: {wanted}")
+        wanted = is_integer or is_boolean or pa.types.is_floating(kind), "numbers"
+    if wanted is not None and not wanted[0]:
+        raise ResultsError(f"{path}: {column}: got a column of {kind}; allowed: {wanted[1]}")
     if values.null_count and (is_key or column == "phase" or column in _BOOLEANS):
         raise ResultsError(f"{path}: {column}: got {values.null_count} nulls; allowed: none")
 
@@ -133,12 +139,3 @@ def _check_rows(path: Path, columns: Columns, keys: Sequence[str]) -> None:
 def _told(columns: Columns, keys: Sequence[str], where: NDArray[np.bool_]) -> str:
     """The keys of the first row that a mask selects, in words."""
     return ", ".join(f"{key} {columns[key][where][0]}" for key in keys)
-
-
-def _sorted(columns: Columns, keys: Sequence[str]) -> Columns:
-    """Rows in the order of their keys, in which bojax writes them."""
-    num = len(columns["run"])
-    order = np.lexsort([columns[key] for key in reversed(keys)])
-    if (order == np.arange(num)).all():
-        return columns
-    return {name: values[order] for name, values in columns.items()}

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from contextlib import closing
 
 import jax.numpy as jnp
 import numpy as np
@@ -190,7 +191,7 @@ PUCK = """
 def test_a_robot_is_where_its_positions_are(rendering):
     from bojax.robots.models import RobotModel
 
-    with rendering.Renderer(RobotModel(PUCK), 800, 600) as renderer:
+    with closing(rendering.Renderer(RobotModel(PUCK), 800, 600)) as renderer:
         puck = np.array([-1.0, 0.0, 0.5, 1.0, 0.0, 0.0, 0.0])
         left = renderer.image(puck).astype(int)
         both = renderer.image(np.concatenate([puck, [1.0, 0.0, 0.5]])).astype(int)

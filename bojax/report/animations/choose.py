@@ -20,14 +20,10 @@ def choose_film(
     episode: int | None = None,
     model: Path | None = None,
 ) -> Film:
-    """A film of a recorded run.
+    """A film of a recorded run, drawn with the robot that the settings name, or with that of an MJCF file.
 
-    Args:
-        results: The results folder.
-        point: Index of the point; by default the first point with a recorded run.
-        run: Index of the run; by default the first recorded run.
-        episode: Number of the episode of a learning run; by default its first success, else its last episode.
-        model: MJCF file of the robot; by default the model that the settings name.
+    The point and the run are given by index; by default they are the first recorded ones. The default episode
+    of a learning run is its first success, else its last episode.
 
     Raises:
         ResultsError: The run was not recorded, or there is no drawing of it.

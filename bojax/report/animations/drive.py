@@ -1,13 +1,13 @@
 """Chooses a run of a planner to animate, and reads its recorded data."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from bojax.problems.settings import ProblemSettings
-from bojax.report.animations.episode import pick, where
-from bojax.report.columns import Columns
+from bojax.report.animations.episode import pick
+from bojax.report.columns import Columns, where
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats
 from bojax.results.store import ResultsError
@@ -15,40 +15,26 @@ from bojax.results.store import ResultsError
 
 @dataclass(frozen=True)
 class Leg:
-    """One step of a planner: the plan and the path driven.
+    """One step of a planner: the plan and the path driven."""
 
-    Attributes:
-        before: Pose before the step, `[3]`, in metres and radians.
-        poses: Poses driven, `[S, 3]`.
-        plan: Poses planned, `[S, 3]`, in the world frame; None if they were not recorded.
-        frames: Generalised positions of the robot along the path, `[F, Q]`; None for a robot without a body.
-        accumulated: Sum of the rewards up to the end of the step.
-    """
-
-    before: Floats
-    poses: Floats
-    plan: Floats | None
+    before: Floats  # pose before the step, `[3]`, in metres and radians
+    poses: Floats  # poses driven, `[S, 3]`
+    plan: Floats | None  # poses planned, `[S, 3]`, in the world frame; None if they were not recorded
+    # Generalised positions of the robot along the path, `[F, Q]`; None for a robot without a body
     frames: Floats | None
-    accumulated: float
+    accumulated: float  # sum of the rewards up to the end of the step
 
 
 @dataclass(frozen=True)
 class Drive:
-    """A run of a planner.
-
-    Attributes:
-        point: The point of the sweep.
-        run: Index of the run.
-        legs: Its steps.
-        belief: Maps of the belief about a field, as `FieldMonitoring.snapshot` records them; may be empty.
-        outcome: How the run ended, in words; may be empty.
-    """
+    """A run of a planner."""
 
     point: Point
     run: int
     legs: tuple[Leg, ...]
+    # Maps of the belief about a field, as `FieldMonitoring.snapshot` records them; may be empty
     belief: Mapping[str, Floats]
-    outcome: str
+    outcome: str  # how the run ended, in words; may be empty
 
 
 def choose_drive(results: Results, point: int | None = None, run: int | None = None) -> Drive:
@@ -64,34 +50,25 @@ def choose_drive(results: Results, point: int | None = None, run: int | None = N
     index = pick(results, "point", point, recorded)
     chosen = next(part for part in results.points if part.index == index)
     run = pick(results, "run", run, np.asarray(list(kept[index]), np.int64))
-    rows = where(results.steps_of(chosen), "run", run)
-    order = np.argsort(rows["step"], kind="stable")
-    legs = _legs(kept[index][run], {name: column[order] for name, column in rows.items()})
+    legs = tuple(_legs(kept[index][run], where(results.steps_of(chosen), run=run)))
     if not legs:
         raise ResultsError(f"{results.folder}: run {run} made no step")
-    return Drive(
-        point=chosen,
-        run=run,
-        legs=legs,
-        belief=dict(results.arrays(chosen, "belief")).get(run, {}),
-        outcome=_outcome(chosen, where(results.runs_of(chosen), "run", run)),
-    )
+    belief = dict(results.arrays(chosen, "belief")).get(run, {})
+    return Drive(chosen, run, legs, belief, _outcome(chosen, where(results.runs_of(chosen), run=run)))
 
 
-def _legs(arrays: Mapping[str, Floats], rows: Columns) -> tuple[Leg, ...]:
-    paths, plans, frames = arrays["paths"], arrays.get("plans"), arrays.get("frames")
+def _legs(arrays: Mapping[str, Floats], rows: Columns) -> Iterator[Leg]:
+    paths = arrays["paths"].astype(np.float64)
+    plans, frames = arrays.get("plans"), arrays.get("frames")
     pose = np.asarray(arrays["start"] if "start" in arrays else paths[0, 0], np.float64)
-    legs = []
-    for step in range(min(len(paths), len(rows["step"]))):
-        poses = np.asarray(paths[step], np.float64)
+    for step, (poses, accumulated) in enumerate(zip(paths, rows["accumulated_reward"], strict=False)):
         if not np.isfinite(poses).all():  # the simulation diverged
             break
-        plan = None if plans is None else _placed(np.asarray(plans[step], np.float64), pose)
-        shown = None if frames is None else np.asarray(frames[step], np.float64)
-        legs.append(Leg(pose, poses, plan, shown, float(rows["accumulated_reward"][step])))
+        plan = None if plans is None else _placed(plans[step].astype(np.float64), pose)
+        shown = None if frames is None else frames[step].astype(np.float64)
+        yield Leg(pose, poses, plan, shown, float(accumulated))
         # A robot that was stopped may have turned on the spot.
         pose = np.array([rows[name][step] for name in ("x", "y", "heading")]) if "x" in rows else poses[-1]
-    return tuple(legs)
 
 
 def _placed(path: Floats, pose: Floats) -> Floats:

@@ -7,35 +7,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bojax.report.animations.base import Moment
-from bojax.report.columns import Columns
+from bojax.report.animations.scenes import Moment
+from bojax.report.columns import Columns, where
 from bojax.report.source import Point, Results
+from bojax.report.statistics import Floats
 from bojax.results.store import ResultsError
 
 
 @dataclass(frozen=True)
 class Episode:
-    """The steps of one training episode.
-
-    Attributes:
-        point: The point of the sweep.
-        run: Index of the run.
-        number: Number of the episode, from 1.
-        observations: Observation before each step, `[T, D]`.
-        actions: Actions taken, `[T, A]`.
-        frames: Further data for animations, `[T, Q]`; Q may be 0.
-        accumulated: Sum of the rewards up to and including each step, `[T]`.
-        outcome: How the episode ended, in words; empty if it was not recorded.
-    """
+    """The steps of one training episode."""
 
     point: Point
     run: int
-    number: int
-    observations: NDArray[np.float64]
-    actions: NDArray[np.float64]
-    frames: NDArray[np.float64]
-    accumulated: NDArray[np.float64]
-    outcome: str
+    number: int  # number of the episode, from 1
+    observations: Floats  # observation before each step, `[T, D]`
+    actions: Floats  # actions taken, `[T, A]`
+    frames: Floats  # further data for animations, `[T, Q]`; Q may be 0
+    accumulated: Floats  # sum of the rewards up to and including each step, `[T]`
+    outcome: str  # how the episode ended, in words; empty if it was not recorded
 
     def moment(self, step: int) -> Moment:
         """The recorded data of a step, counted from 0."""
@@ -56,26 +46,24 @@ def choose_episode(
     if "observation_0" not in steps:
         raise ResultsError(f"{results.folder}: steps have no observations, so nothing can be drawn")
     index = pick(results, "point", point, steps["point"])
-    chosen = next(part for part in results.points if part.index == index)
-    steps = where(steps, "point", index)
+    steps = where(steps, point=index)
     run = pick(results, "run", run, steps["run"])
-    steps = where(steps, "run", run)
+    steps = where(steps, run=run)
     outcomes = _outcomes(results, index, run)
     if episode is None:
-        recorded = sorted(set(steps["episode"].tolist()))
+        recorded = np.unique(steps["episode"]).tolist()
         successes = [number for number in recorded if outcomes.get(number) == _SUCCESS]
         episode = [*successes, recorded[-1]][0]
     number = pick(results, "episode", episode, steps["episode"])
-    steps = where(steps, "episode", number)
-    order = np.argsort(steps["step"], kind="stable")
+    steps = where(steps, episode=number)
     return Episode(
-        point=chosen,
+        point=next(part for part in results.points if part.index == index),
         run=run,
         number=number,
-        observations=_vectors(steps, "observation")[order],
-        actions=_vectors(steps, "action")[order],
-        frames=_vectors(steps, "qpos")[order],
-        accumulated=np.asarray(steps["accumulated_reward"], np.float64)[order],
+        observations=_vectors(steps, "observation"),
+        actions=_vectors(steps, "action"),
+        frames=_vectors(steps, "qpos"),
+        accumulated=steps["accumulated_reward"].astype(np.float64),
         outcome=outcomes.get(number, ""),
     )
 
@@ -87,8 +75,7 @@ def _outcomes(results: Results, point: int, run: int) -> dict[int, str]:
     """How every training episode of a run ended."""
     if not results.episodes:
         return {}
-    episodes = where(where(results.episodes, "point", point), "run", run)
-    episodes = where(episodes, "phase", "train")
+    episodes = where(results.episodes, point=point, run=run, phase="train")
     rows = zip(episodes["episode"], episodes["success"], episodes["terminated"], strict=True)
     return {
         int(number): _SUCCESS if success else "failed" if terminated else "truncated"
@@ -102,7 +89,7 @@ def pick(results: Results, name: str, asked: int | None, values: NDArray[Any]) -
     Raises:
         ResultsError: The value was not recorded.
     """
-    recorded = sorted(set(values.tolist()))
+    recorded = np.unique(values).tolist()
     if asked is None:
         return recorded[0]
     if asked not in recorded:
@@ -117,14 +104,7 @@ def _ranges(numbers: Sequence[int]) -> str:
     return ", ".join(f"{part[0]} to {part[-1]}" if len(part) > 1 else str(part[0]) for part in parts)
 
 
-def where(columns: Columns, name: str, value: Any) -> Columns:
-    """The rows with this value of a column."""
-    kept = columns[name] == value
-    return {key: column[kept] for key, column in columns.items()}
-
-
-def _vectors(steps: Columns, name: str) -> NDArray[np.float64]:
+def _vectors(steps: Columns, name: str) -> Floats:
     num = sum(key.startswith(f"{name}_") for key in steps)
-    if num == 0:
-        return np.zeros((len(steps["step"]), 0))
-    return np.stack([np.asarray(steps[f"{name}_{i}"], np.float64) for i in range(num)], axis=-1)
+    columns = [steps[f"{name}_{i}"] for i in range(num)]
+    return np.array(columns, np.float64).reshape(num, len(steps["step"])).T

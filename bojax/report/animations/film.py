@@ -55,12 +55,7 @@ class Film(abc.ABC):
 
 
 def render(film: Film, folder: Path, advanced: Callable[[], None] = lambda: None) -> list[Path]:
-    """Write `NAME.gif` into a folder, and `NAME.mp4` where there is ffmpeg.
-
-    Args:
-        film: What is shown.
-        folder: Where it is written; made if it is not there.
-        advanced: Called after every picture.
+    """Write `NAME.gif` into a folder, and `NAME.mp4` where there is ffmpeg; `advanced` is called per picture.
 
     Raises:
         ResultsError: It cannot be drawn or written.
@@ -80,12 +75,7 @@ def render(film: Film, folder: Path, advanced: Callable[[], None] = lambda: None
 
 
 def write_still(film: Film, path: Path, share: float) -> None:
-    """Write one picture as PNG.
-
-    Args:
-        film: What it is taken from.
-        path: Where it is written; its folder is made if it is not there.
-        share: How much of the film is over, from 0 to 1.
+    """Write the picture at a share of the film, from 0 to 1, as PNG.
 
     Raises:
         ResultsError: It cannot be drawn or written.

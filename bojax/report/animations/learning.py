@@ -1,8 +1,9 @@
 """A film of one episode of learning: a scene, the time, the reward and the action."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,16 +12,12 @@ from numpy.typing import NDArray
 from PIL import Image
 from typing_extensions import override
 
-from bojax.config.component import Component, External
-from bojax.report.animations import SCENES
-from bojax.report.animations.base import Scene
+from bojax.config.component import External
 from bojax.report.animations.episode import Episode
 from bojax.report.animations.film import FASTEST, MAX_FRAMES, SLOWEST, STILL, Film, blank, photograph, slug
+from bojax.report.animations.scenes import SCENES, Scene
 from bojax.report.style import BLUE, FAINT, INK
 from bojax.results.store import ResultsError
-
-if TYPE_CHECKING:
-    from bojax.robots.models import RobotModel
 
 _SIZE = (4.0, 4.0)
 
@@ -34,40 +31,30 @@ class LearningFilm(Film):
 
     def __init__(self, episode: Episode, model: Path | None = None):
         self._episode = episode
-        assert episode.point.env is not None
-        self._env = episode.point.env
-        self._kind = self._env.kind
-        is_robot = model is not None or (self._kind not in SCENES and episode.frames.shape[1] > 0)
-        self._model = _robot_of(self._env, model) if is_robot else None
-        if self._model is None:
-            _check_drawable(self._kind)
+        self._kind, self._scene, self._time_step = _drawn(episode, model)
         self._indices = frames_of(len(episode.observations))
-        self._time_step = self._seconds_of_a_step()
         self.name = f"{slug(episode.point.name)}-run{episode.run}-episode{episode.number}"
         self.num_images = len(self._indices)
         stride = (self._indices[-1] - self._indices[0]) / max(self.num_images - 1, 1)
         self.seconds = round(float(np.clip(stride * self._time_step, FASTEST, SLOWEST)), 2)
 
     @override
-    def images(self) -> Iterator[Image.Image]:
-        figure = blank(*_SIZE)
-        scene = self._scene(figure.add_axes((0.02, 0.16, 0.96, 0.70)))
-        try:
-            yield from self._pictures(figure, scene)
-        finally:
-            scene.close()
-
-    @override
     def still(self, share: float) -> Image.Image:
         figure = blank(*STILL)
-        scene = self._scene(figure.add_axes((0.0, 0.0, 1.0, 1.0)))
-        try:
-            last = round(share * (len(self._episode.observations) - 1))
-            for step in range(0 if scene.has_trail else last, last + 1):
-                scene.move(self._episode.moment(step))
+        with closing(self._scene(figure.add_axes((0.0, 0.0, 1.0, 1.0)))) as scene:
+            self._move(scene, 0, round(share * (len(self._episode.observations) - 1)))
             return photograph(figure)
-        finally:
-            scene.close()
+
+    @override
+    def images(self) -> Iterator[Image.Image]:
+        figure = blank(*_SIZE)
+        with closing(self._scene(figure.add_axes((0.02, 0.16, 0.96, 0.70)))) as scene:
+            yield from self._pictures(figure, scene)
+
+    def _move(self, scene: Scene, first: int, last: int) -> None:
+        """Show the last of some steps, and before it those that leave a trail."""
+        for step in range(first if scene.has_trail else last, last + 1):
+            scene.move(self._episode.moment(step))
 
     def _pictures(self, figure: Figure, scene: Scene) -> Iterator[Image.Image]:
         episode = self._episode
@@ -86,8 +73,7 @@ class LearningFilm(Film):
         figure.text(0.04, 0.08, "action", color=INK, fontsize=10, va="center")
         position = 0
         for index in self._indices.tolist():
-            for step in range(position if scene.has_trail else index, index + 1):
-                scene.move(episode.moment(step))
+            self._move(scene, position, index)
             position = index + 1
             seconds = f"{index * self._time_step:.2f} s, " if self._time_step else ""
             reward = f"reward {episode.accumulated[index]:.4g}"
@@ -98,22 +84,6 @@ class LearningFilm(Film):
                 outcome.set_text(episode.outcome)
             yield photograph(figure)
 
-    def _scene(self, axes: Axes) -> Scene:
-        if self._model is None:
-            return SCENES[self._kind](axes, self._env)
-        from bojax.report.animations.robot import RobotScene
-
-        return RobotScene(axes, self._model)
-
-    def _seconds_of_a_step(self) -> float:
-        """Duration of a step; 0 if unknown."""
-        if self._model is None:
-            return getattr(self._env, "time_step", SCENES[self._kind].time_step)
-        from bojax.report.animations.robot import time_step
-
-        settings = self._env.params if isinstance(self._env, External) else vars(self._env)
-        return time_step(self._model) * settings.get("substeps", 1)
-
 
 def frames_of(num_steps: int) -> NDArray[np.int64]:
     """Indices of the steps shown: all steps, or `MAX_FRAMES` evenly spaced ones including the last."""
@@ -121,17 +91,21 @@ def frames_of(num_steps: int) -> NDArray[np.int64]:
     return np.round(np.linspace(0, num_steps - 1, num)).astype(np.int64)
 
 
-def _robot_of(env: Component, path: Path | None) -> "RobotModel | None":
-    from bojax.report.animations.robot import accepted, from_file
-    from bojax.report.animations.robot_worlds import ENVS
+def _drawn(episode: Episode, model: Path | None) -> tuple[str, Callable[[Axes], Scene], float]:
+    """The kind of an environment, its scene, and the duration of a step in seconds; 0 if unknown."""
+    env = episode.point.env
+    assert env is not None
+    kind = env.kind
+    if model is not None or (kind not in SCENES and episode.frames.shape[1] > 0):
+        from bojax.report.animations.robot import RobotScene, compiled
+        from bojax.report.animations.robot_worlds import ENVS
 
-    if path is not None:
-        return from_file(path)
-    return accepted(lambda: ENVS[env.kind](env)) if env.kind in ENVS else None
-
-
-def _check_drawable(kind: str) -> None:
+        if model is not None or kind in ENVS:
+            robot = compiled(model, lambda: ENVS[kind](env))
+            substeps = (env.params if isinstance(env, External) else vars(env)).get("substeps", 1)
+            return kind, partial(RobotScene, env=robot), float(robot.compiled().opt.timestep) * substeps
     if kind not in SCENES:
         raise ResultsError(
             f"no drawing of {kind} is known; known: {', '.join(SCENES)}; give the MJCF of a robot by --model"
         )
+    return kind, partial(SCENES[kind], env=env), getattr(env, "time_step", SCENES[kind].time_step)

@@ -1,8 +1,9 @@
 """A film of a run of a planner: the path, the plan of each step, the robot, and its belief about a field."""
 
 from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,7 +16,7 @@ from matplotlib.transforms import Affine2D
 from PIL import Image
 from typing_extensions import override
 
-from bojax.config.component import Component, External
+from bojax.config.component import External
 from bojax.report.animations.drive import Drive, Leg
 from bojax.report.animations.film import MAX_FRAMES, SLOWEST, STILL, Film, blank, photograph, slug
 from bojax.report.drawing.domains import draw_outline
@@ -51,12 +52,10 @@ class PlanningFilm(Film):
 
     def __init__(self, drive: Drive, model: Path | None = None):
         self._drive = drive
-        has_body = drive.legs[0].frames is not None
-        self._model = _robot_of(drive, model) if has_body else None
-        most = max(1, MAX_FRAMES // len(drive.legs))
-        longest = len(drive.legs[0].frames) if drive.legs[0].frames is not None else MAX_IMAGES_PER_STEP
-        self._per_step = min(most, longest)
-        is_free = self._model is not None and _is_free(self._model)
+        self._model, is_free, longest = None, False, MAX_IMAGES_PER_STEP
+        if drive.legs[0].frames is not None:
+            (self._model, is_free), longest = _robot_of(drive, model), len(drive.legs[0].frames)
+        self._per_step = min(max(1, MAX_FRAMES // len(drive.legs)), longest)
         self._curves = [_poses(leg, is_free) for leg in drive.legs]
         self.name = f"{slug(drive.point.name)}-run{drive.run}"
         self.num_images = self._per_step * len(drive.legs) + 1
@@ -67,29 +66,21 @@ class PlanningFilm(Film):
         num_beside = 2 if self._has_belief else int(self._model is not None)
         figure = blank(4.2 + (0.0, 3.0, 2.0)[num_beside], 4.6)
         main, *beside = _panels(figure, num_beside)
-        body = self._body(main)
-        views = [] if body is not None else [self._map(main)]
         names = _BELIEF if self._has_belief else (None,)
-        views += [_Map(axes, self._drive, name) for axes, name in zip(beside, names, strict=False)]
-        try:
+        with self._body(main) as body:
+            views = [] if body is not None else [self._map(main)]
+            views += [_Map(axes, self._drive, name) for axes, name in zip(beside, names, strict=False)]
             yield from self._pictures(figure, body, views)
-        finally:
-            if body is not None:
-                body.close()
 
     @override
     def still(self, share: float) -> Image.Image:
         figure = blank(*STILL)
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-        body = self._body(axes)
         at = share * len(self._drive.legs)
         index = min(int(at), len(self._drive.legs) - 1)
-        try:
+        with self._body(axes) as body:
             self._show(index, at - index, body, [] if body is not None else [self._map(axes)])
             return photograph(figure)
-        finally:
-            if body is not None:
-                body.close()
 
     def _pictures(
         self, figure: Figure, body: "RobotScene | None", views: "list[_Map]"
@@ -106,9 +97,7 @@ class PlanningFilm(Film):
         for index in range(len(legs)):
             is_last = index == len(legs) - 1
             for share in (np.arange(self._per_step + is_last) / self._per_step).tolist():
-                paid = (
-                    legs[index].accumulated if share == 1.0 else legs[index - 1].accumulated if index else 0.0
-                )
+                paid = [0.0, *(leg.accumulated for leg in legs)][index + (share == 1.0)]
                 status.set_text(f"step {index + 1} of {len(legs)}, reward {paid:.4g}")
                 outcome.set_text(self._drive.outcome if share == 1.0 else "")
                 self._show(index, share, body, views)
@@ -132,22 +121,21 @@ class PlanningFilm(Film):
     def _map(self, axes: Axes) -> "_Map":
         return _Map(axes, self._drive, "truth" if self._has_belief else None)
 
-    def _body(self, axes: Axes) -> "RobotScene | None":
+    @contextmanager
+    def _body(self, axes: Axes) -> "Iterator[RobotScene | None]":
         if self._model is None:
-            return None
+            yield None
+            return
         from bojax.report.animations.robot import RobotScene
 
-        return RobotScene(axes, self._model)
+        with closing(RobotScene(axes, self._model)) as body:
+            yield body
 
 
 class _Map:
-    """The domain from above, with the path so far, the plan and the robot, and optionally values of a field.
+    """The domain from above, with the path so far, the plan, the robot, and possibly values of a field."""
 
-    Attributes:
-        name: Values shown: "truth", "mean" or "std"; None for none.
-    """
-
-    def __init__(self, axes: Axes, drive: Drive, name: str | None = None):
+    def __init__(self, axes: Axes, drive: Drive, name: Literal["truth", "mean", "std"] | None = None):
         self.name = name
         self._drive = drive
         draw_outline(axes, drive.point.outline)
@@ -217,19 +205,12 @@ def _panels(figure: Figure, num_beside: int) -> list[Axes]:
     left, right = 4.24 / width, 1.0 - 0.08 / width
     if num_beside == 1:
         return [main, figure.add_axes((left, y, right - left, height))]
-    tall = 0.375
-    return [main] + [
-        figure.add_axes((left, low, right - left, tall)) for low in (y + height - tall, y)[:num_beside]
-    ]
+    lows = (y + height - 0.375, y)[:num_beside]
+    return [main, *(figure.add_axes((left, low, right - left, 0.375)) for low in lows)]
 
 
 def _poses(leg: Leg, is_free: bool) -> Floats:
-    """Poses at which the robot is drawn along a leg, `[N, 3]`: of its body, or interpolated.
-
-    Args:
-        leg: The leg.
-        is_free: Whether frames begin with the body's position and quaternion.
-    """
+    """Poses at which the robot is drawn along a leg, `[N, 3]`: of its free body, or interpolated."""
     if leg.frames is not None and leg.frames.shape[1] >= 7 and is_free:
         x, y, (w, i, j, k) = leg.frames[:, 0], leg.frames[:, 1], leg.frames[:, 3:7].T
         return np.stack([x, y, np.arctan2(2.0 * (w * k + i * j), 1.0 - 2.0 * (j * j + k * k))], axis=-1)
@@ -251,26 +232,16 @@ def _fit(axes: Axes, drive: Drive) -> None:
     axes.set_ylim(middle[1] - half, middle[1] + half)
 
 
-def _is_free(model: "RobotModel") -> bool:
-    from bojax.report.animations.robot import is_free
-
-    return is_free(model)
-
-
-def _robot_of(drive: Drive, path: Path | None) -> "RobotModel":
-    from bojax.report.animations.robot import accepted, from_file
+def _robot_of(drive: Drive, path: Path | None) -> "tuple[RobotModel, bool]":
+    """The model of the robot, and whether its body is free."""
+    from bojax.report.animations.robot import compiled, is_free
     from bojax.report.animations.robot_worlds import VEHICLES
 
-    if path is not None:
-        return from_file(path)
-    kind = _vehicle_of(drive.point.problem)
-    if kind not in VEHICLES:
-        raise ResultsError(f"no model of {kind} is known: give its MJCF by --model FILE")
-    return accepted(lambda: VEHICLES[kind](drive.point.outline, drive.belief.get("truth")))
-
-
-def _vehicle_of(problem: Component | None) -> str:
-    """The kind of a problem's vehicle."""
-    settings = problem.params if isinstance(problem, External) else vars(problem) if problem else {}
+    problem = drive.point.problem
+    settings = problem.params if isinstance(problem, External) else vars(problem)
     vehicle = settings.get("vehicle", "this robot")
-    return str(vehicle.get("kind") if isinstance(vehicle, dict) else getattr(vehicle, "kind", vehicle))
+    kind = str(vehicle.get("kind") if isinstance(vehicle, dict) else getattr(vehicle, "kind", vehicle))
+    if path is None and kind not in VEHICLES:
+        raise ResultsError(f"no model of {kind} is known: give its MJCF by --model FILE")
+    model = compiled(path, lambda: VEHICLES[kind](drive.point.outline, drive.belief.get("truth")))
+    return model, is_free(model)

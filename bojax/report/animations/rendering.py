@@ -71,12 +71,7 @@ def _works(name: str) -> bool:
 
 
 class Renderer:
-    """Renders one model; has to be closed, or used in a `with` statement.
-
-    Args:
-        model: A `RobotModel`.
-        width: Width of the images in pixels.
-        height: Height of the images in pixels.
+    """Renders a `RobotModel` in images of this size in pixels; has to be closed.
 
     Raises:
         CannotDraw: Nothing on this machine can render.
@@ -100,10 +95,7 @@ class Renderer:
         self._renderer = mujoco.Renderer(self._model, height, width)
 
     def image(self, frame: NDArray[np.float64]) -> NDArray[np.uint8]:
-        """An image, `[height, width, 3]`.
-
-        Args:
-            frame: Generalised positions, optionally followed by the positions of mocap bodies.
+        """An image, `[height, width, 3]`, of generalised positions that those of mocap bodies may follow.
 
         Raises:
             ValueError: The model has another number of them.
@@ -121,12 +113,6 @@ class Renderer:
     def close(self) -> None:
         """Release the rendering context."""
         self._renderer.close()
-
-    def __enter__(self) -> "Renderer":
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
 
 def _mujoco() -> Any:

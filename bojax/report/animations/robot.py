@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from numpy.typing import NDArray
 from typing_extensions import override
 
-from bojax.report.animations.base import Moment, Scene
 from bojax.report.animations.rendering import Renderer
+from bojax.report.animations.scenes import Moment, Scene
+from bojax.report.statistics import Floats
 from bojax.results.store import ResultsError
 from bojax.robots import models
 from bojax.robots.models import RobotModel
@@ -20,11 +20,11 @@ class RobotScene(Scene):
 
     has_trail = False
 
-    def __init__(self, axes: Axes, model: RobotModel):
+    def __init__(self, axes: Axes, env: RobotModel):
         axes.set_axis_off()
         box = axes.get_window_extent()
         width, height = round(box.width), round(box.height)
-        self._renderer = Renderer(model, width, height)
+        self._renderer = Renderer(env, width, height)
         blank = np.full((height, width, 3), 255, np.uint8)
         self._picture = axes.imshow(blank, aspect="auto", interpolation="nearest")
 
@@ -32,7 +32,7 @@ class RobotScene(Scene):
     def move(self, moment: Moment) -> None:
         self.show(moment.frame)
 
-    def show(self, frame: NDArray[np.float64]) -> None:
+    def show(self, frame: Floats) -> None:
         """Show a frame, as `Renderer.image` takes it."""
         try:
             self._picture.set_data(self._renderer.image(frame))
@@ -44,32 +44,18 @@ class RobotScene(Scene):
         self._renderer.close()
 
 
-def accepted(make: Callable[[], RobotModel]) -> RobotModel:
-    """The model that a function makes, compiled once.
-
-    Raises:
-        ResultsError: MuJoCo refuses the model.
-    """
-    try:
-        model = make()
-        model.compiled()
-    except ValueError as error:
-        raise ResultsError(str(error)) from error
-    return model
-
-
-def from_file(path: Path) -> RobotModel:
-    """The model of an MJCF file.
+def compiled(path: Path | None, make: Callable[[], RobotModel]) -> RobotModel:
+    """The model of an MJCF file, or else the one that a function makes; compiled once.
 
     Raises:
         ResultsError: The file cannot be read, or MuJoCo refuses the model.
     """
-    return accepted(lambda: models.from_file(path))
-
-
-def time_step(model: RobotModel) -> float:
-    """Time step of the physics in seconds."""
-    return float(model.compiled().opt.timestep)
+    try:
+        model = make() if path is None else models.from_file(path)
+        model.compiled()
+    except ValueError as error:
+        raise ResultsError(str(error)) from error
+    return model
 
 
 def is_free(model: RobotModel) -> bool:
