@@ -12,7 +12,7 @@ from bojax.report.claims.evaluate import evaluate
 from bojax.report.drawing.base import Undrawable
 from bojax.report.figures import draw, ranked
 from bojax.report.manifest import Unread
-from bojax.report.page import Plate, plate, render
+from bojax.report.page import Plate, render
 from bojax.report.source import Results, load
 from bojax.report.tables import count_nan_runs, thesis_gaps
 from bojax.report.text import counted, joined
@@ -24,11 +24,7 @@ def build_report(folder: Path, at: Callable[[str], None] = lambda stage: None) -
     """Write the report of a results folder into it, replacing an earlier report, and return `report.html`.
 
     Figures, claims and page depend on the tables and the manifest alone, and equal input gives equal files.
-    Nothing is written before everything is ready.
-
-    Args:
-        folder: The results folder.
-        at: Called with the name of each stage before it begins.
+    Nothing is written before everything is ready. `at` is called with the name of each stage as it begins.
 
     Raises:
         ResultsError: If the folder is missing, unfinished, damaged or cannot be written; one line.
@@ -39,9 +35,8 @@ def build_report(folder: Path, at: Callable[[str], None] = lambda stage: None) -
     claims = evaluate(results)
     images, plates, notes = _figures(results, at)
     at("page")
-    page = render(
-        results, claims, plates, [*notes, *thesis_gaps(results), *_gaps(results), *_unknown(results)]
-    )
+    notes = [*notes, *thesis_gaps(results), *_gaps(results), *_unknown(results)]
+    page = render(results, claims, plates, notes)
 
     figures = folder / "figures"
     with explained(figures):
@@ -87,7 +82,7 @@ def _figures(results: Results, at: Callable[[str], None]) -> tuple[dict[str, Any
         except Exception as error:  # a failed figure must not cost the page
             notes.append(f"The figure {name} could not be drawn: {error_line(error)}.")
             continue
-        plates.append(plate(name, drawing.title, drawing.caption, drawing.alt, images[name]["svg"]))
+        plates.append(Plate.of(drawing, images[name]["svg"]))
     if missing:
         notes.append(
             "Figures show some characters of names as boxes, because no font on this machine has them. "

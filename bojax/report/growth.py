@@ -24,19 +24,12 @@ _BLOCK = 500
 
 @dataclass(frozen=True)
 class Fit:
-    """One law fitted to means, or to each resample of them.
-
-    Attributes:
-        law: The law.
-        a: First coefficient, `[]` or `[resamples]`.
-        b: Second coefficient.
-        misfit: Root mean square of the residuals, each divided by its error.
-    """
+    """One law fitted to means, or to each resample of them."""
 
     law: Law
-    a: Floats
-    b: Floats
-    misfit: Floats
+    a: Floats  # first coefficient, `[]` or `[resamples]`
+    b: Floats  # second coefficient
+    misfit: Floats  # root mean square of the residuals, each divided by its error
 
     def __call__(self, x: Floats) -> Floats:
         """Evaluate a single fit at numbers `[n]`."""
@@ -62,14 +55,7 @@ def errors_of(values: Floats) -> Floats:
 
 
 def fit(law: Law, x: Floats, means: Floats, errors: Floats) -> Fit:
-    """Fit a law to means by weighted least squares.
-
-    Args:
-        law: The law.
-        x: `[n]` numbers.
-        means: `[..., n]` means at these numbers.
-        errors: `[n]` error of each mean, whose inverse square is the weight.
-    """
+    """Fit a law to means `[..., n]` at numbers `[n]` by least squares, weighted by errors `[n]` to the -2."""
     flat = np.atleast_2d(np.asarray(means, dtype=np.float64))
     a, b, squares = (_exponential if law == "exponential" else _polynomial)(law, x, flat, errors**-2)
     shape = np.shape(means)[:-1]
@@ -78,12 +64,9 @@ def fit(law: Law, x: Floats, means: Floats, errors: Floats) -> Fit:
 
 
 def exponents(x: Floats, means: Floats, errors: Floats) -> Floats:
-    """Exponent k of the power law c x^k fitted to the logarithms of positive means.
+    """Exponent k of the power law c x^k, fitted to the logarithms of means with relative errors.
 
-    Args:
-        x: `[n]` positive numbers.
-        means: `[..., n]` means at these numbers.
-        errors: `[n]` relative error of each mean.
+    Shapes are those of `fit`; numbers and means are positive.
     """
     return fit("linear", np.log(x), np.log(means), errors).b
 

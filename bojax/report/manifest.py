@@ -15,7 +15,7 @@ from bojax.config.claims import Claim
 from bojax.config.component import Component
 from bojax.config.errors import dotted, from_validation
 from bojax.config.sweep import Report, validate_experiment
-from bojax.report.text import MISSING
+from bojax.report.text import MISSING, line
 from bojax.results.outline import Outline
 from bojax.results.store import ResultsError
 
@@ -31,15 +31,10 @@ Listed = Annotated[list[T], BeforeValidator(lambda value: [] if value is None el
 
 @dataclass(frozen=True)
 class Unread:
-    """Settings that this version of bojax cannot read.
+    """Settings that this version of bojax cannot read."""
 
-    Attributes:
-        mapping: The settings as plain values.
-        reason: Why they were refused, in one line.
-    """
-
-    mapping: Mapping[str, Any]
-    reason: str
+    mapping: Mapping[str, Any]  # the settings as plain values
+    reason: str  # why they were refused, in one line
 
 
 class Part(pydantic.BaseModel):
@@ -141,12 +136,22 @@ class Manifest(Part):
         return sum(group.compile_seconds or 0 for group in self.groups)
 
     @property
-    def revision(self) -> str:
-        """The git revision; empty without one."""
-        if self.git is None:
-            return ""
-        changes = ", with uncommitted changes" if self.git.get("has_changes") else ""
-        return f"{self.git.get('revision', MISSING)}{changes}"
+    def changes(self) -> list[tuple[str, str, str]]:
+        """Settings that differ from the published sweep: dotted path, published value and ours."""
+        texts = {key: [line(value) or "none" for value in pair] for key, pair in self.changed.items()}
+        return [(key, published, ours) for key, (published, ours) in texts.items()]
+
+    @property
+    def provenance(self) -> dict[str, str]:
+        """What the results were made with and on, each in a line; empty where it is unknown."""
+        git = self.git or {"revision": ""}
+        changes = ", with uncommitted changes" if git.get("has_changes") else ""
+        return {
+            "revision": f"{git.get('revision', MISSING)}{changes}",
+            "device": line(self.device),
+            "versions": line(self.versions),
+            "precision": line(self.precision),
+        }
 
 
 def read(manifest: Any, path: str) -> Manifest:
@@ -205,12 +210,9 @@ def _encodable(value: Any, depth: int, path: str) -> Any:
     if isinstance(value, dict | list) and not depth:
         raise ResultsError(f"{path}: nested more than {MAX_DEPTH} levels deep")
     if isinstance(value, dict):
-        return {
-            _encodable(key, depth, path): _encodable(item, depth - 1, path) for key, item in value.items()
-        }
-    if isinstance(value, list):
-        return [_encodable(item, depth - 1, path) for item in value]
-    return value
+        items = ((_encodable(key, depth, path), item) for key, item in value.items())
+        return {key: _encodable(item, depth - 1, path) for key, item in items}
+    return [_encodable(item, depth - 1, path) for item in value] if isinstance(value, list) else value
 
 
 def _indexed(place: tuple[int | str, ...]) -> str:

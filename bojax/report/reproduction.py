@@ -2,9 +2,9 @@
 
 import os
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -12,7 +12,7 @@ from urllib.parse import quote
 from bojax.report.manifest import Manifest
 from bojax.report.source import load
 from bojax.report.template import fill
-from bojax.report.text import counted, joined, line, seconds
+from bojax.report.text import counted, joined, seconds
 from bojax.report.verdicts import TestedClaim, read_claims, tally
 from bojax.results.store import ResultsError, explained, write_atomically
 
@@ -26,7 +26,7 @@ CHAPTERS = {
 PAGE = "reproduction.html"
 TEXT = "reproduction.md"
 
-_KINDS = ("fig", "table", "section")
+_KINDS = {"fig": "Fig.", "table": "Table", "section": "Section"}
 _REFERENCE = re.compile(
     r"\b(fig|table|section)\W+(\d+)\.(\d+(?:\.\d+)*)([a-z]?)\b(?: \((\w+)\))?", re.IGNORECASE
 )
@@ -36,17 +36,11 @@ _PAGE = re.compile(r"\bp\. (\d+(?:-\d+)?)")
 
 @dataclass(frozen=True)
 class Sweep:
-    """A results folder with claims.
-
-    Attributes:
-        manifest: Its manifest.
-        claims: Its claims.
-        report: Address of its report, relative to the page; empty if there is none.
-    """
+    """A results folder with claims."""
 
     manifest: Manifest
     claims: Sequence[TestedClaim]
-    report: str
+    report: str  # address of its report, relative to the page; empty if there is none
 
     @property
     def name(self) -> str:
@@ -60,45 +54,26 @@ class Row:
 
     sweep: Sweep
     claim: TestedClaim
+    chapter: int  # its chapter; 0 if nothing says which
+    place: tuple[Any, ...]  # what rows are sorted by: figures before tables before sections, each by number
+    reference: str  # the figure, table or section
+    page: str  # the page of the PDF; empty if the source names none
+    other_source: str  # the source, if it is not in the thesis
 
-    @cached_property
-    def _match(self) -> re.Match[str] | None:
-        texts = (self.claim.source or "", self.claim.id, self.sweep.name)
-        return next((match for text in texts if (match := _REFERENCE.search(text))), None)
-
-    @property
-    def chapter(self) -> int:
-        """Its chapter; 0 if nothing says which."""
-        return int(self._match[2]) if self._match else 0
-
-    @property
-    def place(self) -> tuple[Any, ...]:
-        """What rows are sorted by: figures before tables before sections, each by number."""
-        if self._match is None:
-            return ()
-        kind, _, number, letter, part = self._match.groups(default="")
-        return _KINDS.index(kind.lower()), [int(each) for each in number.split(".")], letter, part
-
-    @property
-    def reference(self) -> str:
-        """The figure, table or section."""
-        if self._match is None:
-            return ""
-        kind, chapter, number, letter, part = self._match.groups(default="")
-        name = {"fig": "Fig.", "table": "Table", "section": "Section"}[kind.lower()]
-        return f"{name} {chapter}.{number}{letter}{f' ({part})' if part else ''}"
-
-    @property
-    def page(self) -> str:
-        """The page of the PDF; empty if the source names none."""
-        match = _PAGE.search(self.claim.source or "")
-        return match[1] if match else ""
-
-    @property
-    def other_source(self) -> str:
-        """The source, if it is not in the thesis."""
-        source = self.claim.source or ""
-        return "" if _REFERENCE.search(source) else source
+    @classmethod
+    def of(cls, sweep: Sweep, claim: TestedClaim) -> "Row":
+        """The row of a claim, read off its source, or else its id or the name of the sweep."""
+        source = claim.source or ""
+        matches = [_REFERENCE.search(text) for text in (source, claim.id, sweep.name)]
+        chapter, place, reference = "0", (), ""
+        if match := next(filter(None, matches), None):
+            kind, chapter, number, letter, part = match.groups(default="")
+            numbers = [int(each) for each in number.split(".")]
+            place = list(_KINDS).index(kind.lower()), numbers, letter, part
+            reference = f"{_KINDS[kind.lower()]} {chapter}.{number}{letter}{f' ({part})' if part else ''}"
+        page = _PAGE.search(source)
+        other = "" if matches[0] else source
+        return cls(sweep, claim, int(chapter), place, reference, page[1] if page else "", other)
 
 
 @dataclass(frozen=True)
@@ -127,14 +102,9 @@ def reproduction(
 ) -> Path:
     """Write `reproduction.html` and `reproduction.md`, which has the same content without links to reports.
 
-    A results folder that is missing, unfinished or damaged becomes one line of the page.
-
-    Args:
-        folder: Where they are written; made if it is not there.
-        sources: Results folders, each with the `claims.json` of its report.
-        command: The command line that ran the sweeps.
-        seconds: Wall time of the command.
-        skipped: The reason for each sweep that was not run, by name.
+    The sources are results folders, each with the `claims.json` of its report. A folder that is missing,
+    unfinished or damaged becomes one line of the page, as does each skipped sweep, by name with the reason.
+    `command` is the command line that ran the sweeps, `seconds` its wall time.
 
     Raises:
         ResultsError: The files cannot be written; one line.
@@ -184,15 +154,9 @@ def _content(
         else "",
         f"Incomplete or left out: {counted(len(gaps), 'sweep')}." if gaps else "",
     ]
-    provenance = [
-        ("command", command),
-        ("time taken", seconds(wall_seconds)),
-        ("last sweep written", max((manifest.written or "" for manifest in manifests), default="")),
-        ("revision", _said(sweeps, lambda manifest: manifest.revision)),
-        ("device", _said(sweeps, lambda manifest: line(manifest.device))),
-        ("versions", _said(sweeps, lambda manifest: line(manifest.versions))),
-        ("precision", _said(sweeps, lambda manifest: line(manifest.precision))),
-    ]
+    latest = max((manifest.written or "" for manifest in manifests), default="")
+    provenance = [("command", command), ("time taken", seconds(wall_seconds)), ("last sweep written", latest)]
+    provenance += [(key, _said(sweeps, key)) for key in ("revision", "device", "versions", "precision")]
     return {
         "title": "Reproduction of the thesis",
         "summary": " ".join(filter(None, summary)),
@@ -210,28 +174,24 @@ def _content(
 
 
 def _chapters(sweeps: Sequence[Sweep]) -> list[Chapter]:
-    rows = [Row(sweep, claim) for sweep in sweeps for claim in sweep.claims]
-    numbers = sorted({row.chapter for row in rows}, key=lambda number: number or float("inf"))
-    titles = {
-        number: f"Chapter {number}{f': {CHAPTERS[number]}' if number in CHAPTERS else ''}"
-        for number in numbers
-    }
-    return [
-        Chapter(
-            titles[number] if number else "Other claims",
-            sorted((row for row in rows if row.chapter == number), key=lambda row: row.place),
-        )
-        for number in numbers
-    ]
+    rows = sorted((Row.of(sweep, claim) for sweep in sweeps for claim in sweep.claims), key=_order)
+    chapters = []
+    for number, members in groupby(rows, key=lambda row: row.chapter):
+        title = f"Chapter {number}{f': {CHAPTERS[number]}' if number in CHAPTERS else ''}"
+        chapters.append(Chapter(title if number else "Other claims", list(members)))
+    return chapters
+
+
+def _order(row: Row) -> tuple[Any, ...]:
+    return row.chapter or float("inf"), row.place
 
 
 def _changes(manifests: Iterable[Manifest]) -> list[tuple[str, str, str, str]]:
     """Settings that differ from the published ones: setting, published value, our value, sweeps."""
     found: dict[tuple[str, str, str], list[str]] = {}
     for manifest in manifests:
-        for key, values in manifest.changed.items():
-            published, ours = (line(value) or "none" for value in values)
-            found.setdefault((key, published, ours), []).append(manifest.name or "")
+        for change in manifest.changes:
+            found.setdefault(change, []).append(manifest.name or "")
     return [(*change, joined(names)) for change, names in found.items()]
 
 
@@ -239,11 +199,11 @@ def _verdicts(claims: Sequence[TestedClaim]) -> str:
     return joined(f"{count} {verdict}" for verdict, _, count in tally(claims))
 
 
-def _said(sweeps: Sequence[Sweep], of: Callable[[Manifest], str]) -> str:
-    """What manifests say; different answers with the sweeps that give them."""
+def _said(sweeps: Sequence[Sweep], key: str) -> str:
+    """What manifests say of their provenance; different answers with the sweeps that give them."""
     found: dict[str, list[str]] = {}
     for sweep in sweeps:
-        if text := of(sweep.manifest):
+        if text := sweep.manifest.provenance[key]:
             found.setdefault(text, []).append(sweep.name)
     if len(found) == 1:
         return next(iter(found))

@@ -54,11 +54,9 @@ def _check(array: NDArray[Any], shape: str, sizes: dict[str, int], where: str) -
         raise ResultsError(f"{where}: got values of type {array.dtype}; allowed: numbers")
     axes = shape.removesuffix(" ...").split()
     is_open = shape.endswith("...")
+    known = {axis: int(axis) for axis in axes if axis.isdigit()} | sizes
     fits = array.ndim > len(axes) if is_open else array.ndim == len(axes)
-    for size, axis in zip(array.shape, axes, strict=False):
-        fits &= size == (int(axis) if axis.isdigit() else sizes.get(axis, size))
-    if fits:
-        sizes.update(zip(axes, array.shape, strict=False))
-    else:
+    if not fits or any(known.setdefault(*pair) != pair[1] for pair in zip(axes, array.shape, strict=False)):
         wanted = ", ".join(str(sizes.get(axis, axis)) for axis in axes) + (", ..." if is_open else "")
         raise ResultsError(f"{where}: got the shape {list(array.shape)}; allowed: [{wanted}]")
+    sizes.update(known)

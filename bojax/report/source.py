@@ -14,7 +14,7 @@ from bojax.config.component import Component
 from bojax.config.sweep import Report
 from bojax.experiments.settings import Learning, Planning
 from bojax.problems.settings import ProblemSettings
-from bojax.report.columns import Columns, check_runs, read_columns
+from bojax.report.columns import Columns, check_runs, read_columns, where
 from bojax.report.manifest import Manifest, PointEntry, Unread, claims_of, experiment_of, read
 from bojax.report.snapshots import Arrays, read_snapshot
 from bojax.results.outline import Outline
@@ -23,28 +23,18 @@ from bojax.results.store import ARRAYS, MANIFEST, WORK, ResultsError, array_file
 
 @dataclass(frozen=True)
 class Point:
-    """One point of the sweep: a setting that was run with every seed.
+    """One point of the sweep: a setting that was run with every seed."""
 
-    Attributes:
-        index: Its number, the column `point` of every table.
-        label: Identifier of its planner or learner.
-        variant: Its name in the sweep.
-        name: Its name in the report: the variant, with the swept numbers where variants repeat.
-        swept: Value of every swept key, by dotted path.
-        config: The settings of the experiment as plain values.
-        experiment: The same settings as an object. An experiment given by import path has no properties but
-            its parameters; `Unread` are settings that this version of bojax refuses.
-        outline: The world of its problem.
-    """
-
-    index: int
-    label: str
-    variant: str
-    name: str
-    swept: Mapping[str, Any]
-    config: Mapping[str, Any]
+    index: int  # its number, the column `point` of every table
+    label: str  # identifier of its planner or learner
+    variant: str  # its name in the sweep
+    name: str  # its name in the report: the variant, with the swept numbers where variants repeat
+    swept: Mapping[str, Any]  # value of every swept key, by dotted path
+    config: Mapping[str, Any]  # the settings of the experiment as plain values
+    # The same settings as an object. An experiment given by import path has no properties but its parameters;
+    # `Unread` are settings that this version of bojax refuses.
     experiment: Component | Unread
-    outline: Outline
+    outline: Outline  # the world of its problem
 
     @property
     def problem(self) -> Component | None:
@@ -76,16 +66,10 @@ class Point:
 
 @dataclass(frozen=True)
 class Results:
-    """A finished results folder.
-
-    Attributes:
-        folder: Where it is.
-        manifest: `manifest.json`, checked.
-        points: The points of the sweep, in order.
-    """
+    """A finished results folder."""
 
     folder: Path
-    manifest: Manifest
+    manifest: Manifest  # `manifest.json`, checked
     points: tuple[Point, ...]
 
     @property
@@ -109,11 +93,6 @@ class Results:
         return self.manifest.title or self.name
 
     @property
-    def changed(self) -> Mapping[str, Any]:
-        """Settings that differ from the published sweep of this name: `{dotted path: [published, ours]}`."""
-        return self.manifest.changed
-
-    @property
     def reference(self) -> Point | None:
         """The point that `report.relative_to` names, if it is one."""
         name = self.report.relative_to
@@ -128,18 +107,14 @@ class Results:
         names = [point.name, point.variant]
         if all(other.variant != point.label for other in self.points):
             names.append(point.label)
-        for name in names:
-            if (value := _row(values, name).get(column)) is not None:
-                return value
-        return None
+        rows = (row for name in names if isinstance(row := values.get(name), Mapping))
+        return next((value for row in rows if (value := row.get(column)) is not None), None)
 
     def thesis_ratio(self, point: Point, column: str) -> float | None:
         """The thesis's number over that of the reference; None unless both are positive numbers."""
-        ours = self.reference
-        pair = [] if ours is None else [self.thesis(point, column), self.thesis(ours, column)]
-        if not pair or not all(isinstance(value, int | float) and value > 0 for value in pair):
-            return None
-        return float(pair[0] / pair[1])
+        pair = [self.thesis(each, column) for each in (point, self.reference) if each is not None]
+        is_positive = all(isinstance(value, int | float) and value > 0 for value in pair)
+        return float(pair[0] / pair[1]) if len(pair) == 2 and is_positive else None
 
     @cached_property
     def runs(self) -> Columns:
@@ -201,11 +176,11 @@ class Results:
 
     def runs_of(self, point: Point) -> Columns:
         """The runs of one point."""
-        return _rows(self.runs, point)
+        return where(self.runs, point=point.index)
 
     def steps_of(self, point: Point) -> Columns:
         """The steps of one point."""
-        return _rows(self.steps, point)
+        return where(self.steps, point=point.index)
 
     def shared_runs(self, points: Sequence[Point]) -> NDArray[Any]:
         """Indices of the runs that all points have."""
@@ -271,16 +246,13 @@ def _unfinished(folder: Path) -> ResultsError:
 def _points(entries: Sequence[PointEntry]) -> tuple[Point, ...]:
     variants = [entry.variant or entry.label for entry in entries]
     swept = [entry.swept or {} for entry in entries]
-    names = _names(variants, swept)
     points = []
-    for entry, variant, name, values in zip(entries, variants, names, swept, strict=True):
-        experiment = experiment_of(entry)
+    for entry, variant, name, values in zip(entries, variants, _names(variants, swept), swept, strict=True):
+        experiment, config = experiment_of(entry), entry.config or {}
         problem = experiment.problem if isinstance(experiment, Planning) else None
         known = problem.outline if isinstance(problem, ProblemSettings) else Outline()
         outline = entry.outline or known
-        points.append(
-            Point(entry.index, entry.label, variant, name, values, entry.config or {}, experiment, outline)
-        )
+        points.append(Point(entry.index, entry.label, variant, name, values, config, experiment, outline))
     return tuple(points)
 
 
@@ -296,15 +268,3 @@ def _names(variants: Sequence[str], swept: Sequence[Mapping[str, Any]]) -> list[
         ]
         names.append(", ".join([variant, *differing]))
     return names
-
-
-def _rows(table: Columns, point: Point) -> Columns:
-    if not table:
-        return {}
-    kept = table["point"] == point.index
-    return {name: column[kept] for name, column in table.items()}
-
-
-def _row(table: Mapping[str, Any], name: str) -> Mapping[str, Any]:
-    row = table.get(name)
-    return row if isinstance(row, Mapping) else {}

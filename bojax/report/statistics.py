@@ -56,12 +56,7 @@ def bootstrap_means(values: ArrayLike, *, resamples: int = RESAMPLES) -> Floats:
     resampled means have those of a bootstrap of single rows, up to the error of estimating them from
     `GROUPS` values.
 
-    Args:
-        values: `[n]` or `[n, columns]`.
-        resamples: Number of resamples.
-
-    Returns:
-        `[resamples]` or `[resamples, columns]`.
+    The result for `[n]` or `[n, columns]` is `[resamples]` or `[resamples, columns]`.
     """
     table = np.asarray(values, dtype=np.float64)
     sizes = np.ones(len(table))
@@ -211,10 +206,7 @@ def share_interval(flags: ArrayLike) -> Interval:
 def share_difference(successes: int, trials: int, other_successes: float, other_trials: int) -> Interval:
     """Difference of two independent shares with the hybrid score interval (Newcombe 1998, method 10)."""
     first, second = successes / trials, other_successes / other_trials
-    (low, high), (other_low, other_high) = (
-        wilson(successes, trials),
-        wilson(other_successes, other_trials),
-    )
+    (low, high), (other_low, other_high) = wilson(successes, trials), wilson(other_successes, other_trials)
     below = np.hypot(first - low, other_high - second)
     above = np.hypot(high - first, second - other_low)
     return Interval(first - second, float(first - second - below), float(first - second + above))
@@ -223,9 +215,7 @@ def share_difference(successes: int, trials: int, other_successes: float, other_
 def welch_difference(first: tuple[float, float, int], second: tuple[float, float, int]) -> Interval:
     """Difference of two independent means with Welch's t interval.
 
-    Args:
-        first: Mean, standard deviation (of n - 1) and number of values.
-        second: The same of what is subtracted.
+    Each is given by its mean, its standard deviation (of n - 1) and its number of values.
     """
     variances = np.array([first[1] ** 2 / first[2], second[1] ** 2 / second[2]])
     difference, variance = first[0] - second[0], float(variances.sum())
@@ -258,23 +248,12 @@ def holm_levels(p_values: ArrayLike, alpha: float) -> Floats:
 
 
 def carry_forward(
-    runs: ArrayLike,
-    run: ArrayLike,
-    step: ArrayLike,
-    value: ArrayLike,
-    num_steps: int,
+    runs: ArrayLike, run: ArrayLike, step: ArrayLike, value: ArrayLike, num_steps: int
 ) -> Floats:
-    """Values per run and step, 0 at step 0; the last value of a run is carried forward after its end.
+    """Values of `runs` by step, `[R, num_steps + 1]`; the last value of a run is carried forward.
 
-    Args:
-        runs: `[R]` run indices, in the order of the result.
-        run: `[rows]` run index of each recorded row.
-        step: `[rows]` its step, from 1.
-        value: `[rows]` its value.
-        num_steps: Number of steps of the result.
-
-    Returns:
-        `[R, num_steps + 1]`, from step 0 on. A run with no row at all is NaN.
+    `run`, `step` (from 1) and `value` are those of the recorded rows, `[rows]`. Values are 0 at step 0. A run
+    with no row at all is NaN.
     """
     wanted, run, step = np.asarray(runs), np.asarray(run), np.asarray(step)
     table = np.full((wanted.size, num_steps + 1), np.nan)

@@ -84,10 +84,9 @@ def ratios(results: Results) -> Table | None:
             thesis = results.thesis_ratio(point, column)
             table = results.paired([point, reference], column)
             ratio = statistics.ratio_interval(table[:, 0], table[:, 1])
-            bounds = with_bounds(ratio.estimate, ratio.low, ratio.high)
-            text = (
-                bounds if np.isfinite(ratio.low) and point is not reference else (number(ratio.estimate), "")
-            )
+            text = number(ratio.estimate), ""
+            if np.isfinite(ratio.low) and point is not reference:
+                text = with_bounds(ratio.estimate, ratio.low, ratio.high)
             cells.append(Cell(*text, "" if thesis is None else number(thesis)))
         if any(cell.thesis for cell in cells):
             rows.append((point.name, cells))
@@ -274,10 +273,7 @@ def _thesis_columns(results: Results) -> list[str]:
 
 
 def _has_ratios(results: Results, column: str) -> bool:
-    if column not in results.runs:
-        return False
     values = [value for point in results.points if (value := results.thesis(point, column)) is not None]
     is_positive = all(isinstance(value, int | float) and value > 0 for value in values)
-    return (
-        is_positive and sum(results.thesis_ratio(point, column) is not None for point in results.points) > 1
-    )
+    known = [results.thesis_ratio(point, column) is not None for point in results.points]
+    return column in results.runs and is_positive and sum(known) > 1

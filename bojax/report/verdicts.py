@@ -23,7 +23,7 @@ Bounds = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 
 class ComparisonEntry(Part):
-    """One statement behind a claim."""
+    """One of the comparisons that decide a claim."""
 
     of: str
     estimate: float
@@ -31,7 +31,7 @@ class ComparisonEntry(Part):
 
 
 class TestEntry(Part):
-    """The test of a claim: how it decided, or why it could not be made."""
+    """The test of a claim, with its method and comparisons, or with the reason why it was not possible."""
 
     kind: Any = None
     share: Any = None
@@ -42,7 +42,7 @@ class TestEntry(Part):
 
 
 class TestedClaim(Part):
-    """A claim with its verdict."""
+    """A claim with its verdict; the properties are texts for pages."""
 
     id: str
     claim: str
@@ -57,40 +57,40 @@ class TestedClaim(Part):
 
     @property
     def mark(self) -> str:
-        """A character for the verdict."""
+        """The character that stands for the verdict."""
         return MARKS[self.verdict]
 
     @property
     def printed(self) -> str:
-        """The thesis's value; empty without one."""
+        """The value in the thesis; empty if it gives none."""
         return "" if self.thesis is None else plain(self.thesis)
 
     @property
     def found(self) -> str:
-        """Our value."""
+        """The value in these results."""
         if isinstance(self.ours, float) and self.interval is not None:
-            return self._bounds(self.ours, self.interval)[0]
+            return self._formatted(self.ours, self.interval)[0]
         return MISSING if self.ours is None else str(self.ours)
 
     @property
     def own_interval(self) -> str:
-        """The interval of our value; empty if the intervals are of differences or ratios."""
-        return self._told(self.test.comparisons[0])[2] if self._is_single else ""
+        """The interval of `found`; empty if the test compares differences or ratios instead."""
+        return self._row(self.test.comparisons[0])[2] if self._is_single else ""
 
     @property
     def comparisons(self) -> list[tuple[str, str, str]]:
-        """The statements tested, each with estimate and interval; none if `own_interval` says everything."""
-        return [] if self._is_single else [self._told(each) for each in self.test.comparisons]
+        """Name, estimate and interval of each comparison; none if `own_interval` is the only interval."""
+        return [] if self._is_single else [self._row(each) for each in self.test.comparisons]
 
     @property
     def decisive(self) -> tuple[str, str, str] | None:
-        """The one of `comparisons` whose interval represents the claim."""
-        found = (each for each in self.test.comparisons if each.interval == self.interval)
-        return None if self._is_single or (each := next(found, None)) is None else self._told(each)
+        """The entry of `comparisons` whose interval is that of the claim."""
+        rows = zip(self.comparisons, self.test.comparisons, strict=False)
+        return next((row for row, each in rows if each.interval == self.interval), None)
 
     @property
     def stand_ins(self) -> list[str]:
-        """Sentences on the variants that represent labels."""
+        """A sentence, without its full stop, for each label that one of several variants represents."""
         return [
             f"{label} is represented by {variant}, the variant with the best mean"
             for label, variant in self.test.chosen.items()
@@ -101,27 +101,28 @@ class TestedClaim(Part):
     def _is_single(self) -> bool:
         return len(self.test.comparisons) == 1 and self.test.comparisons[0].estimate == self.ours
 
-    def _told(self, each: ComparisonEntry) -> tuple[str, str, str]:
-        return each.of.replace(" - ", " \N{MINUS SIGN} "), *self._bounds(each.estimate, each.interval)
+    def _row(self, each: ComparisonEntry) -> tuple[str, str, str]:
+        name = each.of.replace(" - ", " \N{MINUS SIGN} ")
+        return name, *self._formatted(each.estimate, each.interval)
 
-    def _bounds(self, estimate: float, interval: Sequence[float]) -> tuple[str, str]:
-        if self.test.kind == "share" or self.test.share is not None:
-            low, high = map(percent, interval)
-            return percent(estimate), f"[{low}, {high}]"
+    def _formatted(self, estimate: float, interval: Sequence[float]) -> tuple[str, str]:
+        """An estimate and its interval; as percentages if the test is of a share."""
         low, high = interval
+        if self.test.kind == "share" or self.test.share is not None:
+            return percent(estimate), f"[{percent(low)}, {percent(high)}]"
         return with_bounds(estimate, low, high)
 
 
 def read_claims(folder: Path) -> list[TestedClaim]:
-    """The claims of a results folder, tested by an earlier report.
+    """The claims in the `claims.json` that a report wrote into a results folder.
 
     Raises:
-        ResultsError: There is no `claims.json`, or it is damaged; one line.
+        ResultsError: The file is missing or damaged; one line.
     """
     path = folder / CLAIMS
     return validated(list[TestedClaim], read_json(path), str(path))
 
 
 def tally(claims: Sequence[TestedClaim]) -> list[tuple[Verdict, str, int]]:
-    """Each verdict with its mark and its number of claims."""
+    """Each verdict with its mark and the number of claims that have it."""
     return [(verdict, mark, sum(c.verdict == verdict for c in claims)) for verdict, mark in MARKS.items()]

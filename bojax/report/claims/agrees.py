@@ -25,7 +25,7 @@ def agrees(results: Results, test: Agrees) -> Finding:
     values = column(results.runs_of(point), name)
     enough(values.size, "run")
     if test.share is not None:
-        size, hits = values.size, np.count_nonzero(values)
+        size, hits = values.size, int(np.count_nonzero(values))
         interval = statistics.share_difference(hits, size, test.share * runs, runs)
         estimate, tolerance = hits / size, test.tolerance or SHARE_TOLERANCE
         ours, theirs = percent(estimate), f"{percent(test.share)} of {counted(runs, 'run')}"

@@ -40,7 +40,7 @@ def _entry(results: Results, claim: Claim | Unread) -> dict[str, Any]:
     settings = claim.model_dump(mode="json") if is_read else claim.mapping
     test = claim.test.model_dump(mode="json", exclude_none=True) if is_read else settings.get("test") or {}
     entry: dict[str, Any] = {key: settings.get(key) for key in ("id", "source", "claim", "thesis")}
-    entry |= {"changed": dict(results.changed), "ours": None, "interval": None, "runs": 0}
+    entry |= {"changed": dict(results.manifest.changed), "ours": None, "interval": None, "runs": 0}
     entry["verdict"] = "inconclusive"
     try:
         if isinstance(claim, Unread):
@@ -72,7 +72,7 @@ def _entry(results: Results, claim: Claim | Unread) -> dict[str, Any]:
 
 
 def _is_finite(finding: Finding) -> bool:
-    intervals = [finding.decisive.interval, *(comparison.interval for comparison in finding.comparisons)]
+    intervals = [each.interval for each in (finding.decisive, *finding.comparisons)]
     numbers = [number for each in intervals for number in (each.estimate, each.low, each.high)]
     return bool(np.isfinite([*numbers, 0.0 if isinstance(finding.ours, str) else finding.ours]).all())
 

@@ -20,24 +20,15 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Finding:
-    """The result of a test.
+    """The result of a test."""
 
-    Attributes:
-        ours: The counterpart of the claim's `thesis`: a number or a text.
-        verdict: Decided by the comparisons.
-        comparisons: Every statement tested.
-        decisive: The comparison whose interval represents the claim in `claims.json`.
-        runs: Runs per setting.
-        method: The test in words.
-        chosen: The variant that represents each label with several variants.
-    """
-
-    ours: float | str
-    verdict: Verdict
-    comparisons: list[Comparison]
-    decisive: Comparison
-    runs: int
-    method: str
+    ours: float | str  # the counterpart of the claim's `thesis`: a number or a text
+    verdict: Verdict  # decided by the comparisons
+    comparisons: list[Comparison]  # every statement tested
+    decisive: Comparison  # the comparison whose interval represents the claim in `claims.json`
+    runs: int  # runs per setting
+    method: str  # the test in words
+    # The variant that represents each label with several variants
     chosen: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod

@@ -25,18 +25,13 @@ class Undecidable(Exception):
 
 @dataclass(frozen=True)
 class Measure:
-    """One number per run.
+    """One number per run."""
 
-    Attributes:
-        column: Of `runs.parquet`, unless a place is given.
-        place: A step, for the column of `steps.parquet` there (a run that has ended keeps its last value),
-            or a window, for the mean of the column of `episodes.parquet` in it.
-        since: A window whose mean is subtracted.
-    """
-
-    column: str
+    column: str  # of `runs.parquet`, unless a place is given
+    # A step of `steps.parquet`, where a run that has ended keeps its last value, or a window of episodes, of
+    # which the mean is taken.
     place: int | Window | None = None
-    since: Window | None = None
+    since: Window | None = None  # a window whose mean is subtracted
 
     @classmethod
     def of(cls, test: Measured) -> "Measure":
@@ -59,19 +54,16 @@ class Measure:
             table = results.runs_of(point)
             return column(table, self.column)[np.searchsorted(table["run"], runs)]
         if isinstance(self.place, int):
-            return self._at_step(results, point, runs, self.place)
+            step, longest = self.place, results.num_steps
+            if longest < step:
+                raise Undecidable(f"no run lasted {counted(step, 'step')}: the longest took {longest}")
+            rows = results.steps_of(point)
+            values = column(rows, self.column)
+            return statistics.carry_forward(runs, rows["run"], rows["step"], values, step)[:, step]
         values = by_episode(results, point, self.column, self.place, runs).mean(axis=1)
-        if self.since is not None:
-            values = values - by_episode(results, point, self.column, self.since, runs).mean(axis=1)
-        return values
-
-    def _at_step(self, results: Results, point: Point, runs: NDArray[Any], step: int) -> NDArray[Any]:
-        if results.num_steps < step:
-            longest = results.num_steps
-            raise Undecidable(f"no run lasted {counted(step, 'step')}: the longest took {longest}")
-        rows = results.steps_of(point)
-        values = column(rows, self.column)
-        return statistics.carry_forward(runs, rows["run"], rows["step"], values, step)[:, step]
+        if self.since is None:
+            return values
+        return values - by_episode(results, point, self.column, self.since, runs).mean(axis=1)
 
 
 def stand_ins(
@@ -98,8 +90,7 @@ def stand_ins(
 
 def named(results: Results, test: Test, name: str) -> list[Point]:
     """The points of a label, or of a variant where the test is by variant, that have runs."""
-    by_variant = test.by == "variant"
-    points = [point for point in results.points if (point.variant if by_variant else point.label) == name]
+    points = [point for point in results.points if getattr(point, test.by) == name]
     points = [point for point in points if results.runs_of(point)["run"].size]
     if not points:
         raise Undecidable(f"no runs of {name}")
@@ -119,15 +110,15 @@ def by_episode(
     results: Results, point: Point, name: str, window: Window, runs: NDArray[Any]
 ) -> statistics.Floats:
     """A column of `episodes.parquet` in a window, `[runs, episodes]`; NaN where a run had no such episode."""
-    phase, first, last = window.phase, window.first, window.last
+    last = window.last
     if not results.episodes:
         raise Undecidable("the results have no episodes")
     column(results.episodes, name)
-    table = results.by_episode(point, name, phase)
+    table = results.by_episode(point, name, window.phase)
     if table.shape[1] < last:
-        what = "a test after" if phase == "test" else "an"
+        what = "a test after" if window.phase == "test" else "an"
         raise Undecidable(f"no run has {what} episode {last}: the last one is {table.shape[1]}")
-    return table[np.searchsorted(results.runs_of(point)["run"], runs), first - 1 : last]
+    return table[np.searchsorted(results.runs_of(point)["run"], runs), window.first - 1 : last]
 
 
 def most_present(values: NDArray[Any], name: str, column: str, missing: float) -> NDArray[np.bool_]:

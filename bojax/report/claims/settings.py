@@ -149,17 +149,13 @@ class Similar(Measured, frozen=True):
     )
 
     @pydantic.model_validator(mode="after")
-    def _one_place(self) -> Self:
+    def _distinct_labels_at_one_place(self) -> Self:
+        _distinct(self.labels, "labels")
         if self.step is not None and self.window is not None:
             raise ValueError("similar: give either step or window")
         place = self.step or self.window
         if self.spread_at is not None and type(self.spread_at) is not type(place):
             raise ValueError("spread_at: needs a step if step is given, and a window if window is given")
-        return self
-
-    @pydantic.model_validator(mode="after")
-    def _several_names(self) -> Self:
-        _distinct(self.labels, "labels")
         return self
 
     @property
