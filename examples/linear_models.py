@@ -1,5 +1,6 @@
 """Bayesian linear regression on random Fourier features: a sparse Gaussian process."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
@@ -14,22 +15,28 @@ x = jax.random.uniform(key_x, (500, 1), minval=-3.0, maxval=3.0)
 y = jnp.sin(2.0 * x[:, 0]) + 0.1 * jax.random.normal(key_noise, (500,))
 queries = jnp.asarray([[0.0], [0.8]])
 
-# Least squares (2.8) and its maximum a posteriori estimate (2.14), on polynomials.
-cubic = Polynomial(degree=3, num_dims=1)
-design = cubic.design(x)
-print("least squares:", LinearRegression.fit(design, y).predict(cubic.design(queries)))
 one = jnp.asarray(1.0)
-ridge = LinearRegression.fit_map(design, y, prior_precision=one, noise_precision=4.0 * one)
-print("most probable:", ridge.predict(cubic.design(queries)))
 
-# The posterior of the weights (2.13), on features whose inner product approximates a kernel.
-fourier = RandomFourier.draw(key_features, RBF(jnp.asarray(1.0)), num_features=64, num_dims=1)
-design = fourier.design(x)
-alpha, beta = maximise_evidence(design, y)  # both precisions, by type-II maximum likelihood
-print("noise:", 1.0 / jnp.sqrt(beta))
 
-batch = BayesianLinearRegression.fit(design, y, alpha, beta)  # (2.14, 2.15)
-print("batch:", *batch.predict(fourier.design(queries)))
+@eqx.filter_jit  # compiled as one program; without it, every operation is one
+def polynomials(x, y, queries):
+    """Least squares (2.8) and its maximum a posteriori estimate (2.14), on the powers of x."""
+    cubic = Polynomial(degree=3, num_dims=1)
+    design, at_queries = cubic.design(x), cubic.design(queries)
+    ridge = LinearRegression.fit_map(design, y, prior_precision=one, noise_precision=4.0 * one)
+    return LinearRegression.fit(design, y).predict(at_queries), ridge.predict(at_queries)
+
+
+@eqx.filter_jit
+def bayesian(key, x, y, queries):
+    """The posterior of the weights (2.13), on features whose inner product approximates a kernel."""
+    fourier = RandomFourier.draw(key, RBF(one), num_features=64, num_dims=1)
+    design, at_queries = fourier.design(x), fourier.design(queries)
+    alpha, beta = maximise_evidence(design, y)  # both precisions, by type-II maximum likelihood
+    batch = BayesianLinearRegression.fit(design, y, alpha, beta)  # (2.14, 2.15)
+    prior = BayesianLinearRegression.prior(64, alpha, beta, block=10)
+    sequential, _ = jax.lax.scan(learn, prior, (design.reshape(50, 10, 64), y.reshape(50, 10)))
+    return 1.0 / jnp.sqrt(beta), batch.predict(at_queries), sequential.predict(at_queries)
 
 
 def learn(model, block):
@@ -39,6 +46,11 @@ def learn(model, block):
     return model.flush(), None
 
 
-prior = BayesianLinearRegression.prior(64, alpha, beta, block=10)
-sequential, _ = jax.lax.scan(learn, prior, (design.reshape(50, 10, 64), y.reshape(50, 10)))
-print("one by one:", *sequential.predict(fourier.design(queries)))
+least_squares, most_probable = polynomials(x, y, queries)
+print("least squares:", least_squares)
+print("most probable:", most_probable)
+
+noise, batch, sequential = bayesian(key_features, x, y, queries)
+print("noise:", noise)
+print("batch:", *batch)
+print("one by one:", *sequential)
