@@ -24,13 +24,13 @@ class Ridge(Field):
 
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
-    problem = build(Monitoring(max_steps=20))
+    problem = build(Monitoring(max_steps=10))
     problem = eqx.tree_at(lambda p: p.field, problem, Ridge(jnp.asarray(1.0)))
     episode = PlanningEpisode(problem, build(KCBTS(iterations=50, exploration=100.0)))
 
     def run(key):
         """One episode, as its row of `runs.parquet`."""
-        end, _ = jax.lax.scan(lambda carry, _: episode.advance(carry), episode.init(key), length=20)
+        end, _ = jax.lax.scan(lambda carry, _: episode.advance(carry), episode.init(key), length=10)
         return episode.summary(end)
 
     scores = jax.jit(jax.vmap(run))(jax.random.split(jax.random.key(0), 8))

@@ -5,7 +5,8 @@ import gymnasium
 from bojax.engine.training import train
 
 env = {"kind": "gymnasium", "id": "MountainCarContinuous-v0", "success": "terminated", "max_steps": 300}
-learner = {"kind": "emu-q", "features": {"state_lengthscale": 0.3, "action_lengthscale": 10.0}}
+features = {"num_features": 100, "state_lengthscale": 0.3, "action_lengthscale": 10.0}
+learner = {"kind": "emu-q", "features": features}
 training = train(env, learner, episodes=5, runs=4)
 print("episodes to the goal:", training.runs["episodes_to_goal"].to_pylist())
 
