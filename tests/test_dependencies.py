@@ -19,11 +19,11 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 EXTRAS = {
     extra: [Requirement(text) for text in texts] for extra, texts in PROJECT["optional-dependencies"].items()
 }
-DISTRIBUTIONS = importlib.metadata.packages_distributions()
-"""By the name of a module, the distributions that bring it."""
+DISTRIBUTIONS = {"warp": ["warp-lang"]} | dict(importlib.metadata.packages_distributions())
+"""By the name of a module, the distributions that bring it; `warp-lang` need not be installed."""
 
 REQUIRED = [Requirement(text) for text in PROJECT["dependencies"]]
-PINNED = ("robots", "gym", "brax", "test")
+PINNED = ("robots", "robots-cuda", "gym", "brax", "test")
 """Extras whose versions are pinned; the others are chosen by the machine, or are not needed by the tests."""
 
 

@@ -2,7 +2,7 @@
 
 import functools
 import importlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -26,10 +26,12 @@ class RobotModel:
     Attributes:
         xml: The MJCF.
         path: File that the MJCF was read from; included files and meshes are resolved relative to it.
+        is_packaged: Whether the model comes with bojax, whose tests compare it with C MuJoCo.
     """
 
     xml: str
     path: str | None = None
+    is_packaged: bool = field(default=False, compare=False)
 
     def spec(self) -> Any:
         """The editable specification of the model.
@@ -55,7 +57,8 @@ class RobotModel:
 
 def packaged(name: str) -> RobotModel:
     """A model shipped with bojax, such as `hopper`."""
-    return RobotModel(resources.files("bojax.robots").joinpath("mjcf", f"{name}.xml").read_text("utf-8"))
+    xml = resources.files("bojax.robots").joinpath("mjcf", f"{name}.xml").read_text("utf-8")
+    return RobotModel(xml, is_packaged=True)
 
 
 def from_file(path: str | Path) -> RobotModel:

@@ -36,4 +36,8 @@ class MJX(PhysicsSettings, frozen=True):
     integrator: Literal["euler", "rk4", "implicitfast"] | None = Field(
         default=None, description="integration scheme"
     )
-    impl: Literal["jax", "warp"] = Field(default="jax", description="implementation of MJX")
+    impl: Literal["auto", "jax", "warp"] = Field(
+        default="auto",
+        description="implementation of MJX; auto is warp on an NVIDIA GPU with the extra robots-cuda, if the "
+        "model comes with bojax, and otherwise jax",
+    )

@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool, Float
 from bojax.config.extras import MissingExtra
 from bojax.numerics.third_party import plain_jax, silenced, standard_jax
 from bojax.robots.models import MjModel, RobotModel, mujoco
+from bojax.robots.mujoco_warp import WarpSteps
 from bojax.text import one_line
 
 try:
@@ -52,7 +53,7 @@ class Physics(eqx.Module):
     iterations: int | None = eqx.field(static=True)
     ls_iterations: int | None = eqx.field(static=True)
     integrator: Literal["euler", "rk4", "implicitfast"] | None = eqx.field(static=True)
-    impl: Literal["jax", "warp"] = eqx.field(static=True)
+    impl: Literal["auto", "jax", "warp"] = eqx.field(static=True)
 
 
 class Simulator(eqx.Module):
@@ -75,14 +76,26 @@ class Simulator(eqx.Module):
         """Compile the model.
 
         Raises:
+            MissingExtra: The settings ask for Warp, which is not installed.
             ValueError: MuJoCo or MJX refuse the model.
         """
-        _ = self._compiled
+        _ = self._advance
 
     @property
     def mujoco_model(self) -> MjModel:
         """The compiled model of C MuJoCo, with the same settings."""
-        return self._compiled[0]
+        return _compiled(*self._key)
+
+    @property
+    def impl(self) -> Literal["jax", "warp"]:
+        """The implementation of MJX.
+
+        `auto` is `warp` on an NVIDIA GPU with warp-lang, for the models that come with bojax: tests compare
+        them with C MuJoCo.
+        """
+        if self.physics.impl != "auto":
+            return self.physics.impl
+        return "warp" if self.model.is_packaged and _has_warp_on_gpu() else "jax"
 
     @property
     def time_step(self) -> float:
@@ -110,11 +123,11 @@ class Simulator(eqx.Module):
 
     @property
     def _advance(self) -> Any:
-        return _stepping(*self._key, self.substeps)
+        return _stepping(*self._key, self.impl, self.substeps)
 
     @property
     def _sites(self) -> Any:
-        model, data = self._compiled[1:]
+        model, data = _in_mjx(*self._key)
 
         @standard_jax
         def sites(state: RobotState) -> jax.Array:
@@ -123,13 +136,9 @@ class Simulator(eqx.Module):
         return sites
 
     @property
-    def _compiled(self) -> tuple[MjModel, Any, Any]:
-        return _compiled(*self._key)
-
-    @property
-    def _key(self) -> tuple[RobotModel, int | None, int | None, str | None, str]:
+    def _key(self) -> tuple[RobotModel, int | None, int | None, str | None]:
         physics = self.physics
-        return self.model, physics.iterations, physics.ls_iterations, physics.integrator, physics.impl
+        return self.model, physics.iterations, physics.ls_iterations, physics.integrator
 
 
 @functools.cache
@@ -138,12 +147,16 @@ def _stepping(
     iterations: int | None,
     ls_iterations: int | None,
     integrator: str | None,
-    impl: str,
+    impl: Literal["jax", "warp"],
     substeps: int,
 ) -> Any:
     """Several simulation steps under constant controls, traced once for all programs that call it."""
-    compiled, put, data = _compiled(model, iterations, ls_iterations, integrator, impl)
-    step = _runge_kutta_step if _has_one_stage_site(compiled, impl) else _step
+    key = model, iterations, ls_iterations, integrator
+    compiled = _compiled(*key)
+    if impl == "warp":
+        return _in_lanes(WarpSteps(compiled, substeps))
+    put, data = _in_mjx(*key)
+    step = _runge_kutta_step if _has_one_stage_site(compiled) else _step
 
     @standard_jax
     @jax.jit
@@ -160,11 +173,51 @@ def _stepping(
     return advance
 
 
+def _in_lanes(steps: WarpSteps) -> Any:
+    """The steps for a single robot; under any number of `vmap`s, all lanes are one call of `steps`.
+
+    A lane in which a contact or a constraint was left out has diverged.
+    """
+
+    @jax.custom_batching.custom_vmap
+    def advance_lanes(state: RobotState, control: jax.Array) -> RobotState:
+        *numbers, is_lost = steps(state.qpos, state.qvel, state.qacc_warmstart, control)
+        after = RobotState(*numbers)
+        return eqx.tree_at(lambda s: s.qpos, after, jnp.where(is_lost[:, None], jnp.nan, after.qpos))
+
+    @advance_lanes.def_vmap
+    def advance_more_lanes(
+        size: int, is_batched: Any, state: RobotState, control: jax.Array
+    ) -> tuple[RobotState, RobotState]:
+        def flat(x: jax.Array, has_axis: bool) -> jax.Array:
+            x = x if has_axis else jnp.broadcast_to(x, (size, *x.shape))
+            return x.reshape(x.shape[0] * x.shape[1], *x.shape[2:])
+
+        # Traced when `vmap` transforms the caller, outside of the settings of its own trace.
+        after = standard_jax(advance_lanes)(*jax.tree.map(flat, (state, control), tuple(is_batched)))
+        after = jax.tree.map(lambda x: x.reshape(size, x.shape[0] // size, *x.shape[1:]), after)
+        return after, jax.tree.map(lambda _: True, after)
+
+    @standard_jax
+    def advance(state: RobotState, control: jax.Array) -> RobotState:
+        one_lane = jax.tree.map(lambda x: x[None], (state, control))
+        return jax.tree.map(lambda x: x[0], advance_lanes(*one_lane))
+
+    return advance
+
+
+@functools.cache
+def _has_warp_on_gpu() -> bool:
+    """Whether JAX computes on an NVIDIA GPU and warp-lang is installed."""
+    has_gpu = "cuda" in jax.devices()[0].client.platform_version.lower()
+    return has_gpu and importlib.util.find_spec("warp") is not None
+
+
 @functools.cache
 def _compiled(
-    model: RobotModel, iterations: int | None, ls_iterations: int | None, integrator: str | None, impl: str
-) -> tuple[MjModel, Any, Any]:
-    """The model of C MuJoCo and of MJX, and MJX's data; created once, outside of any trace."""
+    model: RobotModel, iterations: int | None, ls_iterations: int | None, integrator: str | None
+) -> MjModel:
+    """The model of C MuJoCo."""
     spec = model.spec()
     if iterations is not None:
         spec.option.iterations = iterations
@@ -178,12 +231,18 @@ def _compiled(
         raise ValueError(f"MuJoCo refuses the model: {one_line(error)}") from error
     if unsupported := _unsupported(compiled):
         raise ValueError(f"MJX cannot simulate the model: {unsupported}")
-    if impl == "warp" and importlib.util.find_spec("warp") is None:
-        raise ValueError('impl: got "warp", which is not installed: pip install mujoco-mjx[warp]')
+    return compiled
+
+
+@functools.cache
+def _in_mjx(
+    model: RobotModel, iterations: int | None, ls_iterations: int | None, integrator: str | None
+) -> tuple[Any, Any]:
+    """The model and the data of MJX in JAX; created once, outside of any trace."""
+    compiled = _compiled(model, iterations, ls_iterations, integrator)
     try:
         with silenced(), plain_jax(), jax.ensure_compile_time_eval():
-            put = mjx.put_model(compiled, impl=impl)
-            return compiled, put, mjx.make_data(compiled, impl=impl)
+            return mjx.put_model(compiled, impl="jax"), mjx.make_data(compiled, impl="jax")
     except (ValueError, NotImplementedError) as error:
         raise ValueError(f"MJX refuses the model: {one_line(error)}") from error
 
@@ -193,11 +252,11 @@ def _step(model: Any, before: Any) -> RobotState:
     return RobotState(after.qpos, after.qvel, after.qacc_warmstart)
 
 
-def _has_one_stage_site(model: MjModel, impl: str) -> bool:
+def _has_one_stage_site(model: MjModel) -> bool:
     """Whether `_runge_kutta_step` applies: RK4 of a model whose velocities are derivatives of positions."""
     simple = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
     is_rk4 = model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4)
-    return is_rk4 and impl == "jax" and bool(np.isin(model.jnt_type, simple).all())
+    return is_rk4 and bool(np.isin(model.jnt_type, simple).all())
 
 
 _STAGES = np.asarray([[0.0, 1.0 / 6.0], [0.5, 1.0 / 3.0], [0.5, 1.0 / 3.0], [1.0, 1.0 / 6.0]], np.float32)
@@ -231,5 +290,6 @@ def _unsupported(model: MjModel) -> str:
         "actuators with an activation of their own (filters, integrators, muscles)": model.na > 0,
         "delayed actuators": bool((model.actuator_delay > 0).any()),
         "noslip iterations": model.opt.noslip_iterations > 0,
+        "sleeping bodies": bool(model.opt.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP),
     }
     return ", ".join(what for what, is_there in found.items() if is_there)

@@ -2,6 +2,7 @@
 
 import functools
 import importlib.util
+import sys
 
 import equinox as eqx
 import jax
@@ -11,7 +12,9 @@ import numpy as np
 import pytest
 
 import bojax.robots.simulator
+from bojax.config.extras import MissingExtra
 from bojax.engine.build import build
+from bojax.robots import mujoco_warp
 from bojax.robots.car import car_model
 from bojax.robots.jaco import jaco_model
 from bojax.robots.models import RobotModel, from_file, packaged
@@ -31,16 +34,19 @@ MODELS = {
 
 LANES, STEPS = 8, 20
 
-
-@functools.cache
-def simulator(name: str) -> Simulator:
-    return Simulator(build(MJX(), "float32"), MODELS[name], substeps=1)
+NEEDS_WARP = pytest.mark.skipif(importlib.util.find_spec("warp") is None, reason="needs warp-lang")
+IMPLS = ["jax", pytest.param("warp", marks=NEEDS_WARP)]
 
 
 @functools.cache
-def advanced(name: str):
+def simulator(name: str, impl: str = "jax") -> Simulator:
+    return Simulator(build(MJX(impl=impl), "float32"), MODELS[name], substeps=1)
+
+
+@functools.cache
+def advanced(name: str, impl: str):
     """The compiled states of `LANES` lanes after each of `STEPS` steps, and whether they have diverged."""
-    robot = simulator(name)
+    robot = simulator(name, impl)
 
     def lane(qpos, qvel, controls):
         def step(state, control):
@@ -87,10 +93,11 @@ def driven(name: str, seed: int = 0):
     return qpos, qvel, rng.uniform(low, high, (LANES, STEPS, model.nu)).astype(np.float32)
 
 
+@pytest.mark.parametrize("impl", IMPLS)
 @pytest.mark.parametrize("name", MODELS)
-def test_mjx_is_c_mujoco(name):
+def test_mjx_is_c_mujoco(name, impl):
     qpos, qvel, controls = driven(name)
-    found, has_diverged = advanced(name)(qpos, qvel, controls)
+    found, has_diverged = advanced(name, impl)(qpos, qvel, controls)
     expected = [steps_of(reference(name), *lane) for lane in zip(qpos, qvel, controls, strict=True)]
     places, speeds = (np.array(part) for part in zip(*expected, strict=True))
     np.testing.assert_allclose(found.qpos, places, atol=1e-5)
@@ -100,13 +107,14 @@ def test_mjx_is_c_mujoco(name):
 
 
 @pytest.mark.bits
+@pytest.mark.parametrize("impl", IMPLS)
 @pytest.mark.parametrize("wrong", [np.nan, 1e6], ids=["nan", "fast"])
 @pytest.mark.parametrize("name", MODELS)
-def test_a_lane_that_diverges_leaves_the_others_alone(name, wrong):
+def test_a_lane_that_diverges_leaves_the_others_alone(name, wrong, impl):
     qpos, qvel, controls = driven(name, seed=1)
-    alone, _ = advanced(name)(qpos, qvel, controls)
+    alone, _ = advanced(name, impl)(qpos, qvel, controls)
     qvel[3, 0] = wrong
-    beside, has_diverged = advanced(name)(qpos, qvel, controls)
+    beside, has_diverged = advanced(name, impl)(qpos, qvel, controls)
     others = np.arange(LANES) != 3
     for before, after in zip(jax.tree.leaves(alone), jax.tree.leaves(beside), strict=True):
         np.testing.assert_array_equal(np.asarray(after)[others], np.asarray(before)[others])
@@ -178,6 +186,7 @@ def slider(extension="", actuator="", option=""):
         (slider(actuator="<muscle joint='x' lengthrange='0.1 0.2'/>"), "activation of their own"),
         (slider(actuator="<motor joint='x' delay='0.1' nsample='20'/>"), "delayed actuators"),
         (slider(option="<option noslip_iterations='3'/>"), "noslip iterations"),
+        (slider(option="<option><flag sleep='enable'/></option>"), "sleeping bodies"),
     ],
     ids=[
         "collision",
@@ -191,6 +200,7 @@ def slider(extension="", actuator="", option=""):
         "muscle",
         "delay",
         "noslip",
+        "sleep",
     ],
 )
 def test_a_model_that_cannot_be_used_says_why_in_a_line(xml, reason):
@@ -200,11 +210,29 @@ def test_a_model_that_cannot_be_used_says_why_in_a_line(xml, reason):
 
 
 def test_warp_that_is_not_installed_says_so_in_a_line(monkeypatch):
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(
-        ValueError, match=r"^impl: got .warp., which is not installed: pip install mujoco-mjx\[warp\]$"
-    ):
-        Simulator(build(MJX(impl="warp"), "float32"), RobotModel(slider()), substeps=1)
+    monkeypatch.setitem(sys.modules, "warp", None)
+    mujoco_warp.load.cache_clear()
+    expected = r"^warp-lang is not installed; install .* -e '\.\[robots-cuda\]'$"
+    with pytest.raises(MissingExtra, match=expected):
+        Simulator(build(MJX(impl="warp"), "float32"), RobotModel(slider("<!-- no warp -->")), substeps=1)
+
+
+@pytest.mark.parametrize(
+    ("impl", "name", "has_warp_on_gpu", "expected"),
+    [
+        ("auto", "hopper", True, "warp"),
+        ("auto", "hopper", False, "jax"),
+        ("auto", "jaco", True, "warp"),
+        ("auto", None, True, "jax"),
+        ("jax", "hopper", True, "jax"),
+    ],
+)
+def test_the_implementation_that_auto_stands_for(monkeypatch, impl, name, has_warp_on_gpu, expected):
+    """A model of one's own keeps MJX's implementation in JAX unless its settings say otherwise."""
+    monkeypatch.setattr(bojax.robots.simulator, "_has_warp_on_gpu", lambda: has_warp_on_gpu)
+    monkeypatch.setattr(bojax.robots.simulator, "_stepping", lambda *_: None)
+    model = MODELS[name] if name else RobotModel(slider())
+    assert Simulator(build(MJX(impl=impl), "float32"), model, substeps=1).impl == expected
 
 
 def test_what_is_no_fault_of_the_model_is_not_put_down_to_it(monkeypatch):

@@ -1,0 +1,157 @@
+"""MuJoCo Warp under `Simulator`: lanes, loops, sizes of buffers, and independence of successive calls."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bojax.engine.build import build
+from bojax.numerics.lanes import LANES as AXIS
+from bojax.robots.models import RobotModel
+from bojax.robots.settings import MJX
+from bojax.robots.simulator import Simulator
+from tests.robots.test_simulator import LANES, driven, simulator
+
+pytest.importorskip("warp")
+
+from bojax.robots import mujoco_warp  # noqa: E402
+
+STEPS = 5
+
+
+@functools.cache
+def start():
+    """States of `LANES` hoppers, most of them in contact with the floor, and their controls."""
+    qpos, qvel, controls = driven("hopper")
+    return qpos, qvel, controls[:, :STEPS]
+
+
+def scanned(qpos, qvel, controls):
+    robot = simulator("hopper", "warp")
+    state = robot.state(qpos, qvel)
+    return jax.lax.scan(lambda state, control: (robot.advance(state, control), None), state, controls)[0]
+
+
+def looped(qpos, qvel, controls):
+    robot = simulator("hopper", "warp")
+
+    def body(carry):
+        number, state = carry
+        return number + 1, robot.advance(state, controls[number])
+
+    return jax.lax.while_loop(lambda carry: carry[0] < STEPS, body, (0, robot.state(qpos, qvel)))[1]
+
+
+@functools.cache
+def expected():
+    return jax.jit(jax.vmap(scanned, axis_name=AXIS))(*start())
+
+
+def assert_same_bits(found, reference):
+    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(reference), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.bits
+def test_two_executions_give_the_same_bits():
+    assert_same_bits(jax.jit(jax.vmap(scanned))(*start()), expected())
+
+
+@pytest.mark.bits
+@pytest.mark.parametrize("width", [1, 2, 5])
+def test_a_lane_does_not_depend_on_their_number(width):
+    found = jax.jit(jax.vmap(scanned))(*(part[:width] for part in start()))
+    assert_same_bits(found, jax.tree.map(lambda leaf: leaf[:width], expected()))
+
+
+@pytest.mark.bits
+def test_vmap_is_a_loop_over_single_robots():
+    one = jax.jit(scanned)
+    found = [one(*lane) for lane in zip(*start(), strict=True)]
+    assert_same_bits(jax.tree.map(lambda *leaves: np.stack(leaves), *found), expected())
+
+
+@pytest.mark.bits
+def test_lanes_of_lanes_are_lanes():
+    halves = [part.reshape(2, LANES // 2, *part.shape[1:]) for part in start()]
+    found = jax.jit(jax.vmap(jax.vmap(scanned)))(*halves)
+    assert_same_bits(jax.tree.map(lambda leaf: leaf.reshape(LANES, -1), found), expected())
+
+
+@pytest.mark.bits
+def test_a_while_loop_is_a_scan():
+    assert_same_bits(jax.jit(jax.vmap(looped))(*start()), expected())
+
+
+@pytest.mark.bits
+def test_lanes_may_share_their_controls():
+    qpos, qvel, controls = start()
+    found = jax.jit(jax.vmap(scanned, in_axes=(0, 0, None)))(qpos, qvel, controls[2])
+    assert_same_bits(
+        jax.tree.map(lambda leaf: leaf[2], found), jax.tree.map(lambda leaf: leaf[2], expected())
+    )
+
+
+@pytest.mark.bits
+def test_nothing_of_a_call_is_left_for_the_next():
+    """The buffers of MuJoCo Warp are shared by all calls with this number of lanes."""
+    qpos, qvel, controls = start()
+    before = expected()
+    advance = jax.jit(jax.vmap(scanned))
+    assert np.isnan(advance(qpos, np.full_like(qvel, np.nan), controls).qpos).all()
+    assert_same_bits(advance(*start()), before)
+
+
+PILE = """
+<mujoco><option cone="{cone}"/><worldbody><geom type="plane" size="5 5 0.1"/>
+<body pos="0 0 0.08"><freejoint/><geom type="box" size="0.1 0.1 0.1"/></body>
+<body pos="0 0 0.26"><freejoint/><geom type="box" size="0.1 0.1 0.1"/></body>
+<body pos="0.15 0 0.09"><freejoint/><geom type="capsule" size="0.1 0.1"/></body>
+<body pos="0.1 0.15 0.09"><freejoint/><geom type="cylinder" size="0.1 0.1"/></body>
+<body pos="-0.15 0 0.08"><freejoint/><geom type="ellipsoid" size="0.1 0.12 0.1"/></body>
+<body pos="0 -0.18 0.09"><freejoint/><geom type="sphere" size="0.1" condim="6"/></body>
+</worldbody></mujoco>
+"""
+"""Bodies of all shapes that overlap one another and the floor."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cone", ["pyramidal", "elliptic"])
+def test_the_buffers_hold_all_contacts_of_overlapping_bodies(cone):
+    robot = Simulator(build(MJX(impl="warp"), "float32"), RobotModel(PILE.format(cone=cone)), substeps=2)
+    qpos = np.tile(robot.mujoco_model.qpos0, (3, 1))
+    after = jax.jit(jax.vmap(lambda q: robot.advance(robot.state(q, jnp.zeros(36)), jnp.zeros(0))))(qpos)
+    assert np.isfinite(after.qpos).all()
+    assert not np.array_equal(after.qpos, qpos)
+
+
+LYING = """
+<mujoco><worldbody><geom type="plane" size="5 5 0.1"/>
+<body pos="0 0 0.099"><freejoint/><geom type="capsule" size="0.1 0.1" zaxis="1 0 0"/></body>
+</worldbody></mujoco>
+"""
+"""A capsule that touches the floor at both ends: two contacts of four rows each."""
+
+
+@pytest.mark.parametrize(
+    ("contacts", "rows", "expected"),
+    [(2, 4, False), (1, 8, True), (2, 3, True)],
+    ids=["enough", "contacts", "rows"],
+)
+def test_a_lane_with_a_contact_that_has_no_room_has_diverged(monkeypatch, contacts, rows, expected):
+    monkeypatch.setattr(mujoco_warp, "_max_contacts", lambda *_: contacts)
+    monkeypatch.setattr(mujoco_warp, "_rows_per_contact", lambda *_: rows)
+    model = RobotModel(f"{LYING}<!-- {contacts}, {rows} -->")  # compiled for this test alone
+    robot = Simulator(build(MJX(impl="warp"), "float32"), model, substeps=1)
+    state = robot.state(jnp.asarray(robot.mujoco_model.qpos0), jnp.zeros(6))
+    after = jax.jit(lambda state: robot.advance(state, jnp.zeros(0)))(state)
+    assert bool(robot.has_diverged(after)) == expected
+
+
+def test_a_model_that_only_warp_refuses_says_why_in_a_line():
+    xml = "<mujoco><option solver='PGS'/><worldbody/></mujoco>"
+    with pytest.raises(ValueError, match=r"^MuJoCo Warp refuses the model: .*PGS") as caught:
+        Simulator(build(MJX(impl="warp"), "float32"), RobotModel(xml), substeps=1)
+    assert "\n" not in str(caught.value)
