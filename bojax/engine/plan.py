@@ -1,10 +1,13 @@
 """The plan of a sweep: its points are built, grouped and divided into chunks before anything runs."""
 
+import functools
 import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
+
+import jax
 
 from bojax.config.errors import ConfigError
 from bojax.config.files import display
@@ -123,9 +126,9 @@ def _content(
                     "label": point.label,
                     "variant": point.variant,
                     "swept": point.swept,
-                    "config": point.config.model_dump(mode="json"),
+                    "config": resolved(point.config.model_dump(mode="json"), module),
                 }
-                for point in sweep.points
+                for point, module in zip(sweep.points, modules, strict=True)
             ],
             "device": {key: device[key] for key in ("platform", "kind")},
             "layouts": [asdict(layout) for layout in layouts],
@@ -133,6 +136,20 @@ def _content(
             "code": {name: value[:16] for name, value in code_hashes(modules).items()},
         }
     )
+
+
+def resolved(config: dict[str, Any], module: Experiment) -> dict[str, Any]:
+    """The config of a point, with the values that its modules chose for settings left to them.
+
+    A module states them by `resolved_settings`, by dotted path.
+    """
+    has_any = lambda node: hasattr(node, "resolved_settings")  # noqa: E731
+    for path, node in jax.tree_util.tree_leaves_with_path(module, is_leaf=has_any):
+        for name, value in node.resolved_settings.items() if has_any(node) else ():
+            *folders, last = [key.name for key in path] + name.split(".")
+            part = functools.reduce(lambda part, folder: part[folder], folders, config)
+            part[last] = value
+    return config
 
 
 def plain(value: Any) -> Any:

@@ -50,6 +50,11 @@ class RobotTask(ControlTask):
         return Simulator(self.physics, self.model, self.substeps)
 
     @property
+    def resolved_settings(self) -> dict[str, str]:
+        """The implementation of MJX that `physics.impl` stands for."""
+        return {"physics.impl": self.simulator.impl}
+
+    @property
     @override
     def action_space(self) -> Box:
         """The controls of the model, in the order of its actuators."""

@@ -44,6 +44,11 @@ class SimulatedVehicle(Vehicle):
     def simulator(self) -> Simulator:
         """Simulator of the robot."""
 
+    @property
+    def resolved_settings(self) -> dict[str, str]:
+        """The implementation of MJX that `physics.impl` stands for."""
+        return {"physics.impl": self.simulator.impl}
+
     @override
     def pose(self, state: SimulatedState) -> Pose:
         return planar(state.robot.qpos).astype(state.reading.dtype)
