@@ -13,12 +13,15 @@ from isolated import run_isolated
 from options import make_parser, positive
 
 INTEGRATORS = ("euler", "rk4", "implicitfast")
+IMPLS = {"jax": "JAX", "warp": "Warp"}
+"""Implementations of MJX, and what they are written in."""
 ROBOTS = ("hopper", "reacher", "jaco", "wheeled-robot", "quadrotor", "lunar-lander")
 
 EXAMPLES = """\
   python benchmarks/bench_robots.py                                   all robots
   python benchmarks/bench_robots.py --robots hopper --lanes 256 2048  lanes at once
   python benchmarks/bench_robots.py --robots hopper --settings 4/8/rk4 3/6/euler
+  python benchmarks/bench_robots.py --robots hopper --impls warp      one implementation of MJX
 """
 
 
@@ -42,6 +45,12 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
         default=["model"],
         metavar="I/L/INTEGRATOR",
         help="solver iterations, line search iterations and integrator; or model, for those of the model",
+    )
+    parser.add_argument(
+        "--impls",
+        nargs="+",
+        choices=IMPLS,
+        help="implementations of MJX (jax; on a GPU with warp-lang, both)",
     )
     parser.add_argument("--steps", type=positive, default=20, help="actions of a run (20)")
     parser.add_argument("--no-peer", action="store_true", help="do not time C MuJoCo")

@@ -1,5 +1,6 @@
 """The timings of bench_robots.py, run in a process with its own cores."""
 
+import importlib.util
 import os
 import sys
 from typing import Any
@@ -7,7 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from bench_robots import parse
+from bench_robots import IMPLS, parse
 from peers import installed
 from timing import Row, median_seconds, on_gpu, print_rows, time_runs, write_record
 
@@ -31,7 +32,7 @@ def main(argv: list[str]) -> int:
         rows += lander_rows(args, lanes) if robot == "lunar-lander" else robot_rows(args, robot, lanes)
     if args.json:
         settings = {"lanes": lanes} | {
-            name: getattr(args, name) for name in ("robots", "settings", "steps", "seed", "repeats")
+            name: getattr(args, name) for name in ("robots", "settings", "impls", "steps", "seed", "repeats")
         }
         write_record(args.json, "robots", "steps", rows, settings)
     return 0
@@ -43,7 +44,11 @@ def robot_rows(args, robot: str, lanes: list[int]) -> list[Row]:
     for setting in args.settings:
         simulator = simulator_of(robot, setting)
         peer = [] if args.no_peer else [mujoco_row(args, simulator)]
-        ours = [mjx_row(args, simulator, number) for number in lanes]
+        ours = [
+            mjx_row(args, simulator_of(robot, setting, impl), impl, number)
+            for impl in args.impls or default_impls()
+            for number in lanes
+        ]
         steps = peer + ours
         print_rows(f"{robot}, settings: {setting}", "physics steps", steps, steps[0].what)
         rows += [Row(f"{robot}, {setting}: {row.what}", *fields(row)) for row in steps]
@@ -55,13 +60,18 @@ def fields(row: Row) -> tuple:
     return row.runs, row.seconds, row.work, row.compile_seconds
 
 
-def simulator_of(robot: str, setting: str) -> Simulator:
+def default_impls() -> list[str]:
+    """The implementations of MJX that are fast on this device."""
+    return ["jax", "warp"] if on_gpu() and importlib.util.find_spec("warp") else ["jax"]
+
+
+def simulator_of(robot: str, setting: str, impl: str = "jax") -> Simulator:
     """The simulator of a robot with the given solver settings."""
-    physics = MJX()
+    physics = MJX.model_validate({"impl": impl})
     if setting != "model":
         iterations, ls_iterations, integrator = setting.split("/")
         given = {"iterations": int(iterations), "ls_iterations": int(ls_iterations), "integrator": integrator}
-        physics = MJX.model_validate(given)
+        physics = MJX.model_validate(given | {"impl": impl})
     if robot in SCHEMAS:
         return build(SCHEMAS[robot](physics=physics), "float32").simulator
     return Simulator(build(physics, "float32"), packaged(MODELS[robot]), substeps=5)
@@ -73,8 +83,8 @@ def ranges_of(simulator: Simulator) -> tuple[np.ndarray, np.ndarray]:
     return ranges[:, 0], ranges[:, 1]
 
 
-def mjx_row(args, simulator: Simulator, lanes: int) -> Row:
-    """Time MJX, compiled, with a number of robots at once."""
+def mjx_row(args, simulator: Simulator, impl: str, lanes: int) -> Row:
+    """Time an implementation of MJX, compiled, with a number of robots at once."""
     low, high = (jnp.asarray(side, jnp.float32) for side in ranges_of(simulator))
     start = jnp.asarray(simulator.mujoco_model.qpos0, jnp.float32)
 
@@ -86,7 +96,7 @@ def mjx_row(args, simulator: Simulator, lanes: int) -> Row:
         return jax.lax.scan(lambda s, u: (simulator.advance(s, u), None), state, controls)[0].qpos
 
     work = args.steps * simulator.substeps
-    return time_runs(f"bojax, {lanes} at once", run, lanes, lanes, work, args.repeats)
+    return time_runs(f"bojax, MJX in {IMPLS[impl]}, {lanes} at once", run, lanes, lanes, work, args.repeats)
 
 
 def mujoco_row(args, simulator: Simulator, runs: int = 64) -> Row:
