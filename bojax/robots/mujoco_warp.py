@@ -124,6 +124,7 @@ class WarpSteps:
             num_outputs=4,
             in_out_argnames=["qpos", "qvel", "qacc_warmstart"],
             graph_mode=wp.JaxCallableGraphMode.NONE,  # the graph of `_Buffers` has no addresses of XLA
+            module_preload_mode=wp.JaxModulePreloadMode.NONE,  # this module has no kernels
         )
 
 
