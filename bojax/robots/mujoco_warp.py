@@ -166,7 +166,7 @@ class _Buffers:
             if self._graph is None:
                 self._mjw.step(self._model, data)
             else:
-                wp.capture_launch(self._graph, stream=wp.get_stream())
+                wp.capture_launch(self._graph, stream=wp.get_stream(qpos.device))
         for own, given in (*pairs, (data.overflow, overflow)):
             wp.copy(given, own)
 
