@@ -18,7 +18,7 @@ from bojax.envs.base import Action, Observation
 from bojax.envs.spaces import Discrete, Space
 from bojax.models.features import FourierBasis, RandomFourier, Sampling
 from bojax.models.kernels import RBF, Matern12, Matern32, Matern52
-from bojax.numerics.linalg import matmul
+from bojax.numerics.linalg import HIGHEST, matmul
 
 
 class StateActionFeatures(eqx.Module):
@@ -55,10 +55,12 @@ class StateActionFeatures(eqx.Module):
         """phi(s, a)."""
         return self.join(self.state(observation), self.action(action))
 
-    def split_both(self, matrix: Float[Array, "M M"], y: Float[Array, "R"]) -> Float[Array, "P P"]:
-        """The matrix of the quadratic form in x that equals phi'matrix phi for the action with features y."""
-        columns = jax.vmap(self.split, (1, None), 1)
-        return columns(columns(matrix, y).T, y).T
+    @abc.abstractmethod
+    def mean_form(self, matrix: Float[Array, "M M"], ys: Float[Array, "K R"]) -> Float[Array, "P P"]:
+        """The matrix F with x'F x equal to the mean of phi'matrix phi over the actions with features `ys`.
+
+        Only the second moments of `ys` enter, so that the cost hardly depends on the number of actions.
+        """
 
 
 class FourierFeatures(StateActionFeatures):
@@ -126,6 +128,21 @@ class FourierFeatures(StateActionFeatures):
         wc, ws = jnp.split(weights, 2)
         return jnp.concatenate([wc * cy + ws * sy, ws * cy - wc * sy])
 
+    @override
+    def mean_form(self, matrix: Float[Array, "M M"], ys: Float[Array, "K R"]) -> Float[Array, "P P"]:
+        # With C and D the diagonal matrices of cos and sin of the action's angles, the cosines of phi are
+        # C cx - D sx and its sines D cx + C sx. C A D has the entries A_ij cos_i sin_j.
+        (cc, cd), (dc, dd) = _quarters(matmul(ys.T, ys) / len(ys))
+        if not self.has_sines:
+            return jnp.block([[cc * matrix, -cd * matrix], [-dc * matrix, dd * matrix]])
+        (a, b), (c, d) = _quarters(matrix)
+        return jnp.block(
+            [
+                [cc * a + cd * b + dc * c + dd * d, cc * b - cd * a + dc * d - dd * c],
+                [cc * c + cd * d - dc * a - dd * b, cc * d - cd * c - dc * b + dd * a],
+            ]
+        )
+
 
 class OneHotFeatures(StateActionFeatures):
     """One-hot features of a discrete state and a discrete action: one feature for each pair.
@@ -160,6 +177,11 @@ class OneHotFeatures(StateActionFeatures):
     @override
     def split(self, weights: Float[Array, "M"], y: Float[Array, "R"]) -> Float[Array, "P"]:
         return matmul(weights.reshape(self.observations.num, self._num_actions), y)
+
+    @override
+    def mean_form(self, matrix: Float[Array, "M M"], ys: Float[Array, "K R"]) -> Float[Array, "P P"]:
+        by_pair = matrix.reshape(2 * (self.observations.num, self._num_actions))
+        return jnp.einsum("prqs,rs->pq", by_pair, matmul(ys.T, ys) / len(ys), precision=HIGHEST)
 
     @property
     def _num_actions(self) -> int:
@@ -281,6 +303,10 @@ class OneHotSpec(FeatureSpec):
     ) -> OneHotFeatures:
         del key
         return OneHotFeatures(_discrete(observation_space), _discrete(action_space), jnp.ones((), dtype))
+
+
+def _quarters(matrix: Float[Array, "M M"]) -> list[list[Float[Array, "F F"]]]:
+    return [jnp.split(rows, 2, axis=1) for rows in jnp.split(matrix, 2)]
 
 
 def _discrete(space: Space) -> Discrete:

@@ -64,8 +64,8 @@ class Memory(eqx.Module):
             count=jnp.minimum(self.count + jnp.where(is_kept, episode.length, 0), capacity),
         )
 
-    def fold(self, function, start, block: int):
-        """Fold a function over the transitions, a block at a time.
+    def fold(self, function, start, block: int, *, first: int = 0, end: int | None = None):
+        """Fold a function over the transitions, or over those from `first` up to `end`, a block at a time.
 
         Blocks that are empty in every lane are skipped.
 
@@ -75,21 +75,24 @@ class Memory(eqx.Module):
                 are zero or were part of an earlier block.
             start: Initial carry.
             block: Largest number of transitions in a block.
+            first: Position of the first transition.
+            end: Position after the last transition; the capacity by default.
         """
-        capacity = len(self.rewards)
-        if not capacity:
+        end = len(self.rewards) if end is None else end
+        if end <= first:
             return start
-        block = min(block, capacity)
+        block = min(block, end - first)
 
         def visit(number, carry):
-            first = jnp.minimum(number * block, capacity - block)
-            index = first + jnp.arange(block, dtype=jnp.int32)
+            begin = first + number * block
+            place = jnp.minimum(begin, end - block)
+            index = place + jnp.arange(block, dtype=jnp.int32)
             rows = jax.tree.map(
-                lambda stored: jax.lax.dynamic_slice_in_dim(stored, first, block) if stored.ndim else stored,
+                lambda stored: jax.lax.dynamic_slice_in_dim(stored, place, block) if stored.ndim else stored,
                 self,
             )
-            is_valid = (index >= number * block) & (index < self.count)
+            is_valid = (index >= begin) & (index < self.count)
             return function(carry, rows, index, is_valid)
 
-        num_blocks = (largest_in_lanes(self.count) + block - 1) // block
-        return jax.lax.fori_loop(0, num_blocks, visit, start)
+        number = jnp.clip(largest_in_lanes(self.count), first, end) - first
+        return jax.lax.fori_loop(0, (number + block - 1) // block, visit, start)

@@ -2,7 +2,11 @@
 
 The covariance S stays the same; the TD targets are those of the current policy pi. The means are fitted
 either by sweeps, m <- beta S Phi'(r + gamma Phi_next m), or by solving the equations that the sweeps converge
-to, (I - beta gamma S Phi'Phi_next) m = beta S Phi'r. Features are computed a block of transitions at a time.
+to, (I - beta gamma S Phi'Phi_next) m = beta S Phi'r.
+
+The matrices of two policies in succession differ little. The inverse for one policy is therefore kept as the
+preconditioner of the equations of the following policies, which take a few products with the features. If
+these do not converge, every further policy gets an inverse of its own.
 """
 
 from collections.abc import Callable
@@ -12,25 +16,147 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from bojax.envs.base import Action
 from bojax.learning.emu_q_model import EMUQModel, EMUQState, Q, U
 from bojax.learning.memory import Memory
 from bojax.numerics.lanes import any_lane
-from bojax.numerics.linalg import matmul, solve
+from bojax.numerics.linalg import gcr, inverse_matrix, matmul
+
+NUM_STORED = 2048
+"""Largest number of transitions whose features are stored during a refit: the first ones of a run.
+
+They take 8 MB a run for 500 features in float32. The features of later transitions are recomputed, a block at
+a time, whenever they are needed.
+"""
+
+MOST_ON_CPU = 64
+"""Largest block on a CPU.
+
+The last block is padded. Blocks of 512, which need fewer launches on a GPU, take 2.8 times as long for 28
+transitions on a CPU, and as long for 2,500.
+"""
 
 
-class _PolicyData(eqx.Module):
-    """Quantities of every transition that are fixed once the policy is.
+class _Rows(eqx.Module):
+    """A block of transitions and their features.
 
     Attributes:
-        chosen: Index of a' = pi(s') among the candidates.
-        factor: `EMUQModel.u_factor` at (s', a').
-        bonus: Exploration reward.
+        memory: The transitions.
+        index: Their positions.
+        is_valid: Which of them to count.
+        phi: phi(s, a).
+        x: x(s').
     """
 
+    memory: Memory
+    index: Int[Array, "B"]
+    is_valid: Bool[Array, "B"]
+    phi: Float[Array, "B M"]
+    x: Float[Array, "B P"]
+
+
+class _Transitions(eqx.Module):
+    """All transitions of a run and their features, stored or recomputed.
+
+    Attributes:
+        state: State of the learner.
+        phi: phi(s, a) of the first transitions.
+        x: x(s') of the first transitions.
+        block: Number of transitions in a block.
+    """
+
+    state: EMUQState
+    phi: Float[Array, "T M"]
+    x: Float[Array, "T P"]
+    block: int = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, state: EMUQState, block: int) -> "_Transitions":
+        """The transitions in memory, in blocks of at most `block`."""
+        if jax.default_backend() == "cpu":
+            block = min(block, MOST_ON_CPU)
+        number = min(NUM_STORED, len(state.memory.rewards))
+
+        def visit(arrays, rows, index, is_valid):
+            del is_valid
+            return tuple(
+                jax.lax.dynamic_update_slice_in_dim(array, new, index[0], 0)
+                for array, new in zip(arrays, _features(state, rows), strict=True)
+            )
+
+        shapes = jax.eval_shape(_features, state, state.memory)
+        start = tuple(jnp.zeros((number, *shape.shape[1:]), shape.dtype) for shape in shapes)
+        phi, x = state.memory.fold(visit, start, block, end=number)
+        return cls(state, phi, x, block)
+
+    def fold(self, function, start):
+        """Fold a function `(carry, rows) -> carry` over blocks of transitions, where `rows` is a `_Rows`."""
+
+        def stored(carry, memory, index, is_valid):
+            phi, x = (jax.lax.dynamic_slice_in_dim(a, index[0], len(index)) for a in (self.phi, self.x))
+            return function(carry, _Rows(memory, index, is_valid, phi, x))
+
+        def recomputed(carry, memory, index, is_valid):
+            return function(carry, _Rows(memory, index, is_valid, *_features(self.state, memory)))
+
+        memory, number = self.state.memory, len(self.phi)
+        carry = memory.fold(stored, start, self.block, end=number)
+        return memory.fold(recomputed, carry, self.block, first=number)
+
+
+class _Equations(eqx.Module):
+    """The equations m = beta S Phi'(constant + discount Phi_next m) of a given policy.
+
+    Attributes:
+        transitions: The transitions.
+        gain: beta S.
+        ys: Features y(a') of the candidates.
+        chosen: Index of a' = pi(s') among the candidates.
+        terms: A function of some rows: their constants and discounts, 0 for rows that are not valid.
+    """
+
+    transitions: _Transitions
+    gain: Float[Array, "M M"]
+    ys: Float[Array, "J R"]
     chosen: Int[Array, "C"]
-    factor: Float[Array, "C"]
-    bonus: Float[Array, "C"]
+    terms: Callable[[_Rows], tuple[Float[Array, "B"], Float[Array, "B"]]]
+
+    def sweep(self, weights: Float[Array, "M"], scale: float = 1.0) -> Float[Array, "M"]:
+        """The right-hand side, with the constants multiplied by `scale`."""
+
+        def visit(total, rows):
+            constant, discount = self.terms(rows)
+            target = scale * constant + discount * matmul(self._phi_next(rows), weights)
+            return total + matmul(target, rows.phi)
+
+        return matmul(self.gain, self.transitions.fold(visit, jnp.zeros_like(weights)))
+
+    def matrix_and_constant(self) -> tuple[Float[Array, "M M"], Float[Array, "M"]]:
+        """The right-hand side as a function of the weights: F and c of F m + c."""
+
+        def visit(total, rows):
+            matrix, vector = total
+            constant, discount = self.terms(rows)
+            phi_next = discount[:, None] * self._phi_next(rows)
+            return matrix + matmul(rows.phi.T, phi_next), vector + matmul(constant, rows.phi)
+
+        start = jnp.zeros_like(self.gain), jnp.zeros_like(self.gain[0])
+        matrix, vector = self.transitions.fold(visit, start)
+        return matmul(self.gain, matrix), matmul(self.gain, vector)
+
+    def inverse(self) -> Float[Array, "M M"]:
+        """The inverse of I - F."""
+        identity = jnp.eye(len(self.gain), dtype=self.gain.dtype)
+        return inverse_matrix(identity - self.matrix_and_constant()[0])
+
+    def solution(
+        self, inverse: Float[Array, "M M"], start: Float[Array, "M"], is_active: Bool[Array, ""]
+    ) -> tuple[Float[Array, "M"], Bool[Array, ""]]:
+        """The weights that solve the equations, given an approximation of `inverse()`; see `gcr`."""
+        residual = self.sweep(start) - start
+        return gcr(lambda m: m - self.sweep(m, scale=0.0), inverse, start, residual, is_active)
+
+    def _phi_next(self, rows: _Rows) -> Float[Array, "B M"]:
+        return jax.vmap(self.transitions.state.features.join)(rows.x, self.ys[self.chosen[rows.index]])
 
 
 class Refit(eqx.Module):
@@ -41,7 +167,7 @@ class Refit(eqx.Module):
         tolerance: Change of the weights (Euclidean norm) at which sweeps stop.
         is_direct: Whether the equations are solved instead of swept.
         max_sweeps: Largest number of sweeps, or of policies whose equations are solved.
-        block: Number of transitions whose features are in memory at a time.
+        block: Number of transitions that are visited at a time.
     """
 
     model: EMUQModel
@@ -59,112 +185,168 @@ class Refit(eqx.Module):
         compute the exploration rewards (5.12) and fit U, with a' chosen once.
         """
         key_q, key_policy = jax.random.split(key)
-        q = self._fit_q(key_q, state, kappa, is_active)
-        mean = state.posterior.mean.at[:, Q].set(q)
-        candidates, samples = self.model.actions(key_policy, state)
-        policy = self._evaluate_policy(state, mean, kappa, candidates, samples)
-        return mean.at[:, U].set(self._fit_u(state, policy, candidates, mean[:, U], is_active))
+        transitions, mean = _Transitions.of(state, self.block), state.posterior.mean
+        if not self.is_direct:
+            mean = mean.at[:, Q].set(self._sweep_q(key_q, transitions, mean, kappa, is_active))
+            # With a' fixed, a sweep is an affine map of the weights: one pass over the transitions is enough.
+            equations = self._u_equations(key_policy, transitions, mean, kappa)
+            matrix, vector = equations.matrix_and_constant()
+            u = self._until_converged(lambda _, u: vector + matmul(matrix, u), mean[:, U], is_active)
+            return mean.at[:, U].set(u)
 
-    def _fit_q(
-        self, key: Key[Array, ""], state: EMUQState, kappa: Float[Array, ""], is_active: Bool[Array, ""]
-    ) -> Float[Array, "M"]:
-        model, posterior, memory = self.model, state.posterior, state.memory
-        gain = model.noise_precision * posterior.base
-        u = posterior.mean[:, U]
+        def policy(number: Int[Array, ""], q: Float[Array, "M"]) -> _Equations:
+            key = jax.random.fold_in(key_q, number)
+            return self._q_equations(key, transitions, mean.at[:, Q].set(q), kappa)
 
-        def update(number, q):
-            candidates, _ = model.actions(jax.random.fold_in(key, number), state)
-            ys = jax.vmap(state.features.action)(candidates)
-            next_values = self._next_values(state, ys, jnp.stack([q, u], axis=1))
+        inverse, is_similar = jnp.zeros_like(state.posterior.base), jnp.zeros((), bool)
+        q, inverse = self._solve(policy, mean[:, Q], inverse, is_similar, is_active, self.max_sweeps)
+        after = mean.at[:, Q].set(q)
+        equations = self._u_equations(key_policy, transitions, after, kappa)
+        u, _ = self._solve(lambda number, u: equations, mean[:, U], inverse, is_active, is_active, 1)
+        return after.at[:, U].set(u)
 
-            def parts(rows: Memory, is_valid):
-                """Index of a', Q(s', a') and its factor in the TD target."""
-                values, factor = next_values(rows)
-                chosen = _choose(values, factor, kappa)
-                value = jnp.take_along_axis(values[:, :, Q], chosen[:, None], axis=1)[:, 0]
-                return chosen, value, model.q_discount(rows.terminated, is_valid)
-
-            def sweep(total, rows, index, is_valid):
-                del index
-                _, value, discount = parts(rows, is_valid)
-                target = jnp.where(is_valid, rows.rewards, 0.0) + discount * value
-                return total + matmul(target, _features(state, rows))
-
-            def equations(total, rows, index, is_valid):
-                del index
-                chosen, _, discount = parts(rows, is_valid)
-                reward = jnp.where(is_valid, rows.rewards, 0.0)
-                return _accumulate(state, total, rows, ys[chosen], discount, reward)
-
-            if self.is_direct:
-                return _solution(gain, memory.fold(equations, _zeros(q), self.block))
-            return matmul(gain, memory.fold(sweep, jnp.zeros_like(q), self.block))
-
-        return self._until_converged(update, posterior.mean[:, Q], is_active)
-
-    def _evaluate_policy(
+    def _sweep_q(
         self,
-        state: EMUQState,
+        key: Key[Array, ""],
+        transitions: _Transitions,
         mean: Float[Array, "M 2"],
         kappa: Float[Array, ""],
-        candidates: Action,
-        samples: Action,
-    ) -> _PolicyData:
-        """Choose a' at every next state and compute the exploration rewards there."""
-        model, features, memory = self.model, state.features, state.memory
-        capacity, dtype = len(memory.rewards), mean.dtype
-        next_values = self._next_values(state, jax.vmap(features.action)(candidates), mean)
-        forms = jax.vmap(lambda a: features.split_both(state.posterior.base, features.action(a)))(samples)
-        if not model.mixes_transitions:  # the mean over the samples can be taken first
-            forms = jnp.mean(forms, axis=0)[None]
+        is_active: Bool[Array, ""],
+    ) -> Float[Array, "M"]:
+        model, state = self.model, transitions.state
+        gain = model.noise_precision * state.posterior.base
 
-        def visit(arrays, rows, index, is_valid):
-            del is_valid
-            values, factor = next_values(rows)
+        def sweep(number, q):
+            candidates, _ = model.actions(jax.random.fold_in(key, number), state)
+            ys = jax.vmap(state.features.action)(candidates)
+            next_values = self._next_values(state, ys, mean.at[:, Q].set(q))
+
+            def visit(total, rows):
+                values, factor = next_values(rows.x)
+                chosen = _choose(values, factor, kappa)
+                value = jnp.take_along_axis(values[:, :, Q], chosen[:, None], axis=1)[:, 0]
+                constant, discount = self._q_terms(rows)
+                return total + matmul(constant + discount * value, rows.phi)
+
+            return matmul(gain, transitions.fold(visit, jnp.zeros_like(q)))
+
+        return self._until_converged(sweep, mean[:, Q], is_active)
+
+    def _q_equations(
+        self,
+        key: Key[Array, ""],
+        transitions: _Transitions,
+        mean: Float[Array, "M 2"],
+        kappa: Float[Array, ""],
+    ) -> _Equations:
+        """The equations of Q for the policy of the given means."""
+        model, state = self.model, transitions.state
+        candidates, _ = model.actions(key, state)
+        ys = jax.vmap(state.features.action)(candidates)
+        next_values = self._next_values(state, ys, mean)
+
+        def visit(chosen, rows):
+            best = _choose(*next_values(rows.x), kappa).astype(jnp.int32)
+            return jax.lax.dynamic_update_slice_in_dim(chosen, best, rows.index[0], 0)
+
+        chosen = transitions.fold(visit, jnp.zeros((len(state.memory.rewards),), jnp.int32))
+        gain = model.noise_precision * state.posterior.base
+        return _Equations(transitions, gain, ys, chosen, self._q_terms)
+
+    def _q_terms(self, rows: _Rows) -> tuple[Float[Array, "B"], Float[Array, "B"]]:
+        reward = jnp.where(rows.is_valid, rows.memory.rewards, 0.0)
+        return reward, self.model.q_discount(rows.memory.terminated, rows.is_valid)
+
+    def _u_equations(
+        self,
+        key: Key[Array, ""],
+        transitions: _Transitions,
+        mean: Float[Array, "M 2"],
+        kappa: Float[Array, ""],
+    ) -> _Equations:
+        """The equations of U for the policy of the given means and the exploration rewards (5.12)."""
+        model, state = self.model, transitions.state
+        features, memory, base = state.features, state.memory, state.posterior.base
+        candidates, samples = model.actions(key, state)
+        ys, samples = jax.vmap(features.action)(candidates), jax.vmap(features.action)(samples)
+        next_values = self._next_values(state, ys, mean)
+        # The mean over the samples can be taken first, unless it is the published code's.
+        groups = samples[:, None] if model.mixes_transitions else samples[None]
+        forms = jax.vmap(lambda ys: features.mean_form(base, ys))(groups)
+
+        def visit(arrays, rows):
+            values, factor = next_values(rows.x)
             best = _choose(values, factor, kappa).astype(jnp.int32)
             new = (
                 best,
                 jnp.take_along_axis(factor, best[:, None], axis=1)[:, 0],
-                _quadratic_forms(jax.vmap(features.state)(rows.next_observations), forms),
+                _quadratic_forms(rows.x, forms),
             )
             return tuple(
-                jax.lax.dynamic_update_slice_in_dim(array, block, index[0], 0)
+                jax.lax.dynamic_update_slice_in_dim(array, block, rows.index[0], 0)
                 for array, block in zip(arrays, new, strict=True)
             )
 
+        capacity, dtype = len(memory.rewards), mean.dtype
         start = (
             jnp.zeros((capacity,), jnp.int32),
             jnp.ones((capacity,), dtype),
             jnp.zeros((capacity, len(forms)), dtype),
         )
-        chosen, factor, variances = memory.fold(visit, start, self.block)
+        chosen, factor, variances = transitions.fold(visit, start)
         bonus = model.exploration_reward(model.mean_variances(variances, memory.count))
-        return _PolicyData(chosen, factor, bonus)
 
-    def _fit_u(
+        def terms(rows: _Rows):
+            index, zero = rows.index, jnp.zeros((), dtype)
+            constant, discount = model.u_terms(bonus[index], factor[index], rows.memory.terminated)
+            return jnp.where(rows.is_valid, constant, zero), jnp.where(rows.is_valid, discount, zero)
+
+        return _Equations(transitions, model.noise_precision * base, ys, chosen, terms)
+
+    def _solve(
         self,
-        state: EMUQState,
-        policy: _PolicyData,
-        candidates: Action,
-        u: Float[Array, "M"],
+        policy: Callable[[Int[Array, ""], Float[Array, "M"]], _Equations],
+        weights: Float[Array, "M"],
+        inverse: Float[Array, "M M"],
+        is_similar: Bool[Array, ""],
         is_active: Bool[Array, ""],
-    ) -> Float[Array, "M"]:
-        model, posterior, memory = self.model, state.posterior, state.memory
-        ys = jax.vmap(state.features.action)(candidates)
-        gain = model.noise_precision * posterior.base
+        most: int,
+    ) -> tuple[Float[Array, "M"], Float[Array, "M M"]]:
+        """Solve the equations of `policy(number, weights)` until the weights of every lane have converged.
 
-        def equations(total, rows, index, is_valid):
-            constant, discount = model.u_terms(policy.bonus[index], policy.factor[index], rows.terminated)
-            zero = jnp.zeros((), u.dtype)
-            constant, discount = jnp.where(is_valid, constant, zero), jnp.where(is_valid, discount, zero)
-            return _accumulate(state, total, rows, ys[policy.chosen[index]], discount, constant)
+        Args:
+            policy: The equations for the policy of the given weights.
+            weights: Weights to start from.
+            inverse: Inverse of the matrix of similar equations.
+            is_similar: Whether there is such an inverse.
+            is_active: Whether the weights may change.
+            most: Largest number of policies.
 
-        matrix, vector = memory.fold(equations, _zeros(u), self.block)
-        if self.is_direct:
-            return jnp.where(is_active, _solution(gain, (matrix, vector)), u)
-        # With a' fixed, a sweep is an affine map of the weights: one pass over the transitions is enough.
-        matrix, vector = matmul(gain, matrix), matmul(gain, vector)
-        return self._until_converged(lambda _, u: vector + matmul(matrix, u), u, is_active)
+        Returns:
+            The weights, and the last inverse matrix.
+        """
+
+        def step(loop):
+            number, weights, inverse, is_similar, going = loop
+            equations = policy(number, weights)
+            inverse = jax.lax.cond(
+                any_lane(going & ~is_similar),
+                lambda: jnp.where(is_similar, inverse, equations.inverse()),
+                lambda: inverse,
+            )
+            after, is_solved = equations.solution(inverse, weights, going)
+            # A solution that does not converge is discarded. The same policy and all later ones of this lane
+            # then get their own inverse: to try an earlier one every time would cost more than it saves.
+            is_taken = going & (is_solved | ~is_similar)
+            is_far = jnp.linalg.norm(after - weights) > self.tolerance
+            number = number + is_taken.astype(number.dtype)
+            going_on = going & (~is_taken | (is_far & (number < most)))
+            is_similar = (is_similar & is_solved) | (is_taken & (number == 1)) | ~going
+            return number, jnp.where(is_taken, after, weights), inverse, is_similar, going_on
+
+        start = jnp.zeros((), jnp.int32), weights, inverse, is_similar, is_active
+        _, weights, inverse, _, _ = jax.lax.while_loop(lambda loop: any_lane(loop[-1]), step, start)
+        return weights, inverse
 
     def _until_converged(
         self,
@@ -186,15 +368,14 @@ class Refit(eqx.Module):
         return jax.lax.while_loop(lambda loop: any_lane(loop[2]), step, loop)[1]
 
     def _next_values(self, state: EMUQState, ys: Float[Array, "J R"], mean: Float[Array, "M 2"]):
-        """A function of some transitions: Q and U of every candidate at s', and the factors of U."""
+        """A function of x(s'): Q and U of every candidate at s', and the factors of U."""
         model, features = self.model, state.features
         weights = jax.vmap(lambda y: jax.vmap(features.split, (1, None), 1)(mean, y), out_axes=1)(ys)
         forms = None
         if model.optimistic_u:
-            forms = jax.vmap(lambda y: features.split_both(state.posterior.base, y))(ys)
+            forms = jax.vmap(lambda y: features.mean_form(state.posterior.base, y[None]))(ys)
 
-        def next_values(rows: Memory) -> tuple[Float[Array, "B J 2"], Float[Array, "B J"]]:
-            x = jax.vmap(features.state)(rows.next_observations)
+        def next_values(x: Float[Array, "B P"]) -> tuple[Float[Array, "B J 2"], Float[Array, "B J"]]:
             values = matmul(x, weights.reshape(weights.shape[0], -1)).reshape(len(x), -1, 2)
             if forms is None:
                 return values, jnp.ones(values.shape[:2], values.dtype)
@@ -216,33 +397,7 @@ def _quadratic_forms(x: Float[Array, "B P"], forms: Float[Array, "J P P"]) -> Fl
     return jax.vmap(lambda form: jnp.sum(matmul(x, form) * x, axis=1), out_axes=1)(forms)
 
 
-def _features(state: EMUQState, rows: Memory) -> Float[Array, "B M"]:
-    return jax.vmap(state.features)(rows.observations, rows.actions)
-
-
-def _zeros(weights: Float[Array, "M"]) -> tuple[Float[Array, "M M"], Float[Array, "M"]]:
-    return jnp.zeros((len(weights), len(weights)), weights.dtype), jnp.zeros_like(weights)
-
-
-def _accumulate(
-    state: EMUQState,
-    total: tuple[Float[Array, "M M"], Float[Array, "M"]],
-    rows: Memory,
-    y: Float[Array, "B R"],
-    discount: Float[Array, "B"],
-    reward: Float[Array, "B"],
-) -> tuple[Float[Array, "M M"], Float[Array, "M"]]:
-    """Add Phi'diag(discount) Phi_next and Phi'reward of some transitions; y are the features of their a'."""
-    matrix, vector = total
-    x = jax.vmap(state.features.state)(rows.next_observations)
-    phi, phi_next = _features(state, rows), jax.vmap(state.features.join)(x, y)
-    return matrix + matmul(phi.T, discount[:, None] * phi_next), vector + matmul(reward, phi)
-
-
-def _solution(
-    gain: Float[Array, "M M"], total: tuple[Float[Array, "M M"], Float[Array, "M"]]
-) -> Float[Array, "M"]:
-    """The weights m with (I - gain matrix) m = gain vector."""
-    matrix, vector = total
-    identity = jnp.eye(len(vector), dtype=vector.dtype)
-    return solve(identity - matmul(gain, matrix), matmul(gain, vector)[:, None])[:, 0]
+def _features(state: EMUQState, memory: Memory) -> tuple[Float[Array, "B M"], Float[Array, "B P"]]:
+    """phi(s, a) and x(s') of some transitions."""
+    phi = jax.vmap(state.features)(memory.observations, memory.actions)
+    return phi, jax.vmap(state.features.state)(memory.next_observations)

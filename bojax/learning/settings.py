@@ -155,7 +155,7 @@ class _EMUQ(LearnerSettings, frozen=True):
     refit_block: int = Field(
         default=512,
         ge=1,
-        description="number of transitions whose features are in memory at a time during a refit",
+        description="number of transitions that a refit visits at a time, 64 at most on a CPU",
     )
 
 

@@ -7,8 +7,9 @@ import jax
 import jax.numpy as jnp
 from jax.lax import Precision
 from jax.scipy.linalg import solve_triangular
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
+from bojax.numerics.lanes import any_lane
 from bojax.numerics.loops import short_loop
 
 HIGHEST = Precision.HIGHEST
@@ -158,12 +159,79 @@ def solve_small(a: Float[Array, "N N"], b: Float[Array, "N K"]) -> Float[Array, 
     return short_loop(n, eliminate, jnp.concatenate([a, b], axis=-1))[:, n:]
 
 
-def solve(a: Float[Array, "N N"], b: Float[Array, "N K"]) -> Float[Array, "N K"]:
-    """Solution of `a x = b` by LAPACK's LU factors, for any size."""
-    return _solve_joined(jnp.concatenate([a, b], axis=1))
-
-
 @one_by_one_on_cpu
-def _solve_joined(joined: Float[Array, "N L"]) -> Float[Array, "N K"]:
-    n = joined.shape[0]
-    return jnp.linalg.solve(joined[:, :n], joined[:, n:])
+def inverse_matrix(a: Float[Array, "N N"]) -> Float[Array, "N N"]:
+    """The inverse of a matrix of any size, by LAPACK's LU factors on a CPU and by halves elsewhere."""
+    return jnp.linalg.inv(a) if jax.default_backend() == "cpu" else inverse_by_halves(a)
+
+
+def inverse_by_halves(a: Float[Array, "N N"]) -> Float[Array, "N N"]:
+    """The inverse of a matrix [[A, B], [C, D]] from those of A and of D - C A^-1 B, down to 64 rows.
+
+    Most of the work is matrix products, which a GPU computes for a whole batch at once. Rows are exchanged
+    within 64 rows only: if the inverse of a leading block is much larger than that of the matrix, digits are
+    lost in proportion.
+    """
+    n = a.shape[0]
+    if n <= 64:
+        return jnp.linalg.inv(a)
+    half = n // 2
+    first = inverse_by_halves(a[:half, :half])
+    right, below = matmul(first, a[:half, half:]), matmul(a[half:, :half], first)
+    last = inverse_by_halves(a[half:, half:] - matmul(a[half:, :half], right))
+    below = -matmul(last, below)
+    return jnp.block([[first - matmul(right, below), -matmul(right, last)], [below, last]])
+
+
+def gcr(
+    times: Callable[[Float[Array, "N"]], Float[Array, "N"]],
+    inverse: Float[Array, "N N"],
+    start: Float[Array, "N"],
+    residual: Float[Array, "N"],
+    is_active: Bool[Array, ""],
+    most: int = 12,
+) -> tuple[Float[Array, "N"], Bool[Array, ""]]:
+    """Solution of `a x = b` by the method of generalised conjugate residuals, preconditioned from the left.
+
+    Eisenstat, Elman and Schultz (1983): the iterates of GMRES without restarts. A lane ends when the norm of
+    `inverse (b - a x)`, which estimates the error of x, is below eps^(2/3) of the norm of x: 4e-11 of it in
+    float64 and 2e-5 in float32.
+
+    Args:
+        times: The product with `a`.
+        inverse: An approximation of the inverse of `a`.
+        start: First x.
+        residual: b - a x of the first x.
+        is_active: Whether x may change.
+        most: Largest number of iterations, each with one product with `a` and one with `inverse`.
+
+    Returns:
+        The last x, and whether it is a solution.
+    """
+    accuracy = float(jnp.finfo(start.dtype).eps) ** (2.0 / 3.0)
+
+    def is_solution(x, error):
+        return ~(jnp.linalg.norm(error) > accuracy * jnp.linalg.norm(x))
+
+    def step(loop):
+        number, x, error, directions, images, going = loop
+        image = matmul(inverse, times(error))
+        # Twice, since rounding leaves a share of the other images after the first time.
+        direction = error
+        for _ in range(2):
+            shares = matmul(images, image)
+            image, direction = image - matmul(shares, images), direction - matmul(shares, directions)
+        norm = jnp.linalg.norm(image)
+        scale = jnp.where(going & (norm > 0.0), 1.0 / norm, 0.0)
+        direction, image = scale * direction, scale * image
+        length = jnp.sum(image * error)
+        x, error = x + length * direction, error - length * image
+        directions, images = directions.at[number].set(direction), images.at[number].set(image)
+        going = going & ~is_solution(x, error) & (number + 1 < most)
+        return number + 1, x, error, directions, images, going
+
+    error, none = matmul(inverse, residual), jnp.zeros((most, len(start)), start.dtype)
+    going = is_active & ~is_solution(start, error)
+    loop = jnp.zeros((), jnp.int32), start, error, none, none, going
+    _, x, error, _, _, _ = jax.lax.while_loop(lambda loop: any_lane(loop[-1]), step, loop)
+    return x, is_solution(x, error)

@@ -1,5 +1,7 @@
 """EMU-Q: Algorithm 6 and the author's code in NumPy, the direct refit, and what the settings mean."""
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -8,9 +10,11 @@ import pytest
 
 from bojax.engine.build import build
 from bojax.envs.spaces import Box, Discrete
+from bojax.learning import refit
 from bojax.learning.base import Episode, ExplorationState, Transition
 from bojax.learning.settings import EMUQ, EMUQPublished, FourierBasisFeatures, RandomFourierFeatures
-from tests.reference.emu_q import Algorithm6, PublishedCode
+from bojax.numerics.linalg import gcr
+from tests.reference.emu_q import Algorithm6, DirectRefit, PublishedCode
 
 NUM_STEPS = 40
 OBSERVATIONS = Box(jnp.asarray([-1.0, -2.0]), jnp.asarray([1.0, 2.0]))
@@ -140,10 +144,37 @@ def test_sweeps_converge_to_the_direct_solution(terminal_u):
     settings = {"terminal_u": terminal_u, "num_actions": 1, "discount": 0.9, "tolerance": 1e-10}
     steps = transitions()
     means = {}
-    for refit in ("sweeps", "direct"):
-        learner, state = make(refit=refit, max_sweeps=2000 if refit == "sweeps" else 50, **settings)
-        means[refit] = learn(learner, state, steps)[1].posterior.mean
+    for how in ("sweeps", "direct"):
+        learner, state = make(refit=how, max_sweeps=2000 if how == "sweeps" else 50, **settings)
+        means[how] = learn(learner, state, steps)[1].posterior.mean
     np.testing.assert_allclose(means["sweeps"], means["direct"], atol=1e-7 * np.abs(means["direct"]).max())
+
+
+@pytest.mark.parametrize("most", [12, 1])
+def test_direct_solutions_are_those_of_numpy(monkeypatch, most):
+    # With one iteration at most, an earlier inverse is not good enough, and every policy needs its own.
+    monkeypatch.setattr(refit, "gcr", functools.partial(gcr, most=most))
+    settings = {"action_lengthscale": 0.1, "state_lengthscale": 0.3}
+    learner, state = make(refit="direct", tolerance=1e-6, features={"num_features": 30, **settings})
+    reference = reference_of(DirectRefit, learner, state)
+    steps = transitions()
+    follow(reference, steps)
+    _, after = learn(learner, state, steps)
+    assert reference.policies > 2
+    np.testing.assert_allclose(after.posterior.mean[:, 0], reference.m_q, atol=1e-9)
+    np.testing.assert_allclose(
+        after.posterior.mean[:, 1], reference.m_u, atol=1e-9 * np.abs(reference.m_u).max()
+    )
+
+
+def test_features_of_later_transitions_are_recomputed(monkeypatch):
+    steps, means = transitions(), {}
+    for how in ("sweeps", "direct"):
+        for number in (2048, 16):
+            monkeypatch.setattr(refit, "NUM_STORED", number)
+            learner, state = make(refit=how, refit_block=10)
+            means[how, number] = learn(learner, state, steps)[1].posterior.mean
+        np.testing.assert_allclose(means[how, 16], means[how, 2048], atol=1e-9)
 
 
 def test_blocks_of_a_refit_do_not_matter():
@@ -202,7 +233,10 @@ def test_features_are_bilinear():
         matrix = jnp.asarray(rng.normal(size=(len(phi), len(phi))))
         x, y = features.state(s), features.action(a)
         np.testing.assert_allclose(weights @ phi, x @ features.split(weights, y), atol=1e-12)
-        np.testing.assert_allclose(phi @ matrix @ phi, x @ features.split_both(matrix, y) @ x, atol=1e-12)
+        ys = jax.vmap(features.action)(jnp.asarray([[1.7], [-0.4], [2.9]]))
+        phis = jax.vmap(features.join, (None, 0))(x, ys)
+        expected = np.mean([phi @ matrix @ phi for phi in np.asarray(phis)])
+        np.testing.assert_allclose(x @ features.mean_form(matrix, ys) @ x, expected, atol=1e-12)
 
 
 def test_random_fourier_features_have_unit_norm_and_the_slip_about_half():
@@ -220,6 +254,11 @@ def test_indicators_are_a_table():
     features = spec.draw(jax.random.key(0), Discrete(4), Discrete(3), jnp.dtype(jnp.float64))
     phi = features(jnp.asarray(2), jnp.asarray(1))
     np.testing.assert_array_equal(np.nonzero(phi)[0], [2 * 3 + 1])
+    matrix = np.random.default_rng(0).normal(size=(12, 12))
+    form = features.mean_form(jnp.asarray(matrix), jax.vmap(features.action)(jnp.arange(3)))
+    pairs = 2 * 3 + np.arange(3)
+    x = features.state(jnp.asarray(2))
+    np.testing.assert_allclose(x @ form @ x, matrix[pairs, pairs].mean(), atol=1e-12)
     with pytest.raises(ValueError, match="discrete"):
         spec.draw(jax.random.key(0), OBSERVATIONS, Discrete(3), jnp.dtype(jnp.float64))
 

@@ -9,7 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bojax.numerics.linalg import eigh, guarded_cholesky, inverse_cholesky, matmul, solve_small
+from bojax.numerics.linalg import (
+    eigh,
+    gcr,
+    guarded_cholesky,
+    inverse_by_halves,
+    inverse_cholesky,
+    matmul,
+    solve_small,
+)
 
 SIZES = (1, 2, 3, 4, 5, 6)
 solve = jax.jit(jax.vmap(solve_small))
@@ -184,3 +192,42 @@ for _ in range(30):
 def test_batches_at_once_do_not_bring_the_threads_to_a_standstill():
     # With LAPACK called on whole batches, this never ends on a CPU of two cores.
     subprocess.run([sys.executable, "-c", STANDSTILL], check=True, timeout=300)
+
+
+@pytest.mark.parametrize("n", [1, 64, 65, 300])
+def test_inverses_by_halves_are_those_of_numpy(n):
+    matrix = np.eye(n) - 0.9 * np.linalg.qr(np.random.default_rng(n).normal(size=(n, n)))[0]
+    inverse = jax.jit(inverse_by_halves)(jnp.asarray(matrix))
+    np.testing.assert_allclose(inverse, np.linalg.inv(matrix), atol=1e-11)
+
+
+def test_conjugate_residuals_solve_a_system_near_the_one_whose_inverse_is_given():
+    rng = np.random.default_rng(0)
+    matrix = np.eye(40) + 0.1 * rng.normal(size=(40, 40))
+    near, x = matrix + 0.003 * rng.normal(size=(40, 40)), rng.normal(size=40)
+    start = rng.normal(size=40)
+
+    @jax.jit
+    def solve(is_active):
+        residual = jnp.asarray(matrix @ (x - start))
+        return gcr(
+            lambda v: matmul(jnp.asarray(matrix), v),
+            jnp.asarray(np.linalg.inv(near)),
+            jnp.asarray(start),
+            residual,
+            is_active,
+        )
+
+    solution, is_solved = solve(jnp.asarray(True))
+    assert is_solved
+    np.testing.assert_allclose(solution, x, atol=1e-9)
+    np.testing.assert_array_equal(solve(jnp.asarray(False))[0], start)
+
+
+def test_conjugate_residuals_give_up_where_the_inverse_is_that_of_another_system():
+    rng = np.random.default_rng(1)
+    matrix, other = jnp.asarray(rng.normal(size=(2, 200, 200)))
+    _, is_solved = jax.jit(
+        lambda b: gcr(lambda v: matmul(matrix, v), other, jnp.zeros_like(b), b, jnp.asarray(True))
+    )(jnp.ones(200))
+    assert not is_solved

@@ -102,6 +102,29 @@ class Algorithm6:
                 break
 
 
+class DirectRefit(Algorithm6):
+    """Algorithm 6 with the equations of each policy solved at the end of an episode, in place of sweeps."""
+
+    def end_episode(self, s: Array, a: Array, r: Array, s_next: Array, is_absorbing: Array) -> None:
+        phi, discount = self.phi(s, a), np.where(is_absorbing, 0.0, self.gamma)
+
+        def solution(phi_next: Array, constant: Array) -> Array:
+            gain = self.beta * self.s @ phi.T
+            return np.linalg.solve(
+                np.eye(len(self.s)) - gain @ (discount[:, None] * phi_next), gain @ constant
+            )
+
+        self.policies = 0
+        for _ in range(self.max_sweeps):
+            before, self.m_q = self.m_q, solution(self.phi(s_next, self.policy(s_next)), r)
+            self.policies += 1
+            if np.linalg.norm(self.m_q - before) <= self.tolerance:
+                break
+        r_e = self.exploration_reward(s_next)
+        forever = np.where(is_absorbing, r_e / (1.0 - self.gamma), r_e)
+        self.m_u = solution(self.phi(s_next, self.policy(s_next)), forever)
+
+
 class PublishedCode(Algorithm6):
     """What the published code does: SPEC of its quirks in one place.
 
