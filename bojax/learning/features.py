@@ -55,6 +55,12 @@ class StateActionFeatures(eqx.Module):
         """phi(s, a)."""
         return self.join(self.state(observation), self.action(action))
 
+    def values(
+        self, weights: Float[Array, "M"], observation: Observation, actions: Action
+    ) -> Float[Array, "J"]:
+        """weights'phi(s, a) of several actions."""
+        return jax.vmap(lambda action: matmul(self(observation, action), weights))(actions)
+
     @abc.abstractmethod
     def mean_form(self, matrix: Float[Array, "M M"], ys: Float[Array, "K R"]) -> Float[Array, "P P"]:
         """The matrix F with x'F x equal to the mean of phi'matrix phi over the actions with features `ys`.
@@ -119,6 +125,21 @@ class FourierFeatures(StateActionFeatures):
         angles = angles + matmul(self.action_frequencies, self.actions.to_unit(action).astype(dtype))
         parts = [jnp.cos(angles), jnp.sin(angles)] if self.has_sines else [jnp.cos(angles)]
         return self.amplitude * jnp.concatenate(parts)
+
+    @override
+    def values(
+        self, weights: Float[Array, "M"], observation: Observation, actions: Action
+    ) -> Float[Array, "J"]:
+        dtype = self.phases.dtype
+        unit, units = self.observations.to_unit(observation), self.actions.to_unit(actions)
+        angles = matmul(self.state_frequencies, unit.astype(dtype)) + self.phases
+        if self.has_sines:
+            # c cos t + s sin t = r cos(t - d), with r and d the polar coordinates of (c, s): one cosine for
+            # each pair of a frequency and an action.
+            c, s = jnp.split(weights, 2)
+            weights, angles = jnp.hypot(c, s), angles - jnp.arctan2(s, c)
+        angles = angles[None, :] + matmul(units.astype(dtype), self.action_frequencies.T)
+        return self.amplitude * matmul(jnp.cos(angles), weights)
 
     @override
     def split(self, weights: Float[Array, "M"], y: Float[Array, "R"]) -> Float[Array, "P"]:

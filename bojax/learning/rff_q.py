@@ -117,6 +117,4 @@ class RFFQ(Learner):
         return q, jnp.zeros_like(q)
 
     def _values(self, state: RFFQState, observation: Observation, actions: Action) -> Float[Array, "J"]:
-        features = state.features
-        x = features.state(observation)
-        return jax.vmap(lambda a: matmul(features.join(x, features.action(a)), state.weights))(actions)
+        return state.features.values(state.weights, observation, actions)

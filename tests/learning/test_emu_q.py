@@ -237,6 +237,8 @@ def test_features_are_bilinear():
         phis = jax.vmap(features.join, (None, 0))(x, ys)
         expected = np.mean([phi @ matrix @ phi for phi in np.asarray(phis)])
         np.testing.assert_allclose(x @ features.mean_form(matrix, ys) @ x, expected, atol=1e-12)
+        values = features.values(weights, s, jnp.asarray([[1.7], [-0.4], [2.9]]))
+        np.testing.assert_allclose(values, phis @ weights, atol=1e-12)
 
 
 def test_random_fourier_features_have_unit_norm_and_the_slip_about_half():
