@@ -14,40 +14,37 @@ from timing import Row, median_seconds, on_gpu, print_rows, time_runs, write_rec
 from bojax.engine.build import build
 from bojax.envs.settings import MountainCar
 from bojax.experiments.settings import Learning
-from bojax.learning.settings import EMUQ, RandomFourierFeatures
+from bojax.learning.settings import EMUQ, RFFQ, RandomFourierFeatures
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from tests.reference.emu_q import PublishedCode  # noqa: E402
 
 
-def make_run(args, fit: Literal["sweeps", "direct", "none"]):
-    """A run with an episode of full length, since the car is too weak to leave the valley."""
-    return build(
-        Learning(
-            dtype=args.dtype,
-            env=MountainCar(max_steps=args.steps, power=1e-5),
-            learner=EMUQ(
-                features=RandomFourierFeatures(action_lengthscale=10.0, num_features=args.features),
-                refit=fit,
-                max_sweeps=args.sweeps,
-                tolerance=0.0,
-            ),
-            episodes=1,
-        ),
-        args.dtype,
-    )
+def make_run(args, fit: Literal["sweeps", "direct", "none"] | None):
+    """A run with an episode of full length, since the car is too weak to leave the valley.
+
+    It is a run of EMU-Q with the given refit, or of RFF-Q if this is None.
+    """
+    features = RandomFourierFeatures(action_lengthscale=10.0, num_features=args.features)
+    learner = RFFQ(features=features, initial_weight=0.1)  # so that runs differ without any reward
+    if fit is not None:
+        learner = EMUQ(features=features, refit=fit, max_sweeps=args.sweeps, tolerance=0.0)
+    env = MountainCar(max_steps=args.steps, power=1e-5)
+    return build(Learning(dtype=args.dtype, env=env, learner=learner, episodes=1), args.dtype)
 
 
-def steps_row(args, lanes: int) -> Row:
+def steps_row(args, lanes: int, learner: Literal["EMU-Q", "RFF-Q"]) -> Row:
     """Time online steps, including the steps of the environment."""
-    run = make_run(args, "none")
+    run = make_run(args, "none" if learner == "EMU-Q" else None)
 
     def episode(index, carry):
         carry, records = run.advance(carry)
-        return carry.learner.posterior.mean[:8], records.tables["steps"]["observation_0"][-8:]
+        state = carry.learner
+        weights = state.posterior.mean if learner == "EMU-Q" else state.weights
+        return weights[:8], records.tables["steps"]["observation_0"][-8:]
 
     return time_runs(
-        f"bojax, {lanes} at once",
+        f"bojax, {learner}, {lanes} at once",
         episode,
         args.runs if on_gpu() else lanes,
         lanes,
@@ -66,7 +63,9 @@ def refit_row(args, lanes: int, how: Literal["sweeps", "direct"]) -> Row:
     def prepare(index):
         key = jax.random.fold_in(jax.random.key(args.seed), index)
         state = learner.init(key, space, run.env.action_space, capacity)
-        walk = space.from_unit(jax.random.uniform(jax.random.fold_in(key, 1), (capacity + 1, 2), args.dtype))
+        # A random walk, reflected at the bounds.
+        noise = jax.random.normal(jax.random.fold_in(key, 1), (capacity + 1, 2), args.dtype)
+        walk = space.from_unit(jnp.abs((0.1 * jnp.cumsum(noise, axis=0)) % 2.0 - 1.0))
         memory = state.memory
         memory = type(memory)(
             observations=walk[:-1],
@@ -76,8 +75,9 @@ def refit_row(args, lanes: int, how: Literal["sweeps", "direct"]) -> Row:
             terminated=jnp.arange(capacity) % 100 == 99,
             count=jnp.asarray(capacity, jnp.int32),
         )
-        # The time does not depend on the values of the covariance.
-        base = state.posterior.base / (1.0 + capacity / args.features)
+        phi = jax.vmap(state.features)(memory.observations, memory.actions).astype(jnp.float64)
+        precision = learner.noise_precision * phi.T @ phi + learner.prior_precision * jnp.eye(args.features)
+        base = jnp.linalg.inv(precision).astype(args.dtype)
         return eqx.tree_at(lambda s: (s.memory, s.posterior.base), state, (memory, base))
 
     def end(index, state):
@@ -136,7 +136,7 @@ def main(argv: list[str]) -> int:
     jax.config.update("jax_enable_x64", True)
     lanes = args.runs if on_gpu() else args.lanes
     peer = None if args.no_peer else numpy_peer(args)
-    steps = ([peer[0]] if peer else []) + [steps_row(args, lanes)]
+    steps = ([peer[0]] if peer else []) + [steps_row(args, lanes, name) for name in ("EMU-Q", "RFF-Q")]
     print_rows(f"Online steps at {args.features} features, {args.dtype}", "steps", steps, steps[0].what)
     refits = ([peer[1]] if peer else []) + [
         refit_row(args, lanes, "sweeps"),
