@@ -7,13 +7,16 @@ import jax
 import jax.numpy as jnp
 from jax.lax import Precision
 from jax.scipy.linalg import solve_triangular
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from bojax.numerics.lanes import any_lane
-from bojax.numerics.loops import short_loop
+from bojax.numerics.loops import is_unrolled, short_loop
 
 HIGHEST = Precision.HIGHEST
 """Precision of every matrix product. TF32, JAX's default on NVIDIA GPUs, errs by up to 4e-2 in a GP mean."""
+
+BLOCK = 8
+"""Number of columns that a step of `guarded_cholesky` eliminates on an accelerator."""
 
 
 def matmul(a: Float[Array, "*a"], b: Float[Array, "*b"]) -> Float[Array, "*c"]:
@@ -107,28 +110,63 @@ def guarded_cholesky(
     [a | I] in elementwise arithmetic. Step k zeroes column k of `a` below the diagonal and fills column k of
     the right half there, which is stored in its place.
 
+    On an accelerator, a step eliminates `BLOCK` columns: XLA makes about four kernels of a step, whatever the
+    number of its columns. For 16 columns of 24 rows, 38 kernels in the loop of a search become 9.
+
     Args:
         a: Covariance matrix, with the noise variances on its diagonal.
         least: Noise variance of each row.
         num: Number of columns; all by default.
     """
-    n = a.shape[0]
-    num = n if num is None else num
-    index = jnp.arange(n)
-
-    def eliminate(k, rows):
-        is_k, is_below = index == k, index > k
-        pivot = jnp.sqrt(jnp.maximum(rows[k, k], least[k]))
-        scaled = jnp.where(is_k, 1.0, rows[k]) / pivot
-        factors = jnp.where(is_below, rows[:, k] / pivot, 0.0)
-        rows = jnp.where(is_below[:, None] & is_k[None, :], 0.0, rows)
-        rows = rows - factors[:, None] * scaled[None, :]
-        return jnp.where(is_k[:, None], jnp.where(is_k, pivot, scaled)[None, :], rows)
-
-    rows = short_loop(num, eliminate, a)[:num]
+    num = a.shape[0] if num is None else num
+    rows = a[:num]
+    if is_unrolled(num):
+        for first in range(0, num, BLOCK):
+            rows = _eliminate(rows, least, first, min(BLOCK, num - first))
+    elif num > 0:
+        rows = jax.lax.fori_loop(0, num, lambda k, rows: _eliminate(rows, least, k, 1), rows)
     is_pivot = jnp.eye(num, dtype=bool)
     inverse = jnp.where(is_pivot, 1.0 / jnp.diagonal(rows)[:, None], rows[:, :num])
     return jnp.tril(rows.T), jnp.tril(inverse)
+
+
+def _eliminate(
+    rows: Float[Array, "num N"], least: Float[Array, "N"], first: int | Int[Array, ""], size: int
+) -> Float[Array, "num N"]:
+    """A step of `guarded_cholesky`: eliminate the `size` columns from `first` on."""
+    # The Cholesky factor of the diagonal block, as scalars.
+    factor: list[list[Array]] = []
+    for p in range(size):
+        factor.append([])
+        for q in range(p + 1):
+            rest = rows[first + q, first + p]
+            for r in range(q):
+                rest = rest - factor[p][r] * factor[q][r]
+            is_pivot = q == p
+            pivot = jnp.sqrt(jnp.maximum(rest, least[first + p])) if is_pivot else factor[q][q]
+            factor[p].append(pivot if is_pivot else rest / pivot)
+
+    # The rows of the block in [a | I], times the inverse of this factor.
+    index = jnp.arange(rows.shape[1])
+    is_own = (index >= first) & (index < first + size)
+    scaled: list[Array] = []
+    for p in range(size):
+        rest = jnp.where(is_own, (index == first + p).astype(rows.dtype), rows[first + p])
+        for q in range(p):
+            rest = rest - factor[p][q] * scaled[q]
+        scaled.append(rest / factor[p][p])
+
+    # As `a` is symmetric, a scaled row also holds the factors by which it is subtracted from later rows.
+    num = rows.shape[0]
+    later = jnp.where(is_own[None, :], 0.0, rows)
+    for row in scaled:
+        later = later - row[:num, None] * row[None, :]
+    rows = jnp.where((index[:num] >= first + size)[:, None], later, rows)
+    for p, row in enumerate(scaled):
+        for q in range(p, size):
+            row = jnp.where(index == first + q, factor[q][p], row)
+        rows = jnp.where((index[:num] == first + p)[:, None], row[None, :], rows)
+    return rows
 
 
 @one_by_one_on_cpu

@@ -34,13 +34,15 @@ def test_a_gpu_unrolls_a_few_steps(on_backend):
     assert num_loops(2) == 1
 
 
-def test_eliminations_are_the_same_in_both_forms(on_backend):
+@pytest.mark.parametrize("num_columns", [5, 8, 11])  # less than a block of columns, one, and more than one
+def test_eliminations_are_the_same_in_both_forms(on_backend, num_columns):
     rng = np.random.default_rng(0)
     factor = rng.normal(size=(12, 12))
     matrix, right = jnp.asarray(factor @ factor.T + np.eye(12)), jnp.asarray(rng.normal(size=(12, 2)))
     results = []
     for backend in ("cpu", "gpu"):
         on_backend(backend)
-        results.append((*guarded_cholesky(matrix, jnp.ones(12), 8), solve_small(matrix, right)))
+        eliminate = jax.jit(lambda a, b: (guarded_cholesky(a, jnp.ones(12), num_columns), solve_small(a, b)))
+        results.append(jax.tree.leaves(eliminate(matrix, right)))
     for loop, unrolled in zip(*results, strict=True):
         np.testing.assert_allclose(loop, unrolled, rtol=1e-12, atol=1e-14)
