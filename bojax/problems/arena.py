@@ -41,7 +41,10 @@ class Arena(eqx.Module):
 
     def drive(self, pose: Pose, path: Path) -> Drive:
         """The part of a path that can be driven from a pose."""
-        return drive_until_blocked(pose, place(path, pose), self.domain, self.walls)
+        # The start is the origin of the path's frame. Placed together with the path, it is elementwise
+        # arithmetic; joined to the placed path, it would cost a kernel on a GPU.
+        trajectory = place(jnp.pad(path, ((1, 0), (0, 0))), pose)
+        return drive_until_blocked(trajectory, self.domain, self.walls)
 
     def end(self, driven: Drive) -> Pose:
         """Pose after a drive: its last pose, turned round if the robot was stopped and turns on the spot."""

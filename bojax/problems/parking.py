@@ -57,8 +57,10 @@ class Parking(PoseProblem):
         # A path ends at the first pose that parks or leaves the domain.
         index = jnp.arange(path.shape[0], dtype=jnp.int32)
         end = path.shape[0] - 1
-        is_outside = jnp.max(jnp.abs(path[:, :2]), axis=-1) > self.half_width
-        distance = jnp.sqrt(jnp.sum(path[:, :2] ** 2, axis=-1))
+        # Elementwise arithmetic: a reduction over the two coordinates would be a kernel of its own on a GPU.
+        x, y = path[:, 0], path[:, 1]
+        is_outside = jnp.maximum(jnp.abs(x), jnp.abs(y)) > self.half_width
+        distance = jnp.sqrt(x**2 + y**2)
         off_heading = jnp.abs(jnp.sin(path[:, 2]))
         off_axis = self._off_axis(path, distance)
         is_parked = (distance <= self.distance_tolerance) & (off_heading <= self.heading_tolerance)
@@ -67,7 +69,8 @@ class Parking(PoseProblem):
         first_parked = jnp.min(jnp.where(is_parked, index, end + 1))
         first_outside = jnp.min(jnp.where(is_outside, index, end + 1))
         # With `exit_terminates`, the first pose outside the domain ends the path unless it is parked before.
-        was_inside = self.exit_terminates | (jnp.max(jnp.abs(start[:2])) <= self.half_width)
+        farthest_start = jnp.maximum(jnp.abs(start[0]), jnp.abs(start[1]))
+        was_inside = self.exit_terminates | (farthest_start <= self.half_width)
         ends_outside = jnp.where(self.exit_terminates, first_outside, end + 1)
         success = (first_parked <= end) & (first_parked < ends_outside)
         exited = was_inside & (first_outside < first_parked)

@@ -6,8 +6,6 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from bojax.motions.base import Pose
-
 Boxes = Float[Array, "W 4"]
 """Axis-parallel rectangles, `[x_min, y_min, x_max, y_max]` in metres."""
 
@@ -29,9 +27,9 @@ class Drive(eqx.Module):
 
 
 def drive_until_blocked(
-    start: Pose, poses: Float[Array, "S 3"], domain: Float[Array, "4"], walls: Boxes | None
+    trajectory: Float[Array, "T 3"], domain: Float[Array, "4"], walls: Boxes | None
 ) -> Drive:
-    """Drive through `poses` up to the last one that straight line segments between poses reach.
+    """Drive from the first pose of a trajectory up to the last one that straight line segments reach.
 
     A segment that touches a wall or ends outside the domain, and all later ones, are not driven. A segment
     that does both counts as a collision.
@@ -43,7 +41,7 @@ def drive_until_blocked(
     # The segments are one array and the few walls are unrolled: elementwise arithmetic in one kernel, where a
     # reduction over the walls would be a further kernel on a GPU. Unrolled over the segments as well, the
     # program takes twice as long to compile.
-    trajectory = jnp.concatenate([start[None], poses])
+    poses = trajectory[1:]
     is_hit = _touches_any(trajectory[:-1], poses, walls, may_leave=True)
     is_free = ~is_hit & _is_inside(poses, domain)
     is_on, collided, number = jnp.ones((), bool), jnp.zeros((), bool), jnp.zeros((), jnp.int32)

@@ -18,7 +18,7 @@ def f64(value):
 
 @jax.jit
 def drive(start, poses, domain, walls):
-    return drive_until_blocked(start, poses, domain, walls)
+    return drive_until_blocked(jnp.concatenate([start[None], poses]), domain, walls)
 
 
 @jax.jit
@@ -27,7 +27,8 @@ def hits(begin, end, walls):
     """Whether a line piece is stopped by one of its walls, in a domain without end."""
     domain = jnp.asarray([-jnp.inf, -jnp.inf, jnp.inf, jnp.inf])
     pose = jnp.concatenate([begin, jnp.zeros(1)])
-    return drive_until_blocked(pose, jnp.concatenate([end, jnp.zeros(1)])[None], domain, walls).collided
+    trajectory = jnp.stack([pose, jnp.concatenate([end, jnp.zeros(1)])])
+    return drive_until_blocked(trajectory, domain, walls).collided
 
 
 def piece(begin, end, wall=WALL, domain=DOMAIN):
