@@ -175,20 +175,16 @@ class GaussianProcess(eqx.Module):
         [-l' L^-1, 1] / d. In exact arithmetic d^2 is at least the noise variance; a d^2 that rounding takes
         below it is raised to it.
         """
-        variance = self.kernel(x, x)
-        noise_variance = self.noise_variance if noise_variance is None else noise_variance
-        noise = self.noise(x[None, :], noise_variance[None])[0]
-        pivot = jnp.sqrt(jnp.maximum(variance + noise - jnp.sum(whitened * whitened), noise))
         row = -matmul(whitened, self.inverse_cholesky)
-        return jnp.where(self._is_next(), 1.0, row) / pivot
+        return jnp.where(self._is_next(), 1.0, row) / self._next_pivot(x, whitened, noise_variance)
 
     def next_whitened(
         self,
         x: Float[Array, "D"],
         whitened: Float[Array, "N"],
-        row: Float[Array, "N"],
         xs: Float[Array, "M D"],
         whitened_xs: Float[Array, "N M"],
+        noise_variance: Float[Array, ""] | None = None,
     ) -> Float[Array, "M"]:
         """The row that an observation at `x` appends to `whiten(xs)`.
 
@@ -199,12 +195,21 @@ class GaussianProcess(eqx.Module):
         Args:
             x: Input of the observation.
             whitened: `whiten` of `x`.
-            row: The row appended to the inverse Cholesky factor, from `next_row`.
             xs: Points of the predictions.
             whitened_xs: `whiten` of `xs`, before the observation.
+            noise_variance: Variance of the observation's noise, as in `next_row`.
         """
-        inverse_pivot = jnp.sum(jnp.where(self._is_next(), row, 0.0))
+        inverse_pivot = 1.0 / self._next_pivot(x, whitened, noise_variance)
         return (self.kernel.gram(x[None, :], xs)[0] - matmul(whitened, whitened_xs)) * inverse_pivot
+
+    def _next_pivot(
+        self, x: Float[Array, "D"], whitened: Float[Array, "N"], noise_variance: Float[Array, ""] | None
+    ) -> Float[Array, ""]:
+        """The pivot d of an observation at `x`, see `next_row`."""
+        variance = self.kernel(x, x)
+        noise_variance = self.noise_variance if noise_variance is None else noise_variance
+        noise = self.noise(x[None, :], noise_variance[None])[0]
+        return jnp.sqrt(jnp.maximum(variance + noise - jnp.sum(whitened * whitened), noise))
 
     def residuals(self) -> Float[Array, "N"]:
         """Observed values minus the prior mean, y - m(X); 0 past `count`."""

@@ -151,17 +151,19 @@ def _eliminate(
     is_own = (index >= first) & (index < first + size)
     scaled: list[Array] = []
     for p in range(size):
-        rest = jnp.where(is_own, (index == first + p).astype(rows.dtype), rows[first + p])
+        rest = jnp.where(index == first + p, 1.0, jnp.where(is_own, 0.0, rows[first + p]))
         for q in range(p):
             rest = rest - factor[p][q] * scaled[q]
         scaled.append(rest / factor[p][p])
 
-    # As `a` is symmetric, a scaled row also holds the factors by which it is subtracted from later rows.
+    # As `a` is symmetric, the scaled rows also hold the factors by which they are subtracted from later rows.
+    # A single column is divided again: a CPU is four times as fast where it reads the factors along a column.
     num = rows.shape[0]
-    later = jnp.where(is_own[None, :], 0.0, rows)
-    for row in scaled:
-        later = later - row[:num, None] * row[None, :]
-    rows = jnp.where((index[:num] >= first + size)[:, None], later, rows)
+    factors = [row[:num] for row in scaled] if size > 1 else [rows[:, first] / factor[0][0]]
+    is_later = index >= first + size
+    rows = jnp.where(is_later[:num, None] & is_own[None, :], 0.0, rows)
+    for row, column in zip(scaled, factors, strict=True):
+        rows = rows - jnp.where(is_later[:num], column, 0.0)[:, None] * row[None, :]
     for p, row in enumerate(scaled):
         for q in range(p, size):
             row = jnp.where(index == first + q, factor[q][p], row)

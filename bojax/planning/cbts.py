@@ -6,6 +6,7 @@ from typing import Literal
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 from typing_extensions import override
 
@@ -17,7 +18,7 @@ from bojax.models.kernels import Kernel
 from bojax.motions.base import ContinuousMotions, Path
 from bojax.numerics.quasirandom import shifted_kronecker
 from bojax.planning.search import Proposal, TreeSearch
-from bojax.planning.tree import UNVISITED, Tree, best_by_mean, best_by_uct
+from bojax.planning.tree import UNVISITED, Tree, best_by_mean, best_by_uct, write_row
 from bojax.problems.base import Objective
 
 Scaling = Literal["standardise", "rank", "none"]
@@ -35,18 +36,43 @@ class NodeModels(eqx.Module):
     Attributes:
         candidates: Parameters over which acquisitions are maximised and from which rollouts draw.
         paths: Paths of the candidates.
-        params: Parameters of the action that leads to each node.
-        row: Row of that action in the inverse Cholesky factor of the parent's process.
+        actions: Parameters and row in the factor of the action that leads to each node, see `NodeAction`; the
+            last row is zero. They are one array because each further array costs a GPU a kernel in every
+            iteration.
         whitened: Row of that action in the whitened covariances of the candidates; the last row is zero.
         has_converged: Whether that action was within `convergence` of the action before it.
     """
 
     candidates: Float[Array, "C D"]
     paths: Float[Array, "C S 3"]
-    params: Float[Array, "N D"]
-    row: Float[Array, "N A"]
-    whitened: Float[Array, "N+1 C"]
+    actions: Float[Array, "M K"]
+    whitened: Float[Array, "M C"]
     has_converged: Bool[Array, "N"]
+
+    @property
+    def params(self) -> Float[Array | np.ndarray, "N D"]:
+        """Parameters of the action that leads to each node."""
+        return self.actions[:-1, : self.candidates.shape[1]]
+
+    def children(self, nodes: Int[Array, "A"]) -> "NodeAction":
+        """The actions that lead to the children of a node; zeros for `UNVISITED`."""
+        # UNVISITED is -1, which reads the last row; no child has this row, and it stays zero.
+        params, row = jnp.split(self.actions[nodes], [self.candidates.shape[1]], axis=-1)
+        return NodeAction(params, row, self.whitened[nodes])
+
+
+class NodeAction(eqx.Module):
+    """What an action adds to the Gaussian process of its node, see `NodeModels`.
+
+    Attributes:
+        params: Parameters of the action.
+        row: Its row in the inverse Cholesky factor.
+        whitened: Its row in the whitened covariances of the candidates.
+    """
+
+    params: Float[Array, "*A D"]
+    row: Float[Array, "*A A"]
+    whitened: Float[Array, "*A C"]
 
 
 class CBTSDraws(eqx.Module):
@@ -62,11 +88,9 @@ class CBTSDraws(eqx.Module):
 
 
 class NodeModelUpdate(eqx.Module):
-    """What a new action adds to the Gaussian process of its node, see `NodeModels`."""
+    """A new action, and whether it was within `convergence` of the action before it."""
 
-    params: Float[Array, "D"]
-    row: Float[Array, "A"]
-    whitened: Float[Array, "C"]
+    action: NodeAction
     has_converged: Bool[Array, ""]
 
 
@@ -120,8 +144,7 @@ class ContinuousBeliefTreeSearch(
         memory = NodeModels(
             candidates=candidates,
             paths=jax.vmap(self.motions.path)(candidates),
-            params=jnp.zeros((num_nodes, self.motions.num_params), dtype),
-            row=jnp.zeros((num_nodes, self.max_actions), dtype),
+            actions=jnp.zeros((num_nodes + 1, self.motions.num_params + self.max_actions), dtype),
             whitened=jnp.zeros((num_nodes + 1, self.num_candidates), dtype),
             has_converged=jnp.zeros((num_nodes,), bool),
         )
@@ -141,39 +164,40 @@ class ContinuousBeliefTreeSearch(
 
     @override
     def view(self, tree: Tree, memory: NodeModels, node: Int[Array, ""]) -> Int[Array, ""]:
-        del tree, memory
-        return node
-
-    @override
-    def select(self, tree: Tree, memory: NodeModels, view: Int[Array, ""]) -> Int[Array, ""]:
-        children = tree.children[view]
+        """The child to descend to."""
+        children = tree.children[node]
         exists = children != UNVISITED
         is_full = jnp.all(exists) | jnp.any(exists & memory.has_converged[children])
-        return jnp.where(is_full, best_by_uct(tree, view, self.exploration), UNVISITED)
+        return jnp.where(is_full, best_by_uct(tree, node, self.exploration), UNVISITED)
+
+    @override
+    def select(self, view: Int[Array, ""]) -> Int[Array, ""]:
+        return view
 
     @override
     def propose(
-        self, tree: Tree, memory: NodeModels, view: Int[Array, ""], draws: CBTSDraws
+        self, tree: Tree, memory: NodeModels, node: Int[Array, ""], view: Int[Array, ""], draws: CBTSDraws
     ) -> Proposal[NodeModelUpdate]:
-        model, best = self._model(tree, memory, view)
+        del view
+        known = memory.children(tree.children[node])
+        model, best = self._model(tree, known, node)
         is_initial = model.count < self.num_initial
-        # UNVISITED is -1, which reads the last row; no child has this row, and it stays zero.
-        whitened_all = memory.whitened[tree.children[view]]
-        choice = best_candidate(self.acquisition, model, best, memory.candidates, whitened_all)
+        choice = best_candidate(self.acquisition, model, best, memory.candidates, known.whitened)
         choice = jnp.where(is_initial, draws.initial, choice)
-        params, path, whitened = memory.candidates[choice], memory.paths[choice], whitened_all[:, choice]
+        params, path, whitened = memory.candidates[choice], memory.paths[choice], known.whitened[:, choice]
         if self.refine_steps > 0:
             refined = refine(self.acquisition, model, best, params, self.refine_steps)
             params = jnp.where(is_initial, params, refined)
             path, whitened = self.motions.path(params), model.whiten(params[None, :])[:, 0]
         previous = model.x[jnp.maximum(model.count - 1, 0)]
         distance = jnp.sqrt(jnp.sum((params - previous) ** 2))
-        row = model.next_row(params, whitened)
-        update = NodeModelUpdate(
+        action = NodeAction(
             params=params,
-            row=row,
-            whitened=model.next_whitened(params, whitened, row, memory.candidates, whitened_all),
-            has_converged=(model.count > 0) & (distance < self.convergence),
+            row=model.next_row(params, whitened),
+            whitened=model.next_whitened(params, whitened, memory.candidates, known.whitened),
+        )
+        update = NodeModelUpdate(
+            action=action, has_converged=(model.count > 0) & (distance < self.convergence)
         )
         return Proposal(path=path, index=model.count, update=update)
 
@@ -186,30 +210,30 @@ class ContinuousBeliefTreeSearch(
         is_new: Bool[Array, ""],
     ) -> NodeModels:
         del is_new
-        update = proposal.update
+        update, action = proposal.update, proposal.update.action
+        row = jnp.concatenate([action.params, action.row])
         return NodeModels(
             candidates=memory.candidates,
             paths=memory.paths,
-            params=memory.params.at[child].set(update.params),
-            row=memory.row.at[child].set(update.row),
-            whitened=memory.whitened.at[child].set(update.whitened),
-            has_converged=memory.has_converged.at[child].set(update.has_converged),
+            actions=write_row(memory.actions, child, row),
+            whitened=write_row(memory.whitened, child, action.whitened),
+            has_converged=write_row(memory.has_converged, child, update.has_converged),
         )
 
     def _model(
-        self, tree: Tree, memory: NodeModels, node: Int[Array, ""]
+        self, tree: Tree, known: NodeAction, node: Int[Array, ""]
     ) -> tuple[GaussianProcess, Float[Array, ""]]:
-        """The Gaussian process of a node, and the best value observed."""
+        """The Gaussian process of a node with these actions, and the best value observed."""
         children = tree.children[node]
         exists = children != UNVISITED
         count = jnp.sum(exists, dtype=jnp.int32)
-        rewards = _scale(tree.reward[children], exists, self.scaling)
+        rewards = _scale(tree.outcome[children][:, 0], exists, self.scaling)
         model = GaussianProcess(
             kernel=self.kernel,
             noise_variance=self.noise_variance,
-            x=jnp.where(exists[:, None], memory.params[children], 0.0),
+            x=known.params,
             y=jnp.where(exists, rewards, 0.0),
-            inverse_cholesky=jnp.where(exists[:, None], memory.row[children], 0.0),
+            inverse_cholesky=known.row,
             count=count,
         )
         return model, jnp.max(jnp.where(exists, rewards, -jnp.inf))

@@ -8,7 +8,7 @@ from typing_extensions import override
 
 from bojax.motions.base import DiscreteMotions, Path
 from bojax.planning.search import Proposal, TreeSearch
-from bojax.planning.tree import UNVISITED, Tree, best_by_mean, best_by_uct
+from bojax.planning.tree import UNVISITED, Tree, best_by_mean, best_by_uct, write_row
 from bojax.problems.base import Objective
 
 
@@ -73,20 +73,26 @@ class DiscreteTreeSearch(TreeSearch[DiscreteMemory, DiscreteDraws, Int[Array, ""
 
     @override
     def view(self, tree: Tree, memory: DiscreteMemory, node: Int[Array, ""]) -> Int[Array, ""]:
-        del tree, memory
-        return node
+        """The child to descend to."""
+        del memory
+        is_open = tree.num_children(node) < self.num_actions
+        return jnp.where(is_open, UNVISITED, best_by_uct(tree, node, self.exploration))
 
     @override
-    def select(self, tree: Tree, memory: DiscreteMemory, view: Int[Array, ""]) -> Int[Array, ""]:
-        del memory
-        is_open = tree.num_children(view) < self.num_actions
-        return jnp.where(is_open, UNVISITED, best_by_uct(tree, view, self.exploration))
+    def select(self, view: Int[Array, ""]) -> Int[Array, ""]:
+        return view
 
     @override
     def propose(
-        self, tree: Tree, memory: DiscreteMemory, view: Int[Array, ""], draws: DiscreteDraws
+        self,
+        tree: Tree,
+        memory: DiscreteMemory,
+        node: Int[Array, ""],
+        view: Int[Array, ""],
+        draws: DiscreteDraws,
     ) -> Proposal[None]:
-        is_untried = tree.children[view] == UNVISITED
+        del view
+        is_untried = tree.children[node] == UNVISITED
         action = jnp.argmax(jnp.where(is_untried, draws.order, -1.0)).astype(jnp.int32)
         return Proposal(path=memory.paths[action], index=action, update=None)
 
@@ -95,7 +101,7 @@ class DiscreteTreeSearch(TreeSearch[DiscreteMemory, DiscreteDraws, Int[Array, ""
         self, memory: DiscreteMemory, child: Int[Array, ""], proposal: Proposal[None], is_new: Bool[Array, ""]
     ) -> DiscreteMemory:
         del is_new
-        return DiscreteMemory(memory.paths, memory.action.at[child].set(proposal.index))
+        return DiscreteMemory(memory.paths, write_row(memory.action, child, proposal.index))
 
     @override
     def recommend(self, tree: Tree, memory: DiscreteMemory) -> Int[Array, ""]:

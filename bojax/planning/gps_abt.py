@@ -11,7 +11,7 @@ from typing_extensions import override
 from bojax.motions.base import ContinuousMotions, Path
 from bojax.numerics.loops import short_loop
 from bojax.planning.search import Proposal, TreeSearch
-from bojax.planning.tree import ROOT, UNVISITED, Tree
+from bojax.planning.tree import ROOT, UNVISITED, Tree, write_row
 from bojax.problems.base import Objective
 
 CENTRE = 0
@@ -49,7 +49,6 @@ class Walk(eqx.Module):
     """Result of the descent through a node's stencil tree along the points of highest mean return.
 
     Attributes:
-        node: The node.
         stencil: The last stencil.
         point: Its point of highest mean return.
         has_unvisited: Whether the last stencil has points that have not been simulated.
@@ -58,7 +57,6 @@ class Walk(eqx.Module):
         most_visited: Most visited child among the best points on the way.
     """
 
-    node: Int[Array, ""]
     stencil: Int[Array, ""]
     point: Int[Array, ""]
     has_unvisited: Bool[Array, ""]
@@ -81,7 +79,7 @@ class _Descent(eqx.Module):
     walk: Walk
     is_walking: Bool[Array, ""]
     best_bound: Float[Array, ""]
-    most_visits: Int[Array, ""]
+    most_visits: Float[Array, ""]
     fewest_visits: Float[Array, ""]
 
 
@@ -190,13 +188,12 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, Walk, StencilUpdate, Cont
         return self._walk(tree, memory, node)
 
     @override
-    def select(self, tree: Tree, memory: Stencils, view: Walk) -> Int[Array, ""]:
-        del tree, memory
+    def select(self, view: Walk) -> Int[Array, ""]:
         return jnp.where(view.has_unvisited | view.may_refine, UNVISITED, view.best_ucb)
 
     @override
     def propose(
-        self, tree: Tree, memory: Stencils, view: Walk, draws: StencilDraws
+        self, tree: Tree, memory: Stencils, node: Int[Array, ""], view: Walk, draws: StencilDraws
     ) -> Proposal[StencilUpdate]:
         centre, radius, member = self._finer(memory, view.stencil, view.point)
         centre = jnp.where(view.may_refine, centre, memory.centre[view.stencil])
@@ -215,9 +212,7 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, Walk, StencilUpdate, Cont
             radius=radius,
             member=member,
         )
-        return Proposal(
-            path=self.motions.path(points[point]), index=tree.num_children(view.node), update=update
-        )
+        return Proposal(path=self.motions.path(points[point]), index=tree.num_children(node), update=update)
 
     @override
     def learn(
@@ -234,11 +229,10 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, Walk, StencilUpdate, Cont
         parent = jnp.where(is_new & update.is_refinement, update.stencil, nowhere)
         return Stencils(
             paths=memory.paths,
-            params=memory.params.at[child].set(update.params),
-            centre=memory.centre.at[added].set(update.centre),
-            radius=memory.radius.at[added].set(update.radius),
-            member=memory.member.at[added]
-            .set(update.member.at[update.point].set(child))
+            params=write_row(memory.params, child, update.params),
+            centre=write_row(memory.centre, added, update.centre),
+            radius=write_row(memory.radius, added, update.radius),
+            member=write_row(memory.member, added, update.member.at[update.point].set(child))
             .at[into_old, update.point]
             .set(child, mode="drop"),
             finer=memory.finer.at[parent, update.refined].set(added, mode="drop"),
@@ -254,12 +248,11 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, Walk, StencilUpdate, Cont
         return self.motions.path(memory.params[child])
 
     def _walk(self, tree: Tree, memory: Stencils, node: Int[Array, ""]) -> Walk:
-        dtype = tree.reward.dtype
-        visits_of_node = jnp.maximum(tree.visits[node], 1).astype(dtype)
+        dtype = tree.outcome.dtype
+        visits_of_node = jnp.maximum(tree.totals[node][0], 1.0)
         nobody = jnp.asarray(UNVISITED, jnp.int32)
         start = _Descent(
             walk=Walk(
-                node=node,
                 stencil=node,
                 point=jnp.asarray(CENTRE, jnp.int32),
                 has_unvisited=jnp.asarray(False),
@@ -269,7 +262,7 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, Walk, StencilUpdate, Cont
             ),
             is_walking=jnp.asarray(True),
             best_bound=jnp.asarray(-jnp.inf, dtype),
-            most_visits=jnp.asarray(-1, jnp.int32),
+            most_visits=jnp.asarray(-1.0, dtype),
             fewest_visits=jnp.asarray(jnp.inf, dtype),
         )
 
@@ -278,21 +271,19 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, Walk, StencilUpdate, Cont
             stencil = walk.stencil
             is_inside = _is_inside(memory.points(stencil))
             member = jnp.where(is_inside, memory.member[stencil], UNVISITED)
-            visits = jnp.where(member == UNVISITED, 0, tree.visits[member])
+            visits = jnp.where(member == UNVISITED, 0.0, tree.totals[member][:, 0])
             mean = tree.mean_return(member)
             # The descent ends at a stencil with unvisited points.
             unvisited = is_walking & jnp.any(is_inside & (member == UNVISITED))
 
-            bound = mean + self.exploration * jnp.sqrt(
-                jnp.log(visits_of_node) / jnp.maximum(visits, 1).astype(dtype)
-            )
+            bound = mean + self.exploration * jnp.sqrt(jnp.log(visits_of_node) / jnp.maximum(visits, 1.0))
             highest = jnp.argmax(bound)
             is_higher = is_walking & (bound[highest] > descent.best_bound)
             best = jnp.argmax(mean).astype(jnp.int32)
             is_most = is_walking & (member[best] != UNVISITED) & (visits[best] > descent.most_visits)
             fewest_visits = jnp.where(
                 is_walking,
-                jnp.minimum(descent.fewest_visits, visits[best].astype(dtype)),
+                jnp.minimum(descent.fewest_visits, visits[best]),
                 descent.fewest_visits,
             )
 
@@ -308,7 +299,6 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, Walk, StencilUpdate, Cont
             )
             return _Descent(
                 walk=Walk(
-                    node=walk.node,
                     stencil=jnp.where(goes_on, finer, stencil),
                     point=jnp.where(is_walking, best, walk.point),
                     has_unvisited=walk.has_unvisited | unvisited,

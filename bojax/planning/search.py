@@ -11,7 +11,7 @@ from typing_extensions import override
 
 from bojax.motions.base import Path
 from bojax.planning.base import M, Plan, Planner
-from bojax.planning.tree import ROOT, UNVISITED, Tree
+from bojax.planning.tree import ROOT, UNVISITED, Tree, write_row
 from bojax.problems.base import Belief, Objective, Problem, Root
 
 Memory = TypeVar("Memory", bound=eqx.Module)
@@ -21,7 +21,7 @@ Draws = TypeVar("Draws", bound=eqx.Module)
 """Random numbers of all iterations, drawn before the first: arrays with a leading axis of iterations."""
 
 View = TypeVar("View")
-"""What a planner reads at a node, both to descend and to propose an action there."""
+"""What a planner has worked out at a node, both to descend and to propose an action there."""
 
 Update = TypeVar("Update", bound=eqx.Module | None)
 """What a new action changes in the memory."""
@@ -49,6 +49,10 @@ class TreeSearch(Planner[M], Generic[Memory, Draws, View, Update, M]):
     one call of `Problem.simulate`, and backs up: every action on the way is credited with its own reward and
     all later ones. (The published algorithms back up the reward of the rollout only.) Depth counts actions.
     Terminal nodes are not expanded.
+
+    The `view` of a node changes only when a simulation passes through it. Views are therefore stored, and an
+    iteration first renews those of the nodes that the last one visited, as one batch. The descent then only
+    reads them. On a GPU this takes half the kernels of a descent that computes the views level by level.
     """
 
     discount: eqx.AbstractVar[Float[Array, ""]]
@@ -71,15 +75,17 @@ class TreeSearch(Planner[M], Generic[Memory, Draws, View, Update, M]):
 
     @abc.abstractmethod
     def view(self, tree: Tree, memory: Memory, node: Int[Array, ""]) -> View:
-        """What `select` and `propose` read at `node`: at least its index."""
+        """What `select` and `propose` read at `node`: it depends on the node and its children only."""
 
     @abc.abstractmethod
-    def select(self, tree: Tree, memory: Memory, view: View) -> Int[Array, ""]:
+    def select(self, view: View) -> Int[Array, ""]:
         """The child of the node to descend to, or `UNVISITED` to add a new action there."""
 
     @abc.abstractmethod
-    def propose(self, tree: Tree, memory: Memory, view: View, draws: Draws) -> Proposal[Update]:
-        """A new action of the node."""
+    def propose(
+        self, tree: Tree, memory: Memory, node: Int[Array, ""], view: View, draws: Draws
+    ) -> Proposal[Update]:
+        """A new action of `node`, whose view is `view`."""
 
     @abc.abstractmethod
     def learn(
@@ -107,7 +113,7 @@ class TreeSearch(Planner[M], Generic[Memory, Draws, View, Update, M]):
             path=self.path_of(memory, child),
             reward=tree.reward[child],
             value=tree.mean_return(child),
-            visits=tree.visits[child],
+            visits=tree.visits[child].astype(jnp.int32),
         )
 
     def search(self, key: Key[Array, ""], problem: Problem, belief: Belief) -> tuple[Tree, Memory]:
@@ -117,42 +123,53 @@ class TreeSearch(Planner[M], Generic[Memory, Draws, View, Update, M]):
         root, root_node = problem.root(belief, self.depth)
         tree = Tree.rooted(root_node, self.iterations + 1, self.num_actions, dtype)
         memory, draws = self.begin(key_begin, dtype)
+        view = self.view(tree, memory, jnp.asarray(ROOT, jnp.int32))
+        views = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (self.iterations + 1, *leaf.shape)), view)
         keys = jax.random.split(key_simulate, self.iterations)
 
         def iterate(carry, xs):
-            tree, memory = carry
+            tree, memory, views, visited = carry
             child, draws, key = xs
-            return self._iterate(problem, root, tree, memory, child, draws, key), None
+            return self._iterate(problem, root, tree, memory, views, visited, child, draws, key), None
 
         children = jnp.arange(1, self.iterations + 1, dtype=jnp.int32)
-        (tree, memory), _ = jax.lax.scan(iterate, (tree, memory), (children, draws, keys))
-        return tree, memory
+        visited = jnp.full((self.depth,), ROOT, jnp.int32)
+        carry, _ = jax.lax.scan(iterate, (tree, memory, views, visited), (children, draws, keys))
+        return carry[:2]
 
     def _iterate(
-        self, problem: Problem, root: Root, tree: Tree, memory: Memory, child, draws: Draws, key
-    ) -> tuple[Tree, Memory]:
+        self,
+        problem: Problem,
+        root: Root,
+        tree: Tree,
+        memory: Memory,
+        views: View,
+        last_visited: Int[Array, "L"],
+        child,
+        draws: Draws,
+        key,
+    ) -> tuple[Tree, Memory, View, Int[Array, "L"]]:
+        renewed = jax.vmap(self.view, in_axes=(None, None, 0))(tree, memory, last_visited)
+        views = jax.tree.map(lambda all, new: all.at[last_visited].set(new, mode="drop"), views, renewed)
+
         # Descend. The depth is small and static: the loop is unrolled and masked.
         node = jnp.asarray(ROOT, jnp.int32)
         is_descending = jnp.asarray(True)
         visited = []  # per level: the node, and whether the descent reached it
-        view = here = self.view(tree, memory, node)
-        for level in range(self.depth):
-            if level > 0:
-                here = self.view(tree, memory, node)
-                view = _where(is_descending, here, view)  # of the node at which the descent ends
-            selected = self.select(tree, memory, here)
-            is_descending = is_descending & (selected != UNVISITED) & ~tree.is_terminal[node]
+        for _ in range(self.depth):
+            selected = self.select(_at(views, node))
+            is_descending = is_descending & (selected != UNVISITED)
             node = jnp.where(is_descending, selected, node)
             visited.append((node, is_descending))
         level = sum(reached.astype(jnp.int32) for _, reached in visited)
-        is_new = (level < self.depth) & ~tree.is_terminal[node]
+        is_terminal = tree.outcome[node][1] > 0.0
+        is_new = (level < self.depth) & ~is_terminal
 
         # Expand and roll out in one simulation; rewards past the horizon or a terminal state do not count.
-        proposal = self.propose(tree, memory, view, draws)
+        proposal = self.propose(tree, memory, node, _at(views, node), draws)
         paths = jnp.concatenate([proposal.path[None], self.rollout(memory, draws)])
-        belief = jax.tree.map(lambda leaf: leaf[node], tree.belief)
-        simulation = problem.simulate(key, root, belief, paths, self.objective)
-        future = jnp.zeros((), tree.reward.dtype)
+        simulation = problem.simulate(key, root, _at(tree.belief, node), paths, self.objective)
+        future = jnp.zeros((), tree.outcome.dtype)
         for step in reversed(range(paths.shape[0])):
             is_within = level + step < self.depth
             ended = simulation.terminated[step]
@@ -161,27 +178,33 @@ class TreeSearch(Planner[M], Generic[Memory, Draws, View, Update, M]):
             future = jnp.where(is_within, reward + rest, 0.0)
 
         # Back up from the new node, if there is one, along the nodes visited to the root.
-        nodes, gains = [jnp.where(is_new, child, tree.visits.shape[0])], [future]
+        nowhere = tree.children.shape[0]
+        nodes, gains = [], []  # the deepest level first
         gain = jnp.where(is_new, future, 0.0)
-        for reached_node, reached in reversed(visited):
-            gain = jnp.where(reached, tree.reward[reached_node] + self.discount * gain, gain)
-            nodes.append(jnp.where(reached, reached_node, tree.visits.shape[0]))
+        for above, (reached_node, reached) in reversed(list(enumerate(visited))):
+            gain = jnp.where(reached, tree.outcome[reached_node][0] + self.discount * gain, gain)
+            added = jnp.where(is_new & (level == above), child, nowhere)
+            nodes.append(jnp.where(reached, reached_node, added))
             gains.append(gain)
         nodes.append(jnp.asarray(ROOT, jnp.int32))
         gains.append(gain)
         indices = jnp.stack(nodes)
 
+        gained = jnp.stack(gains)
+        totals = jnp.stack([jnp.ones_like(gained), gained], axis=-1)
+        outcome = jnp.stack([simulation.rewards[0], simulation.terminated[0].astype(future.dtype)])
+
         index = jnp.where(is_new, proposal.index, tree.children.shape[1])
         tree = Tree(
-            belief=jax.tree.map(lambda all, one: all.at[child].set(one), tree.belief, simulation.node),
-            is_terminal=tree.is_terminal.at[child].set(simulation.terminated[0]),
-            reward=tree.reward.at[child].set(simulation.rewards[0]),
-            visits=tree.visits.at[indices].add(1, mode="drop"),
-            total_return=tree.total_return.at[indices].add(jnp.stack(gains), mode="drop"),
+            belief=jax.tree.map(lambda all, one: write_row(all, child, one), tree.belief, simulation.node),
+            outcome=write_row(tree.outcome, child, outcome),
+            totals=tree.totals.at[indices].add(totals, mode="drop"),
             children=tree.children.at[node, index].set(child, mode="drop"),
         )
-        return tree, self.learn(memory, child, proposal, is_new)
+        # Nodes at the horizon have no actions and need no view.
+        return tree, self.learn(memory, child, proposal, is_new), views, indices[1:]
 
 
-def _where(condition: Bool[Array, ""], yes: View, no: View) -> View:
-    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
+def _at(rows: View, node: Int[Array, ""]) -> View:
+    """The row of a node in every array of a tree."""
+    return jax.tree.map(lambda leaf: leaf[node], rows)

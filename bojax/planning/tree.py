@@ -3,6 +3,7 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from bojax.problems.base import Node
@@ -20,22 +21,19 @@ class Tree(eqx.Module):
     Each action has one observation branch, so that an action and the belief that it leads to share an index:
     `reward`, `visits` and `total_return` of a node are those of the action that leads to it. Iteration i of a
     search can create only node i + 1, in every run of a batch: a new node is written at the same index in all
-    lanes, without a scatter.
+    lanes, without a scatter. Numbers that are written together are one array, since each further array costs
+    a GPU a kernel in every iteration.
 
     Attributes:
         belief: Beliefs of the nodes.
-        is_terminal: Whether the episode has ended at a node.
-        reward: Reward of the action that leads to a node.
-        visits: Number of simulations through a node; for the root, of all simulations.
-        total_return: Sum of the returns of these simulations, from the action that leads to the node on.
+        outcome: `reward` and `is_terminal` of the nodes.
+        totals: `visits` and `total_return` of the nodes.
         children: Nodes that the actions of a node lead to; `UNVISITED` for actions that do not exist yet.
     """
 
     belief: Node
-    is_terminal: Bool[Array, "N"]
-    reward: Float[Array, "N"]
-    visits: Int[Array, "N"]
-    total_return: Float[Array, "N"]
+    outcome: Float[Array, "N 2"]
+    totals: Float[Array, "N 2"]
     children: Int[Array, "N A"]
 
     @classmethod
@@ -46,12 +44,30 @@ class Tree(eqx.Module):
         )
         return cls(
             belief=beliefs,
-            is_terminal=jnp.zeros((num_nodes,), bool),
-            reward=jnp.zeros((num_nodes,), dtype),
-            visits=jnp.zeros((num_nodes,), jnp.int32),
-            total_return=jnp.zeros((num_nodes,), dtype),
+            outcome=jnp.zeros((num_nodes, 2), dtype),
+            totals=jnp.zeros((num_nodes, 2), dtype),
             children=jnp.full((num_nodes, num_actions), UNVISITED, jnp.int32),
         )
+
+    @property
+    def reward(self) -> Float[Array | np.ndarray, "*B N"]:
+        """Reward of the action that leads to a node."""
+        return self.outcome[..., 0]
+
+    @property
+    def is_terminal(self) -> Bool[Array | np.ndarray, "*B N"]:
+        """Whether the episode has ended at a node."""
+        return self.outcome[..., 1] > 0.0
+
+    @property
+    def visits(self) -> Float[Array | np.ndarray, "*B N"]:
+        """Number of simulations through a node; for the root, of all simulations."""
+        return self.totals[..., 0]
+
+    @property
+    def total_return(self) -> Float[Array | np.ndarray, "*B N"]:
+        """Sum of the returns of these simulations, from the action that leads to the node on."""
+        return self.totals[..., 1]
 
     def num_children(self, node: Int[Array, ""]) -> Int[Array, ""]:
         """Number of actions that have been simulated from `node`."""
@@ -59,9 +75,30 @@ class Tree(eqx.Module):
 
     def mean_return(self, nodes: Int[Array, "*K"]) -> Float[Array, "*K"]:
         """Mean return of the actions that lead to `nodes`; minus infinity for `UNVISITED`."""
-        visits = self.visits[nodes].astype(self.total_return.dtype)
-        mean = self.total_return[nodes] / jnp.maximum(visits, 1.0)
+        totals = self.totals[nodes]
+        mean = totals[..., 1] / jnp.maximum(totals[..., 0], 1.0)
         return jnp.where(nodes == UNVISITED, -jnp.inf, mean)
+
+
+@jax.custom_batching.custom_vmap
+def write_row(rows: Array, index: Int[Array, ""], row: Array) -> Array:
+    """`rows` with one row replaced, at an index that is the same in all lanes of a batch.
+
+    `vmap` alone would turn this into a scatter, which checks the range of its indices: two kernels on a GPU.
+    """
+    return jax.lax.dynamic_update_index_in_dim(rows, row, index, 0)
+
+
+@write_row.def_vmap
+def _write_row_of_lanes(num_lanes: int, is_batched, rows: Array, index: Array, row: Array):
+    if is_batched[1]:
+        axes = [0 if batched else None for batched in is_batched]
+        return jax.vmap(lambda rows, index, row: rows.at[index].set(row), axes)(rows, index, row), True
+    if not is_batched[0]:
+        rows = jnp.broadcast_to(rows, (num_lanes, *rows.shape))
+    if not is_batched[2]:
+        row = jnp.broadcast_to(row, (num_lanes, *row.shape))
+    return jax.lax.dynamic_update_index_in_dim(rows, row, index, 1), True
 
 
 def best_by_mean(tree: Tree) -> Int[Array, ""]:
@@ -80,7 +117,7 @@ def best_by_uct(tree: Tree, node: Int[Array, ""], exploration: Float[Array, ""])
     The factor 2 under the square root in Algorithm 2 is absorbed by `exploration`.
     """
     children = tree.children[node]
-    visits = jnp.maximum(tree.visits[children], 1).astype(tree.total_return.dtype)
-    of_parent = jnp.maximum(tree.visits[node], 1).astype(tree.total_return.dtype)
+    visits = jnp.maximum(tree.totals[children][:, 0], 1.0)
+    of_parent = jnp.maximum(tree.totals[node][0], 1.0)
     bonus = exploration * jnp.sqrt(jnp.log(of_parent) / visits)
     return children[jnp.argmax(tree.mean_return(children) + bonus)]

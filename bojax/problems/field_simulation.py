@@ -5,7 +5,7 @@ from typing import Literal
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Key
 
 from bojax.models.lookahead import LookaheadRoot, look_ahead
 from bojax.motions.base import Pose
@@ -18,16 +18,35 @@ class FieldNode(eqx.Module):
     """A belief of the search tree: the samples imagined since the root.
 
     Attributes:
-        pose: Pose of the robot.
-        level: Number of actions since the root.
-        samples: Imagined samples, action by action; those of the last action are never conditioned on. A row
-            holds x and y, the imagined innovation (see `look_ahead`), and 1 for a sample that was taken, else
-            0. They are one array because each further array costs a kernel in every iteration.
+        rows: The first row holds the pose of the robot and the number of actions since the root, the others
+            the samples. They are one array because each further array costs a kernel in every iteration.
     """
 
-    pose: Pose
-    level: Int[Array, ""]
-    samples: Float[Array, "*N B 4"]
+    rows: Float[Array, "*N R 4"]
+
+    @classmethod
+    def of(cls, pose: Pose, level: Float[Array, ""], samples: Float[Array, "B 4"]) -> "FieldNode":
+        """The node with these parts."""
+        return cls(jnp.concatenate([jnp.append(pose, level)[None], samples]))
+
+    @property
+    def pose(self) -> Float[Array, "*N 3"]:
+        """Pose of the robot."""
+        return self.rows[..., 0, :3]
+
+    @property
+    def level(self) -> Float[Array, "*N"]:
+        """Number of actions since the root."""
+        return self.rows[..., 0, 3]
+
+    @property
+    def samples(self) -> Float[Array, "*N B 4"]:
+        """Imagined samples, action by action; those of the last action are never conditioned on.
+
+        A row holds x and y, the imagined innovation (see `look_ahead`), and 1 for a sample that was taken,
+        else 0.
+        """
+        return self.rows[..., 1:, :]
 
     @property
     def points(self) -> Float[Array, "*N B 2"]:
@@ -48,7 +67,7 @@ class FieldNode(eqx.Module):
 def root_node(pose: Pose, horizon: int, num_samples: int, dtype) -> FieldNode:
     """The root, with room for the samples of all actions up to the horizon but the last."""
     samples = jnp.zeros(((horizon - 1) * num_samples, 4), dtype)
-    return FieldNode(pose, jnp.zeros((), jnp.int32), samples)
+    return FieldNode.of(pose, jnp.zeros((), dtype), samples)
 
 
 def simulate_paths(
@@ -85,7 +104,7 @@ def simulate_paths(
         jnp.concatenate([node.samples[: level * size], *new, *nothing])[: horizon * size]
         for level in range(horizon)
     ]
-    all_samples = FieldNode(pose, node.level, _choose(node.level, by_level))
+    all_samples = FieldNode.of(pose, node.level, _choose(node.level, by_level))
     is_taken = all_samples.is_taken
     ahead = look_ahead(
         root, all_samples.points, is_taken, all_samples.innovations, horizon, objective.needs_gradient
@@ -96,13 +115,13 @@ def simulate_paths(
     rewards = paid + jnp.stack([arena.cost(drive) for drive in drives])
 
     # The child holds the samples of the node and of the first path.
-    stage = jnp.arange(room, dtype=jnp.int32) // size
+    stage = (jnp.arange(room, dtype=jnp.int32) // size).astype(paths.dtype)
     samples = jnp.where((stage <= node.level)[:, None], all_samples.samples[:room], 0.0)
-    child = FieldNode(arena.end(drives[0]), node.level + 1, samples)
+    child = FieldNode.of(arena.end(drives[0]), node.level + 1.0, samples)
     return Simulation(child, rewards, jnp.zeros((num_paths,), bool))
 
 
-def _choose(level: Int[Array, ""], options: list[Array]) -> Array:
+def _choose(level: Float[Array, ""], options: list[Array]) -> Array:
     """`options[level]`, the last one past the end; elementwise arithmetic is cheaper than a gather."""
     chosen = options[-1]
     for index in range(len(options) - 2, -1, -1):

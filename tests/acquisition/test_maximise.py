@@ -88,7 +88,7 @@ def test_the_whitened_candidates_give_the_update_and_grow_by_a_row():
         whitened = gp.whiten(candidates)
         x, whitened_x = candidates[index], whitened[:, index]
         row = gp.next_row(x, whitened_x)
-        return row, gp.next_whitened(x, whitened_x, row, candidates, whitened)
+        return row, gp.next_whitened(x, whitened_x, candidates, whitened)
 
     row, whitened_row = grow(gp, 17)
     updated = condition(gp, candidates[17], jnp.asarray(0.3))

@@ -1,6 +1,7 @@
 """Whether two trees are the same: bojax's flat arrays and the reference's linked nodes."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from bojax.planning.tree import UNVISITED
@@ -31,7 +32,7 @@ def assert_same_tree(tree, root, num_actions):
         numbers = [tree.reward[node.index], tree.total_return[node.index]]
         expected = [node.reward, node.total_return]
         if not node.is_terminal:  # where an episode ended nothing starts: the belief there is nobody's
-            belief = jax.tree.map(lambda leaf, node=node: leaf[node.index], tree.belief)
+            belief = jax.tree.map(lambda leaf, node=node: jnp.asarray(leaf[node.index]), tree.belief)
             numbers += [*_pose(belief)]
             expected += [*_pose(node.belief)]
             if isinstance(belief, FieldNode):
