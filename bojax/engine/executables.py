@@ -29,7 +29,7 @@ from jaxtyping import PyTree
 from typing_extensions import override
 
 from bojax.engine.devices import Device, setting
-from bojax.engine.groups import StaticGroup
+from bojax.engine.groups import StaticGroup, nodes_with
 from bojax.engine.provenance import code_hashes, installed
 
 PACKAGES = (
@@ -43,6 +43,7 @@ PACKAGES = (
     "numpy",
     "optax",
     "scipy",
+    "warp-lang",
 )
 """Packages, with their versions in the key, whose classes and functions a cached group may contain."""
 
@@ -62,7 +63,7 @@ def key_of(group: StaticGroup, device: Device, *details: object) -> str | None:
         device: The device; a program is loaded for the device that it was compiled for.
         details: What else the programs depend on, such as the number of lanes.
     """
-    if _folder() is None:
+    if _folder() is None or _calls_process(group):
         return None
     content = jax.tree.map(_abstract, (group.swept, group.shared)), group.static
     parts = (_environment(), _flags(), device.device_kind, device.client.platform_version, device.id)
@@ -161,6 +162,11 @@ def _folder() -> Path | None:
     if folder is None or "://" in folder or not setting("jax_enable_compilation_cache"):
         return None
     return Path(folder) / "programs"
+
+
+def _calls_process(group: StaticGroup) -> bool:
+    """Whether the programs call functions of this process, which cannot be saved."""
+    return any(node.calls_process for node in nodes_with(group.static, "calls_process").values())
 
 
 def _abstract(leaf: Any) -> jax.ShapeDtypeStruct:

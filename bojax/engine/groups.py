@@ -50,6 +50,12 @@ def static_groups(modules: Sequence[Experiment]) -> list[StaticGroup]:
     ]
 
 
+def nodes_with(module: PyTree, attribute: str) -> dict[tuple, Any]:
+    """The outermost nodes of a tree that have an attribute, by their paths."""
+    found = jax.tree_util.tree_leaves_with_path(module, is_leaf=lambda node: hasattr(node, attribute))
+    return {path: node for path, node in found if hasattr(node, attribute)}
+
+
 def _group(index: int, points: list[int], modules: list[Experiment]) -> StaticGroup:
     split = [eqx.partition(module, eqx.is_array) for module in modules]
     leaves = [jax.tree.leaves(arrays) for arrays, _ in split]

@@ -7,15 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-import jax
-
 from bojax.config.errors import ConfigError
 from bojax.config.files import display
 from bojax.config.limits import CHUNKS
 from bojax.engine.build import build
 from bojax.engine.chunks import Chunk, Layout, choose_layout, cut
 from bojax.engine.devices import Device
-from bojax.engine.groups import StaticGroup, static_groups
+from bojax.engine.groups import StaticGroup, nodes_with, static_groups
 from bojax.engine.provenance import code_hashes, device_description, versions
 from bojax.experiments.base import Experiment
 
@@ -143,9 +141,8 @@ def resolved(config: dict[str, Any], module: Experiment) -> dict[str, Any]:
 
     A module states them by `resolved_settings`, by dotted path.
     """
-    has_any = lambda node: hasattr(node, "resolved_settings")  # noqa: E731
-    for path, node in jax.tree_util.tree_leaves_with_path(module, is_leaf=has_any):
-        for name, value in node.resolved_settings.items() if has_any(node) else ():
+    for path, node in nodes_with(module, "resolved_settings").items():
+        for name, value in node.resolved_settings.items():
             *folders, last = [key.name for key in path] + name.split(".")
             part = functools.reduce(lambda part, folder: part[folder], folders, config)
             part[last] = value

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from jax.experimental.compilation_cache import compilation_cache
 
-from bojax.config.sweep import load_sweep
+from bojax.config.sweep import load_config, load_sweep
 from bojax.engine import batch, executables
 from bojax.engine.batch import Functions, Programs
 from bojax.engine.build import build
 from bojax.engine.groups import static_groups
+from bojax.envs.robots.base import RobotTask
 from tests.toy import toy
 
 DEVICE = jax.devices("cpu")[0]
@@ -32,17 +33,9 @@ def cache(tmp_path, monkeypatch):
 
 def group_of(**changes):
     overrides = [f"{name}={value}" for name, value in {"episodes": 2, **changes}.items()]
-    (group,) = static_groups([build(chain_config(overrides), "float64")])
-    return group
-
-
-def chain_config(overrides):
-    from bojax.config.overrides import parse_overrides
-    from bojax.config.sweep import load_config
-
-    parse_overrides(overrides)
     (point,) = load_config("chain", overrides, None, None).points
-    return point.config
+    (group,) = static_groups([build(point.config, "float64")])
+    return group
 
 
 def programs_of(group, lanes: int = 3) -> Programs:
@@ -173,3 +166,11 @@ def test_groups_of_shipped_sweeps_are_cached(cache, name):
     sweep = load_sweep(name)
     modules = [build(point.config, getattr(point.config, "dtype", "float64")) for point in sweep.points]
     assert None not in [executables.key_of(group, DEVICE, 3) for group in static_groups(modules)]
+
+
+@pytest.mark.parametrize("calls_process", [False, True])
+def test_programs_that_call_this_process_are_not_cached(cache, monkeypatch, calls_process):
+    monkeypatch.setattr(RobotTask, "calls_process", calls_process)
+    (point,) = load_config("hopper", [], None, None).points
+    (group,) = static_groups([build(point.config, "float32")])
+    assert (executables.key_of(group, DEVICE, 3) is None) == calls_process

@@ -55,6 +55,11 @@ class RobotTask(ControlTask):
         return {"physics.impl": self.simulator.impl}
 
     @property
+    def calls_process(self) -> bool:
+        """Whether compiled programs call functions of this process, as those of Warp do."""
+        return self.simulator.impl == "warp"
+
+    @property
     @override
     def action_space(self) -> Box:
         """The controls of the model, in the order of its actuators."""

@@ -49,6 +49,11 @@ class SimulatedVehicle(Vehicle):
         """The implementation of MJX that `physics.impl` stands for."""
         return {"physics.impl": self.simulator.impl}
 
+    @property
+    def calls_process(self) -> bool:
+        """Whether compiled programs call functions of this process, as those of Warp do."""
+        return self.simulator.impl == "warp"
+
     @override
     def pose(self, state: SimulatedState) -> Pose:
         return planar(state.robot.qpos).astype(state.reading.dtype)
