@@ -38,6 +38,6 @@ class MJX(PhysicsSettings, frozen=True):
     )
     impl: Literal["auto", "jax", "warp"] = Field(
         default="auto",
-        description="implementation of MJX; auto is warp on an NVIDIA GPU with the extra robots-cuda, if the "
-        "model comes with bojax, and otherwise jax",
+        description="implementation of MJX; auto is warp on an NVIDIA GPU with the extra robots-cuda, for "
+        "models of bojax without contacts, and otherwise jax",
     )

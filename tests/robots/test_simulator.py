@@ -220,9 +220,12 @@ def test_warp_that_is_not_installed_says_so_in_a_line(monkeypatch):
 @pytest.mark.parametrize(
     ("impl", "name", "has_warp_on_gpu", "expected"),
     [
-        ("auto", "hopper", True, "warp"),
-        ("auto", "hopper", False, "jax"),
+        ("auto", "reacher", True, "warp"),
+        ("auto", "reacher", False, "jax"),
         ("auto", "jaco", True, "warp"),
+        ("auto", "hopper", True, "jax"),
+        ("auto", "car", True, "jax"),
+        ("warp", "hopper", True, "warp"),
         ("auto", None, True, "jax"),
         ("jax", "hopper", True, "jax"),
     ],
