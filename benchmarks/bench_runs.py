@@ -1,0 +1,117 @@
+"""The time of an experiment against its number of runs, beside as many runs one after the other.
+
+Every experiment is a command `bojax run` in a process of its own, after one that fills the cache of compiled
+programs. The peer is a single run: its time, multiplied by the number of runs.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from options import make_parser, positive
+
+EXPERIMENTS = {
+    "parking": ["parking"],
+    "mountain-car": ["mountain-car"],
+}
+"""A planning experiment, 15 plans of kCBTS a run, and a learning one, EMU-Q up to its first success."""
+
+EXAMPLES = """\
+  python benchmarks/bench_runs.py                            1 to 1,000 runs
+  python benchmarks/bench_runs.py --most 100000 --json runs.json --plot runs.svg
+"""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Run the benchmark."""
+    args = parse(argv)
+    numbers = [10**power for power in range(len(str(args.most))) if 10**power <= args.most]
+    rows = []
+    with tempfile.TemporaryDirectory() as place:
+        for name, command in EXPERIMENTS.items():
+            for number in numbers:
+                timed(command, number, args, Path(place) / f"{name}-{number}-first")
+                rows.append(
+                    {"experiment": name} | timed(command, number, args, Path(place) / f"{name}-{number}")
+                )
+                print(json.dumps(rows[-1]), flush=True)
+    print_table(rows)
+    if args.json:
+        args.json.write_text(json.dumps({"benchmark": "runs", "rows": rows}, indent=1) + "\n")
+    if args.plot:
+        plot(rows, args.plot)
+    return 0
+
+
+def parse(argv: Sequence[str]) -> argparse.Namespace:
+    """The arguments of the benchmark."""
+    parser = make_parser(__file__, __doc__, EXAMPLES)
+    parser.add_argument("--most", type=positive, default=1000, help="largest number of runs (1000)")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the curves")
+    return parser.parse_args(argv)
+
+
+def timed(command: Sequence[str], runs: int, args: argparse.Namespace, out: Path) -> dict[str, Any]:
+    """Seconds of a command with its start and its report, and of its advances alone."""
+    options = [f"engine.device={args.device}", "record.runs=0", "--runs", str(runs), "--seed", str(args.seed)]
+    words = [sys.executable, "-m", "bojax", "run", *command, *options, "--out", str(out)]
+    start = time.perf_counter()
+    subprocess.run(words, check=True, capture_output=True)
+    seconds = time.perf_counter() - start
+    manifest = json.loads((out / "manifest.json").read_text())
+    return {
+        "device": manifest["device"]["kind"],
+        "runs": runs,
+        "seconds": seconds,
+        "advancing": sum(group["run_seconds"] for group in manifest["groups"]),
+    }
+
+
+def print_table(rows: Sequence[Mapping[str, Any]]) -> None:
+    """Print the seconds of each number of runs, and the ratio to single runs."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=f"Runs of an experiment ({rows[0]['device']})")
+    for name in ("", "runs", "command, s", "advancing, s", "runs/s", "x single runs"):
+        table.add_column(name, justify="right" if name else "left")
+    for row in rows:
+        one = next(each for each in rows if each["experiment"] == row["experiment"])
+        ratio = one["advancing"] * row["runs"] / row["advancing"]
+        rate = row["runs"] / row["advancing"]
+        numbers = f"{row['seconds']:.1f}", f"{row['advancing']:.3f}", f"{rate:,.1f}", f"{ratio:,.1f}"
+        table.add_row(row["experiment"], f"{row['runs']:,}", *numbers)
+    Console().print(table)
+
+
+def plot(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
+    """Draw the seconds against the number of runs, on logarithmic axes."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(6.0, 3.6), layout="constrained")
+    for name in EXPERIMENTS:
+        own = [row for row in rows if row["experiment"] == name]
+        runs = [row["runs"] for row in own]
+        (line,) = axes.plot(runs, [row["advancing"] for row in own], marker="o", label=name)
+        one_by_one = [own[0]["advancing"] * number for number in runs]
+        axes.plot(runs, one_by_one, color=line.get_color(), linestyle=":", label=f"{name}, one by one")
+        axes.plot(
+            runs, [row["seconds"] for row in own], color=line.get_color(), alpha=0.4, label=f"{name}, command"
+        )
+    axes.set(xscale="log", yscale="log", xlabel="runs", ylabel="seconds", title=rows[0]["device"])
+    axes.legend(frameon=False, fontsize="small")
+    figure.savefig(path)
+    plt.close(figure)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
