@@ -90,9 +90,9 @@ class Simulator(eqx.Module):
     def impl(self) -> Literal["jax", "warp"]:
         """The implementation of MJX.
 
-        `auto` is `warp` on an NVIDIA GPU with warp-lang, for those models of bojax in which nothing can touch.
+        `auto` is `warp` on an NVIDIA GPU with warp-lang, for the models of bojax in which nothing can touch.
         MuJoCo Warp writes contacts in any order, so that two executions differ in their last bits; those of
-        the reacher do not. Models of bojax are compared with C MuJoCo by the tests.
+        the reacher do not. The tests compare the models of bojax with C MuJoCo.
         """
         if self.physics.impl != "auto":
             return self.physics.impl

@@ -14,7 +14,7 @@ def content(name: str, *changes: str):
 
 @pytest.mark.parametrize(
     ("name", "path"),
-    [("hopper", ("env",)), ("robot-parking", ("problem", "vehicle"))],
+    [("reacher", ("env",)), ("hilly-terrain", ("problem", "vehicle"))],
 )
 def test_the_implementation_of_mjx_is_part_of_the_plan(monkeypatch, name, path):
     plans = {}
