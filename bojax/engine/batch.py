@@ -6,8 +6,9 @@ A lane is one run of one point. Each device has its own lanes, and devices do no
 import threading
 import time
 from collections import Counter
+from collections.abc import Callable
 from functools import partial
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -61,13 +62,26 @@ class Functions:
     """
 
     def __init__(self, group: StaticGroup):
-        self.group = group
-        self.fill = jax.jit(partial(_fill, group), donate_argnums=1)
-        self.advance = jax.jit(partial(_advance, group), donate_argnums=0)
-        self.summary = jax.jit(partial(_summary, group))
-        self.snapshot = jax.jit(partial(_snapshot, group))
-        self.exported_state = jax.jit(partial(_exported_state, group))
+        self.group, self._tag = group, executables.tag_of(group)
+        self.fill = jax.jit(self._named(_fill, group), donate_argnums=1)
+        self.advance = jax.jit(self._named(_advance, group), donate_argnums=0)
+        self.summary = jax.jit(self._named(_summary, group))
+        self.snapshot = jax.jit(self._named(_snapshot, group))
+        self.exported_state = jax.jit(self._named(_exported_state, group))
         self.select = jax.jit(_select)
+
+    def empty(self, carry: PyTree[jax.ShapeDtypeStruct], device: Device):
+        """A jitted function that makes a carry without values on a device."""
+        return jax.jit(self._named(_empty, carry), out_shardings=SingleDeviceSharding(device))
+
+    def _named(self, function: Callable, first: Any) -> Callable:
+        """The function of the remaining arguments, under a name of its own for this group."""
+
+        def call(*rest):
+            return function(first, *rest)
+
+        call.__name__ = f"{function.__name__.strip('_')}_{self._tag}"
+        return call
 
 
 class Programs:
@@ -145,7 +159,7 @@ class Programs:
             lowered["snapshot"] = functions.snapshot.lower(*inputs)
         if fills:
             everywhere = jax.device_put(np.ones(self.num_lanes, dtype=bool), self._sharding)
-            lowered["empty"] = jax.jit(partial(_empty, carry), out_shardings=self._sharding).lower()
+            lowered["empty"] = functions.empty(carry, self.device).lower()
             lowered["fill"] = functions.fill.lower(self._key, inputs[0], lanes, everywhere, self._shared)
         return lowered, carry
 

@@ -63,13 +63,27 @@ def key_of(group: StaticGroup, device: Device, *details: object) -> str | None:
         device: The device; a program is loaded for the device that it was compiled for.
         details: What else the programs depend on, such as the number of lanes.
     """
-    if _folder() is None or _calls_process(group):
-        return None
-    content = jax.tree.map(_abstract, (group.swept, group.shared)), group.static
     parts = (_environment(), _flags(), device.device_kind, device.client.platform_version, device.id)
+    return _digest_of(group, parts, details) if _folder() is not None else None
+
+
+def tag_of(group: StaticGroup) -> str:
+    """A short name of the content of a group, the same in every process.
+
+    Programs of different groups get different names by it: JAX's cache then does not give a group a small
+    program of another one, which could not be saved with the others.
+    """
+    return (_digest_of(group) or "")[:8]
+
+
+def _digest_of(group: StaticGroup, *others: object) -> str | None:
+    """Hash of the content of a group and of other values; None if something may change unseen."""
+    if any(node.calls_process for node in nodes_with(group.static, "calls_process").values()):
+        return None  # functions of this process cannot be saved
+    content = jax.tree.map(_abstract, (group.swept, group.shared)), group.static
     try:
         with io.BytesIO() as file:
-            _Pickler(file).dump((parts, content, details))
+            _Pickler(file).dump((content, others))
             return hashlib.sha256(file.getvalue()).hexdigest()
     except Exception:  # foreign code, or something that cannot be pickled
         return None
@@ -162,11 +176,6 @@ def _folder() -> Path | None:
     if folder is None or "://" in folder or not setting("jax_enable_compilation_cache"):
         return None
     return Path(folder) / "programs"
-
-
-def _calls_process(group: StaticGroup) -> bool:
-    """Whether the programs call functions of this process, which cannot be saved."""
-    return any(node.calls_process for node in nodes_with(group.static, "calls_process").values())
 
 
 def _abstract(leaf: Any) -> jax.ShapeDtypeStruct:

@@ -85,6 +85,12 @@ def test_programs_of_jax_s_cache_are_not_saved(cache):
     np.testing.assert_array_equal(found[0]["success"], expected[0]["success"])
 
 
+def test_groups_with_a_program_in_common_are_both_saved(cache):
+    for episodes in (2, 3):
+        programs_of(group_of(episodes=episodes))
+    assert len(files(cache)) == 2
+
+
 def test_another_number_takes_the_same_programs(cache):
     key = executables.key_of(group_of(), DEVICE, 3)
     assert key is not None and executables.key_of(group_of(seed=1), DEVICE, 3) == key
