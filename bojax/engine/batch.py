@@ -120,6 +120,7 @@ class Programs:
         self.max_advances = run.max_advances
         self._prepare(run)
         key = executables.key_of(self._group, device, type(self), num_lanes, snapshots, fills)
+        self._unsaved: tuple[str | None, PyTree] = None, None
         start = time.perf_counter()
         if found := executables.load(key, device):
             self._programs, carry = found
@@ -134,8 +135,13 @@ class Programs:
                 self._programs = {name: _compile(name, program) for name, program in lowered.items()}
             self.compile_seconds = traced + time.perf_counter() - start
             if len(compiled) == len(self._programs):
-                executables.save(key, self._programs, carry)
+                self._unsaved = key, carry
         self.carry_structure = self._on_device(carry)
+
+    def keep(self) -> None:
+        """Save the programs for later sweeps, if they were compiled."""
+        key, carry = self._unsaved
+        executables.save(key, self._programs, carry)
 
     def _prepare(self, run: Experiment) -> None:
         """Prepare what a subclass needs of the first run."""

@@ -4,6 +4,7 @@ import queue
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from bojax.engine.ahead import POLL_SECONDS, Ahead, Stopped
 from bojax.engine.batch import Functions, Programs
@@ -23,6 +24,10 @@ COMPILE_THREADS = 8
 
 AHEAD = 24
 """Number of groups that are compiled ahead; their programs take memory."""
+
+
+LAST = 1 << 20
+"""Priority of what nothing waits for: after all compilations."""
 
 
 @dataclass(eq=False)
@@ -103,7 +108,7 @@ class _Executor:
         self._is_closed = False
         self._stop = lambda: self._is_closed or self.error is not None or stop()
         self._changed = threading.Condition(threading.RLock())
-        self._ahead: Ahead[Programs] = Ahead(compile_threads(), self._changed, self._stop)
+        self._ahead: Ahead[Any] = Ahead(compile_threads(), self._changed, self._stop)
         self._ended: queue.Queue[GroupTask] = queue.Queue()
         self._request_ahead()
         self._workers = [
@@ -159,6 +164,7 @@ class _Executor:
             self._progress.compiled(task.progress, programs.compile_seconds)
             for narrower in task.layout.widths[1:]:  # needed after the first runs have ended
                 self._request(task, device, narrower)
+        self._ahead.request((task, device, width, "kept"), programs.keep, LAST)
         with self._changed:  # a compilation may end after the sweep has ended
             if not self._is_closed:
                 task.compiled(programs.compile_seconds)

@@ -39,7 +39,9 @@ def group_of(**changes):
 
 
 def programs_of(group, lanes: int = 3) -> Programs:
-    return Programs(Functions(group), DEVICE, lanes, 0, snapshots=False, fills=True)
+    programs = Programs(Functions(group), DEVICE, lanes, 0, snapshots=False, fills=True)
+    programs.keep()
+    return programs
 
 
 def advanced(programs: Programs):
