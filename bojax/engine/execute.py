@@ -1,8 +1,9 @@
 """The executor of one machine: worker threads run chunks on its devices, other threads compile ahead."""
 
+import contextlib
 import queue
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -106,6 +107,7 @@ class _Executor:
         self.error: ResultsError | None = None
         self._tasks, self._devices, self._progress = list(tasks), list(dict.fromkeys(devices)), progress
         self._is_closed = False
+        self._kept: list[Hashable] = []
         self._stop = lambda: self._is_closed or self.error is not None or stop()
         self._changed = threading.Condition(threading.RLock())
         self._ahead: Ahead[Any] = Ahead(compile_threads(), self._changed, self._stop)
@@ -128,6 +130,9 @@ class _Executor:
                     return
 
     def close(self) -> None:
+        for key in list(self._kept):  # Python cannot end while a thread is in XLA
+            with contextlib.suppress(Exception):  # a requested stop
+                self._ahead.wait(key)
         with self._changed:
             self._is_closed = True
         for worker in self._workers:
@@ -164,7 +169,9 @@ class _Executor:
             self._progress.compiled(task.progress, programs.compile_seconds)
             for narrower in task.layout.widths[1:]:  # needed after the first runs have ended
                 self._request(task, device, narrower)
-        self._ahead.request((task, device, width, "kept"), programs.keep, LAST)
+        key = task, device, width, "kept"
+        self._ahead.request(key, programs.keep, LAST)
+        self._kept.append(key)
         with self._changed:  # a compilation may end after the sweep has ended
             if not self._is_closed:
                 task.compiled(programs.compile_seconds)
