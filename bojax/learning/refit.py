@@ -159,6 +159,55 @@ class _Equations(eqx.Module):
         return jax.vmap(self.transitions.state.features.join)(rows.x, self.ys[self.chosen[rows.index]])
 
 
+class _Policy(eqx.Module):
+    """The policy pi = argmax Q + kappa U over candidates that are drawn once.
+
+    Attributes:
+        model: Model of Q and U.
+        kappa: Weight of U.
+        weights: Weights of x(s') in Q and U of every candidate.
+        ys: Features y(a) of the candidates.
+        forms: Quadratic forms of x(s') in the variance of every candidate; None if U needs no variance.
+    """
+
+    model: EMUQModel
+    kappa: Float[Array, ""]
+    weights: Float[Array, "P J 2"]
+    ys: Float[Array, "J R"]
+    forms: Float[Array, "J P P"] | None
+
+    @classmethod
+    def of(
+        cls,
+        model: EMUQModel,
+        state: EMUQState,
+        candidates: Float[Array, "J A"],
+        mean: Float[Array, "M 2"],
+        kappa: Float[Array, ""],
+    ) -> "_Policy":
+        """The policy for the means of Q and U."""
+        features = state.features
+        ys = jax.vmap(features.action)(candidates)
+        weights = jax.vmap(lambda y: jax.vmap(features.split, (1, None), 1)(mean, y), out_axes=1)(ys)
+        forms = None
+        if model.optimistic_u:
+            forms = jax.vmap(lambda y: features.mean_form(state.posterior.base, y[None]))(ys)
+        return cls(model, kappa, weights, ys, forms)
+
+    def __call__(
+        self, x: Float[Array, "B P"]
+    ) -> tuple[Int[Array, "B"], Float[Array, "B"], Float[Array, "B"]]:
+        """Index of the chosen candidate at every x(s'), its value Q, and its factor of U."""
+        values = matmul(x, self.weights.reshape(self.weights.shape[0], -1)).reshape(len(x), -1, 2)
+        factors = jnp.ones(values.shape[:2], values.dtype)
+        if self.forms is not None:
+            factors = self.model.u_factor(_quadratic_forms(x, self.forms))
+        q, u = values[:, :, Q], values[:, :, U] * factors
+        chosen = jnp.argmax(q + self.kappa * u, axis=1).astype(jnp.int32)
+        value, factor = (jnp.take_along_axis(a, chosen[:, None], axis=1)[:, 0] for a in (q, factors))
+        return chosen, value, factor
+
+
 class Refit(eqx.Module):
     """The fit of the means of Q and U to all transitions.
 
@@ -184,74 +233,58 @@ class Refit(eqx.Module):
         Lines 14 and 15 fit Q, with a' chosen anew by Q + kappa U in every sweep or solution. Lines 16 and 17
         compute the exploration rewards (5.12) and fit U, with a' chosen once.
         """
-        key_q, key_policy = jax.random.split(key)
+        key_q, key_u = jax.random.split(key)
         transitions, mean = _Transitions.of(state, self.block), state.posterior.mean
+        gain = self.model.noise_precision * state.posterior.base
+
+        def policy(key: Key[Array, ""], mean: Float[Array, "M 2"]) -> tuple[_Policy, Float[Array, "K A"]]:
+            candidates, samples = self.model.actions(key, state)
+            return _Policy.of(self.model, state, candidates, mean, kappa), samples
+
+        def policy_of_q(number: Int[Array, ""], q: Float[Array, "M"]) -> _Policy:
+            return policy(jax.random.fold_in(key_q, number), mean.at[:, Q].set(q))[0]
+
         if not self.is_direct:
-            mean = mean.at[:, Q].set(self._sweep_q(key_q, transitions, mean, kappa, is_active))
+
+            def sweep(number, q):
+                return matmul(gain, self._q_targets(transitions, policy_of_q(number, q)))
+
+            mean = mean.at[:, Q].set(self._until_converged(sweep, mean[:, Q], is_active))
             # With a' fixed, a sweep is an affine map of the weights: one pass over the transitions is enough.
-            equations = self._u_equations(key_policy, transitions, mean, kappa)
+            equations = self._u_equations(transitions, gain, *policy(key_u, mean))
             matrix, vector = equations.matrix_and_constant()
             u = self._until_converged(lambda _, u: vector + matmul(matrix, u), mean[:, U], is_active)
             return mean.at[:, U].set(u)
 
-        def policy(number: Int[Array, ""], q: Float[Array, "M"]) -> _Equations:
-            key = jax.random.fold_in(key_q, number)
-            return self._q_equations(key, transitions, mean.at[:, Q].set(q), kappa)
+        def q_equations(number: Int[Array, ""], q: Float[Array, "M"]) -> _Equations:
+            return self._q_equations(transitions, gain, policy_of_q(number, q))
 
-        inverse, is_similar = jnp.zeros_like(state.posterior.base), jnp.zeros((), bool)
-        q, inverse = self._solve(policy, mean[:, Q], inverse, is_similar, is_active, self.max_sweeps)
-        after = mean.at[:, Q].set(q)
-        equations = self._u_equations(key_policy, transitions, after, kappa)
+        inverse, is_similar = jnp.zeros_like(gain), jnp.zeros((), bool)
+        q, inverse = self._solve(q_equations, mean[:, Q], inverse, is_similar, is_active, self.max_sweeps)
+        mean = mean.at[:, Q].set(q)
+        equations = self._u_equations(transitions, gain, *policy(key_u, mean))
         u, _ = self._solve(lambda number, u: equations, mean[:, U], inverse, is_active, is_active, 1)
-        return after.at[:, U].set(u)
+        return mean.at[:, U].set(u)
 
-    def _sweep_q(
-        self,
-        key: Key[Array, ""],
-        transitions: _Transitions,
-        mean: Float[Array, "M 2"],
-        kappa: Float[Array, ""],
-        is_active: Bool[Array, ""],
-    ) -> Float[Array, "M"]:
-        model, state = self.model, transitions.state
-        gain = model.noise_precision * state.posterior.base
+    def _q_targets(self, transitions: _Transitions, policy: _Policy) -> Float[Array, "M"]:
+        """Phi'(r + gamma Q(s', pi(s')))."""
 
-        def sweep(number, q):
-            candidates, _ = model.actions(jax.random.fold_in(key, number), state)
-            ys = jax.vmap(state.features.action)(candidates)
-            next_values = self._next_values(state, ys, mean.at[:, Q].set(q))
+        def visit(total, rows):
+            _, value, _ = policy(rows.x)
+            constant, discount = self._q_terms(rows)
+            return total + matmul(constant + discount * value, rows.phi)
 
-            def visit(total, rows):
-                values, factor = next_values(rows.x)
-                chosen = _choose(values, factor, kappa)
-                value = jnp.take_along_axis(values[:, :, Q], chosen[:, None], axis=1)[:, 0]
-                constant, discount = self._q_terms(rows)
-                return total + matmul(constant + discount * value, rows.phi)
-
-            return matmul(gain, transitions.fold(visit, jnp.zeros_like(q)))
-
-        return self._until_converged(sweep, mean[:, Q], is_active)
+        return transitions.fold(visit, jnp.zeros_like(transitions.phi[0]))
 
     def _q_equations(
-        self,
-        key: Key[Array, ""],
-        transitions: _Transitions,
-        mean: Float[Array, "M 2"],
-        kappa: Float[Array, ""],
+        self, transitions: _Transitions, gain: Float[Array, "M M"], policy: _Policy
     ) -> _Equations:
-        """The equations of Q for the policy of the given means."""
-        model, state = self.model, transitions.state
-        candidates, _ = model.actions(key, state)
-        ys = jax.vmap(state.features.action)(candidates)
-        next_values = self._next_values(state, ys, mean)
-
         def visit(chosen, rows):
-            best = _choose(*next_values(rows.x), kappa).astype(jnp.int32)
-            return jax.lax.dynamic_update_slice_in_dim(chosen, best, rows.index[0], 0)
+            return jax.lax.dynamic_update_slice_in_dim(chosen, policy(rows.x)[0], rows.index[0], 0)
 
-        chosen = transitions.fold(visit, jnp.zeros((len(state.memory.rewards),), jnp.int32))
-        gain = model.noise_precision * state.posterior.base
-        return _Equations(transitions, gain, ys, chosen, self._q_terms)
+        capacity = len(transitions.state.memory.rewards)
+        chosen = transitions.fold(visit, jnp.zeros((capacity,), jnp.int32))
+        return _Equations(transitions, gain, policy.ys, chosen, self._q_terms)
 
     def _q_terms(self, rows: _Rows) -> tuple[Float[Array, "B"], Float[Array, "B"]]:
         reward = jnp.where(rows.is_valid, rows.memory.rewards, 0.0)
@@ -259,35 +292,28 @@ class Refit(eqx.Module):
 
     def _u_equations(
         self,
-        key: Key[Array, ""],
         transitions: _Transitions,
-        mean: Float[Array, "M 2"],
-        kappa: Float[Array, ""],
+        gain: Float[Array, "M M"],
+        policy: _Policy,
+        samples: Float[Array, "K A"],
     ) -> _Equations:
-        """The equations of U for the policy of the given means and the exploration rewards (5.12)."""
+        """The equations of U, with the exploration rewards (5.12) for the actions of `samples`."""
         model, state = self.model, transitions.state
-        features, memory, base = state.features, state.memory, state.posterior.base
-        candidates, samples = model.actions(key, state)
-        ys, samples = jax.vmap(features.action)(candidates), jax.vmap(features.action)(samples)
-        next_values = self._next_values(state, ys, mean)
+        features, memory, dtype = state.features, state.memory, gain.dtype
+        samples = jax.vmap(features.action)(samples)
         # The mean over the samples can be taken first, unless it is the published code's.
         groups = samples[:, None] if model.mixes_transitions else samples[None]
-        forms = jax.vmap(lambda ys: features.mean_form(base, ys))(groups)
+        forms = jax.vmap(lambda ys: features.mean_form(state.posterior.base, ys))(groups)
 
         def visit(arrays, rows):
-            values, factor = next_values(rows.x)
-            best = _choose(values, factor, kappa).astype(jnp.int32)
-            new = (
-                best,
-                jnp.take_along_axis(factor, best[:, None], axis=1)[:, 0],
-                _quadratic_forms(rows.x, forms),
-            )
+            chosen, _, factor = policy(rows.x)
+            new = chosen, factor, _quadratic_forms(rows.x, forms)
             return tuple(
                 jax.lax.dynamic_update_slice_in_dim(array, block, rows.index[0], 0)
                 for array, block in zip(arrays, new, strict=True)
             )
 
-        capacity, dtype = len(memory.rewards), mean.dtype
+        capacity = len(memory.rewards)
         start = (
             jnp.zeros((capacity,), jnp.int32),
             jnp.ones((capacity,), dtype),
@@ -301,7 +327,7 @@ class Refit(eqx.Module):
             constant, discount = model.u_terms(bonus[index], factor[index], rows.memory.terminated)
             return jnp.where(rows.is_valid, constant, zero), jnp.where(rows.is_valid, discount, zero)
 
-        return _Equations(transitions, model.noise_precision * base, ys, chosen, terms)
+        return _Equations(transitions, gain, policy.ys, chosen, terms)
 
     def _solve(
         self,
@@ -366,30 +392,6 @@ class Refit(eqx.Module):
 
         loop = jnp.zeros((), jnp.int32), start, is_active
         return jax.lax.while_loop(lambda loop: any_lane(loop[2]), step, loop)[1]
-
-    def _next_values(self, state: EMUQState, ys: Float[Array, "J R"], mean: Float[Array, "M 2"]):
-        """A function of x(s'): Q and U of every candidate at s', and the factors of U."""
-        model, features = self.model, state.features
-        weights = jax.vmap(lambda y: jax.vmap(features.split, (1, None), 1)(mean, y), out_axes=1)(ys)
-        forms = None
-        if model.optimistic_u:
-            forms = jax.vmap(lambda y: features.mean_form(state.posterior.base, y[None]))(ys)
-
-        def next_values(x: Float[Array, "B P"]) -> tuple[Float[Array, "B J 2"], Float[Array, "B J"]]:
-            values = matmul(x, weights.reshape(weights.shape[0], -1)).reshape(len(x), -1, 2)
-            if forms is None:
-                return values, jnp.ones(values.shape[:2], values.dtype)
-            return values, model.u_factor(_quadratic_forms(x, forms))
-
-        return next_values
-
-
-def _choose(
-    values: Float[Array, "B J 2"], factor: Float[Array, "B J"], kappa: Float[Array, ""]
-) -> Int[Array, "B"]:
-    """Index of a' = argmax Q + kappa U."""
-    values = values.at[:, :, U].multiply(factor)
-    return jnp.argmax(values[:, :, Q] + kappa * values[:, :, U], axis=1)
 
 
 def _quadratic_forms(x: Float[Array, "B P"], forms: Float[Array, "J P P"]) -> Float[Array, "B J"]:
