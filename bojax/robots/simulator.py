@@ -1,5 +1,6 @@
 """Simulation of one robot by MJX, with a small state between steps."""
 
+import abc
 import functools
 import importlib.util
 from typing import Any, Literal
@@ -141,6 +142,31 @@ class Simulator(eqx.Module):
     def _key(self) -> tuple[RobotModel, int | None, int | None, str | None]:
         physics = self.physics
         return self.model, physics.iterations, physics.ls_iterations, physics.integrator
+
+
+class Simulated(eqx.Module):
+    """A part of an experiment that contains a simulated robot.
+
+    Attributes:
+        physics: Settings of the simulation.
+    """
+
+    physics: eqx.AbstractVar[Physics]
+
+    @property
+    @abc.abstractmethod
+    def simulator(self) -> Simulator:
+        """Simulator of the robot."""
+
+    @property
+    def resolved_settings(self) -> dict[str, str]:
+        """The implementation of MJX that `physics.impl` stands for."""
+        return {"physics.impl": self.simulator.impl}
+
+    @property
+    def calls_process(self) -> bool:
+        """Whether compiled programs call functions of this process, as those of Warp do."""
+        return self.simulator.impl == "warp"
 
 
 @functools.cache

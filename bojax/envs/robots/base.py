@@ -11,10 +11,10 @@ from bojax.envs.base import EnvState
 from bojax.envs.control import ControlTask
 from bojax.envs.spaces import Box
 from bojax.robots.models import RobotModel
-from bojax.robots.simulator import Physics, RobotState, Simulator
+from bojax.robots.simulator import RobotState, Simulated, Simulator
 
 
-class RobotTask(ControlTask):
+class RobotTask(Simulated, ControlTask):
     """A control task of a robot that MJX simulates.
 
     Subclasses define the initial state, the observations and the rewards. Actions are the controls of the
@@ -22,7 +22,6 @@ class RobotTask(ControlTask):
     that of the robot; a subclass that adds to it overrides `robot` and `moved`.
     """
 
-    physics: eqx.AbstractVar[Physics]
     substeps: eqx.AbstractVar[int]
 
     def __check_init__(self):
@@ -45,19 +44,9 @@ class RobotTask(ControlTask):
         """The robot and its world."""
 
     @property
+    @override
     def simulator(self) -> Simulator:
-        """Simulator of the robot."""
         return Simulator(self.physics, self.model, self.substeps)
-
-    @property
-    def resolved_settings(self) -> dict[str, str]:
-        """The implementation of MJX that `physics.impl` stands for."""
-        return {"physics.impl": self.simulator.impl}
-
-    @property
-    def calls_process(self) -> bool:
-        """Whether compiled programs call functions of this process, as those of Warp do."""
-        return self.simulator.impl == "warp"
 
     @property
     @override

@@ -1,7 +1,5 @@
 """The common part of vehicles that MJX simulates."""
 
-import abc
-
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
@@ -11,7 +9,7 @@ from bojax.motions.base import Pose
 from bojax.numerics.angles import wrap_to_2pi
 from bojax.problems.vehicles.base import Vehicle
 from bojax.robots.quaternions import rotate_yaw, yaw_of
-from bojax.robots.simulator import Physics, RobotState, Simulator
+from bojax.robots.simulator import RobotState, Simulated
 
 
 class SimulatedState(eqx.Module):
@@ -26,33 +24,16 @@ class SimulatedState(eqx.Module):
     reading: Pose
 
 
-class SimulatedVehicle(Vehicle):
+class SimulatedVehicle(Simulated, Vehicle):
     """A simulated robot with a free joint whose pose a tracking system measures.
 
     Subclasses define how the robot follows paths. The vehicle's estimate of its pose, from which paths are
     planned, is the last measurement; measurements are not filtered.
     """
 
-    physics: eqx.AbstractVar[Physics]
-
     def __check_init__(self):
         """Compile the model, see `Simulator`."""
         _ = self.simulator
-
-    @property
-    @abc.abstractmethod
-    def simulator(self) -> Simulator:
-        """Simulator of the robot."""
-
-    @property
-    def resolved_settings(self) -> dict[str, str]:
-        """The implementation of MJX that `physics.impl` stands for."""
-        return {"physics.impl": self.simulator.impl}
-
-    @property
-    def calls_process(self) -> bool:
-        """Whether compiled programs call functions of this process, as those of Warp do."""
-        return self.simulator.impl == "warp"
 
     @override
     def pose(self, state: SimulatedState) -> Pose:
