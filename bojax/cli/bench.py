@@ -7,7 +7,7 @@ from pathlib import Path
 from types import ModuleType
 
 from bojax.cli.parser import Parser, UsageError
-from bojax.config.errors import one_of
+from bojax.config.errors import allowed_names
 from bojax.config.files import shipped
 
 _EXAMPLES = """\
@@ -35,7 +35,7 @@ def main(name: str, words: Sequence[str]) -> int:
         )
     for wanted in args.names:
         if wanted not in benchmarks:
-            raise UsageError(f"unknown benchmark {wanted}{one_of(wanted, benchmarks)}")
+            raise UsageError(f"unknown benchmark {wanted}{allowed_names(wanted, benchmarks)}")
     if not args.names:
         print("benchmarks: " + ", ".join(benchmarks), flush=True)
     codes = [_load(benchmarks[wanted]).main([]) for wanted in args.names or benchmarks]

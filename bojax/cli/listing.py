@@ -8,7 +8,7 @@ from bojax.cli.parser import Parser, UsageError
 from bojax.config.catalog import kinds, roles
 from bojax.config.component import Component
 from bojax.config.describe import settings_of, summary_of
-from bojax.config.errors import ConfigError, escaped, one_of, printable
+from bojax.config.errors import ConfigError, allowed_names, escaped, printable
 from bojax.config.files import available, display
 from bojax.config.yaml_file import read_mapping
 
@@ -76,7 +76,7 @@ def _about(name: str, groups: dict[str, dict[str, str]]) -> list[str]:
             )
     if not blocks:
         names = {*groups, *(known for lines in groups.values() for known in lines)}
-        raise UsageError(f"unknown name {name}{one_of(name, names)}")
+        raise UsageError(f"unknown name {name}{allowed_names(name, names)}")
     return blocks
 
 

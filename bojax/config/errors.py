@@ -72,7 +72,7 @@ def did_you_mean(name: Any, names: Iterable[str]) -> str:
     return f'; did you mean "{near[0]}"?' if near else ""
 
 
-def one_of(name: Any, names: Iterable[str]) -> str:
+def allowed_names(name: Any, names: Iterable[str]) -> str:
     """The end of a message about an unknown name: `; allowed: a, b, c; did you mean "a"?`."""
     names = sorted(names)
     if not names:
@@ -153,7 +153,7 @@ def _message(line: Any, siblings: Sequence[str]) -> str:
         name, kinds = line["loc"][-1], context["kinds"]
         key = "experiment" if context["role"] == "experiment" else "kind"
         owners = f" (a setting of {key}={listed(name, kinds)})" if kinds else ""
-        return "unknown key" + owners + one_of(name, names)
+        return "unknown key" + owners + allowed_names(name, names)
     if kind == "missing":
         return "missing; this setting has no default"
     got = f"got {shown(value)}; "
@@ -164,7 +164,7 @@ def _message(line: Any, siblings: Sequence[str]) -> str:
             what = f"this name has the role {' and '.join(context['roles'])}, not {context['role']}"
             if {context["role"], *context["roles"]} >= {"problem", "env"}:
                 what += "; planners need a problem, learners an env (experiment: learning)"
-        return got + what + one_of(context["kind"], context["names"])
+        return got + what + allowed_names(context["kind"], context["names"])
     if kind == "literal_error":
         allowed = context["expected"].replace("'", '"')
         names = [name.strip('"') for name in allowed.replace(" or ", ", ").split(", ")]

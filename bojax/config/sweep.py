@@ -15,7 +15,15 @@ from bojax.config.axes import Combination, expand, read_axes, split_overrides
 from bojax.config.changed import changed_settings
 from bojax.config.claims import Claim
 from bojax.config.component import Component, Schema, Slot, merged
-from bojax.config.errors import ConfigError, Location, did_you_mean, dotted, from_validation, one_of, shown
+from bojax.config.errors import (
+    ConfigError,
+    Location,
+    allowed_names,
+    did_you_mean,
+    dotted,
+    from_validation,
+    shown,
+)
 from bojax.config.figures import TABLES, figure_modules
 from bojax.config.files import SUFFIXES, display, find, shipped
 from bojax.config.limits import RUNS
@@ -360,7 +368,7 @@ def _check_claims(sweep: Sweep, file: str) -> None:
     if relative_to is not None and relative_to not in variants:
         raise ConfigError(
             f"{file}: report.relative_to: got {shown(relative_to)}; unknown variant"
-            f"{one_of(relative_to, variants)}"
+            f"{allowed_names(relative_to, variants)}"
         )
     figures = [*figure_modules(), *TABLES]
     for name in sweep.report.get("figures", ()):
@@ -379,5 +387,5 @@ def _check_claims(sweep: Sweep, file: str) -> None:
         for name in claim.test.names:
             if name not in known:
                 raise ConfigError(
-                    f"{where}.test: got {shown(name)}; unknown {claim.test.by}{one_of(name, known)}"
+                    f"{where}.test: got {shown(name)}; unknown {claim.test.by}{allowed_names(name, known)}"
                 )

@@ -52,8 +52,6 @@ _KNOWN = {*sys.stdlib_module_names, *PACKAGES}
 _UNUSED_SECONDS = 30 * 24 * 3600
 """Time after which an entry that was not used is deleted."""
 
-Programs = Mapping[str, Compiled]
-
 
 def key_of(group: StaticGroup, device: Device, *details: object) -> str | None:
     """Name of the programs of a group on a device; None if they cannot be cached.
@@ -108,7 +106,7 @@ def load(key: str | None, device: Device) -> tuple[dict[str, Compiled], PyTree] 
     return loaded, structure
 
 
-def save(key: str | None, programs: Programs, structure: PyTree[jax.ShapeDtypeStruct]) -> None:
+def save(key: str | None, programs: Mapping[str, Compiled], structure: PyTree[jax.ShapeDtypeStruct]) -> None:
     """Save the programs of a group, and the structure of its carry without shardings, if that is possible."""
     folder = _folder()
     if key is None or folder is None:

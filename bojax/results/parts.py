@@ -107,7 +107,7 @@ class ChunkFolder:
         write_arrays(self.add(f"{ARRAYS}/{array_file(point, run, name, when)}"), arrays)
 
     def add(self, name: str) -> Path:
-        """The path of a new file in an existing folder, to be committed by the next commit."""
+        """The path of a new file, to be committed by the next commit; its folder is made if necessary."""
         path = self.path / name
         with explained(path):
             path.parent.mkdir(parents=True, exist_ok=True)
