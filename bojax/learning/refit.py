@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
+from bojax.envs.base import Action
 from bojax.learning.emu_q_model import EMUQModel, EMUQState, Q, U
 from bojax.learning.memory import Memory
 from bojax.numerics.lanes import any_lane
@@ -181,7 +182,7 @@ class _Policy(eqx.Module):
         cls,
         model: EMUQModel,
         state: EMUQState,
-        candidates: Float[Array, "J A"],
+        candidates: Action,
         mean: Float[Array, "M 2"],
         kappa: Float[Array, ""],
     ) -> "_Policy":
@@ -237,7 +238,7 @@ class Refit(eqx.Module):
         transitions, mean = _Transitions.of(state, self.block), state.posterior.mean
         gain = self.model.noise_precision * state.posterior.base
 
-        def policy(key: Key[Array, ""], mean: Float[Array, "M 2"]) -> tuple[_Policy, Float[Array, "K A"]]:
+        def policy(key: Key[Array, ""], mean: Float[Array, "M 2"]) -> tuple[_Policy, Action]:
             candidates, samples = self.model.actions(key, state)
             return _Policy.of(self.model, state, candidates, mean, kappa), samples
 
@@ -295,7 +296,7 @@ class Refit(eqx.Module):
         transitions: _Transitions,
         gain: Float[Array, "M M"],
         policy: _Policy,
-        samples: Float[Array, "K A"],
+        samples: Action,
     ) -> _Equations:
         """The equations of U, with the exploration rewards (5.12) for the actions of `samples`."""
         model, state = self.model, transitions.state

@@ -40,7 +40,7 @@ def restore(path: Path, structure: PyTree[jax.ShapeDtypeStruct], advice: str | N
     try:
         with np.load(path, allow_pickle=False) as saved:
             if set(saved) != {name for name, _ in named}:
-                raise ValueError("its arrays have other names than those of this program")
+                raise ValueError("its arrays are not those of this program")
             leaves = [_typed(name, saved[name], target) for name, target in named]
     except Exception as error:  # a damaged file raises many types of exceptions
         raise ResultsError(

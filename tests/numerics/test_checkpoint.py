@@ -90,7 +90,7 @@ def test_a_bare_array(path):
     [
         (((3,), (2, 2)), float, r"state\[1\] has shape \(2, 3\), not \(2, 2\)"),
         (((3,), (2, 3)), int, r"state\[0\] has dtype float64, not int64"),
-        (((3,),), float, "2 arrays, not 1"),
+        (((3,),), float, "its arrays are not those of this program"),
     ],
 )
 def test_another_structure_is_refused_in_a_line(path, shapes, dtype, reason):
