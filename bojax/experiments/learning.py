@@ -19,6 +19,7 @@ from bojax.experiments.targets import TargetProgress
 from bojax.experiments.value_maps import value_map
 from bojax.learning.base import ExplorationState, Learner, LearnerState
 from bojax.learning.schedules import Schedule
+from bojax.numerics.lanes import EPISODES
 from bojax.results.schema import Column, Table
 
 _OF_RUN = 2**32 - 1
@@ -150,12 +151,12 @@ class LearningRun(Experiment):
         tests = None
         if self.tests:
 
-            def run_test(_, number):
+            def run_test(number):
                 test = self.test(carry, number)
                 episode = test.begin(learner, *self.reset(carry, test), ~carry.is_done)
-                return None, self.test_row(carry, number, run_episode(test, episode))
+                return self.test_row(carry, number, run_episode(test, episode))
 
-            _, tests = jax.lax.scan(run_test, None, jnp.arange(1, self.tests + 1))
+            tests = jax.vmap(run_test, axis_name=EPISODES)(jnp.arange(1, self.tests + 1))
         return self.close(carry, episode, learner, tests)
 
     @override

@@ -1,14 +1,19 @@
 """The batch axis of the engine, as seen from code written for a single lane."""
 
+import contextlib
+
 import jax
 from jaxtyping import Array, Bool, Int
 
 LANES = "lanes"
 """Name of the axis over which the engine batches runs (`vmap(axis_name=LANES)`)."""
 
+EPISODES = "episodes"
+"""Name of the axis over which a run batches episodes that do not depend on each other."""
+
 
 def any_lane(flag: Bool[Array, ""]) -> Bool[Array, ""]:
-    """Whether `flag` holds in any lane of this device; `flag` itself outside the engine.
+    """Whether `flag` holds in any lane of this device, and in any of its episodes; `flag` itself elsewhere.
 
     A loop that ends on `any_lane(active)` has an unbatched predicate. With a predicate of each lane, `vmap`
     would add a select of the whole carry to every iteration.
@@ -25,7 +30,7 @@ def largest_in_lanes(number: Int[Array, ""]) -> Int[Array, ""]:
 
 
 def _largest(x: Array) -> Array:
-    try:
-        return jax.lax.pmax(x, LANES)
-    except NameError:  # there is no such axis outside the engine
-        return x
+    for axis in (EPISODES, LANES):
+        with contextlib.suppress(NameError):  # there is no such axis
+            x = jax.lax.pmax(x, axis)
+    return x
