@@ -15,7 +15,6 @@ from bojax.learning.base import Episode, ExplorationState, Learner, Transition
 from bojax.learning.emu_q_model import TERMINAL_Q, TERMINAL_U, EMUQModel, EMUQState, Q, U
 from bojax.learning.features import FeatureSpec
 from bojax.learning.memory import Memory
-from bojax.learning.policy import best_action
 from bojax.learning.refit import Refit
 from bojax.models.bayesian_linear_regression import BayesianLinearRegression
 from bojax.numerics.choices import Choice
@@ -95,20 +94,19 @@ class EMUQ(Learner):
         key_draw, key_ties = jax.random.split(key)
         model, kappa = self.model, exploration.scale * self.exploration_weight
         candidates, _ = model.actions(key_draw, state)
-        x = state.features.state(observation)
-        values = model.values(state.posterior, state.phi(x, candidates))
-        best = best_action(key_ties, values[:, Q], values[:, U], kappa, model.ties(state))
-        action, expected = candidates[best], values[best, Q]
+        ties = model.ties(state)
+        action, values = model.greedy_action(key_ties, state, observation, candidates, kappa, ties)
+        expected = values[Q]
         space = state.features.actions
         if self.refine_steps and isinstance(space, Box):
 
             def scores(actions: Action) -> Float[Array, "J"]:
-                values = model.values(state.posterior, state.phi(x, actions))
+                values = model.values(state.posterior, state.phi(observation, actions))
                 return values[:, Q] + kappa * values[:, U]
 
             spacing = (space.high - space.low) / len(candidates) ** (1.0 / space.num_dims)
             action = refined_action(scores, action, space, spacing, self.refine_steps)
-            expected = model.values(state.posterior, state.phi(x, action[None]))[0, Q]
+            expected = model.values(state.posterior, state.phi(observation, action[None]))[0, Q]
         return action, expected
 
     @override
@@ -127,18 +125,16 @@ class EMUQ(Learner):
         weight = exploration.is_learning.astype(kappa.dtype)
 
         # Line 8, the exploration reward. One product with the covariance serves lines 8 and 9.
-        x_next = features.state(transition.next_observation)
         phi = features(transition.observation, transition.action)
-        phi_samples = jnp.concatenate([phi[None], state.phi(x_next, samples)])
+        phi_samples = jnp.concatenate([phi[None], state.phi(transition.next_observation, samples)])
         products = posterior.covariance_times(phi_samples)
         bonus = model.exploration_reward(
             jnp.mean(model.sample_variances(posterior, phi_samples, products, weight))
         )
 
         # The TD targets of lines 10 and 11, with a' = pi(s').
-        values = model.values(posterior, state.phi(x_next, candidates))
-        best = jnp.argmax(values[:, Q] + kappa * values[:, U])
-        target = model.td_target(transition.reward, bonus, values[best], transition.terminated)
+        _, values = model.greedy_action(key, state, transition.next_observation, candidates, kappa, "first")
+        target = model.td_target(transition.reward, bonus, values, transition.terminated)
 
         # Lines 9 to 12, the covariance and both means, in gain form.
         posterior = posterior.update(

@@ -11,11 +11,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from bojax.envs.base import Action
+from bojax.envs.base import Action, Observation
 from bojax.envs.spaces import Box
 from bojax.learning.features import StateActionFeatures
 from bojax.learning.memory import Memory
-from bojax.learning.policy import Ties
+from bojax.learning.policy import Ties, best_action
 from bojax.models.bayesian_linear_regression import BayesianLinearRegression
 from bojax.numerics.choices import Choice, one_of
 from bojax.numerics.linalg import matmul
@@ -47,10 +47,9 @@ class EMUQState(eqx.Module):
     candidates: Action
     samples: Action
 
-    def phi(self, x: Float[Array, "P"], actions: Action) -> Float[Array, "J M"]:
-        """Features of several actions in the state with features x."""
-        features = self.features
-        return jax.vmap(lambda action: features.join(x, features.action(action)))(actions)
+    def phi(self, observation: Observation, actions: Action) -> Float[Array, "J M"]:
+        """Features of several actions in a state."""
+        return jax.vmap(lambda action: self.features(observation, action))(actions)
 
 
 class EMUQModel(eqx.Module):
@@ -96,6 +95,26 @@ class EMUQModel(eqx.Module):
             return values
         variances = jnp.sum(phi * posterior.covariance_times(phi), axis=1)
         return values.at[:, U].multiply(self.u_factor(variances))
+
+    def greedy_action(
+        self,
+        key: Key[Array, ""],
+        state: EMUQState,
+        observation: Observation,
+        actions: Action,
+        kappa: Float[Array, ""],
+        ties: Ties,
+    ) -> tuple[Action, Float[Array, "2"]]:
+        """The action that maximises Q + kappa U (5.10), and its Q and U."""
+        phi, mean = state.phi(observation, actions), state.posterior.mean
+        if self.optimistic_u:
+            values = self.values(state.posterior, phi)
+            scores = values[:, Q] + kappa * values[:, U]
+        else:
+            # A single product: XLA fuses it with the features on a GPU, and does not store them.
+            scores = matmul(phi, mean[:, Q] + kappa * mean[:, U])
+        action = actions[best_action(key, scores, ties)]
+        return action, self.values(state.posterior, state.phi(observation, action[None]))[0]
 
     def u_factor(self, variances: Float[Array, "*N"]) -> Float[Array, "*N"]:
         """With `optimistic_u`, the factor 1 - rho of U at features of the given variances; 1 in Algorithm 6.

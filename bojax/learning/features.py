@@ -70,43 +70,44 @@ class StateActionFeatures(eqx.Module):
 
 
 class FourierFeatures(StateActionFeatures):
-    """Cosines, or cosines and sines, of linear functions of the state and action, mapped to the unit cube.
+    """Cosines of linear functions of the state and action, mapped to the unit cube.
 
     Attributes:
         observations: Bounds of observations.
         actions: Space of actions.
         state_frequencies: Angular frequencies along each observation, in radians per range.
         action_frequencies: Angular frequencies along each action dimension.
-        phases: Phase of each frequency, in radians.
+        phases: Phase of each feature, in radians.
         amplitude: Amplitude of every feature.
-        has_sines: Whether sines are appended to the cosines.
+        has_sines: Whether the second half are the sines of the first half: cosines of phases less pi/2.
     """
 
     observations: Space
     actions: Space
-    state_frequencies: Float[Array, "F D"]
-    action_frequencies: Float[Array, "F A"]
-    phases: Float[Array, "F"]
+    state_frequencies: Float[Array, "M D"]
+    action_frequencies: Float[Array, "M A"]
+    phases: Float[Array, "M"]
     amplitude: Float[Array, ""]
     has_sines: bool = eqx.field(static=True)
 
     @property
     @override
     def num_features(self) -> int:
-        return len(self.phases) * (1 + self.has_sines)
+        return len(self.phases)
 
     @override
     def state(self, observation: Observation) -> Float[Array, "P"]:
         """Cosines and sines of the state's part of the angles."""
+        number = self._num_angles
         unit = self.observations.to_unit(observation).astype(self.phases.dtype)
-        angles = matmul(self.state_frequencies, unit) + self.phases
+        angles = matmul(self.state_frequencies[:number], unit) + self.phases[:number]
         return self.amplitude * jnp.concatenate([jnp.cos(angles), jnp.sin(angles)])
 
     @override
     def action(self, action: Action) -> Float[Array, "R"]:
         """Cosines and sines of the action's part of the angles."""
         unit = self.actions.to_unit(action).astype(self.phases.dtype)
-        angles = matmul(self.action_frequencies, unit)
+        angles = matmul(self.action_frequencies[: self._num_angles], unit)
         return jnp.concatenate([jnp.cos(angles), jnp.sin(angles)])
 
     @override
@@ -118,27 +119,30 @@ class FourierFeatures(StateActionFeatures):
 
     @override
     def __call__(self, observation: Observation, action: Action) -> Float[Array, "M"]:
-        # Computed from the sums of the angles, this takes half as many cosines and sines as `join`.
-        dtype = self.phases.dtype
+        # On a GPU, XLA fuses the cosines with the products that they enter, which a concatenation prevents.
+        # On a CPU, the cosine and the sine of an angle have most of their arithmetic in common.
+        has_pairs = self.has_sines and jax.default_backend() == "cpu"
+        number, dtype = self._num_angles if has_pairs else len(self.phases), self.phases.dtype
         state = self.observations.to_unit(observation).astype(dtype)
-        angles = matmul(self.state_frequencies, state) + self.phases
-        angles = angles + matmul(self.action_frequencies, self.actions.to_unit(action).astype(dtype))
-        parts = [jnp.cos(angles), jnp.sin(angles)] if self.has_sines else [jnp.cos(angles)]
-        return self.amplitude * jnp.concatenate(parts)
+        angles = matmul(self.state_frequencies[:number], state) + self.phases[:number]
+        action = self.actions.to_unit(action).astype(dtype)
+        angles = angles + matmul(self.action_frequencies[:number], action)
+        waves = jnp.concatenate([jnp.cos(angles), jnp.sin(angles)]) if has_pairs else jnp.cos(angles)
+        return self.amplitude * waves
 
     @override
     def values(
         self, weights: Float[Array, "M"], observation: Observation, actions: Action
     ) -> Float[Array, "J"]:
-        dtype = self.phases.dtype
+        dtype, number = self.phases.dtype, self._num_angles
         unit, units = self.observations.to_unit(observation), self.actions.to_unit(actions)
-        angles = matmul(self.state_frequencies, unit.astype(dtype)) + self.phases
+        angles = matmul(self.state_frequencies[:number], unit.astype(dtype)) + self.phases[:number]
         if self.has_sines:
             # c cos t + s sin t = r cos(t - d), with r and d the polar coordinates of (c, s): one cosine for
             # each pair of a frequency and an action.
             c, s = jnp.split(weights, 2)
             weights, angles = jnp.hypot(c, s), angles - jnp.arctan2(s, c)
-        angles = angles[None, :] + matmul(units.astype(dtype), self.action_frequencies.T)
+        angles = angles[None, :] + matmul(units.astype(dtype), self.action_frequencies[:number].T)
         return self.amplitude * matmul(jnp.cos(angles), weights)
 
     @override
@@ -163,6 +167,10 @@ class FourierFeatures(StateActionFeatures):
                 [cc * c + cd * d - dc * a - dd * b, cc * d - cd * c - dc * b + dd * a],
             ]
         )
+
+    @property
+    def _num_angles(self) -> int:
+        return len(self.phases) // (1 + self.has_sines)
 
 
 class OneHotFeatures(StateActionFeatures):
@@ -265,15 +273,17 @@ class RandomFourierSpec(FeatureSpec):
             num_observations + num_actions,
             sampling=self.sampling,
         )
-        number = len(features.frequencies)
-        phases = jnp.zeros((number,), dtype)
-        if not has_sines:
+        frequencies, number = features.frequencies, len(features.frequencies)
+        if has_sines:
+            frequencies = jnp.concatenate([frequencies, frequencies])
+            phases = jnp.concatenate([jnp.zeros((number,), dtype), jnp.full((number,), -0.5 * jnp.pi, dtype)])
+        else:
             phases = jax.random.uniform(key_phases, (number,), dtype, maxval=2.0 * jnp.pi)
         return FourierFeatures(
             observations=observation_space,
             actions=action_space,
-            state_frequencies=features.frequencies[:, :num_observations],
-            action_frequencies=features.frequencies[:, num_observations:],
+            state_frequencies=frequencies[:, :num_observations],
+            action_frequencies=frequencies[:, num_observations:],
             phases=phases,
             amplitude=jnp.asarray(number**-0.5, dtype),
             has_sines=has_sines,

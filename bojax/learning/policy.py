@@ -10,15 +10,8 @@ Ties = Literal["random", "first"]
 """How ties between the best actions are broken."""
 
 
-def best_action(
-    key: Key[Array, ""],
-    q: Float[Array, "A"],
-    u: Float[Array, "A"],
-    kappa: Float[Array, ""],
-    ties: Ties = "random",
-) -> Int[Array, ""]:
-    """Index of the action that maximises Q + kappa U."""
-    scores = q + kappa * u
+def best_action(key: Key[Array, ""], scores: Float[Array, "A"], ties: Ties = "random") -> Int[Array, ""]:
+    """Index of an action of the largest score: Q + kappa U, or Q alone."""
     if ties == "first":
         return jnp.argmax(scores).astype(jnp.int32)
     return random_argmax(jax.random.uniform(key, (), scores.dtype), scores)

@@ -84,7 +84,7 @@ class RFFQ(Learner):
         keys = jax.random.split(key, 4)
         candidates = uniform_actions(keys[0], state.candidates, state.features.actions)
         q = self._values(state, observation, candidates)
-        best = best_action(keys[1], q, jnp.zeros_like(q), self.epsilon)
+        best = best_action(keys[1], q)
         is_random = jax.random.uniform(keys[2], (), q.dtype) < exploration.scale * self.epsilon
         any_place = jax.random.randint(keys[3], (), 0, len(candidates)).astype(best.dtype)
         place = jnp.where(is_random, any_place, best)

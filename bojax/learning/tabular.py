@@ -197,7 +197,7 @@ class ExplorationValues(TabularLearner):
     def _best(
         self, key: Key[Array, ""], row: Float[Array, "A 3"], exploration: ExplorationState
     ) -> Int[Array, ""]:
-        return best_action(key, row[:, Q], row[:, U], self.kappa * exploration.scale, self.ties)
+        return best_action(key, row[:, Q] + self.kappa * exploration.scale * row[:, U], self.ties)
 
 
 class AdditiveRewards(TabularLearner):
@@ -228,7 +228,7 @@ class AdditiveRewards(TabularLearner):
     ) -> tuple[Int[Array, ""], Float[Array, ""]]:
         del exploration
         q = _row(state, observation)[:, Q]
-        action = best_action(key, q, jnp.zeros_like(q), jnp.zeros_like(self.discount), self.ties)
+        action = best_action(key, q, self.ties)
         return action, q[action]
 
     @override

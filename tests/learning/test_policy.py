@@ -1,4 +1,4 @@
-"""argmax Q + kappa U, and its ties."""
+"""The best action, and ties."""
 
 import functools
 
@@ -11,30 +11,30 @@ from bojax.learning.policy import best_action, random_argmax
 
 
 @functools.partial(jax.jit, static_argnames="ties")
-def drawn(keys, q, u, kappa, ties):
+def drawn(keys, scores, ties):
     """An action for each key."""
-    return jax.vmap(lambda key: best_action(key, q, u, kappa, ties))(keys)
+    return jax.vmap(lambda key: best_action(key, scores, ties))(keys)
 
 
-def choices(q, u, kappa, ties, draws=3000):
+def choices(scores, ties, draws=3000):
     keys = jax.random.split(jax.random.key(0), draws)
-    actions = drawn(keys, np.asarray(q), np.asarray(u), np.asarray(kappa), ties)
-    return np.bincount(np.asarray(actions), minlength=len(q)) / draws
+    return np.bincount(np.asarray(drawn(keys, np.asarray(scores), ties)), minlength=len(scores)) / draws
 
 
 @pytest.mark.parametrize("ties", ["random", "first"])
-@pytest.mark.parametrize("kappa, best", [(0.0, 2), (1.0, 0), (20.0, 1)])
-def test_kappa_weighs_exploration_against_exploitation(ties, kappa, best):
-    shares = choices([1.0, 0.0, 2.0], [-1.0, -0.9, -3.0], kappa, ties)
-    assert shares[best] == 1.0
+@pytest.mark.parametrize("best", [0, 1, 2])
+def test_the_best_action_is_taken(ties, best):
+    scores = np.asarray([-1.0, -0.5, -2.0])
+    scores[best] = 0.5
+    assert choices(scores, ties)[best] == 1.0
 
 
 def test_the_first_of_several_best_actions_is_taken_where_that_is_asked_for():
-    assert choices([0.0, 1.0, 1.0, 1.0], [0.0] * 4, 1.0, "first")[1] == 1.0
+    assert choices([0.0, 1.0, 1.0, 1.0], "first")[1] == 1.0
 
 
 def test_all_best_actions_are_equally_likely_and_no_other_is_taken():
-    shares = choices([1.0, 0.0, 1.0, 1.0], [0.0] * 4, 1.0, "random")
+    shares = choices([1.0, 0.0, 1.0, 1.0], "random")
     assert shares[1] == 0.0
     assert shares[[0, 2, 3]] == pytest.approx([1 / 3] * 3, abs=0.04)
 
