@@ -20,7 +20,7 @@ from bojax.envs.base import Action
 from bojax.learning.emu_q_model import EMUQModel, EMUQState, Q, U
 from bojax.learning.memory import Memory
 from bojax.numerics.lanes import any_lane
-from bojax.numerics.linalg import gcr, inverse_matrix, matmul
+from bojax.numerics.linalg import gcr, inverse_matrix, matmul, matmul_on_tensor_cores
 
 NUM_STORED = 2048
 """Largest number of transitions whose features are stored during a refit: the first ones of a run.
@@ -138,11 +138,11 @@ class _Equations(eqx.Module):
             matrix, vector = total
             constant, discount = self.terms(rows)
             phi_next = discount[:, None] * self._phi_next(rows)
-            return matrix + matmul(rows.phi.T, phi_next), vector + matmul(constant, rows.phi)
+            return matrix + matmul_on_tensor_cores(rows.phi.T, phi_next), vector + matmul(constant, rows.phi)
 
         start = jnp.zeros_like(self.gain), jnp.zeros_like(self.gain[0])
         matrix, vector = self.transitions.fold(visit, start)
-        return matmul(self.gain, matrix), matmul(self.gain, vector)
+        return matmul_on_tensor_cores(self.gain, matrix), matmul(self.gain, vector)
 
     def inverse(self) -> Float[Array, "M M"]:
         """The inverse of I - F."""
@@ -199,7 +199,8 @@ class _Policy(eqx.Module):
         self, x: Float[Array, "B P"]
     ) -> tuple[Int[Array, "B"], Float[Array, "B"], Float[Array, "B"]]:
         """Index of the chosen candidate at every x(s'), its value Q, and its factor of U."""
-        values = matmul(x, self.weights.reshape(self.weights.shape[0], -1)).reshape(len(x), -1, 2)
+        values = matmul_on_tensor_cores(x, self.weights.reshape(self.weights.shape[0], -1))
+        values = values.reshape(len(x), -1, 2)
         factors = jnp.ones(values.shape[:2], values.dtype)
         if self.forms is not None:
             factors = self.model.u_factor(_quadratic_forms(x, self.forms))
@@ -397,7 +398,7 @@ class Refit(eqx.Module):
 
 def _quadratic_forms(x: Float[Array, "B P"], forms: Float[Array, "J P P"]) -> Float[Array, "B J"]:
     """The quadratic form x'F x of every row x and every matrix F."""
-    return jax.vmap(lambda form: jnp.sum(matmul(x, form) * x, axis=1), out_axes=1)(forms)
+    return jax.vmap(lambda form: jnp.sum(matmul_on_tensor_cores(x, form) * x, axis=1), out_axes=1)(forms)
 
 
 def _features(state: EMUQState, memory: Memory) -> tuple[Float[Array, "B M"], Float[Array, "B P"]]:

@@ -25,11 +25,11 @@ def matmul(a: Float[Array, "*a"], b: Float[Array, "*b"]) -> Float[Array, "*c"]:
 
 
 def matmul_on_tensor_cores(a: Float[Array, "*a"], b: Float[Array, "*b"]) -> Float[Array, "*c"]:
-    """Matrix product at full precision, for large matrices.
+    """Product of two matrices at full precision, for large batches or large matrices in float32.
 
-    On NVIDIA GPUs, a product in float32 is the sum of three products in TF32, which tensor cores compute. For
-    11 rows times 500 x 500 matrices, its largest error on an H200 is 2e-7, that of `matmul` 7e-7, and the
-    time 91 us for a batch of 200 in place of 121.
+    On NVIDIA GPUs it is the sum of three products in TF32, which tensor cores compute. For 11 rows times 500
+    x 500 matrices on an H200, its largest error is 2e-7, that of `matmul` 7e-7; a batch of 200 takes 91 us in
+    place of 121. XLA also compares fewer kernels: a refit of EMU-Q compiles in 5 s in place of 9.
     """
     if a.dtype != jnp.float32 or b.dtype != jnp.float32:
         return matmul(a, b)
@@ -231,12 +231,12 @@ def inverse_by_halves(a: Float[Array, "N N"]) -> Float[Array, "N N"]:
     n = a.shape[0]
     if n <= 64:
         return jnp.linalg.inv(a)
-    half = n // 2
+    half, product = n // 2, matmul_on_tensor_cores
     first = inverse_by_halves(a[:half, :half])
-    right, below = matmul(first, a[:half, half:]), matmul(a[half:, :half], first)
-    last = inverse_by_halves(a[half:, half:] - matmul(a[half:, :half], right))
-    below = -matmul(last, below)
-    return jnp.block([[first - matmul(right, below), -matmul(right, last)], [below, last]])
+    right, below = product(first, a[:half, half:]), product(a[half:, :half], first)
+    last = inverse_by_halves(a[half:, half:] - product(a[half:, :half], right))
+    below = -product(last, below)
+    return jnp.block([[first - product(right, below), -product(right, last)], [below, last]])
 
 
 def gcr(
