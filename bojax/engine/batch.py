@@ -120,7 +120,8 @@ class Programs:
         self.max_advances = run.max_advances
         self._prepare(run)
         key = executables.key_of(self._group, device, type(self), num_lanes, snapshots, fills)
-        self._unsaved: tuple[str | None, PyTree] = None, None
+        self._unsaved: tuple[str, PyTree] | None = None
+        self._saving = threading.Lock()
         start = time.perf_counter()
         if found := executables.load(key, device):
             self._programs, carry = found
@@ -134,14 +135,17 @@ class Programs:
             with executables.compiled_anew() as compiled:
                 self._programs = {name: _compile(name, program) for name, program in lowered.items()}
             self.compile_seconds = traced + time.perf_counter() - start
-            if len(compiled) == len(self._programs):
+            if key is not None and len(compiled) == len(self._programs):
                 self._unsaved = key, carry
         self.carry_structure = self._on_device(carry)
 
     def keep(self) -> None:
-        """Save the programs for later sweeps, if they were compiled."""
-        key, carry = self._unsaved
-        executables.save(key, self._programs, carry)
+        """Save the programs for other devices and for later sweeps, if they were compiled."""
+        with self._saving:
+            unsaved, self._unsaved = self._unsaved, None
+            if unsaved is not None:
+                key, carry = unsaved
+                executables.save(key, self._programs, carry)
 
     def _prepare(self, run: Experiment) -> None:
         """Prepare what a subclass needs of the first run."""

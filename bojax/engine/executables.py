@@ -23,6 +23,8 @@ from typing import Any
 
 import jax
 import jax.monitoring
+import numpy as np
+from jax._src.lib import xla_client  # pyright: ignore[reportPrivateImportUsage]
 from jax.experimental import serialize_executable
 from jax.stages import Compiled
 from jaxtyping import PyTree
@@ -58,10 +60,10 @@ def key_of(group: StaticGroup, device: Device, *details: object) -> str | None:
 
     Args:
         group: The group. The values of its arrays are inputs of the programs, and not part of the name.
-        device: The device; a program is loaded for the device that it was compiled for.
+        device: The device. All devices of its kind have the same programs.
         details: What else the programs depend on, such as the number of lanes.
     """
-    parts = (_environment(), _flags(), device.device_kind, device.client.platform_version, device.id)
+    parts = (_environment(), _flags(), device.device_kind, device.client.platform_version)
     return _digest_of(group, parts, details) if _folder() is not None else None
 
 
@@ -106,10 +108,10 @@ def load(key: str | None, device: Device) -> tuple[dict[str, Compiled], PyTree] 
     return loaded, structure
 
 
-def save(key: str | None, programs: Mapping[str, Compiled], structure: PyTree[jax.ShapeDtypeStruct]) -> None:
+def save(key: str, programs: Mapping[str, Compiled], structure: PyTree[jax.ShapeDtypeStruct]) -> None:
     """Save the programs of a group, and the structure of its carry without shardings, if that is possible."""
     folder = _folder()
-    if key is None or folder is None:
+    if folder is None:
         return
     try:
         content = pickle.dumps(({name: _serialized(each) for name, each in programs.items()}, structure))
@@ -136,9 +138,27 @@ def _tree(structure: Any) -> PyTree:
 
 
 def _loaded(saved: tuple[bytes, PyTree, PyTree], device: Device) -> Compiled:
+    """As `serialize_executable.deserialize_and_load`, but for any device of the kind."""
     content, inputs, outputs = saved
-    structures = jax.tree.structure(inputs), jax.tree.structure(outputs)
-    return serialize_executable.deserialize_and_load(content, *structures, execution_devices=[device])
+    unloaded, arguments, no_kwargs = _Unpickler(io.BytesIO(content), device.client, [device]).load()
+    described = jax.tree.unflatten(jax.tree.structure(inputs), arguments)
+    return Compiled(unloaded.load(), [], described, jax.tree.structure(outputs), no_kwargs=no_kwargs)
+
+
+class _Unpickler(serialize_executable._JaxPjrtUnpickler):
+    """Replaces the device that a program was compiled for by the one that it is loaded for."""
+
+    @override
+    def persistent_load(self, pid: Any) -> Any:
+        kind, *content = pid
+        (device,) = self.execution_devices
+        if kind == "device":
+            return device
+        if kind == "exec":
+            options = xla_client.CompileOptions()
+            options.device_assignment = xla_client.DeviceAssignment.create(np.asarray([[device.id]]))
+            return self.backend.deserialize_executable(content[0], self.execution_devices, options)
+        return super().persistent_load(pid)
 
 
 @contextlib.contextmanager

@@ -156,6 +156,9 @@ class _Executor:
         is_first = width == task.layout.lanes
         if is_first:
             self._progress.compiling(task.progress)
+        for other in self._devices:  # from which these programs are then loaded
+            if other != device and self._ahead.is_ready((task, other, width)):
+                self._programs(task, other, width).keep()
         kind = Hosted if task.experiment.is_hosted else Programs
         programs = kind(
             task.functions,

@@ -1,6 +1,7 @@
 """Programs come back from the cache untraced, with the same bits; what may change unseen is not cached."""
 
 import os
+import threading
 import time
 
 import equinox as eqx
@@ -13,8 +14,11 @@ from bojax.config.sweep import load_config, load_sweep
 from bojax.engine import batch, executables
 from bojax.engine.batch import Functions, Programs
 from bojax.engine.build import build
+from bojax.engine.chunks import SHORTEST_QUEUE
 from bojax.engine.groups import static_groups
+from bojax.engine.runner import ChunkRunner
 from bojax.envs.robots.base import RobotTask
+from tests.engine.drive import run_sweep
 from tests.toy import toy
 
 DEVICE = jax.devices("cpu")[0]
@@ -38,8 +42,8 @@ def group_of(**changes):
     return group
 
 
-def programs_of(group, lanes: int = 3) -> Programs:
-    programs = Programs(Functions(group), DEVICE, lanes, 0, snapshots=False, fills=True)
+def programs_of(group, lanes: int = 3, device=DEVICE) -> Programs:
+    programs = Programs(Functions(group), device, lanes, 0, snapshots=False, fills=True)
     programs.keep()
     return programs
 
@@ -55,15 +59,19 @@ def files(folder):
 
 
 @pytest.mark.bits
-def test_loaded_programs_are_neither_traced_nor_compiled_and_give_the_same_bits(cache, monkeypatch):
+@pytest.mark.parametrize("device", jax.devices("cpu"), ids=str)
+def test_loaded_programs_are_neither_traced_nor_compiled_and_give_the_same_bits(cache, monkeypatch, device):
     compiled = programs_of(group_of())
     assert len(files(cache)) == 1
     count = batch.compile_counts.total()
     monkeypatch.setattr(Programs, "_lower", lambda *_, **__: pytest.fail("traced"))
-    loaded = programs_of(group_of())
+    loaded = programs_of(group_of(), device=device)
     assert batch.compile_counts.total() == count
     assert jax.tree.structure(loaded.carry_structure) == jax.tree.structure(compiled.carry_structure)
-    assert jax.tree.leaves(loaded.carry_structure) == jax.tree.leaves(compiled.carry_structure)
+    structures = loaded.carry_structure, compiled.carry_structure
+    for leaf, other in zip(*map(jax.tree.leaves, structures), strict=True):
+        assert (leaf.shape, leaf.dtype) == (other.shape, other.dtype)
+        assert leaf.sharding.device_set == {device}
     first, second = advanced(compiled), advanced(loaded)
     assert jax.tree.structure(first) == jax.tree.structure(second)
     for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True):
@@ -105,7 +113,6 @@ def test_everything_else_takes_others(cache, monkeypatch):
     keys += [executables.key_of(group, DEVICE, 4, True), executables.key_of(group, DEVICE, 3, False)]
     keys += [executables.key_of(group_of(episodes=3), DEVICE, 3, True)]
     keys += [executables.key_of(group_of(**{"env.max_length": 30}), DEVICE, 3, True)]
-    keys += [executables.key_of(group, jax.devices("cpu")[1], 3, True)]
     with jax.debug_nans(True):
         keys += [executables.key_of(group, DEVICE, 3, True)]
     for name, value in {"code_hashes": {"bojax": "changed"}, "installed": {"jax": "9"}}.items():
@@ -114,7 +121,7 @@ def test_everything_else_takes_others(cache, monkeypatch):
             executables._environment.cache_clear()
             keys += [executables.key_of(group, DEVICE, 3, True)]
     executables._environment.cache_clear()
-    assert None not in keys and len(set(keys)) == len(keys) == 9
+    assert None not in keys and len(set(keys)) == len(keys) == 8
 
 
 def test_foreign_code_is_not_cached(cache):
@@ -182,3 +189,22 @@ def test_programs_that_call_this_process_are_not_cached(cache, monkeypatch, call
     (point,) = load_config("hopper", [], None, None).points
     (group,) = static_groups([build(point.config, "float32")])
     assert (executables.key_of(group, DEVICE, 3) is None) == calls_process
+
+
+def test_several_devices_compile_a_program_once(cache, monkeypatch, tmp_path):
+    devices = jax.devices("cpu")
+    monkeypatch.setattr("bojax.engine.run.find_devices", lambda _: devices)
+    used, run = set(), ChunkRunner.run
+
+    def noted(runner):
+        used.add(threading.get_ident())
+        both.wait()
+        run(runner)
+
+    both = threading.Barrier(len(devices), timeout=60.0)  # each device takes a chunk
+    monkeypatch.setattr(ChunkRunner, "run", noted)
+    before = batch.compile_counts["advance"]
+    sweep = load_config("chain", ["episodes=2"], 2 * SHORTEST_QUEUE, None)
+    assert run_sweep(sweep, tmp_path / "chain") == 0
+    assert len(used) == len(devices) == 2
+    assert batch.compile_counts["advance"] == before + 1
