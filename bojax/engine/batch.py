@@ -6,7 +6,7 @@ A lane is one run of one point. Each device has its own lanes, and devices do no
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
@@ -68,6 +68,7 @@ class Functions:
         self.summary = jax.jit(self._named(_summary, group))
         self.snapshot = jax.jit(self._named(_snapshot, group))
         self.exported_state = jax.jit(self._named(_exported_state, group))
+        self.recorded = jax.jit(self._named(_recorded, group))
         self.select = jax.jit(_select)
 
     def empty(self, carry: PyTree[jax.ShapeDtypeStruct], device: Device):
@@ -98,7 +99,7 @@ class Programs:
     """Whether an advance is one compiled program."""
 
     def __init__(
-        self, functions: Functions, device: Device, num_lanes: int, seed: int, *, snapshots: bool, fills: bool
+        self, functions: Functions, device: Device, num_lanes: int, seed: int, *, recorded: int, fills: bool
     ):
         """Compile the programs.
 
@@ -107,7 +108,7 @@ class Programs:
             device: The device.
             num_lanes: Number of lanes.
             seed: Seed of the sweep.
-            snapshots: Whether snapshots are kept.
+            recorded: Largest number of lanes whose run is recorded.
             fills: Whether runs start in these lanes; otherwise they come from a larger number of lanes.
         """
         self.num_lanes, self.device = num_lanes, device
@@ -118,8 +119,9 @@ class Programs:
         first = jax.device_put(self._group.swept_at(np.asarray(0)), self._sharding)
         run = self._group.experiment(first, self._shared)
         self.max_advances = run.max_advances
+        self._recorded_tables, self._num_recorded = run.recorded_tables, min(recorded, num_lanes)
         self._prepare(run)
-        key = executables.key_of(self._group, device, type(self), num_lanes, snapshots, fills)
+        key = executables.key_of(self._group, device, type(self), num_lanes, self._num_recorded, fills)
         self._unsaved: tuple[str, PyTree] | None = None
         self._saving = threading.Lock()
         start = time.perf_counter()
@@ -129,7 +131,7 @@ class Programs:
         else:
             with _TRACING:
                 start = time.perf_counter()
-                lowered, carry = self._lower(snapshots=snapshots, fills=fills)
+                lowered, carry = self._lower(fills)
                 traced = time.perf_counter() - start
             start = time.perf_counter()
             with executables.compiled_anew() as compiled:
@@ -155,9 +157,7 @@ class Programs:
             lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=self._sharding), structure
         )
 
-    def _lower(
-        self, *, snapshots: bool, fills: bool
-    ) -> tuple[dict[str, Lowered], PyTree[jax.ShapeDtypeStruct]]:
+    def _lower(self, fills: bool) -> tuple[dict[str, Lowered], PyTree[jax.ShapeDtypeStruct]]:
         """The programs, traced for inputs of exactly these shapes on this device, and their carry."""
         functions, one_point = self._functions, np.zeros(self.num_lanes, dtype=np.int32)
         lanes = self.place(one_point, one_point)
@@ -165,8 +165,14 @@ class Programs:
         inputs = (self._on_device(carry), lanes, self._shared)
         lowered = {"advance": functions.advance.lower(*inputs)} if self._is_compiled else {}
         lowered["summary"] = functions.summary.lower(*inputs)
-        if snapshots and jax.tree.leaves(jax.eval_shape(functions.snapshot, *inputs)):
+        if self._num_recorded and jax.tree.leaves(jax.eval_shape(functions.snapshot, *inputs)):
             lowered["snapshot"] = functions.snapshot.lower(*inputs)
+        if self._num_recorded and self._recorded_tables and self._is_compiled:
+            _, tables, _ = lowered["advance"].out_info
+            lowered["recorded"] = functions.recorded.lower(
+                self._on_device({name: tables[name] for name in self._recorded_tables}),
+                jax.device_put(np.zeros(self._num_recorded, np.int32), self._sharding),
+            )
         if fills:
             everywhere = jax.device_put(np.ones(self.num_lanes, dtype=bool), self._sharding)
             lowered["empty"] = functions.empty(carry, self.device).lower()
@@ -196,12 +202,28 @@ class Programs:
         """Advance every lane once; the buffers of the given carry are donated."""
         return self._programs["advance"](carry, lanes, self._shared)
 
+    def recorded(self, tables: Mapping[str, dict[str, Array]], lanes: np.ndarray) -> dict[str, Any]:
+        """The tables of an advance; of those of recorded runs, the rows of the given lanes, and then others.
+
+        Args:
+            tables: Tables of an advance, columns `[lanes, rows]`.
+            lanes: The lanes whose runs are recorded.
+        """
+        of_runs = {name: columns for name, columns in tables.items() if name in self._recorded_tables}
+        if not len(lanes):
+            kept = jax.tree.map(lambda column: np.empty((0, *column.shape[1:]), column.dtype), of_runs)
+        else:
+            select = self._programs.get("recorded", self._functions.recorded)
+            padded = np.resize(lanes, self._num_recorded).astype(np.int32)
+            kept = select(of_runs, jax.device_put(padded, self._sharding)) if of_runs else {}
+        return {**tables, **kept}
+
     def summary(self, carry: Carry, lanes: Lanes) -> dict[str, Array]:
         """The summary of every lane."""
         return self._programs["summary"](carry, lanes, self._shared)
 
     def snapshot(self, carry: Carry, lanes: Lanes) -> dict[str, dict[str, Array]]:
-        """The snapshot of every lane; empty if the experiment has none or if snapshots are not kept."""
+        """The snapshot of every lane; empty if the experiment has none or if no run is recorded."""
         if "snapshot" not in self._programs:
             return {}
         return self._programs["snapshot"](carry, lanes, self._shared)
@@ -281,6 +303,11 @@ def _exported_state(group: StaticGroup, carry: Carry, lanes: Lanes, shared: PyTr
         return group.experiment(swept, shared).exported_state(carry)
 
     return jax.vmap(one, axis_name=LANES)(carry, lanes.swept)
+
+
+def _recorded(group: StaticGroup, tables: PyTree, lanes: Int[Array, " recorded"]) -> PyTree:
+    del group
+    return jax.tree.map(lambda column: column[lanes], tables)
 
 
 def _select(carry: Carry, lanes: Int[Array, " selected"]) -> Carry:

@@ -46,6 +46,7 @@ class GroupTask:
         compiled: Called with the seconds of a compilation.
         failed: Called with chunks that failed and the error; returns the reason in one line.
         running: Number of chunks that workers have taken.
+        recorded: Largest number of recorded runs of a chunk.
     """
 
     group: StaticGroup
@@ -61,7 +62,9 @@ class GroupTask:
 
     def __post_init__(self):
         self.functions = Functions(self.group)
-        self.keeps_snapshots = any(sink.recorded_runs > 0 for _, sink in self.chunks)
+        self.recorded = max(
+            (int((chunk.runs < sink.recorded_runs).sum()) for chunk, sink in self.chunks), default=0
+        )
         self.progress = GroupProgress(self.name, self.experiment.max_advances)
         for chunk, sink in self.chunks:
             self.progress.chunks[chunk.index] = _progress_of(chunk, sink, self.experiment.max_advances)
@@ -165,7 +168,7 @@ class _Executor:
             device,
             width,
             task.seed,
-            snapshots=task.keeps_snapshots,
+            recorded=task.recorded,
             fills=is_first,
         )
         if is_first:

@@ -147,15 +147,19 @@ class ChunkRunner:
         """Advance the lanes for some seconds, and write the rows."""
         state, repack = self._state, self._chunk.layout.repack
         start, first_advance = time.perf_counter(), state.advances
-        rounds: list[tuple[np.ndarray, list[Any]]] = []
+        rounds: list[tuple[np.ndarray, np.ndarray, list[Any]]] = []
         finished = lane_advances = active_steps = issued_steps = num_bytes = 0
         while True:
             left = self._limits.segment_seconds - (time.perf_counter() - start)
             most = MOST_ADVANCES - (state.advances - first_advance)
+            lanes = self._map
+            runs = np.where(lanes == EMPTY, EMPTY, self._chunk.runs[lanes])
+            recorded = np.nonzero((runs != EMPTY) & (runs < self._sink.recorded_runs))[0]
             made = run_advances(
                 self._programs,
                 self._carry,
                 self._lanes,
+                recorded,
                 most=min(most, repack - state.advances % repack) if repack else most,
                 most_bytes=MOST_RECORD_BYTES - num_bytes,
                 seconds=left,
@@ -164,8 +168,7 @@ class ChunkRunner:
             self._carry = made.carry
             state.advances += len(made.records)
             num_bytes += made.num_bytes
-            lanes = self._map
-            rounds.append((lanes, made.records))
+            rounds.append((lanes, recorded, made.records))
             lane_advances += int((lanes != EMPTY).sum()) * len(made.statuses)
             for status in made.statuses:
                 steps = np.where(lanes == EMPTY, 0, status.active_steps)
@@ -272,17 +275,14 @@ class ChunkRunner:
         for lane in lanes.tolist():
             self._state.lanes[lane] = EMPTY
 
-    def _write(self, rounds: list[tuple[np.ndarray, list[Any]]]) -> None:
+    def _write(self, rounds: list[tuple[np.ndarray, np.ndarray, list[Any]]]) -> None:
         """Write the rows of a segment: those of the advances, and the summaries of finished runs."""
         tables = self._experiment.tables
         rows: dict[str, list[Rows]] = {"runs": self._summaries}
-        for lanes, records in rounds:
+        for lanes, recorded, records in rounds:
             runs = np.where(lanes == EMPTY, EMPTY, self._chunk.runs[lanes])
-            kept = dict.fromkeys(
-                self._experiment.recorded_tables,
-                np.nonzero((runs != EMPTY) & (runs < self._sink.recorded_runs))[0],
-            )
-            for name, found in fetch_rows(records, tables, self._chunk.points[lanes], runs, kept).items():
+            points, of_recorded = self._chunk.points[lanes], self._experiment.recorded_tables
+            for name, found in fetch_rows(records, tables, points, runs, recorded, of_recorded).items():
                 rows.setdefault(name, []).append(found)
         self._sink.write_part(
             {

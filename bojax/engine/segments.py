@@ -2,13 +2,12 @@
 
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Array
 
 from bojax.engine.batch import Lanes, Programs, Status
 from bojax.engine.protocol import VALID
@@ -45,6 +44,7 @@ def run_advances(
     programs: Programs,
     carry: Carry,
     lanes: Lanes,
+    recorded: np.ndarray,
     *,
     most: int,
     most_bytes: int,
@@ -57,6 +57,7 @@ def run_advances(
         programs: The compiled programs.
         carry: The carry to start from; its buffers are donated.
         lanes: Inputs of the lanes.
+        recorded: Lanes whose runs are recorded.
         most: Maximum number of advances.
         most_bytes: Size of records after which no further advance is issued.
         seconds: Wall time after which no further advance is issued.
@@ -69,6 +70,7 @@ def run_advances(
     lookahead, finished, num_bytes = 0, 0, 0
     while len(records) < most and (num_bytes < most_bytes or not records):
         carry, tables, status = programs.advance(carry, lanes)
+        tables = programs.recorded(tables, recorded)  # other rows never leave the device
         num_bytes += sum(column.nbytes for column in jax.tree.leaves(tables))
         records.append(tables)
         statuses.append(status)
@@ -89,25 +91,26 @@ def fetch_rows(
     tables: Mapping[str, Table],
     points: np.ndarray,
     runs: np.ndarray,
-    kept: Mapping[str, np.ndarray],
+    recorded: np.ndarray,
+    of_recorded: Collection[str],
 ) -> dict[str, Rows]:
     """The valid rows of the records of advances, `{table: {column: [rows]}}`, with the point and run of each.
 
     Args:
-        records: The tables of each advance, columns `[lanes, rows]`.
+        records: The tables of each advance, columns `[lanes, rows]`, as from `Programs.recorded`.
         tables: Schemas of the tables.
         points: Point of each lane.
         runs: Run of each lane; the rows of lanes without a run, -1, are left out.
-        kept: For each table of which only some lanes are kept, those lanes.
+        recorded: Lanes whose runs are recorded.
+        of_recorded: Tables of recorded runs only.
     """
-    fetched = jax.device_get([_lanes_of(advance, kept) for advance in records])
+    fetched = jax.device_get(list(records))
     rows: dict[str, Rows] = {}
     for name in fetched[0] if fetched else ():
-        real = (runs >= 0)[kept[name] if name in kept else slice(None), None]
-        found = [np.nonzero(advance[name][VALID] & real) for advance in fetched]
-        lanes = np.concatenate([lane for lane, _ in found])
-        if name in kept:
-            lanes = kept[name][lanes]
+        own = recorded if name in of_recorded else np.arange(len(runs))
+        real = (runs >= 0)[own, None]
+        found = [np.nonzero(advance[name][VALID][: len(own)] & real) for advance in fetched]
+        lanes = own[np.concatenate([lane for lane, _ in found])]
         rows[name] = {"point": points[lanes], "run": runs[lanes]} | {
             column.name: np.concatenate(
                 [advance[name][column.name][where] for advance, where in zip(fetched, found, strict=True)]
@@ -115,11 +118,3 @@ def fetch_rows(
             for column in tables[name]
         }
     return rows
-
-
-def _lanes_of(tables: Mapping[str, Mapping[str, Array]], kept: Mapping[str, np.ndarray]) -> Any:
-    """The tables with the rows of the kept lanes only; other rows never leave the device."""
-    return {
-        name: {key: column[kept[name]] for key, column in columns.items()} if name in kept else columns
-        for name, columns in tables.items()
-    }

@@ -43,7 +43,7 @@ def group_of(**changes):
 
 
 def programs_of(group, lanes: int = 3, device=DEVICE) -> Programs:
-    programs = Programs(Functions(group), device, lanes, 0, snapshots=False, fills=True)
+    programs = Programs(Functions(group), device, lanes, 0, recorded=0, fills=True)
     programs.keep()
     return programs
 
@@ -208,3 +208,15 @@ def test_several_devices_compile_a_program_once(cache, monkeypatch, tmp_path):
     assert run_sweep(sweep, tmp_path / "chain") == 0
     assert len(used) == len(devices) == 2
     assert batch.compile_counts["advance"] == before + 1
+
+
+@pytest.mark.parametrize("lanes", [[], [1], [0, 2]])
+def test_only_rows_of_recorded_lanes_leave_the_device(cache, lanes):
+    programs = Programs(Functions(group_of()), DEVICE, 3, 0, recorded=2, fills=True)
+    given = programs.place(np.zeros(3, int), np.arange(3))
+    _, tables, _ = programs.advance(programs.init(given), given)
+    kept = programs.recorded(tables, np.asarray(lanes, dtype=int))
+    assert kept["episodes"] is tables["episodes"]
+    for name, column in kept["steps"].items():
+        assert len(column) == (2 if lanes else 0)
+        np.testing.assert_array_equal(column[: len(lanes)], np.asarray(tables["steps"][name])[lanes])

@@ -162,7 +162,7 @@ def test_is_what_the_compiled_run_does():
         Learning(env=Chain(), learner=EpsilonGreedy(epsilon=0.3, block=4), episodes=3, tests=1), "float32"
     )
     given = Functions(static_groups([compiled_run])[0]), jax.devices("cpu")[0], 3, 0
-    programs = [kind(*given, snapshots=False, fills=True) for kind in (Programs, OurHosted)]
+    programs = [kind(*given, recorded=0, fills=True) for kind in (Programs, OurHosted)]
     ends = []
     for program in programs:
         lanes = program.place(np.zeros(3, np.int32), np.arange(3, dtype=np.int32))

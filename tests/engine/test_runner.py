@@ -40,7 +40,7 @@ def programs_of(layout: Layout):
         key = width, width == layout.lanes
         if key not in programs:
             device = jax.devices("cpu")[0]
-            programs[key] = Programs(FUNCTIONS, device, width, SEED, snapshots=True, fills=key[1])
+            programs[key] = Programs(FUNCTIONS, device, width, SEED, recorded=6, fills=key[1])
         return programs[key]
 
     return compiled
