@@ -2,7 +2,8 @@
 
 import shutil
 import textwrap
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 
 from bojax.cli.parser import Parser, UsageError
 from bojax.config.catalog import kinds, roles
@@ -20,6 +21,9 @@ _EXAMPLES = """\
 
 _FILES = ("configs", "sweeps")
 
+Members = Mapping[str, type[Component]] | Mapping[str, Path]
+"""What a group has, by name: parts, or files whose titles are read once they are shown."""
+
 
 def main(name: str, words: Sequence[str]) -> int:
     """Run the command and return its exit code."""
@@ -34,26 +38,24 @@ def main(name: str, words: Sequence[str]) -> int:
     )
     args = parser.parse_intermixed_args(list(words))
     groups = _groups()
-    blocks = [_group(title, lines) for title, lines in groups.items()]
     if args.names:
         blocks = [block for wanted in args.names for block in _about(wanted, groups)]
+    else:
+        blocks = [_group(title, members) for title, members in groups.items()]
     print("\n\n".join(blocks))
     if not args.names:
         print("\nbojax list NAME shows the settings of a part.")
     return 0
 
 
-def _groups() -> dict[str, dict[str, str]]:
-    """Every name with its summary, by group, without empty groups."""
-    groups = {
-        base.plural: {kind: summary_of(schema) for kind, schema in kinds(role).items()}
-        for role, base in roles().items()
-    }
-    groups |= {folder: {stem: _title(path) for stem, path in available(folder).items()} for folder in _FILES}
-    return {title: lines for title, lines in groups.items() if lines}
+def _groups() -> dict[str, Members]:
+    """Every name with its part or file, by group, without empty groups."""
+    groups: dict[str, Members] = {base.plural: kinds(role) for role, base in roles().items()}
+    groups |= {folder: available(folder) for folder in _FILES}
+    return {title: members for title, members in groups.items() if members}
 
 
-def _title(path) -> str:
+def _title(path: Path) -> str:
     try:
         mapping = read_mapping(path, display(path))
     except ConfigError as error:
@@ -63,7 +65,7 @@ def _title(path) -> str:
     return str(mapping.get("title", ""))
 
 
-def _about(name: str, groups: dict[str, dict[str, str]]) -> list[str]:
+def _about(name: str, groups: Mapping[str, Members]) -> list[str]:
     if name in groups:
         return [_group(name, groups[name])]
     blocks = [_part(role, kinds(role)[name]) for role in roles() if name in kinds(role)]
@@ -75,7 +77,7 @@ def _about(name: str, groups: dict[str, dict[str, str]]) -> list[str]:
                 f"{name}: a {folder[:-1]}, {display(path)}\n  {_title(path)}\n  bojax {command} {name}"
             )
     if not blocks:
-        names = {*groups, *(known for lines in groups.values() for known in lines)}
+        names = {*groups, *(known for members in groups.values() for known in members)}
         raise UsageError(f"unknown name {name}{allowed_names(name, names)}")
     return blocks
 
@@ -97,8 +99,12 @@ def _article(role: str) -> str:
     return f"{'an' if role[0] in 'aeiou' else 'a'} {role}"
 
 
-def _group(title: str, lines: dict[str, str]) -> str:
-    return f"{title}\n{_table(list(lines.items()))}"
+def _group(title: str, members: Members) -> str:
+    rows = [
+        (name, _title(member) if isinstance(member, Path) else summary_of(member))
+        for name, member in members.items()
+    ]
+    return f"{title}\n{_table(rows)}"
 
 
 def _table(rows: Sequence[Sequence[str]]) -> str:
