@@ -4,6 +4,8 @@ PyYAML follows YAML 1.1, which reads `1e-5` as text, `no` as false and `1:30` as
 core schema of YAML 1.2, which reads `1e-5` as a number, and `no` and `1:30` as text.
 """
 
+import copy
+import functools
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -20,6 +22,9 @@ MAX_BYTES = 4 * 2**20
 
 MAX_NODES = 500_000
 """Maximum number of values, including those repeated by aliases; each takes about 700 bytes (measured)."""
+
+MAX_REMEMBERED = 2**16
+"""Maximum number of characters of a file whose value is remembered: a command reads some files many times."""
 
 _TAG = "tag:yaml.org,2002:"
 
@@ -100,12 +105,17 @@ def read_mapping(path: Path, name: str) -> dict[str, Any]:
         raise ConfigError(f"{name}: is not UTF-8 text (byte {error.start})") from error
     except OSError as error:
         raise ConfigError(f"{name}: cannot be read: {error.strerror}") from error
-    value = parse(text, name)
+    value = copy.deepcopy(_remembered(text, name)) if len(text) <= MAX_REMEMBERED else parse(text, name)
     if value is None:
         raise ConfigError(f"{name}: is empty; allowed: a mapping of settings (key: value)")
     if not isinstance(value, dict):
         raise ConfigError(f"{name}: holds {_type_of(value)}; allowed: a mapping of settings (key: value)")
     return value
+
+
+@functools.lru_cache(maxsize=256)
+def _remembered(text: str, name: str) -> Any:
+    return parse(text, name)
 
 
 def parse(text: str, name: str) -> Any:
