@@ -1,5 +1,8 @@
 """`bojax reproduce`: which sweeps an id means, and one page over all of them."""
 
+import contextlib
+import io
+import shutil
 from pathlib import Path
 
 import pytest
@@ -13,6 +16,7 @@ from bojax.engine.plan import make_plan
 
 SMALL = """\
 base: {experiment: learning, env: chain, learner: epsilon-greedy, episodes: 2, runs: 2}
+report: {figures: [returns]}
 claims:
 - id: %s/higher
   source: Fig. 5.2, p. 100
@@ -69,28 +73,42 @@ def test_nothing_to_resume(tmp_path, monkeypatch, capsys):
 def two(tmp_path, monkeypatch):
     """Two small sweeps of a figure in the working directory."""
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "sweeps").mkdir()
-    for name in ("fig-9.1a", "fig-9.1b"):
-        (tmp_path / "sweeps" / f"{name}.yaml").write_text(SMALL % name)
-    return tmp_path
+    return _with_two_sweeps(tmp_path)
 
 
-def test_sweeps_of_a_figure_and_one_page(two, capfd):
-    assert main(["reproduce", "fig-9.1", "--out", "out"]) == 0
-    assert capfd.readouterr().out.splitlines()[-1] == "out/reproduction.html"
+@pytest.fixture(scope="module")
+def reproduced(tmp_path_factory):
+    """A folder with two small sweeps of a figure and their finished reproduction, and what was printed."""
+    folder = _with_two_sweeps(tmp_path_factory.mktemp("reproduced"))
+    with contextlib.chdir(folder), contextlib.redirect_stdout(io.StringIO()) as out:
+        assert main(["reproduce", "fig-9.1", "--out", "out"]) == 0
+    return folder, out.getvalue()
+
+
+def _with_two_sweeps(folder):
+    (folder / "sweeps").mkdir()
     for name in ("fig-9.1a", "fig-9.1b"):
-        assert (two / "out" / name / "report.html").is_file()
-    text = (two / "out" / "reproduction.md").read_text()
+        (folder / "sweeps" / f"{name}.yaml").write_text(SMALL % name)
+    return folder
+
+
+def test_sweeps_of_a_figure_and_one_page(reproduced, monkeypatch, capfd):
+    folder, printed = reproduced
+    assert printed.splitlines()[-1] == "out/reproduction.html"
+    for name in ("fig-9.1a", "fig-9.1b"):
+        assert (folder / "out" / name / "report.html").is_file()
+    text = (folder / "out" / "reproduction.md").read_text()
     assert "bojax reproduce fig-9.1 --out out" in text and "2 claims, tested by 2 sweeps" in text
+    monkeypatch.chdir(folder)
     assert main(["reproduce", "fig-9.1", "--out", "out", "--resume"]) == 0
     assert "out/fig-9.1a: already finished" in capfd.readouterr().out
 
 
-def test_a_missing_report_is_an_error(two, capfd):
-    assert main(["reproduce", "fig-9.1", "--out", "out"]) == 0
-    (two / "out" / "fig-9.1a" / "report.html").unlink()
-    (two / "out" / "fig-9.1a" / "report.html").mkdir()
-    capfd.readouterr()
+def test_a_missing_report_is_an_error(reproduced, tmp_path, monkeypatch, capfd):
+    shutil.copytree(reproduced[0], tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "out" / "fig-9.1a" / "report.html").unlink()
+    (tmp_path / "out" / "fig-9.1a" / "report.html").mkdir()
     assert main(["reproduce", "fig-9.1", "--out", "out", "--resume"]) == 1
     error = capfd.readouterr().err
     assert (
