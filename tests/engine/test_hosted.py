@@ -84,9 +84,16 @@ def table(folder, name):
     return pq.read_table(folder / f"{name}.parquet")
 
 
-def test_runs_to_the_end_and_reports_every_episode(tmp_path):
-    assert run_sweep(sweep(), tmp_path / "a", False, ["bojax"]) == 0
-    runs, episodes, steps = (table(tmp_path / "a", name) for name in ("runs", "episodes", "steps"))
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """The results of the sweep, undisturbed."""
+    out = tmp_path_factory.mktemp("finished") / "a"
+    assert run_sweep(sweep(), out, False, ["bojax"]) == 0
+    return out
+
+
+def test_runs_to_the_end_and_reports_every_episode(finished):
+    runs, episodes, steps = (table(finished, name) for name in ("runs", "episodes", "steps"))
     assert runs.num_rows == 6
     phases = episodes["phase"].to_pylist()
     assert (phases.count("train"), phases.count("test")) == (30, 60)
@@ -104,11 +111,10 @@ def test_runs_to_the_end_and_reports_every_episode(tmp_path):
     np.testing.assert_array_equal(kappa[~is_training], 0.0)
 
 
-def test_the_same_seed_gives_the_same_tables(tmp_path):
-    for name in ("a", "b"):
-        assert run_sweep(sweep(), tmp_path / name, False, ["bojax"]) == 0
+def test_the_same_seed_gives_the_same_tables(finished, tmp_path):
+    assert run_sweep(sweep(), tmp_path / "b", False, ["bojax"]) == 0
     for name in ("runs", "episodes", "steps"):
-        assert table(tmp_path / "a", name).equals(table(tmp_path / "b", name))
+        assert table(finished, name).equals(table(tmp_path / "b", name))
 
 
 def test_a_number_that_is_none_ends_the_run_alone(tmp_path):
@@ -132,8 +138,7 @@ def test_an_environment_that_exits_fails_its_chunk(tmp_path, capsys):
 
 
 @pytest.mark.bits
-def test_a_sweep_goes_on_after_an_environment_crashed(tmp_path):
-    assert run_sweep(sweep(), tmp_path / "a", False, ["bojax"]) == 0
+def test_a_sweep_goes_on_after_an_environment_crashed(finished, tmp_path):
     program = (
         "import tests.conftest, sys; from pathlib import Path; from tests.engine.test_hosted import *; "
         "sys.exit(run_sweep(sweep(), Path(sys.argv[1]), False, ['bojax']))"
@@ -148,7 +153,7 @@ def test_a_sweep_goes_on_after_an_environment_crashed(tmp_path):
     assert not (tmp_path / "b" / "runs.parquet").exists()
     assert run_sweep(sweep(), tmp_path / "b", True, ["bojax"]) == 0
     for name in ("runs", "episodes", "steps"):
-        assert (tmp_path / "a" / f"{name}.parquet").read_bytes() == (
+        assert (finished / f"{name}.parquet").read_bytes() == (
             tmp_path / "b" / f"{name}.parquet"
         ).read_bytes()
 

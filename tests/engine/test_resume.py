@@ -91,12 +91,17 @@ def test_second_signal_leaves_at_once(tmp_path):
     assert process.wait(timeout=10) == 130
 
 
-@pytest.fixture
-def interrupted(tmp_path) -> Path:
+@pytest.fixture(scope="module")
+def stopped(tmp_path_factory) -> Path:
     """A folder whose first chunk stopped at a checkpoint, made without a process of its own."""
-    out = tmp_path / "toy"
+    out = tmp_path_factory.mktemp("stopped") / "toy"
     assert stop_after(out, segments=3) == 130
     return out
+
+
+@pytest.fixture
+def interrupted(stopped, tmp_path) -> Path:
+    return Path(shutil.copytree(stopped, tmp_path / "toy"))
 
 
 def stop_after(out: Path, segments: int, **settings) -> int:
