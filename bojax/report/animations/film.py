@@ -120,7 +120,7 @@ def _write_gif(path: Path, images: Sequence[Image.Image], seconds: float) -> Non
     lossy WebP blurs lines and takes 1.4 times the bytes.
     """
     palette = _palette([images[i] for i in (0, len(images) // 2, -1)])
-    frames = [_indexed(np.asarray(image), palette) for image in images]
+    frames = _indexed(images, palette)
     durations = [round(1000 * seconds)] * (len(frames) - 1) + [round(1000 * LAST_SECONDS)]
     frames[0].save(
         path, "GIF", save_all=True, append_images=frames[1:], duration=durations, loop=0, optimize=True
@@ -140,14 +140,19 @@ def _palette(images: Sequence[Image.Image]) -> NDArray[np.uint8]:
     return np.concatenate([colours[:_FREQUENT], rest])
 
 
-def _indexed(image: NDArray[np.uint8], palette: NDArray[np.uint8]) -> Image.Image:
-    """The image in the nearest colours of a palette. Pillow's search rounds, and turns white into grey."""
-    values, places = np.unique(_packed(image), return_inverse=True)
-    colours, known = _unpacked(values).astype(np.float32), palette.astype(np.float32)
-    nearest = np.argmin(np.sum(known**2, axis=-1) - 2.0 * colours @ known.T, axis=-1)
-    indexed = Image.fromarray(nearest[places].reshape(image.shape[:2]).astype(np.uint8))
-    indexed.putpalette(palette.tobytes())
-    return indexed
+def _indexed(images: Sequence[Image.Image], palette: NDArray[np.uint8]) -> list[Image.Image]:
+    """The images in the nearest colours of a palette. Pillow's search rounds, and turns white into grey."""
+    known = palette.astype(np.float32)
+    numbers = np.zeros(1 << 24, np.uint16)  # by colour: one more than its place in the palette, or 0
+    frames = []
+    for image in images:
+        packed = _packed(np.asarray(image))
+        new = np.unique(packed[numbers[packed] == 0])
+        colours = _unpacked(new).astype(np.float32)
+        numbers[new] = 1 + np.argmin(np.sum(known**2, axis=-1) - 2.0 * colours @ known.T, axis=-1)
+        frames.append(Image.fromarray((numbers[packed] - 1).astype(np.uint8)))
+        frames[-1].putpalette(palette.tobytes())
+    return frames
 
 
 def _packed(colours: NDArray[np.uint8]) -> NDArray[np.int32]:
