@@ -143,7 +143,8 @@ def test_the_belief_is_that_before_the_plan(tmp_path, name):
     assert (low, high) == ((truth.min(), truth.max()) if name == "mean" else (0.0, stds.max()))
 
 
-def test_results_without_plans_are_drawn_too(tmp_path, capsys):
+def test_results_without_plans_are_drawn_too(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("bojax.report.animations.planning.MAX_IMAGES_PER_STEP", 2)
     folder = write_results(tmp_path / "results", runs=2)
     assert main(["render", str(folder), "--point", "3", "--run", "1"]) == 0
     assert capsys.readouterr().out.splitlines()[0] == str(folder / "animations" / "gps-abt-run1.gif")

@@ -130,7 +130,7 @@ def test_report_settings_choose_figures_and_notes(tmp_path):
 
 
 def test_missing_runs_and_nans_are_said(tmp_path):
-    folder = write_results(tmp_path / "results", runs=8)
+    folder = write_results(tmp_path / "results", runs=8, report={"figures": ["returns"]})
     failed = {"status": "failed", "runs": 10, "chunks": [{"error": None}, {"error": "out of memory"}]}
     edit_manifest(folder, lambda manifest: manifest.update(failed))
     table = pq.read_table(folder / "runs.parquet")
@@ -146,7 +146,7 @@ def test_missing_runs_and_nans_are_said(tmp_path):
 
 
 def test_a_nan_is_shown_as_one(tmp_path):
-    folder = write_results(tmp_path / "results", runs=8)
+    folder = write_results(tmp_path / "results", runs=8, report={"figures": ["returns"]})
     table = pq.read_table(folder / "runs.parquet")
     returns = table["return"].to_numpy().copy()
     returns[3] = np.nan

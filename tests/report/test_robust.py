@@ -20,6 +20,9 @@ from bojax.results.outline import Outline
 from bojax.results.store import ResultsError
 from tests.report.synthetic import edit_manifest, write_results
 
+ONE = {"figures": ["returns"]}
+"""A report with a single figure, where the text is what matters."""
+
 
 def set_returns(folder, value):
     table = pq.read_table(folder / "runs.parquet")
@@ -60,7 +63,8 @@ def test_an_exception_in_a_figure_is_a_note(tmp_path, monkeypatch):
         raise ZeroDivisionError("of my own")
 
     monkeypatch.setattr("bojax.report.figures.returns.draw", fail)
-    folder = write_results(tmp_path / "results", runs=2, recorded=0)
+    report = {"figures": ["returns", "success"]}
+    folder = write_results(tmp_path / "results", runs=2, recorded=0, report=report)
     text = build_report(folder).read_text()
     assert "The figure returns could not be drawn: ZeroDivisionError: of my own." in text
     assert (folder / "figures" / "success.png").exists() and not (folder / "figures" / "returns.png").exists()
@@ -71,7 +75,7 @@ def test_an_exception_in_a_test_leaves_its_claim_open(tmp_path, monkeypatch):
         raise ZeroDivisionError("of my own")
 
     monkeypatch.setattr("bojax.report.claims.share.share", fail)
-    folder = write_results(tmp_path / "results", runs=20, recorded=0)
+    folder = write_results(tmp_path / "results", runs=20, recorded=0, report=ONE)
     build_report(folder)
     found = {claim["id"]: claim for claim in json.loads((folder / "claims.json").read_text())}
     assert found["share-holds"]["verdict"] == "inconclusive"
@@ -80,7 +84,7 @@ def test_an_exception_in_a_test_leaves_its_claim_open(tmp_path, monkeypatch):
 
 
 def test_a_claim_with_a_margin_of_text_is_inconclusive(tmp_path):
-    folder = write_results(tmp_path / "results", runs=20, recorded=0)
+    folder = write_results(tmp_path / "results", runs=20, recorded=0, report=ONE)
     edit_manifest(folder, lambda manifest: manifest["claims"][0]["test"].update(margin="wide"))
     build_report(folder)
     claim = json.loads((folder / "claims.json").read_text())[0]
@@ -88,14 +92,15 @@ def test_a_claim_with_a_margin_of_text_is_inconclusive(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "name", [r"$\unknowncmd$", "$", "a_b^{", "&<b>", "line\nbreak", "tab\t\x07", "\ud800x"]
+    "names", [[r"$\unknowncmd$", "$", "a_b^{", "&<b>"], ["line\nbreak", "tab\t\x07", "\ud800x"]]
 )
-def test_names_are_drawn_as_they_are(tmp_path, name):
+def test_names_are_drawn_as_they_are(tmp_path, names):
     folder = write_results(tmp_path / "results", runs=8, recorded=1)
 
     def rename(manifest):
-        manifest["title"] = name
-        manifest["points"][0]["variant"] = name
+        manifest["title"] = " ".join(names)
+        for point, name in zip(manifest["points"], names, strict=False):
+            point["variant"] = name
 
     edit_manifest(folder, rename)
     text = build_report(folder).read_text(encoding="utf-8")
@@ -107,7 +112,7 @@ def test_names_are_drawn_as_they_are(tmp_path, name):
 def test_a_name_in_chinese_is_drawn_without_warnings(tmp_path, monkeypatch, has_font):
     if not has_font:
         monkeypatch.setattr(style, "_FALLBACKS", ())
-    folder = write_results(tmp_path / "results", runs=8, recorded=0, report={"figures": ["returns"]})
+    folder = write_results(tmp_path / "results", runs=8, recorded=0, report=ONE)
     edit_manifest(folder, lambda manifest: manifest["points"][0].update(variant="停车"))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -122,13 +127,13 @@ def test_other_warnings_of_a_figure_are_shown(tmp_path, monkeypatch):
         return Drawing(style.figure(1.0)[0], "title", "caption", "alternative text of the figure")
 
     monkeypatch.setattr("bojax.report.figures.returns.draw", warn)
-    folder = write_results(tmp_path / "results", runs=2, recorded=0, report={"figures": ["returns"]})
+    folder = write_results(tmp_path / "results", runs=2, recorded=0, report=ONE)
     with pytest.warns(UserWarning, match="something else"):
         build_report(folder)
 
 
 def test_changed_settings_are_told_at_the_top_and_with_every_verdict(tmp_path):
-    folder = write_results(tmp_path / "results", runs=20, recorded=0)
+    folder = write_results(tmp_path / "results", runs=20, recorded=0, report=ONE)
     changed = {"planner.iterations": [300, 20], "problem.vehicle": [None, {"kind": "wheeled-robot"}]}
     edit_manifest(folder, lambda manifest: manifest.update(changed=changed))
     text = build_report(folder).read_text()
@@ -140,7 +145,7 @@ def test_changed_settings_are_told_at_the_top_and_with_every_verdict(tmp_path):
 
 
 def test_a_sweep_as_shipped_has_no_such_box(tmp_path):
-    folder = write_results(tmp_path / "results", runs=20, recorded=0)
+    folder = write_results(tmp_path / "results", runs=20, recorded=0, report=ONE)
     text = build_report(folder).read_text()
     assert "Settings changed" not in text and "settings changed" not in text
     assert all(claim["changed"] == {} for claim in json.loads((folder / "claims.json").read_text()))
@@ -165,7 +170,7 @@ def test_variants_of_a_label_differ_in_colour():
 
 
 def test_plates_are_dark_on_a_dark_page(tmp_path):
-    folder = write_results(tmp_path / "results", runs=4, recorded=0, report={"figures": ["returns"]})
+    folder = write_results(tmp_path / "results", runs=4, recorded=0, report=ONE)
     page = build_report(folder).read_text()
     code = page.partition("data:image/svg+xml;base64,")[2].partition('"')[0]
     drawn = base64.b64decode(code).decode()
@@ -184,13 +189,13 @@ def test_lines_on_maps_keep_their_colours():
 
 
 def test_the_summary_says_the_limit_of_an_episode(tmp_path):
-    folder = write_results(tmp_path / "results", runs=4, recorded=0)
+    folder = write_results(tmp_path / "results", runs=4, recorded=0, report=ONE)
     edit_manifest(folder, lambda m: [p["config"]["problem"].update(max_steps=40) for p in m["points"]])
     assert "4 runs each of up to 40 steps" in build_report(folder).read_text()
 
 
 def test_a_gallery_has_no_column_of_nans(tmp_path):
-    folder = write_results(tmp_path / "results", runs=2, recorded=0)
+    folder = write_results(tmp_path / "results", runs=2, recorded=0, report=ONE)
     edit_manifest(folder, lambda m: [p.update(config={"kind": "trajectories"}) for p in m["points"]])
     assert "runs with NaN" not in build_report(folder).read_text()
 
@@ -290,7 +295,7 @@ def test_a_slow_report_says_one_line_where_there_is_no_terminal(
 
 def test_many_runs_are_told_to_be_resampled_in_groups(tmp_path, monkeypatch):
     monkeypatch.setattr(statistics, "GROUPS", 10)
-    folder = write_results(tmp_path / "results", runs=20, recorded=0)
+    folder = write_results(tmp_path / "results", runs=20, recorded=0, report=ONE)
     text = build_report(folder).read_text()
     assert "The bootstrap resamples 10 groups into which 20 runs were dealt." in text
     claim = json.loads((folder / "claims.json").read_text())[0]
