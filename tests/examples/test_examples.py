@@ -121,7 +121,7 @@ def _tiny(words: list[str]) -> tuple[str, ...]:
     A command that is about a field takes the planner that compiles fastest; others of the same config search.
     """
     if any(name in word for word in words for name in ("my_env", "my_learner", "my_gym_env", "my_robot_env")):
-        return ("episodes=2", "env.max_steps=40", *TINY[2:])
+        return ("episodes=2", "env.max_steps=15", *TINY[2:])
     if any("problem.field=" in word for word in words):
         return ("planner=random", *TINY[1:-3], "record.runs=0", *TINY[-2:])
     if words[2].endswith(".yaml") and any(
