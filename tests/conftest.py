@@ -10,7 +10,7 @@ if os.environ.setdefault("JAX_PLATFORMS", "cpu") == "cuda":
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("BOJAX_CACHE", str(Path(__file__).parents[1] / ".pytest_cache" / "jax"))
 
-from tests.compiling import quick_flags, share_lowering_contexts  # noqa: E402
+from tests.compiling import quick_flags  # noqa: E402
 
 given = os.environ.get("XLA_FLAGS", "").split()
 os.environ["XLA_FLAGS"] = " ".join(dict.fromkeys([*quick_flags(), *given]))
@@ -19,15 +19,8 @@ import jax  # noqa: E402
 import pytest  # noqa: E402
 from jaxtyping import install_import_hook  # noqa: E402
 
-STRICT = {
-    "jax_enable_x64": True,
-    "jax_numpy_dtype_promotion": "strict",
-    "jax_numpy_rank_promotion": "raise",
-    "jax_debug_key_reuse": True,
-    "jax_num_cpu_devices": 2,
-    "jax_compilation_cache_dir": os.environ["BOJAX_CACHE"],
-    "jax_persistent_cache_min_compile_time_secs": 0.0,
-}
+import tests.strict  # noqa: E402, F401
+
 CHECKED = (
     "numerics",
     "models",
@@ -42,11 +35,7 @@ CHECKED = (
 )
 """Packages whose annotations, shapes included, are checked at every call."""
 
-for flag, value in STRICT.items():
-    jax.config.update(flag, value)
 install_import_hook([f"bojax.{package}" for package in CHECKED], "beartype.beartype")
-
-share_lowering_contexts()
 
 # Tracing allocates millions of objects; by default garbage is collected after every 700.
 gc.set_threshold(50_000)

@@ -40,7 +40,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 if __name__ == "__main__":
-    import tests.conftest  # noqa: F401 (strict settings)
+    import tests.strict  # noqa: F401
     from bojax.cli.main import leave
 
     given = json.loads(sys.argv[1])

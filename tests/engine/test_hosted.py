@@ -140,7 +140,7 @@ def test_an_environment_that_exits_fails_its_chunk(tmp_path, capsys):
 @pytest.mark.bits
 def test_a_sweep_goes_on_after_an_environment_crashed(finished, tmp_path):
     program = (
-        "import tests.conftest, sys; from pathlib import Path; from tests.engine.test_hosted import *; "
+        "import tests.strict, sys; from pathlib import Path; from tests.engine.test_hosted import *; "
         "sys.exit(run_sweep(sweep(), Path(sys.argv[1]), False, ['bojax']))"
     )
     crashed = subprocess.run(
