@@ -164,7 +164,8 @@ def test_is_what_the_compiled_run_does():
     from bojax.envs.settings import Chain
 
     compiled_run = build(
-        Learning(env=Chain(), learner=EpsilonGreedy(epsilon=0.3, block=4), episodes=3, tests=1), "float32"
+        Learning(env=Chain(length=5), learner=EpsilonGreedy(epsilon=0.3, block=4), episodes=3, tests=1),
+        "float32",
     )
     given = Functions(static_groups([compiled_run])[0]), jax.devices("cpu")[0], 3, 0
     programs = [kind(*given, recorded=0, fills=True) for kind in (Programs, OurHosted)]
