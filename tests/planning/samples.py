@@ -130,7 +130,8 @@ def field_belief(problem, pose, num_observations, num_samples=6, seed=0):
     capacity = problem.max_steps * num_samples
     x = f64(rng.uniform(problem.domain[:2], problem.domain[2:], (capacity, 2)))
     y = problem.field.values(x) + problem.noise * f64(rng.normal(size=capacity))
-    prior = problem.prior(jax.random.key(seed), problem.reset(jax.random.key(seed)), num_samples)
+    world = dataclasses.replace(problem, start=f64(pose)).reset(jax.random.key(seed))
+    prior = problem.prior(jax.random.key(seed), world, num_samples)
     posterior = _fit(problem, x, y, num_observations)
     return dataclasses.replace(prior, pose=f64(pose), posterior=posterior)
 

@@ -22,6 +22,9 @@ def nodes_of(root):
 
 def assert_same_tree(tree, root, num_actions):
     """Children, visits, rewards, returns, beliefs and ends of `tree` are those of the tree of `root`."""
+    belief = jax.tree.map(jnp.asarray, tree.belief)
+    poses = np.asarray(getattr(belief, "pose", belief))
+    samples = np.asarray(belief.samples) if isinstance(belief, FieldNode) else None
     for node in nodes_of(root):
         where = f"node {node.index} at depth {node.depth}"
         children = [int(child) for child in tree.children[node.index] if child != UNVISITED]
@@ -32,23 +35,22 @@ def assert_same_tree(tree, root, num_actions):
         numbers = [tree.reward[node.index], tree.total_return[node.index]]
         expected = [node.reward, node.total_return]
         if not node.is_terminal:  # where an episode ended nothing starts: the belief there is nobody's
-            belief = jax.tree.map(lambda leaf, node=node: jnp.asarray(leaf[node.index]), tree.belief)
-            numbers += [*_pose(belief)]
-            expected += [*_pose(node.belief)]
-            if isinstance(belief, FieldNode):
-                _assert_same_samples(belief, node, len(root.belief.x), where)
+            numbers += [*_pose(poses[node.index])]
+            expected += [*_pose(getattr(node.belief, "pose", node.belief))]
+            if samples is not None:
+                _assert_same_samples(samples[node.index], node, len(root.belief.x), where)
         np.testing.assert_allclose(numbers, expected, rtol=TOLERANCE, atol=TOLERANCE, err_msg=where)
 
 
-def _pose(belief):
+def _pose(pose):
     """x, y, and the heading as a direction: headings next to 0 and to 2 pi are near each other."""
-    x, y, heading = getattr(belief, "pose", belief)
+    x, y, heading = pose
     return x, y, np.cos(heading), np.sin(heading)
 
 
-def _assert_same_samples(belief, node, num_observations, where):
+def _assert_same_samples(samples, node, num_observations, where):
     """A node of a field's tree has imagined samples at the places of the reference's."""
-    x, y, _, is_taken = belief.samples.T
+    x, y, _, is_taken = samples.T
     points, imagined = np.stack([x, y], axis=-1)[is_taken > 0.0], node.belief.x[num_observations:]
     if node.children:  # at the horizon the last samples are not kept: nothing follows them
         assert len(points) == len(imagined), where
