@@ -271,9 +271,9 @@ def test_the_reward_is_what_the_samples_are_worth_under_the_belief_before_them(n
     poses, paths = drives(100)
     paid, simulated, alone = pay(WALLED, objective, belief, keys_of(0, 100), f64(poses), f64(paths))
     reference = reference_problem(WALLED, type("Planner", (), {"objective": objective}))
+    start = reference_belief(belief)
     for index, (pose, path) in enumerate(zip(poses, paths, strict=True)):
-        start = reference_belief(dataclasses.replace(belief, pose=f64(pose)))
-        _, expected, _ = reference.drive(start, path, np.zeros(SIZE))
+        _, expected, _ = reference.drive(dataclasses.replace(start, pose=pose), path, np.zeros(SIZE))
         np.testing.assert_allclose(paid[index], expected, atol=1e-9)
     # The planner knows the world's geometry: what it simulates is what is paid.
     np.testing.assert_allclose(simulated[:, 0], paid, atol=1e-9)
