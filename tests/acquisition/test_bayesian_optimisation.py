@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 from scipy import stats
 
 from bojax.acquisition.bayesian_optimisation import BayesianOptimisation
@@ -46,10 +46,27 @@ def optimisation(acquisition=ACQUISITIONS["ucb"], low=(-1.0, -1.0), high=(1.0, 1
     )
 
 
-def peak(key, x):
-    """One peak of height 1 at (0.3, -0.6)."""
-    del key
-    return 1.0 / (1.0 + jnp.sum((x - jnp.asarray([0.3, -0.6])) ** 2))
+def _peak(x):
+    return 1.0 / (1.0 + jnp.sum((x - jnp.asarray([0.3, -0.6], x.dtype)) ** 2))
+
+
+LANDSCAPES = ("peak", "gap", "plain", "nowhere")
+
+
+class Landscape(eqx.Module):
+    """One of `LANDSCAPES`, by its number: a program that is compiled for one serves for all."""
+
+    number: Int[Array, ""]
+
+    def __call__(self, key, x):
+        del key
+        peak = _peak(x)
+        gap = jnp.where(x[1] > 0.3, jnp.nan, peak)
+        return jnp.stack([peak, gap, jnp.asarray(2.5, x.dtype), jnp.asarray(jnp.nan, x.dtype)])[self.number]
+
+
+peak, gap, plain, nowhere = (Landscape(jnp.asarray(number, jnp.int32)) for number in range(len(LANDSCAPES)))
+"""One peak of height 1 at (0.3, -0.6); the same behind a third of the box without values; 2.5; no values."""
 
 
 def negative_branin(key, x):
@@ -57,11 +74,6 @@ def negative_branin(key, x):
     del key
     a = x[1] - 5.1 / (4.0 * np.pi**2) * x[0] ** 2 + 5.0 / np.pi * x[0] - 6.0
     return -(a**2 + 10.0 * (1.0 - 1.0 / (8.0 * np.pi)) * jnp.cos(x[0]) + 10.0)
-
-
-def gap(key, x):
-    """A peak at (0.3, -0.6) behind a region without values, which holds a third of the box."""
-    return jnp.where(x[1] > 0.3, jnp.nan, peak(key, x))
 
 
 @_jit
@@ -91,7 +103,7 @@ def step_by_step(optimisation, key, function, num_iterations=NUM_ITERATIONS):
         _jit(f) for f in (type(optimisation).init, type(optimisation).ask, type(optimisation).tell)
     )
     state, xs, ys = init(optimisation, key_search), [], []
-    evaluate = jax.jit(function)
+    evaluate = _jit(function)
     for i in range(num_iterations):
         xs.append(ask(optimisation, state))
         ys.append(evaluate(jax.random.fold_in(key_noise, i), xs[-1]))
@@ -117,8 +129,9 @@ def test_points_and_values_are_those_of_plain_numpy(acquisition, function):
         key = functools.reduce(jax.random.fold_in, path, key_search)
         return np.asarray(shifted_kronecker(key, 64, 2, jnp.float64))
 
+    evaluate = _jit(function)
     expected_xs, expected_ys = reference.maximise(
-        lambda x: float(function(None, jnp.asarray(x))),
+        lambda x: float(evaluate(None, jnp.asarray(x))),
         reference_kernel(one.kernel),
         reference_acquisition(acquisition),
         noise_variance=1e-4,
@@ -231,7 +244,7 @@ def test_a_maximum_in_a_corner_is_found_there(name):
 @each_acquisition
 def test_a_constant_function_is_explored(acquisition):
     # All means are equal, so the variance decides, which favours new points.
-    _, xs, ys = maximise(optimisation(acquisition), jax.random.key(0), lambda key, x: jnp.asarray(2.5))
+    _, xs, ys = maximise(optimisation(acquisition), jax.random.key(0), plain)
     assert np.all(np.isfinite(xs)) and np.all(ys == 2.5)
     distance = np.linalg.norm(np.asarray(xs)[:, None] - np.asarray(xs)[None], axis=-1)
     assert np.min(distance + 10.0 * np.eye(len(xs))) > 0.1
@@ -319,14 +332,14 @@ def test_missing_values_are_counted_and_teach_nothing():
 
 
 def test_a_function_without_values_is_still_searched():
-    state, xs, ys = maximise(optimisation(), jax.random.key(0), lambda key, x: jnp.asarray(jnp.nan))
+    state, xs, ys = maximise(optimisation(), jax.random.key(0), nowhere)
     assert state.num_missing == NUM_ITERATIONS and state.model.count == 0
     assert np.all(np.isnan(ys)) and len(np.unique(xs, axis=0)) == NUM_ITERATIONS
 
 
 def test_a_peak_beside_missing_values_is_found():
-    lanes = stacked([optimisation(capacity=30)] * 8)
-    state, _, ys = maximise_lanes(lanes, seeds(8), gap, 30)
+    lanes = stacked([optimisation(capacity=20)] * 16)
+    state, _, ys = maximise_lanes(lanes, seeds(16), gap, 20)
     np.testing.assert_array_equal(state.num_missing, np.isnan(ys).sum(axis=1))
     found = np.nanmax(ys, axis=1)
     assert np.all(state.num_missing > 0) and np.all(found > 0.95) and np.median(found) > 0.99
