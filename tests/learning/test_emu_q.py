@@ -213,34 +213,36 @@ def test_the_exploration_reward_is_never_positive_and_highest_where_nothing_was_
     assert rows["seen"] < rows["unseen"] <= 0.0
 
 
+@eqx.filter_jit
+def products(features, state, action, actions, weights, matrix):
+    """The features of a pair of state and action, and all that is made of the parts of both."""
+    x, y, ys = features.state(state), features.action(action), jax.vmap(features.action)(actions)
+    phis = jax.vmap(features.join, (None, 0))(x, ys)
+    product, form = x @ features.split(weights, y), x @ features.mean_form(matrix, ys) @ x
+    return features(state, action), phis, product, form, features.values(weights, state, actions)
+
+
 def test_features_are_bilinear():
     specs = (
-        (RandomFourierFeatures(num_features=10), OBSERVATIONS, ACTIONS),
-        (RandomFourierFeatures(num_features=10, form="phase"), OBSERVATIONS, ACTIONS),
-        (FourierBasisFeatures(order=2), OBSERVATIONS, ACTIONS),
+        RandomFourierFeatures(num_features=10),
+        RandomFourierFeatures(num_features=10, form="phase"),
+        FourierBasisFeatures(order=2),
     )
-    for schema, observations, actions in specs:
-        features = build(schema).draw(jax.random.key(3), observations, actions, jnp.dtype(jnp.float64))
-        s, a = jnp.asarray([0.3, -1.1]), jnp.asarray([1.7])
-        unit = jnp.concatenate([observations.to_unit(s), actions.to_unit(a)])
-        frequencies = jnp.concatenate([features.state_frequencies, features.action_frequencies], axis=1)
-        angles = frequencies @ unit + features.phases
-        waves = np.cos(angles)
-        if features.has_sines:
-            half = angles[: len(angles) // 2]
-            waves = np.concatenate([np.cos(half), np.sin(half)])
-        phi = features(s, a)
-        np.testing.assert_allclose(phi, features.amplitude * waves, atol=1e-12)
-        rng = np.random.default_rng(0)
-        weights = jnp.asarray(rng.normal(size=len(phi)))
-        matrix = jnp.asarray(rng.normal(size=(len(phi), len(phi))))
-        x, y = features.state(s), features.action(a)
-        np.testing.assert_allclose(weights @ phi, x @ features.split(weights, y), atol=1e-12)
-        ys = jax.vmap(features.action)(jnp.asarray([[1.7], [-0.4], [2.9]]))
-        phis = jax.vmap(features.join, (None, 0))(x, ys)
-        expected = np.mean([phi @ matrix @ phi for phi in np.asarray(phis)])
-        np.testing.assert_allclose(x @ features.mean_form(matrix, ys) @ x, expected, atol=1e-12)
-        values = features.values(weights, s, jnp.asarray([[1.7], [-0.4], [2.9]]))
+    s, a, actions = jnp.asarray([0.3, -1.1]), jnp.asarray([1.7]), jnp.asarray([[1.7], [-0.4], [2.9]])
+    unit = np.concatenate([OBSERVATIONS.to_unit(s), ACTIONS.to_unit(a)])
+    for schema in specs:
+        features = build(schema).draw(jax.random.key(3), OBSERVATIONS, ACTIONS, jnp.dtype(jnp.float64))
+        frequencies = np.concatenate([features.state_frequencies, features.action_frequencies], axis=1)
+        angles = frequencies @ unit + np.asarray(features.phases)
+        half = angles[: len(angles) // 2]
+        waves = [np.cos(half), np.sin(half)] if features.has_sines else [np.cos(angles)]
+        rng, number = np.random.default_rng(0), features.num_features
+        weights, matrix = rng.normal(size=number), rng.normal(size=(number, number))
+        made = products(features, s, a, actions, jnp.asarray(weights), jnp.asarray(matrix))
+        phi, phis, product, form, values = (np.asarray(part) for part in made)
+        np.testing.assert_allclose(phi, np.asarray(features.amplitude) * np.concatenate(waves), atol=1e-12)
+        np.testing.assert_allclose(weights @ phi, product, atol=1e-12)
+        np.testing.assert_allclose(form, np.mean([phi @ matrix @ phi for phi in phis]), atol=1e-12)
         np.testing.assert_allclose(values, phis @ weights, atol=1e-12)
 
 
@@ -274,13 +276,18 @@ def test_refinement_never_makes_the_action_worse():
     refined = eqx.tree_at(
         lambda x: x.prior_precision, make(num_actions=3, refine_steps=12)[0], learner.prior_precision
     )
-    kappa = learner.exploration_weight
+
+    @eqx.filter_jit
+    def act(learner, key, where):
+        action, _ = learner.act(key, after, where, EXPLORING)
+        q, u = learner.values(after, where, action)
+        return action, q + learner.exploration_weight * u
+
     for seed in range(5):
         where = OBSERVATIONS.from_unit(jax.random.uniform(jax.random.key(seed), (2,)))
         scores = []
         for one in (learner, refined):
-            action, _ = one.act(jax.random.key(seed), after, where, EXPLORING)
-            q, u = one.values(after, where, action)
+            action, score = act(one, jax.random.key(seed), where)
             assert -3.0 <= float(action[0]) <= 3.0
-            scores.append(float(q + kappa * u))
+            scores.append(float(score))
         assert scores[1] >= scores[0] - 1e-12
