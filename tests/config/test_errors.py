@@ -449,7 +449,7 @@ SWEEPS = {
         "{base: {}, claims: [{id: a, source: s, claim: c, test: "
         "{kind: order, column: x, less: [a, b], margin: 2, baseline: c}}]}",
         's.yaml: claims.0.test: got {"kind": "order", "column": "x", "less": ["a", "b"], "mar...; '
-        "margin: with a baseline it is a share of a lead, between 0 and 1",
+        "margin: with a baseline it is a share of a lead, below 1 and not 0",
     ),
     "a ratio to oneself": (
         "{base: {}, claims: [{id: a, source: s, claim: c, test: "

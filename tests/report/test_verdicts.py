@@ -114,6 +114,26 @@ class TestOrder:
         finding = judge(results, {**ORDER, way: ["a", "b"], "margin": 0.1, "baseline": "c"})
         assert finding.verdict == verdict
 
+    @pytest.mark.parametrize(
+        ("mean", "verdict"), [(21.0, "reproduced"), (20.0, "inconclusive"), (19.0, "not reproduced")]
+    )
+    def test_a_lead_can_have_to_be_a_multiple_of_the_next(self, mean, verdict):
+        # Twice the lead of b over c is 20.
+        results = normal({"a": mean, "b": 10.0, "c": 0.0})
+        finding = judge(results, {**ORDER, "greater": ["a", "b"], "margin": -1.0, "baseline": "c"})
+        assert finding.verdict == verdict
+        assert finding.decisive.of == "a - b - 1 (b - c)"
+
+    @pytest.mark.parametrize(("limit", "verdict"), [(5.0, "reproduced"), (0.5, "not reproduced")])
+    def test_a_number_stands_for_missing_ones(self, limit, verdict):
+        results = in_memory({"a": {"value": np.ones(40)}, "b": {"value": np.full(40, np.nan)}})
+        test = {**ORDER, "less": ["a", "b"]}
+        with pytest.raises(Undecidable, match="40 runs of b without a finite value"):
+            judge(results, test)
+        finding = judge(results, {**test, "censored_at": limit})
+        assert finding.verdict == verdict
+        assert "value up to" in finding.method and f"b {limit:g}" in finding.ours
+
     def test_shares_are_compared_run_by_run(self):
         finding = judge(flags(200, 30, 10), {**ORDER, "greater": ["a", "b"]})
         assert finding.verdict == "reproduced"
@@ -169,6 +189,23 @@ class TestRatio:
         finding = judge(normal({"a": mean, "b": 10.0}), {**RATIO, "expected": 1.2})
         assert finding.verdict == verdict
         assert finding.ours == pytest.approx(mean / 10, abs=0.05)
+
+    @pytest.mark.parametrize(
+        ("means", "expected", "verdict"),
+        [
+            ((9.5, 10.0), 1.05, "not reproduced"),
+            ((10.5, 10.0), 1.05, "reproduced"),
+            ((10.5, 10.0), 0.95, "not reproduced"),
+        ],
+    )
+    def test_the_opposite_order_is_never_the_expected_ratio(self, means, expected, verdict):
+        results = normal(dict(zip("ab", means, strict=True)), noise=0.1)
+        assert judge(results, {**RATIO, "expected": expected}).verdict == verdict
+
+    @pytest.mark.parametrize(("mean", "verdict"), [(10.5, "reproduced"), (20.0, "not reproduced")])
+    def test_an_equal_mean_has_the_ratio_1(self, mean, verdict):
+        finding = judge(normal({"a": mean, "b": 10.0}, noise=0.1), {**RATIO, "expected": 1.0})
+        assert finding.verdict == verdict and "claim" not in finding.method
 
     def test_the_interval_is_paired(self):
         # What both share cancels: the ratio is known better than either mean.

@@ -1,5 +1,6 @@
 """Test of an order: whether means are in the order that a claim states."""
 
+import dataclasses
 from itertools import pairwise, product
 
 import numpy as np
@@ -18,9 +19,10 @@ def order(results: Results, test: Order) -> Finding:
     Runs with the same index share their key, so neighbours are compared by the mean difference of paired
     runs, one-sided in both directions, with Holm's correction over the pairs. With a margin, a mean may fall
     short of the next by that amount, or by that share of the lead of the next over a baseline
-    (non-inferiority).
+    (non-inferiority). With a negative margin it has to exceed the next by that much.
     """
-    measure, margin, baseline = Measure.of(test), test.margin, test.baseline
+    measure = dataclasses.replace(Measure.of(test), missing=test.censored_at)
+    margin, baseline = test.margin, test.baseline
     sign, tiers = (-1.0 if test.greater is None else 1.0), test.tiers
     points, chosen = stand_ins(results, test, measure, sign)
     table = paired(results, test, points, measure)
@@ -33,14 +35,15 @@ def order(results: Results, test: Order) -> Finding:
     # Each pair: the difference of paired runs, and the allowance of the margin. The mean of their sum has to
     # be positive.
     told, differences, allowances = [], [], []
+    added = f"{'+' if margin > 0 else '-'} {abs(margin):g}"
     for a, b in (pair for above, below in pairwise(tiers) for pair in product(above, below)):
         of, difference = ahead(a, b)
         allowance = np.full_like(difference, margin)
         if margin and baseline is None:
-            of += f" + {margin:g}"
+            of += f" {added}"
         elif margin and baseline is not None:
             lead, allowance = ahead(b, baseline)
-            of, allowance = f"{of} + {margin:g} ({lead})", margin * allowance
+            of, allowance = f"{of} {added} ({lead})", margin * allowance
         told.append(of)
         differences.append(difference)
         allowances.append(allowance)

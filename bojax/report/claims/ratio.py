@@ -13,8 +13,9 @@ from bojax.report.text import number
 def ratio(results: Results, test: Ratio) -> Finding:
     """Whether the ratio of the means of a column is the expected one, up to a factor of 1 + tolerance.
 
-    It is reproduced if the interval lies within the tolerance, and not reproduced if it lies outside. A wide
-    interval that contains the expected ratio decides nothing.
+    A ratio on the other side of 1 is the opposite order, and never the expected one. The claim is reproduced
+    if the interval lies within these bounds, and not reproduced if it lies outside. A wide interval that
+    contains the expected ratio decides nothing.
     """
     measure, expected, factor = Measure.of(test), test.expected, 1.0 + test.tolerance
     points, chosen = stand_ins(results, test, measure)
@@ -23,16 +24,21 @@ def ratio(results: Results, test: Ratio) -> Finding:
     if not np.isfinite(interval.low):
         raise Undecidable(f"the means of {measure} are not clearly positive: their ratio is meaningless")
     bounds = expected / factor, expected * factor
+    bounds = (max(bounds[0], 1.0), bounds[1]) if expected > 1 else bounds
+    bounds = (bounds[0], min(bounds[1], 1.0)) if expected < 1 else bounds
     is_apart = interval.low > 1 or interval.high < 1
-    agrees = ", as claimed" if (interval.estimate > 1) == (expected > 1) else ", contrary to the claim"
-    side = f"{'above' if interval.low > 1 else 'below'} 1{agrees}" if is_apart else "on both sides of 1"
+    side = f"{'above' if interval.low > 1 else 'below'} 1" if is_apart else "on both sides of 1"
+    if is_apart and expected != 1:
+        agrees = (interval.estimate > 1) == (expected > 1)
+        side += ", as claimed" if agrees else ", contrary to the claim"
     return Finding.single(
         f"{measure} of {test.label} / {test.to}",
         interval,
         within(interval, *bounds),
         runs=len(table),
         method=f"ratio of the means of {measure} over paired runs, 95% interval against "
-        f"[{number(bounds[0])}, {number(bounds[1])}], {expected:g} up to a factor of {factor:g}; "
+        f"[{number(bounds[0])}, {number(bounds[1])}]: {expected:g} up to a factor of {factor:g}"
+        f"{' on the same side of 1' if expected != 1 else ''}; "
         f"the interval lies {side}; {bootstrap(len(table))}",
         chosen=chosen,
     )

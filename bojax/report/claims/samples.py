@@ -32,6 +32,7 @@ class Measure:
     # which the mean is taken.
     place: int | Window | None = None
     since: Window | None = None  # a window whose mean is subtracted
+    missing: float | None = None  # a number that stands for a missing one of `runs.parquet`
 
     @classmethod
     def of(cls, test: Measured) -> "Measure":
@@ -41,6 +42,8 @@ class Measure:
     @override
     def __str__(self) -> str:
         """Its name in a sentence."""
+        if self.place is None and self.missing is not None:
+            return f"{self.column} up to {self.missing:g}"
         if self.place is None:
             return self.column
         if isinstance(self.place, int):
@@ -52,7 +55,8 @@ class Measure:
         """Its value in the runs of these indices; NaN if a run has none."""
         if self.place is None:
             table = results.runs_of(point)
-            return column(table, self.column)[np.searchsorted(table["run"], runs)]
+            values = column(table, self.column)[np.searchsorted(table["run"], runs)]
+            return values if self.missing is None else np.nan_to_num(values, nan=self.missing)
         if isinstance(self.place, int):
             step, longest = self.place, results.num_steps
             if longest < step:

@@ -69,11 +69,18 @@ class Order(Measured, frozen=True):
         default=None, strict=False, min_length=2, description="names in ascending order of their means"
     )
     margin: float = Field(
-        default=0.0, ge=0, description="amount by which the mean of a name may fall short of the next"
+        default=0.0,
+        description="amount by which the mean of a name may fall short of the next; if negative, by which it "
+        "has to exceed the next",
     )
     baseline: str | None = Field(
         default=None,
         description="name; margin is then a share of the lead of the next mean over the mean of this name",
+    )
+    censored_at: float | None = Field(
+        default=None,
+        description="number that stands for a missing one, such as the number of episodes after which a run "
+        "was stopped (means are then restricted means)",
     )
 
     @pydantic.model_validator(mode="after")
@@ -81,8 +88,8 @@ class Order(Measured, frozen=True):
         if (self.greater is None) == (self.less is None):
             raise ValueError("order: give either greater or less")
         _distinct(sum(self.tiers, ()), "less" if self.greater is None else "greater")
-        if self.baseline is not None and not 0 < self.margin < 1:
-            raise ValueError("margin: with a baseline it is a share of a lead, between 0 and 1")
+        if self.baseline is not None and not (self.margin < 1 and self.margin != 0):
+            raise ValueError("margin: with a baseline it is a share of a lead, below 1 and not 0")
         return self
 
     @property
@@ -108,8 +115,10 @@ class Ratio(Measured, frozen=True):
     to: str = Field(description="label or variant whose mean is the denominator")
     expected: float = Field(gt=0, description="claimed ratio")
     tolerance: float = Field(
+        default=0.1,
         gt=0,
-        description="the ratio may differ from expected by a factor of up to 1 + tolerance",
+        description="the ratio may differ from expected by a factor of up to 1 + tolerance, but not be on "
+        "the other side of 1",
     )
 
     @pydantic.model_validator(mode="after")
