@@ -24,7 +24,7 @@ EXPERIMENTS = {
 
 EXAMPLES = """\
   python benchmarks/bench_runs.py                            1 to 1,000 runs
-  python benchmarks/bench_runs.py --most 100000 --json runs.json --plot runs.svg
+  python benchmarks/bench_runs.py --most 100000 --seconds 300 --json runs.json --plot runs.svg
 """
 
 
@@ -36,6 +36,8 @@ def main(argv: Sequence[str]) -> int:
     with tempfile.TemporaryDirectory() as place:
         for name, command in EXPERIMENTS.items():
             for number in numbers:
+                if rows and rows[-1]["experiment"] == name and 10 * rows[-1]["advancing"] > args.seconds:
+                    break
                 timed(command, number, args, Path(place) / f"{name}-{number}-first")
                 rows.append(
                     {"experiment": name} | timed(command, number, args, Path(place) / f"{name}-{number}")
@@ -53,6 +55,12 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     """The arguments of the benchmark."""
     parser = make_parser(__file__, __doc__, EXAMPLES)
     parser.add_argument("--most", type=positive, default=1000, help="largest number of runs (1000)")
+    parser.add_argument(
+        "--seconds",
+        type=positive,
+        default=120,
+        help="longest time of an experiment, expected from fewer runs (120)",
+    )
     parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the curves")
     return parser.parse_args(argv)
 
