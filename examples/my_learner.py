@@ -40,7 +40,7 @@ class CountBonus(Learner):
     def act(self, key, state, observation, exploration):
         """The best action, and the return expected of it; a test has the scale 0."""
         bonus = jax.lax.rsqrt(1.0 + state.visits[observation])
-        action = best_action(key, state.q[observation], bonus, exploration.scale * self.weight)
+        action = best_action(key, state.q[observation] + exploration.scale * self.weight * bonus)
         return action, state.q[observation, action]
 
     def observe(self, key, state, transition, exploration, step_in_block):
