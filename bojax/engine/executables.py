@@ -24,7 +24,6 @@ from typing import Any
 import jax
 import jax.monitoring
 import numpy as np
-from jax._src.lib import xla_client  # pyright: ignore[reportPrivateImportUsage]
 from jax.experimental import serialize_executable
 from jax.stages import Compiled
 from jaxtyping import PyTree
@@ -140,25 +139,35 @@ def _tree(structure: Any) -> PyTree:
 def _loaded(saved: tuple[bytes, PyTree, PyTree], device: Device) -> Compiled:
     """As `serialize_executable.deserialize_and_load`, but for any device of the kind."""
     content, inputs, outputs = saved
-    unloaded, arguments, no_kwargs = _Unpickler(io.BytesIO(content), device.client, [device]).load()
+    unloaded, arguments, no_kwargs = _Unpickler(content, device).load()
     described = jax.tree.unflatten(jax.tree.structure(inputs), arguments)
     return Compiled(unloaded.load(), [], described, jax.tree.structure(outputs), no_kwargs=no_kwargs)
 
 
-class _Unpickler(serialize_executable._JaxPjrtUnpickler):
-    """Replaces the device that a program was compiled for by the one that it is loaded for."""
+class _Unpickler(pickle.Unpickler):
+    """Replaces the device that a program was compiled for by the one that it is loaded for.
+
+    The marks that it reads are those of `serialize_executable.serialize`.
+    """
+
+    def __init__(self, content: bytes, device: Device):
+        super().__init__(io.BytesIO(content))
+        self._device = device
 
     @override
     def persistent_load(self, pid: Any) -> Any:
         kind, *content = pid
-        (device,) = self.execution_devices
         if kind == "device":
-            return device
-        if kind == "exec":
-            options = xla_client.CompileOptions()
-            options.device_assignment = xla_client.DeviceAssignment.create(np.asarray([[device.id]]))
-            return self.backend.deserialize_executable(content[0], self.execution_devices, options)
-        return super().persistent_load(pid)
+            return self._device
+        if kind == "client":
+            return self._device.client
+        # Imported here, since it may move: then nothing is loaded, and programs are compiled.
+        from jax._src.lib import xla_client  # pyright: ignore[reportPrivateImportUsage]
+
+        options = xla_client.CompileOptions()
+        options.device_assignment = xla_client.DeviceAssignment.create(np.asarray([[self._device.id]]))
+        devices = xla_client.DeviceList((self._device,))
+        return self._device.client.deserialize_executable(*content, devices, options)
 
 
 @contextlib.contextmanager
