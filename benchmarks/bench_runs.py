@@ -1,7 +1,7 @@
-"""The time of an experiment against its number of runs, beside as many runs one after the other.
+"""The time of an experiment against its number of runs, beside the same steps in runs one after the other.
 
 Every experiment is a command `bojax run` in a process of its own, after one that fills the cache of compiled
-programs. The peer is a single run: its time, multiplied by the number of runs.
+programs. The peer is a single run: its steps per second. (Runs of a learner differ in length.)
 """
 
 import argparse
@@ -66,7 +66,10 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
 
 
 def timed(command: Sequence[str], runs: int, args: argparse.Namespace, out: Path) -> dict[str, Any]:
-    """Seconds of a command with its start and its report, and of its advances alone."""
+    """Seconds of a command with its start and its report, and seconds and steps of its advances alone.
+
+    The advances of all cores or GPUs are added up.
+    """
     options = [f"engine.device={args.device}", "record.runs=0", "--runs", str(runs), "--seed", str(args.seed)]
     words = [sys.executable, "-m", "bojax", "run", *command, *options, "--out", str(out)]
     start = time.perf_counter()
@@ -78,6 +81,7 @@ def timed(command: Sequence[str], runs: int, args: argparse.Namespace, out: Path
         "runs": runs,
         "seconds": seconds,
         "advancing": sum(group["run_seconds"] for group in manifest["groups"]),
+        "steps": sum(group["active_steps"] for group in manifest["groups"]),
     }
 
 
@@ -87,15 +91,20 @@ def print_table(rows: Sequence[Mapping[str, Any]]) -> None:
     from rich.table import Table
 
     table = Table(title=f"Runs of an experiment ({rows[0]['device']})")
-    for name in ("", "runs", "command, s", "advancing, s", "runs/s", "x single runs"):
+    for name in ("", "runs", "command, s", "advancing, device-s", "steps/s a device", "x a single run"):
         table.add_column(name, justify="right" if name else "left")
     for row in rows:
-        one = next(each for each in rows if each["experiment"] == row["experiment"])
-        ratio = one["advancing"] * row["runs"] / row["advancing"]
-        rate = row["runs"] / row["advancing"]
-        numbers = f"{row['seconds']:.1f}", f"{row['advancing']:.3f}", f"{rate:,.1f}", f"{ratio:,.1f}"
+        rate = row["steps"] / row["advancing"]
+        ratio = rate / single_rate(rows, row["experiment"])
+        numbers = f"{row['seconds']:.1f}", f"{row['advancing']:.3f}", f"{rate:,.0f}", f"{ratio:,.1f}"
         table.add_row(row["experiment"], f"{row['runs']:,}", *numbers)
     Console().print(table)
+
+
+def single_rate(rows: Sequence[Mapping[str, Any]], experiment: str) -> float:
+    """Steps per second of a single run."""
+    one = next(row for row in rows if row["experiment"] == experiment)
+    return one["steps"] / one["advancing"]
 
 
 def plot(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
@@ -109,12 +118,9 @@ def plot(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     for name in EXPERIMENTS:
         own = [row for row in rows if row["experiment"] == name]
         runs = [row["runs"] for row in own]
-        (line,) = axes.plot(runs, [row["advancing"] for row in own], marker="o", label=name)
-        one_by_one = [own[0]["advancing"] * number for number in runs]
+        (line,) = axes.plot(runs, [row["seconds"] for row in own], marker="o", label=f"{name}, command")
+        one_by_one = [row["steps"] / single_rate(rows, name) for row in own]
         axes.plot(runs, one_by_one, color=line.get_color(), linestyle=":", label=f"{name}, one by one")
-        axes.plot(
-            runs, [row["seconds"] for row in own], color=line.get_color(), alpha=0.4, label=f"{name}, command"
-        )
     axes.set(xscale="log", yscale="log", xlabel="runs", ylabel="seconds", title=rows[0]["device"])
     axes.legend(frameon=False, fontsize="small")
     figure.savefig(path)
