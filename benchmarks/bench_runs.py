@@ -59,7 +59,7 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
         "--seconds",
         type=positive,
         default=120,
-        help="longest time of an experiment, expected from fewer runs (120)",
+        help="leave out numbers of runs that are expected to take longer (120)",
     )
     parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the curves")
     return parser.parse_args(argv)

@@ -203,7 +203,10 @@ class Programs:
         return self._programs["advance"](carry, lanes, self._shared)
 
     def recorded(self, tables: Mapping[str, dict[str, Array]], lanes: np.ndarray) -> dict[str, Any]:
-        """The tables of an advance; of those of recorded runs, the rows of the given lanes, and then others.
+        """The tables of an advance, where the tables of recorded runs keep the given lanes only.
+
+        These lanes come first; further ones pad the columns to one length, so that one program serves any
+        number of lanes.
 
         Args:
             tables: Tables of an advance, columns `[lanes, rows]`.

@@ -2,8 +2,9 @@
 
 JAX's compilation cache saves the work of XLA, but a program must be traced before it can be looked up.
 Tracing a group takes seconds, and holds the interpreter. The keys here are made of what a trace depends on
-instead: the code, versions, flags, the device, and the static content of the group. Only groups whose classes
-and functions come from bojax and a few packages of known versions are cached: other code can change unseen.
+instead: the code, versions, flags, the kind of device, and the static content of the group. Only groups whose
+classes and functions come from bojax and a few packages of known versions are cached: other code can change
+unseen.
 """
 
 import contextlib

@@ -116,7 +116,10 @@ class BayesianLinearRegression(eqx.Module):
 
     @property
     def covariance(self) -> Float[Array, "M M"]:
-        """Covariance of the weights (2.15), including the updates since the last flush."""
+        """Covariance of the weights (2.15), including the updates since the last flush.
+
+        Symmetric up to rounding: not averaged with its transpose, which would cost a flush half of its time.
+        """
         return self.base - matmul(self.rows.T, self.rows) if len(self.rows) else self.base
 
     def covariance_times(self, features: Float[Array, "*N M"]) -> Float[Array, "*N M"]:

@@ -13,7 +13,9 @@ EPISODES = "episodes"
 
 
 def any_lane(flag: Bool[Array, ""]) -> Bool[Array, ""]:
-    """Whether `flag` holds in any lane of this device, and in any of its episodes; `flag` itself elsewhere.
+    """Whether `flag` holds in any lane of this device; `flag` itself outside the engine.
+
+    Where a run batches episodes, whether it holds in any episode of any lane.
 
     A loop that ends on `any_lane(active)` has an unbatched predicate. With a predicate of each lane, `vmap`
     would add a select of the whole carry to every iteration.

@@ -23,9 +23,11 @@ def ratio(results: Results, test: Ratio) -> Finding:
     interval = statistics.ratio_interval(table[:, 0], table[:, 1])
     if not np.isfinite(interval.low):
         raise Undecidable(f"the means of {measure} are not clearly positive: their ratio is meaningless")
-    bounds = expected / factor, expected * factor
-    bounds = (max(bounds[0], 1.0), bounds[1]) if expected > 1 else bounds
-    bounds = (bounds[0], min(bounds[1], 1.0)) if expected < 1 else bounds
+    low, high = expected / factor, expected * factor
+    if expected > 1:
+        low = max(low, 1.0)
+    elif expected < 1:
+        high = min(high, 1.0)
     is_apart = interval.low > 1 or interval.high < 1
     side = f"{'above' if interval.low > 1 else 'below'} 1" if is_apart else "on both sides of 1"
     if is_apart and expected != 1:
@@ -34,10 +36,10 @@ def ratio(results: Results, test: Ratio) -> Finding:
     return Finding.single(
         f"{measure} of {test.label} / {test.to}",
         interval,
-        within(interval, *bounds),
+        within(interval, low, high),
         runs=len(table),
         method=f"ratio of the means of {measure} over paired runs, 95% interval against "
-        f"[{number(bounds[0])}, {number(bounds[1])}]: {expected:g} up to a factor of {factor:g}"
+        f"[{number(low)}, {number(high)}]: {expected:g} up to a factor of {factor:g}"
         f"{' on the same side of 1' if expected != 1 else ''}; "
         f"the interval lies {side}; {bootstrap(len(table))}",
         chosen=chosen,
