@@ -15,6 +15,7 @@ from bojax.config.extras import MissingExtra
 from bojax.numerics.third_party import plain_jax, silenced, standard_jax
 from bojax.robots.models import MjModel, RobotModel, mujoco
 from bojax.robots.mujoco_warp import WarpSteps
+from bojax.robots.small_factors import small_factors
 from bojax.text import one_line
 
 try:
@@ -193,7 +194,8 @@ def _stepping(
             before = data.replace(
                 qpos=state.qpos, qvel=state.qvel, qacc_warmstart=state.qacc_warmstart, ctrl=control
             )
-            return step(put, before)
+            with small_factors():
+                return step(put, before)
 
         # A single call site of `step`, whatever the number of substeps: each one takes long to compile.
         return jax.lax.fori_loop(0, substeps, small_step, state)
