@@ -1,4 +1,4 @@
-"""Small Cholesky factors against SciPy; on an accelerator, `test_simulator` compares MJX with them to C MuJoCo."""
+"""Small Cholesky factors against SciPy; `test_simulator` compares MJX with them to C MuJoCo on a GPU."""
 
 import jax
 import jax.numpy as jnp
