@@ -2,6 +2,7 @@
 # make test  the tests, on the CPU
 # make slow  the tests of a release: claims of the thesis, and equal bits with XLA's default options
 # make check formatting, lints, types, layers
+# make site  the documentation as a site, in ./site
 # EXTRA=cuda13 (or cuda12) installs JAX for an NVIDIA GPU; PYTHON=python3.12 picks the interpreter.
 PYTHON ?= python3
 EXTRA ?=
@@ -9,8 +10,9 @@ BIN := .venv/bin
 PINS := constraints/$(shell $(PYTHON) -c 'import sys; print("py311" if sys.version_info < (3, 12) else "py312")').txt
 STAMP := .venv/.bojax-$(if $(EXTRA),$(EXTRA),cpu)
 TEST_STAMP := .venv/.bojax-test
+DOCS_STAMP := .venv/.bojax-docs
 
-.PHONY: run test slow check format clean
+.PHONY: run test slow check site format clean
 
 run: $(STAMP)
 	$(BIN)/bojax sweep sweeps/parking.yaml
@@ -26,6 +28,9 @@ check: $(TEST_STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports
 	$(BIN)/pyright
+
+site: $(DOCS_STAMP)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 format: $(TEST_STAMP)
 	$(BIN)/ruff format .
@@ -43,6 +48,10 @@ $(STAMP): pyproject.toml $(wildcard constraints/*.txt) | $(BIN)/python
 
 $(TEST_STAMP): pyproject.toml $(wildcard constraints/*.txt) | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c $(PINS) -e ".[test$(if $(EXTRA),$(comma)$(EXTRA))]"
+	touch $@
+
+$(DOCS_STAMP): pyproject.toml $(wildcard constraints/*.txt) | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c $(PINS) -e ".[docs]"
 	touch $@
 
 comma := ,

@@ -43,12 +43,35 @@ def test_links_lead_somewhere(page):
     assert [target for target in links(page) if not (page.parent / target).exists()] == []
 
 
-def test_every_page_is_in_the_navigation_and_in_both_lists():
+def files_of(navigation) -> list[str]:
+    """The files in the navigation of the site, in order."""
+    if isinstance(navigation, str):
+        return [navigation]
+    entries = navigation if isinstance(navigation, list) else navigation.values()
+    return [file for entry in entries for file in files_of(entry)]
+
+
+def test_every_page_is_in_the_navigation_and_on_the_first_page():
     pages = {page.name for page in DOCS.glob("*.md")}
-    navigation = yaml.safe_load((ROOT / "mkdocs.yml").read_text())["nav"]
-    assert sorted(file for entry in navigation for file in entry.values()) == sorted(pages)
-    assert {target.removeprefix("docs/") for target in links(ROOT / "README.md")} >= pages - {"index.md"}
+    assert sorted(files_of(yaml.safe_load((ROOT / "mkdocs.yml").read_text())["nav"])) == sorted(pages)
     assert set(links(DOCS / "index.md")) >= pages - {"index.md"}
+
+
+def test_the_gallery_names_every_sweep_of_the_thesis():
+    ours = {path.stem for path in (ROOT / "sweeps").glob("*.yaml") if re.match(r"(fig|table)-", path.stem)}
+    groups = {"fig-5.3": "fig-5.3-", "fig-5.5": "fig-5.5-", "table-5.3": "table-5.3-"}
+    named = {
+        name for text in names_in(DOCS / "gallery.md") for name in re.findall(r"(?:fig|table)-[\w.-]+", text)
+    }
+    for group, prefix in groups.items():
+        assert group in named
+        named |= {name for name in ours if name.startswith(prefix)}
+    assert ours <= named
+    assert named - set(groups) <= ours
+
+
+def test_the_readme_is_short():
+    assert len((ROOT / "README.md").read_text().split()) <= 900
 
 
 @pytest.mark.parametrize(("page", "words"), COMMANDS, ids=[" ".join(words) for _, words in COMMANDS])
