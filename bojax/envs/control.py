@@ -86,6 +86,17 @@ class ControlTask(Env):
         return after, TimeStep(self.observe(after), reward, terminated, never, success)
 
 
+def penalties(
+    success: Bool[Array, ""], failure: Bool[Array, ""], failure_reward: float, dtype: jnp.dtype
+) -> tuple[Float[Array, ""], Bool[Array, ""]]:
+    """The classic reward of the author's code in domains with failures, and whether it ends the episode.
+
+    -1 a step, 0 at the goal and `failure_reward` at a failure; both end the episode.
+    """
+    paid = jnp.where(success, 0.0, -1.0).astype(dtype)
+    return jnp.where(failure, jnp.asarray(failure_reward, dtype), paid), success | failure
+
+
 def symmetric(*high: Float[Array, ""]) -> Box:
     """A box around the origin."""
     return Box(-jnp.stack(high), jnp.stack(high))

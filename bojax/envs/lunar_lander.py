@@ -10,9 +10,10 @@ from typing_extensions import override
 
 from bojax.envs import lander_dynamics as dynamics
 from bojax.envs import lander_geometry as geometry
-from bojax.envs.control import ControlTask
+from bojax.envs.control import ControlTask, penalties
 from bojax.envs.lander_dynamics import LanderState
 from bojax.envs.spaces import Box
+from bojax.numerics.choices import Choice, one_of
 
 _REST_STEPS = 25  # Box2D puts a body to sleep after half a second at rest
 
@@ -22,12 +23,14 @@ class LunarLander(ControlTask):
 
     The dynamics are those of `bojax.envs.lander_dynamics`. The goal is a distance from the pad below
     `goal_distance`, in units of the observation (p. 107): 0.05 is 0.5 m horizontally and 0.33 m vertically.
+    With `goal: box` it is the box of twice this side, as in the author's code.
     Standing on the centre of the pad reaches the goal. The goal has no condition on speed. An episode fails
     if the hull touches the ground or the lander leaves the world sideways. There is no ceiling.
 
     The classic reward is Gym's: the increase of -100 (distance + speed + |angle|) + 10 for each leg on the
     ground, minus 0.3 times the power of the main engine and 0.03 times that of the side engines. A failure
-    pays -100 and coming to rest anywhere pays 100; both end the episode.
+    pays -100 and coming to rest anywhere pays 100; both end the episode. With `classic_reward: published` it
+    is that of the author's code, see `bojax.envs.control.penalties`.
 
     As in Gym, an episode starts at the top of the world with a random force on the hull, over a rough terrain
     drawn for each episode.
@@ -44,6 +47,8 @@ class LunarLander(ControlTask):
     max_speed: Float[Array, ""]
     max_steps: int = eqx.field(static=True)
     reward: Literal["goal-only", "classic"] = eqx.field(static=True)
+    goal: Choice = eqx.field(converter=one_of("distance", "box"))
+    classic_reward: Choice = eqx.field(converter=one_of("gym", "published"))
 
     @property
     @override
@@ -102,7 +107,8 @@ class LunarLander(ControlTask):
     @override
     def is_goal(self, state: LanderState) -> Bool[Array, ""]:
         x, y = self.observe(state)[:2]
-        return jnp.sqrt(x * x + y * y) < self.goal_distance
+        in_box = jnp.maximum(jnp.abs(x), jnp.abs(y)) < self.goal_distance
+        return jnp.where(self.goal.is_("box"), in_box, jnp.sqrt(x * x + y * y) < self.goal_distance)
 
     @override
     def is_failure(self, state: LanderState) -> Bool[Array, ""]:
@@ -122,13 +128,15 @@ class LunarLander(ControlTask):
         failure: Bool[Array, ""],
         after: LanderState,
     ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
-        del success
         main, side = _powers(action)
         fuel = 0.3 * main + 0.03 * jnp.abs(side)
         paid = self._shaping(after) - self._shaping(state) - fuel
         is_still = after.num_still >= _REST_STEPS
         paid = jnp.where(failure, jnp.full_like(paid, -100.0), paid)
-        return jnp.where(is_still, jnp.full_like(paid, 100.0), paid), failure | is_still
+        paid = jnp.where(is_still, jnp.full_like(paid, 100.0), paid)
+        published, ends = penalties(success, failure, -100.0, paid.dtype)
+        is_gym = self.classic_reward.is_("gym")
+        return jnp.where(is_gym, paid, published), jnp.where(is_gym, failure | is_still, ends)
 
     @override
     def frame(self, state: LanderState) -> Float[Array, "13"]:

@@ -38,6 +38,18 @@ class ControlTask(Environment, frozen=True):
     )
 
 
+ClassicReward = Literal["gym", "published"]
+
+
+def classic_reward(failure_reward: int) -> Any:
+    """The field `classic_reward` of a domain with this reward at a failure in the author's code."""
+    return Field(
+        default="gym",
+        description="classic reward: that of Gym; or that of the author's published code, -1 a step, "
+        f"{failure_reward} at a failure and 0 at the goal, both of which end the episode",
+    )
+
+
 class SinglePendulum(ControlTask, frozen=True):
     """Swing a pendulum up with a weak motor (thesis, p. 107; Gym's Pendulum)."""
 
@@ -219,6 +231,12 @@ class LunarLander(ControlTask, frozen=True):
         description="distance from the pad's centre below which the goal is reached, in units of the "
         "observation: 0.05 is 0.5 m across and 0.33 m up",
     )
+    goal: Literal["distance", "box"] = Field(
+        default="distance",
+        description="quantity that is below goal_distance at the goal: the distance from the pad's centre "
+        "(p. 107), or the larger of its two components (the author's code)",
+    )
+    classic_reward: ClassicReward = classic_reward(-100)
     gravity: float = Field(default=10.0, ge=0, description="gravitational acceleration, m/s^2")
     main_power: float = Field(
         default=13.0,

@@ -315,6 +315,21 @@ def test_goal_and_failure(reward):
     assert outcome(wide, x=10.6, height=0.7)[2]
 
 
+def test_the_goal_may_be_a_box():
+    corner = {"x": 10.45, "height": 0.9}  # 0.045 and about 0.04 of the observation
+    assert not outcome(envs.LunarLander(), **corner)[2]
+    assert outcome(envs.LunarLander(goal="box"), **corner)[2]
+    assert not outcome(envs.LunarLander(goal="box"), x=10.55, height=0.7)[2]
+    assert not outcome(envs.LunarLander(goal="box"), x=10.0, height=1.0)[2]
+
+
+def test_the_published_reward_charges_steps_and_failures():
+    schema = envs.LunarLander(reward="classic", classic_reward="published")
+    assert outcome(schema, x=10.0, height=3.0) == (-1.0, False, False)
+    assert outcome(schema, x=10.4, height=0.7) == (0.0, True, True)
+    assert outcome(schema, height=0.3) == (-100.0, True, False)
+
+
 def test_a_fall_from_the_top_passes_the_goal_and_ends_in_a_crash():
     """The goal knows no speed; the hull comes down after the legs, 10 m below."""
     env = build(CLASSIC)

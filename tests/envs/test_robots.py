@@ -131,6 +131,32 @@ def test_hopper_succeeds_and_fails_where_the_thesis_says():
     assert at(1.31, 0.0, goal_height=1.4) == (False, False)
 
 
+def test_hopper_pays_the_published_reward():
+    env = built(envs.Hopper(reward="classic", classic_reward="published"))
+    state = env.simulator.state(jnp.asarray([0.0, 1.0, 0.3, 0.0, 0.0, 0.0]), jnp.zeros(6))
+
+    def paid(success, failure):
+        action = jnp.zeros(3, jnp.float32)
+        reward, ends = env.classic(state, action, jnp.asarray(success), jnp.asarray(failure), state)
+        return reward.item(), ends.item()
+
+    assert paid(False, False) == (-1.0, False)  # although Gym's ends at this angle
+    assert paid(True, False) == (0.0, True)
+    assert paid(False, True) == (-1000.0, True)
+
+
+def test_the_second_action_of_the_reacher_can_be_fixed():
+    env, fixed = built(CLASSIC["reacher"]), built(envs.Reacher(reward="classic", second_action="fixed"))
+    state = env.reset(jax.random.key(0))
+    told = jnp.asarray([[[0.5, -0.3]]], jnp.float32)
+    states = jax.tree.map(lambda x: x[None], state)
+    expected = rollout(env, states, told.at[..., 1].set(1.0))
+    found = rollout(fixed, states, told)
+    for ours, theirs in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    assert not np.allclose(rollout(env, states, told)[1].reward, expected[1].reward)
+
+
 @pytest.mark.parametrize(
     "schema",
     [envs.Hopper(reward="classic"), envs.Reacher(), envs.Jaco(reward="classic", targets="per-episode")],

@@ -8,8 +8,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 from typing_extensions import override
 
+from bojax.envs.control import penalties
 from bojax.envs.robots.base import RobotTask
 from bojax.envs.spaces import Box
+from bojax.numerics.choices import Choice, one_of
 from bojax.robots.models import RobotModel, packaged
 from bojax.robots.simulator import Physics, RobotState
 
@@ -23,7 +25,8 @@ class Hopper(RobotTask):
     either direction is a failure (p. 107). In the author's code a height below 0.7 m is a failure too
     (`failure_height`). The classic reward is that of Gym's Hopper-v5: forward velocity + 1 - 0.001 times the
     sum of the squared actions. An unhealthy state (height below 0.7 m, |angle| above 0.2 rad, or any other
-    component of the state above 100 in magnitude) loses the 1 and ends the episode.
+    component of the state above 100 in magnitude) loses the 1 and ends the episode. With
+    `classic_reward: published` it is that of the author's code, see `bojax.envs.control.penalties`.
 
     As in Gym, an episode starts in the standing configuration, with noise uniform in [-0.005, 0.005] on every
     position and velocity.
@@ -38,6 +41,7 @@ class Hopper(RobotTask):
     substeps: int = eqx.field(static=True)
     max_steps: int = eqx.field(static=True)
     reward: Literal["goal-only", "classic"] = eqx.field(static=True)
+    classic_reward: Choice = eqx.field(converter=one_of("gym", "published"))
 
     @property
     @override
@@ -83,10 +87,11 @@ class Hopper(RobotTask):
         failure: Bool[Array, ""],
         after: RobotState,
     ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
-        del success, failure
         rest = jnp.concatenate([after.qpos[2:], after.qvel])
         is_healthy = jnp.all(jnp.abs(rest) < _UNHEALTHY)
         is_healthy = is_healthy & (after.qpos[1] > 0.7) & (jnp.abs(after.qpos[2]) < 0.2)
         forward = ((after.qpos[0] - state.qpos[0]) / self.simulator.time_step).astype(self.dtype)
         paid = forward + is_healthy.astype(self.dtype) - 1e-3 * jnp.sum(action * action)
-        return paid, ~is_healthy
+        published, ends = penalties(success, failure, -1000.0, self.dtype)
+        is_gym = self.classic_reward.is_("gym")
+        return jnp.where(is_gym, paid, published), jnp.where(is_gym, ~is_healthy, ends)

@@ -8,8 +8,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 from typing_extensions import override
 
+from bojax.envs.base import TimeStep
 from bojax.envs.robots.base import RobotTask
 from bojax.envs.spaces import Box
+from bojax.numerics.choices import Choice, one_of
 from bojax.robots.models import RobotModel, packaged
 from bojax.robots.simulator import Physics, RobotState
 
@@ -22,7 +24,8 @@ class Reacher(RobotTask):
 
     The goal is a distance between fingertip and target below `goal_distance` (p. 107), at any speed. There is
     no failure. The classic reward is that of Gym's Reacher-v5: minus the distance after the step, minus the
-    sum of the squared actions. As in Gym, nothing terminates an episode with the classic reward.
+    sum of the squared actions. As in Gym, nothing terminates an episode with the classic reward. With
+    `second_action: fixed` the elbow's torque is always 1, by an error of the author's code.
 
     As in Gym, initial angles are uniform in [-0.1, 0.1] rad and their velocities in [-0.005, 0.005] rad/s.
     The target is at rest, uniform in the disc of radius `target_radius` about the shoulder.
@@ -36,6 +39,7 @@ class Reacher(RobotTask):
     substeps: int = eqx.field(static=True)
     max_steps: int = eqx.field(static=True)
     reward: Literal["goal-only", "classic"] = eqx.field(static=True)
+    second_action: Choice = eqx.field(converter=one_of("free", "fixed"))
 
     @property
     @override
@@ -74,6 +78,13 @@ class Reacher(RobotTask):
         gap = fingertip(angles) - target
         parts = jnp.cos(angles), jnp.sin(angles), target, state.qvel[:2], gap, jnp.zeros_like(gap[:1])
         return jnp.concatenate(parts).astype(self.dtype)
+
+    @override
+    def step(
+        self, key: Key[Array, ""], state: RobotState, action: Float[Array, "2"]
+    ) -> tuple[RobotState, TimeStep]:
+        is_fixed = self.second_action.is_("fixed")
+        return super().step(key, state, jnp.where(is_fixed, action.at[1].set(1.0), action))
 
     @override
     def is_goal(self, state: RobotState) -> Bool[Array, ""]:

@@ -6,7 +6,7 @@ import pydantic
 from pydantic import Field
 
 from bojax.config.component import Component, Slot
-from bojax.envs.settings import ControlTask
+from bojax.envs.settings import ClassicReward, ControlTask, classic_reward
 from bojax.robots.settings import MJX
 
 
@@ -30,6 +30,7 @@ class Hopper(Robot, frozen=True):
     failure_height: float = Field(
         default=0.0, ge=0, lt=1.24, description="smallest height of the torso, m; 0.7 in the author's code"
     )
+    classic_reward: ClassicReward = classic_reward(-1000)
     substeps: int = Field(default=4, ge=1, description="simulation steps of 2 ms per action")
 
 
@@ -47,6 +48,11 @@ class Reacher(Robot, frozen=True):
         gt=0,
         le=0.21,
         description="largest distance of the target from the shoulder, m; the arm reaches 0.21",
+    )
+    second_action: Literal["free", "fixed"] = Field(
+        default="free",
+        description="whether the second action is that of the learner, or always 1 (an error in the author's "
+        "code)",
     )
     substeps: int = Field(default=2, ge=1, description="simulation steps of 10 ms per action")
 
