@@ -19,11 +19,17 @@ class Arena(eqx.Module):
     """Geometry of a field problem, see `FieldProblem` for the attributes."""
 
     domain: Float[Array, "4"]
+    margin: Float[Array, ""]
     walls: Boxes | None
     target_area: Float[Array, "4"] | None
     collision_reward: Float[Array, ""]
     exit_reward: Float[Array, ""]
     after_collision: Literal["stop", "turn"] = eqx.field(static=True)
+
+    @property
+    def border(self) -> Float[Array, "4"]:
+        """The border that stops the robot, `margin` outside the domain, as `[x_min, y_min, x_max, y_max]`."""
+        return self.domain + self.margin * jnp.asarray([-1.0, -1.0, 1.0, 1.0], self.domain.dtype)
 
     def random_pose(self, key: Key[Array, ""]) -> Pose:
         """A pose drawn uniformly from the free space and all headings."""
@@ -44,7 +50,7 @@ class Arena(eqx.Module):
         # The start is the origin of the path's frame. Placed together with the path, it is elementwise
         # arithmetic; joined to the placed path, it would cost a kernel on a GPU.
         trajectory = place(jnp.pad(path, ((1, 0), (0, 0))), pose)
-        return drive_until_blocked(trajectory, self.domain, self.walls)
+        return drive_until_blocked(trajectory, self.border, self.walls)
 
     def end(self, driven: Drive) -> Pose:
         """Pose after a drive: its last pose, turned round if the robot was stopped and turns on the spot."""

@@ -15,6 +15,8 @@ Weighting = Literal["gradient", "gradient-norm", "value"]
 ERROR_COLUMNS: Table = (
     Column("rmse", "float64", "", "root mean square error of the final belief"),
     Column("wrmse", "float64", "", "the same, weighted towards what matters"),
+    Column("wrmse_gradient", "float64", "", "the same, weighted by the gradient as printed in (3.7)"),
+    Column("wrmse_value", "float64", "", "the same, weighted by the value"),
     Column("mnll", "float64", "", "mean negative log likelihood of the field under the final belief"),
 )
 
@@ -42,10 +44,16 @@ def field_errors(
     number = jnp.sum(counts)
     squared = counts * (mean - truth) ** 2
     variance = jnp.maximum(variance, jnp.finfo(variance.dtype).eps)
+
+    def weighted(weighting: Weighting) -> Scalar:
+        return jnp.sqrt(jnp.sum(squared * error_weights(field, grid, weighting)) / number)
+
     nll = 0.5 * jnp.log(2.0 * jnp.pi * variance) + (mean - truth) ** 2 / (2.0 * variance)
     return {
         "rmse": jnp.sqrt(jnp.sum(squared) / number),
-        "wrmse": jnp.sqrt(jnp.sum(squared * error_weights(field, grid, weighting)) / number),
+        "wrmse": weighted(weighting),
+        "wrmse_gradient": weighted("gradient"),
+        "wrmse_value": weighted("value"),
         "mnll": jnp.sum(counts * nll) / number,
     }
 

@@ -80,6 +80,7 @@ class FieldProblem(Problem):
     pose_noise: Float[Array, "2"] | None = eqx.field(default=None, kw_only=True)
     collision_reward: Float[Array, ""]
     exit_reward: Float[Array, ""]
+    margin: Float[Array, ""] = eqx.field(default_factory=lambda: jnp.zeros(()), kw_only=True)
     relearn_spread: Float[Array, ""]
     vehicle: Vehicle = eqx.field(default_factory=Exact, kw_only=True)
     sensor: Sensor = eqx.field(default_factory=PointSensor, kw_only=True)
@@ -117,6 +118,7 @@ class FieldProblem(Problem):
         """The area that the robot moves in."""
         return Arena(
             domain=self.domain,
+            margin=self.margin.astype(self.domain.dtype),
             walls=self.walls,
             target_area=self.target_area,
             collision_reward=self.collision_reward,

@@ -205,6 +205,12 @@ class FieldProblem(ProblemSettings, frozen=True):
         default=Bumps(centres=((3.0, 3.0),)), description="true field"
     )
     domain: Box = Field(default=(0.0, 0.0, 6.0, 6.0), description="border, [x_min, y_min, x_max, y_max], m")
+    margin: float = Field(
+        default=0.0,
+        ge=0,
+        description="distance beyond the domain up to which the robot may drive, m; starts and errors are "
+        "those of the domain",
+    )
     walls: tuple[Box, ...] | None = Field(
         default=None,
         strict=False,

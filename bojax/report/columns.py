@@ -23,6 +23,7 @@ KEYS: Mapping[str, tuple[str, ...]] = {
 _BOOLEANS = {"success", "reached", "terminated", "truncated", "done"}
 _NUMBERS = {
     *("return", "steps", "exits", "nans", "rmse", "wrmse", "mnll", "collisions", "sampled_gradient"),
+    *("wrmse_gradient", "wrmse_value"),
     *("episodes", "outside", "episodes_to_goal", "steps_to_goal", "episodes_to_target"),
     *("return_after_target", "length", "kappa", "trajectories"),
     *("reward", "planned_reward", "accumulated_reward", "x", "y", "heading"),

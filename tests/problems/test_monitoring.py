@@ -92,6 +92,21 @@ def test_a_path_is_driven_until_walls_or_border_stop_the_robot(name):
     assert len(set(number)) == SIZE + 1
 
 
+def test_a_margin_widens_the_border_and_nothing_else():
+    inner = monitoring(walls=None, target_area=None)
+    margin = dataclasses.replace(inner, margin=f64(0.4))
+    wide = dataclasses.replace(inner, domain=inner.domain + f64([-0.4, -0.4, 0.4, 0.4]))
+    _, _, (_, _, events) = executed(inner)
+    _, _, (_, _, found) = executed(margin)
+    _, _, (_, _, expected) = executed(wide)
+    np.testing.assert_array_equal(found.driven, expected.driven)
+    np.testing.assert_array_equal(found.exited, expected.exited)
+    assert 0 < np.sum(found.exited) < np.sum(events.exited)
+    np.testing.assert_array_equal(margin.grid(), inner.grid())
+    poses = [jax.vmap(problem.arena.random_pose)(keys_of(2)) for problem in (margin, inner)]
+    np.testing.assert_array_equal(*poses)
+
+
 @each_problem
 def test_the_robot_never_leaves_the_free_space(name):
     problem = PROBLEMS[name]
@@ -348,6 +363,9 @@ def test_the_scores_are_errors_over_the_open_cells_of_the_grid(name, count):
     nll = -stats.norm(mean[is_open], np.sqrt(variance[is_open])).logpdf(truth[is_open])
     np.testing.assert_allclose(found["rmse"], np.sqrt(squared.mean()), rtol=1e-9)
     np.testing.assert_allclose(found["wrmse"], np.sqrt((weights * squared).mean()), rtol=1e-9)
+    np.testing.assert_allclose(found["wrmse_value"], found["wrmse"], rtol=1e-12)
+    printed = np.asarray(error_weights(problem.field, f64(grid), "gradient"))[is_open]
+    np.testing.assert_allclose(found["wrmse_gradient"], np.sqrt((printed * squared).mean()), rtol=1e-9)
     np.testing.assert_allclose(found["mnll"], nll.mean(), rtol=1e-9)
     assert found["collisions"] == 3
     np.testing.assert_allclose(found["sampled_gradient"], 6.0 / max(count, 1))
