@@ -43,8 +43,22 @@ class Window(Schema, frozen=True):
         default="train", description="training episodes, or the test episodes that follow each of them"
     )
 
+    counted_from: Literal["start", "first-success"] = Field(
+        default="start",
+        description="whether episode 1 is the first of the run, or its first training episode with a success",
+    )
+    missing: float = Field(
+        default=0.0,
+        ge=0,
+        lt=1,
+        description="largest share of runs that may lack these episodes and are left out, if episodes are "
+        "counted from the first success",
+    )
+
     @pydantic.model_validator(mode="after")
     def _forward(self) -> Self:
+        if self.missing and self.counted_from == "start":
+            raise ValueError("missing: needs counted_from: first-success")
         if self.first > self.last:
             raise ValueError(f"to must not lie before from, which is {self.first}")
         return self

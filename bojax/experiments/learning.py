@@ -16,7 +16,7 @@ from bojax.experiments.episode import EpisodeState
 from bojax.experiments.phases import PHASES, Phase, run_episode
 from bojax.experiments.step_rows import StepRows
 from bojax.experiments.targets import TargetProgress
-from bojax.experiments.value_maps import value_map
+from bojax.experiments.value_maps import Visits, value_map
 from bojax.learning.base import ExplorationState, Learner, LearnerState
 from bojax.learning.schedules import Schedule
 from bojax.numerics.lanes import EPISODES
@@ -42,6 +42,8 @@ class RunState(eqx.Module):
         target: Progress of the test episodes towards the target return.
         maps: Q and U over the observations after each of `map_episodes`, NaN before; None if there are no
             `map_episodes`.
+        visits: Cells of the maps that the run has been in; None unless there are maps over two observations.
+        map_scores: `Visits.scores` at each of `map_episodes`, NaN before; None as `visits`.
     """
 
     key: Key[Array, ""]
@@ -55,6 +57,8 @@ class RunState(eqx.Module):
     steps_to_goal: Int[Array, ""]
     target: TargetProgress
     maps: Float[Array, "K 2 *grid"] | None
+    visits: Visits | None
+    map_scores: Float[Array, "K 2"] | None
 
 
 class LearningRun(Experiment):
@@ -86,7 +90,9 @@ class LearningRun(Experiment):
     @override
     def tables(self) -> Mapping[str, Table]:
         return {
-            "runs": _RUN_COLUMNS + (_TARGET_COLUMNS if self.target_return is not None else ()),
+            "runs": _RUN_COLUMNS
+            + (_TARGET_COLUMNS if self.target_return is not None else ())
+            + (_MAP_COLUMNS if self._maps_a_plane else ()),
             "episodes": _EPISODE_COLUMNS,
             "steps": self._rows.columns,
         }
@@ -128,6 +134,10 @@ class LearningRun(Experiment):
         if self.map_episodes:  # an empty array could not be spread over devices
             grid = jax.eval_shape(self._map, learner).shape
             maps = jnp.full((len(self.map_episodes), *grid), jnp.nan, self._dtype)
+        visits = map_scores = None
+        if self._maps_a_plane:
+            visits = Visits.none(self.map_resolution)
+            map_scores = jnp.full((len(self.map_episodes), 2), jnp.nan, self._dtype)
         return RunState(
             key=key,
             learner=learner,
@@ -140,6 +150,8 @@ class LearningRun(Experiment):
             steps_to_goal=never,
             target=TargetProgress(never, zero, number),
             maps=maps,
+            visits=visits,
+            map_scores=map_scores,
         )
 
     @override
@@ -179,6 +191,10 @@ class LearningRun(Experiment):
             summary["reached"] = target.is_reached
             summary["episodes_to_target"] = target.episodes
             summary["return_after_target"] = target.return_after / target.tests_after.astype(self._dtype)
+        if carry.map_scores is not None:
+            contrast, start = carry.map_scores.T
+            summary["unseen_u"] = jnp.mean(contrast)
+            summary["start_u_change"] = start[-1] - start[0]
         return summary
 
     @override
@@ -263,11 +279,16 @@ class LearningRun(Experiment):
             done = done | target.is_reached
         rows["phase"] = (jnp.arange(1 + self.tests) > 0).astype(jnp.int32)
         rows["valid"] = jnp.broadcast_to(active, rows["phase"].shape)
-        maps = carry.maps
+        maps, visits, map_scores = carry.maps, carry.visits, carry.map_scores
         if maps is not None:
             now = (number == jnp.asarray(self.map_episodes, jnp.int32)) & active
-            now = now.reshape(-1, *[1] * (maps.ndim - 1))
-            maps = jnp.where(now, self._map(learner)[None], maps)
+            found = self._map(learner)
+            maps = jnp.where(now.reshape(-1, *[1] * (maps.ndim - 1)), found[None], maps)
+            if visits is not None and map_scores is not None:
+                transitions, _, _ = self._rows.unpack(episode.rows)
+                unit = self.env.observation_space.to_unit(transitions.observation)
+                visits = visits.after(unit, episode.length)
+                map_scores = jnp.where(now[:, None], visits.scores(found[1])[None], map_scores)
         after = RunState(
             key=carry.key,
             learner=learner,
@@ -280,6 +301,8 @@ class LearningRun(Experiment):
             steps_to_goal=jnp.where(is_first, steps, carry.steps_to_goal),
             target=target,
             maps=maps,
+            visits=visits,
+            map_scores=map_scores,
         )
         tables = {"episodes": rows, "steps": self._rows.table(episode.rows, episode.length, number)}
         return after, Records(tables=tables, active_steps=num_steps)
@@ -296,6 +319,12 @@ class LearningRun(Experiment):
     def _map(self, learner: LearnerState) -> Float[Array, "2 *grid"]:
         env = self.env
         return value_map(self.learner, learner, env.observation_space, env.action_space, self.map_resolution)
+
+    @property
+    def _maps_a_plane(self) -> bool:
+        """Whether there are maps of just two observations; of more, a map is a slice that no run visits."""
+        space = self.env.observation_space
+        return bool(self.map_episodes) and isinstance(space, Box) and space.num_dims == 2
 
     @property
     def _rows(self) -> StepRows:
@@ -320,6 +349,23 @@ _TARGET_COLUMNS: Table = (
     Column("reached", "bool", "", "all test episodes after some training episode exceeded the target"),
     Column("episodes_to_target", "int32", "", "training episodes up to that", nullable=True),
     Column("return_after_target", "float64", "", "mean return of the test episodes after it", nullable=True),
+)
+
+_MAP_COLUMNS: Table = (
+    Column(
+        "unseen_u",
+        "float64",
+        "",
+        "mean U of the cells without a visit less that of the starting cells, mean over map_episodes",
+        nullable=True,
+    ),
+    Column(
+        "start_u_change",
+        "float64",
+        "",
+        "change of the mean U of the starting cells from the first of map_episodes to the last",
+        nullable=True,
+    ),
 )
 
 _EPISODE_COLUMNS: Table = (

@@ -1,8 +1,9 @@
 """Maps of the values Q and U of a learner over the observations (Figs. 5.6 and 5.7)."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from bojax.envs.spaces import Box, Space
 from bojax.learning.base import Learner, LearnerState
@@ -30,3 +31,41 @@ def value_map(
     unit = unit.at[..., 0].set(first)
     unit = unit.at[..., 1].set(second) if observations.num_dims > 1 else unit
     return jnp.stack(jax.lax.map(values, observations.from_unit(unit)))  # a row of cells at a time
+
+
+class Visits(eqx.Module):
+    """The cells of a map of two observations that a run has been in.
+
+    Attributes:
+        seen: Whether a training step was taken in the cell.
+        starts: Whether a training episode began in the cell.
+    """
+
+    seen: Bool[Array, "R R"]
+    starts: Bool[Array, "R R"]
+
+    @classmethod
+    def none(cls, resolution: int) -> "Visits":
+        """No visits."""
+        nowhere = jnp.zeros((resolution, resolution), bool)
+        return cls(nowhere, nowhere)
+
+    def after(self, unit: Float[Array, "T 2"], length: Int[Array, ""]) -> "Visits":
+        """The visits after an episode.
+
+        Args:
+            unit: Observations in which its steps were taken, mapped to [0, 1].
+            length: Number of its steps; later rows do not count.
+        """
+        resolution = self.seen.shape[0]
+        cells = jnp.clip(jnp.floor(unit * resolution), 0, resolution - 1).astype(jnp.int32)
+        is_step = jnp.arange(len(cells), dtype=jnp.int32) < length
+        return Visits(
+            self.seen.at[cells[:, 0], cells[:, 1]].max(is_step),
+            self.starts.at[cells[0, 0], cells[0, 1]].max(is_step[0]),
+        )
+
+    def scores(self, u: Float[Array, "R R"]) -> Float[Array, "2"]:
+        """Mean U of the cells without a visit less that of the starting cells, and the latter."""
+        start = jnp.mean(u, where=self.starts)
+        return jnp.stack([jnp.mean(u, where=~self.seen) - start, start])

@@ -530,6 +530,47 @@ def test_a_map_of_a_box_spans_its_first_two_dimensions_at_the_middle_action():
     assert np.array_equal(u, np.tile([-0.5, 0.5, 1.5, 2.5], (4, 1)) + 1.0)
 
 
+class Strip(Square):
+    """The same corridor along the first of two observations."""
+
+    @property
+    def observation_space(self):
+        return Box(jnp.asarray([0.0, -1.0]), jnp.asarray([4.0, 3.0]))
+
+    def observe(self, state):
+        return jnp.stack([state, jnp.zeros_like(state)]).astype(float)
+
+    def step(self, key, state, action):
+        transition = self.outcome(state, jnp.int32(0), jnp.int32(0))
+        return state + 1, eqx.tree_at(lambda t: t.observation, transition, self.observe(state + 1))
+
+
+def test_maps_of_a_plane_are_scored_where_the_run_was_and_where_it_was_not():
+    run = run_of(episodes=3, tests=0, map_episodes=(1, 3), map_resolution=4)
+    run = eqx.tree_at(
+        lambda r: (r.env, r.learner), run, (Strip(jnp.asarray(1.0), jnp.asarray(-1.0), 5, 10), Plane())
+    )
+    carry = _start(run, jax.random.split(jax.random.key(0), 1))
+    assert np.all(np.isnan(carry.map_scores))
+    carry, _ = _advance(run, carry)
+    seen = np.zeros((4, 4), bool)
+    seen[np.minimum(np.arange(carry.steps[0]), 3), 1] = True  # the second observation is always 0
+    assert 1 < seen.sum()
+    np.testing.assert_array_equal(carry.visits.seen[0], seen)
+    np.testing.assert_array_equal(np.argwhere(carry.visits.starts[0]), [[0, 1]])
+    u = np.asarray(carry.maps[0, 0, 1])
+    np.testing.assert_allclose(carry.map_scores[0, 0], [u[~seen].mean() - u[0, 1], u[0, 1]], rtol=1e-6)
+    assert np.all(np.isnan(carry.map_scores[0, 1]))
+
+
+def test_the_scores_of_maps_are_columns_of_the_runs():
+    run = run_of(episodes=1, tests=0, map_episodes=(1,), map_resolution=4)
+    names = {column.name for column in run.tables["runs"]}
+    assert not names & {"unseen_u", "start_u_change"}  # a chain has one observation
+    plane = eqx.tree_at(lambda r: r.env, run, Strip(jnp.asarray(1.0), jnp.asarray(-1.0), 5, 10))
+    assert {"unseen_u", "start_u_change"} <= {column.name for column in plane.tables["runs"]}
+
+
 # Saved learners.
 
 EVALUATED = {"env": CHAIN, "schedule": "exploit", "tests": 0, "learner": "exploration-values"}

@@ -106,6 +106,55 @@ class TestWindow:
         with pytest.raises(Undecidable, match="1 run of a without a finite mean value of episodes 21 to 30"):
             judge(results, {"kind": "mean", "label": "a", "column": "value", "window": LAST, "above": 0.0})
 
+    def test_episodes_can_be_counted_from_the_first_success(self):
+        runs, lengths = 40, np.full((40, 30), 500.0)
+        first = np.arange(runs) % 8  # episodes before the first success
+        for run, start in enumerate(first):
+            lengths[run, start:] = 300.0 - 10.0 * np.arange(30 - start)
+        results = in_memory({"a": {"value": np.zeros(runs)}}, episodes={"a": lengths})
+        results.episodes["success"] = results.episodes["value"] < 500.0
+        window = {"from": 3, "to": 4, "counted_from": "first-success"}
+        test = {
+            "kind": "mean",
+            "label": "a",
+            "column": "value",
+            "window": window,
+            "above": 274.0,
+            "below": 276.0,
+        }
+        finding = judge(results, test)
+        assert finding.ours == 275.0 and finding.verdict == "reproduced" and finding.runs == runs
+        assert "episodes 3 to 4 after the first success, which is number 1" in finding.method
+        fall = {"kind": "trend", "label": "a", "column": "value", "direction": "falls"}
+        later = {**window, "from": 11, "to": 11}
+        assert judge(results, {**fall, "from": window, "to": later}).ours == -75.0
+
+    def test_runs_without_these_episodes_are_left_out_up_to_a_share(self):
+        runs, lengths = 40, np.full((40, 30), 500.0)
+        lengths[2:] = 100.0  # two runs never succeed
+        results = in_memory({"a": {"value": np.zeros(runs)}}, episodes={"a": lengths})
+        results.episodes["success"] = results.episodes["value"] < 500.0
+        window = {"from": 1, "to": 20, "counted_from": "first-success"}
+        test = {"kind": "mean", "label": "a", "column": "value", "below": 200.0}
+        with pytest.raises(Undecidable, match="2 runs of a without a finite"):
+            judge(results, {**test, "window": window})
+        finding = judge(results, {**test, "window": {**window, "missing": 0.05}})
+        assert finding.ours == 100.0 and finding.runs == 38
+        with pytest.raises(Undecidable, match="more than 4%"):
+            judge(results, {**test, "window": {**window, "missing": 0.04}})
+
+    def test_the_spread_of_episodes_can_be_compared(self):
+        wide, narrow = learners({"a": 0.0}, noise=3.0), learners({"a": 0.0}, noise=1.0, seed=1)
+        values = {name: of.by_episode(of.points[0], "value") for name, of in (("w", wide), ("n", narrow))}
+        results = in_memory({name: {"value": np.zeros(200)} for name in values}, episodes=values)
+        test = {"kind": "order", "column": "value", "window": LAST, "statistic": "sd"}
+        finding = judge(results, {**test, "greater": ["w", "n"]})
+        sd = {name: value[:, 20:30].std(axis=1, ddof=1) for name, value in values.items()}
+        assert finding.verdict == "reproduced"
+        assert finding.decisive.interval.estimate == pytest.approx((sd["w"] - sd["n"]).mean())
+        assert "standard deviation of value of episodes 21 to 30" in finding.method
+        assert judge(results, {**test, "greater": ["n", "w"]}).verdict == "not reproduced"
+
     def test_planning_has_no_episodes(self):
         with pytest.raises(Undecidable, match="no episodes"):
             judge(

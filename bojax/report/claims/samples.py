@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,11 +33,18 @@ class Measure:
     place: int | Window | None = None
     since: Window | None = None  # a window whose mean is subtracted
     missing: float | None = None  # a number that stands for a missing one of `runs.parquet`
+    statistic: Literal["mean", "sd"] = "mean"  # of the episodes of a window
 
     @classmethod
     def of(cls, test: Measured) -> "Measure":
         """The number that a test's `column`, `window` and `since` define."""
-        return cls(test.column, test.window, test.since)
+        return cls(test.column, test.window, test.since, statistic=test.statistic)
+
+    @property
+    def may_lack(self) -> float:
+        """Largest share of runs that may lack the value, because they lack the episodes."""
+        windows = [place for place in (self.place, self.since) if isinstance(place, Window)]
+        return max((window.missing for window in windows), default=0.0)
 
     @override
     def __str__(self) -> str:
@@ -49,7 +56,8 @@ class Measure:
         if isinstance(self.place, int):
             return f"{self.column} at step {self.place}"
         since = "" if self.since is None else f", less that of {episodes_in(self.since)}"
-        return f"mean {self.column} of {episodes_in(self.place)}{since}"
+        statistic = "mean" if self.statistic == "mean" else "standard deviation of"
+        return f"{statistic} {self.column} of {episodes_in(self.place)}{since}"
 
     def values(self, results: Results, point: Point, runs: NDArray[Any]) -> NDArray[Any]:
         """Its value in the runs of these indices; NaN if a run has none."""
@@ -64,10 +72,14 @@ class Measure:
             rows = results.steps_of(point)
             values = column(rows, self.column)
             return statistics.carry_forward(runs, rows["run"], rows["step"], values, step)[:, step]
-        values = by_episode(results, point, self.column, self.place, runs).mean(axis=1)
-        if self.since is None:
-            return values
-        return values - by_episode(results, point, self.column, self.since, runs).mean(axis=1)
+        values = self._over(results, point, self.place, runs)
+        return values if self.since is None else values - self._over(results, point, self.since, runs)
+
+    def _over(self, results: Results, point: Point, window: Window, runs: NDArray[Any]) -> statistics.Floats:
+        table = by_episode(results, point, self.column, window, runs)
+        if self.statistic == "mean" or table.shape[1] < 2:
+            return table.mean(axis=1)
+        return table.std(axis=1, ddof=1)
 
 
 def stand_ins(
@@ -102,19 +114,29 @@ def named(results: Results, test: Test, name: str) -> list[Point]:
 
 
 def paired(results: Results, test: Test, points: Sequence[Point], measure: Measure) -> NDArray[Any]:
-    """A measure in the runs that the points of all names of a test have, `[runs, names]`, all finite."""
+    """A measure in the runs that the points of all names of a test have, `[runs, names]`, all finite.
+
+    Runs without a value are left out if the measure allows it.
+    """
     for name, point in zip(test.names, points, strict=True):
-        finite(measure.values(results, point, results.runs_of(point)["run"]), name, str(measure))
+        values = measure.values(results, point, results.runs_of(point)["run"])
+        if measure.may_lack:
+            most_present(values, name, str(measure), measure.may_lack)
+        else:
+            finite(values, name, str(measure))
     shared = results.shared_runs(points)
-    enough(len(shared), "paired run" if len(points) > 1 else "run")
-    return np.stack([measure.values(results, point, shared) for point in points], axis=1)
+    table = np.stack([measure.values(results, point, shared) for point in points], axis=1)
+    if measure.may_lack:
+        table = table[np.isfinite(table).all(axis=1)]
+    enough(len(table), "paired run" if len(points) > 1 else "run")
+    return table
 
 
 def by_episode(
     results: Results, point: Point, name: str, window: Window, runs: NDArray[Any]
 ) -> statistics.Floats:
     """A column of `episodes.parquet` in a window, `[runs, episodes]`; NaN where a run had no such episode."""
-    last = window.last
+    last, rows = window.last, np.searchsorted(results.runs_of(point)["run"], runs)
     if not results.episodes:
         raise Undecidable("the results have no episodes")
     column(results.episodes, name)
@@ -122,7 +144,14 @@ def by_episode(
     if table.shape[1] < last:
         what = "a test after" if window.phase == "test" else "an"
         raise Undecidable(f"no run has {what} episode {last}: the last one is {table.shape[1]}")
-    return table[np.searchsorted(results.runs_of(point)["run"], runs), window.first - 1 : last]
+    table = table[rows]
+    if window.counted_from == "start":
+        return table[:, window.first - 1 : last]
+    is_success = results.by_episode(point, "success")[rows] > 0
+    first = np.where(is_success.any(axis=1), is_success.argmax(axis=1), table.shape[1])
+    wanted = first[:, None] + np.arange(window.first - 1, last)
+    padded = np.pad(table, ((0, 0), (0, 1)), constant_values=np.nan)
+    return np.take_along_axis(padded, np.minimum(wanted, table.shape[1]), axis=1)
 
 
 def most_present(values: NDArray[Any], name: str, column: str, missing: float) -> NDArray[np.bool_]:
@@ -161,4 +190,11 @@ def episodes_in(window: Window) -> str:
     """A window in words."""
     tests = "the tests after " if window.phase == "test" else ""
     first, last = window.first, window.last
+    if window.counted_from == "first-success":
+        after = "after the first success, which is number 1"
+        return (
+            f"{tests}episode {first} {after}"
+            if first == last
+            else f"{tests}episodes {first} to {last} {after}"
+        )
     return f"{tests}episode {first}" if first == last else f"{tests}episodes {first} to {last}"

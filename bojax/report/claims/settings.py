@@ -33,11 +33,17 @@ class Measured(Test, frozen=True):
     since: Window | None = Field(
         default=None, description="episodes whose mean is subtracted from that of window, to test a change"
     )
+    statistic: Literal["mean", "sd"] = Field(
+        default="mean",
+        description="statistic of the episodes of a window within a run: mean, or standard deviation",
+    )
 
     @pydantic.model_validator(mode="after")
     def _since_of_a_window(self) -> Self:
         if self.since is not None and self.window is None:
             raise ValueError("since: needs a window, from whose mean it is subtracted")
+        if self.statistic == "sd" and self.window is None:
+            raise ValueError("statistic: needs a window of episodes")
         return self
 
 

@@ -1,5 +1,7 @@
 """Test of a trend: whether a mean rises or falls between two steps or two windows of episodes."""
 
+import dataclasses
+
 import numpy as np
 
 from bojax.config.claims import Window
@@ -17,7 +19,10 @@ def trend(results: Results, test: Trend) -> Finding:
     """
     first, last = (Measure(test.column, place) for place in (test.first, test.last))
     points, chosen = stand_ins(results, test, last)
-    changes = np.subtract(*(paired(results, test, points, end)[:, 0] for end in (last, first)))
+    if isinstance(test.first, Window):
+        changes = paired(results, test, points, dataclasses.replace(last, since=test.first))[:, 0]
+    else:
+        changes = np.subtract(*(paired(results, test, points, end)[:, 0] for end in (last, first)))
     interval = statistics.mean_interval(changes)
     between = f"from {_place(test.first)} to {_place(test.last)}"
     return Finding.single(
