@@ -2,13 +2,14 @@
 
 import threading
 import traceback
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from bojax.engine.chunks import Chunk
 from bojax.engine.errors import EngineError, out_of_memory
 from bojax.engine.groups import StaticGroup
+from bojax.engine.latency import Latency
 from bojax.engine.manifest import describe_chunk, describe_group, describe_sweep, outline_of, timings
 from bojax.engine.plan import Plan
 from bojax.engine.sinks import FolderSink, Sink
@@ -65,7 +66,12 @@ class Journal:
         else:
             self.folder.create(self.plan.content, may_rename=self._may_rename)
         fresh = [
-            {"lanes_per_device": self.plan.layout(group).lanes, "compile_seconds": 0.0, "latency_seconds": {}}
+            {
+                "lanes_per_device": self.plan.layout(group).lanes,
+                "compile_seconds": 0.0,
+                "latency_seconds": {},
+                "latency_range": {},
+            }
             for group in self.plan.groups
         ]
         self._facts = self.folder.noted("groups", fresh)
@@ -89,9 +95,11 @@ class Journal:
             self._facts[group.index]["compile_seconds"] += seconds
             self.folder.note("groups", self._facts)
 
-    def note_latency(self, group: StaticGroup, seconds: dict[int, float]) -> None:
+    def note_latency(self, group: StaticGroup, seconds: Mapping[int, Latency]) -> None:
         """Note the latency of a single run of points of a group."""
-        self._facts[group.index]["latency_seconds"] = {str(point): each for point, each in seconds.items()}
+        facts = self._facts[group.index]
+        facts["latency_seconds"] = {str(point): each.median for point, each in seconds.items()}
+        facts["latency_range"] = {str(point): [each.least, each.largest] for point, each in seconds.items()}
 
     def note_failure(self, chunks: Sequence[Chunk], error: BaseException) -> str:
         """Note that chunks of a group failed, and return the reason in one line.

@@ -92,6 +92,7 @@ class Group(Part):
     run_seconds: float | None = None
     active_steps: Count | None = None
     latency_seconds: dict[str, float | None] | None = None
+    latency_range: dict[str, Annotated[list[float], Field(min_length=2, max_length=2)]] | None = None
 
 
 class Chunk(Part):

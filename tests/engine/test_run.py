@@ -87,6 +87,8 @@ def test_manifest(folder):
         assert group["compile_seconds"] > 0 and group["run_seconds"] > 0
         assert list(group["latency_seconds"]) == [str(point) for point in group["points"]]
         assert all(0 < seconds < 1 for seconds in group["latency_seconds"].values())
+        for point, (least, largest) in group["latency_range"].items():
+            assert least <= group["latency_seconds"][point] <= largest
     assert all(chunk["status"] == "done" for chunk in manifest["chunks"])
     assert manifest["device"]["platform"] == jax.default_backend() and manifest["precision"]["x64"]
     assert not (folder / WORK).exists()

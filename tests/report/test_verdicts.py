@@ -5,12 +5,14 @@ from collections import Counter
 from functools import partial
 
 import numpy as np
+import pydantic
 import pytest
 
 from bojax.config.component import registry
 from bojax.report import statistics
 from bojax.report.claims.evaluate import decide, evaluate
 from bojax.report.claims.samples import MIN_RUNS, Undecidable
+from bojax.report.manifest import Group
 from tests.report.synthetic import in_memory
 
 ORDER = {"kind": "order", "column": "value"}
@@ -54,6 +56,59 @@ def rates(make, test, monkeypatch, times=150):
     monkeypatch.setattr(statistics, "bootstrap_means", partial(statistics.bootstrap_means, resamples=1000))
     count = Counter(judge(make(seed), test).verdict for seed in range(times))
     return {verdict: count[verdict] / times for verdict in ("reproduced", "not reproduced", "inconclusive")}
+
+
+class TestLatency:
+    """Times with known ranges: of `b` they overlap with those of `c`."""
+
+    TIMES = {"a": (0.1, 0.09, 0.12), "b": (0.2, 0.15, 0.3), "c": (0.25, 0.24, 0.4), "d": (0.9, 0.8, 1.0)}
+
+    @pytest.fixture
+    def results(self):
+        results = normal(dict.fromkeys(self.TIMES, 0.0))
+        for point in results.points:
+            median, *ends = self.TIMES[point.name]
+            key = str(point.index)
+            group = Group(points=[point.index], latency_seconds={key: median}, latency_range={key: ends})
+            results.manifest.groups.append(group)
+        return results
+
+    @pytest.mark.parametrize(
+        ("labels", "verdict"),
+        [
+            (["a", "b", "d"], "reproduced"),
+            (["a", "b", "c"], "inconclusive"),
+            (["b", "a", "d"], "not reproduced"),
+            (["c", "b", "a"], "not reproduced"),
+        ],
+    )
+    def test_an_order_holds_where_no_ranges_overlap(self, results, labels, verdict):
+        finding = judge(results, {"kind": "latency", "labels": labels})
+        assert finding.verdict == verdict
+        assert finding.ours.split(" < ")[0].startswith("a ") == ("a" in labels)
+        first = finding.comparisons[0].interval
+        (quick, quick_low, quick_high), (slow, slow_low, slow_high) = (
+            self.TIMES[each] for each in labels[:2]
+        )
+        assert (first.estimate, first.low, first.high) == pytest.approx(
+            (slow / quick, slow_low / quick_high, slow_high / quick_low)
+        )
+
+    @pytest.mark.parametrize(
+        ("below", "verdict"), [(0.31, "reproduced"), (0.2, "inconclusive"), (0.14, "not reproduced")]
+    )
+    def test_a_bound_has_to_exceed_every_time(self, results, below, verdict):
+        finding = judge(results, {"kind": "latency", "labels": ["b"], "below": below})
+        assert (finding.verdict, finding.ours) == (verdict, 0.2)
+
+    def test_without_a_measurement_nothing_is_said(self):
+        with pytest.raises(Undecidable, match="set engine.latency to true"):
+            judge(normal({"a": 0.0}), {"kind": "latency", "labels": ["a"], "below": 1.0})
+
+    @pytest.mark.parametrize("test", [{"labels": ["a"]}, {"labels": ["a", "b"], "below": 1.0}])
+    def test_it_is_a_bound_or_an_order(self, test):
+        with pytest.raises(pydantic.ValidationError, match="either one label and below, or several labels"):
+            registry["test"]["latency"].model_validate(test)
 
 
 class TestOrder:

@@ -281,6 +281,35 @@ class Agrees(OfOneLabel, frozen=True):
         return self
 
 
+class Latency(Test, frozen=True):
+    """Whether an advance of a single run takes less than a time, or which of several takes least.
+
+    The sweep has to measure it: `engine: {latency: true}`.
+    """
+
+    target: ClassVar[str] = "bojax.report.claims.latency:latency"
+
+    kind: Literal["latency"] = "latency"
+    labels: tuple[str, ...] = Field(
+        strict=False, min_length=1, description="labels or variants, that with the least time first"
+    )
+    below: float | None = Field(
+        default=None, gt=0, description="seconds that an advance of the only label stays under"
+    )
+
+    @pydantic.model_validator(mode="after")
+    def _bound_or_order(self) -> Self:
+        _distinct(self.labels, "labels")
+        if (len(self.labels) == 1) != (self.below is not None):
+            raise ValueError("latency: give either one label and below, or several labels")
+        return self
+
+    @property
+    @override
+    def names(self) -> tuple[str, ...]:
+        return self.labels
+
+
 class Growth(OfOneLabel, frozen=True):
     """Whether the mean of a column grows with a swept number by the expected law rather than by another."""
 
