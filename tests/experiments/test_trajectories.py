@@ -27,8 +27,13 @@ def test_a_gallery_has_every_path_of_its_family(motions, levels, number):
     assert kept["paths"].shape == (number, 8, 3)
     assert len(np.unique(np.round(kept["paths"], 9), axis=0)) == number
     summary = jax.jit(lambda gallery, carry: gallery.summary(carry))(gallery, carry)
-    assert summary == {"trajectories": number}
-    assert tuple(summary) == column_names(gallery.tables["runs"])
+    assert summary["trajectories"] == number
+    path = np.asarray(jax.jit(lambda motions, key: motions.sample(key))(motions, jax.random.key(0)))
+    turns = np.diff(path[:, 2]) * 8 / float(motions.length)
+    np.testing.assert_allclose(summary["curvature"], np.sqrt(np.mean(turns**2)), rtol=1e-9)
+    np.testing.assert_allclose(summary["start_turn"], abs(path[0, 2]), rtol=1e-9)
+    np.testing.assert_allclose(summary["end_turn"], abs(path[-1, 2]), rtol=1e-9)
+    assert set(summary) == set(column_names(gallery.tables["runs"]))  # `jit` sorts the keys
 
 
 def test_a_gallery_of_a_set_is_the_set():
