@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from bojax.cli.main import main
+from bojax.config.files import available
+from bojax.config.sweep import load_sweep
 from bojax.results.store import read_table
 from tests.examples.pages import ROOT
 
@@ -27,6 +29,18 @@ def test_claims_are_reproduced(name, tmp_path):
     claims = json.loads((tmp_path / "claims.json").read_text())
     verdicts = {claim["id"].split("/")[1]: claim["verdict"] for claim in claims}
     assert {claim: verdicts[claim] for claim in expected} == dict.fromkeys(expected, "reproduced")
+
+
+@pytest.mark.parametrize("name", [name for name in available("sweeps") if name.startswith("study-")])
+def test_every_study_runs(name, tmp_path):
+    """Two short runs of every point; settings that the study sweeps keep their values."""
+    sweep = load_sweep(str(ROOT / "sweeps" / f"{name}.yaml"))
+    short = {"planner.iterations": 2, "problem.max_steps": 2}
+    if sweep.base["experiment"] == "learning":
+        short = {"episodes": 1, "tests": min(1, sweep.points[0].config.tests), "env.max_steps": 20}
+    words = [f"{key}={value}" for key, value in short.items() if key not in sweep.points[0].swept]
+    assert main(["sweep", str(sweep.source), *words, "--runs", "2", "--out", str(tmp_path)]) == 0
+    assert len(read_table(tmp_path / "runs.parquet")) == 2 * len(sweep.points)
 
 
 def test_the_first_runs_of_many_are_those_of_few(tmp_path):

@@ -6,6 +6,8 @@ import pytest
 from bojax.config.claims import Claim
 
 WINDOW = {"from": 31, "to": 100}
+DEFAULTS = {"phase": "train", "counted_from": "start", "missing": 0.0}
+GOAL = {**WINDOW, "phase": "test", "counted_from": "first-success", "missing": 0.05}
 
 
 def validated(test):
@@ -38,6 +40,9 @@ def validated(test):
         {"kind": "similar", "labels": ["a", "b"], "column": "r", "margin": 1},
         {"kind": "share", "label": "a", "column": "success", "window": WINDOW, "below": 0.1},
         {"kind": "mean", "label": "a", "column": "r", "above": 0, "below": 1},
+        {"kind": "mean", "label": "a", "column": "r", "above": 0, "window": GOAL, "statistic": "sd"},
+        {"kind": "latency", "labels": ["a", "b"]},
+        {"kind": "latency", "labels": ["a"], "below": 5.0},
         {"kind": "trend", "label": "a", "column": "r", "from": 1, "to": 2, "direction": "rises"},
         {"kind": "trend", "label": "a", "column": "r", "from": WINDOW, "to": WINDOW, "direction": "falls"},
         {"kind": "agrees", "label": "a", "column": "r", "mean": 2.95, "sd": 0.38, "runs": 20},
@@ -50,7 +55,7 @@ def test_a_test_reads_as_it_was_written(test):
     written = validated(test).model_dump(mode="json")
     assert validated({key: value for key, value in written.items() if value is not None}) == validated(test)
     for key, value in test.items():
-        assert written[key] == ({"phase": "train", **value} if isinstance(value, dict) else value)
+        assert written[key] == ({**DEFAULTS, **value} if isinstance(value, dict) else value)
 
 
 @pytest.mark.parametrize(
@@ -59,6 +64,14 @@ def test_a_test_reads_as_it_was_written(test):
         (
             {"kind": "order", "column": "r", "since": WINDOW, "greater": ["a", "b"]},
             "since: needs a window",
+        ),
+        (
+            {"kind": "mean", "label": "a", "column": "r", "above": 0, "statistic": "sd"},
+            "statistic: needs a window",
+        ),
+        (
+            {"kind": "mean", "label": "a", "column": "r", "above": 0, "window": {**WINDOW, "missing": 0.1}},
+            "missing: needs counted_from: first-success",
         ),
         ({"kind": "mean", "label": "a", "column": "r"}, "mean: give above, below, or both"),
         ({"kind": "mean", "label": "a", "column": "r", "above": 1, "below": 1}, "below must exceed above"),
