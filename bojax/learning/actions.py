@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Float, Int, Key
 
 from bojax.envs.base import Action
 from bojax.envs.spaces import Box, Discrete, Space
@@ -16,6 +16,24 @@ def even_actions(key: Key[Array, ""], number: int, space: Space) -> Action:
     if isinstance(space, Discrete):
         return jnp.arange(space.num, dtype=jnp.int32)
     return space.from_unit(scrambled_halton(key, number, space.num_dims, space.low.dtype))
+
+
+def grid_actions(per_dimension: int, space: Space) -> Action:
+    """Even points of a box from its lower to its upper bounds, all their combinations over the dimensions.
+
+    All actions of a discrete space.
+    """
+    if isinstance(space, Discrete):
+        return jnp.arange(space.num, dtype=jnp.int32)
+    points = jnp.linspace(0.0, 1.0, per_dimension, dtype=space.low.dtype)
+    grid = jnp.stack(jnp.meshgrid(*[points] * space.num_dims, indexing="ij"), axis=-1)
+    return space.from_unit(grid.reshape(-1, space.num_dims))
+
+
+def nearest_action(actions: Action, action: Action) -> Int[Array, ""]:
+    """Index of the nearest of several actions."""
+    difference = (actions - action[None]).reshape(len(actions), -1)
+    return jnp.argmin(jnp.sum(difference**2, axis=1)).astype(jnp.int32)
 
 
 def uniform_actions(key: Key[Array, ""], actions: Action, space: Space) -> Action:

@@ -210,6 +210,69 @@ class RFFQ(LearnerSettings, frozen=True):
     )
 
 
+_ActionsPerDimension = Annotated[
+    int,
+    Field(
+        ge=2, description="number of actions along each dimension of a continuous action space, evenly spaced"
+    ),
+]
+
+
+class DORA(LearnerSettings, frozen=True):
+    """Q-learning on tiles, explored by E-values (Fox et al., ICLR 2018; thesis, Section 5.7.2)."""
+
+    target: ClassVar[str] = "bojax.learning.dora:DORA"
+
+    kind: Literal["dora"] = "dora"
+    policy: Literal["lll", "epsilon-greedy"] = Field(
+        default="lll",
+        description="argmax Q - temperature log(-log E), or argmax Q with random actions (default of the "
+        "published code)",
+    )
+    temperature: float = Field(default=0.5, ge=0, description="weight of log(-log E) in the policy lll")
+    epsilon: float = Field(
+        default=0.3, ge=0, le=1, description="probability of a random action in the policy epsilon-greedy"
+    )
+    xi: float = Field(
+        default=1.0,
+        ge=0,
+        description="weight of the bonus log(1 - alpha_E) / log E in the reward; 0 for none",
+    )
+    learning_rate: float = Field(
+        default=0.1, gt=0, le=1, description="learning rate of Q, divided by the number of tilings"
+    )
+    e_learning_rate: float = Field(
+        default=0.5,
+        gt=0,
+        lt=1,
+        description="learning rate of E, divided by the number of tilings (then alpha_E)",
+    )
+    e_discount: float = Field(default=0.99, ge=0, le=1, description="discount of E-values per step (gamma_E)")
+    e_values: Literal["sigmoid", "linear"] = Field(
+        default="sigmoid",
+        description="E of the summed weights z: 1 / (1 + exp(-z)), from 1/2; or 1 + z, from 1 (the tables of "
+        "the paper)",
+    )
+    derivative: Literal["at-e", "at-logit"] = Field(
+        default="at-e",
+        description="where updates of E before the end of an episode take the derivative of the sigmoid: at E"
+        " (published code), or at the summed weights, as would be right",
+    )
+    initial_weight: float = Field(
+        default=0.01, ge=0, description="standard deviation of the initial weights of Q"
+    )
+    num_tilings: int = Field(
+        default=8, ge=1, description="number of tilings, and of tiles along the range of an observation"
+    )
+    num_indices: int = Field(
+        default=2048, ge=1, description="number of weights; tiles beyond this number share them, by a hash"
+    )
+    actions_per_dimension: _ActionsPerDimension = 3
+    block: int = Field(
+        default=16, ge=1, description="number of steps between two checks of whether the episode has ended"
+    )
+
+
 class ExplorationRewardSettings(Component, frozen=True):
     """An exploration reward."""
 

@@ -50,6 +50,7 @@ COLOURS: Mapping[str, str] = {
     "explorer": BROWN,
     "emu-q": BLUE,
     "rff-q": ORANGE,
+    "dora": GREEN,
     "exploration-values": BLUE,
     "additive": ORANGE,
     "epsilon-greedy": GREY,

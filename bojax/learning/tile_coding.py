@@ -1,0 +1,119 @@
+"""Tile coding with a hash table, by the rules of Sutton's tiles3 (Sutton and Barto, 2018, Section 9.5.4).
+
+A tiling divides the space of states into cubes of side 1; tilings are offset against each other. A tile of a
+state and a discrete action gets the next free index when it is first used. Once all indices are taken, new
+tiles share them, by a hash of their coordinates.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int, UInt32
+
+_LARGEST = 2.0**20
+"""Coordinates are clipped to this, so that they are integers of 32 bits."""
+
+
+def tiles(x: Float[Array, "D"], num_tilings: int) -> Int[Array, "T C"]:
+    """The tile of a point in each tiling: the number of the tiling, then D coordinates.
+
+    Tiling k is offset by k (2 d + 1) / T along dimension d = 0, ..., D - 1.
+    """
+    steps = jnp.floor(jnp.clip(x, -_LARGEST, _LARGEST) * num_tilings).astype(jnp.int32)
+    tiling = jnp.arange(num_tilings, dtype=jnp.int32)[:, None]
+    odd = 2 * jnp.arange(len(x), dtype=jnp.int32) + 1
+    return jnp.concatenate([tiling, (steps[None, :] + tiling * odd[None, :]) // num_tilings], axis=1)
+
+
+class TileTable(eqx.Module):
+    """The indices of the tiles seen so far, at most N of them.
+
+    The tiles of a state are looked up for all A actions at once, in the order of actions and then of tilings.
+    If m of them are new, those of the next action therefore have indices higher by m, and the table holds
+    one row for all actions.
+
+    Attributes:
+        tiles: Tiles of states, `[K, C]`; rows that are not in use are -1.
+        first: Index of each tile with action 0.
+        stride: Difference of its indices with one action and the next.
+        num_rows: Number of rows in use.
+        num_used: Number of indices in use.
+        size: Number of indices, N.
+        num_actions: Number of actions, A.
+    """
+
+    tiles: Int[Array, "K C"]
+    first: Int[Array, "K"]
+    stride: Int[Array, "K"]
+    num_rows: Int[Array, ""]
+    num_used: Int[Array, ""]
+    size: int = eqx.field(static=True)
+    num_actions: int = eqx.field(static=True)
+
+    @classmethod
+    def empty(cls, size: int, num_tilings: int, num_dims: int, num_actions: int) -> "TileTable":
+        """A table without tiles."""
+        # The tiles of the last state that gets indices may get them for its first action only.
+        capacity = size // num_actions + num_tilings
+        zero, zeros = jnp.zeros((), jnp.int32), jnp.zeros((capacity,), jnp.int32)
+        rows = jnp.full((capacity, 1 + num_dims), -1, jnp.int32)
+        return cls(rows, zeros, zeros, zero, zero, size, num_actions)
+
+    def look_up(
+        self, tiles: Int[Array, "T C"], is_kept: Bool[Array, ""] | bool = True
+    ) -> tuple["TileTable", Int[Array, "A T"]]:
+        """The indices of a state's tiles with every action, and the table with the new ones.
+
+        Args:
+            tiles: Tiles of the state.
+            is_kept: Whether new tiles are stored; the indices are the same if they are not.
+        """
+        is_equal = jnp.all(tiles[:, None, :] == self.tiles[None, :, :], axis=2)
+        is_new, row = ~jnp.any(is_equal, axis=1), jnp.argmax(is_equal, axis=1)
+        rank, number = jnp.cumsum(is_new, dtype=jnp.int32) - 1, jnp.sum(is_new, dtype=jnp.int32)
+        first = jnp.where(is_new, self.num_used + rank, self.first[row])
+        stride = jnp.where(is_new, number, self.stride[row])
+
+        action = jnp.arange(self.num_actions, dtype=jnp.int32)[:, None]
+        index = first[None, :] + action * stride[None, :]
+        index = jnp.where(index < self.size, index, self._hashed(tiles, action))
+
+        is_stored = is_new & (first < self.size) & is_kept
+        place = jnp.where(is_stored, self.num_rows + rank, len(self.first))
+        grown = jnp.minimum(self.num_used + number * self.num_actions, self.size)
+        table = TileTable(
+            tiles=self.tiles.at[place].set(tiles, mode="drop"),
+            first=self.first.at[place].set(first, mode="drop"),
+            stride=self.stride.at[place].set(stride, mode="drop"),
+            num_rows=self.num_rows + jnp.sum(is_stored, dtype=jnp.int32),
+            num_used=jnp.where(is_kept, grown, self.num_used),
+            size=self.size,
+            num_actions=self.num_actions,
+        )
+        return table, index
+
+    def _hashed(self, tiles: Int[Array, "T C"], action: Int[Array, "A 1"]) -> Int[Array, "A T"]:
+        shape = (self.num_actions, len(tiles))
+        columns = [jnp.broadcast_to(column[None, :], shape) for column in tiles.T]
+        number = tuple_hash([*columns, jnp.broadcast_to(action, shape)])
+        return (number % jnp.uint32(self.size)).astype(jnp.int32)
+
+
+def tuple_hash(columns: list[Int[Array, "*N"]]) -> UInt32[Array, "*N"]:
+    """Hashes of tuples of integers: xxHash as CPython uses it for tuples, in its form for 32 bits.
+
+    Args:
+        columns: The first number of every tuple, then the second number of every tuple, and so on.
+    """
+    total = jnp.full_like(columns[0], 374761393, jnp.uint32)
+    for column in columns:
+        total = total + column.astype(jnp.uint32) * jnp.uint32(2246822519)
+        total = (total << jnp.uint32(13)) | (total >> jnp.uint32(19))
+        total = total * jnp.uint32(2654435761)
+    return total + jnp.uint32(len(columns) ^ 374761393 ^ 3527539)
+
+
+def is_first(index: Int[Array, "*N T"]) -> Bool[Array, "*N T"]:
+    """Whether an index does not occur earlier in its row: tiles that share an index count once."""
+    earlier = jnp.tril(jnp.ones(2 * index.shape[-1:], bool), -1)
+    is_equal = index[..., :, None] == index[..., None, :]
+    return ~jnp.any(is_equal & jnp.broadcast_to(earlier, is_equal.shape), axis=-1)

@@ -1,0 +1,280 @@
+"""DORA and its tile coding against plain NumPy, its counters, policies and stable logarithms."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bojax.engine.build import build
+from bojax.engine.training import train
+from bojax.envs.spaces import Box, Discrete
+from bojax.learning.actions import grid_actions, nearest_action
+from bojax.learning.base import Episode, ExplorationState, Transition
+from bojax.learning.dora import DORA, E, Q, log_softplus
+from bojax.learning.settings import DORA as Settings
+from bojax.learning.tile_coding import TileTable, is_first, tiles, tuple_hash
+from tests.reference import dora as reference
+
+OBSERVATIONS = Box(jnp.asarray([-1.2, -0.07]), jnp.asarray([0.6, 0.07]))
+ACTIONS = Box(jnp.asarray([-1.0]), jnp.asarray([1.0]))
+NUM_ACTIONS = 3
+
+
+def exploring(scale=1.0, is_learning=True):
+    return ExplorationState(jnp.asarray(scale, jnp.float64), jnp.asarray(is_learning))
+
+
+def walk(num=2000, seed=0):
+    """A random walk through the bounds and somewhat beyond them."""
+    rng = np.random.default_rng(seed)
+    steps = np.clip(np.cumsum(rng.normal(size=(num, 2)) * 0.15, axis=0), -30, 30)
+    unit = np.abs((steps + 0.5) % 2.0 - 1.0) * 1.2 - 0.1
+    return np.asarray(OBSERVATIONS.low) + unit * np.asarray(OBSERVATIONS.high - OBSERVATIONS.low)
+
+
+def transitions(num=400, seed=0):
+    rng = np.random.default_rng(seed)
+    states = walk(num + 1, seed)
+    return {
+        "observation": states[:-1],
+        "action": rng.integers(NUM_ACTIONS, size=num),
+        "reward": rng.normal(size=num),
+        "next_observation": states[1:],
+        "terminated": rng.uniform(size=num) < 0.05,
+    }
+
+
+def make(**settings):
+    learner = build(Settings(**settings))
+    return learner, learner.init(jax.random.key(1), OBSERVATIONS, ACTIONS, 0)
+
+
+@eqx.filter_jit
+def learn(learner, state, steps, exploration):
+    """Observe transitions one after the other: the last state, and the next action after each of them."""
+
+    def one(state, step):
+        number = step.pop("number")
+        transition = Transition(**(step | {"action": state.actions[step["action"]]}))
+        state = learner.observe(jax.random.key(number), state, transition, exploration, jnp.int32(0))
+        return state, state.next_action
+
+    steps = {name: jnp.asarray(rows) for name, rows in steps.items()}
+    numbers = jnp.arange(len(steps["reward"]), dtype=jnp.int32)
+    return jax.lax.scan(one, state, steps | {"number": numbers})
+
+
+@pytest.mark.parametrize("num_dims", [1, 2, 6])
+@pytest.mark.parametrize("size", [150, 2048])
+def test_tiles_have_the_indices_of_a_dictionary_even_when_it_is_full(num_dims, size):
+    rng = np.random.default_rng(num_dims)
+    points = np.cumsum(rng.normal(size=(3000, num_dims)) * 0.2, axis=0)
+    coder = reference.TileCoder(8, size)
+    expected = np.array([[coder(x, a) for a in range(NUM_ACTIONS)] for x in points])
+    table = TileTable.empty(size, 8, num_dims, NUM_ACTIONS)
+    look_up = jax.jit(lambda table, points: jax.lax.scan(lambda t, x: t.look_up(tiles(x, 8)), table, points))
+    table, found = look_up(table, jnp.asarray(points))
+    np.testing.assert_array_equal(found, expected)
+    assert int(table.num_used) == len(coder.indices)
+    assert coder.num_hashed > 1000 or size > 150
+
+
+def test_the_hash_is_that_of_python_integers_and_even():
+    rng = np.random.default_rng(0)
+    columns = rng.integers(-50, 50, size=(4, 20_000)).astype(np.int32)
+    found = np.asarray(tuple_hash([jnp.asarray(column) for column in columns]))
+    assert found[:500].tolist() == [reference.tuple_hash(row) for row in columns.T[:500].tolist()]
+    different = {tuple(row) for row in columns.T.tolist()}
+    counts = np.bincount(np.unique(found) % 64, minlength=64)
+    # 20,000 hashes in 64 bins: 312 in each, with a standard deviation of 18.
+    assert len(np.unique(found)) == len(different)
+    assert 220 < counts.min() and counts.max() < 405
+
+
+def test_a_look_up_that_keeps_nothing_finds_the_same_indices():
+    table = TileTable.empty(100, 4, 2, 2)
+    for x in walk(10):
+        tile = tiles(jnp.asarray(x), 4)
+        unchanged, found = table.look_up(tile, False)
+        assert eqx.tree_equal(unchanged, table)
+        table, kept = table.look_up(tile)
+        np.testing.assert_array_equal(found, kept)
+
+
+def test_tiles_that_share_an_index_count_once():
+    index = jnp.asarray([[3, 5, 3, 3, 5], [1, 2, 3, 4, 5]])
+    expected = [[True, True, False, False, False], [True] * 5]
+    np.testing.assert_array_equal(is_first(index), expected)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {},
+        {"policy": "epsilon-greedy", "xi": 0.0},
+        {"derivative": "at-logit", "learning_rate": 0.8, "e_discount": 0.7},
+        {"num_indices": 90, "discount": 0.9},
+        {"e_values": "linear", "e_discount": 0.5, "num_tilings": 4},
+    ],
+    ids=lambda settings: "-".join(str(value) for value in settings.values()) or "default",
+)
+def test_the_updates_are_those_of_plain_numpy(settings):
+    learner, state = make(**settings)
+    steps = transitions()
+    after, next_actions = learn(learner, state, steps, exploring(0.8))
+    names = {"discount", "e_discount", "learning_rate", "e_learning_rate", "xi", "e_values", "derivative"}
+    expected = reference.DORA(
+        reference.TileCoder(learner.num_tilings, learner.num_indices),
+        np.asarray(learner.num_tilings / (OBSERVATIONS.high - OBSERVATIONS.low)),
+        NUM_ACTIONS,
+        np.array(state.weights[:, Q]),
+        **{name: value for name, value in settings.items() if name in names},
+    )
+    for row in zip(*steps.values(), np.asarray(next_actions), strict=True):
+        expected.observe(*row, scale=0.8)
+    np.testing.assert_allclose(after.weights[:, Q], expected.w_q, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(after.weights[:, E], expected.w_e, rtol=0, atol=1e-10)
+    assert np.abs(expected.w_e).max() > 0.01  # E has moved by far more than the tolerance
+    assert (np.asarray(next_actions)[steps["terminated"]] == -1).all()
+
+
+def test_the_first_bonus_is_that_of_the_published_code():
+    learner, state = make(learning_rate=1.0, initial_weight=0.0)
+    steps = {name: rows[:1] for name, rows in transitions().items()} | {"reward": np.zeros(1)}
+    after, _ = learn(learner, state, steps, exploring())
+    # With the rate 1, Q becomes the bonus: log(1 - 0.0625) / log(0.5) = 0.093, a bit less by the update of E.
+    action, observation = state.actions[steps["action"][0]], jnp.asarray(steps["observation"][0])
+    q, _ = learner.values(after, observation, action)
+    assert 0.0925 < float(q) < np.log(1 - 0.0625) / np.log(0.5)
+
+
+@pytest.mark.parametrize("e_discount", [0.0, 0.9])
+def test_counters_on_a_table_are_visit_counts_if_nothing_is_discounted(e_discount):
+    learner = build(Settings(e_values="linear", num_tilings=1, e_discount=e_discount, num_indices=12))
+    state = learner.init(jax.random.key(1), Discrete(6), Discrete(2), 0)
+    rng = np.random.default_rng(3)
+    steps = {
+        "observation": rng.integers(6, size=60).astype(np.int32),
+        "action": rng.integers(2, size=60).astype(np.int32),
+        "reward": np.zeros(60),
+        "next_observation": rng.integers(6, size=60).astype(np.int32),
+        "terminated": np.zeros(60, bool),
+    }
+    after, _ = learn(learner, state, steps, exploring())
+    visits = np.zeros((6, 2))
+    np.add.at(visits, (steps["observation"], steps["action"]), 1)
+    pairs = jnp.meshgrid(jnp.arange(6, dtype=jnp.int32), jnp.arange(2, dtype=jnp.int32), indexing="ij")
+    counters = jax.vmap(jax.vmap(lambda s, a: learner.counter(after, s, a)))(*pairs)
+    if e_discount == 0.0:
+        np.testing.assert_allclose(counters, visits, atol=1e-9)
+    else:  # a pair counts less while what follows it is new
+        assert np.all(counters < visits) and np.all(counters[visits > 0] > 0.0)
+
+
+def test_log_of_minus_log_e_is_stable():
+    for dtype, smallest in ((jnp.float32, 1e-7), (jnp.float64, 1e-14)):
+        logits = jnp.asarray([-500.0, -30.0, -1.0, 0.0, 1.0, 19.9, 20.1, 60.0, 500.0], dtype)
+        found = log_softplus(-logits)
+        with np.errstate(over="ignore"):
+            exact = [np.log(np.log1p(np.exp(-np.longdouble(z)))) if z > -100 else np.log(-z) for z in logits]
+        np.testing.assert_allclose(found, np.asarray(exact, float), rtol=10 * smallest)
+
+
+def policies_of(state, **settings):
+    """The actions that 400 calls choose in a state with Q = (1, 0, 1) and logits (1, 0, 1) of E."""
+    learner = build(Settings(**settings))
+    observation = jnp.asarray([0.1, 0.01])
+    table, index = state.table.look_up(tiles(state.scale * observation, learner.num_tilings))
+    weights = jnp.zeros_like(state.weights).at[index[0]].set(1 / 8).at[index[2]].set(1 / 8)
+    state = eqx.tree_at(lambda s: (s.table, s.weights), state, (table, weights))
+
+    def act(key, scale):
+        action, _ = learner.act(key, state, observation, exploring(scale))
+        return nearest_action(state.actions, action)
+
+    run = jax.jit(jax.vmap(act, in_axes=(0, None)))
+    return {s: np.bincount(run(jax.random.split(jax.random.key(3), 400), s), minlength=3) for s in (1.0, 0.0)}
+
+
+def test_lll_prefers_few_visits_and_breaks_ties_at_random():
+    _, state = make()
+    # Scores: 1 - T log(-log s(1)) = 1 + 1.16 T, and -T log(log 2) = 0.37 T; E falls with visits.
+    chosen = policies_of(state, temperature=0.5)
+    for counts in chosen.values():
+        assert counts[1] == 0 and 150 < counts[0] < 250
+
+
+def test_epsilon_greedy_takes_the_first_of_the_best():
+    _, state = make()
+    chosen = policies_of(state, policy="epsilon-greedy", epsilon=0.3)
+    assert chosen[0.0].tolist() == [400, 0, 0]
+    # A third of 30% each: 40 of 400, with a standard deviation of 6.
+    assert all(15 < number < 65 for number in chosen[1.0][1:])
+
+
+def test_the_action_chosen_before_the_update_is_taken():
+    learner, state = make()
+    steps = {name: rows[:1] for name, rows in transitions(1).items()} | {"terminated": np.zeros(1, bool)}
+    after, (next_action,) = learn(learner, state, steps, exploring())
+    observation = jnp.asarray(steps["next_observation"][0])
+    for seed in range(5):
+        action, _ = learner.act(jax.random.key(seed), after, observation, exploring())
+        np.testing.assert_array_equal(action, state.actions[next_action])
+    transition = Transition(**{name: jnp.asarray(rows) for name, rows in steps.items()})
+    ended = learner.end_episode(
+        jax.random.key(0), after, Episode(transition, jnp.asarray(1, jnp.int32)), exploring()
+    )
+    assert int(ended.next_action) == -1
+
+
+def test_without_learning_nothing_changes():
+    learner, state = make()
+    learned, _ = learn(learner, state, transitions(50), exploring())
+    again, _ = learn(learner, learned, transitions(50, seed=1), exploring(is_learning=False))
+    assert eqx.tree_equal(again, learned)
+
+
+def test_lanes_do_not_depend_on_each_other():
+    learner, state = make(num_indices=200)
+    lanes = [transitions(100, seed) for seed in range(3)]
+    together = jax.tree.map(lambda *rows: np.stack(rows), *lanes)
+    states = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (3, *leaf.shape)), state)
+    with jax.debug_key_reuse(False):  # the check takes any scan over a batch of keys for a reuse
+        found, _ = eqx.filter_vmap(lambda s, steps: learn(learner, s, steps, exploring()))(states, together)
+    for lane, steps in enumerate(lanes):
+        alone, _ = learn(learner, state, steps, exploring())
+        assert eqx.tree_equal(
+            jax.tree.map(lambda leaf, lane=lane: leaf[lane], found), alone, rtol=1e-12, atol=1e-12
+        )
+
+
+def test_unbounded_observations_are_refused():
+    unbounded = Box(jnp.asarray([-jnp.inf]), jnp.asarray([1.0]))
+    with pytest.raises(ValueError, match="finite bounds"):
+        build(Settings()).check_spaces(unbounded, ACTIONS)
+
+
+def test_both_policies_are_one_program():
+    variants = [{}, {"policy": "epsilon-greedy"}, {"derivative": "at-logit"}, {"e_values": "linear"}]
+    assert len({jax.tree.structure(build(Settings(**variant))) for variant in variants}) == 1
+
+
+def test_counters_on_a_table_lead_to_the_end_of_a_chain_sooner_than_a_random_walk():
+    # A random walk takes 2.1 N^2 = 816 steps to the end of 20 states, on average.
+    chain = {"kind": "chain", "length": 20, "max_length": 20, "sparsity": 1.0, "max_steps": 80}
+    learner = {"kind": "dora", "e_values": "linear", "num_tilings": 1, "xi": 0.0}
+    runs = train(chain, learner, episodes=10, runs=8, stop="first-success", dtype="float64").runs
+    assert max(runs["steps_to_goal"].to_pylist()) < 816
+
+
+def test_the_grid_has_every_combination_of_even_values():
+    box = Box(jnp.asarray([-1.0, 0.0]), jnp.asarray([1.0, 4.0]))
+    grid = grid_actions(3, box)
+    assert grid.tolist() == [[x, y] for x in (-1.0, 0.0, 1.0) for y in (0.0, 2.0, 4.0)]
+    assert [int(nearest_action(grid, action)) for action in grid] == list(range(9))
+    assert grid_actions(3, Discrete(4)).tolist() == [0, 1, 2, 3]
+
+
+def test_dora_is_a_learner_of_its_schema():
+    assert isinstance(build(Settings()), DORA)
