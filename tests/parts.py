@@ -20,6 +20,7 @@ FILES = {"grid.csv": "1,2\n3,4", "rows.csv": "x,y,value\n0,0,1\n1,0,2\n0,1,3"}
 """The data files that these settings name."""
 
 TINY: dict[str, Any] = {
+    "batch_size": 4,
     "depth": 2,
     "integrator": "euler",  # the packaged models' RK4 evaluates the dynamics four times
     "iterations": 6,
@@ -29,11 +30,14 @@ TINY: dict[str, Any] = {
     "num_actions": 3,
     "num_candidates": 4,
     "num_features": 8,
+    "num_heads": 2,
+    "num_outputs": 3,
     "num_rollout_paths": 3,
     "num_samples": 3,
     "path_steps": 40,
     "resolution": 5,
     "rest_steps": 10,
+    "width": 5,
 }
 """Small values of settings that cost time; a part takes those that it has."""
 

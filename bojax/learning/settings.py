@@ -273,6 +273,53 @@ class DORA(LearnerSettings, frozen=True):
     )
 
 
+class _QNetworks(LearnerSettings, frozen=True):
+    """Settings of all learners with Q-networks."""
+
+    actions_per_dimension: _ActionsPerDimension = 3
+    learning_rate: float = Field(default=1e-3, gt=0, description="learning rate of Adam")
+    target_rate: float = Field(
+        default=0.01,
+        gt=0,
+        le=1,
+        description="share by which the slow copy of the networks approaches them in each gradient step",
+    )
+    width: int = Field(default=64, ge=1, description="number of units of a hidden layer")
+    depth: int = Field(default=2, ge=1, description="number of hidden layers")
+    batch_size: int = Field(default=32, ge=1, description="number of transitions of a gradient step")
+    train_every: int = Field(
+        default=4,
+        ge=1,
+        description="number of steps between two gradient steps, and between two checks of whether the "
+        "episode has ended",
+    )
+
+
+class BootstrappedQ(_QNetworks, frozen=True):
+    """Q-networks with random priors, of which one acts for an episode (Osband et al., NeurIPS 2018)."""
+
+    target: ClassVar[str] = "bojax.learning.bootstrapped_q:BootstrappedQ"
+
+    kind: Literal["bootstrapped-q"] = "bootstrapped-q"
+    prior_scale: float = Field(default=3.0, ge=0, description="factor of the prior networks; 0 for none")
+    mask_probability: float = Field(
+        default=0.5, gt=0, le=1, description="probability that a head learns from a transition"
+    )
+    num_heads: int = Field(default=10, ge=1, description="number of Q-networks (K)")
+
+
+class RND(_QNetworks, frozen=True):
+    """Q-networks explored by the error of predicting a random network (Burda et al., ICLR 2019)."""
+
+    target: ClassVar[str] = "bojax.learning.rnd:RND"
+
+    kind: Literal["rnd"] = "rnd"
+    kappa: float = Field(default=1.0, ge=0, description="weight of U in the policy")
+    epsilon: float = Field(default=0.1, ge=0, le=1, description="probability of a random action")
+    u_discount: float = Field(default=0.99, ge=0, lt=1, description="discount of bonuses per step")
+    num_outputs: int = Field(default=16, ge=1, description="number of outputs of the random network")
+
+
 class ExplorationRewardSettings(Component, frozen=True):
     """An exploration reward."""
 

@@ -51,6 +51,8 @@ COLOURS: Mapping[str, str] = {
     "emu-q": BLUE,
     "rff-q": ORANGE,
     "dora": GREEN,
+    "rnd": SKY,
+    "bootstrapped-q": YELLOW,
     "exploration-values": BLUE,
     "additive": ORANGE,
     "epsilon-greedy": GREY,

@@ -1,0 +1,246 @@
+"""Q-learning with neural networks on a grid of actions (Mnih et al., Nature 518, 2015).
+
+A transition is stored when it is observed. After every `train_every` steps, the networks take one step of
+Adam on a uniform sample of all transitions of the run, with values of the next states from a slow copy of the
+networks. `BootstrappedQ` and `RND` add how they explore.
+"""
+
+import abc
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Bool, Float, Int, Key, PyTree
+from typing_extensions import override
+
+from bojax.envs.base import Action, Observation
+from bojax.envs.spaces import Discrete, Space
+from bojax.learning.actions import grid_actions, nearest_action
+from bojax.learning.base import Episode, ExplorationState, Learner, Transition
+from bojax.learning.memory import Memory
+from bojax.numerics.linalg import matmul
+
+
+class Network(eqx.Module):
+    """A multilayer perceptron with rectified linear units: `equinox.nn.MLP` with arrays as its only leaves.
+
+    Attributes:
+        layers: Linear layers.
+    """
+
+    layers: tuple[eqx.nn.Linear, ...]
+
+    @classmethod
+    def random(
+        cls, key: Key[Array, ""], num_inputs: int, num_outputs: int, width: int, depth: int, dtype: jnp.dtype
+    ) -> "Network":
+        """A network of `depth` hidden layers, with the random weights of `equinox.nn.MLP`."""
+        mlp = eqx.nn.MLP(num_inputs, num_outputs, width, depth, dtype=dtype, key=key)
+        return cls(mlp.layers)
+
+    def __call__(self, x: Float[Array, "I"]) -> Float[Array, "O"]:
+        """The outputs for one input."""
+        for number, layer in enumerate(self.layers):
+            assert layer.bias is not None
+            x = matmul(layer.weight, jax.nn.relu(x) if number else x) + layer.bias
+        return x
+
+
+class Batch(eqx.Module):
+    """Transitions of a gradient step, as the networks see them.
+
+    Attributes:
+        x: Inputs of the states.
+        action: Numbers of the actions.
+        reward: Rewards.
+        next_x: Inputs of the next states.
+        goes_on: 1, or 0 where the next state is terminal.
+        index: Positions of the transitions in the order in which they were observed.
+    """
+
+    x: Float[Array, "B I"]
+    action: Int[Array, "B"]
+    reward: Float[Array, "B"]
+    next_x: Float[Array, "B I"]
+    goes_on: Float[Array, "B"]
+    index: Int[Array, "B"]
+
+
+class QNetworkState(eqx.Module):
+    """The state of a learner with Q-networks.
+
+    Attributes:
+        observations: Space of observations.
+        actions: The actions.
+        trained: Networks that are trained.
+        target: Their slow copies.
+        fixed: Random networks that never change.
+        optimiser: State of Adam.
+        memory: All transitions of the run; the actions are their numbers.
+        index: Transitions of the next gradient step.
+        is_due: Whether anything was learned since the last gradient step.
+        extra: What else the method keeps.
+    """
+
+    observations: Space
+    actions: Action
+    trained: PyTree
+    target: PyTree
+    fixed: PyTree
+    optimiser: PyTree
+    memory: Memory
+    index: Int[Array, "B"]
+    is_due: Bool[Array, ""]
+    extra: PyTree
+
+
+class QNetworkLearner(Learner):
+    """A learner with networks on a grid of actions.
+
+    A method defines its networks, their loss, what it keeps besides, and how it acts.
+    """
+
+    discount: Float[Array, ""]
+    learning_rate: Float[Array, ""]
+    target_rate: Float[Array, ""]
+    actions_per_dimension: int = eqx.field(static=True)
+    width: int = eqx.field(static=True)
+    depth: int = eqx.field(static=True)
+    batch_size: int = eqx.field(static=True)
+    train_every: int = eqx.field(static=True)
+
+    @abc.abstractmethod
+    def networks(self, key: Key[Array, ""], num_inputs: int, num_actions: int) -> tuple[PyTree, PyTree]:
+        """New networks: those that are trained, and random ones that never change."""
+
+    @abc.abstractmethod
+    def initial_extra(self, key: Key[Array, ""]) -> PyTree:
+        """What else the method keeps, at the beginning of a run."""
+
+    @abc.abstractmethod
+    def loss(self, trained: PyTree, state: QNetworkState, batch: Batch) -> Float[Array, ""]:
+        """The loss whose gradient in `trained` is followed."""
+
+    @abc.abstractmethod
+    def extra_after(self, state: QNetworkState, next_x: Float[Array, "I"]) -> PyTree:
+        """What else the method keeps, after a step to a state with inputs `next_x`."""
+
+    # The interface of a learner.
+
+    @property
+    @override
+    def block(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """A gradient step is a delayed update."""
+        return self.train_every
+
+    @override
+    def init(
+        self, key: Key[Array, ""], observation_space: Space, action_space: Space, capacity: int
+    ) -> QNetworkState:
+        key_networks, key_extra = jax.random.split(key)
+        actions = grid_actions(self.actions_per_dimension, action_space)
+        is_discrete = isinstance(observation_space, Discrete)
+        num_inputs = observation_space.num if is_discrete else observation_space.num_dims
+        trained, fixed = self.networks(key_networks, num_inputs, len(actions))
+        observation = jnp.zeros((), jnp.int32) if is_discrete else jnp.zeros_like(observation_space.low)
+        # At least one row: an empty array cannot be spread over devices.
+        memory = Memory.empty(max(1, capacity), observation, jnp.zeros((), jnp.int32), self.discount.dtype)
+        return QNetworkState(
+            observations=observation_space,
+            actions=actions,
+            trained=trained,
+            target=trained,
+            fixed=fixed,
+            optimiser=self._adam.init(trained),
+            memory=memory,
+            index=jnp.zeros((self.batch_size,), jnp.int32),
+            is_due=jnp.zeros((), bool),
+            extra=self.initial_extra(key_extra),
+        )
+
+    @override
+    def observe(
+        self,
+        key: Key[Array, ""],
+        state: QNetworkState,
+        transition: Transition,
+        exploration: ExplorationState,
+        step_in_block: Int[Array, ""],
+    ) -> QNetworkState:
+        """Store the transition, and draw the sample of the next gradient step."""
+        del step_in_block
+        learns = exploration.is_learning
+        number = nearest_action(state.actions, transition.action)
+        stored = eqx.tree_at(lambda t: t.action, transition, number)
+        episode = Episode(jax.tree.map(lambda x: x[None], stored), jnp.ones((), jnp.int32))
+        memory = state.memory.add(episode, learns)
+        index = jax.random.randint(key, state.index.shape, 0, jnp.maximum(memory.count, 1), jnp.int32)
+        extra = self.extra_after(state, self.inputs(state, transition.next_observation))
+        return QNetworkState(
+            observations=state.observations,
+            actions=state.actions,
+            trained=state.trained,
+            target=state.target,
+            fixed=state.fixed,
+            optimiser=state.optimiser,
+            memory=memory,
+            index=_where(learns, index, state.index),
+            is_due=state.is_due | learns,
+            extra=_where(learns, extra, state.extra),
+        )
+
+    @override
+    def flush(self, state: QNetworkState) -> QNetworkState:
+        """One gradient step, if anything was learned since the last one."""
+        gradient = jax.grad(self.loss)(state.trained, state, self.batch(state))
+        with jax.numpy_dtype_promotion("standard"):  # optax raises a float to the power of an integer
+            steps, optimiser = self._adam.update(gradient, state.optimiser)
+        trained = optax.apply_updates(state.trained, steps)
+        target = optax.incremental_update(trained, state.target, self.target_rate)
+        after = _where(
+            state.is_due, (trained, target, optimiser), (state.trained, state.target, state.optimiser)
+        )
+        return eqx.tree_at(
+            lambda s: (s.trained, s.target, s.optimiser, s.is_due),
+            state,
+            (*after, jnp.zeros_like(state.is_due)),
+        )
+
+    @override
+    def policy_state(self, state: QNetworkState) -> QNetworkState:
+        memory = jax.tree.map(lambda rows: jnp.zeros_like(rows[:1] if rows.ndim else rows), state.memory)
+        return eqx.tree_at(lambda s: s.memory, state, memory)
+
+    # What the methods share.
+
+    def network(self, key: Key[Array, ""], num_inputs: int, num_outputs: int) -> Network:
+        """A new network of the size of the settings."""
+        return Network.random(key, num_inputs, num_outputs, self.width, self.depth, self.discount.dtype)
+
+    def inputs(self, state: QNetworkState, observation: Observation) -> Float[Array, "*N I"]:
+        """Inputs of the networks: observations with bounds mapped to -1 and 1, or one-hot discrete states."""
+        space, dtype = state.observations, self.discount.dtype
+        if isinstance(space, Discrete):
+            return jax.nn.one_hot(observation, space.num, dtype=dtype)
+        return 2.0 * space.to_unit(observation).astype(dtype) - 1.0
+
+    def batch(self, state: QNetworkState) -> Batch:
+        """The transitions of the next gradient step."""
+        memory, index = state.memory, state.index
+        return Batch(
+            x=self.inputs(state, memory.observations[index]),
+            action=memory.actions[index],
+            reward=memory.rewards[index],
+            next_x=self.inputs(state, memory.next_observations[index]),
+            goes_on=(~memory.terminated[index]).astype(memory.rewards.dtype),
+            index=index,
+        )
+
+    @property
+    def _adam(self) -> optax.GradientTransformation:
+        return optax.adam(self.learning_rate)
+
+
+def _where(condition: Bool[Array, ""], after: PyTree, before: PyTree) -> PyTree:
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), after, before)
