@@ -1,5 +1,6 @@
 """The pages are true: their files exist, their commands are understood, their links lead somewhere."""
 
+import importlib
 import re
 from pathlib import Path
 
@@ -130,6 +131,35 @@ def test_the_results_page_names_every_column():
     tables = [table for config in configs for table in build(config).tables.values()]
     columns = {re.sub(r"^(observation|action)_\d+$", r"\1_0", column.name) for t in tables for column in t}
     assert columns | set(timings([]).column_names) <= names_in(DOCS / "results.md")
+
+
+EQUATIONS = DOCS / "equations.md"
+
+
+@pytest.mark.parametrize("name", sorted(name for name in names_in(EQUATIONS) if name.count(".") > 1))
+def test_the_code_of_an_equation_exists(name):
+    module, *inside = name.split(".")[1:]
+    found = importlib.import_module(f"bojax.{name.split('.')[0]}.{module}")
+    for part in inside:
+        found = getattr(found, part)
+    assert callable(found) or isinstance(found, property)
+
+
+def test_every_numbered_equation_of_a_docstring_is_on_the_page():
+    page = EQUATIONS.read_text()
+    listed = {int(n) for n in re.findall(r"Algorithm (\d)", page)}
+    for first, last in re.findall(r"\((\d\.\d+)\)(?:-\((\d\.\d+)\))?", page):
+        chapter, start = first.split(".")
+        end = (last or first).split(".")[1]
+        listed |= {(int(chapter), number) for number in range(int(start), int(end) + 1)}
+    cited = set()
+    for path in (ROOT / "bojax").rglob("*.py"):
+        text = path.read_text()
+        for chapter, number in re.findall(r"(?:equations? |\()([2-5])\.([1-9]\d?)(?=[),; ]|-\d)", text):
+            cited.add((int(chapter), int(number)))
+        cited |= {int(number) for number in re.findall(r"Algorithms? ([1-6])", text)}
+    assert cited - listed == set()
+    assert len(cited) > 40
 
 
 def test_settings_named_beside_symbols_exist():
