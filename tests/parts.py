@@ -23,10 +23,13 @@ TINY: dict[str, Any] = {
     "batch_size": 4,
     "depth": 2,
     "integrator": "euler",  # the packaged models' RK4 evaluates the dynamics four times
+    "iteration_steps": 4,
     "iterations": 6,
     "max_actions": 4,
     "max_levels": 3,
     "max_steps": 3,
+    "min_pool": 2.0,
+    "model_updates": 3,
     "num_actions": 3,
     "num_candidates": 4,
     "num_features": 8,

@@ -92,7 +92,8 @@ class LearningRun(Experiment):
         return {
             "runs": _RUN_COLUMNS
             + (_TARGET_COLUMNS if self.target_return is not None else ())
-            + (_MAP_COLUMNS if self._maps_a_plane else ()),
+            + (_MAP_COLUMNS if self._maps_a_plane else ())
+            + self.learner.columns,
             "episodes": _EPISODE_COLUMNS,
             "steps": self._rows.columns,
         }
@@ -195,7 +196,7 @@ class LearningRun(Experiment):
             contrast, start = carry.map_scores.T
             summary["unseen_u"] = jnp.mean(contrast)
             summary["start_u_change"] = start[-1] - start[0]
-        return summary
+        return summary | self.learner.summary(carry.learner)
 
     @override
     def snapshot(self, carry: RunState) -> dict[str, dict[str, Array]]:

@@ -4,10 +4,11 @@ import abc
 from typing import Any, TypeAlias
 
 import equinox as eqx
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int, Key, Scalar
 
 from bojax.envs.base import Action, Observation
 from bojax.envs.spaces import Space
+from bojax.results.schema import Table
 
 LearnerState: TypeAlias = Any
 """Everything a learner has learned: a tree of strongly typed arrays."""
@@ -139,6 +140,16 @@ class Learner(eqx.Module):
         It suffices to act, but not to continue learning.
         """
         return state
+
+    @property
+    def columns(self) -> Table:
+        """Columns of `runs.parquet` that `summary` adds to those of all learners; none by default."""
+        return ()
+
+    def summary(self, state: LearnerState) -> dict[str, Scalar]:
+        """Scalar results of a run in the columns of `columns`."""
+        del state
+        return {}
 
     @property
     def lanes_on_cpu(self) -> int:

@@ -273,6 +273,83 @@ class DORA(LearnerSettings, frozen=True):
     )
 
 
+class VIME(LearnerSettings, frozen=True):
+    """TRPO with rewards for information gain about the dynamics (Houthooft et al., NeurIPS 2016)."""
+
+    target: ClassVar[str] = "bojax.learning.vime:VIME"
+
+    kind: Literal["vime"] = "vime"
+    eta: float = Field(
+        default=1e-4, ge=0, description="weight of the bonus, whose median is about 1, in the rewards"
+    )
+    iteration_steps: int = Field(
+        default=5000, ge=1, description="steps that whole episodes must have together for an iteration"
+    )
+    longest_episode: int = Field(
+        default=500,
+        ge=1,
+        description="longest episode; of a longer one, only its first steps are learned from",
+    )
+    policy_units: tuple[Annotated[int, Field(ge=1)], ...] = Field(
+        default=(64, 32), strict=False, description="number of tanh units of each hidden layer of the policy"
+    )
+    initial_deviation: float = Field(
+        default=1.0,
+        gt=0,
+        description="initial standard deviation of continuous actions, in units of half their range; learned",
+    )
+    max_kl: float = Field(
+        default=0.01, gt=0, description="bound of the KL divergence between successive policies"
+    )
+    trace_decay: float = Field(
+        default=1.0, ge=0, le=1, description="decay of generalised advantage estimation (lambda)"
+    )
+    damping: float = Field(default=1e-5, ge=0, description="damping of the policy's Fisher matrix")
+    cg_steps: int = Field(default=10, ge=1, description="number of steps of the conjugate gradient method")
+    backtracks: int = Field(default=15, ge=1, description="number of attempts of the line search")
+    backtrack_ratio: float = Field(
+        default=0.8, gt=0, lt=1, description="factor of the step from one attempt to the next"
+    )
+    model_units: int = Field(
+        default=32, ge=1, description="number of rectified units of the model of the dynamics"
+    )
+    prior_deviation: float = Field(
+        default=0.5, gt=0, description="prior and initial standard deviation of the model's weights"
+    )
+    likelihood_deviation: float = Field(
+        default=5.0,
+        gt=0,
+        description="standard deviation of the model's likelihood, for standardised outputs",
+    )
+    num_samples: int = Field(
+        default=10, ge=1, description="number of draws of the model's outputs in its likelihood"
+    )
+    num_batches: float = Field(
+        default=5.0, gt=0, description="divisor of the KL divergence from the prior in the model's loss"
+    )
+    model_learning_rate: float = Field(
+        default=1e-3, gt=0, description="learning rate of Adam for the model; 1e-4 in the published script"
+    )
+    model_updates: int = Field(default=500, ge=1, description="number of updates of the model per iteration")
+    model_batch: int = Field(default=10, ge=1, description="number of transitions of an update of the model")
+    pool_size: int = Field(
+        default=100_000, ge=1, description="number of transitions from which those of updates are drawn"
+    )
+    min_pool: float = Field(
+        default=500, ge=0, description="number of transitions in the pool before the model is updated"
+    )
+    gain_step: float = Field(
+        default=0.01, gt=0, description="size of the step whose information gain is the bonus (lambda)"
+    )
+    max_bonus: float = Field(default=1000.0, gt=0, description="bound of the bonus before it is normalised")
+    num_medians: int = Field(
+        default=10, ge=1, description="number of iterations over whose medians the bonus is normalised"
+    )
+    block: int = Field(
+        default=16, ge=1, description="number of steps between two checks of whether the episode has ended"
+    )
+
+
 class _QNetworks(LearnerSettings, frozen=True):
     """Settings of all learners with Q-networks."""
 

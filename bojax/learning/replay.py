@@ -1,0 +1,87 @@
+"""A pool of the latest transitions of a run, from which a model of the dynamics is learned."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from bojax.envs.base import Action, Observation
+from bojax.learning.memory import Memory
+
+
+class ReplayPool(eqx.Module):
+    """The latest C transitions (s, a, s'). A row holds a whole transition: it never pairs two episodes.
+
+    Attributes:
+        observations: Observations of s, `[C, ...]`.
+        actions: Actions a, `[C, ...]`.
+        next_observations: Observations of s', `[C, ...]`.
+        added: Number of transitions that were ever added; a transition takes the row of the oldest one.
+    """
+
+    observations: Observation
+    actions: Action
+    next_observations: Observation
+    added: Int[Array, ""]
+
+    @classmethod
+    def empty(cls, capacity: int, observation: Observation, action: Action) -> "ReplayPool":
+        """An empty pool for observations and actions of the given shapes."""
+        observations = jnp.zeros((capacity, *observation.shape), observation.dtype)
+        actions = jnp.zeros((capacity, *action.shape), action.dtype)
+        return cls(observations, actions, observations, jnp.zeros((), jnp.int32))
+
+    @property
+    def capacity(self) -> int:
+        """Largest number of transitions, C."""
+        return len(self.observations)
+
+    @property
+    def size(self) -> Int[Array, ""]:
+        """Number of transitions."""
+        return jnp.minimum(self.added, self.capacity)
+
+    @property
+    def is_filled(self) -> Bool[Array, "C"]:
+        """Which rows hold a transition."""
+        return jnp.arange(self.capacity, dtype=jnp.int32) < self.added
+
+    def add(self, memory: Memory, is_kept: Bool[Array, ""]) -> "ReplayPool":
+        """The pool with the transitions of a memory appended if `is_kept`."""
+        number = jnp.arange(len(memory.rewards), dtype=jnp.int32)
+        # Of more transitions than the pool can hold, the last ones are kept.
+        is_stored = is_kept & (number < memory.count) & (number >= memory.count - self.capacity)
+        place = jnp.where(is_stored, (self.added + number) % self.capacity, self.capacity)
+
+        def put(stored: Array, rows: Array) -> Array:
+            return stored.at[place].set(rows, mode="drop")
+
+        return ReplayPool(
+            observations=put(self.observations, memory.observations),
+            actions=put(self.actions, memory.actions),
+            next_observations=put(self.next_observations, memory.next_observations),
+            added=self.added + jnp.where(is_kept, memory.count, 0),
+        )
+
+
+class Standardisation(eqx.Module):
+    """Mean and standard deviation of the rows of a table.
+
+    Attributes:
+        mean: Mean of each column.
+        deviation: Standard deviation of each column.
+    """
+
+    mean: Float[Array, "D"]
+    deviation: Float[Array, "D"]
+
+    @classmethod
+    def of(cls, rows: Float[Array, "N D"], is_valid: Bool[Array, "N"]) -> "Standardisation":
+        """Those of the valid rows; 0 for no row."""
+        weights = is_valid.astype(rows.dtype)[:, None]
+        number = jnp.maximum(jnp.sum(weights), 1.0)
+        mean = jnp.sum(weights * rows, axis=0) / number
+        return cls(mean, jnp.sqrt(jnp.sum(weights * (rows - mean[None]) ** 2, axis=0) / number))
+
+    def __call__(self, rows: Float[Array, "N D"], least: float) -> Float[Array, "N D"]:
+        """Rows less the mean, divided by the deviation plus `least`."""
+        return (rows - self.mean[None]) / (self.deviation[None] + least)

@@ -1,0 +1,115 @@
+"""Trust region policy optimisation (Schulman et al., ICML 2015, Section 6 and Appendix C)."""
+
+from typing import TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+from jax.scipy.sparse.linalg import cg
+from jaxtyping import Array, Bool, Float
+
+from bojax.learning.stochastic_policy import PolicyNetwork
+from bojax.numerics.lanes import any_lane
+
+_TOLERANCE = 1e-5
+"""Norm of the residual at which conjugate gradients stop."""
+
+_SMALL = 1e-8
+"""Added to x'Fx, so that a gradient of 0 makes no step."""
+
+P = TypeVar("P")
+
+
+class Samples(eqx.Module):
+    """Actions that a policy drew, and their advantages.
+
+    Attributes:
+        inputs: Inputs of the policy's network.
+        actions: Actions, `[N, ...]`.
+        advantages: Advantages.
+        is_valid: Which rows count.
+    """
+
+    inputs: Float[Array, "N I"]
+    actions: Array
+    advantages: Float[Array, "N"]
+    is_valid: Bool[Array, "N"]
+
+    def mean(self, values: Float[Array, "N"]) -> Float[Array, ""]:
+        """Mean over the valid rows."""
+        number = jnp.maximum(jnp.sum(self.is_valid), 1).astype(values.dtype)
+        return jnp.sum(jnp.where(self.is_valid, values, 0.0)) / number
+
+
+class TRPO(eqx.Module):
+    """The largest improvement of the surrogate advantage within a mean KL divergence of `max_kl`.
+
+    Attributes:
+        max_kl: Bound of the mean KL divergence of the old policy from the new one.
+        damping: Multiple of the identity that is added to the Fisher matrix.
+        backtrack_ratio: Factor of the step from one attempt of the line search to the next.
+        cg_steps: Largest number of steps of the conjugate gradient method.
+        backtracks: Largest number of attempts of the line search.
+    """
+
+    max_kl: Float[Array, ""]
+    damping: Float[Array, ""]
+    backtrack_ratio: Float[Array, ""]
+    cg_steps: int = eqx.field(static=True)
+    backtracks: int = eqx.field(static=True)
+
+    def surrogate(self, policy: PolicyNetwork, new: PolicyNetwork, samples: Samples) -> Float[Array, ""]:
+        """Mean advantage, weighted by the ratio of the new policy's probabilities to the old ones."""
+
+        def log_ratio(inputs, action):
+            return new(inputs).log_probability(action) - policy(inputs).log_probability(action)
+
+        ratios = jnp.exp(
+            jnp.where(samples.is_valid, jax.vmap(log_ratio)(samples.inputs, samples.actions), 0.0)
+        )
+        return samples.mean(ratios * samples.advantages)
+
+    def mean_kl(self, policy: PolicyNetwork, new: PolicyNetwork, samples: Samples) -> Float[Array, ""]:
+        """Mean KL divergence of the old policy's distributions from the new ones."""
+        return samples.mean(jax.vmap(lambda inputs: policy(inputs).kl(new(inputs)))(samples.inputs))
+
+    def fisher_product(self, policy: PolicyNetwork, samples: Samples, vector: P) -> P:
+        """The Fisher matrix, which is the Hessian of `mean_kl`, times a tree of the policy's structure."""
+        gradient = jax.grad(lambda new: self.mean_kl(policy, new, samples))
+        return jax.jvp(gradient, (policy,), (vector,))[1]
+
+    def improved(self, policy: PolicyNetwork, samples: Samples, is_active: Bool[Array, ""]) -> PolicyNetwork:
+        """The policy after a step along the natural gradient.
+
+        At first the step is as long as the quadratic model of the divergence permits. It is shortened until
+        the surrogate increases and the divergence is within the bound. If no attempt succeeds, or if
+        `is_active` is false, the policy stays as it is.
+        """
+        start, unravel = ravel_pytree(policy)
+
+        def product(vector):
+            return ravel_pytree(self.fisher_product(policy, samples, unravel(vector)))[0] + (
+                self.damping * vector
+            )
+
+        value, gradient = jax.value_and_grad(lambda new: self.surrogate(policy, new, samples))(policy)
+        gradient = ravel_pytree(gradient)[0]
+        direction, _ = cg(product, gradient, tol=0.0, atol=_TOLERANCE, maxiter=self.cg_steps)
+        curvature = jnp.vdot(direction, product(direction), precision=jax.lax.Precision.HIGHEST)
+        longest = jnp.sqrt(2.0 * self.max_kl / (curvature + _SMALL))
+
+        def attempt(loop):
+            number, factor, best, is_searching = loop
+            theta = start + factor * longest * direction
+            new = unravel(theta)
+            is_better = self.surrogate(policy, new, samples) > value
+            is_found = is_searching & is_better & (self.mean_kl(policy, new, samples) <= self.max_kl)
+            best = jnp.where(is_found, theta, best)
+            return number + 1, factor * self.backtrack_ratio, best, is_searching & ~is_found
+
+        def goes_on(loop):
+            return (loop[0] < self.backtracks) & any_lane(loop[3])
+
+        loop = jnp.zeros((), jnp.int32), jnp.ones_like(self.max_kl), start, is_active
+        return unravel(jax.lax.while_loop(goes_on, attempt, loop)[2])

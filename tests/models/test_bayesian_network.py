@@ -1,0 +1,121 @@
+"""The Bayesian network against plain NumPy, and its information gain against KL divergences."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bojax.models.bayesian_network import BayesianNetwork
+from tests.reference.vime import Model
+
+PRIOR, LIKELIHOOD, BATCHES = 0.5, 0.7, 5.0
+
+
+def network_and_model(seed=0):
+    """A network after some changes of its deviations, and the same in NumPy."""
+    key, key_rho = jax.random.split(jax.random.key(seed))
+    network = BayesianNetwork.draw(key, (3, 5, 2), jnp.asarray(PRIOR))
+    leaves, structure = jax.tree.flatten(network)
+    keys = jax.random.split(key_rho, len(leaves))
+    leaves = [x + 0.3 * jax.random.normal(k, x.shape) for x, k in zip(leaves, keys, strict=True)]
+    model = Model([np.array(x) for x in leaves], PRIOR, LIKELIHOOD, BATCHES)
+    return jax.tree.unflatten(structure, leaves), model
+
+
+def data(network, num=4, seed=1):
+    keys = jax.random.split(jax.random.key(seed), 3)
+    inputs, targets = jax.random.normal(keys[0], (num, 3)), jax.random.normal(keys[1], (num, 2))
+    return network.draw_noise(keys[2], (6,)), inputs, targets
+
+
+def arrays(tree):
+    return [np.asarray(leaf) for leaf in jax.tree.leaves(tree)]
+
+
+def test_loss_and_gradient_are_those_of_numpy():
+    network, model = network_and_model()
+    noise, inputs, targets = data(network)
+    settings = {
+        "prior": jnp.asarray(PRIOR),
+        "likelihood": jnp.asarray(LIKELIHOOD),
+        "num_batches": jnp.asarray(BATCHES),
+    }
+    value, gradient = jax.value_and_grad(lambda n: n.loss(noise, inputs, targets, **settings))(network)
+    expected, expected_gradient = model.loss(*map(arrays, (noise,)), np.array(inputs), np.array(targets))
+    np.testing.assert_allclose(value, expected, rtol=1e-12)
+    for got, wanted in zip(arrays(gradient), expected_gradient, strict=True):
+        np.testing.assert_allclose(got, wanted, rtol=1e-9, atol=1e-12)
+
+
+def test_a_draw_has_the_moments_of_drawn_weights():
+    network, _ = network_and_model()
+    layer, inputs = network.layers[0], jnp.asarray([[0.5, -1.0, 2.0]])
+    keys = jax.random.split(jax.random.key(3), 2)
+    shape = (40_000, *layer.mean.shape)
+    weights = layer.mean[None] + layer.deviation[None] * jax.random.normal(keys[0], shape)
+    rows = jnp.append(inputs[0], 1.0)
+    drawn = jnp.einsum("i,nio->no", rows, weights)
+    noise = jax.random.normal(keys[1], (40_000, layer.mean.shape[1]))
+    local = jax.vmap(lambda draw: layer(draw, inputs)[0])(noise)
+    np.testing.assert_allclose(jnp.mean(local, 0), jnp.mean(drawn, 0), atol=0.05)
+    np.testing.assert_allclose(jnp.std(local, 0), jnp.std(drawn, 0), rtol=0.03)
+
+
+def gain_of(network, noise, inputs, targets, step):
+    return network.information_gain(
+        noise, inputs[0], targets[0], likelihood=jnp.asarray(LIKELIHOOD), step=jnp.asarray(step)
+    )
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_half_of_the_information_gain_is_the_kl_divergence_of_a_small_step(seed):
+    network, model = network_and_model(seed)
+    noise, inputs, targets = data(network, num=1, seed=seed)
+    errors = []
+    for step in (1e-2, 1e-3, 1e-4):
+        gain = float(gain_of(network, noise, inputs, targets, step))
+        after = model.stepped(arrays(noise), np.array(inputs), np.array(targets), step)
+        errors.append(abs(0.5 * gain / after.kl(model) - 1.0))
+    assert errors[0] < 0.1
+    assert errors[1] < 0.2 * errors[0] and errors[2] < 0.2 * errors[1]  # of the order of the step
+
+
+def test_with_fixed_deviations_it_is_the_kl_divergence_exactly():
+    network, model = network_and_model()
+    noise, inputs, targets = data(network, num=1)
+    _, gradient = model.error(arrays(noise), np.array(inputs), np.array(targets))
+    inverse = arrays(network.inverse_curvature())
+    of_means = 0.01**2 * sum(np.sum(gradient[k] ** 2 * inverse[k]) for k in (0, 2))
+    after = model.stepped(arrays(noise), np.array(inputs), np.array(targets), 0.01)
+    after.parameters[1], after.parameters[3] = model.parameters[1], model.parameters[3]
+    np.testing.assert_allclose(0.5 * of_means, after.kl(model), rtol=1e-9)
+
+
+def test_inverse_curvature_is_that_of_the_kl_divergence():
+    network, model = network_and_model()
+    leaves, structure = jax.tree.flatten(network)
+
+    def kl(flat):
+        total = 0.0
+        for k in (0, 2):
+            mean, deviation = flat[k], jax.nn.softplus(flat[k + 1])
+            mean2, deviation2 = leaves[k], jax.nn.softplus(leaves[k + 1])
+            ratio = (deviation**2 + (mean - mean2) ** 2) / (2 * deviation2**2)
+            total += jnp.sum(jnp.log(deviation2 / deviation) + ratio - 0.5)
+        return total
+
+    slope = jax.grad(kl)
+    for k, inverse in enumerate(arrays(network.inverse_curvature())):
+        ones = [jnp.ones_like(x) if i == k else jnp.zeros_like(x) for i, x in enumerate(leaves)]
+        diagonal = jax.jvp(slope, (leaves,), (ones,))[1][k]  # the Hessian is diagonal
+        np.testing.assert_allclose(inverse, 1.0 / diagonal, rtol=1e-9)
+    assert structure == jax.tree.structure(network.inverse_curvature())
+    gains = model.inverse_curvature()
+    np.testing.assert_allclose(arrays(network.inverse_curvature())[1], gains[1], rtol=1e-9)
+
+
+def test_a_network_starts_from_the_prior_deviations():
+    network = BayesianNetwork.draw(jax.random.key(0), (30, 40, 20), jnp.asarray(PRIOR))
+    for layer in network.layers:
+        np.testing.assert_allclose(layer.deviation, PRIOR, rtol=1e-9)
+        assert abs(float(jnp.std(layer.mean)) - 1.0) < 0.1
