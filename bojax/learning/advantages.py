@@ -29,14 +29,13 @@ def discounted_sums(
     return jax.lax.associative_scan(join, (factors, terms), reverse=True)[1]
 
 
-def advantages(
+def td_errors(
     rewards: Float[Array, "N"],
     values: Float[Array, "N"],
     is_last: Bool[Array, "N"],
     discount: Float[Array, ""],
-    trace_decay: Float[Array, ""],
 ) -> Float[Array, "N"]:
-    """Generalised advantages: discounted sums of r + gamma V(s') - V(s), with factor gamma lambda.
+    """The errors r + gamma V(s') - V(s), whose sums discounted by gamma lambda are generalised advantages.
 
     The value after the last step of an episode is 0, after a time limit as well, as in the published code of
     VIME.
@@ -46,11 +45,9 @@ def advantages(
         values: Values V of the states in which they were paid.
         is_last: Whether a step is the last of its episode.
         discount: Discount gamma.
-        trace_decay: Decay lambda; with 1, an advantage is the return less the value.
     """
     after = jnp.where(is_last, jnp.zeros_like(values), jnp.append(values[1:], values[:1]))
-    errors = rewards + discount * after - values
-    return discounted_sums(errors, is_last, discount * trace_decay)
+    return rewards + discount * after - values
 
 
 class LinearBaseline(eqx.Module):

@@ -1,8 +1,9 @@
 """A pool of the latest transitions of a run, from which a model of the dynamics is learned."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Key
 
 from bojax.envs.base import Action, Observation
 from bojax.learning.memory import Memory
@@ -44,6 +45,13 @@ class ReplayPool(eqx.Module):
     def is_filled(self) -> Bool[Array, "C"]:
         """Which rows hold a transition."""
         return jnp.arange(self.capacity, dtype=jnp.int32) < self.added
+
+    def draw(self, key: Key[Array, ""], number: int) -> Int[Array, "N"]:
+        """Rows of so many transitions, drawn uniformly with replacement; row 0 if the pool is empty."""
+        # `randint` with a bound that is not constant takes seconds to compile.
+        draws = jax.random.uniform(key, (number,), jnp.float32)
+        rows = (draws * self.size.astype(jnp.float32)).astype(jnp.int32)
+        return jnp.clip(rows, 0, jnp.maximum(self.size - 1, 0))
 
     def add(self, memory: Memory, is_kept: Bool[Array, ""]) -> "ReplayPool":
         """The pool with the transitions of a memory appended if `is_kept`."""

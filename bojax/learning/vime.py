@@ -9,7 +9,7 @@ from typing_extensions import override
 
 from bojax.envs.base import Action, Observation
 from bojax.envs.spaces import Box, Discrete, Space
-from bojax.learning.advantages import LinearBaseline, advantages, discounted_sums
+from bojax.learning.advantages import LinearBaseline, discounted_sums, td_errors
 from bojax.learning.base import Episode, ExplorationState, Learner, Transition
 from bojax.learning.episode_batch import EpisodeBatch
 from bojax.learning.replay import ReplayPool, Standardisation
@@ -136,6 +136,8 @@ class VIME(Learner):
         # At least one row: an empty array cannot be spread over devices.
         pool_size = max(1, min(self.pool_size, capacity))
         batch_size = max(1, min(self.iteration_steps + self.longest_episode - 1, capacity))
+        if batch_size > _CHUNK:  # whole chunks: a rest would be a program of its own
+            batch_size = -(-batch_size // _CHUNK) * _CHUNK
         return VIMEState(
             observations=observation_space,
             actions=action_space,
@@ -232,10 +234,15 @@ class VIME(Learner):
 
         inputs = self._vectors(state.observations, memory.observations)
         rewards = jnp.where(is_valid, memory.rewards, 0.0)
-        returns = discounted_sums(rewards, is_last, self.discount)
-        baseline = LinearBaseline.fit(inputs, batch.steps, returns, is_valid)
         values = state.baseline.predict(inputs, batch.steps)
-        gains = advantages(rewards + weight * bonus, values, is_last, self.discount, self.trace_decay)
+        errors = td_errors(rewards + weight * bonus, values, is_last, self.discount)
+        # One program of both sums, which takes seconds to compile.
+        returns, gains = jax.vmap(discounted_sums, in_axes=(0, None, 0))(
+            jnp.stack([rewards, errors]),
+            is_last,
+            jnp.stack([self.discount, self.discount * self.trace_decay]),
+        )
+        baseline = LinearBaseline.fit(inputs, batch.steps, returns, is_valid)
         samples = Samples(inputs, self._drawn(state.actions, memory.actions), gains, is_valid)
         policy = self._trpo.improved(state.policy, _standardised(samples), is_due)
 
@@ -300,7 +307,7 @@ class VIME(Learner):
         """The model and the optimiser after the updates of an iteration, with batches from the pool."""
         key_rows, key_noise = jax.random.split(key)
         shape = self.model_updates, self.model_batch
-        rows = jax.random.randint(key_rows, shape, 0, jnp.maximum(pool.size, 1), jnp.int32).ravel()
+        rows = pool.draw(key_rows, self.model_updates * self.model_batch)
         observations, actions = pool.observations[rows], pool.actions[rows]
         pairs = self._pairs(state, observations, actions, pool.next_observations[rows])
         standardisations = self._standardisations(state, pool)

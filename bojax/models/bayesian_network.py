@@ -12,6 +12,7 @@ from typing import TypeAlias
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Key
 
 from bojax.numerics.linalg import matmul
@@ -78,11 +79,9 @@ class BayesianNetwork(eqx.Module):
 
     def draw_noise(self, key: Key[Array, ""], shape: tuple[int, ...]) -> Noise:
         """Noise for draws of the outputs; `shape` goes before the units."""
-        keys = jax.random.split(key, len(self.layers))
-        return tuple(
-            jax.random.normal(key, (*shape, layer.mean.shape[1]), layer.mean.dtype)
-            for key, layer in zip(keys, self.layers, strict=True)
-        )
+        sizes = [layer.mean.shape[1] for layer in self.layers]
+        draws = jax.random.normal(key, (*shape, sum(sizes)), self.layers[0].mean.dtype)
+        return tuple(jnp.split(draws, np.cumsum(sizes)[:-1].tolist(), axis=-1))
 
     def predict(self, noise: Noise, inputs: Float[Array, "N I"]) -> Float[Array, "N O"]:
         """A draw of the outputs."""

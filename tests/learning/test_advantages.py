@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bojax.learning.advantages import LinearBaseline, advantages, discounted_sums
+from bojax.learning.advantages import LinearBaseline, discounted_sums, td_errors
 from tests.reference import vime as reference
 
 LENGTHS = (5, 1, 12, 7)
@@ -29,8 +29,8 @@ def test_sums_of_a_path_are_those_of_a_loop(factor):
 @pytest.mark.parametrize("trace_decay", [1.0, 0.7, 0.0])
 def test_advantages_are_those_of_a_loop(trace_decay):
     (rewards, values), starts, is_last = paths()
-    arrays = (jnp.asarray(x) for x in (rewards, values, is_last))
-    gains = advantages(*arrays, jnp.asarray(0.9), jnp.asarray(trace_decay))
+    errors = td_errors(*(jnp.asarray(x) for x in (rewards, values, is_last)), jnp.asarray(0.9))
+    gains = discounted_sums(errors, jnp.asarray(is_last), jnp.asarray(0.9 * trace_decay))
     expected = [
         reference.advantages(r, v, 0.9, trace_decay)
         for r, v in zip(np.split(rewards, starts), np.split(values, starts), strict=True)

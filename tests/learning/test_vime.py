@@ -112,7 +112,8 @@ def update_of_numpy(learner, model, adam, key, pool):
     key_rows, key_noise = jax.random.split(jax.random.split(key)[1])
     observations, actions, next_observations = (np.concatenate(part) for part in pool)
     shape = learner.model_updates, learner.model_batch
-    rows = np.asarray(jax.random.randint(key_rows, shape, 0, len(actions), jnp.int32))
+    draws = np.asarray(jax.random.uniform(key_rows, (shape[0] * shape[1],), jnp.float32))
+    rows = (draws * len(actions)).astype(int).reshape(shape)
     _, state = make()
     noise = state.model.draw_noise(key_noise, (learner.model_updates, learner.num_samples))
     for number, chosen in enumerate(rows):
@@ -235,6 +236,13 @@ def test_a_long_episode_is_cut_and_a_short_batch_waits():
     assert [int(s.batch.memory.count) for s in states] == [4, 5, 0]
     np.testing.assert_array_equal(states[1].batch.steps[:5], [0, 1, 2, 3, 0])
     np.testing.assert_array_equal(states[1].batch.is_last, [False] * 3 + [True] * 6)
+
+
+def test_a_pool_draws_all_of_its_rows_equally_often():
+    pool = eqx.tree_at(lambda p: p.added, ReplayPool.empty(9, jnp.zeros(2), jnp.zeros(1)), jnp.int32(5))
+    counts = np.bincount(pool.draw(jax.random.key(0), 50_000), minlength=9)
+    assert not counts[5:].any()
+    np.testing.assert_allclose(counts[:5] / 50_000, 0.2, atol=0.01)
 
 
 def test_a_pool_skips_what_is_not_kept():
