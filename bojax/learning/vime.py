@@ -194,6 +194,12 @@ class VIME(Learner):
             any_lane(is_due), lambda: self._iterate(key, state, weight, is_due), lambda: state
         )
 
+    @property
+    @override
+    def lanes_on_cpu(self) -> int:
+        # The time of an iteration grows with the lanes, and so does its memory.
+        return 16
+
     @override
     def policy_state(self, state: VIMEState) -> VIMEState:
         def first(rows: Array) -> Array:
