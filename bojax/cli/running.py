@@ -3,16 +3,17 @@
 import os
 import re
 import sys
-from argparse import Namespace
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 from bojax.cli.parser import Parser, UsageError, integer
 from bojax.config.errors import printable
-from bojax.config.files import SUFFIXES, display, find, shadowed
+from bojax.config.files import STANDARD_INPUT, SUFFIXES, display, find, shadowed
 from bojax.config.overrides import parse_overrides
 from bojax.config.sweep import Sweep, load_config, load_sweep
+from bojax.config.yaml_file import mapping_of
 
 _DOTTED = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)+")
 
@@ -26,6 +27,7 @@ _RUN = """\
   bojax run parking                                  configs/parking.yaml
   bojax run my.yaml planner=sbo planner.depth=2      a file, with two settings changed
   bojax run parking problem=mine:Field --runs 4      a custom problem, class Field of mine.py
+  bojax run - --runs 4 < my.yaml                     a config from standard input
 """
 
 _SWEEP = """\
@@ -49,17 +51,20 @@ def main(name: str, words: Sequence[str]) -> int:
         allowed = "one config" if name == "run" else "one sweep or more"
         got = ", ".join(sources) or "none"
         raise UsageError(f"bojax {name}: got {got}; allowed: {allowed} (bojax list shows the names)")
+    if sources.count(STANDARD_INPUT) > 1:
+        raise UsageError(f"bojax {name}: got {STANDARD_INPUT} twice; allowed: distinct sweeps")
+    given = [_read_standard_input() if source == STANDARD_INPUT else source for source in sources]
     load = load_config if name == "run" else load_sweep
-    sweeps = [load(source, overrides, args.runs, args.seed) for source in sources]
+    sweeps = [load(source, overrides, args.runs, args.seed) for source in given]
     names = [sweep.name for sweep in sweeps]
     if duplicates := {each for each in names if names.count(each) > 1}:
         raise UsageError(f"bojax {name}: got {min(duplicates)} twice; allowed: distinct sweeps")
     folder = "configs" if name == "run" else "sweeps"
-    for source in sources:
-        if hidden := shadowed(source, folder):
+    for source in given:
+        if isinstance(source, str) and (hidden := shadowed(source, folder)):
             own = display(find(source, folder))
             print(printable(f"note: {own} hides {hidden}, which differs"), file=sys.stderr)
-    return _run([resolved(sweep) for sweep in sweeps], args, ["bojax", name, *words])
+    return run([resolved(sweep) for sweep in sweeps], args.out, args.resume, ["bojax", name, *words])
 
 
 def _parser(name: str) -> Parser:
@@ -73,6 +78,7 @@ def _parser(name: str) -> Parser:
         examples=_RUN if is_run else _SWEEP,
     )
     source = "a file, or a name in configs/" if is_run else "files, or names in sweeps/"
+    source += f"; {STANDARD_INPUT} for standard input"
     parser.add_argument(
         "words", nargs="*", metavar="CONFIG" if is_run else "SWEEP", help=f"{source}, and settings to change"
     )
@@ -101,11 +107,30 @@ def resolved(sweep: Sweep) -> Sweep:
     return resolve(sweep)
 
 
-def _run(sweeps: Sequence[Sweep], args: Namespace, command: list[str]) -> int:
-    from bojax.engine.signals import StopRequest
+def _read_standard_input() -> dict[str, Any]:
+    return mapping_of(sys.stdin.buffer.read(), "standard input")
+
+
+def run(
+    sweeps: Sequence[Sweep], out: Path | None, resume: bool, command: list[str], *, exits: bool = True
+) -> int:
+    """Run resolved sweeps and write their reports.
+
+    Args:
+        sweeps: The sweeps.
+        out: Results folder of the sweep, or of the folders of several sweeps; None for `results/NAME/TIME`.
+        resume: Whether to continue unfinished sweeps.
+        command: The command line, for the manifests and for the hint on how to resume.
+        exits: Whether a second signal ends the process at once.
+
+    Returns:
+        The exit code, as `bojax.engine.run.run_sweeps`.
+    """
+    from bojax.engine.signals import StopRequest, stop_with_parent
 
     # During the import of JAX, a callback can raise a KeyboardInterrupt, which is discarded there.
-    with StopRequest(announce=lambda _: None) as stop:
+    with StopRequest(announce=lambda _: None, exits=exits) as stop:
+        from bojax.engine.bar import is_read_by_a_process
         from bojax.engine.run import Request, run_sweeps
     if stop:
         print("interrupted", file=sys.stderr)
@@ -113,9 +138,11 @@ def _run(sweeps: Sequence[Sweep], args: Namespace, command: list[str]) -> int:
 
     from bojax.cli.background import Reports
 
+    if is_read_by_a_process():
+        stop_with_parent()
     several = len(sweeps) > 1
-    folders = [args.out / sweep.name if args.out and several else args.out for sweep in sweeps]
-    requests = [Request(sweep, out) for sweep, out in zip(sweeps, folders, strict=True)]
+    folders = [out / sweep.name if out and several else out for sweep in sweeps]
+    requests = [Request(sweep, folder) for sweep, folder in zip(sweeps, folders, strict=True)]
     with Reports(in_background=several) as reports:
-        code = run_sweeps(requests, args.resume, command, finish=reports.write)
+        code = run_sweeps(requests, resume, command, finish=reports.write, exits=exits)
     return code or reports.exit_code

@@ -114,10 +114,14 @@ class _Refusal(Exception):
     """The reason why a class cannot be used."""
 
 
-@cache
 def schema_of(role: str, kind: str) -> type[Component]:
     """The schema class of an imported class in a given role."""
-    cls = _import(kind)
+    return _schema_of(role, kind, _import(kind))
+
+
+@cache
+def _schema_of(role: str, kind: str, cls: type) -> type[Component]:
+    """The same for the class that the import path names now: a notebook may define it again."""
     _check_protocol(cls, role, kind)
     config = getattr(cls, "Config", None)
     if isinstance(config, type) and issubclass(config, pydantic.BaseModel):

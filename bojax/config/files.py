@@ -10,6 +10,9 @@ SUFFIXES = (".yaml", ".yml")
 EXPERIMENT = "experiment.yaml"
 """Name of the config in the folder of a saved learner."""
 
+STANDARD_INPUT = "-"
+"""The word of the command line for a file that is read from standard input."""
+
 _PACKAGE = Path(__file__).resolve().parent.parent
 
 

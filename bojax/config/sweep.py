@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeAlias
 
 import pydantic
 from pydantic import Field
@@ -25,7 +25,7 @@ from bojax.config.errors import (
     shown,
 )
 from bojax.config.figures import TABLES, figure_modules
-from bojax.config.files import SUFFIXES, display, find, shipped
+from bojax.config.files import STANDARD_INPUT, SUFFIXES, display, find, shipped
 from bojax.config.limits import RUNS
 from bojax.config.origin import Origin
 from bojax.config.overrides import Override, apply, parse_overrides
@@ -139,13 +139,20 @@ class SweepFile(Schema, frozen=True):
     )
 
 
+Source: TypeAlias = str | Mapping[str, Any]
+"""Where an experiment or a sweep is described: a name, a path, or the content of a file."""
+
+UNNAMED = Path("config.yaml")
+"""Stands in messages, and in the names of results, for the file of a mapping."""
+
+
 def load_sweep(
-    source: str, overrides: Sequence[str] = (), runs: int | None = None, seed: int | None = None
+    source: Source, overrides: Sequence[str] = (), runs: int | None = None, seed: int | None = None
 ) -> Sweep:
     """The sweep of a file in `sweeps/`.
 
     Args:
-        source: A name or a path.
+        source: A name, a path, or the content of such a file.
         overrides: Dotted `key=value` texts.
         runs: Overrides `runs`.
         seed: Overrides `seed`.
@@ -153,8 +160,12 @@ def load_sweep(
     Raises:
         ConfigError: The file or an override is invalid.
     """
-    given = find(source, "sweeps")
-    path, mapping = _follow_alias(given)
+    if isinstance(source, str):
+        given = find(source, "sweeps")
+        path, mapping = _follow_alias(given)
+    else:
+        given = path = UNNAMED
+        mapping = source
     changes = _changes(overrides, runs, seed)
     sweep = _expand(path, mapping, given.stem, source, changes)
     folder = shipped("sweeps").resolve()
@@ -167,7 +178,7 @@ def load_sweep(
 
 
 def _expand(
-    path: Path, mapping: Mapping[str, Any], name: str, source: str, changes: Sequence[Override]
+    path: Path, mapping: Mapping[str, Any], name: str, source: Source, changes: Sequence[Override]
 ) -> Sweep:
     """The sweep of a file, with changes from the command line."""
     file = display(path)
@@ -192,14 +203,16 @@ def _expand(
 
 
 def load_config(
-    source: str, overrides: Sequence[str] = (), runs: int | None = None, seed: int | None = None
+    source: Source, overrides: Sequence[str] = (), runs: int | None = None, seed: int | None = None
 ) -> Sweep:
     """The experiment of a file in `configs/`, as a sweep of one point; see `load_sweep`."""
-    path = find(source, "configs")
+    path = find(source, "configs") if isinstance(source, str) else UNNAMED
     file = display(path)
-    mapping = read_mapping(path, file)
+    mapping = read_mapping(path, file) if isinstance(source, str) else source
     if {"base", "axes", "alias"} & mapping.keys():
-        raise ConfigError(f"{file}: is a sweep, not an experiment; start it with: bojax sweep {source}")
+        raise ConfigError(
+            f"{file}: is a sweep, not an experiment; start it with: bojax sweep {_command(source)}"
+        )
     changes = _changes(overrides, runs, seed)
     settings, experiment = split(mapping)
     saved = experiment.get("saved")
@@ -226,10 +239,15 @@ def validate_experiment(settings: Any) -> Component:
     return _EXPERIMENT.validate_python(settings)
 
 
-def _read_sweep(mapping: Mapping[str, Any], file: str, source: str) -> tuple[SweepFile, dict[str, Any]]:
+def _command(source: Source) -> str:
+    """A source as a word of the command line; a mapping is read from standard input."""
+    return source if isinstance(source, str) else STANDARD_INPUT
+
+
+def _read_sweep(mapping: Mapping[str, Any], file: str, source: Source) -> tuple[SweepFile, dict[str, Any]]:
     """The keys of a file that only sweeps have, and those shared with experiment files."""
     if "base" not in mapping:
-        hint = "" if "axes" in mapping else f"; start an experiment with: bojax run {source}"
+        hint = "" if "axes" in mapping else f"; start an experiment with: bojax run {_command(source)}"
         raise ConfigError(f"{file}: base: missing; {_ALLOWED_BASE}{hint}")
     own = {key: value for key, value in mapping.items() if key in RESERVED}
     rest = {key: value for key, value in mapping.items() if key not in (*RESERVED, "base")}

@@ -100,11 +100,18 @@ def read_mapping(path: Path, name: str) -> dict[str, Any]:
                 f"{name}: has {size / 2**20:.1f} MiB; allowed: at most {MAX_BYTES / 2**20:.0f} MiB of YAML, "
                 "which take about 40 s to read"
             )
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"{name}: is not UTF-8 text (byte {error.start})") from error
+        content = path.read_bytes()
     except OSError as error:
         raise ConfigError(f"{name}: cannot be read: {error.strerror}") from error
+    return mapping_of(content, name)
+
+
+def mapping_of(content: bytes, name: str) -> dict[str, Any]:
+    """The mapping that the content of a YAML file holds, as `read_mapping`."""
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{name}: is not UTF-8 text (byte {error.start})") from error
     value = copy.deepcopy(_remembered(text, name)) if len(text) <= MAX_REMEMBERED else parse(text, name)
     if value is None:
         raise ConfigError(f"{name}: is empty; allowed: a mapping of settings (key: value)")

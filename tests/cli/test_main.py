@@ -1,5 +1,6 @@
 """A mistake on the command line is one line on stderr and exit code 2, before anything heavy is imported."""
 
+import io
 import json
 import subprocess
 import sys
@@ -82,6 +83,40 @@ def test_mistakes(here, capsys, case):
     out, err = capsys.readouterr()
     assert out == "" and err.count("\n") == 1 and err.startswith(f"error: {message}"), err
     assert list(here.iterdir()) == []
+
+
+STANDARD_INPUT = {
+    "a sweep": (
+        b"base: parking",
+        ["run", "-"],
+        "config.yaml: is a sweep, not an experiment; start",
+    ),
+    "an experiment": (b"planner: sbo", ["sweep", "-"], "config.yaml: base: missing; "),
+    "a wrong value": (b"planner: {iterations: 0}", ["run", "-"], "config.yaml: planner.iterations: got 0"),
+    "nothing": (b"", ["run", "-"], "standard input: is empty"),
+    "bytes": (b"\xff", ["run", "-"], "standard input: is not UTF-8 text (byte 0)"),
+    "no YAML": (b"a: [", ["run", "-"], "standard input:1: is not YAML"),
+    "twice": (b"base: parking", ["sweep", "-", "-"], "bojax sweep: got - twice; allowed: distinct sweeps"),
+}
+
+
+@pytest.mark.parametrize("case", STANDARD_INPUT)
+def test_mistakes_in_standard_input(here, capsys, monkeypatch, case):
+    content, words, message = STANDARD_INPUT[case]
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(content)))
+    assert main(words) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and err.count("\n") == 1 and err.startswith(f"error: {message}"), err
+    assert list(here.iterdir()) == []
+
+
+def test_a_config_is_read_from_standard_input(here, monkeypatch):
+    found = []
+    monkeypatch.setattr("bojax.cli.running.run", lambda sweeps, *_: found.extend(sweeps) or 0)
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(b"{planner: sbo, runs: 3}")))
+    assert main(["run", "-", "planner.depth=2"]) == 0
+    (sweep,) = found
+    assert (sweep.name, sweep.runs, sweep.points[0].config.planner.depth) == ("config", 3, 2)
 
 
 def imported_by(words: list[str], cwd) -> tuple[int, set[str]]:

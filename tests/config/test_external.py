@@ -6,7 +6,7 @@ import pytest
 
 from bojax.config.component import External
 from bojax.config.errors import ConfigError
-from bojax.config.external import imports_code, resolve, schema_of
+from bojax.config.external import imports_code, resolve
 from bojax.config.sweep import load_config, load_sweep
 
 MODULE = '''
@@ -82,7 +82,6 @@ def resolved(write, monkeypatch):
     write("my_needy.py", "import there_is_no_such_module\n")
     write("x.yaml", "planner: {kind: kcbts, kernel: {kind: 'my_kernels:Annotated', lengthscale: 2}}")
     monkeypatch.setattr(sys, "path", [*sys.path])
-    schema_of.cache_clear()
     for name in [name for name in sys.modules if name.startswith("my_")]:
         del sys.modules[name]
     return lambda *overrides: resolve(load_config("x.yaml", overrides)).points[0]

@@ -79,8 +79,8 @@ def test_the_readme_is_short():
 def test_a_command_is_understood(page, words, monkeypatch, capsys, tmp_path):
     """Up to the point where a sweep would be run; the learner that is evaluated is one of mountain car."""
     asked = []
-    for module in ("running", "reproducing"):
-        monkeypatch.setattr(f"bojax.cli.{module}._run", lambda sweeps, *_: asked.extend(sweeps) or 0)
+    for function in ("running.run", "reproducing._run"):
+        monkeypatch.setattr(f"bojax.cli.{function}", lambda sweeps, *_: asked.extend(sweeps) or 0)
     monkeypatch.setattr("bojax.cli.reporting.main", lambda *_: 0)
     monkeypatch.setattr("bojax.cli.rendering.main", lambda *_: 0)
     monkeypatch.setattr("bojax.cli.doctor.main", lambda *_: 0)
