@@ -1,4 +1,4 @@
-"""Progress of sweeps: a live bar in a terminal, otherwise a plain line every few seconds."""
+"""Progress of sweeps: runs done, speed and time left, in one line."""
 
 import threading
 import time
@@ -6,15 +6,10 @@ from collections.abc import Sequence
 from types import TracebackType
 
 from rich.console import Console
-from rich.markup import escape
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from bojax.config.errors import printable
+from bojax.engine.bar import Bar
 from bojax.engine.forecast import GroupProgress, forecast
 from bojax.engine.runner import Segment
-
-LINE_SECONDS = 10.0
-"""Minimum time between two plain lines."""
 
 RECENT_SECONDS = 10.0
 """Time over which the pace is averaged."""
@@ -42,36 +37,28 @@ class SweepProgress:
         shares_cores: bool = True,
         console: Console | None = None,
     ):
-        self._console = console or Console(stderr=True, highlight=False)
-        self._title, self._num_runs = title, num_runs
+        self._bar = Bar(title, num_runs, console or Console(stderr=True, highlight=False))
+        self._num_runs = num_runs
         self._workers, self._shares_cores = workers, shares_cores
         self._groups: list[GroupProgress] = []
         self._runs_done = 0
         self._steps = self._issued = 0
         self._recent: list[tuple[float, float, int]] = []  # start, end and steps of segments
-        self._last_line = time.monotonic()
         self._lock = threading.RLock()
-        self._bar: Progress | None = None
 
     def __enter__(self) -> "SweepProgress":
-        if self._console.is_terminal:
-            columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(bar_width=24))
-            texts = (TextColumn("{task.fields[text]}"), TimeElapsedColumn())
-            self._bar = Progress(*columns, *texts, console=self._console)
-            self._task = self._bar.add_task(escape(self._title), total=self._num_runs, text="")
-            self._bar.start()
+        self._bar.__enter__()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._bar is not None:
-            self._bar.stop()
+        self._bar.__exit__(kind, error, trace)
 
     def say(self, text: str) -> None:
         """Print a line that stays on the screen."""
         with self._lock:
-            self._console.print(escape(printable(text)), soft_wrap=True)
+            self._bar.say(text)
 
     def add(self, groups: Sequence[GroupProgress], runs_done: int = 0) -> None:
         """Add groups that have unfinished chunks, and count runs that earlier processes finished."""
@@ -83,7 +70,7 @@ class SweepProgress:
         """Report that the compilation of a group has started."""
         with self._lock:
             group.compiling_since = time.monotonic()
-            if self._bar is None:
+            if not self._bar.is_live:
                 self.say(f"compiling {group.name} ...")
             self._show()
 
@@ -146,11 +133,7 @@ class SweepProgress:
         return sum(steps for _, _, steps in self._recent) / passed if passed else 0.0
 
     def _show(self) -> None:
-        if self._bar is not None:
-            self._bar.update(self._task, completed=self._runs_done, text=escape(self.describe()))
-        elif time.monotonic() - self._last_line >= LINE_SECONDS:
-            self._last_line = time.monotonic()
-            self.say(f"{self._title}: {self.describe()}")
+        self._bar.show(self._runs_done, self.describe())
 
 
 def _duration(seconds: float) -> str:
