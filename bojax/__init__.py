@@ -1,6 +1,31 @@
 """A batch experiment engine in JAX for Bayesian optimisation in planning and reinforcement learning.
 
-Importing this package imports no JAX and changes no global flag.
+Importing this package imports no JAX and changes no global flag. The functions `run`, `sweep` and `load` and
+their classes are imported when they are first used; `__init__.pyi` declares them.
 """
 
+import importlib
+from typing import Any
+
 __version__ = "0.1.0"
+
+_HOMES = {
+    "run": "start",
+    "sweep": "start",
+    "load": "results",
+    "Results": "results",
+    "Picture": "results",
+    "BojaxError": "errors",
+    "Interrupted": "errors",
+}
+"""The module of `bojax.api` that defines each name."""
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"bojax.api.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_HOMES])

@@ -4,13 +4,23 @@
 """
 
 import os
-from collections.abc import Sequence
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 import jax
 
 from bojax.engine.errors import EngineError
+
+_FLAGS = (
+    "jax_enable_x64",
+    "jax_platforms",
+    "jax_compilation_cache_dir",
+    "jax_persistent_cache_min_compile_time_secs",
+)
+"""Flags that `prepare` sets."""
 
 Device: TypeAlias = Any
 """A JAX device; `Any`, since type checkers take `jax.Device` for a variable."""
@@ -27,6 +37,19 @@ def prepare(device: Literal["auto", "cpu", "gpu"]) -> None:
     if setting("jax_compilation_cache_dir") is None:
         jax.config.update("jax_compilation_cache_dir", str(cache_folder()))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+
+
+@contextmanager
+def restored() -> Iterator[None]:
+    """Context after which JAX's flags and the search path of modules are as before."""
+    flags = {name: setting(name) for name in _FLAGS}
+    path = list(sys.path)
+    try:
+        yield
+    finally:
+        sys.path[:] = path
+        for name, value in flags.items():
+            _update_before_start(name, value)
 
 
 def find_devices(device: Literal["auto", "cpu", "gpu"]) -> list[Device]:

@@ -17,7 +17,7 @@ from bojax.engine.devices import Device
 
 PACKAGE = Path(bojax.__file__).parent
 PACKAGES = ("bojax", "jax", "jaxlib", "equinox", "optax", "numpy", "pyarrow")
-UNHASHED = ("cli", "report")
+UNHASHED = ("api", "cli", "report")
 """Subpackages that no result depends on; they may change while a sweep is paused."""
 
 

@@ -52,6 +52,8 @@ def run_sweeps(
     command: Sequence[str],
     finish: Callable[[Path], Any] = lambda _: None,
     skipped: dict[str, str] | None = None,
+    *,
+    exits: bool = True,
 ) -> int:
     """Run or resume sweeps as one plan, and write their results folders.
 
@@ -64,12 +66,13 @@ def run_sweeps(
         finish: Called with the results folder of each finished sweep, for instance to write a report.
         skipped: Receives the names of sweeps whose extra is not installed, and the reasons. If None, such a
             sweep is an error.
+        exits: Whether a second signal ends the process at once.
 
     Returns:
         The exit code: 0; 1 if something failed; 2 for an input error; 130 or 143 after a signal.
     """
     try:
-        with StopRequest() as stop:
+        with StopRequest(exits=exits) as stop:
             return _run(requests, resume, command, finish, skipped, stop)
     except (ConfigError, ResultsError, EngineError) as error:
         print(printable(f"error: {error}"), file=sys.stderr)

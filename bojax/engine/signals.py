@@ -5,6 +5,7 @@ import signal
 import socket
 import sys
 import threading
+import time
 from collections.abc import Callable
 from types import TracebackType
 
@@ -19,10 +20,15 @@ class StopRequest:
 
     Attributes:
         signum: The signal that requested the stop; None before any signal.
+
+    Args:
+        announce: Called with a message after the first signal; prints it by default.
+        exits: Whether the second signal ends the process. A notebook's process has more to lose than a sweep.
     """
 
-    def __init__(self, announce: Callable[[str], None] | None = None):
+    def __init__(self, announce: Callable[[str], None] | None = None, *, exits: bool = True):
         self.signum: int | None = None
+        self._exits = exits
         self._announce = announce or (lambda text: print(text, file=sys.stderr, flush=True))
 
     def __bool__(self) -> bool:
@@ -59,7 +65,22 @@ class StopRequest:
                 number = received[0]
                 if number not in _SIGNALS:
                     continue
-                if self.signum is not None:
+                if self.signum is not None and self._exits:
                     os._exit(128 + number)
                 self.signum = number
-                self._announce("stopping after this segment; repeat the signal to exit at once")
+                hint = "; repeat the signal to exit at once" if self._exits else ""
+                self._announce(f"stopping after this segment{hint}")
+
+
+def stop_with_parent() -> threading.Thread:
+    """Send SIGTERM to this process once the process that started it has ended, as when a kernel restarts."""
+    parent = os.getppid()
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    watcher = threading.Thread(target=watch, daemon=True)
+    watcher.start()
+    return watcher

@@ -60,7 +60,7 @@ class RunFolder:
         """
         with explained(self.path):
             if may_rename:
-                self._make_new()
+                self.path = make_new(self.path)
             try:
                 self.work.mkdir(parents=True)
             except FileExistsError:
@@ -113,15 +113,6 @@ class RunFolder:
             self._lock.close()
             self._lock = None
 
-    def _make_new(self) -> None:
-        first, number = self.path, 2
-        while True:
-            try:
-                self.path.mkdir(parents=True)
-                return
-            except FileExistsError:
-                self.path, number = first.with_name(f"{first.name}-{number}"), number + 1
-
     def _take_lock(self) -> None:
         with explained(self.work):
             self._lock = (self.work / _LOCK).open("a+")  # opening a pipe only for writing would block
@@ -163,6 +154,17 @@ def choose_folder(name: str, out: Path | None, *, resume: bool) -> tuple[Path, b
             f"{out}: the folder is not empty; give another --out, or --resume an unfinished sweep"
         )
     return out, False
+
+
+def make_new(path: Path) -> Path:
+    """Make a folder and return it; a number is appended to its name if there is one of this name."""
+    made, number = path, 2
+    while True:
+        try:
+            made.mkdir(parents=True)
+            return made
+        except FileExistsError:
+            made, number = path.with_name(f"{path.name}-{number}"), number + 1
 
 
 def drop_leftovers(folder: Path) -> None:

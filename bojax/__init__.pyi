@@ -1,0 +1,9 @@
+from bojax.api.errors import BojaxError as BojaxError
+from bojax.api.errors import Interrupted as Interrupted
+from bojax.api.results import Picture as Picture
+from bojax.api.results import Results as Results
+from bojax.api.results import load as load
+from bojax.api.start import run as run
+from bojax.api.start import sweep as sweep
+
+__version__: str

@@ -1,0 +1,1 @@
+"""Running sweeps and reading results from Python and notebooks; `import bojax` gives its functions."""

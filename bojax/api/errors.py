@@ -1,0 +1,33 @@
+"""Errors that a Python caller gets: one line each."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from bojax.config.overrides import SOURCE
+
+
+class BojaxError(Exception):
+    """A sweep or a results folder cannot be used; the message is one line.
+
+    Attributes:
+        output: What the process of the sweep printed, such as a traceback.
+    """
+
+    def __init__(self, message: str, output: str = ""):
+        super().__init__(message)
+        self.output = output
+
+
+class Interrupted(KeyboardInterrupt):
+    """A sweep was stopped by Ctrl-C; the message says how to go on."""
+
+
+@contextmanager
+def in_one_line() -> Iterator[None]:
+    """Turn errors that the command line prints as one line into a `BojaxError`."""
+    try:
+        yield
+    except Exception as error:
+        if not hasattr(error, "exit_code"):
+            raise
+        raise BojaxError(str(error).removeprefix(f"{SOURCE}: ")) from None

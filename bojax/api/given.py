@@ -1,0 +1,72 @@
+"""What a caller gives, as the values that a YAML file can hold."""
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from bojax.config.component import Component
+from bojax.config.errors import ConfigError, dotted, shown
+from bojax.config.yaml_file import mapping_of
+
+
+class Values:
+    """Plain values of what a caller gives.
+
+    Attributes:
+        has_classes: Whether a class was among the values.
+    """
+
+    def __init__(self):
+        self.has_classes = False
+
+    def mapping(self, value: Mapping[str, Any], name: str) -> dict[str, Any]:
+        """A config as if read from a file: what a file cannot hold is refused under the same messages.
+
+        Raises:
+            ConfigError: A value has no form in a YAML file; `name` is that of the file.
+        """
+        return mapping_of(self.text(value, (), name).encode("utf-8", "surrogatepass"), name)
+
+    def text(self, value: Any, path: tuple[str, ...], name: str) -> str:
+        """A value as YAML on one line."""
+        return json.dumps(self._plain(value, path, name), ensure_ascii=False)
+
+    def _plain(self, value: Any, path: tuple[str, ...], name: str) -> Any:
+        if value is None or isinstance(value, bool | int | float | str):
+            return value
+        if isinstance(value, type):
+            return self._import_path(value, path, name)
+        if isinstance(value, Component):
+            return value.model_dump(mode="json")
+        if isinstance(value, Mapping):
+            return {
+                self._key(key, path, name): self._plain(item, (*path, str(key)), name)
+                for key, item in value.items()
+            }
+        if isinstance(value, list | tuple):
+            return [self._plain(item, (*path, str(index)), name) for index, item in enumerate(value)]
+        if hasattr(value, "tolist"):  # numbers and arrays of NumPy and JAX
+            return self._plain(value.tolist(), path, name)
+        raise ConfigError(
+            f"{_where(path, name)}got {shown(value)}, of type {type(value).__name__}; allowed: numbers, "
+            "text, Booleans, lists, mappings, None, settings and classes of parts"
+        )
+
+    def _key(self, key: Any, path: tuple[str, ...], name: str) -> str:
+        if not isinstance(key, str):
+            raise ConfigError(f"{_where(path, name)}got the key {shown(key)}; allowed: text")
+        return key
+
+    def _import_path(self, cls: type, path: tuple[str, ...], name: str) -> str:
+        """The import path of a class, `module:Class`; classes of a notebook are those of `__main__`."""
+        if "." in cls.__qualname__:
+            raise ConfigError(
+                f"{_where(path, name)}got the class {cls.__qualname__}; allowed: a class that is defined at "
+                "the top level of a module or a notebook"
+            )
+        self.has_classes = True
+        return f"{cls.__module__}:{cls.__qualname__}"
+
+
+def _where(path: tuple[str, ...], name: str) -> str:
+    return f"{name}: {dotted(path)}: " if path else f"{name}: "

@@ -1,0 +1,183 @@
+"""The results of a sweep as Python objects: Arrow tables, claims and figures."""
+
+import base64
+import html
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+from matplotlib.figure import Figure
+from typing_extensions import override
+
+from bojax.api.errors import BojaxError, in_one_line
+from bojax.config.errors import allowed_names
+from bojax.config.figures import figure_modules
+from bojax.report import source, style
+from bojax.report.drawing.base import Undrawable
+from bojax.report.figures import draw, ranked
+from bojax.report.page import summary
+from bojax.report.verdicts import read_claims
+from bojax.results.store import read_manifest, read_table
+
+_CLAIMS = pa.schema(
+    [(name, pa.string()) for name in ("id", "source", "claim", "thesis", "ours")]
+    + [("low", pa.float64()), ("high", pa.float64()), ("runs", pa.int64()), ("verdict", pa.string())]
+)
+
+
+def load(folder: str | os.PathLike[str]) -> "Results":
+    """The results in a folder that `bojax run` or `bojax sweep` wrote.
+
+    Raises:
+        BojaxError: The folder holds no finished results, or they are damaged.
+    """
+    with in_one_line():
+        return Results(source.load(Path(folder)))
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure of a report; a notebook shows it with its caption.
+
+    Attributes:
+        figure: The figure of matplotlib.
+        title: Its title.
+        caption: What it shows, and how that was computed.
+        alt: Alternative text for screen readers.
+        png: The same as an image.
+    """
+
+    figure: Figure
+    title: str
+    caption: str
+    alt: str
+    png: bytes
+
+    @override
+    def __repr__(self) -> str:
+        return f"{self.title}: {self.caption}"
+
+    def _repr_png_(self) -> bytes:
+        return self.png
+
+    def _repr_html_(self) -> str:
+        image = base64.b64encode(self.png).decode("ascii")
+        title, caption, alt = map(html.escape, (self.title, self.caption, self.alt))
+        return (
+            f'<figure style="margin: 0; max-width: 40em"><b>{title}</b><br>'
+            f'<img src="data:image/png;base64,{image}" alt="{alt}">'
+            f"<figcaption>{caption}</figcaption></figure>"
+        )
+
+
+class Results:
+    """The results of a sweep. Tables are Arrow tables: `.to_pandas()`, or `polars.from_arrow(table)`.
+
+    The columns are described in docs/results.md; tables and figures are read when they are asked for.
+    """
+
+    def __init__(self, results: source.Results):
+        self._results = results
+
+    @property
+    def folder(self) -> Path:
+        """The results folder."""
+        return self._results.folder
+
+    @cached_property
+    def runs(self) -> pa.Table:
+        """One row for each run, `runs.parquet`."""
+        return self._table("runs")
+
+    @cached_property
+    def steps(self) -> pa.Table:
+        """One row for each step, `steps.parquet`."""
+        return self._table("steps")
+
+    @cached_property
+    def episodes(self) -> pa.Table:
+        """One row for each episode of a learning experiment, `episodes.parquet`."""
+        return self._table("episodes")
+
+    @cached_property
+    def timings(self) -> pa.Table:
+        """One row for each segment of time, `timings.parquet`."""
+        return self._table("timings")
+
+    @cached_property
+    def claims(self) -> pa.Table:
+        """One row for each claim of the thesis with its verdict, from `claims.json`.
+
+        `thesis` and `ours` are the values as the report prints them, `low` and `high` are the 95% interval.
+        """
+        with in_one_line():
+            found = read_claims(self.folder)
+        rows = []
+        for claim in found:
+            low, high = claim.interval or (None, None)
+            texts = {"id": claim.id, "source": claim.source, "claim": claim.claim, "thesis": claim.printed}
+            numbers = {"low": low, "high": high, "runs": claim.runs}
+            rows.append({**texts, "ours": claim.found, **numbers, "verdict": claim.verdict})
+        return pa.Table.from_pylist(rows, schema=_CLAIMS)
+
+    @cached_property
+    def manifest(self) -> Mapping[str, Any]:
+        """`manifest.json`: settings of each point, command, versions, device, times."""
+        with in_one_line():
+            return read_manifest(self.folder)
+
+    @property
+    def settings(self) -> Mapping[str, Any]:
+        """Settings of the experiment before the axes of a sweep are applied, as they were given."""
+        return self.manifest.get("config", {})
+
+    @property
+    def report(self) -> Path:
+        """The page with figures, tables and claims, `report.html`."""
+        return self.folder / "report.html"
+
+    def show(self, name: str | None = None) -> Picture:
+        """Draw a figure.
+
+        Args:
+            name: Name of the figure, such as `"accumulated-reward"`; by default, the first of the report.
+
+        Raises:
+            BojaxError: There is no such figure, or the results do not allow it.
+        """
+        if name is not None and name not in figure_modules():
+            raise BojaxError(f"unknown figure {name}{allowed_names(name, figure_modules())}")
+        reason = "the report has no figure"
+        for each in [name] if name else self._results.report.figures or ranked():
+            if each not in figure_modules():  # a table
+                continue
+            try:
+                with in_one_line(), style.settings():
+                    drawing = draw(each, self._results)
+                    png = style.encode(drawing.figure)["png"]
+                return Picture(drawing.figure, drawing.title, drawing.caption, drawing.alt, png)
+            except Undrawable as problem:
+                reason = f"the figure {each} is not drawn: {problem}"
+        raise BojaxError(f"{self.folder}: {reason}")
+
+    @override
+    def __repr__(self) -> str:
+        with in_one_line():
+            return f"{self._results.title}: {summary(self._results)} ({self.folder})"
+
+    def _repr_html_(self) -> str:
+        with in_one_line():
+            title, text = html.escape(self._results.title), html.escape(summary(self._results))
+        return f"<div><b>{title}</b><br>{text}<br><code>{html.escape(str(self.folder))}</code></div>"
+
+    def _table(self, name: str) -> pa.Table:
+        path = self.folder / f"{name}.parquet"
+        if not path.exists():
+            there = sorted(file.stem for file in self.folder.glob("*.parquet"))
+            raise BojaxError(f"{self.folder}: no table {name}{allowed_names(name, there)}")
+        with in_one_line():
+            return read_table(path)

@@ -1,0 +1,54 @@
+"""What a caller gives becomes the values of a YAML file, or is refused in one line."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from bojax.api.given import Values
+from bojax.config.errors import ConfigError
+from bojax.planning.settings import SBO
+
+
+class Mine:
+    class Inner:
+        pass
+
+
+def test_numbers_arrays_settings_and_classes_have_a_form():
+    values = Values()
+    given = {
+        "a": np.float64(1e-7),
+        "b": np.arange(3),
+        "c": jnp.float32(0.5),
+        "d": (1, (2.0, None)),
+        "e": {"text": "β: 'x'\n😀", "flag": True},
+    }
+    assert values.mapping(given, "config.yaml") == {
+        "a": 1e-7,
+        "b": [0, 1, 2],
+        "c": 0.5,
+        "d": [1, [2.0, None]],
+        "e": {"text": "β: 'x'\n😀", "flag": True},
+    }
+    assert not values.has_classes
+    found = values.mapping({"planner": SBO(depth=2), "problem": {"kind": Mine}}, "config.yaml")
+    assert found["planner"]["kind"] == "sbo" and found["planner"]["depth"] == 2
+    assert found["problem"]["kind"] == "tests.api.test_given:Mine"
+    assert values.has_classes
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"a": {"b": object()}}, "config.yaml: a.b: got <object"),
+        ({"a": [1, {2}]}, "config.yaml: a.1: got .2., of type set; allowed: numbers"),
+        ({1: 2}, "config.yaml: got the key 1; allowed: text"),
+        ({"a": Mine.Inner}, "config.yaml: a: got the class Mine.Inner; allowed: a class .* top level"),
+        ({"a": 2**70}, "config.yaml:1: got .*; allowed: an integer between"),
+        ({"a": "\ud800"}, "config.yaml: is not UTF-8"),
+        ({"a": "\x00"}, "config.yaml:1: got .*; allowed: text without the character"),
+    ],
+)
+def test_anything_else_is_refused(given, message):
+    with pytest.raises(ConfigError, match=message):
+        Values().mapping(given, "config.yaml")

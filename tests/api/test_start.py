@@ -1,0 +1,171 @@
+"""Runs from Python: in a process of their own, or in this one, whose flags of JAX stay as they are."""
+
+import os
+import signal
+import sys
+
+import jax
+import pytest
+
+import bojax
+from bojax.api import child
+from bojax.engine import signals
+from bojax.results.folder import is_unfinished
+from bojax.results.store import read_manifest
+from tests.learning.probes import Bandit
+
+FLAGS = (
+    "jax_enable_x64",
+    "jax_platforms",
+    "jax_compilation_cache_dir",
+    "jax_persistent_cache_min_compile_time_secs",
+)
+CHAIN = {"kind": "chain", "length": 4, "max_length": 4, "max_steps": 40}
+CONFIG = {"experiment": "learning", "env": CHAIN, "learner": "additive", "episodes": 3}
+
+
+class Broken(Bandit):
+    """A bandit that cannot be traced."""
+
+    def outcome(self, state, action, branch):
+        raise ZeroDivisionError("no such arm")
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def state():
+    """What a call might change in the caller's process."""
+    flags = {flag: getattr(jax.config, flag) for flag in FLAGS}
+    environment = {name: value for name, value in os.environ.items() if name != "PYTEST_CURRENT_TEST"}
+    return flags, list(sys.path), environment, signal.getsignal(signal.SIGINT), sys.stderr
+
+
+@pytest.fixture
+def caller(usual_jax):
+    """A process in which JAX has started with its defaults; afterwards, everything is as it was."""
+    assert jax.devices() and not jax.config.jax_enable_x64
+    before = state()
+    yield
+    assert state() == before
+
+
+def test_a_mapping_runs_in_a_process_of_its_own(caller, capfd):
+    results = bojax.run(CONFIG, runs=2, seed=3, **{"episodes": 4, "dtype": "float64"})
+    assert results.folder.parent == type(results.folder)("results", "config")
+    assert results.runs["run"].to_pylist() == [0, 1]
+    assert results.episodes["episode"].to_pylist() == [1, 2, 3, 4] * 2
+    assert results.episodes.schema.field("return").type == "double"
+    assert results.manifest["command"].startswith(
+        "bojax run - episodes=4 'dtype=\"float64\"' --runs 2 --seed 3"
+    )
+    assert results.settings["env"]["length"] == 4 and results.settings["episodes"] == 4
+    assert results.report.is_file()
+    shown = capfd.readouterr()
+    assert "compiled additive" in shown.err and '"title"' not in shown.err and shown.out == ""
+
+
+def test_a_class_runs_in_this_process(caller):
+    results = bojax.run(
+        {"experiment": "learning", "env": {"kind": Bandit, "rewards": (-1.0, 2.0)}, "learner": "additive"},
+        runs=3,
+        out="arms",
+        episodes=2,
+    )
+    assert set(results.episodes["return"].to_pylist()) <= {-1.0, 2.0}
+    assert results.runs.num_rows == 3
+    assert results.manifest["points"][0]["config"]["env"]["kind"] == "tests.learning.probes:Bandit"
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: bojax.run("mountain-cra"), 'mountain-cra: no such file.*did you mean "mountain-car"'),
+        (lambda: bojax.sweep("fig-4.7"), "fig-4.7: no such file"),
+        (lambda: bojax.run(CONFIG, episodes=0), "^episodes: got 0; allowed: >= 1$"),
+        (lambda: bojax.run(CONFIG, runs=0), "^runs: got 0; allowed: >= 1$"),
+        (lambda: bojax.run(CONFIG, runs=2.5), "^runs: got 2.5; allowed: an integer$"),
+        (lambda: bojax.run({**CONFIG, "episodse": 1}), 'episodse: unknown key.*did you mean "episodes"'),
+        (lambda: bojax.run({"base": "chain"}), "config.yaml: is a sweep, not an experiment"),
+        (lambda: bojax.sweep(CONFIG), "config.yaml: base: missing"),
+        (lambda: bojax.run(CONFIG, resume=True), "no unfinished sweep to resume"),
+        (lambda: bojax.run({**CONFIG, "env": int}), 'got "builtins:int"; the class does not implement'),
+        (lambda: bojax.run(CONFIG, out=__file__), "is not a folder; allowed: a new or empty folder"),
+    ],
+)
+def test_a_mistake_is_one_line_before_anything_is_written(here, call, message):
+    with pytest.raises(bojax.BojaxError, match=message) as caught:
+        call()
+    assert "\n" not in str(caught.value)
+    assert [path for path in here.rglob("*") if path.is_file()] == []
+
+
+def test_an_error_of_the_process_is_one_line(here):
+    (here / "my_envs.py").write_text("import os\n\nos.kill(os.getpid(), 9)\n")
+    with pytest.raises(bojax.BojaxError, match="ended by SIGKILL; nothing was written$"):
+        bojax.run(CONFIG, env="my_envs:Chain")
+    (here / "my_envs.py").write_text("import math\n\nmath.sqrt(-1)\n")
+    with pytest.raises(bojax.BojaxError, match="importing my_envs failed: ValueError") as caught:
+        bojax.run(CONFIG, env="my_envs:Chain")
+    assert "\n" not in str(caught.value)
+    assert list(here.glob("results/*/*")) == []
+
+
+def test_a_failure_in_this_process_is_one_line(caller):
+    env = {"kind": Broken, "rewards": (1.0, 2.0)}
+    with pytest.raises(
+        bojax.BojaxError, match="1 of 1 chunks failed: ZeroDivisionError: no such arm"
+    ) as caught:
+        bojax.run({"experiment": "learning", "env": env, "learner": "additive"}, out="broken")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.fixture
+def interrupt(monkeypatch):
+    """Sends this process a SIGINT at the first line of the command that contains each text, in turn."""
+    take = child.Output.take
+
+    def arrange(*texts: str) -> None:
+        left = list(texts)
+
+        def taken(self, line):
+            if left and left[0] in line:
+                del left[0]
+                os.kill(os.getpid(), signal.SIGINT)
+            take(self, line)
+
+        monkeypatch.setattr(child.Output, "take", taken)
+
+    return arrange
+
+
+def test_ctrl_c_stops_at_a_checkpoint_and_resuming_gives_the_same(here, interrupt, caller):
+    interrupt('"title"')
+    config = {**CONFIG, "episodes": 40, "engine": {"segment_seconds": 0.01}}
+    message = "interrupted; to resume: bojax.run.config, runs=2, out='cut', resume=True"
+    with pytest.raises(bojax.Interrupted, match=message):
+        bojax.run(config, runs=2, out="cut")
+    assert is_unfinished(here / "cut") and read_manifest(here / "cut")["status"] == "interrupted"
+    with pytest.raises(bojax.BojaxError, match="this sweep has not finished"):
+        bojax.load("cut")
+    resumed, whole = bojax.run(config, runs=2, out="cut", resume=True), bojax.run(config, runs=2, out="whole")
+    assert resumed.runs.equals(whole.runs) and resumed.episodes.equals(whole.episodes)
+
+
+def test_ctrl_c_twice_leaves_at_once(here, interrupt):
+    interrupt('"title"', "stopping after this segment")
+    with pytest.raises(bojax.Interrupted, match="resume=True"):
+        bojax.run({**CONFIG, "episodes": 5000, "engine": {"segment_seconds": 60.0}}, out="cut")
+    assert is_unfinished(here / "cut") and read_manifest(here / "cut")["status"] == "running"
+
+
+def test_a_process_ends_with_the_one_that_started_it(monkeypatch):
+    parents, sent = iter([7, 7, 1]), []
+    monkeypatch.setattr(signals.os, "getppid", lambda: next(parents))
+    monkeypatch.setattr(signals.os, "kill", lambda process, number: sent.append((process, number)))
+    monkeypatch.setattr(signals.time, "sleep", lambda seconds: None)
+    signals.stop_with_parent().join(10)
+    assert sent == [(os.getpid(), signal.SIGTERM)]
