@@ -3,6 +3,7 @@
 Sweeps, target returns, checkpoints and reports are features of the command line only.
 """
 
+import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import count
@@ -15,6 +16,7 @@ import numpy as np
 import pyarrow as pa
 import pydantic
 from rich.console import Console
+from typing_extensions import override
 
 from bojax.config.catalog import roles
 from bojax.config.component import Component, Slot
@@ -36,6 +38,10 @@ from bojax.results.tables import sort_rows
 
 Settings: TypeAlias = str | Mapping[str, Any] | Component
 """A built-in part as in a config file: its kind, its kind with settings, or its schema class."""
+
+
+Callback: TypeAlias = Callable[[pa.Table], Any]
+"""Receives rows of episodes, as in `Training.episodes`."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +92,7 @@ def train(
     stop: Literal["never", "first-success"] = "never",
     tests: int = 0,
     dtype: Literal["float64", "float32"] = "float32",
+    callback: Callback | None = None,
 ) -> Training:
     """Train a learner in an environment, in several independent runs on all devices of JAX.
 
@@ -102,6 +109,9 @@ def train(
         stop: Whether a run ends at its first success.
         tests: Number of test episodes, without exploration or learning, after each training episode.
         dtype: Precision of parts built from settings; float64 requires `jax_enable_x64`.
+        callback: Called after each episode with its rows and those of its tests, for all runs that are
+            computed together; more runs than lanes are computed one batch after another. The calls come from
+            other threads, one at a time. An exception in it ends the training, and is raised here.
 
     Raises:
         ValueError: A number is too small, or the learner does not support the spaces of the environment.
@@ -122,7 +132,7 @@ def train(
         map_resolution=2,
         saved=None,
     )
-    sinks = _run(experiment, runs, seed)
+    sinks = _run(experiment, runs, seed, callback)
     tables = {
         name: pa.concat_tables(part for sink in sinks for part in sink.tables[name]).drop_columns("point")
         for name in ("runs", "episodes")
@@ -136,13 +146,31 @@ def train(
     )
 
 
-def _run(experiment: LearningRun, runs: int, seed: int) -> list[MemorySink]:
+class _Sink(MemorySink):
+    """Passes on the rows of each segment, which is one episode."""
+
+    def __init__(self, saved_learners: int, callback: Callback, lock: threading.Lock):
+        super().__init__(saved_learners=saved_learners)
+        self._callback, self._lock = callback, lock
+
+    @override
+    def write_part(self, tables: dict[str, pa.Table]) -> None:
+        super().write_part(tables)
+        with self._lock:
+            self._callback(sort_rows(tables["episodes"].drop_columns("point")))
+
+
+def _run(experiment: LearningRun, runs: int, seed: int, callback: Callback | None) -> list[MemorySink]:
     """Run an experiment on all devices of JAX, and return what its chunks produced."""
     devices = find_devices("auto")
     (group,) = static_groups([experiment])
     layout = choose_layout(experiment, runs, devices[0].platform, None)
-    chunks = [(chunk, MemorySink(saved_learners=runs)) for chunk in cut(group, range(runs), layout, [{}], {})]
-    errors: list[BaseException] = []
+    lock, errors = threading.Lock(), list[BaseException]()
+
+    def sink() -> MemorySink:
+        return MemorySink(saved_learners=runs) if callback is None else _Sink(runs, callback, lock)
+
+    chunks = [(chunk, sink()) for chunk in cut(group, range(runs), layout, [{}], {})]
     task = GroupTask(
         group=group,
         experiment=experiment,
@@ -150,12 +178,12 @@ def _run(experiment: LearningRun, runs: int, seed: int) -> list[MemorySink]:
         seed=seed,
         layout=layout,
         chunks=list(chunks),
-        limits=Limits(float("inf"), float("inf"), bool),
+        limits=Limits(float("inf") if callback is None else 0.0, float("inf"), lambda: bool(errors)),
         compiled=lambda _: None,
         failed=lambda _, error: str(errors.append(error)),
     )
     quiet = SweepProgress("train", runs, console=Console(quiet=True))
-    for _ in execute([task], devices, quiet, bool):
+    for _ in execute([task], devices, quiet, lambda: bool(errors)):
         pass
     if errors:
         raise errors[0]

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pyarrow as pa
 import pytest
 
 from bojax.config.errors import ConfigError
@@ -12,6 +13,7 @@ from bojax.engine.training import train
 from bojax.envs.settings import Chain, MountainCar
 from bojax.learning.settings import EMUQ, AdditiveRewards, Budget, RandomFourierFeatures
 from bojax.results.store import read_table
+from bojax.results.tables import sort_rows
 from tests.engine.drive import run_sweep
 from tests.learning.probes import Bandit
 
@@ -44,6 +46,27 @@ def test_parts_are_modules_or_settings_and_a_run_does_not_depend_on_the_others(t
     assert alone.episodes.num_rows == 6
     assert alone.episodes.equals(trained.episodes.slice(0, 6))
     np.testing.assert_allclose(alone.learned.columns[0], trained.learned.columns[0], atol=1e-12)
+
+
+def test_a_callback_gets_the_rows_of_each_episode(trained):
+    parts = []
+    again = train(CHAIN, "additive", runs=3, schedule=Budget(episodes=2), callback=parts.append, **HOW)
+    assert [set(part["episode"].to_pylist()) for part in parts] == [{1}, {2}, {3}]
+    assert [part["run"].to_pylist() for part in parts] == [[0, 0, 1, 1, 2, 2]] * 3
+    assert sort_rows(pa.concat_tables(parts)).equals(again.episodes)
+    assert again.episodes.equals(trained.episodes)
+
+
+def test_an_exception_in_the_callback_ends_the_training():
+    calls = []
+
+    def fail(rows):
+        calls.append(rows)
+        raise StopIteration("enough")
+
+    with pytest.raises(StopIteration, match="enough"):
+        train(CHAIN, "additive", runs=3, callback=fail, **HOW)
+    assert len(calls) == 1
 
 
 def test_it_stops_at_the_first_success():
