@@ -20,6 +20,7 @@ from bojax.report import source, style
 from bojax.report.drawing.base import Undrawable
 from bojax.report.figures import draw, ranked
 from bojax.report.page import summary
+from bojax.report.ranking import best_of, config_of, measure_of
 from bojax.report.verdicts import read_claims
 from bojax.results.store import read_manifest, read_table
 
@@ -163,6 +164,22 @@ class Results:
             except Undrawable as problem:
                 reason = f"the figure {each} is not drawn: {problem}"
         raise BojaxError(f"{self.folder}: {reason}")
+
+    def best(self, by: str | None = None) -> dict[str, Any]:
+        """The config of the best point of a sweep, with another seed: `bojax.run(results.best(), runs=200)`.
+
+        The best of many points was chosen by its own runs, so its mean over them is optimistic. That of new
+        runs is not.
+
+        Args:
+            by: Column of `runs` whose mean decides, with a minus sign if less is better: `"-rmse"`. By
+                default `report.rank_by`, or `"-steps_to_goal"` if a learner reached a goal, or `"return"`.
+
+        Raises:
+            BojaxError: There is no such column of numbers.
+        """
+        with in_one_line():
+            return config_of(self._results, best_of(self._results, measure_of(self._results, by)).point)
 
     @override
     def __repr__(self) -> str:

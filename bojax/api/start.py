@@ -13,7 +13,7 @@ from bojax.api.results import Results, load
 from bojax.config.files import STANDARD_INPUT
 from bojax.config.overrides import SOURCE
 from bojax.config.sweep import UNNAMED, load_config, load_sweep
-from bojax.results.folder import choose_folder, is_unfinished, make_new
+from bojax.results.folder import is_unfinished, reserve_folder
 from bojax.results.store import MANIFEST
 
 Given = str | os.PathLike[str] | Mapping[str, Any]
@@ -93,8 +93,7 @@ def _start(
         # A mistake ends here, before a process starts and before anything is written.
         load_it = load_config if command == "run" else load_sweep
         loaded = load_it(source, overrides, runs, seed)
-        folder, is_resumed = choose_folder(loaded.name, None if out is None else Path(out), resume=resume)
-        folder = make_new(folder) if out is None and not is_resumed else folder
+        folder, is_resumed = reserve_folder(loaded.name, None if out is None else Path(out), resume=resume)
     words = ["bojax", command, source if isinstance(source, str) else STANDARD_INPUT, *overrides]
     for option, value in (("--runs", runs), ("--seed", seed), ("--out", folder)):
         words += [] if value is None else [option, str(value)]

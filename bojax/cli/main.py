@@ -19,6 +19,7 @@ COMMANDS = {
     "sweep": ("running", "run a sweep of sweeps/ and write its report"),
     "reproduce": ("reproducing", "run the sweeps of a figure, a chapter or the whole thesis"),
     "report": ("reporting", "rebuild the figures, tables and claims of results folders"),
+    "best": ("best", "print the config of the best point of a sweep, and confirm its score"),
     "render": ("rendering", "draw a film or a still of a recorded run"),
     "bench": ("bench", "run benchmarks that compare bojax with other packages"),
     "doctor": ("doctor", "check versions, devices, precision and folders"),

@@ -123,6 +123,13 @@ class Report(Schema, frozen=True):
     column: str | None = Field(
         default=None, description="column of runs.parquet that growth and sweep-curve draw"
     )
+    rank_by: str | None = Field(
+        default=None,
+        description="column of runs.parquet by which points are ranked, with a minus sign if less is better",
+    )
+    heat_map: tuple[str, str] | None = Field(
+        default=None, strict=False, description="the two swept numbers of heat-map"
+    )
 
 
 class SweepFile(Schema, frozen=True):

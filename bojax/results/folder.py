@@ -156,6 +156,15 @@ def choose_folder(name: str, out: Path | None, *, resume: bool) -> tuple[Path, b
     return out, False
 
 
+def reserve_folder(name: str, out: Path | None, *, resume: bool) -> tuple[Path, bool]:
+    """The same, and the folder `results/<name>/<timestamp>` is made, so that no other process takes it."""
+    folder, is_resumed = choose_folder(name, out, resume=resume)
+    if out is None and not is_resumed:
+        with explained(folder):
+            folder = make_new(folder)
+    return folder, is_resumed
+
+
 def make_new(path: Path) -> Path:
     """Make a folder and return it; a number is appended to its name if there is one of this name."""
     made, number = path, 2

@@ -19,7 +19,8 @@ def calls(tmp_path, monkeypatch):
     made: list[tuple] = []
     codes: dict[str, int] = {}
 
-    def run_sweeps(requests, resume, command, finish):
+    def run_sweeps(requests, resume, command, finish, exits):
+        assert exits
         for request in requests:
             made.append(("run", request.sweep, request.out, resume, command))
             if request.sweep.name not in codes:

@@ -23,7 +23,7 @@ def here(tmp_path, monkeypatch):
 MISTAKES = {
     "an unknown command": (
         ["swep"],
-        "unknown command swep; allowed: bench, doctor, list, render, report, reproduce, run, sweep; "
+        "unknown command swep; allowed: bench, best, doctor, list, render, report, reproduce, run, sweep; "
         'did you mean "sweep"?',
     ),
     "a path of many names": (

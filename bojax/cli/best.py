@@ -1,0 +1,71 @@
+"""`bojax best`: the best point of a sweep as a config, and its score on fresh runs."""
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+
+import yaml
+
+from bojax.cli.parser import Parser, UsageError, integer
+from bojax.cli.running import resolved, run
+from bojax.config.errors import printable
+from bojax.config.sweep import load_config
+
+_EXAMPLES = """\
+  bojax best results/grid > best.yaml          the config of the point with the best mean return
+  bojax best results/grid --by=-rmse           that with the least mean error; a minus sign: less is better
+  bojax best results/grid --confirm 200        its score in 200 fresh runs
+  bojax best results/grid | bojax run -        the same with as many runs as in the sweep
+"""
+
+_DESCRIPTION = """\
+Print the config of the best point of a finished sweep. The best of many points was chosen by its own runs, so
+its mean over them is optimistic. The config has another seed; --confirm runs it, and prints the mean of new
+runs, which is not.
+"""
+
+
+def main(name: str, words: Sequence[str]) -> int:
+    """Run the command and return its exit code."""
+    parser = Parser(
+        prog=f"bojax {name}",
+        usage=f"bojax {name} DIR [--by COLUMN] [--confirm N [--out DIR] [--resume]]",
+        description=_DESCRIPTION,
+        examples=_EXAMPLES,
+    )
+    parser.add_argument("folder", metavar="DIR", type=Path, help="results folder")
+    parser.add_argument(
+        "--by",
+        metavar="COLUMN",
+        help="column of runs.parquet, with a minus sign if less is better (default: report.rank_by; without "
+        "it -steps_to_goal if a learner reached a goal, otherwise return)",
+    )
+    parser.add_argument("--confirm", type=integer, metavar="N", help="run the best point with N fresh runs")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="folder of these runs (default: results/NAME-best/TIME)"
+    )
+    parser.add_argument("--resume", action="store_true", help="resume interrupted runs of --confirm")
+    args = parser.parse_intermixed_args(list(words))
+    if args.confirm is None and (args.out is not None or args.resume):
+        raise UsageError(f"bojax {name}: --out and --resume: allowed only with --confirm")
+
+    from bojax.report.ranking import best_of, config_of, measure_of, scored
+    from bojax.report.source import load
+    from bojax.results.folder import reserve_folder
+
+    results = load(args.folder)
+    measure = measure_of(results, args.by)
+    best = best_of(results, measure)
+    config = config_of(results, best.point)
+    chosen = load_config(config, runs=args.confirm)  # a config that this version refuses is not printed
+    print(f"# {printable(best.point.name)}, the best of {len(results.points)} points in {args.folder}")
+    print(f"# {scored(measure, best)}; chosen by these same runs, so this mean is optimistic")
+    print(yaml.safe_dump(config, sort_keys=False, allow_unicode=True), end="", flush=True)
+    if args.confirm is None:
+        return 0
+    chosen = dataclasses.replace(chosen, name=f"{results.name}-best")
+    folder, is_resumed = reserve_folder(chosen.name, args.out, resume=args.resume)
+    code = run([resolved(chosen)], folder, is_resumed, ["bojax", name, *words])
+    if code == 0:
+        print(scored(measure, best_of(load(folder), measure)))
+    return code

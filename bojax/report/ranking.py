@@ -1,0 +1,143 @@
+"""The points of a sweep in the order of a mean over their runs, and the config of the best one."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bojax.config.errors import allowed_names
+from bojax.report import statistics
+from bojax.report.columns import Columns
+from bojax.report.source import Point, Results
+from bojax.report.statistics import Floats, Interval
+from bojax.report.text import counted, with_bounds
+from bojax.results.store import ResultsError
+
+ENDS = {"steps_to_goal": "steps", "episodes_to_goal": "episodes", "episodes_to_target": "episodes"}
+"""For columns that are null in a run without success: the column of the end of the run, which then counts."""
+
+_NOT_MEASURED = ("point", "run", "seed", "nans")
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A column of `runs.parquet`, and whether its least mean is the best.
+
+    Attributes:
+        column: Name of the column.
+        is_least: Whether less is better.
+    """
+
+    column: str
+    is_least: bool
+
+    @property
+    def words(self) -> str:
+        """What is ranked, in words."""
+        bound = ", or to the end of a run" if self.column in ENDS else ""
+        return f"mean {self.column.replace('_', ' ')}{bound}"
+
+    @property
+    def sign(self) -> float:
+        """The factor with which more is better."""
+        return -1.0 if self.is_least else 1.0
+
+    def values(self, runs: Columns) -> Floats:
+        """Its value in each run; NaN if a run has none."""
+        values, end = runs[self.column].astype(np.float64), ENDS.get(self.column)
+        return values if end is None else np.where(np.isfinite(values), values, runs[end])
+
+
+@dataclass(frozen=True)
+class Standing:
+    """A point in a ranking.
+
+    Attributes:
+        point: The point.
+        runs: Number of its runs.
+        mean: Mean of the measure with its 95% interval.
+        lag: Mean difference from the best point over the runs of both, with its 95% interval; positive where
+            this point is worse.
+    """
+
+    point: Point
+    runs: int
+    mean: Interval
+    lag: Interval
+
+
+def measure_of(results: Results, by: str | None = None) -> Measure:
+    """The measure by which points are ranked.
+
+    Args:
+        results: The results.
+        by: A column, with a minus sign if less is better: `-rmse`. By default `report.rank_by`; without it
+            `-steps_to_goal` if a learner reached a goal, and else `return`.
+
+    Raises:
+        ResultsError: There is no such column of numbers.
+    """
+    by = by or results.report.rank_by or _usual(results)
+    column = by.removeprefix("-")
+    swept = {key for point in results.points for key in point.swept}
+    known = [
+        name
+        for name, values in results.runs.items()
+        if values.dtype.kind in "bfiu" and name not in {*_NOT_MEASURED, *swept}
+    ]
+    if column not in known:
+        raise ResultsError(f"runs.parquet: unknown column {column}{allowed_names(column, known)}")
+    return Measure(column, by.startswith("-"))
+
+
+def ranking(results: Results, measure: Measure) -> list[Standing]:
+    """The points with runs, the best first; those with a run without a finite value are left out."""
+    runs = {point.index: results.runs_of(point) for point in results.points}
+    values = {index: measure.values(table) for index, table in runs.items()}
+    points = [point for point in results.points if values[point.index].size]
+    points = [point for point in points if np.isfinite(values[point.index]).all()]
+    points.sort(key=lambda point: -measure.sign * float(values[point.index].mean()))  # ties stay in order
+    standings = []
+    for point in points:
+        own, best = (each.index for each in (point, points[0]))
+        _, here, there = np.intersect1d(runs[own]["run"], runs[best]["run"], return_indices=True)
+        lag = measure.sign * (values[best][there] - values[own][here])
+        is_share = runs[own][measure.column].dtype.kind == "b"
+        mean = (statistics.share_interval if is_share else statistics.mean_interval)(values[own])
+        standings.append(Standing(point, values[own].size, mean, statistics.mean_interval(lag)))
+    return standings
+
+
+def best_of(results: Results, measure: Measure) -> Standing:
+    """The best point.
+
+    Raises:
+        ResultsError: Every point has a run without a finite value.
+    """
+    standings = ranking(results, measure)
+    if not standings:
+        raise ResultsError(f"{results.folder}: {measure.column} is not finite in some run of every point")
+    return standings[0]
+
+
+def scored(measure: Measure, standing: Standing) -> str:
+    """The score of a point in one line."""
+    mean, bounds = with_bounds(standing.mean.estimate, standing.mean.low, standing.mean.high)
+    return f"{measure.words}: {mean}, 95% interval {bounds}, {counted(standing.runs, 'run')}"
+
+
+def config_of(results: Results, point: Point) -> dict[str, Any]:
+    """The experiment of a point as the content of a config file. Its seed is the next one, for new runs."""
+    settings = dict(point.config)
+    kind = settings.pop("kind")
+    seed = ((results.manifest.seed or 0) + 1) % 2**32
+    runs = int(results.runs_of(point)["run"].size)
+    title = f"{results.title}: {point.name}"
+    return {"title": title, "experiment": kind, **settings, "runs": runs, "seed": seed}
+
+
+def _usual(results: Results) -> str:
+    steps = results.runs.get("steps_to_goal")
+    if steps is not None and np.isfinite(steps.astype(np.float64)).any():
+        return "-steps_to_goal"
+    return "return"
