@@ -14,7 +14,7 @@ from bojax.report.figures import draw, ranked
 from bojax.report.manifest import Unread
 from bojax.report.page import Plate, render
 from bojax.report.source import Results, load
-from bojax.report.tables import count_nan_runs, thesis_gaps
+from bojax.report.tables import count_nan_runs, ranking_gaps, thesis_gaps
 from bojax.report.text import counted, joined
 from bojax.results.store import ResultsError, explained, write_atomically
 from bojax.text import error_line
@@ -35,7 +35,7 @@ def build_report(folder: Path, at: Callable[[str], None] = lambda stage: None) -
     claims = evaluate(results)
     images, plates, notes = _figures(results, at)
     at("page")
-    notes = [*notes, *thesis_gaps(results), *_gaps(results), *_unknown(results)]
+    notes = [*notes, *thesis_gaps(results), *ranking_gaps(results), *_gaps(results), *_unknown(results)]
     page = render(results, claims, plates, notes)
 
     figures = folder / "figures"

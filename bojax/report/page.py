@@ -53,6 +53,7 @@ def render(
         changed=results.manifest.changes,
         claims=tested,
         plates=plates,
+        ranked=tables.ranked(results),
         outcomes=tables.outcomes(results),
         ratios=tables.ratios(results),
         has_thesis=bool(results.report.thesis),

@@ -1,6 +1,6 @@
 """The tables of the page: outcomes of the runs, ratios, speed and settings."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,8 +8,16 @@ import numpy as np
 
 from bojax.experiments.settings import Trajectories
 from bojax.report import statistics
+from bojax.report.ranking import measure_of, ranking
 from bojax.report.source import Point, Results
 from bojax.report.text import MISSING, counted, joined, number, percent, plain, seconds, with_bounds
+from bojax.results.store import ResultsError
+
+FEW_POINTS = 12
+"""Most points of a sweep that need no table of ranks."""
+
+MAX_RANKED = 500
+"""Most points in the table of ranks."""
 
 BY_STEP = 6
 """Step by which early success is counted unless `report.by_step` is given (thesis, p. 100)."""
@@ -30,6 +38,23 @@ class Table:
 
     headings: list[str]
     rows: list[tuple[str, list[Cell]]]
+
+
+@dataclass(frozen=True)
+class RankedRow:
+    """A row of the table of ranks: its rank, and text, interval and sort key of each cell."""
+
+    rank: int
+    cells: list[tuple[str, str, float | str]]
+
+
+@dataclass(frozen=True)
+class RankedTable:
+    """Points in the order of a mean: headings, rows with the best point first, and what is said of them."""
+
+    headings: list[str]
+    rows: list[RankedRow]
+    caption: str
 
 
 @dataclass(frozen=True)
@@ -65,6 +90,50 @@ def outcomes(results: Results) -> Table:
         rows.append((point.name, cells))
     last = ["runs with NaN"] if has_numbers else []
     return Table(["runs", *(measure.heading for measure in measures), *last], rows)
+
+
+def ranked(results: Results) -> RankedTable | None:
+    """The points in the order of the measure of `report.rank_by`; None for up to `FEW_POINTS` points."""
+    if len(results.points) <= FEW_POINTS:
+        return None
+    try:
+        measure = measure_of(results)
+    except ResultsError:  # `ranking_gaps` says so
+        return None
+    standings = ranking(results, measure)[:MAX_RANKED]
+    if not standings:
+        return None
+    points = [standing.point for standing in standings]
+    keys = [key for key in points[0].swept if len(swept_values(points, key)) > 1]
+    rows = []
+    for rank, standing in enumerate(standings, start=1):
+        mean, lag = standing.mean, standing.lag
+        cells: list[tuple[str, str, float | str]] = [
+            (*with_bounds(mean.estimate, mean.low, mean.high), mean.estimate),
+            (*with_bounds(lag.estimate, lag.low, lag.high), lag.estimate) if rank > 1 else (MISSING, "", 0.0),
+            *(_swept_cell(standing.point.swept.get(key)) for key in keys),
+            (f"{standing.runs:,}", "", standing.runs),
+        ]
+        rows.append(RankedRow(rank, cells))
+    order = "least" if measure.is_least else "greatest"
+    caption = (
+        f"{counted(len(rows), 'point')} by {measure.words}, the {order} first, 95% intervals in brackets. "
+        "Behind the best: mean difference over equal runs. Where its interval contains 0, these runs do not "
+        "tell the point from the best one. The best point was chosen by these same runs, so its mean is "
+        "optimistic; bojax best --confirm gives the mean of new runs."
+    )
+    if left_out := len(results.points) - len(rows):
+        caption += f" {counted(left_out, 'point')} left out."
+    return RankedTable([measure.words, "behind the best", *keys, "runs"], rows, caption)
+
+
+def ranking_gaps(results: Results) -> list[str]:
+    """A note if `report.rank_by` names no column of numbers."""
+    try:
+        measure_of(results)
+    except ResultsError as error:
+        return [] if results.report.rank_by is None else [f"report.rank_by: {error}."]
+    return []
 
 
 def ratios(results: Results) -> Table | None:
@@ -241,6 +310,19 @@ def share_cell(flags: np.ndarray) -> Cell:
     """Share with its Wilson interval."""
     interval = statistics.share_interval(flags)
     return Cell(percent(interval.estimate), f"[{percent(interval.low)}, {percent(interval.high)}]")
+
+
+def swept_values(points: Sequence[Point], key: str) -> list[Any]:
+    """The values of a swept key, in the order of the sweep."""
+    values = [point.swept[key] for point in points if key in point.swept]
+    return [value for index, value in enumerate(values) if value not in values[:index]]  # lists have no hash
+
+
+def _swept_cell(value: Any) -> tuple[str, str, float | str]:
+    if value is None:
+        return MISSING, "", ""
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return plain(value), "", value if is_number else plain(value)
 
 
 def _heading(column: str) -> str:

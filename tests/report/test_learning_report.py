@@ -207,7 +207,7 @@ class TestSweptNumber:
             draw("sweep-curve", load(folder))
 
 
-@pytest.mark.parametrize("name", ["accumulated-reward", "success", "paths", "errors", "beliefs", "settings"])
+@pytest.mark.parametrize("name", ["accumulated-reward", "success", "paths", "errors", "beliefs"])
 def test_figures_of_planning_are_not_drawn_of_learners(name, chains):
     with pytest.raises(Undrawable):
         draw(name, chains)

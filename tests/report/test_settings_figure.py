@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from bojax.report.drawing.base import Undrawable
-from bojax.report.figures.settings_ import _curve_names, _short, marginals, values_of
+from bojax.report.figures.settings_ import _curve_names, _short, marginals
+from bojax.report.tables import swept_values
 from tests.report.synthetic import point_of
 
 
@@ -32,7 +33,7 @@ def test_named_axes_are_curves_and_lists_are_panels():
     keys = ["planner", "planner.kappa", "planner.depth"]
     assert _curve_names(points, keys) == [point.variant for point in points]
     assert keys == ["planner.kappa", "planner.depth"]
-    assert values_of(points, "planner.depth") == [2, 3]
+    assert swept_values(points, "planner.depth") == [2, 3]
 
 
 def test_a_sweep_of_names_alone_has_no_such_figure():

@@ -7,8 +7,11 @@ import numpy as np
 
 from bojax.report import style
 from bojax.report.drawing.base import Drawing, Undrawable, panel_grid
+from bojax.report.ranking import measure_of
 from bojax.report.source import Point, Results
+from bojax.report.tables import swept_values
 from bojax.report.text import number
+from bojax.results.store import ResultsError
 
 RANK = 170
 
@@ -17,27 +20,29 @@ MAX_PANELS = 8
 
 def draw(results: Results) -> Drawing:
     """One panel for each swept list of values, with two curves per label."""
-    if "return" not in results.runs:
-        raise Undrawable("runs.parquet has no return")
-    if any(point.is_learning for point in results.points):
-        raise Undrawable("a run of a learner has many returns: sweep-curve draws a mean over a swept number")
+    try:
+        measure = measure_of(results)
+    except ResultsError as error:
+        raise Undrawable(str(error)) from None
     points = [point for point in results.points if results.runs_of(point)["run"].size]
     swept = dict.fromkeys(key for point in points for key in point.swept)
-    keys = [key for key in swept if len(values_of(points, key)) > 1][:MAX_PANELS]
+    keys = [key for key in swept if len(swept_values(points, key)) > 1][:MAX_PANELS]
     if not keys:
         raise Undrawable("the sweep has no list of values")
     names = _curve_names(points, keys)
     curves = list(dict.fromkeys(names))
-    means = np.array([np.mean(results.runs_of(point)["return"]) for point in points])
+    means = np.array([measure.values(results.runs_of(point)).mean() for point in points])
     if not np.isfinite(means).any():
-        raise Undrawable("no point has a finite mean return")
+        raise Undrawable(f"no point has a finite {measure.words}")
     figure, grid = panel_grid(len(keys), lambda columns: 2.0, 0.8, sharey=True)
     labels = [point.label for point in points]
     for axes, key in zip(grid.flat, keys, strict=False):
-        values = values_of(points, key)
+        values = swept_values(points, key)
         places = np.arange(len(values))
         for curve in curves:
-            best, mean = marginals(points, means, key, values, [name == curve for name in names])
+            is_drawn = [name == curve for name in names]
+            found = marginals(points, measure.sign * means, key, values, is_drawn)
+            best, mean = (measure.sign * each for each in found)
             first = points[names.index(curve)]
             variants = [name for name in curves if points[names.index(name)].label == first.label]
             look = style.look(first.label, labels, variants.index(curve))
@@ -47,25 +52,20 @@ def draw(results: Results) -> Drawing:
         axes.set_title(style.wrapped(key.removeprefix("planner."), 26))
         style.quiet_grid(axes)
     for row in grid:
-        row[0].set_ylabel("mean return")
+        row[0].set_ylabel(style.wrapped(measure.words, 30))
     if len(curves) > 1:
         handles, texts = grid.flat[0].get_legend_handles_labels()
         figure.legend(handles, texts, loc="outside lower center", ncols=min(3, len(curves)))
-    winner = points[int(np.nanargmax(means))]
+    winner = int(np.nanargmax(measure.sign * means))
+    name = points[winner].name
     return Drawing(
         figure=figure,
         title="Effect of the settings",
-        caption="Mean return for each value of a swept setting: the best over all other settings (dots) and "
-        f"the mean over them (faint). Best of {len(points)} settings, selected by these same returns: "
-        f"{winner.name}, {number(float(np.nanmax(means)))}.",
-        alt=f"Line charts of the mean return over {', '.join(keys)}; the best point is {winner.name}.",
+        caption=f"{measure.words.capitalize()} for each value of a swept setting: the best over all other "
+        f"settings (dots) and the mean over them (faint). Best of {len(points)} settings, selected by these "
+        f"same runs: {name}, {number(float(means[winner]))}.",
+        alt=f"Line charts of the {measure.words} over {', '.join(keys)}; the best point is {name}.",
     )
-
-
-def values_of(points: Sequence[Point], key: str) -> list[Any]:
-    """The values of a swept key, in the order of the sweep."""
-    values = [point.swept[key] for point in points if key in point.swept]
-    return [value for index, value in enumerate(values) if value not in values[:index]]  # lists have no hash
 
 
 def marginals(

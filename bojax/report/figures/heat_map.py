@@ -1,0 +1,142 @@
+"""Two swept numbers as a map: at each pair of values, the best mean over all other settings."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import Normalize
+from matplotlib.image import AxesImage
+from matplotlib.patches import Rectangle
+
+from bojax.config.errors import allowed_names
+from bojax.report import style
+from bojax.report.drawing.base import MAX_POINTS, Drawing, Undrawable, panel_grid
+from bojax.report.drawing.maps import draw_scale
+from bojax.report.ranking import Measure, measure_of
+from bojax.report.source import Point, Results
+from bojax.report.statistics import Floats
+from bojax.report.tables import swept_values
+from bojax.report.text import number
+from bojax.results.store import ResultsError
+
+RANK = 175
+
+COLOURS = "cividis"
+"""A colour map that is read equally with all kinds of colour vision."""
+
+MOST_NUMBERS = 60
+"""Most cells of a map in which the number is written."""
+
+BOLD = {"facecolor": "none", "edgecolor": style.ORANGE, "linewidth": 2.2}
+
+
+def draw(results: Results) -> Drawing:
+    """One panel for each variant, on a common scale of colours; the best cell has a frame."""
+    try:
+        measure = measure_of(results)
+    except ResultsError as error:
+        raise Undrawable(str(error)) from None
+    points = [point for point in results.points if results.runs_of(point)["run"].size]
+    horizontal, vertical = _keys(results, points)
+    points = [point for point in points if {horizontal, vertical} <= point.swept.keys()]
+    x, y = (sorted(swept_values(points, key)) for key in (horizontal, vertical))
+    variants = list(dict.fromkeys(point.variant for point in points))[:MAX_POINTS]
+    maps = [
+        best_means(results, measure, [p for p in points if p.variant == name], (horizontal, x), (vertical, y))
+        for name in variants
+    ]
+    known = np.concatenate([each[np.isfinite(each)] for each in maps])
+    if not known.size:
+        raise Undrawable("no point has a finite mean")
+    best = float(known.min() if measure.is_least else known.max())
+    norm = Normalize(float(known.min()), float(known.max()) if np.ptp(known) else float(known.min()) + 1.0)
+    # The colours of good values are light, whether more or less is better.
+    cmap = COLOURS + ("_r" if measure.is_least else "")
+    height = max(1.6, 0.34 * len(y) + 0.5)
+    figure, grid = panel_grid(len(maps), lambda columns: height, 1.3, sharex=True, sharey=True)
+    for axes, values, name in zip(grid.flat, maps, variants, strict=False):
+        image = axes.imshow(values, origin="lower", aspect="auto", norm=norm, cmap=cmap)
+        axes.set_xticks(range(len(x)), [f"{value:g}" for value in x], fontsize=8 if len(x) > 6 else 9.5)
+        axes.set_yticks(range(len(y)), [f"{value:g}" for value in y])
+        axes.tick_params(length=0)
+        axes.spines[:].set_visible(False)
+        if len(maps) > 1:
+            axes.set_title(style.wrapped(name, 26))
+        if len(x) * len(y) <= MOST_NUMBERS and len(x) <= 8:
+            _write_numbers(axes, image, values)
+        for row, column in np.argwhere(values == best):
+            axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, clip_on=False, **BOLD))
+    for row in grid:
+        row[0].set_ylabel(_short(vertical))
+    for axes in grid[-1]:
+        axes.set_xlabel(_short(horizontal))
+    bar = draw_scale(figure, grid[0, 0].images[0], grid.flat, aspect=36, shrink=0.8)
+    bar.set_label(measure.words)
+    style.plain_ticks(bar.ax.xaxis)
+    is_profile = len(points) > sum(int(np.isfinite(values).sum()) for values in maps)
+    over = ", the best over all other settings" if is_profile else ""
+    row, column = np.argwhere(next(values for values in maps if best in values) == best)[0]
+    place = f"{_short(horizontal)} {x[column]:g} and {_short(vertical)} {y[row]:g}"
+    return Drawing(
+        figure=figure,
+        title=f"{_short(vertical)} and {_short(horizontal)}".capitalize(),
+        caption=f"{measure.words.capitalize()} at each pair of values{over}. Frame: the best, {number(best)} "
+        f"at {place}, chosen by these same runs. Empty: not run, or a run without a number.",
+        alt=f"Map of the {measure.words} over {horizontal} and {vertical}; the best value is at {place}.",
+    )
+
+
+def best_means(
+    results: Results,
+    measure: Measure,
+    points: Sequence[Point],
+    horizontal: tuple[str, Sequence[Any]],
+    vertical: tuple[str, Sequence[Any]],
+) -> Floats:
+    """The best mean of the points at each pair of values, `[vertical, horizontal]`; NaN without one."""
+    (x_key, x), (y_key, y) = horizontal, vertical
+    scores = np.full((len(y), len(x)), -np.inf)
+    for point in points:
+        mean = measure.sign * float(measure.values(results.runs_of(point)).mean())
+        cell = y.index(point.swept[y_key]), x.index(point.swept[x_key])
+        if np.isfinite(mean):
+            scores[cell] = max(scores[cell], mean)
+    return np.where(np.isfinite(scores), measure.sign * scores, np.nan)
+
+
+def _keys(results: Results, points: Sequence[Point]) -> tuple[str, str]:
+    """The two swept numbers: those of `report.heat_map`, or the first two."""
+    numeric = [
+        key
+        for key in dict.fromkeys(key for point in points for key in point.swept)
+        if len(values := swept_values(points, key)) > 1 and all(map(_is_number, values))
+    ]
+    asked = results.report.heat_map or tuple(numeric[:2])
+    unknown = [key for key in asked if key not in numeric]
+    if unknown:
+        raise Undrawable(
+            f"report.heat_map: {unknown[0]} is no swept number{allowed_names(unknown[0], numeric)}"
+        )
+    if len(set(asked)) < 2:
+        raise Undrawable("a map needs two swept numbers")
+    return asked[0], asked[1]
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _write_numbers(axes: Axes, image: AxesImage, values: Floats) -> None:
+    """Write the number of each cell in black or white, whichever is read better on its colour."""
+    colours = image.to_rgba(values)
+    for (row, column), value in np.ndenumerate(values):
+        if np.isfinite(value):
+            red, green, blue, _ = colours[row, column]
+            ink = "#111111" if 0.299 * red + 0.587 * green + 0.114 * blue > 0.5 else "#fefefe"
+            text = number(float(value)).replace("-", "\N{MINUS SIGN}")
+            axes.text(column, row, text, ha="center", va="center", color=ink, fontsize=8)
+
+
+def _short(key: str) -> str:
+    return key.rsplit(".", 1)[-1].replace("_", " ")
