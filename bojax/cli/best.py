@@ -8,7 +8,7 @@ import yaml
 
 from bojax.cli.parser import Parser, UsageError, integer
 from bojax.cli.running import resolved, run
-from bojax.config.errors import printable
+from bojax.config.errors import dotted, printable
 from bojax.config.sweep import load_config
 
 _EXAMPLES = """\
@@ -52,6 +52,7 @@ def main(name: str, words: Sequence[str]) -> int:
     from bojax.report.ranking import best_of, config_of, measure_of, scored
     from bojax.report.source import load
     from bojax.results.folder import reserve_folder
+    from bojax.results.store import MANIFEST
 
     results = load(args.folder)
     measure = measure_of(results, args.by)
@@ -63,7 +64,12 @@ def main(name: str, words: Sequence[str]) -> int:
     print(yaml.safe_dump(config, sort_keys=False, allow_unicode=True), end="", flush=True)
     if args.confirm is None:
         return 0
-    chosen = dataclasses.replace(chosen, name=f"{results.name}-best")
+    place = f"{args.folder / MANIFEST}: points.{best.point.index}.config"
+    chosen = dataclasses.replace(
+        chosen,
+        name=f"{results.name}-best",
+        locate=lambda _, location: f"{place}.{dotted(location)}",  # the module that it names is announced
+    )
     folder, is_resumed = reserve_folder(chosen.name, args.out, resume=args.resume)
     code = run([resolved(chosen)], folder, is_resumed, ["bojax", name, *words])
     if code == 0:

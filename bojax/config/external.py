@@ -21,7 +21,7 @@ import pydantic
 from bojax.config.catalog import roles
 from bojax.config.component import Component, External
 from bojax.config.errors import ConfigError, Location, did_you_mean, from_validation, shown
-from bojax.config.files import EXPERIMENT
+from bojax.config.files import WRITTEN
 from bojax.config.signature import fields_of
 from bojax.config.sweep import Sweep
 from bojax.text import error_line
@@ -37,7 +37,7 @@ def imports_code(sweep: Sweep) -> bool:
 def resolve(sweep: Sweep) -> Sweep:
     """The sweep with every import path imported and the settings validated; this runs the user's code.
 
-    A module that is named in the file of a saved learner is printed before it is imported.
+    A module that a file of a results folder names is printed before it is imported.
 
     Raises:
         ConfigError: The module or class does not exist, or the class does not accept the settings.
@@ -77,12 +77,12 @@ def _resolve(component: Component, path: Location, locate: Locate) -> Component:
 
 @cache
 def _announce(module: str, place: str) -> None:
-    """Print the name of a module before its import if the config of a saved learner names it.
+    """Print the name of a module before its import if a results folder names it.
 
     The config may come from somebody else, and importing the module runs its code.
     """
     root, *below = module.split(".")
-    if Path(place.rpartition(": ")[0]).name != EXPERIMENT or not root.isidentifier():
+    if Path(place.rpartition(": ")[0]).name not in WRITTEN or not root.isidentifier():
         return
     loaded = sys.modules.get(root)
     spec = importlib.util.find_spec(root) if loaded is None else getattr(loaded, "__spec__", None)

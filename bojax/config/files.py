@@ -10,6 +10,9 @@ SUFFIXES = (".yaml", ".yml")
 EXPERIMENT = "experiment.yaml"
 """Name of the config in the folder of a saved learner."""
 
+WRITTEN = (EXPERIMENT, "manifest.json")
+"""Files of results folders that hold a config: it may be somebody else's."""
+
 STANDARD_INPUT = "-"
 """The word of the command line for a file that is read from standard input."""
 

@@ -50,6 +50,19 @@ def test_mistakes(folder, capsys, words, message):
     assert err.startswith(f"error: {message}") and err.count("\n") == 1
 
 
+def test_a_module_that_the_folder_names_is_announced(folder, capsys):
+    (folder.parent / "their_planner.py").write_text("raise ValueError('imported')")
+    manifest = folder / "manifest.json"
+    manifest.write_text(manifest.read_text().replace('{"kind": "kcbts"', '{"kind": "their_planner:Mine"'))
+    assert main(["best", "made-up"]) == 0
+    assert capsys.readouterr().err == ""
+    assert main(["best", "made-up", "--confirm", "1"]) == 2
+    announced, error = capsys.readouterr().err.splitlines()
+    place = "made-up/manifest.json: points.0.config.planner.kind"
+    assert announced == f"importing their_planner ({folder.parent}/their_planner.py), named in {place}"
+    assert error.startswith(f'error: {place}: got "their_planner:Mine"; importing their_planner failed')
+
+
 def test_fresh_runs_confirm_the_score(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     made_up = write_learning(tmp_path / "made-up", runs=3, episodes=2)
