@@ -82,6 +82,7 @@ def test_a_command_is_understood(page, words, monkeypatch, capsys, tmp_path):
     for function in ("running.run", "reproducing._run"):
         monkeypatch.setattr(f"bojax.cli.{function}", lambda sweeps, *_: asked.extend(sweeps) or 0)
     monkeypatch.setattr("bojax.cli.reporting.main", lambda *_: 0)
+    monkeypatch.setattr("bojax.cli.best.main", lambda *_: 0)
     monkeypatch.setattr("bojax.cli.rendering.main", lambda *_: 0)
     monkeypatch.setattr("bojax.cli.doctor.main", lambda *_: 0)
     monkeypatch.chdir(ROOT / "examples" if any("my_" in word for word in words) else ROOT)
