@@ -18,6 +18,9 @@ from rich.console import Console
 from bojax.api.ended import Ended
 from bojax.engine.bar import PROGRESS, Bar
 
+_OF_TERMINALS = ("FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE")
+"""Environment variables with which rich takes a pipe for a terminal."""
+
 
 class Output:
     """What a process prints: progress goes to a bar, messages are printed, errors are kept.
@@ -61,30 +64,32 @@ def run_command(words: Sequence[str], config: str | None) -> Ended:
         words: The words of the command line.
         config: YAML that the process reads from standard input.
     """
+    # The process writes to a pipe, whatever a notebook says of terminals.
+    inherited = {name: value for name, value in os.environ.items() if name not in _OF_TERMINALS}
     paths = [path for path in sys.path if path]
-    process = subprocess.Popen(
+    output = Output()
+    with subprocess.Popen(
         [sys.executable, "-m", "bojax", *words],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
-        env={**os.environ, PROGRESS: "json", "PYTHONPATH": os.pathsep.join(paths)},
+        env={**inherited, PROGRESS: "json", "PYTHONPATH": os.pathsep.join(paths)},
         start_new_session=True,  # a notebook and a terminal send SIGINT to all processes of a group
-    )
-    output = Output()
-    try:
-        _feed(process, config or "")
-        while True:
-            try:
-                assert process.stdout is not None
-                for line in process.stdout:
-                    output.take(line.decode(errors="backslashreplace").rstrip("\n"))
-                return Ended(process.wait(), output.lines)
-            except KeyboardInterrupt:
-                process.send_signal(signal.SIGINT)
-    finally:
-        output.close()
-        if process.poll() is None:  # an error of the display
-            process.terminate()
+    ) as process:
+        try:
+            _feed(process, config or "")
+            while True:
+                try:
+                    assert process.stdout is not None
+                    for line in process.stdout:
+                        output.take(line.decode(errors="backslashreplace").rstrip("\n"))
+                    return Ended(process.wait(), output.lines)
+                except KeyboardInterrupt:
+                    process.send_signal(signal.SIGINT)
+        finally:
+            output.close()
+            if process.poll() is None:  # an error of the display
+                process.terminate()
 
 
 def _feed(process: subprocess.Popen[bytes], text: str) -> None:

@@ -34,6 +34,7 @@ class Broken(Bandit):
 @pytest.fixture(autouse=True)
 def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("FORCE_COLOR", "1")  # as in a notebook
     return tmp_path
 
 
@@ -66,6 +67,7 @@ def test_a_mapping_runs_in_a_process_of_its_own(caller, capfd):
     assert results.report.is_file()
     shown = capfd.readouterr()
     assert "compiled additive" in shown.err and '"title"' not in shown.err and shown.out == ""
+    assert "report: " not in shown.err
 
 
 def test_a_class_runs_in_this_process(caller):
