@@ -90,15 +90,21 @@ def measure_of(results: Results, by: str | None = None) -> Measure:
     return Measure(column, by.startswith("-"))
 
 
-def ranking(results: Results, measure: Measure) -> list[Standing]:
-    """The points with runs, the best first; those with a run without a finite value are left out."""
+def ranking(results: Results, measure: Measure, most: int | None = None) -> list[Standing]:
+    """The points with runs, the best first; those with a run without a finite value are left out.
+
+    Args:
+        results: The results.
+        measure: What is compared.
+        most: Largest number of points to return; None for all.
+    """
     runs = {point.index: results.runs_of(point) for point in results.points}
     values = {index: measure.values(table) for index, table in runs.items()}
     points = [point for point in results.points if values[point.index].size]
     points = [point for point in points if np.isfinite(values[point.index]).all()]
     points.sort(key=lambda point: -measure.sign * float(values[point.index].mean()))  # ties stay in order
     standings = []
-    for point in points:
+    for point in points[:most]:
         own, best = (each.index for each in (point, points[0]))
         _, here, there = np.intersect1d(runs[own]["run"], runs[best]["run"], return_indices=True)
         lag = measure.sign * (values[best][there] - values[own][here])
@@ -114,7 +120,7 @@ def best_of(results: Results, measure: Measure) -> Standing:
     Raises:
         ResultsError: Every point has a run without a finite value.
     """
-    standings = ranking(results, measure)
+    standings = ranking(results, measure, most=1)
     if not standings:
         raise ResultsError(f"{results.folder}: {measure.column} is not finite in some run of every point")
     return standings[0]

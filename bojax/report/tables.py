@@ -100,21 +100,17 @@ def ranked(results: Results) -> RankedTable | None:
         measure = measure_of(results)
     except ResultsError:  # `ranking_gaps` says so
         return None
-    standings = ranking(results, measure)[:MAX_RANKED]
+    standings = ranking(results, measure, MAX_RANKED)
     if not standings:
         return None
     points = [standing.point for standing in standings]
     keys = [key for key in points[0].swept if len(swept_values(points, key)) > 1]
     rows = []
     for rank, standing in enumerate(standings, start=1):
-        mean, lag = standing.mean, standing.lag
-        cells: list[tuple[str, str, float | str]] = [
-            (*with_bounds(mean.estimate, mean.low, mean.high), mean.estimate),
-            (*with_bounds(lag.estimate, lag.low, lag.high), lag.estimate) if rank > 1 else (MISSING, "", 0.0),
-            *(_swept_cell(standing.point.swept.get(key)) for key in keys),
-            (f"{standing.runs:,}", "", standing.runs),
-        ]
-        rows.append(RankedRow(rank, cells))
+        lag = _ranked_cell(standing.lag) if rank > 1 else (MISSING, "", 0.0)
+        swept = [_swept_cell(standing.point.swept.get(key)) for key in keys]
+        runs = f"{standing.runs:,}", "", standing.runs
+        rows.append(RankedRow(rank, [_ranked_cell(standing.mean), lag, *swept, runs]))
     order = "least" if measure.is_least else "greatest"
     caption = (
         f"{counted(len(rows), 'point')} by {measure.words}, the {order} first, 95% intervals in brackets. "
@@ -316,6 +312,12 @@ def swept_values(points: Sequence[Point], key: str) -> list[Any]:
     """The values of a swept key, in the order of the sweep."""
     values = [point.swept[key] for point in points if key in point.swept]
     return [value for index, value in enumerate(values) if value not in values[:index]]  # lists have no hash
+
+
+def _ranked_cell(interval: statistics.Interval) -> tuple[str, str, float | str]:
+    if not np.isfinite(interval.estimate):  # no run of both points
+        return MISSING, "", ""
+    return *with_bounds(interval.estimate, interval.low, interval.high), interval.estimate
 
 
 def _swept_cell(value: Any) -> tuple[str, str, float | str]:

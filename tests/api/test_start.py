@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+import threading
 
 import jax
 import pytest
@@ -162,6 +163,15 @@ def test_ctrl_c_twice_leaves_at_once(here, interrupt):
     with pytest.raises(bojax.Interrupted, match="resume=True"):
         bojax.run({**CONFIG, "episodes": 5000, "engine": {"segment_seconds": 60.0}}, out="cut")
     assert is_unfinished(here / "cut") and read_manifest(here / "cut")["status"] == "running"
+
+
+def test_a_second_signal_does_not_end_the_process_of_the_caller():
+    said = threading.Semaphore(0)
+    with signals.StopRequest(lambda text: said.release(), exits=False) as stop:
+        for _ in range(2):
+            os.kill(os.getpid(), signal.SIGINT)
+            assert said.acquire(timeout=10)
+    assert stop.exit_code == 130
 
 
 def test_a_process_ends_with_the_one_that_started_it(monkeypatch):

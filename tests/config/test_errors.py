@@ -546,7 +546,7 @@ def test_an_unreadable_file(write, monkeypatch):
     def refuse(*args, **kwargs):
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(type(path), "read_text", refuse)
+    monkeypatch.setattr(type(path), "read_bytes", refuse)
     with pytest.raises(ConfigError) as raised:
         load_config("x.yaml")
     assert str(raised.value) == "x.yaml: cannot be read: Permission denied"

@@ -133,6 +133,14 @@ def test_the_table_of_ranks_is_sorted_and_has_the_best_point_first():
     assert [row[1] for row in keys] == sorted(row[1] for row in keys)
 
 
+def test_without_common_runs_nothing_is_said_of_a_difference():
+    results = grid()
+    results.runs["run"] = results.runs["run"] + 1000 * (results.runs["point"] % 2)
+    table = ranked(results)
+    assert [row.rank for row in table.rows] == list(range(1, 17))
+    assert sum(row.cells[1] == ("–", "", "") for row in table.rows) == 8
+
+
 def test_few_points_need_no_table():
     names = [str(number) for number in range(FEW_POINTS)]
     assert ranked(in_memory({name: {"return": np.ones(3)} for name in names})) is None
