@@ -53,6 +53,7 @@ COLOURS: Mapping[str, str] = {
     "dora": GREEN,
     "rnd": SKY,
     "bootstrapped-q": YELLOW,
+    "vime": PINK,
     "exploration-values": BLUE,
     "additive": ORANGE,
     "epsilon-greedy": GREY,

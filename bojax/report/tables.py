@@ -244,7 +244,9 @@ def _measures(results: Results) -> list[_Measure]:
     if not is_learning and not all(point.has_success for point in points):
         special = [measure for measure in special if measure.name != "success"]
     others = [
-        _Measure(_heading(column), column, share_cell if values.dtype.kind == "b" else mean_cell)
+        _Measure(_heading(column), column, share_cell)
+        if values.dtype.kind == "b"
+        else _Measure(_heading(column), column, own_cell, (column, *(["nans"] if "nans" in runs else [])))
         for column, values in runs.items()
         if column not in known and values.dtype.kind in "bfiu"
     ]
@@ -278,6 +280,15 @@ def mean_cell(values: np.ndarray, *, empty: str = MISSING) -> Cell:
     if values.size == 1:
         return Cell(f"{interval.estimate:,.6g}")
     return Cell(*with_bounds(interval.estimate, interval.low, interval.high))
+
+
+def own_cell(values: np.ndarray, nans: np.ndarray | None = None) -> Cell:
+    """Mean of a column, or nothing if all values are null: the column belongs to a part of other points.
+
+    A null is read as NaN. The NaN values of a run are counted in the column `nans`, its nulls are not.
+    """
+    is_null = nans is not None and not nans.any() and not np.isfinite(values).any()
+    return Cell(MISSING) if is_null else mean_cell(values)
 
 
 def among_cell(values: np.ndarray) -> Cell:

@@ -14,7 +14,8 @@ from bojax.report.figures.growth import nearest_law
 from bojax.report.figures.learning_curves import rolling_mean
 from bojax.report.source import load
 from bojax.report.style import settings
-from tests.report.synthetic import edit_manifest, write_learning, write_results
+from bojax.report.text import MISSING
+from tests.report.synthetic import edit_manifest, in_memory, write_learning, write_results
 from tests.report.test_report import Page
 
 LEARNING = ["learning-curves", "success-episodes", "solved-episodes", "steps-to-goal", "value-maps"]
@@ -73,6 +74,17 @@ class TestTable:
         assert cells["epsilon-greedy"]["episodes to target, all runs"].text == "≥ 20"
         assert cells["epsilon-greedy"]["target reached"].text == "0.0%"
         assert cells["epsilon-greedy"]["return after target"].text == "never"
+
+    def test_a_column_of_one_learner_is_empty_for_the_others(self):
+        runs = {
+            "vime": {"iterations": np.array([3.0, 5.0]), "nans": np.array([0, 0])},
+            "emu-q": {"iterations": np.array([np.nan, np.nan]), "nans": np.array([0, 0])},
+            "broken": {"iterations": np.array([np.nan, np.nan]), "nans": np.array([1, 1])},
+        }
+        table = tables.outcomes(in_memory(runs, episodes={name: np.zeros((2, 1)) for name in runs}))
+        place = table.headings.index("iterations")
+        texts = [cells[place].text for _, cells in table.rows]
+        assert texts == ["4.0", MISSING, "NaN"]
 
     def test_measures_of_planning_are_not_there(self, cells):
         assert not [heading for heading in cells["emu-q"] if "step 6" in heading or "exit" in heading]
