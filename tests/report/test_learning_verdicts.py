@@ -124,7 +124,7 @@ class TestWindow:
         }
         finding = judge(results, test)
         assert finding.ours == 275.0 and finding.verdict == "reproduced" and finding.runs == runs
-        assert "episodes 3 to 4 after the first success, which is number 1" in finding.method
+        assert "episodes 3 to 4, counted from the first success" in finding.method
         fall = {"kind": "trend", "label": "a", "column": "value", "direction": "falls"}
         later = {**window, "from": 11, "to": 11}
         assert judge(results, {**fall, "from": window, "to": later}).ours == -75.0

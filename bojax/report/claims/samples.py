@@ -190,11 +190,5 @@ def episodes_in(window: Window) -> str:
     """A window in words."""
     tests = "the tests after " if window.phase == "test" else ""
     first, last = window.first, window.last
-    if window.counted_from == "first-success":
-        after = "after the first success, which is number 1"
-        return (
-            f"{tests}episode {first} {after}"
-            if first == last
-            else f"{tests}episodes {first} to {last} {after}"
-        )
-    return f"{tests}episode {first}" if first == last else f"{tests}episodes {first} to {last}"
+    counted = "" if window.counted_from == "start" else ", counted from the first success"
+    return f"{tests}episode{f' {first}' if first == last else f's {first} to {last}'}{counted}"
