@@ -190,5 +190,5 @@ def episodes_in(window: Window) -> str:
     """A window in words."""
     tests = "the tests after " if window.phase == "test" else ""
     first, last = window.first, window.last
-    counted = "" if window.counted_from == "start" else ", counted from the first success"
-    return f"{tests}episode{f' {first}' if first == last else f's {first} to {last}'}{counted}"
+    origin = "" if window.counted_from == "start" else ", counted from the first success"
+    return f"{tests}episode{f' {first}' if first == last else f's {first} to {last}'}{origin}"
