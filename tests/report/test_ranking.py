@@ -1,5 +1,6 @@
 """Points in the order of a mean, the table of ranks, and the map of two swept numbers."""
 
+import dataclasses
 import re
 
 import numpy as np
@@ -29,7 +30,15 @@ def grid(runs=30, **columns):
             mean = -((depth - 3.0) ** 2) - np.log10(kappa) ** 2
             points[f"{depth}, {kappa}"] = {"return": mean + noise - noise.mean(), "rmse": -mean + noise**2}
             swept[f"{depth}, {kappa}"] = {"label": "sbo", "planner.depth": depth, "planner.kappa": kappa}
-    return in_memory({name: values | columns for name, values in points.items()}, swept=swept)
+    return swept_results({name: values | columns for name, values in points.items()}, swept)
+
+
+def swept_results(runs, swept):
+    """Results of points that are one variant."""
+    results = in_memory(runs, swept=swept)
+    points = tuple(dataclasses.replace(point, variant="sbo") for point in results.points)
+    object.__setattr__(results, "points", points)
+    return results
 
 
 def swept_of(standing):
@@ -184,6 +193,23 @@ def test_the_map_is_of_the_first_two_numbers_or_of_those_that_the_report_names()
     results = reported(in_memory({"a": {"return": np.ones(3)}}))
     with pytest.raises(Undrawable, match="needs two swept numbers"):
         heat_map.draw(results)
+
+
+def test_long_axes_have_few_ticks():
+    swept = {str(n): {"planner.a": n % 40, "planner.b": n // 40} for n in range(80)}
+    results = swept_results({name: {"return": np.array([float(name)])} for name in swept}, swept)
+    panel = heat_map.draw(reported(results)).figure.axes[0]
+    assert [tick.get_text() for tick in panel.get_xticklabels()] == [
+        "0",
+        "5",
+        "10",
+        "15",
+        "20",
+        "25",
+        "30",
+        "35",
+    ]
+    assert len(panel.texts) == 0
 
 
 def test_the_effect_of_settings_is_of_the_ranked_measure():

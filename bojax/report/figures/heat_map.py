@@ -28,6 +28,9 @@ COLOURS = "cividis"
 MOST_NUMBERS = 60
 """Most cells of a map in which the number is written."""
 
+MOST_TICKS = 8
+"""Most values that are written beside a panel."""
+
 BOLD = {"facecolor": "none", "edgecolor": style.ORANGE, "linewidth": 2.2}
 
 
@@ -53,12 +56,13 @@ def draw(results: Results) -> Drawing:
     norm = Normalize(float(known.min()), float(known.max()) if np.ptp(known) else float(known.min()) + 1.0)
     # The colours of good values are light, whether more or less is better.
     cmap = COLOURS + ("_r" if measure.is_least else "")
-    height = max(1.6, 0.34 * len(y) + 0.5)
+    height = min(max(1.6, 0.34 * len(y) + 0.5), 4.0)
     figure, grid = panel_grid(len(maps), lambda columns: height, 1.3, sharex=True, sharey=True)
     for axes, values, name in zip(grid.flat, maps, variants, strict=False):
         image = axes.imshow(values, origin="lower", aspect="auto", norm=norm, cmap=cmap)
-        axes.set_xticks(range(len(x)), [f"{value:g}" for value in x], fontsize=8 if len(x) > 6 else 9.5)
-        axes.set_yticks(range(len(y)), [f"{value:g}" for value in y])
+        for axis, ticked in ((axes.xaxis, x), (axes.yaxis, y)):
+            shown = range(0, len(ticked), -(-len(ticked) // MOST_TICKS))
+            axis.set_ticks(shown, [f"{ticked[place]:g}" for place in shown])
         axes.tick_params(length=0)
         axes.spines[:].set_visible(False)
         if len(maps) > 1:
@@ -74,10 +78,12 @@ def draw(results: Results) -> Drawing:
     bar = draw_scale(figure, grid[0, 0].images[0], grid.flat, aspect=36, shrink=0.8)
     bar.set_label(measure.words)
     style.plain_ticks(bar.ax.xaxis)
-    is_profile = len(points) > sum(int(np.isfinite(values).sum()) for values in maps)
-    over = ", the best over all other settings" if is_profile else ""
-    row, column = np.argwhere(next(values for values in maps if best in values) == best)[0]
+    cells = {(point.variant, point.swept[horizontal], point.swept[vertical]) for point in points}
+    over = ", the best over all other settings" if len(cells) < len(points) else ""
+    name, values = next((name, values) for name, values in zip(variants, maps, strict=True) if best in values)
+    row, column = np.argwhere(values == best)[0]
     place = f"{_short(horizontal)} {x[column]:g} and {_short(vertical)} {y[row]:g}"
+    place += f" of {name}" if len(maps) > 1 else ""
     return Drawing(
         figure=figure,
         title=f"{_short(vertical)} and {_short(horizontal)}".capitalize(),
