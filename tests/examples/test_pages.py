@@ -71,6 +71,16 @@ def test_the_gallery_names_every_sweep_of_the_thesis():
     assert named - set(groups) <= ours
 
 
+def test_the_readme_counts_claims_as_the_page_of_the_reproduction():
+    page = (DOCS / "reproduction.md").read_text()
+    counts = re.search(r"(\d+) claims, tested by .*: (\d+) reproduced, (\d+) not .* (\d+) inconclusive", page)
+    told = " ".join((ROOT / "README.md").read_text().split())
+    shown = re.search(
+        r"Of (\d+) claims .* (\d+) are reproduced, (\d+) are not, and (\d+) are inconclusive", told
+    )
+    assert counts and shown and counts.groups() == shown.groups()
+
+
 def test_the_readme_is_short():
     assert len((ROOT / "README.md").read_text().split()) <= 900
 
