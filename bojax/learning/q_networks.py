@@ -18,6 +18,7 @@ from bojax.envs.base import Action, Observation
 from bojax.envs.spaces import Discrete, Space
 from bojax.learning.actions import grid_actions, nearest_action
 from bojax.learning.base import Episode, ExplorationState, Learner, Transition
+from bojax.learning.inputs import as_inputs, input_size
 from bojax.learning.memory import Memory
 from bojax.numerics.linalg import matmul
 
@@ -147,8 +148,7 @@ class QNetworkLearner(Learner):
         key_networks, key_extra = jax.random.split(key)
         actions = grid_actions(self.actions_per_dimension, action_space)
         is_discrete = isinstance(observation_space, Discrete)
-        num_inputs = observation_space.num if is_discrete else observation_space.num_dims
-        trained, fixed = self.networks(key_networks, num_inputs, len(actions))
+        trained, fixed = self.networks(key_networks, input_size(observation_space), len(actions))
         observation = jnp.zeros((), jnp.int32) if is_discrete else jnp.zeros_like(observation_space.low)
         # At least one row: an empty array cannot be spread over devices.
         memory = Memory.empty(max(1, capacity), observation, jnp.zeros((), jnp.int32), self.discount.dtype)
@@ -226,10 +226,7 @@ class QNetworkLearner(Learner):
 
     def inputs(self, state: QNetworkState, observation: Observation) -> Float[Array, "*N I"]:
         """Inputs of the networks: observations with bounds mapped to -1 and 1, or one-hot discrete states."""
-        space, dtype = state.observations, self.discount.dtype
-        if isinstance(space, Discrete):
-            return jax.nn.one_hot(observation, space.num, dtype=dtype)
-        return 2.0 * space.to_unit(observation).astype(dtype) - 1.0
+        return as_inputs(state.observations, observation, self.discount.dtype)
 
     def batch(self, state: QNetworkState) -> Batch:
         """The transitions of the next gradient step."""

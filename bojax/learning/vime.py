@@ -12,6 +12,7 @@ from bojax.envs.spaces import Box, Discrete, Space
 from bojax.learning.advantages import LinearBaseline, discounted_sums, td_errors
 from bojax.learning.base import Episode, ExplorationState, Learner, Transition
 from bojax.learning.episode_batch import EpisodeBatch
+from bojax.learning.inputs import as_inputs, input_size
 from bojax.learning.replay import ReplayPool, Standardisation
 from bojax.learning.stochastic_policy import PolicyNetwork
 from bojax.learning.trpo import TRPO, Samples
@@ -83,7 +84,8 @@ class VIME(Learner):
     A lane keeps min(`pool_size`, capacity) rows of 2 D + A numbers in the pool, with D and A the sizes of
     observations and actions, and min(`iteration_steps` + `longest_episode` - 1, capacity) rows of 2 D + A + 3
     in the batch: 1.2 MB in single precision for 100 episodes of 500 steps on mountain car, and 5.6 MB on the
-    hopper. An iteration needs about 20 MB more for each lane that is advanced at the same time.
+    hopper. An iteration needs about 20 MB more for each lane that is advanced at the same time. It costs the
+    same however many lanes are due, so that a batch is slower where episodes end at different times.
 
     Settings: `bojax.learning.settings.VIME`.
     """
@@ -127,11 +129,9 @@ class VIME(Learner):
         key_policy, key_model = jax.random.split(key)
         dtype = self.eta.dtype
         observation, action = _example(observation_space), _example(action_space)
-        num_inputs, num_actions = _size(observation_space), _size(action_space)
-        policy = PolicyNetwork.draw(
-            key_policy, num_inputs, self.policy_units, action_space, self.initial_deviation
-        )
-        sizes = num_inputs + num_actions, self.model_units, num_inputs
+        size = input_size(observation_space)
+        policy = PolicyNetwork.draw(key_policy, size, self.policy_units, action_space, self.initial_deviation)
+        sizes = size + input_size(action_space), self.model_units, size
         model = BayesianNetwork.draw(key_model, sizes, self.prior_deviation)
         # At least one row: an empty array cannot be spread over devices.
         pool_size = max(1, min(self.pool_size, capacity))
@@ -142,7 +142,7 @@ class VIME(Learner):
             observations=observation_space,
             actions=action_space,
             policy=policy,
-            baseline=LinearBaseline.zero(num_inputs, dtype),
+            baseline=LinearBaseline.zero(size, dtype),
             model=model,
             optimiser=self._optimiser.init(eqx.filter(model, eqx.is_array)),
             pool=ReplayPool.empty(pool_size, observation, action),
@@ -160,7 +160,7 @@ class VIME(Learner):
         exploration: ExplorationState,
     ) -> tuple[Action, Float[Array, ""]]:
         """A draw from the policy; its most probable action if it neither explores nor learns."""
-        distribution = state.policy(self._vectors(state.observations, observation[None])[0])
+        distribution = state.policy(self._vectors(state.observations, observation))
         is_random = exploration.is_learning | (exploration.scale > 0.0)
         action = jnp.where(is_random, distribution.sample(key), distribution.mode())
         if isinstance(space := state.actions, Box):
@@ -349,12 +349,8 @@ class VIME(Learner):
 
     # Observations and actions as vectors.
 
-    def _vectors(self, space: Space, values: Observation | Action) -> Float[Array, "N D"]:
-        """Several observations or actions, mapped to [-1, 1] or one-hot."""
-        dtype = self.eta.dtype
-        if isinstance(space, Discrete):
-            return jax.nn.one_hot(values, space.num, dtype=dtype)
-        return (2.0 * space.to_unit(values) - 1.0).astype(dtype)
+    def _vectors(self, space: Space, values: Observation | Action) -> Float[Array, "*N D"]:
+        return as_inputs(space, values, self.eta.dtype)
 
     def _drawn(self, space: Space, actions: Action) -> Array:
         """Actions as the policy drew them."""
@@ -373,13 +369,8 @@ class VIME(Learner):
         """Those of inputs and of outputs: s and s' have the statistics of s."""
         rows, _ = self._pairs(state, pool.observations, pool.actions, pool.next_observations)
         inputs = Standardisation.of(rows, pool.is_filled)
-        number = _size(state.observations)
+        number = input_size(state.observations)
         return inputs, Standardisation(inputs.mean[:number], inputs.deviation[:number])
-
-
-def _size(space: Space) -> int:
-    """Number of components of the vector of an observation or action."""
-    return space.num if isinstance(space, Discrete) else space.num_dims
 
 
 def _example(space: Space) -> Array:
