@@ -1,4 +1,4 @@
-"""Values and exceptions as text on one line, for error messages."""
+"""Values, exceptions and durations as text on one line, for messages."""
 
 MAX_ERROR = 300
 """Longest message of a foreign exception that is quoted, in characters."""
@@ -15,3 +15,12 @@ def error_line(error: BaseException) -> str:
     if len(message) > MAX_ERROR:
         message = message[: MAX_ERROR - 3] + "..."
     return f"{name}: {message}" if message else name
+
+
+def duration(seconds: float) -> str:
+    """A time span, such as 3 h 05 min, 2 min 10 s or 7 s."""
+    minutes, seconds = divmod(int(seconds + 0.5), 60)
+    hours, minutes = divmod(minutes, 60)
+    if hours:
+        return f"{hours} h {minutes:02d} min"
+    return f"{minutes} min {seconds:02d} s" if minutes else f"{seconds} s"

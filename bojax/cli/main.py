@@ -18,6 +18,8 @@ COMMANDS = {
     "run": ("running", "run an experiment of configs/"),
     "sweep": ("running", "run a sweep of sweeps/ and write its report"),
     "reproduce": ("reproducing", "run the sweeps of a figure, a chapter or the whole thesis"),
+    "status": ("status", "show what of a sweep is done, running, lost or failed"),
+    "worker": ("worker", "run chunks of a sweep that another process has started"),
     "report": ("reporting", "rebuild the figures, tables and claims of results folders"),
     "best": ("best", "print the config of the best point of a sweep, and confirm its score"),
     "render": ("rendering", "draw a film or a still of a recorded run"),

@@ -68,14 +68,33 @@ def find_devices(device: Literal["auto", "cpu", "gpu"]) -> list[Device]:
     return found[:1] if found[0].platform == "cpu" else found
 
 
-def workers_of(devices: Sequence[Device]) -> list[Device]:
+def choose(devices: Sequence[Device], indices: Sequence[int] | None) -> list[Device]:
+    """The devices of the given indices; all if `indices` is None.
+
+    Raises:
+        EngineError: There is no device of an index.
+    """
+    for index in indices or ():
+        if index >= len(devices):
+            found = f"{len(devices)} x {devices[0].platform} ({devices[0].device_kind})"
+            raise EngineError(
+                f"--devices: got {index}; allowed: 0 to {len(devices) - 1}, this machine has {found}"
+            )
+    return [devices[index] for index in indices] if indices is not None else list(devices)
+
+
+def workers_of(devices: Sequence[Device], cores: int | None = None) -> list[Device]:
     """The device of each worker: a worker for each accelerator, and for each core of a CPU.
+
+    Args:
+        devices: The devices.
+        cores: Number of cores of a CPU to use; all that this process may run on by default.
 
     XLA runs a vmapped loop on the core of the thread that called the program. Workers of a CPU share the one
     device, and with it the compiled programs.
     """
     if len(devices) == 1 and devices[0].platform == "cpu":
-        return [devices[0]] * usable_cores()
+        return [devices[0]] * (cores or usable_cores())
     return list(devices)
 
 

@@ -3,21 +3,26 @@
 import contextlib
 import queue
 import threading
-from collections.abc import Callable, Hashable, Iterator, Sequence
+import time
+from collections import deque
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from bojax.engine.ahead import POLL_SECONDS, Ahead, Stopped
 from bojax.engine.batch import Functions, Programs
 from bojax.engine.chunks import Chunk, Layout
-from bojax.engine.devices import Device, usable_cores, workers_of
+from bojax.engine.devices import Device, usable_cores
 from bojax.engine.forecast import ChunkProgress, GroupProgress
 from bojax.engine.groups import StaticGroup
 from bojax.engine.hosted import Hosted
 from bojax.engine.progress import SweepProgress
 from bojax.engine.runner import ChunkRunner, Limits, Segment
+from bojax.engine.share import Share
 from bojax.engine.sinks import Sink
 from bojax.experiments.base import Experiment
+from bojax.results.leases import Standing
+from bojax.results.parts import ChunkState
 from bojax.results.store import ResultsError
 
 COMPILE_THREADS = 8
@@ -26,6 +31,9 @@ COMPILE_THREADS = 8
 AHEAD = 24
 """Number of groups that are compiled ahead; their programs take memory."""
 
+
+LOOK_EVERY = 10.0
+"""Time between two looks at the chunks of other processes, in durations of a look."""
 
 LAST = 1 << 20
 """Priority of what nothing waits for: after all compilations."""
@@ -41,11 +49,12 @@ class GroupTask:
         name: Name for messages.
         seed: Seed of the sweep.
         layout: How the runs are advanced.
-        chunks: Chunks that no worker has taken.
+        chunks: Chunks that may be free.
         limits: When a chunk pauses.
-        compiled: Called with the seconds of a compilation.
-        failed: Called with chunks that failed and the error; returns the reason in one line.
-        running: Number of chunks that workers have taken.
+        share: Where the chunks come from, and where their rows go.
+        recorded_runs: Number of recorded runs of each point.
+        running: Number of chunks that threads of this process have taken.
+        elsewhere: Chunks that other processes have taken.
         recorded: Largest number of recorded runs of a chunk.
     """
 
@@ -54,20 +63,21 @@ class GroupTask:
     name: str
     seed: int
     layout: Layout
-    chunks: list[tuple[Chunk, Sink]]
+    chunks: deque[Chunk]
     limits: Limits
-    compiled: Callable[[float], None]
-    failed: Callable[[Sequence[Chunk], BaseException], str]
+    share: Share
+    recorded_runs: int = 0
     running: int = field(default=0, init=False)
+    elsewhere: list[Chunk] = field(default_factory=list, init=False)
 
     def __post_init__(self):
         self.functions = Functions(self.group)
         self.recorded = max(
-            (int((chunk.runs < sink.recorded_runs).sum()) for chunk, sink in self.chunks), default=0
+            (int((chunk.runs < self.recorded_runs).sum()) for chunk in self.chunks), default=0
         )
         self.progress = GroupProgress(self.name, self.experiment.max_advances)
-        for chunk, sink in self.chunks:
-            self.progress.chunks[chunk.index] = _progress_of(chunk, sink, self.experiment.max_advances)
+        for chunk in self.chunks:
+            self.progress.chunks[chunk.index] = _progress_of(chunk, ChunkState(), self.experiment)
 
     @property
     def is_exclusive(self) -> bool:
@@ -81,16 +91,29 @@ def compile_threads() -> int:
 
 
 def execute(
-    tasks: Sequence[GroupTask], devices: Sequence[Device], progress: SweepProgress, stop: Callable[[], bool]
+    tasks: Sequence[GroupTask],
+    workers: Sequence[Device],
+    progress: SweepProgress,
+    stop: Callable[[], bool],
+    *,
+    waits: bool = True,
 ) -> Iterator[GroupTask]:
     """Run the chunks of all tasks, and yield each task when all its chunks are done or have failed.
 
     After a requested stop, the chunks that run are paused at a checkpoint, and no further task is yielded.
 
+    Args:
+        tasks: The groups with their chunks.
+        workers: The device of each worker thread.
+        progress: Where progress is reported.
+        stop: Whether a stop is requested.
+        waits: Whether to wait for chunks that other processes run. Otherwise it ends once all chunks that
+            are left are run by processes that have been seen to be alive.
+
     Raises:
         ResultsError: A sink cannot be written or read. All other chunks are paused first.
     """
-    executor = _Executor(tasks, devices, progress, stop)
+    executor = _Executor(tasks, workers, progress, stop, waits)
     try:
         yield from executor.ended()
     finally:
@@ -103,12 +126,14 @@ class _Executor:
     def __init__(
         self,
         tasks: Sequence[GroupTask],
-        devices: Sequence[Device],
+        workers: Sequence[Device],
         progress: SweepProgress,
         stop: Callable[[], bool],
+        waits: bool,
     ):
         self.error: ResultsError | None = None
-        self._tasks, self._devices, self._progress = list(tasks), list(dict.fromkeys(devices)), progress
+        self._waits, self._looking, self._next_look = waits, threading.Lock(), 0.0
+        self._tasks, self._devices, self._progress = list(tasks), list(dict.fromkeys(workers)), progress
         self._is_closed = False
         self._kept: list[Hashable] = []
         self._stop = lambda: self._is_closed or self.error is not None or stop()
@@ -116,20 +141,19 @@ class _Executor:
         self._ahead: Ahead[Any] = Ahead(compile_threads(), self._changed, self._stop)
         self._ended: queue.Queue[GroupTask] = queue.Queue()
         self._request_ahead()
-        self._workers = [
-            threading.Thread(target=self._work, args=(device,)) for device in workers_of(devices)
-        ]
+        self._workers = [threading.Thread(target=self._work, args=(device,)) for device in workers]
         for worker in self._workers:
             worker.start()
 
     def ended(self) -> Iterator[GroupTask]:
         left = len(self._tasks)
         while left:
+            is_alive = any(worker.is_alive() for worker in self._workers)
             try:
-                yield self._ended.get(timeout=POLL_SECONDS)
+                yield self._ended.get(timeout=POLL_SECONDS if is_alive else 0.0)
                 left -= 1
             except queue.Empty:
-                if self._stop() and not any(worker.is_alive() for worker in self._workers):
+                if not is_alive:
                     return
 
     def close(self) -> None:
@@ -180,7 +204,7 @@ class _Executor:
         self._kept.append(key)
         with self._changed:  # a compilation may end after the sweep has ended
             if not self._is_closed:
-                task.compiled(programs.compile_seconds)
+                task.share.note_compiled(task.group, programs.compile_seconds)
         return programs
 
     def _programs(self, task: GroupTask, device: Device, width: int) -> Programs:
@@ -191,21 +215,27 @@ class _Executor:
 
     def _work(self, device: Device) -> None:
         while (taken := self._take(device)) is not None:
-            task, chunk, sink = taken
+            task, chunk = taken
+            sink: Sink | None = None
+            has_failed = False
             try:
-                self._run(task, chunk, sink, device)
+                sink = task.share.take(chunk)
+                if sink is not None:
+                    self._run(task, chunk, sink, device)
             except Stopped:
                 pass
             except (Exception, SystemExit) as error:  # user's code may call sys.exit
+                has_failed = True
                 self._fail(task, [chunk], error)
-            self._release(task, chunk)
+            self._release(task, chunk, sink, has_failed=has_failed)
 
-    def _take(self, device: Device) -> tuple[GroupTask, Chunk, Sink] | None:
+    def _take(self, device: Device) -> tuple[GroupTask, Chunk] | None:
         """The next chunk for a device, once its programs are compiled; None if no chunk is left."""
-        with self._changed:
-            while not self._stop():
+        while not self._stop():
+            with self._changed:
                 waiting = [task for task in self._tasks if task.chunks]
-                if not waiting:
+                is_elsewhere = any(task.elsewhere for task in self._tasks)
+                if not waiting and not is_elsewhere:
                     return None
                 free = [task for task in waiting if not (task.is_exclusive and task.running)]
                 ready = [task for task in free if self._is_ready(task, device)]
@@ -216,15 +246,65 @@ class _Executor:
                     except BaseException as error:
                         self._fail_all(task, error)
                         continue
-                    chunk, sink = task.chunks.pop(0)
                     task.running += 1
-                    return task, chunk, sink
+                    return task, task.chunks.popleft()
                 for task in free:  # compiled for another device: loading its program is quick
                     if any(self._is_ready(task, other) for other in self._devices):
                         self._request(task, device, task.layout.lanes)
                         break
+                if free or not is_elsewhere:
+                    self._changed.wait(POLL_SECONDS)
+                    continue
+            if not self._look_elsewhere() and not self._waits:
+                return None
+            with self._changed:
                 self._changed.wait(POLL_SECONDS)
         return None
+
+    def _look_elsewhere(self) -> bool:
+        """See what has become of the chunks of other processes; False if all these processes are alive."""
+        if not self._looking.acquire(blocking=False):
+            return True
+        try:
+            start = time.monotonic()
+            if start < self._next_look:
+                return True
+            with self._changed:
+                held = [(task, list(task.elsewhere)) for task in self._tasks if task.elsewhere]
+            for share in dict.fromkeys(task.share for task, _ in held):
+                share.look()
+            standings = {chunk: task.share.standing(chunk) for task, chunks in held for chunk in chunks}
+            with self._changed:
+                for task, _ in held:
+                    self._move(task, standings)
+            self._next_look = time.monotonic() + LOOK_EVERY * (time.monotonic() - start)
+            return not all(
+                standings[chunk] is Standing.HELD and task.share.is_alive(chunk)
+                for task, chunks in held
+                for chunk in chunks
+                if standings[chunk] not in (Standing.DONE, Standing.FAILED)
+            )
+        except ResultsError as problem:
+            self.error = problem
+            return True
+        finally:
+            self._looking.release()
+
+    def _move(self, task: GroupTask, standings: Mapping[Chunk, Standing]) -> None:
+        """Take the chunks of other processes that have ended or are free out of those that wait for them."""
+        left = []
+        for chunk in task.elsewhere:
+            standing = standings.get(chunk, Standing.HELD)
+            if standing is Standing.HELD:
+                left.append(chunk)
+            elif standing is Standing.FREE:
+                task.chunks.append(chunk)
+            else:
+                self._progress.end_chunk(task.progress, chunk.index)
+                self._progress.add([], runs_done=chunk.num_runs if standing is Standing.DONE else 0)
+        task.elsewhere = left
+        self._end_if_done(task)
+        self._changed.notify_all()
 
     def _is_ready(self, task: GroupTask, device: Device) -> bool:
         return self._ahead.is_ready((task, device, task.layout.lanes))
@@ -233,7 +313,11 @@ class _Executor:
         def report(segment: Segment) -> None:
             self._progress.segment(task.progress, chunk.index, segment)
 
-        limits = Limits(task.limits.segment_seconds, task.limits.checkpoint_seconds, self._stop)
+        def stop() -> bool:
+            return self._stop() or task.share.is_stolen(chunk)
+
+        task.progress.chunks[chunk.index] = _progress_of(chunk, sink.state, task.experiment)
+        limits = Limits(task.limits.segment_seconds, task.limits.checkpoint_seconds, stop)
         runner = ChunkRunner(
             chunk,
             task.experiment,
@@ -244,16 +328,24 @@ class _Executor:
         )
         runner.run()
 
-    def _release(self, task: GroupTask, chunk: Chunk) -> None:
+    def _release(self, task: GroupTask, chunk: Chunk, sink: Sink | None, *, has_failed: bool) -> None:
+        if sink is not None and not has_failed:
+            try:
+                task.share.release(chunk, sink)
+            except ResultsError as problem:
+                self.error = problem
         with self._changed:
             task.running -= 1
-            if not self._stop():
-                self._progress.end_chunk(task.progress, chunk.index)
+            if has_failed or (sink is not None and sink.state.is_done):
+                if not self._stop():
+                    self._progress.end_chunk(task.progress, chunk.index)
+            else:
+                task.elsewhere.append(chunk)
             self._end_if_done(task)
             self._changed.notify_all()
 
     def _end_if_done(self, task: GroupTask) -> None:
-        if task.chunks or task.running or self._stop():
+        if task.chunks or task.running or task.elsewhere or self._stop():
             return
         for device in self._devices:
             for width in task.layout.widths:
@@ -265,7 +357,7 @@ class _Executor:
         try:
             if isinstance(error, ResultsError):  # of the folder, which all chunks write to
                 raise error
-            message = task.failed(chunks, error)
+            message = task.share.fail(chunks, error)
         except ResultsError as problem:
             self.error = problem
             return
@@ -273,19 +365,25 @@ class _Executor:
         self._progress.say(f"failed: {task.name}, {num_runs} runs: {message}")
 
     def _fail_all(self, task: GroupTask, error: BaseException) -> None:
-        """Fail the chunks of a group that cannot be compiled."""
-        chunks = [chunk for chunk, _ in task.chunks]
-        self._fail(task, chunks, error)
+        """Fail the chunks of a group that cannot be compiled, except those that other processes run."""
+        chunks = list(task.chunks)
+        task.chunks.clear()
+        try:
+            taken = [chunk for chunk in chunks if task.share.take(chunk) is not None]
+        except ResultsError as problem:
+            self.error = problem
+            return
+        task.elsewhere += set(chunks).difference(taken)
+        if taken:
+            self._fail(task, taken, error)
         if self.error is not None:
             return
-        task.chunks.clear()
-        for chunk in chunks:
+        for chunk in taken:
             self._progress.end_chunk(task.progress, chunk.index)
         self._end_if_done(task)
 
 
-def _progress_of(chunk: Chunk, sink: Sink, max_advances: int) -> ChunkProgress:
-    state = sink.state
+def _progress_of(chunk: Chunk, state: ChunkState, experiment: Experiment) -> ChunkProgress:
     layout = chunk.layout
     if state.checkpoint is None:
         lanes, live = layout.lanes, min(layout.lanes, chunk.num_runs)
@@ -293,4 +391,4 @@ def _progress_of(chunk: Chunk, sink: Sink, max_advances: int) -> ChunkProgress:
     else:
         lanes, live = len(state.lanes), sum(1 for run in state.lanes if run >= 0)
         waiting = chunk.num_runs - state.next_run
-    return ChunkProgress(lanes, layout.widths[-1], live, waiting, max_advances)
+    return ChunkProgress(lanes, layout.widths[-1], live, waiting, experiment.max_advances)

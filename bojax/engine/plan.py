@@ -4,7 +4,7 @@ import functools
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from bojax.config.errors import ConfigError
@@ -63,7 +63,26 @@ def make_plan(sweep: "Sweep", devices: Sequence[Device]) -> Plan:
         ConfigError: A point cannot be built, or there are too many chunks.
         ResultsError: A saved learner cannot be read.
     """
-    device = device_description(devices)
+    return _make_plan(sweep, device_description(devices))
+
+
+def plan_made_elsewhere(sweep: "Sweep", content: Mapping[str, Any], device: Mapping[str, Any]) -> Plan:
+    """The plan that a worker has made of a sweep, on a machine that may have none of its devices.
+
+    Args:
+        sweep: The sweep.
+        content: The content of the plan, with the settings that were left to the worker's machine.
+        device: Description of the worker's devices.
+    """
+    configs = [point["config"] for point in content["points"]]
+    points = [
+        replace(point, config=type(point.config).model_validate(config))
+        for point, config in zip(sweep.points, configs, strict=True)
+    ]
+    return _make_plan(replace(sweep, points=tuple(points)), device)
+
+
+def _make_plan(sweep: "Sweep", device: Mapping[str, Any]) -> Plan:
     modules = [_build(sweep, point) for point in sweep.points]
     groups = static_groups(modules)
     layouts = [
@@ -75,7 +94,7 @@ def make_plan(sweep: "Sweep", devices: Sequence[Device]) -> Plan:
         )
         for group in groups
     ]
-    content = _content(sweep, modules, device, layouts)
+    content = _content(sweep, modules, device, groups, layouts)
     return Plan(sweep, modules, groups, _cut(sweep, groups, layouts, content), device, content)
 
 
@@ -105,9 +124,13 @@ def _cut(
 
 
 def _content(
-    sweep: "Sweep", modules: Sequence[Experiment], device: Mapping[str, Any], layouts: Sequence[Layout]
+    sweep: "Sweep",
+    modules: Sequence[Experiment],
+    device: Mapping[str, Any],
+    groups: Sequence[StaticGroup],
+    layouts: Sequence[Layout],
 ) -> dict[str, Any]:
-    """Runs, seed, resolved configs, kind of device, layouts, versions and code.
+    """Runs, seed, resolved configs, kind of device, groups and their layouts, versions and code.
 
     The length of segments, the settings of the report and the number of devices are left out, since they may
     change on resume.
@@ -129,6 +152,7 @@ def _content(
                 for point, module in zip(sweep.points, modules, strict=True)
             ],
             "device": {key: device[key] for key in ("platform", "kind")},
+            "groups": [list(group.points) for group in groups],
             "layouts": [asdict(layout) for layout in layouts],
             "versions": {name: used[name] for name in ("jax", "jaxlib", "bojax") if name in used},
             "code": {name: value[:16] for name, value in code_hashes(modules).items()},

@@ -10,6 +10,7 @@ from rich.console import Console
 from bojax.engine.bar import Bar
 from bojax.engine.forecast import GroupProgress, forecast
 from bojax.engine.runner import Segment
+from bojax.text import duration
 
 RECENT_SECONDS = 10.0
 """Time over which the pace is averaged."""
@@ -123,7 +124,7 @@ class SweepProgress:
             workers=self._workers,
             shares_cores=self._shares_cores,
         )
-        return text if left is None else f"{text}, {_duration(left.seconds)} left"
+        return text if left is None else f"{text}, {duration(left.seconds)} left"
 
     def _rate(self) -> float:
         """Steps per second of the last segments."""
@@ -134,14 +135,6 @@ class SweepProgress:
 
     def _show(self) -> None:
         self._bar.show(self._runs_done, self.describe())
-
-
-def _duration(seconds: float) -> str:
-    minutes, seconds = divmod(int(seconds + 0.5), 60)
-    hours, minutes = divmod(minutes, 60)
-    if hours:
-        return f"{hours} h {minutes:02d} min"
-    return f"{minutes} min {seconds:02d} s" if minutes else f"{seconds} s"
 
 
 def _si(value: float) -> str:

@@ -2,9 +2,8 @@
 
 import shlex
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -12,13 +11,13 @@ from bojax.config.errors import ConfigError, printable
 from bojax.config.extras import MissingExtra
 from bojax.engine.devices import Device, find_devices, prepare, workers_of
 from bojax.engine.errors import FAILURE, EngineError
-from bojax.engine.execute import GroupTask, execute
+from bojax.engine.execute import execute
 from bojax.engine.journal import Journal
 from bojax.engine.latency import measure_latency
 from bojax.engine.plan import make_plan
 from bojax.engine.progress import SweepProgress
-from bojax.engine.runner import Limits
 from bojax.engine.signals import StopRequest
+from bojax.engine.tasks import progress_of, tasks_of
 from bojax.results.folder import (
     NothingToResume,
     check_finished,
@@ -159,7 +158,7 @@ def carry_out(
         return FAILURE if any(journal.errors for journal in journals) else 0
     finally:
         for journal in journals:
-            journal.folder.close(finished=False)
+            journal.close()
 
 
 def _execute(
@@ -167,20 +166,16 @@ def _execute(
 ) -> None:
     """Run the chunks of all sweeps; merge and finish each sweep once its chunks are done."""
     several = len(journals) > 1
-    tasks = {task: journal for journal in journals for task in _tasks(journal, stop, name_sweep=several)}
+    tasks = {
+        task: journal
+        for journal in journals
+        for task in tasks_of(journal.share, stop.__bool__, name_sweep=several)
+    }
     left = {journal: sum(1 for each in tasks.values() if each is journal) for journal in journals}
-    num_runs = sum(chunk.num_runs for journal in journals for chunk in journal.plan.chunks)
-    waiting = sum(chunk.num_runs for task in tasks for chunk, _ in task.chunks)
-    progress = SweepProgress(
-        f"{len(journals)} sweeps" if several else journals[0].plan.sweep.name,
-        num_runs,
-        workers=len(workers_of(devices)),
-        shares_cores=devices[0].platform == "cpu",
-    )
-    progress.add([task.progress for task in tasks], runs_done=num_runs - waiting)
+    workers = workers_of(devices)
     ended = [journal for journal in journals if not left[journal]]  # killed before it was merged
-    with progress:
-        for task in execute(list(tasks), devices, progress, stop.__bool__):
+    with progress_of([journal.share for journal in journals], list(tasks), workers) as progress:
+        for task in execute(list(tasks), workers, progress, stop.__bool__):
             journal = tasks[task]
             left[journal] -= 1
             if not left[journal]:
@@ -192,26 +187,6 @@ def _execute(
     for journal in ended if not stop else ():
         if not journal.is_merged:
             _conclude(journal, lambda text: print(text, file=sys.stderr), finish)
-
-
-def _tasks(journal: Journal, stop: StopRequest, *, name_sweep: bool) -> Iterable[GroupTask]:
-    """The groups of a sweep that have unfinished chunks."""
-    plan, engine = journal.plan, journal.plan.sweep.engine
-    for group in plan.groups:
-        chunks = [chunk for chunk in plan.chunks if chunk.group == group.index]
-        todo = [(chunk, journal.sink(chunk)) for chunk in chunks if not journal.state(chunk).is_done]
-        if todo:
-            yield GroupTask(
-                group=group,
-                experiment=plan.experiment(group),
-                name=f"{plan.sweep.name}: {plan.name(group)}" if name_sweep else plan.name(group),
-                seed=plan.sweep.seed,
-                layout=plan.layout(group),
-                chunks=todo,
-                limits=Limits(engine.segment_seconds, engine.checkpoint_seconds, stop.__bool__),
-                compiled=partial(journal.note_compiled, group),
-                failed=journal.note_failure,
-            )
 
 
 def _measure_latency(journal: Journal, device: Device, progress: SweepProgress, stop: StopRequest) -> None:

@@ -1,4 +1,4 @@
-"""SIGINT and SIGTERM: the first stops the sweep after its current segment, the second exits at once."""
+"""Signals such as SIGINT and SIGTERM: the first stops a sweep after its segment, the second exits at once."""
 
 import os
 import signal
@@ -6,10 +6,10 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import TracebackType
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class StopRequest:
@@ -23,12 +23,19 @@ class StopRequest:
 
     Args:
         announce: Called with a message after the first signal; prints it by default.
+        signals: The signals to notice.
         exits: Whether the second signal ends the process. A notebook's process has more to lose than a sweep.
     """
 
-    def __init__(self, announce: Callable[[str], None] | None = None, *, exits: bool = True):
+    def __init__(
+        self,
+        announce: Callable[[str], None] | None = None,
+        signals: Sequence[signal.Signals] = SIGNALS,
+        *,
+        exits: bool = True,
+    ):
         self.signum: int | None = None
-        self._exits = exits
+        self._signals, self._exits = signals, exits
         self._announce = announce or (lambda text: print(text, file=sys.stderr, flush=True))
 
     def __bool__(self) -> bool:
@@ -46,7 +53,7 @@ class StopRequest:
             self._writer.setblocking(False)
             self._wakeup = signal.set_wakeup_fd(self._writer.fileno(), warn_on_full_buffer=False)
             # Python writes a signal to the socket only if it has a handler; these handlers do nothing.
-            self._handlers = {number: signal.signal(number, lambda *_: None) for number in _SIGNALS}
+            self._handlers = {number: signal.signal(number, lambda *_: None) for number in self._signals}
             threading.Thread(target=self._watch, daemon=True).start()
         return self
 
@@ -63,7 +70,7 @@ class StopRequest:
         with self._reader:
             while received := self._reader.recv(1):
                 number = received[0]
-                if number not in _SIGNALS:
+                if number not in self._signals:
                     continue
                 if self.signum is not None and self._exits:
                     os._exit(128 + number)

@@ -4,6 +4,7 @@ Sweeps, target returns, checkpoints and reports are features of the command line
 """
 
 import threading
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import count
@@ -23,11 +24,12 @@ from bojax.config.component import Component, Slot
 from bojax.config.errors import dotted, from_validation
 from bojax.engine.build import build, import_target
 from bojax.engine.chunks import choose_layout, cut
-from bojax.engine.devices import find_devices
+from bojax.engine.devices import find_devices, workers_of
 from bojax.engine.execute import GroupTask, execute
 from bojax.engine.groups import static_groups
 from bojax.engine.progress import SweepProgress
 from bojax.engine.runner import Limits
+from bojax.engine.share import MemoryShare
 from bojax.engine.sinks import MemorySink
 from bojax.envs.base import Env
 from bojax.envs.spaces import Box
@@ -165,29 +167,29 @@ def _run(experiment: LearningRun, runs: int, seed: int, callback: Callback | Non
     devices = find_devices("auto")
     (group,) = static_groups([experiment])
     layout = choose_layout(experiment, runs, devices[0].platform, None)
-    lock, errors = threading.Lock(), list[BaseException]()
+    lock = threading.Lock()
 
     def sink() -> MemorySink:
         return MemorySink(saved_learners=runs) if callback is None else _Sink(runs, callback, lock)
 
-    chunks = [(chunk, sink()) for chunk in cut(group, range(runs), layout, [{}], {})]
+    chunks = cut(group, range(runs), layout, [{}], {})
+    share = MemoryShare(sink)
     task = GroupTask(
         group=group,
         experiment=experiment,
         name="train",
         seed=seed,
         layout=layout,
-        chunks=list(chunks),
-        limits=Limits(float("inf") if callback is None else 0.0, float("inf"), lambda: bool(errors)),
-        compiled=lambda _: None,
-        failed=lambda _, error: str(errors.append(error)),
+        chunks=deque(chunks),
+        limits=Limits(float("inf") if callback is None else 0.0, float("inf"), lambda: bool(share.errors)),
+        share=share,
     )
     quiet = SweepProgress("train", runs, console=Console(quiet=True))
-    for _ in execute([task], devices, quiet, lambda: bool(errors)):
+    for _ in execute([task], workers_of(devices), quiet, lambda: bool(share.errors)):
         pass
-    if errors:
-        raise errors[0]
-    return [sink for _, sink in chunks]
+    if share.errors:
+        raise share.errors[0]
+    return [share.sinks[chunk.index] for chunk in chunks]
 
 
 def _part(role: str, part: Any, dtype: Literal["float64", "float32"]) -> Any:

@@ -1,19 +1,24 @@
 """The results folder of a sweep: choosing, creating, locking and resuming it without overwriting results."""
 
+import contextlib
 import fcntl
 import os
+import secrets
 import shutil
+import socket
 import time
 from collections.abc import Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from bojax.results.parts import ChunkFolder
+from bojax.results.leases import Attempts
 from bojax.results.store import (
     MANIFEST,
     WORK,
     ResultsError,
     explained,
+    link,
     read_checked_json,
     read_manifest,
     sync,
@@ -22,10 +27,27 @@ from bojax.results.store import (
 
 ROOT = Path("results")
 _PLAN = "plan.json"
+_SWEEP = "sweep.json"
+_DEVICE = "device.json"
 _LOCK = "lock"
 _DONE = f"{WORK}-done"
 _ASKED_FOR = ("runs", "seed", "record", "config", "points")
 """Keys of a plan that define the runs; the others describe the code, the versions and the device."""
+
+
+@dataclass(frozen=True)
+class Launch:
+    """What a worker needs to know of a sweep.
+
+    Attributes:
+        number: Number of the launch: 1, and one more each time that the sweep is resumed.
+        folder: The working directory of the command, in which files and modules of the sweep are looked up.
+        sweep: The sweep as plain values.
+    """
+
+    number: int
+    folder: str
+    sweep: dict[str, Any]
 
 
 class NothingToResume(ResultsError):
@@ -50,11 +72,11 @@ class RunFolder:
         """The working folder, which holds the chunks."""
         return self.path / WORK
 
-    def create(self, plan: Mapping[str, Any], *, may_rename: bool = False) -> None:
+    def create(self, plan: Mapping[str, Any] | None, *, may_rename: bool = False) -> None:
         """Make the folder and its working folder.
 
         Args:
-            plan: The plan.
+            plan: The plan; None if a worker makes it.
             may_rename: Whether to append a number to the name if the folder exists, because another sweep
                 started in the same second.
         """
@@ -66,39 +88,80 @@ class RunFolder:
             except FileExistsError:
                 raise self._in_use() from None
         self._take_lock()
-        write_checked_json(self.work / _PLAN, plan)
+        if plan is not None:
+            write_checked_json(self.work / _PLAN, plan)
 
     def resume(self, plan: Mapping[str, Any]) -> None:
         """Reopen the folder, or raise a `ResultsError` that names the changes of the plan."""
         self._take_lock()
+        old = self.plan()
+        if old is None:  # interrupted while the folder was created
+            write_checked_json(self.work / _PLAN, plan)
+        else:
+            check_plan(self.path, old, plan)
+
+    def plan(self) -> dict[str, Any] | None:
+        """The plan; None if nobody has made it yet.
+
+        Raises:
+            ResultsError: It is damaged.
+        """
         path = self.work / _PLAN
-        if not os.path.lexists(path):  # interrupted while the folder was created
-            write_checked_json(path, plan)
+        if not os.path.lexists(path):
+            return None
         try:
-            old = read_checked_json(path)
+            return read_checked_json(path)
         except ResultsError as error:
             # Chunks stay valid: the name of a chunk's folder is a hash of everything that its rows depend on.
             message = f"{path}: damaged: delete this file and resume; parts of another sweep are not used"
             raise ResultsError(message) from error
-        check_plan(self.path, old, plan)
 
-    def chunk(self, name: str) -> ChunkFolder:
-        """The working folder of a chunk."""
-        return ChunkFolder(self.work / name, self.path)
+    def join(self, plan: Mapping[str, Any], device: Mapping[str, Any]) -> None:
+        """Commit a worker's plan, or raise a `ResultsError` if it differs from the one that is there.
 
-    def note(self, name: str, content: Any) -> None:
-        """Save a value as a JSON file in the working folder."""
-        write_checked_json(self.work / f"{name}.json", {name: content})
+        Args:
+            plan: The plan.
+            device: Description of the worker's devices, which `device` then returns.
+        """
+        own = self.work / f".{_PLAN}-{secrets.token_hex(6)}"
+        if self.plan() is None:
+            write_checked_json(self.work / _DEVICE, device)
+            write_checked_json(own, plan)
+            with contextlib.suppress(FileExistsError):
+                link(own, self.work / _PLAN)  # of several, one succeeds
+            own.unlink()
+        check_plan(self.path, self.plan() or {}, plan, what="this worker does not fit the plan")
 
-    def noted(self, name: str, default: Any) -> Any:
-        """The value saved by `note`, or the default if the file is missing or damaged."""
-        path = self.work / f"{name}.json"
+    def device(self) -> dict[str, Any]:
+        """Description of the devices of the first worker."""
+        return read_checked_json(self.work / _DEVICE)
+
+    def launch(self, sweep: Mapping[str, Any]) -> Launch:
+        """Write what workers need to know of the sweep."""
+        number = 1 + max((beat.launch for beat in Attempts(self.work).heartbeats().values()), default=0)
+        launch = Launch(number, str(Path.cwd()), dict(sweep))
+        path = self.work / _SWEEP
+        if path.is_dir() and not path.is_symlink():  # damaged
+            shutil.rmtree(path, ignore_errors=True)
+        write_checked_json(path, asdict(launch))
+        return launch
+
+    def launched(self) -> Launch:
+        """What `launch` wrote.
+
+        Raises:
+            ResultsError: There is nothing, or it is damaged.
+        """
+        path = self.work / _SWEEP
+        if not self.work.is_dir():
+            raise ResultsError(
+                f"{self.path}: no unfinished sweep in this folder on {socket.gethostname()}; allowed: the "
+                "results folder of a sweep, at the same path on all machines"
+            )
         try:
-            return read_checked_json(path).get(name, default)
-        except ResultsError:
-            if path.is_dir() and not path.is_symlink():  # otherwise `note` could not write the file
-                shutil.rmtree(path, ignore_errors=True)
-            return default
+            return Launch(**read_checked_json(path))
+        except (ResultsError, TypeError) as error:
+            raise ResultsError(f"{path}: missing or damaged; start the sweep again with --resume") from error
 
     def close(self, *, finished: bool) -> None:
         """Release the folder; delete the working files of a finished sweep."""
@@ -186,7 +249,13 @@ def is_unfinished(folder: Path) -> bool:
     return os.path.isdir(folder / WORK)
 
 
-def check_plan(folder: Path, old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
+def check_plan(
+    folder: Path,
+    old: Mapping[str, Any],
+    new: Mapping[str, Any],
+    *,
+    what: str = "cannot resume, the sweep has changed",
+) -> None:
     """Raise a `ResultsError` with the first differences of two plans, if they differ."""
     # A change of the base config is also a change of every point, and reported once.
     found: dict[str, str] = {}
@@ -196,9 +265,7 @@ def check_plan(folder: Path, old: Mapping[str, Any], new: Mapping[str, Any]) -> 
     if changes:
         more = f" and {len(changes) - 3} more" if len(changes) > 3 else ""
         listed = ", ".join(changes[:3]) + more
-        raise ResultsError(
-            f"{folder}: cannot resume, the sweep has changed: {listed}; undo this, or give another --out"
-        )
+        raise ResultsError(f"{folder}: {what}: {listed}; undo this, or give another --out")
 
 
 def check_finished(folder: Path, plan: Mapping[str, Any]) -> None:

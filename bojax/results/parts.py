@@ -3,7 +3,7 @@
 import os
 import re
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from bojax.results.store import (
     array_file,
     explained,
     fingerprint,
+    link,
     read_checked_json,
     read_table,
     sync,
@@ -67,15 +68,17 @@ class ChunkFolder:
         state: The state as committed, with the changes since then.
     """
 
-    def __init__(self, path: Path, results: Path):
+    def __init__(self, path: Path, results: Path, chunk: str | None = None):
         """Create an object for a folder, which `open` creates or reads.
 
         Args:
             path: The folder.
             results: The results folder, to which merging moves snapshots and learners.
+            chunk: Name of the chunk; that of the folder by default.
         """
         self.path = path
         self.state = ChunkState()
+        self._chunk = chunk or path.name
         self._results = results
         self._new: list[str] = []
 
@@ -87,11 +90,45 @@ class ChunkFolder:
         """
         with explained(self.path):
             self.path.mkdir(parents=True, exist_ok=True)
-        if os.path.lexists(self._state_file):
-            self.state = self._read_state()
-        for name in self.state.files:
-            self.committed(name)
+        self.read()
         self._drop_uncommitted()
+
+    def read(self) -> bool:
+        """Read the committed state and verify its files, changing nothing; False if there is no state.
+
+        Raises:
+            ResultsError: A committed file is missing or has changed.
+        """
+        if not os.path.lexists(self._state_file):
+            return False
+        while True:
+            self.state = self._read_state()
+            try:
+                for name in self.state.files:
+                    self.committed(name)
+                return True
+            except ResultsError:
+                if self._read_state() == self.state:  # otherwise another process has committed meanwhile
+                    raise
+
+    def inherit(self, other: "ChunkFolder") -> bool:
+        """Take over what another folder of this chunk has committed, which stays there too.
+
+        Returns:
+            Whether it was all there; another process may be writing to that folder.
+        """
+        for name in other.state.files:
+            source, target = other.path / name, self.path / name
+            if not os.path.lexists(source) and os.path.lexists(self._results / name):
+                continue  # moved there by a merge
+            self._make_folders(name)
+            try:
+                link(source, target)
+            except FileNotFoundError:
+                return False
+        self.state = replace(other.state, files=dict(other.state.files))
+        self._write_state()
+        return True
 
     def write_part(self, tables: dict[str, pa.Table]) -> None:
         """Write a part, to be committed by the next commit."""
@@ -108,11 +145,9 @@ class ChunkFolder:
 
     def add(self, name: str) -> Path:
         """The path of a new file, to be committed by the next commit; its folder is made if necessary."""
-        path = self.path / name
-        with explained(path):
-            path.parent.mkdir(parents=True, exist_ok=True)
+        self._make_folders(name)
         self._new.append(name)
-        return path
+        return self.path / name
 
     def add_checkpoint(self) -> Path:
         """The path of the checkpoint after the current number of advances, which replaces the one before."""
@@ -135,7 +170,7 @@ class ChunkFolder:
                 raise self._refusal(self.path / name, "missing")
             state.files[name] = found
         self._new.clear()
-        write_checked_json(self._state_file, {"chunk": self.path.name, **asdict(state)})
+        self._write_state()
         with explained(self.path):
             sync(self.path)  # before the previous checkpoint is deleted
         self._drop_checkpoints()
@@ -169,13 +204,16 @@ class ChunkFolder:
     def _state_file(self) -> Path:
         return self.path / "state.json"
 
+    def _write_state(self) -> None:
+        write_checked_json(self._state_file, {"chunk": self._chunk, **asdict(self.state)})
+
     def _read_state(self) -> ChunkState:
         try:
             content = read_checked_json(self._state_file)
             chunk, state = content.pop("chunk", None), ChunkState(**content)
         except (ResultsError, TypeError) as error:
             raise self._refusal(self._state_file, "damaged") from error
-        if chunk != self.path.name:
+        if chunk != self._chunk:
             raise self._refusal(self._state_file, "copied from another chunk")
         return state
 
@@ -192,6 +230,12 @@ class ChunkFolder:
         for path in self.path.glob(f"{_CHECKPOINT}*"):
             if path.name != self.state.checkpoint and not path.is_dir():
                 path.unlink()
+
+    def _make_folders(self, name: str) -> None:
+        """Make the folders of a file, except that of the chunk: a finished sweep must not get one again."""
+        for folder in reversed(self._folders(name)):
+            with explained(folder):
+                folder.mkdir(exist_ok=True)
 
     def _folders(self, name: str) -> list[Path]:
         """The folders below that of the chunk in which a file lies."""

@@ -4,6 +4,7 @@ import errno
 import hashlib
 import json
 import os
+import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -68,13 +69,14 @@ def explained(path: Path, action: str = "written") -> Iterator[None]:
         raise ResultsError(f"{path}: cannot be {action}: {error.strerror or error}", code) from error
 
 
-def write_atomically(path: Path, write: Callable[[Path], Any]) -> None:
-    """Call `write` on a temporary file, sync the file to the disk, then rename it to `path`."""
+def write_atomically(path: Path, write: Callable[[Path], Any], *, durably: bool = True) -> None:
+    """Call `write` on a temporary file, sync the file to the disk if `durably`, then rename it to `path`."""
     temporary = path.with_name(f".{path.name}.tmp")
     with explained(path):
         try:
             write(temporary)
-            sync(temporary)
+            if durably:
+                sync(temporary)
             os.replace(temporary, path)
         except BaseException:
             with suppress(OSError):
@@ -95,6 +97,23 @@ def sync(*paths: Path) -> None:
             os.close(descriptor)
 
 
+def link(source: Path, target: Path) -> None:
+    """Give a file a second name, or copy it where the file system has no links.
+
+    Raises:
+        FileNotFoundError: The file is gone.
+        ResultsError: The second name cannot be written.
+    """
+    try:
+        os.link(source, target)
+    except FileNotFoundError:
+        raise
+    except OSError:
+        with explained(target):
+            shutil.copyfile(source, target)
+            sync(target)
+
+
 def fingerprint(path: Path) -> dict[str, Any] | None:
     """Size and SHA-256 of a file; None if there is no such file.
 
@@ -108,10 +127,10 @@ def fingerprint(path: Path) -> dict[str, Any] | None:
             return {"size": path.stat().st_size, "sha256": hashlib.file_digest(file, "sha256").hexdigest()}
 
 
-def write_json(path: Path, content: Any) -> None:
+def write_json(path: Path, content: Any, *, durably: bool = True) -> None:
     """Write a JSON file; non-finite numbers, which JSON lacks, become null."""
     text = json.dumps(_finite(content), indent=1, allow_nan=False) + "\n"
-    write_atomically(path, lambda temporary: temporary.write_text(text))
+    write_atomically(path, lambda temporary: temporary.write_text(text), durably=durably)
 
 
 def read_json(path: Path) -> Any:

@@ -1,9 +1,13 @@
 """Runs a toy sweep, in this process or as `python -m tests.engine.drive OUT KEY=VALUE ...`."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
+
+import jax
+import pytest
 
 ROOT = Path(__file__).parents[2]
 COMMAND = ["bojax", "sweep", "toy"]
@@ -21,6 +25,51 @@ def run_sweep(sweep, out: Path | None, resume: bool = False, command: list[str] 
     from bojax.engine.run import Request, run_sweeps
 
     return run_sweeps([Request(sweep, out)], resume, command)
+
+
+def plan_toy(out: Path, *points: dict, **settings) -> None:
+    """Start a toy sweep that is left to workers."""
+    from bojax.engine.journal import Journal
+    from bojax.engine.plan import make_plan
+    from tests.toy import toy_sweep
+
+    journal = Journal(
+        make_plan(toy_sweep(*points, **settings), jax.devices()[:1]),
+        out,
+        "bojax sweep toy",
+        is_resumed=False,
+        may_rename=False,
+    )
+    journal.open()
+    journal.close()
+
+
+def work_on(*folders: Path, stop=bool, **options) -> int:
+    """Run chunks of toy sweeps in this process; the exit code."""
+    from bojax.engine.worker import WorkerOptions, guarded, run_worker
+
+    here = os.getcwd()
+    with pytest.MonkeyPatch.context() as patch:
+        knows_toys(patch)
+        try:
+            return guarded(lambda: run_worker(folders, WorkerOptions(**options), stop))
+        finally:
+            os.chdir(here)
+
+
+def knows_toys(patch: pytest.MonkeyPatch) -> None:
+    """Let workers read the settings of toys, which are not registered."""
+    from tests.toy import ToyConfig
+
+    def validate(config):
+        return ToyConfig(**{**config, "start": tuple(config["start"])})
+
+    patch.setattr("bojax.config.saved_sweep.validate_experiment", validate)
+
+
+def start_worker(out: Path, *words: str) -> subprocess.Popen:
+    """`bojax worker` for toys."""
+    return start_toy(out, words=words)
 
 
 def start_toy(out: Path, *options: str, resume: bool = False, env=None, **settings) -> subprocess.Popen:
@@ -46,4 +95,9 @@ if __name__ == "__main__":
     given = json.loads(sys.argv[1])
     for option in sys.argv[2:]:
         exec(option)
+    if "words" in given:
+        from bojax.cli.worker import main
+
+        knows_toys(pytest.MonkeyPatch())
+        leave(main("worker", [given["out"], *given["words"]]))
     leave(run_toy(Path(given.pop("out")), *given.pop("points", ()), **given))

@@ -9,6 +9,7 @@ from bojax.engine import progress
 from bojax.engine.forecast import ChunkProgress, GroupProgress
 from bojax.engine.progress import SweepProgress
 from bojax.engine.runner import Segment
+from bojax.text import duration
 
 
 @pytest.fixture
@@ -111,4 +112,4 @@ def test_a_terminal_gets_a_bar(clock):
     ("seconds", "text"), [(0.4, "0 s"), (59.6, "1 min 00 s"), (125.0, "2 min 05 s"), (7265.0, "2 h 01 min")]
 )
 def test_durations(seconds, text):
-    assert progress._duration(seconds) == text
+    assert duration(seconds) == text

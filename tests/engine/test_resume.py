@@ -184,8 +184,8 @@ def halfway(tmp_path_factory) -> Path:
     """A folder with a finished chunk, one that stopped at a checkpoint, and one that has not begun."""
     out = tmp_path_factory.mktemp("halfway") / "toy"
     assert stop_after(out, segments=12, **HALFWAY) == 130
-    chunks = sorted((out / WORK).glob("chunk-*"))
-    assert [len(list(chunk.glob("checkpoint-*"))) for chunk in chunks] == [0, 1, 0]
+    chunks = sorted((out / WORK).glob("chunk-*-1"))
+    assert [len(list(chunk.glob("checkpoint-*"))) for chunk in chunks] == [0, 1]
     assert list(chunks[0].glob("arrays/*.npz"))
     return out
 
@@ -219,7 +219,7 @@ def turn_into_folder(path: Path) -> None:
     path.mkdir()
 
 
-FIRST, SECOND = "chunk-00000-*", "chunk-00001-*"
+FIRST, SECOND = "chunk-00000-*-1", "chunk-00001-*-1"
 DAMAGES = {
     "the first part is missing": (f"{SECOND}/part-000000-steps.parquet", Path.unlink),
     "a part is missing": (f"{SECOND}/part-000001-steps.parquet", Path.unlink),
@@ -296,10 +296,13 @@ def test_a_copied_chunk_is_refused(copy, capsys):
 @pytest.mark.parametrize("is_folder", [False, True])
 def test_what_no_number_depends_on_may_be_damaged(copy, undamaged, is_folder):
     first, second = (next((copy / WORK).glob(pattern)) for pattern in (FIRST, SECOND))
-    (copy / WORK / "groups.json").write_text('{"groups": 7}')
-    if is_folder:
-        (copy / WORK / "groups.json").unlink()
-        (copy / WORK / "groups.json").mkdir()
+    (worker,) = (copy / WORK).glob("worker-*.json")
+    (done,) = (copy / WORK).glob("chunk-*.done")
+    for path in (worker, done, second / "lease.json", copy / WORK / "sweep.json"):
+        path.write_text('{"beats": 7}')
+        if is_folder:
+            path.unlink()
+            path.mkdir()
     (copy / WORK / "lock").unlink()
     (copy / ".work-done" / "chunk").mkdir(parents=True)
     (second / "part-foo.parquet").write_text("stray")

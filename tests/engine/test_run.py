@@ -13,8 +13,8 @@ import pytest
 from bojax.config.errors import ConfigError
 from bojax.config.limits import Limit
 from bojax.engine import batch
-from bojax.engine.journal import Journal
 from bojax.engine.run import Request, run_sweeps
+from bojax.results.leases import Leases
 from bojax.results.store import WORK, ResultsError, read_manifest, read_table
 from tests.engine.drive import contents, run_toy, start_toy
 from tests.toy import Toy, toy_sweep
@@ -308,17 +308,15 @@ def test_finished_sweeps_among_those_to_resume_are_left_out(tmp_path, monkeypatc
     assert run_sweeps(requests, True, []) == 2
 
 
-@pytest.mark.parametrize("moment", ["compiled", "failed"])
-def test_a_full_disk_beside_a_compilation_stops_the_sweep(tmp_path, capsys, monkeypatch, moment):
+@pytest.mark.parametrize("moment", ["take", "finish", "fail"])
+def test_a_full_disk_stops_the_sweep(tmp_path, capsys, monkeypatch, moment):
     def full(*_):
         raise ResultsError("the disk is full", exit_code=1)
 
     with monkeypatch.context() as patch:
-        if moment == "compiled":
-            patch.setattr(Journal, "note_compiled", full)
-        else:
+        if moment == "fail":
             patch.setattr(batch, "_compile", lambda *_: 1 / 0)
-            patch.setattr(Journal, "note_failure", full)
+        patch.setattr(Leases, moment, full)
         assert run_toy(tmp_path / "toy") == 1
     assert errors(capsys) == ["error: the disk is full"]
     assert all(chunk["status"] != "failed" for chunk in read_manifest(tmp_path / "toy")["chunks"])

@@ -66,7 +66,8 @@ def test_life_of_a_folder(tmp_path):
     path = tmp_path / "a" / "b"
     folder = RunFolder(path)
     folder.create(PLAN)
-    folder.note("groups", {"0": 1})
+    launch = folder.launch({"name": "parking"})
+    assert folder.launched() == launch and launch.number == 1 and launch.sweep == {"name": "parking"}
     assert is_unfinished(path)
     with pytest.raises(ResultsError, match="not empty"):
         choose_folder("parking", path, resume=False)
@@ -75,9 +76,11 @@ def test_life_of_a_folder(tmp_path):
     folder.close(finished=False)
     again = RunFolder(path)
     again.resume(PLAN)
-    assert again.noted("groups", None) == {"0": 1} and again.noted("other", "nothing") == "nothing"
+    assert again.plan() == PLAN
     again.close(finished=True)
     assert not is_unfinished(path)
+    with pytest.raises(ResultsError, match="no unfinished sweep in this folder on .*; allowed: "):
+        again.launched()
 
 
 @pytest.mark.parametrize(
@@ -135,14 +138,16 @@ def test_a_manifest_that_does_not_say_finished(tmp_path, manifest, named):
 
 
 @pytest.mark.parametrize("damage", ['{"runs": 4}', '{"runs": 3, "sha256": "00"}', "[1]", '"x', "[" * 10**5])
-def test_a_damaged_plan_is_refused_and_a_damaged_note_ignored(tmp_path, damage):
+def test_a_damaged_plan_is_refused(tmp_path, damage):
     folder = RunFolder(tmp_path / "out")
     folder.create(PLAN)
-    folder.note("groups", [1, 2])
+    folder.launch({})
     folder.close(finished=False)
-    assert folder.noted("groups", None) == [1, 2]
-    (folder.work / "groups.json").write_text(damage)
-    assert folder.noted("groups", "nothing") == "nothing"
+    (folder.work / "sweep.json").write_text(damage)
+    with pytest.raises(
+        ResultsError, match="sweep.json: missing or damaged; start the sweep again with --res"
+    ):
+        folder.launched()
     (folder.work / "plan.json").write_text(damage)
     with pytest.raises(ResultsError, match="plan.json: damaged: delete this file and resume"):
         folder.resume(PLAN)
@@ -168,3 +173,15 @@ def test_leftovers_of_an_earlier_finish_are_deleted(tmp_path):
     (folder.path / ".work-done" / "chunk").mkdir(parents=True)
     folder.close(finished=True)
     assert os.listdir(folder.path) == []
+
+
+def test_the_first_worker_commits_the_plan(tmp_path):
+    folder = RunFolder(tmp_path / "out")
+    folder.create(None)
+    assert folder.plan() is None
+    folder.join(PLAN, {"platform": "gpu", "count": 2})
+    folder.join(PLAN, {"platform": "gpu", "count": 1})
+    assert folder.plan() == PLAN and folder.device() == {"platform": "gpu", "count": 2}
+    with pytest.raises(ResultsError, match="does not fit the plan: code.bojax: a -> b"):
+        folder.join({**PLAN, "code": {"bojax": "b"}}, {})
+    assert sorted(path.name for path in folder.work.iterdir()) == ["device.json", "lock", "plan.json"]

@@ -1,0 +1,89 @@
+"""`bojax status`: what of a sweep is done, running, lost or failed."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from bojax.cli.parser import Parser
+from bojax.config.errors import printable
+from bojax.text import duration
+
+MOST_LINES = 20
+"""Number of chunks of each kind that are listed one by one."""
+
+_EXAMPLES = """\
+  bojax status results/parking/big         progress of a sweep, from any machine that has the folder
+"""
+
+
+def main(name: str, words: Sequence[str]) -> int:
+    """Run the command; the exit code is 1 if a chunk failed."""
+    args = _parser(name).parse_intermixed_args(list(words))
+    has_failed = False
+    for folder in args.folders:
+        lines, failed = describe(folder)
+        print("\n".join(map(printable, lines)))
+        has_failed |= failed
+    return 1 if has_failed else 0
+
+
+def describe(folder: Path) -> tuple[list[str], bool]:
+    """The state of a sweep in lines, and whether a chunk has failed.
+
+    Raises:
+        ResultsError: The folder is not that of a sweep.
+    """
+    from bojax.results.folder import is_unfinished
+    from bojax.results.status import Held, status_of
+    from bojax.results.store import MANIFEST, read_manifest
+
+    if not is_unfinished(folder) and os.path.lexists(folder / MANIFEST):
+        return [f"{folder}: {read_manifest(folder).get('status')}"], False
+    status = status_of(folder)
+    if status.device is None:
+        return [f"{folder}: {status.name}: waiting for the first worker"], False
+
+    def lines(kind: str, held: Sequence[Held]) -> list[str]:
+        shown = [
+            f"{kind}: chunk {each.chunk} ({each.runs} runs), attempt {each.attempt}, {each.owner}, "
+            f"for {duration(each.age)}"
+            + (f", silent for {duration(each.silence)}" if each.silence < float("inf") else "")
+            for each in held[:MOST_LINES]
+        ]
+        return shown + [f"{kind}: {len(held) - MOST_LINES} more"] * (len(held) > MOST_LINES)
+
+    began = status.done + len(status.running) + len(status.lost) + len(status.failed) + status.paused
+    counts = {
+        "running": len(status.running),
+        "lost": len(status.lost),
+        "failed": len(status.failed),
+        "paused": status.paused,
+        "waiting": status.chunks - began,
+    }
+    rest = "".join(f", {number} {kind}" for kind, number in counts.items() if number)
+    failed = [f"failed: chunk {chunk}: {reason}" for chunk, reason in status.failed.items()]
+    more = [f"failed: {len(failed) - MOST_LINES} more"] * (len(failed) > MOST_LINES)
+    found = [
+        f"{folder}: {status.name} on {status.device}: {status.done} of {status.chunks} chunks done, "
+        f"{status.runs_done} of {status.runs} runs{rest}",
+        *lines("running", status.running),
+        *lines("lost", status.lost),
+        *failed[:MOST_LINES],
+        *more,
+    ]
+    if status.done == status.chunks:
+        found.append("all chunks are done; the command that started the sweep merges them, with --resume")
+    elif status.seconds_left is not None and status.running:
+        found.append(f"about {duration(status.seconds_left)} left with {len(status.running)} at a time")
+    return found, bool(failed)
+
+
+def _parser(name: str) -> Parser:
+    parser = Parser(
+        prog=f"bojax {name}",
+        usage=f"bojax {name} DIR...",
+        description="Show what of a sweep is done, running, lost or failed. Reads the results folder alone.",
+        examples=_EXAMPLES,
+    )
+    parser.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="results folder of a sweep")
+    return parser

@@ -1,0 +1,65 @@
+"""What is left of a sweep for a process to run: its groups, each with the chunks that are not done."""
+
+from collections import deque
+from collections.abc import Callable, Sequence
+
+from bojax.engine.chunks import Chunk
+from bojax.engine.devices import Device
+from bojax.engine.execute import GroupTask
+from bojax.engine.progress import SweepProgress
+from bojax.engine.runner import Limits
+from bojax.engine.share import FolderShare
+from bojax.results.leases import Standing
+
+
+def tasks_of(
+    share: FolderShare, stop: Callable[[], bool], *, name_sweep: bool = False, start: float = 0.0
+) -> list[GroupTask]:
+    """The groups of a sweep that have chunks to run.
+
+    Args:
+        share: The chunks.
+        stop: Whether a stop is requested.
+        name_sweep: Whether messages name the sweep.
+        start: Share of the chunks, from 0 to 1, that comes last. Workers that start apart seldom want
+            the same chunk, and each compiles few groups.
+    """
+    plan, engine = share.plan, share.plan.sweep.engine
+    left = [chunk for chunk in plan.chunks if share.standing(chunk) in (Standing.FREE, Standing.HELD)]
+    first = int(start * len(left))
+    by_group: dict[int, deque[Chunk]] = {}
+    for chunk in left[first:] + left[:first]:
+        by_group.setdefault(chunk.group, deque()).append(chunk)
+    tasks = []
+    for index, chunks in by_group.items():
+        group = plan.groups[index]
+        tasks.append(
+            GroupTask(
+                group=group,
+                experiment=plan.experiment(group),
+                name=f"{plan.sweep.name}: {plan.name(group)}" if name_sweep else plan.name(group),
+                seed=plan.sweep.seed,
+                layout=chunks[0].layout,
+                chunks=chunks,
+                limits=Limits(engine.segment_seconds, engine.checkpoint_seconds, stop),
+                share=share,
+                recorded_runs=plan.sweep.record.runs,
+            )
+        )
+    return tasks
+
+
+def progress_of(
+    shares: Sequence[FolderShare], tasks: Sequence[GroupTask], workers: Sequence[Device]
+) -> SweepProgress:
+    """The progress of sweeps, with the runs that are done."""
+    num_runs = sum(chunk.num_runs for share in shares for chunk in share.plan.chunks)
+    waiting = sum(chunk.num_runs for task in tasks for chunk in task.chunks)
+    progress = SweepProgress(
+        f"{len(shares)} sweeps" if len(shares) > 1 else shares[0].plan.sweep.name,
+        num_runs,
+        workers=len(workers),
+        shares_cores=workers[0].platform == "cpu",
+    )
+    progress.add([task.progress for task in tasks], runs_done=num_runs - waiting)
+    return progress

@@ -1,0 +1,316 @@
+"""Several processes share a sweep through its folder: the bytes are those of one that ran it alone."""
+
+import shutil
+import signal
+import time
+from pathlib import Path
+
+import jax
+import pytest
+
+from bojax.engine import batch
+from bojax.engine.batch import Functions, Programs
+from bojax.engine.plan import make_plan
+from bojax.engine.runner import ChunkRunner, Limits
+from bojax.engine.share import FolderShare
+from bojax.results.folder import RunFolder
+from bojax.results.leases import Attempts, Leases
+from bojax.results.store import WORK, read_manifest, read_table
+from tests.engine.drive import contents, plan_toy, run_toy, start_worker, work_on
+from tests.toy import toy_sweep
+
+POINTS = ({"scale": 1.0, "max_length": 80}, {"scale": 2.0, "max_length": 80}, {"max_length": 30})
+SWEEP = {"points": POINTS, "runs": 8, "lanes_per_device": 2, "lease_seconds": 0.5}
+"""Two static groups, the first of two chunks."""
+
+OFTEN = {"segment_seconds": 1e-6, "checkpoint_seconds": 1e-6}
+
+
+def run_here(out: Path, **settings) -> int:
+    given = {**SWEEP, **settings}
+    return run_toy(out, *given.pop("points"), **given)
+
+
+def plan_here(out: Path, **settings) -> None:
+    given = {**SWEEP, **settings}
+    plan_toy(out, *given.pop("points"), **given)
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory) -> dict[str, bytes]:
+    out = tmp_path_factory.mktemp("alone") / "toy"
+    assert run_here(out) == 0
+    return contents(out)
+
+
+@pytest.fixture(scope="module")
+def plans(tmp_path_factory) -> dict[str, Path]:
+    root = tmp_path_factory.mktemp("plans")
+    plan_here(root / "planned")
+    plan_here(root / "often", **OFTEN)
+    return {name: root / name for name in ("planned", "often")}
+
+
+@pytest.fixture
+def planned(plans, tmp_path) -> Path:
+    """A folder in which nothing has run yet."""
+    return Path(shutil.copytree(plans["planned"], tmp_path / "toy"))
+
+
+@pytest.fixture
+def often(plans, tmp_path) -> Path:
+    """The same, where every advance leaves a checkpoint."""
+    return Path(shutil.copytree(plans["often"], tmp_path / "toy"))
+
+
+def attempts_of(out: Path) -> Attempts:
+    attempts = Attempts(out / WORK)
+    attempts.look()
+    return attempts
+
+
+def merged(out: Path) -> dict[str, bytes]:
+    """The results, once the driver has merged what workers have computed."""
+    before = batch.compile_counts.copy()
+    assert run_here(out, resume=True) == 0
+    assert batch.compile_counts == before  # it has run nothing
+    return contents(out)
+
+
+@pytest.mark.bits
+def test_a_worker_computes_and_the_driver_merges(planned, alone):
+    assert work_on(planned) == 0
+    assert not (planned / "runs.parquet").exists()
+    assert merged(planned) == alone
+    manifest = read_manifest(planned)
+    assert all(group["compile_seconds"] > 0 for group in manifest["groups"])
+    assert not (planned / WORK).exists()
+
+
+@pytest.mark.bits
+def test_workers_start_with_different_chunks(planned, alone, monkeypatch):
+    taken = []
+    take = Leases.take
+
+    def noted(self, chunk):
+        taken.append(chunk.split("-")[1])
+        return take(self, chunk)
+
+    monkeypatch.setattr(Leases, "take", noted)
+    assert work_on(planned, number=1, count=2, cores=1) == 0
+    assert sorted(taken) == ["00000", "00001", "00002"] and taken.index("00001") < taken.index("00000")
+    assert merged(planned) == alone
+
+
+def stopping_after(segments: int):
+    """A stop that is requested after a number of segments."""
+    count = 0
+
+    def stop() -> bool:
+        nonlocal count
+        count += 1
+        return count > segments
+
+    return stop
+
+
+@pytest.mark.bits
+def test_a_worker_goes_on_where_others_stopped(often, alone):
+    rounds = 0
+    while len(attempts_of(often).complete) < 3:
+        assert work_on(often, stop=stopping_after(40), cores=1) == 0
+        rounds += 1
+    assert rounds > 2
+    assert merged(often) == alone
+
+
+def wait_until(condition, process) -> None:
+    deadline = time.monotonic() + 120
+    while not condition():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def has_checkpoint(out: Path) -> bool:
+    return any((out / WORK).glob("chunk-*-1/checkpoint-*"))
+
+
+@pytest.mark.bits
+def test_a_paused_worker_loses_its_chunk_and_wakes_up(often, alone):
+    paused = start_worker(often, "--cores", "1")
+    wait_until(lambda: has_checkpoint(often), paused)
+    paused.send_signal(signal.SIGSTOP)
+    assert work_on(often) == 0  # takes over what the paused one held, once its heartbeats have stopped
+    attempts = attempts_of(often)
+    assert len(attempts.complete) == 3 and 2 in attempts.complete.values()
+    paused.send_signal(signal.SIGCONT)
+    assert paused.wait(60) == 0
+    assert merged(often) == alone
+
+
+@pytest.mark.bits
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGKILL, -9), (signal.SIGTERM, 143)])
+def test_a_driver_takes_over_from_a_worker(often, alone, number, code):
+    worker = start_worker(often)
+    wait_until(lambda: has_checkpoint(often), worker)
+    worker.send_signal(number)
+    worker.communicate(timeout=60)
+    assert worker.returncode == code
+    assert run_here(often, resume=True) == 0
+    assert contents(often) == alone
+
+
+@pytest.mark.bits
+def test_a_driver_and_a_worker_side_by_side(tmp_path, alone, monkeypatch):
+    """The driver waits for the chunks of the worker, and merges them with its own."""
+    out = tmp_path / "toy"
+    plan_here(out, **OFTEN)
+    worker = start_worker(out, "--cores", "1")
+    wait_until(lambda: has_checkpoint(out), worker)
+    monkeypatch.setattr("bojax.engine.run.workers_of", lambda devices: list(devices))
+    assert run_here(out, resume=True, **OFTEN) == 0
+    assert worker.wait(60) == 0
+    assert contents(out) == alone
+
+
+def shared(out: Path, clock) -> FolderShare:
+    """The share of a process whose clock and heartbeats a test moves."""
+    given = {**SWEEP, **OFTEN}
+    plan = make_plan(toy_sweep(*given.pop("points"), **given), jax.devices()[:1])
+    leases = Leases(out / WORK, out, launch=1, seconds=60.0, clock=clock)
+    leases.beat()
+    leases.look()
+    return FolderShare(plan, RunFolder(out), leases)
+
+
+@pytest.mark.bits
+def test_a_zombie_that_commits_late(often, alone):
+    """A scripted clock: a process is paused in the middle of every chunk, and ends it after the thief."""
+    now = 0.0
+    victim, thief = (shared(often, lambda: now) for _ in range(2))
+    programs = {}
+
+    def run(share, chunk, sink, most=10**9) -> ChunkRunner:
+        def compiled(width):
+            if (chunk.group, width) not in programs:
+                functions = Functions(plan.groups[chunk.group])
+                device = jax.devices()[0]
+                programs[chunk.group, width] = Programs(functions, device, width, 3, recorded=4, fills=True)
+            return programs[chunk.group, width]
+
+        segments = []
+        limits = Limits(1e-6, 1e-6, lambda: len(segments) >= most)
+        experiment = plan.experiment(plan.groups[chunk.group])
+        ChunkRunner(chunk, experiment, compiled, sink, limits, segments.append).run()
+
+    plan = victim.plan
+    for chunk in plan.chunks:
+        paused = victim.take(chunk)
+        run(victim, chunk, paused, most=3)
+        thief.look()
+        assert thief.take(chunk) is None
+        now += 60.0
+        stolen = thief.take(chunk)
+        assert stolen.state.advances == 3 == paused.state.advances
+        run(thief, chunk, stolen)
+        thief.release(chunk, stolen)
+        run(victim, chunk, paused)
+        victim.leases.beat()
+        assert victim.is_stolen(chunk) and paused.state.is_done
+        victim.release(chunk, paused)
+    assert merged(often) == alone
+
+
+def one_line(capsys) -> str:
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error: ")]
+    return line
+
+
+@pytest.mark.parametrize(
+    ("where", "value", "named"),
+    [
+        ("bojax.engine.plan.versions", lambda: {"jax": "0.1"}, "versions.jax: "),
+        ("bojax.engine.plan.code_hashes", lambda _: {"bojax": "x"}, "code.bojax: "),
+        (
+            "bojax.engine.plan.device_description",
+            lambda _: {"platform": "gpu", "kind": "H100"},
+            "device.platform: cpu -> gpu, device.kind: cpu -> H100",
+        ),
+    ],
+)
+def test_a_worker_that_differs_leaves_in_one_line(planned, capsys, monkeypatch, where, value, named):
+    before = sorted(planned.rglob("*"))
+    monkeypatch.setattr(where, value)
+    capsys.readouterr()
+    assert work_on(planned) == 1
+    line = one_line(capsys)
+    assert "this worker does not fit the plan" in line and named in line
+    assert sorted(planned.rglob("*")) == before
+
+
+def test_what_is_no_planned_sweep(tmp_path, planned, capsys):
+    assert work_on(tmp_path / "elsewhere") == 1
+    assert "elsewhere: no unfinished sweep in this folder on " in one_line(capsys)
+    path = planned / WORK / "plan.json"
+    path.write_text(path.read_text().replace('"seed": 3', '"seed": 4'))
+    assert work_on(planned) == 1
+    assert f"{path}: damaged" in one_line(capsys)
+
+
+def test_a_worker_whose_disk_is_full_leaves_its_chunks_to_others(planned, alone, capsys, monkeypatch):
+    from bojax.results import parts
+
+    def full(path, table):
+        raise parts.ResultsError(f"{path}: the disk is full", exit_code=1)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(parts, "write_table", full)
+        assert work_on(planned) == 1
+    assert "the disk is full" in one_line(capsys)
+    assert not attempts_of(planned).failed
+    assert work_on(planned) == 0
+    assert merged(planned) == alone
+
+
+def test_a_failed_chunk_does_not_stop_the_others_and_is_told(planned, alone, capsys, monkeypatch):
+    summary = batch.Programs.summary
+
+    def fail(self, carry, lanes):
+        if self.num_lanes == 2 and float(self._shared.poison) and self._shared.scale is None:
+            raise RuntimeError("boom")
+        return summary(self, carry, lanes)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(batch.Programs, "summary", fail)
+        assert work_on(planned) == 1
+        assert work_on(planned) == 0  # a failure is not tried again by another worker
+    attempts = attempts_of(planned)
+    assert len(attempts.complete) == 1 and len(attempts.failed) == 2
+    assert run_here(planned, resume=True) == 0
+    assert contents(planned) == alone
+
+
+def test_the_sweep_ends_while_a_worker_runs(planned, capsys, monkeypatch):
+    """The chunk was stolen, and the driver has merged the sweep and deleted the working folder."""
+    from bojax.results.parts import ChunkFolder
+
+    def gone(self):
+        (planned / WORK).rename(planned / "gone")
+        return original(self)
+
+    original = ChunkFolder.commit
+    monkeypatch.setattr(ChunkFolder, "commit", gone)
+    monkeypatch.setattr("bojax.engine.worker.workers_of", lambda devices, _: list(devices)[:1])
+    assert work_on(planned) == 0
+    assert capsys.readouterr().err.splitlines()[-1] == "the sweep has ended"
+    assert not (planned / WORK).exists()
+
+
+def test_several_sweeps_are_one_plan(planned, tmp_path, alone):
+    other = tmp_path / "other"
+    plan_here(other, runs=2)
+    assert work_on(planned, other) == 0
+    assert merged(planned) == alone
+    assert run_here(other, resume=True, runs=2) == 0
+    assert read_table(other / "runs.parquet").num_rows == 6
