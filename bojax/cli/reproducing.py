@@ -6,6 +6,7 @@ from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
 
+from bojax.cli.launching import LAUNCHING_USAGE, add_launching, check_launching, dry_run, launcher_of
 from bojax.cli.parser import Parser, UsageError, integer
 from bojax.cli.running import resolved
 from bojax.config.errors import did_you_mean, listed
@@ -41,7 +42,10 @@ _EXAMPLES = """\
 def main(name: str, words: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     args = _parser(name).parse_intermixed_args(list(words))
+    check_launching(args)
     sweeps = [load_sweep(sweep, (), args.runs, args.seed) for sweep in selected(args.ids)]
+    if args.dry_run:
+        return dry_run(args, [sweep.name for sweep in sweeps])
     return _run(sweeps, args, ["bojax", name, *words])
 
 
@@ -55,16 +59,30 @@ def _run(sweeps: Sequence[Sweep], args: Namespace, command: list[str]) -> int:
     from bojax.engine.run import Request, run_sweeps
     from bojax.report.reproduction import reproduction
 
+    launcher, devices = launcher_of(args)
     requests = [Request(resolved(sweep), out / sweep.name) for sweep in sweeps]
     skipped: dict[str, str] = {}
     with Reports(in_background=len(sweeps) > 1) as reports:
-        code = run_sweeps(requests, args.resume, command, finish=reports.write, skipped=skipped)
-    if code not in (0, 1):
+        code = run_sweeps(
+            requests,
+            args.resume,
+            command,
+            finish=reports.write,
+            skipped=skipped,
+            launcher=launcher,
+            indices=devices,
+        )
+    if code not in (0, 1) or not all(_is_merged(out / sweep.name, skipped) for sweep in sweeps):
         return code
     sources = [out / sweep.name for sweep in sweeps if sweep.name not in skipped]
     page = reproduction(out, sources, shlex.join(command), time.monotonic() - start, skipped)
     print(page)
     return code or reports.exit_code
+
+
+def _is_merged(folder: Path, skipped: dict[str, str]) -> bool:
+    """Whether a sweep has results; one that was submitted to Slurm has none yet."""
+    return folder.name in skipped or (folder / "manifest.json").exists()
 
 
 def selected(ids: Sequence[str]) -> list[str]:
@@ -112,7 +130,7 @@ def _newest(folder: Path) -> Path:
 def _parser(name: str) -> Parser:
     parser = Parser(
         prog=f"bojax {name}",
-        usage=f"bojax {name} ID... [--runs N] [--seed S] [--out DIR] [--resume]",
+        usage=f"bojax {name} ID... [--runs N] [--seed S] [--out DIR] [--resume]{LAUNCHING_USAGE}",
         description=_DESCRIPTION,
         examples=_EXAMPLES,
     )
@@ -127,4 +145,5 @@ def _parser(name: str) -> Parser:
         "--out", type=Path, metavar="DIR", help=f"folder of the results (default: {FOLDER}/TIME)"
     )
     parser.add_argument("--resume", action="store_true", help="go on with interrupted or failed sweeps")
+    add_launching(parser)
     return parser

@@ -3,11 +3,13 @@
 import os
 import re
 import sys
+from argparse import Namespace
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from bojax.cli.launching import LAUNCHING_USAGE, add_launching, check_launching, dry_run
 from bojax.cli.parser import Parser, UsageError, integer
 from bojax.config.errors import printable
 from bojax.config.files import STANDARD_INPUT, SUFFIXES, display, find, shadowed
@@ -43,6 +45,7 @@ def main(name: str, words: Sequence[str]) -> int:
     args = _parser(name).parse_intermixed_args(list(words))
     overrides = [word for word in args.words if "=" in word and not os.path.isfile(word)]
     sources = [word for word in args.words if word not in overrides]
+    check_launching(args)
     parse_overrides(overrides)  # before the sources: the shell may have split a value into words
     for word, value in pairwise(sources):
         if _DOTTED.fullmatch(word) and not word.endswith(SUFFIXES):
@@ -64,7 +67,10 @@ def main(name: str, words: Sequence[str]) -> int:
         if isinstance(source, str) and (hidden := shadowed(source, folder)):
             own = display(find(source, folder))
             print(printable(f"note: {own} hides {hidden}, which differs"), file=sys.stderr)
-    return run([resolved(sweep) for sweep in sweeps], args.out, args.resume, ["bojax", name, *words])
+    if getattr(args, "dry_run", False):
+        return dry_run(args, names)
+    command = ["bojax", name, *words]
+    return run([resolved(sweep) for sweep in sweeps], args.out, args.resume, command, launching=args)
 
 
 def _parser(name: str) -> Parser:
@@ -72,7 +78,7 @@ def _parser(name: str) -> Parser:
     parser = Parser(
         prog=f"bojax {name}",
         usage=f"bojax {name} {'CONFIG' if is_run else 'SWEEP...'} [key=value ...] [--runs N] [--seed S] "
-        "[--out DIR] [--resume]",
+        f"[--out DIR] [--resume]{'' if is_run else LAUNCHING_USAGE}",
         description=("Run one experiment.\n\n" if is_run else "Run sweeps and write their reports.\n\n")
         + _OVERRIDES,
         examples=_RUN if is_run else _SWEEP,
@@ -92,6 +98,8 @@ def _parser(name: str) -> Parser:
         "--out", type=Path, metavar="DIR", help="results folder, new or empty (default: results/NAME/TIME)"
     )
     parser.add_argument("--resume", action="store_true", help="resume an interrupted or failed sweep")
+    if not is_run:
+        add_launching(parser)
     return parser
 
 
@@ -112,7 +120,13 @@ def _read_standard_input() -> dict[str, Any]:
 
 
 def run(
-    sweeps: Sequence[Sweep], out: Path | None, resume: bool, command: list[str], *, exits: bool = True
+    sweeps: Sequence[Sweep],
+    out: Path | None,
+    resume: bool,
+    command: list[str],
+    *,
+    exits: bool = True,
+    launching: Namespace | None = None,
 ) -> int:
     """Run resolved sweeps and write their reports.
 
@@ -122,6 +136,7 @@ def run(
         resume: Whether to continue unfinished sweeps.
         command: The command line, for the manifests and for the hint on how to resume.
         exits: Whether a second signal ends the process at once.
+        launching: The options of `add_launching`; None runs the chunks in this process, on all devices.
 
     Returns:
         The exit code, as `bojax.engine.run.run_sweeps`.
@@ -137,12 +152,22 @@ def run(
         return stop.exit_code
 
     from bojax.cli.background import Reports
+    from bojax.cli.launching import launcher_of
 
     if is_read_by_a_process():
         stop_with_parent()
+    launcher, devices = launcher_of(launching or Namespace())
     several = len(sweeps) > 1
     folders = [out / sweep.name if out and several else out for sweep in sweeps]
     requests = [Request(sweep, folder) for sweep, folder in zip(sweeps, folders, strict=True)]
     with Reports(in_background=several) as reports:
-        code = run_sweeps(requests, resume, command, finish=reports.write, exits=exits)
+        code = run_sweeps(
+            requests,
+            resume,
+            command,
+            finish=reports.write,
+            exits=exits,
+            launcher=launcher,
+            indices=devices,
+        )
     return code or reports.exit_code

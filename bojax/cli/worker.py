@@ -42,7 +42,7 @@ def main(name: str, words: Sequence[str]) -> int:
         return stop.exit_code
 
 
-def devices(text: str) -> list[int]:
+def device_indices(text: str) -> list[int]:
     """Indices of devices, such as `0,2`."""
     try:
         indices = [int(word) for word in text.split(",")]
@@ -78,7 +78,7 @@ def _parser(name: str) -> Parser:
     )
     parser.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="results folder of the sweep")
     parser.add_argument(
-        "--devices", type=devices, metavar="I,J", help="indices of the GPUs to use (default: all)"
+        "--devices", type=device_indices, metavar="I,J", help="indices of the GPUs to use (default: all)"
     )
     parser.add_argument("--cores", type=_cores, metavar="N", help="number of CPU cores to use (default: all)")
     parser.add_argument(

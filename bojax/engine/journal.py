@@ -63,8 +63,11 @@ class Journal:
         assert self._share is not None
         return self._share
 
-    def open(self) -> None:
+    def open(self, *, retry: bool = True) -> None:
         """Create the results folder, or reopen it, and begin to send heartbeats.
+
+        Args:
+            retry: Whether chunks that have failed are tried again.
 
         Raises:
             ResultsError: The folder belongs to another sweep, or a committed file is missing or has changed.
@@ -73,13 +76,13 @@ class Journal:
             self.folder.resume(self.plan.content)
         else:
             self.folder.create(self.plan.content, may_rename=self._may_rename)
-        self._verify()
+        self._verify(retry=retry)
         launch = self.folder.launch(plain(saved(self.plan.sweep)))
         self._share = FolderShare.join(self.plan, self.folder, launch, is_driver=True)
         self.write_manifest("running")
 
-    def _verify(self) -> None:
-        """Read what earlier processes have committed, and let chunks that failed be tried again."""
+    def _verify(self, *, retry: bool) -> None:
+        """Read what earlier processes have committed, and forget what does not fit it."""
         attempts = Attempts(self.folder.work)
         attempts.look()
         for chunk in self.plan.chunks:
@@ -90,7 +93,7 @@ class Journal:
                 self._files[chunk.index] = files
             if chunk.name in attempts.complete and not self.state(chunk).is_done:
                 attempts.unmark(chunk.name, attempts.complete[chunk.name], "done")
-            if chunk.name in attempts.failed:
+            if chunk.name in attempts.failed and retry:
                 attempts.unmark(chunk.name, attempts.failed[chunk.name], "failed")
 
     def state(self, chunk: Chunk) -> ChunkState:

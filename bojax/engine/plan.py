@@ -79,7 +79,7 @@ def plan_made_elsewhere(sweep: "Sweep", content: Mapping[str, Any], device: Mapp
         replace(point, config=type(point.config).model_validate(config))
         for point, config in zip(sweep.points, configs, strict=True)
     ]
-    return _make_plan(replace(sweep, points=tuple(points)), device)
+    return replace(_make_plan(replace(sweep, points=tuple(points)), device), sweep=sweep)
 
 
 def _make_plan(sweep: "Sweep", device: Mapping[str, Any]) -> Plan:

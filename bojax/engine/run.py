@@ -3,19 +3,20 @@
 import shlex
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from bojax.config.errors import ConfigError, printable
 from bojax.config.extras import MissingExtra
-from bojax.engine.devices import Device, find_devices, prepare, workers_of
+from bojax.engine.conclude import conclude, interrupt
+from bojax.engine.devices import Device, choose, find_devices, prepare, workers_of
 from bojax.engine.errors import FAILURE, EngineError
 from bojax.engine.execute import execute
 from bojax.engine.journal import Journal
 from bojax.engine.latency import measure_latency
 from bojax.engine.plan import make_plan
 from bojax.engine.progress import SweepProgress
+from bojax.engine.remote import Launcher, Request, run_remotely
 from bojax.engine.signals import StopRequest
 from bojax.engine.tasks import progress_of, tasks_of
 from bojax.results.folder import (
@@ -32,19 +33,6 @@ if TYPE_CHECKING:
     from bojax.config.sweep import Sweep
 
 
-@dataclass(frozen=True)
-class Request:
-    """A sweep to run.
-
-    Attributes:
-        sweep: The sweep, in which parts given by import path have been resolved.
-        out: The results folder; `results/<name>/<timestamp>` if None.
-    """
-
-    sweep: "Sweep"
-    out: Path | None
-
-
 def run_sweeps(
     requests: Sequence[Request],
     resume: bool,
@@ -53,6 +41,8 @@ def run_sweeps(
     skipped: dict[str, str] | None = None,
     *,
     exits: bool = True,
+    launcher: Launcher | None = None,
+    indices: Sequence[int] | None = None,
 ) -> int:
     """Run or resume sweeps as one plan, and write their results folders.
 
@@ -66,30 +56,34 @@ def run_sweeps(
         skipped: Receives the names of sweeps whose extra is not installed, and the reasons. If None, such a
             sweep is an error.
         exits: Whether a second signal ends the process at once.
+        launcher: Starts workers that run the chunks; None to run them in this process.
+        indices: Indices of the devices that this process uses; None for all.
 
     Returns:
         The exit code: 0; 1 if something failed; 2 for an input error; 130 or 143 after a signal.
     """
     try:
         with StopRequest(exits=exits) as stop:
-            return _run(requests, resume, command, finish, skipped, stop)
+            device = _common_device([request.sweep for request in requests])
+            chosen = _choose_folders(requests, resume=resume)
+            if launcher is not None:
+                return run_remotely(chosen, command, finish, skipped, stop, launcher)
+            prepare(device)
+            devices = choose(find_devices(device), indices)
+            return _run(chosen, devices, command, finish, skipped, stop)
     except (ConfigError, ResultsError, EngineError) as error:
         print(printable(f"error: {error}"), file=sys.stderr)
         return error.exit_code
 
 
 def _run(
-    requests: Sequence[Request],
-    resume: bool,
+    chosen: Sequence[tuple[Request, Path, bool]],
+    devices: Sequence[Device],
     command: Sequence[str],
     finish: Callable[[Path], Any],
     skipped: dict[str, str] | None,
     stop: StopRequest,
 ) -> int:
-    device = _common_device([request.sweep for request in requests])
-    chosen = _choose_folders(requests, resume=resume)
-    prepare(device)
-    devices = find_devices(device)
     journals: list[Journal] = []
     for request, path, is_resumed in chosen:
         try:
@@ -153,7 +147,7 @@ def carry_out(
             journal.open()
         _execute(journals, devices, finish, stop)
         if stop:
-            _interrupt(journals, command)
+            interrupt(journals, command)
             return stop.exit_code
         return FAILURE if any(journal.errors for journal in journals) else 0
     finally:
@@ -181,12 +175,12 @@ def _execute(
             if not left[journal]:
                 ended.append(journal)
             if not left[journal] and several and not journal.plan.sweep.engine.latency:
-                _conclude(journal, progress.say, finish)  # while the other sweeps run
+                conclude(journal, progress.say, finish)  # while the other sweeps run
         for journal in ended:
             _measure_latency(journal, devices[0], progress, stop)
     for journal in ended if not stop else ():
         if not journal.is_merged:
-            _conclude(journal, lambda text: print(text, file=sys.stderr), finish)
+            conclude(journal, lambda text: print(text, file=sys.stderr), finish)
 
 
 def _measure_latency(journal: Journal, device: Device, progress: SweepProgress, stop: StopRequest) -> None:
@@ -204,30 +198,3 @@ def _measure_latency(journal: Journal, device: Device, progress: SweepProgress, 
             journal.note_latency(group, measure_latency(group, points, plan.sweep.seed, device))
         except (Exception, SystemExit) as error:  # a failure here leaves the results complete
             progress.say(f"latency of {plan.name(group)} not measured: {error_line(error)}")
-
-
-def _conclude(journal: Journal, say: Callable[[str], Any], finish: Callable[[Path], Any]) -> None:
-    """Merge a sweep, tell how it ended, and finish it unless it failed."""
-    journal.merge()
-    if journal.nans:
-        say(f"warning: {len(journal.nans)} runs contain NaN: see column nans of runs.parquet")
-    print(journal.path)
-    if journal.errors:
-        reasons = dict.fromkeys(journal.errors.values())
-        failed = f"{len(journal.errors)} of {len(journal.plan.chunks)} chunks failed"
-        say(printable(f"error: {failed}: {'; '.join(reasons)}: run again with --resume to retry them"))
-    else:
-        finish(journal.path)
-
-
-def _interrupt(journals: Sequence[Journal], command: Sequence[str]) -> None:
-    """Note that sweeps were interrupted, and print the command that resumes them."""
-    for journal in journals:
-        if not journal.is_merged:
-            journal.write_manifest("interrupted")
-    given = list(command)
-    if len(journals) == 1 and not any(word == "--out" or word.startswith("--out=") for word in given):
-        given += ["--out", str(journals[0].path)]
-    if "--resume" not in given:
-        given.append("--resume")
-    print(f"interrupted; to resume:\n  {shlex.join(given)}", file=sys.stderr)

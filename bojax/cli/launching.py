@@ -1,0 +1,79 @@
+"""The options of `bojax sweep` and `bojax reproduce` that choose where chunks run."""
+
+import time
+from argparse import Namespace
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bojax.cli.parser import Parser, UsageError
+from bojax.cli.worker import device_indices
+from bojax.config.launching import RayConfig, SlurmConfig, load_launching
+
+if TYPE_CHECKING:
+    from bojax.engine.remote import Launcher
+
+LAUNCHING_USAGE = "\n             [--launcher inline|ray|slurm] [--cluster FILE] [--devices I,J] [--dry-run]"
+
+LAUNCHERS = ("inline", "ray", "slurm")
+
+
+def add_launching(parser: Parser) -> None:
+    """Add the options."""
+    parser.add_argument(
+        "--launcher",
+        choices=LAUNCHERS,
+        default="inline",
+        help="what runs the chunks: this process, Ray actors or a Slurm array (default: inline)",
+    )
+    parser.add_argument(
+        "--cluster", type=Path, metavar="FILE", help="YAML file with settings of --launcher ray or slurm"
+    )
+    parser.add_argument(
+        "--devices", type=device_indices, metavar="I,J", help="indices of the GPUs to use (default: all)"
+    )
+    parser.add_argument(
+        "--dry-run", action="store_true", help="with --launcher slurm: print the script, submit nothing"
+    )
+
+
+def check_launching(args: Namespace) -> None:
+    """Refuse options that do not fit each other, and wrong settings.
+
+    Raises:
+        UsageError: An option does not fit the launcher.
+        ConfigError: A setting in the file is wrong.
+    """
+    launcher = getattr(args, "launcher", "inline")  # `bojax run` has none of the options
+    if launcher == "inline" and getattr(args, "cluster", None):
+        raise UsageError("--cluster: allowed: only with --launcher ray or slurm")
+    if launcher != "inline" and args.devices is not None:
+        raise UsageError("--devices: allowed: only without --launcher; a cluster chooses the devices")
+    if launcher != "slurm" and getattr(args, "dry_run", False):
+        raise UsageError("--dry-run: allowed: only with --launcher slurm")
+    if launcher != "inline":
+        load_launching(args.cluster, SlurmConfig if launcher == "slurm" else RayConfig)
+
+
+def launcher_of(args: Namespace) -> tuple["Launcher | None", list[int] | None]:
+    """The launcher, None for this process, and the indices of the devices that this process uses."""
+    launcher = getattr(args, "launcher", "inline")
+    if launcher == "slurm":
+        from bojax.engine.launchers.slurm import Slurm
+
+        return Slurm(load_launching(args.cluster, SlurmConfig)), None
+    if launcher == "ray":
+        from bojax.engine.launchers.ray import Ray
+
+        return Ray(load_launching(args.cluster, RayConfig)), None
+    return None, getattr(args, "devices", None)
+
+
+def dry_run(args: Namespace, names: Sequence[str]) -> int:
+    """Print the script that would be submitted to Slurm."""
+    from bojax.engine.launchers.slurm import Slurm
+
+    out = args.out or Path("results") / names[0] / time.strftime("%Y%m%d-%H%M%S")
+    folders = [out / name for name in names] if len(names) > 1 else [out]
+    print(Slurm(load_launching(args.cluster, SlurmConfig)).script(", ".join(names), folders), end="")
+    return 0

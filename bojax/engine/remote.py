@@ -1,0 +1,239 @@
+"""Running sweeps by workers that a launcher starts. This process merges, and needs no device."""
+
+import abc
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import jax
+
+from bojax.config.extras import MissingExtra
+from bojax.config.saved_sweep import saved
+from bojax.engine.conclude import conclude, interrupt, resuming
+from bojax.engine.devices import prepare
+from bojax.engine.errors import FAILURE, EngineError
+from bojax.engine.journal import Journal
+from bojax.engine.plan import make_plan, plain, plan_made_elsewhere
+from bojax.engine.signals import StopRequest
+from bojax.results.folder import RunFolder, check_finished, check_plan, drop_leftovers, is_unfinished
+from bojax.results.leases import Standing
+from bojax.results.store import MANIFEST, read_json
+
+if TYPE_CHECKING:
+    from bojax.config.sweep import Sweep
+
+POLL_SECONDS = 1.0
+"""Time between two looks at the folders."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """A sweep to run.
+
+    Attributes:
+        sweep: The sweep, in which parts given by import path have been resolved.
+        out: The results folder; `results/<name>/<timestamp>` if None.
+    """
+
+    sweep: "Sweep"
+    out: Path | None
+
+
+class Launcher(abc.ABC):
+    """Starts workers on other machines, or further processes of this one.
+
+    Attributes:
+        is_awaited: Whether the driver waits for the workers, and merges at the end. Otherwise it ends once
+            they are submitted, and merges when it is started again with `--resume`.
+    """
+
+    is_awaited: bool
+
+    @abc.abstractmethod
+    def check(self, name: str) -> None:
+        """Refuse, before anything is written, what cannot be started.
+
+        Raises:
+            EngineError: The launcher is missing on this machine, or refuses its settings.
+        """
+
+    @abc.abstractmethod
+    def start(self, name: str, folders: Sequence[Path]) -> None:
+        """Start workers for the sweeps in these folders.
+
+        Raises:
+            EngineError: They cannot be started.
+        """
+
+    def keep(self) -> bool:
+        """Whether workers are alive; those that were lost are replaced."""
+        return False
+
+    def close(self) -> None:
+        """Have the workers stop at a checkpoint, and wait for them."""
+        return
+
+
+@dataclass(eq=False)
+class _Remote:
+    """A sweep that workers run; its journal is there once a worker has planned it."""
+
+    sweep: "Sweep"
+    path: Path
+    journal: Journal | None = None
+
+
+def run_remotely(
+    chosen: Sequence[tuple[Request, Path, bool]],
+    command: Sequence[str],
+    finish: Callable[[Path], Any],
+    skipped: dict[str, str] | None,
+    stop: StopRequest,
+    launcher: Launcher,
+) -> int:
+    """Start workers for sweeps, merge those whose chunks have ended, and return the exit code.
+
+    Args:
+        chosen: The sweeps with their folders, and whether they are resumed.
+        command: The command line.
+        finish: Called with the results folder of each finished sweep.
+        skipped: Receives the names of sweeps whose extra is not installed, and the reasons.
+        stop: Whether a stop is requested.
+        launcher: Starts the workers.
+    """
+    prepare("cpu")
+    remotes: list[_Remote] = []
+    names = ", ".join(request.sweep.name for request, _, _ in chosen)
+    launcher.check(names)
+    for request, path, is_resumed in chosen:
+        try:
+            checked = make_plan(request.sweep, jax.devices("cpu")[:1])  # what is wrong shows before a launch
+        except MissingExtra as error:
+            if skipped is None:
+                raise
+            skipped[request.sweep.name] = str(error)
+            print(f"{request.sweep.name}: skipped: {error}", file=sys.stderr)
+            continue
+        if is_resumed and not is_unfinished(path):
+            check_finished(path, checked.content)
+            drop_leftovers(path)
+            print(f"{path}: already finished")
+            finish(path)
+            continue
+        folder = RunFolder(path)
+        _open(folder, request, is_resumed=is_resumed)
+        remotes.append(_Remote(request.sweep, folder.path))
+    try:
+        return _run(remotes, names, command, finish, stop, launcher) if remotes else 0
+    finally:
+        for remote in remotes:
+            if remote.journal is not None:
+                remote.journal.close()
+
+
+def _open(folder: RunFolder, request: Request, *, is_resumed: bool) -> None:
+    """Write what workers need to know."""
+    sweep = plain(saved(request.sweep))
+    if is_resumed:
+        check_plan(folder.path, _asked_for(folder.launched().sweep), _asked_for(sweep))
+    else:
+        folder.create(None, may_rename=request.out is None)
+    folder.launch(sweep)
+    folder.close(finished=False)
+
+
+def _asked_for(sweep: dict[str, Any]) -> dict[str, Any]:
+    """What must be the same when a sweep is resumed."""
+    kept = {name: sweep[name] for name in ("runs", "seed", "record", "config", "points")}
+    return {**kept, "engine.lanes_per_device": sweep["engine"]["lanes_per_device"]}
+
+
+def _run(
+    remotes: Sequence[_Remote],
+    names: str,
+    command: Sequence[str],
+    finish: Callable[[Path], Any],
+    stop: StopRequest,
+    launcher: Launcher,
+) -> int:
+    paths = [remote.path for remote in remotes]
+    for remote in remotes:
+        _plan(remote, command)
+    waiting = [remote for remote in remotes if not _has_ended(remote)]
+    for remote in remotes:
+        if remote not in waiting:
+            _conclude(remote, finish)
+    if waiting:
+        try:
+            launcher.start(names, [remote.path for remote in waiting])
+            if not launcher.is_awaited:
+                folders = " ".join(map(str, paths))
+                print(f"progress:  bojax status {folders}\nto merge:  {resuming(command, paths)}")
+                return 0
+            _wait(waiting, command, finish, stop, launcher)
+        finally:
+            launcher.close()
+    journals = [remote.journal for remote in remotes if remote.journal is not None]
+    if stop:
+        interrupt(journals, command)
+        return stop.exit_code
+    if any(not journal.is_merged for journal in journals) or len(journals) < len(remotes):
+        raise EngineError(f"the workers have ended early; to go on: {resuming(command, paths)}", FAILURE)
+    return FAILURE if any(journal.errors for journal in journals) else 0
+
+
+def _plan(remote: _Remote, command: Sequence[str]) -> None:
+    """Open the journal of a sweep that a worker has planned."""
+    folder = RunFolder(remote.path)
+    content = folder.plan()
+    if content is None or remote.journal is not None:
+        return
+    plan = plan_made_elsewhere(remote.sweep, content, folder.device())
+    journal = Journal(plan, remote.path, " ".join(command), is_resumed=True, may_rename=False)
+    # Failures are told before they are tried again.
+    manifest = remote.path / MANIFEST
+    journal.open(retry=manifest.exists() and read_json(manifest).get("status") == "failed")
+    remote.journal = journal
+
+
+def _has_ended(remote: _Remote) -> bool:
+    """Whether all chunks are done or have failed."""
+    if remote.journal is None:
+        return False
+    share = remote.journal.share
+    share.look()
+    return all(share.standing(chunk) in (Standing.DONE, Standing.FAILED) for chunk in share.plan.chunks)
+
+
+def _conclude(remote: _Remote, finish: Callable[[Path], Any]) -> None:
+    assert remote.journal is not None
+    conclude(remote.journal, lambda text: print(text, file=sys.stderr), finish)
+
+
+def _wait(
+    waiting: list[_Remote],
+    command: Sequence[str],
+    finish: Callable[[Path], Any],
+    stop: StopRequest,
+    launcher: Launcher,
+) -> None:
+    """Merge each sweep once its chunks have ended."""
+    while waiting and not stop:
+        is_alive = launcher.keep()
+        for remote in list(waiting):
+            _plan(remote, command)
+            if _has_ended(remote):
+                waiting.remove(remote)
+                _conclude(remote, finish)
+        if not is_alive:
+            return
+        _sleep(POLL_SECONDS, stop)
+
+
+def _sleep(seconds: float, stop: StopRequest) -> None:
+    end = time.monotonic() + seconds
+    while time.monotonic() < end and not stop:
+        time.sleep(0.05)

@@ -1,0 +1,220 @@
+"""A sweep on Slurm's own daemons, which run on this machine: `slurm_cluster.sh` starts them."""
+
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from bojax.cli.main import main
+from bojax.config.launching import SlurmConfig
+from bojax.engine.launchers.slurm import Slurm
+from bojax.results.leases import Attempts
+from bojax.results.store import WORK
+
+SCRIPT = Path(__file__).with_name("slurm_cluster.sh")
+HAS_SLURM = all(map(shutil.which, ("slurmctld", "slurmd", "munged", "sbatch"))) and os.geteuid() == 0
+SWEEP = """\
+base: cliff-walking
+axes: {env.slip: [0.01, 0.1, 0.2]}
+runs: 20
+record: {runs: 0}
+engine: {segment_seconds: 0.2, checkpoint_seconds: 0.2, lease_seconds: 5}
+"""
+"""One group of four chunks."""
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory):
+    if not HAS_SLURM:
+        pytest.skip("needs slurm-wlm and munge, and root")
+    folder = tmp_path_factory.mktemp("slurm")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    environment = {**os.environ, "SLURM_PORT": str(min(port, 65000))}
+    subprocess.run([SCRIPT, folder, "start"], check=True, timeout=60, env=environment)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SLURM_CONF", str(folder / "slurm.conf"))
+        yield folder
+        subprocess.run([SCRIPT, folder, "stop"], check=True)
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory) -> Path:
+    """A working directory with a sweep and its results."""
+    folder = tmp_path_factory.mktemp("place")
+    (folder / "sweep.yaml").write_text(SWEEP)
+    (folder / "cluster.yaml").write_text("{tasks: 2, cpus_per_task: 1, time: '0:10:00'}")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def alone(place) -> dict[str, bytes]:
+    bojax(place, "sweep", "sweep.yaml", "--out", "alone", *EPISODES)
+    return contents(place / "alone")
+
+
+EPISODES = ("episodes=1000",)
+
+
+def bojax(place: Path, *words: str, code: int = 0) -> subprocess.CompletedProcess:
+    done = subprocess.run(
+        [sys.executable, "-m", "bojax", *words],
+        cwd=place,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == code, done.stderr
+    return done
+
+
+def on_slurm(place: Path, out: str, *words: str, code: int = 0) -> str:
+    """Submit or resume the sweep; the number of the array, if one was submitted."""
+    options = ("--launcher", "slurm", "--cluster", "cluster.yaml", "--out", out, *EPISODES)
+    done = bojax(place, "sweep", "sweep.yaml", *options, *words, code=code)
+    return done.stdout.partition("submitted job ")[2].partition(" ")[0]
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {name: (folder / f"{name}.parquet").read_bytes() for name in ("runs", "episodes")}
+
+
+def wait_until(condition) -> None:
+    deadline = time.monotonic() + 120
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.2)
+
+
+def states(job: str) -> set[str]:
+    shown = subprocess.run(
+        ["squeue", "-h", "-t", "all", "-o", "%T", "-j", job], capture_output=True, text=True
+    )
+    return set(shown.stdout.split())
+
+
+def has_checkpoint(out: Path) -> bool:
+    return any((out / WORK).glob("chunk-*/checkpoint-*"))
+
+
+@pytest.mark.slurm
+def test_signals_and_a_second_array(cluster, place, alone):
+    """Near the time limit, tasks checkpoint and start again; cancelled ones checkpoint and do not."""
+    out = place / "out"
+    job = on_slurm(place, "out")
+    assert "#SBATCH --signal=B:USR2@120" in (out / "slurm.sh").read_text()
+    wait_until(lambda: has_checkpoint(out))
+    subprocess.run(["scancel", "--signal=USR2", "--batch", f"{job}_0"], check=True)
+    wait_until(lambda: "Restarts=1" in shown(f"{job}_0"))
+    subprocess.run(["scancel", job], check=True)
+    wait_until(lambda: states(job) == {"CANCELLED"})
+    assert not any((out / WORK).glob("*.failed"))
+    second = on_slurm(place, "out", "--resume")  # what is left
+    assert second != job
+    wait_until(lambda: states(second) == {"COMPLETED"})
+    attempts = Attempts(out / WORK)
+    attempts.look()
+    assert len(attempts.complete) == 4
+    assert not on_slurm(place, "out", "--resume")
+    assert contents(out) == alone
+    assert not (out / WORK).exists() and (out / "report.html").exists()
+
+
+def shown(job: str) -> str:
+    return subprocess.run(["scontrol", "show", "job", job], capture_output=True, text=True).stdout
+
+
+@pytest.mark.slurm
+def test_an_unknown_partition_is_refused_before_anything_is_written(cluster, place, tmp_path):
+    (tmp_path / "sweep.yaml").write_text(SWEEP)
+    (tmp_path / "cluster.yaml").write_text("{partition: nowhere}")
+    words = ("sweep", "sweep.yaml", "--launcher", "slurm", "--cluster", "cluster.yaml", "--out", "out")
+    done = bojax(tmp_path, *words, code=2)
+    assert done.stderr.count("\n") == 1 and "--launcher slurm: " in done.stderr
+    assert "Invalid partition name specified" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_script():
+    config = SlurmConfig(
+        tasks=3,
+        partition="gpu",
+        account="lab",
+        time="2:00:00",
+        gpus_per_task=1,
+        memory="32G",
+        options=("--constraint=h100",),
+        setup=("module load cuda",),
+    )
+    lines = Slurm(config).script("parking, fig-4.6", [Path("/results/my sweep")]).splitlines()
+    assert lines[0] == "#!/bin/bash"
+    assert {
+        *("#SBATCH --requeue", "#SBATCH --array=0-2", "#SBATCH --open-mode=append", "#SBATCH --time=2:00:00"),
+        *("#SBATCH --signal=B:USR2@120", "#SBATCH --partition=gpu", "#SBATCH --account=lab"),
+        *("#SBATCH --gpus-per-task=1", "#SBATCH --mem=32G", "#SBATCH --constraint=h100"),
+        "#SBATCH --job-name=bojax-parking-fig-4.6",
+        "#SBATCH --output='/results/my sweep/.work/slurm-%A_%a.out'",
+    } <= set(lines)
+    assert lines[-3] == "module load cuda"
+    assert lines[-1].startswith("exec ") and lines[-1].endswith(
+        """-m bojax worker '/results/my sweep' --share "$SLURM_ARRAY_TASK_ID/3\""""
+    )
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "sweep.yaml").write_text(SWEEP)
+    return tmp_path
+
+
+def test_a_dry_run_prints_the_script_and_does_nothing(here, capsys):
+    (here / "cluster.yaml").write_text("{tasks: 8}")
+    words = ["sweep", "sweep.yaml", "--launcher", "slurm", "--cluster", "cluster.yaml", "--dry-run"]
+    assert main([*words, "--out", "out"]) == 0
+    out = capsys.readouterr().out
+    assert "#SBATCH --array=0-7" in out and f" {here / 'out'} " in out
+    assert sorted(path.name for path in here.iterdir()) == ["cluster.yaml", "sweep.yaml"]
+
+
+def test_no_slurm_on_this_machine(here, capsys, monkeypatch):
+    monkeypatch.setenv("PATH", str(here))
+    assert main(["sweep", "sweep.yaml", "--launcher", "slurm", "--out", "out"]) == 2
+    assert capsys.readouterr().err == (
+        "error: --launcher slurm: no sbatch on this machine; allowed: a login node of a Slurm cluster\n"
+    )
+    assert not (here / "out").exists()
+
+
+MISTAKES = {
+    "a cluster without a launcher": (["--cluster", "c.yaml"], "--cluster: allowed: only with --launcher"),
+    "devices of a cluster": (["--launcher", "ray", "--devices", "0"], "--devices: allowed: only without"),
+    "a dry run of Ray": (
+        ["--launcher", "ray", "--dry-run"],
+        "--dry-run: allowed: only with --launcher slurm",
+    ),
+    "an unknown launcher": (["--launcher", "pbs"], "--launcher: invalid choice: 'pbs'"),
+    "no file": (["--launcher", "slurm", "--cluster", "no.yaml"], "no.yaml: "),
+    "an unknown setting": (
+        ["--launcher", "slurm", "--cluster", "c.yaml"],
+        "c.yaml: task: unknown key; allowed: account, cpus_per_task, gpus_per_task, memory, options, "
+        'partition, setup, tasks, time; did you mean "tasks"?',
+    ),
+}
+
+
+@pytest.mark.parametrize("case", MISTAKES)
+@pytest.mark.parametrize("command", ["sweep", "reproduce"])
+def test_mistakes(here, capsys, command, case):
+    words, message = MISTAKES[case]
+    (here / "c.yaml").write_text("{task: 3}")
+    assert main([command, "sweep.yaml" if command == "sweep" else "fig-4.6", *words]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith(f"error: {message}") and err.count("\n") == 1
+    assert sorted(path.name for path in here.iterdir()) == ["c.yaml", "sweep.yaml"]
