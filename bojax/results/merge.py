@@ -2,19 +2,24 @@
 
 import json
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 
 from bojax.results.parts import ChunkFolder
-from bojax.results.store import explained, write_table
+from bojax.results.store import explained, read_table, write_tables
 from bojax.results.tables import count_nans, sort_rows
 
 RUNS = "runs"
+
+HELD_ROWS = 1 << 20
+"""Number of rows that are collected before those that are complete are written."""
 
 
 @dataclass(frozen=True)
@@ -38,21 +43,70 @@ def merge(
     Raises:
         ResultsError: A committed file is missing or has changed; in this case nothing is written.
     """
-    tables: dict[str, pa.Table] = {}
-    for name in names:
-        parts = [table for chunk in chunks for table in chunk.tables(name)]
-        if parts:
-            tables[name] = sort_rows(pa.concat_tables(parts, promote_options="default"))
+    parts = {name: [part for chunk in chunks for part in chunk.parts(name)] for name in names}
     moves = [(chunk.committed(name), folder / name) for chunk in chunks for name in chunk.saved()]
-    nans = count_nans(list(tables.values()))
-    for name, table in tables.items():
-        merged = _runs(table, points, seed, nans) if name == RUNS else _labelled(table, points)
-        write_table(folder / f"{name}.parquet", merged)
+    nans: dict[tuple[int, int], int] = {}
+
+    def merged(name: str) -> Iterator[pa.Table]:
+        for rows in sorted_rows(parts[name]):
+            for run, count in count_nans([rows]).items():
+                nans[run] = nans.get(run, 0) + count
+            yield _runs(rows, points, seed, nans) if name == RUNS else _labelled(rows, points)
+
+    for name in sorted(parts, key=lambda name: name == RUNS):  # last, since it has the NaNs of all tables
+        if parts[name]:
+            write_tables(folder / f"{name}.parquet", merged(name))
     for source, target in moves:
         if source != target:  # otherwise an earlier merge has moved it
             with explained(target):
                 _move(source, target)
     return nans
+
+
+def sorted_rows(parts: Sequence[Path], most: int = HELD_ROWS) -> Iterator[pa.Table]:
+    """The rows of all parts in the order of results, in tables that do not overlap.
+
+    A part has the rows of a few hundred runs, so that few parts are held at a time: the rows before the first
+    row of all parts that are still to be read are complete.
+
+    Args:
+        parts: Files of one table.
+        most: Number of rows above which those that are complete are given out.
+    """
+    schema = pa.unify_schemas([pq.read_schema(part) for part in parts])
+    order = sorted((_first_run(part), index) for index, part in enumerate(parts))
+    bounds = [start for start, _ in order[1:]] + [None]
+    held: list[pa.Table] = []
+    for (_, index), bound in zip(order, bounds, strict=True):
+        held.append(read_table(parts[index]))
+        if bound is not None and sum(table.num_rows for table in held) <= most:
+            continue
+        rows = pa.concat_tables([schema.empty_table(), *held], promote_options="default")
+        if bound is None:
+            yield sort_rows(rows)
+            return
+        is_complete = pa.array(_keys(rows) < bound)
+        held = [rows.filter(pc.call_function("invert", [is_complete]))]
+        if (complete := rows.filter(is_complete)).num_rows:
+            yield sort_rows(complete)
+
+
+def _keys(rows: pa.Table) -> np.ndarray:
+    """Point and run of each row as one number."""
+    return _key(rows["point"].to_numpy().astype(np.int64), rows["run"].to_numpy().astype(np.int64))
+
+
+def _key(point, run):
+    return (point << 32) + run
+
+
+def _first_run(part: Path) -> int:
+    """A lower bound of the keys in a part, from the statistics in its footer."""
+    metadata = pq.read_metadata(part)
+    groups = [metadata.row_group(index) for index in range(metadata.num_row_groups)]
+    of_point, of_run = ([group.column(column).statistics for group in groups] for column in (0, 1))
+    first, last = min(each.min for each in of_point), max(each.max for each in of_point)
+    return _key(first, min(each.min for each in of_run) if first == last else 0)
 
 
 def _move(source: Path, target: Path) -> None:

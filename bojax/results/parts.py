@@ -189,12 +189,20 @@ class ChunkFolder:
             raise self._refusal(path, "missing" if found is None else "changed since it was written")
         return path
 
-    def tables(self, name: str) -> Iterator[pa.Table]:
-        """The committed parts of a table, in the order in which they were written."""
+    def parts(self, name: str) -> Iterator[Path]:
+        """The committed files of a table, in the order in which they were written.
+
+        Raises:
+            ResultsError: A file is missing or has changed.
+        """
         for file in self.state.files:
             match = _PART.fullmatch(file)
             if match and match[1] == name:
-                yield read_table(self.committed(file))
+                yield self.committed(file)
+
+    def tables(self, name: str) -> Iterator[pa.Table]:
+        """The committed parts of a table, in the order in which they were written."""
+        yield from map(read_table, self.parts(name))
 
     def saved(self) -> list[str]:
         """Names of the committed snapshots and learners."""

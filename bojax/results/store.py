@@ -5,7 +5,7 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -164,6 +164,30 @@ def write_table(path: Path, table: pa.Table) -> None:
 
     def write(temporary: Path) -> None:
         pq.write_table(whole, temporary, row_group_size=ROW_GROUP_SIZE, write_page_checksum=True)
+
+    write_atomically(path, write)
+
+
+def write_tables(path: Path, tables: Iterable[pa.Table]) -> None:
+    """Write tables of one schema one after the other, as `write_table` would write them in one."""
+
+    def write(temporary: Path) -> None:
+        writer, left = None, None
+        try:
+            for table in tables:
+                if writer is None:
+                    writer = pq.ParquetWriter(temporary, table.schema, write_page_checksum=True)
+                left = table if left is None else pa.concat_tables([left, table])
+                whole = left.num_rows - left.num_rows % ROW_GROUP_SIZE
+                for start in range(0, whole, ROW_GROUP_SIZE):
+                    rows = left.slice(start, ROW_GROUP_SIZE).combine_chunks()
+                    writer.write_table(rows, row_group_size=ROW_GROUP_SIZE)
+                left = left.slice(whole)
+            if writer is not None and left is not None and left.num_rows:
+                writer.write_table(left.combine_chunks(), row_group_size=ROW_GROUP_SIZE)
+        finally:
+            if writer is not None:
+                writer.close()
 
     write_atomically(path, write)
 

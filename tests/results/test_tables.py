@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from bojax.results.merge import PointInfo, merge
+from bojax.results.merge import PointInfo, merge, sorted_rows
 from bojax.results.parts import ChunkFolder
 from bojax.results.schema import Column
 from bojax.results.store import (
@@ -22,6 +22,7 @@ from bojax.results.store import (
     write_checked_json,
     write_json,
     write_table,
+    write_tables,
 )
 from bojax.results.tables import KEYS, count_nans, sort_rows, to_arrow
 
@@ -272,3 +273,32 @@ def test_the_exit_code_distinguishes_a_wrong_path_from_a_failure_of_the_machine(
     with pytest.raises(ResultsError) as raised, explained(tmp_path):
         raise OSError(number, os.strerror(number))
     assert raised.value.exit_code == code and "\n" not in str(raised.value)
+
+
+def test_rows_are_merged_as_a_stream(tmp_path):
+    """Parts in any order, of groups of interleaved points, with a bound of a few rows."""
+    draw = np.random.default_rng(0)
+    keys = [(point, run) for point in range(6) for run in range(20)]
+    groups = [[key for key in keys if key[0] % 2 == parity] for parity in (0, 1)]
+    parts, whole = [], []
+    for group in groups:
+        for start in range(0, len(group), 7):
+            rows = [(*key, step, draw.normal()) for key in group[start : start + 7] for step in (1, 2, 3)]
+            draw.shuffle(rows)
+            for half in (rows[::2], rows[1::2]):
+                parts.append(tmp_path / f"part-{len(parts)}.parquet")
+                whole.append(steps(*((int(p), int(r), int(s), x) for p, r, s, x in half)))
+                write_table(parts[-1], whole[-1])
+    expected = sort_rows(pa.concat_tables(whole))
+    found = list(sorted_rows(parts, most=50))
+    assert len(found) > 3 and max(table.num_rows for table in found) < expected.num_rows / 2
+    assert pa.concat_tables(found).equals(expected)
+
+
+@pytest.mark.parametrize("sizes", [[3], [65536], [65535, 2], [100_000, 5, 40_000], [0, 70_000, 0]])
+def test_tables_one_after_the_other_are_the_bytes_of_one(tmp_path, sizes):
+    whole = pa.table({"x": np.arange(sum(sizes)), "y": [f"{i % 7}" for i in range(sum(sizes))]})
+    starts = np.cumsum([0, *sizes])
+    write_table(tmp_path / "one", whole)
+    write_tables(tmp_path / "many", (whole.slice(a, n) for a, n in zip(starts, sizes, strict=False)))
+    assert (tmp_path / "one").read_bytes() == (tmp_path / "many").read_bytes()
