@@ -63,7 +63,7 @@ def launcher_of(args: Namespace) -> tuple["Launcher | None", list[int] | None]:
 
         return Slurm(load_launching(args.cluster, SlurmConfig)), None
     if launcher == "ray":
-        from bojax.engine.launchers.ray import Ray
+        from bojax.engine.launchers.ray_actors import Ray
 
         return Ray(load_launching(args.cluster, RayConfig)), None
     return None, getattr(args, "devices", None)

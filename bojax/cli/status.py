@@ -40,8 +40,6 @@ def describe(folder: Path) -> tuple[list[str], bool]:
     if not is_unfinished(folder) and os.path.lexists(folder / MANIFEST):
         return [f"{folder}: {read_manifest(folder).get('status')}"], False
     status = status_of(folder)
-    if status.device is None:
-        return [f"{folder}: {status.name}: waiting for the first worker"], False
 
     def lines(kind: str, held: Sequence[Held]) -> list[str]:
         shown = [
@@ -52,26 +50,16 @@ def describe(folder: Path) -> tuple[list[str], bool]:
         ]
         return shown + [f"{kind}: {len(held) - MOST_LINES} more"] * (len(held) > MOST_LINES)
 
-    began = status.done + len(status.running) + len(status.lost) + len(status.failed) + status.paused
-    counts = {
-        "running": len(status.running),
-        "lost": len(status.lost),
-        "failed": len(status.failed),
-        "paused": status.paused,
-        "waiting": status.chunks - began,
-    }
-    rest = "".join(f", {number} {kind}" for kind, number in counts.items() if number)
     failed = [f"failed: chunk {chunk}: {reason}" for chunk, reason in status.failed.items()]
     more = [f"failed: {len(failed) - MOST_LINES} more"] * (len(failed) > MOST_LINES)
     found = [
-        f"{folder}: {status.name} on {status.device}: {status.done} of {status.chunks} chunks done, "
-        f"{status.runs_done} of {status.runs} runs{rest}",
+        f"{folder}: {status.summary}",
         *lines("running", status.running),
         *lines("lost", status.lost),
         *failed[:MOST_LINES],
         *more,
     ]
-    if status.done == status.chunks:
+    if status.chunks and status.done == status.chunks:
         found.append("all chunks are done; the command that started the sweep merges them, with --resume")
     elif status.seconds_left is not None and status.running:
         found.append(f"about {duration(status.seconds_left)} left with {len(status.running)} at a time")

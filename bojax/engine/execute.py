@@ -53,8 +53,8 @@ class GroupTask:
         limits: When a chunk pauses.
         share: Where the chunks come from, and where their rows go.
         recorded_runs: Number of recorded runs of each point.
-        running: Number of chunks that threads of this process have taken.
         elsewhere: Chunks that other processes have taken.
+        running: Number of chunks that threads of this process have taken.
         recorded: Largest number of recorded runs of a chunk.
     """
 
@@ -67,16 +67,17 @@ class GroupTask:
     limits: Limits
     share: Share
     recorded_runs: int = 0
+    elsewhere: list[Chunk] = field(default_factory=list)
     running: int = field(default=0, init=False)
-    elsewhere: list[Chunk] = field(default_factory=list, init=False)
 
     def __post_init__(self):
         self.functions = Functions(self.group)
         self.recorded = max(
-            (int((chunk.runs < self.recorded_runs).sum()) for chunk in self.chunks), default=0
+            (int((chunk.runs < self.recorded_runs).sum()) for chunk in (*self.chunks, *self.elsewhere)),
+            default=0,
         )
         self.progress = GroupProgress(self.name, self.experiment.max_advances)
-        for chunk in self.chunks:
+        for chunk in (*self.chunks, *self.elsewhere):
             self.progress.chunks[chunk.index] = _progress_of(chunk, ChunkState(), self.experiment)
 
     @property
@@ -303,6 +304,7 @@ class _Executor:
                 self._progress.end_chunk(task.progress, chunk.index)
                 self._progress.add([], runs_done=chunk.num_runs if standing is Standing.DONE else 0)
         task.elsewhere = left
+        self._request_ahead()
         self._end_if_done(task)
         self._changed.notify_all()
 

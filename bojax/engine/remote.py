@@ -20,6 +20,7 @@ from bojax.engine.plan import make_plan, plain, plan_made_elsewhere
 from bojax.engine.signals import StopRequest
 from bojax.results.folder import RunFolder, check_finished, check_plan, drop_leftovers, is_unfinished
 from bojax.results.leases import Standing
+from bojax.results.status import status_of
 from bojax.results.store import MANIFEST, read_json
 
 if TYPE_CHECKING:
@@ -27,6 +28,9 @@ if TYPE_CHECKING:
 
 POLL_SECONDS = 1.0
 """Time between two looks at the folders."""
+
+TELL_SECONDS = 10.0
+"""Time between two lines of progress."""
 
 
 @dataclass(frozen=True)
@@ -221,8 +225,13 @@ def _wait(
     launcher: Launcher,
 ) -> None:
     """Merge each sweep once its chunks have ended."""
+    told = time.monotonic()
     while waiting and not stop:
         is_alive = launcher.keep()
+        if time.monotonic() - told > TELL_SECONDS:
+            told = time.monotonic()
+            for remote in waiting:
+                print(status_of(remote.path).summary, file=sys.stderr)
         for remote in list(waiting):
             _plan(remote, command)
             if _has_ended(remote):

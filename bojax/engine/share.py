@@ -107,6 +107,7 @@ class FolderShare(Share):
     def __init__(self, plan: Plan, folder: RunFolder, leases: Leases):
         self.plan, self.folder, self.leases = plan, folder, leases
         self.failures = 0
+        self._has_ended = False
         self._configs = [point["config"] for point in plan.content["points"]]
 
     @classmethod
@@ -163,11 +164,14 @@ class FolderShare(Share):
 
     @override
     def look(self) -> None:
-        self.leases.look()
+        if self.folder.work.is_dir():
+            self.leases.look()
+        else:
+            self._has_ended = True  # the driver has merged the sweep
 
     @override
     def standing(self, chunk: Chunk) -> Standing:
-        return self.leases.standing(chunk.name)
+        return Standing.DONE if self._has_ended else self.leases.standing(chunk.name)
 
     @override
     def is_alive(self, chunk: Chunk) -> bool:

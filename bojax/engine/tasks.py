@@ -25,7 +25,8 @@ def tasks_of(
             the same chunk, and each compiles few groups.
     """
     plan, engine = share.plan, share.plan.sweep.engine
-    left = [chunk for chunk in plan.chunks if share.standing(chunk) in (Standing.FREE, Standing.HELD)]
+    standings = {chunk: share.standing(chunk) for chunk in plan.chunks}
+    left = [chunk for chunk, standing in standings.items() if standing in (Standing.FREE, Standing.HELD)]
     first = int(start * len(left))
     by_group: dict[int, deque[Chunk]] = {}
     for chunk in left[first:] + left[:first]:
@@ -40,7 +41,8 @@ def tasks_of(
                 name=f"{plan.sweep.name}: {plan.name(group)}" if name_sweep else plan.name(group),
                 seed=plan.sweep.seed,
                 layout=chunks[0].layout,
-                chunks=chunks,
+                chunks=deque(chunk for chunk in chunks if standings[chunk] is Standing.FREE),
+                elsewhere=[chunk for chunk in chunks if standings[chunk] is Standing.HELD],
                 limits=Limits(engine.segment_seconds, engine.checkpoint_seconds, stop),
                 share=share,
                 recorded_runs=plan.sweep.record.runs,
@@ -54,7 +56,7 @@ def progress_of(
 ) -> SweepProgress:
     """The progress of sweeps, with the runs that are done."""
     num_runs = sum(chunk.num_runs for share in shares for chunk in share.plan.chunks)
-    waiting = sum(chunk.num_runs for task in tasks for chunk in task.chunks)
+    waiting = sum(chunk.num_runs for task in tasks for chunk in (*task.chunks, *task.elsewhere))
     progress = SweepProgress(
         f"{len(shares)} sweeps" if len(shares) > 1 else shares[0].plan.sweep.name,
         num_runs,

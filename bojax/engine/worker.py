@@ -36,12 +36,14 @@ class WorkerOptions:
         cores: Number of cores of a CPU; None for all that the process may run on.
         number: Number of this worker among those of a launch, from 0.
         count: Number of workers of the launch.
+        waits: Whether it stays while other workers run chunks, to take over those of lost ones.
     """
 
     devices: Sequence[int] | None = None
     cores: int | None = None
     number: int = 0
     count: int = 1
+    waits: bool = False
 
 
 def run_worker(folders: Sequence[Path], options: WorkerOptions, stop: Callable[[], bool]) -> int:
@@ -72,7 +74,7 @@ def run_worker(folders: Sequence[Path], options: WorkerOptions, stop: Callable[[
         several = len(shares) > 1
         tasks = [task for share in shares for task in tasks_of(share, stop, name_sweep=several, start=start)]
         with progress_of(shares, tasks, workers) as progress:
-            for _ in execute(tasks, workers, progress, stop, waits=False):
+            for _ in execute(tasks, workers, progress, stop, waits=options.waits):
                 pass
     except ResultsError as error:
         if not all(folder.work.is_dir() for folder in opened):

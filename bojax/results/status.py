@@ -69,6 +69,25 @@ class Status:
     failed: dict[int, str] = field(default_factory=dict)
     seconds_left: float | None = None
 
+    @property
+    def summary(self) -> str:
+        """The counts in one line."""
+        if self.device is None:
+            return f"{self.name}: waiting for the first worker"
+        began = self.done + len(self.running) + len(self.lost) + len(self.failed) + self.paused
+        counts = {
+            "running": len(self.running),
+            "lost": len(self.lost),
+            "failed": len(self.failed),
+            "paused": self.paused,
+            "waiting": self.chunks - began,
+        }
+        rest = "".join(f", {number} {kind}" for kind, number in counts.items() if number)
+        return (
+            f"{self.name} on {self.device}: {self.done} of {self.chunks} chunks done, "
+            f"{self.runs_done} of {self.runs} runs{rest}"
+        )
+
 
 def status_of(folder: Path) -> Status:
     """The state of the unfinished sweep in a results folder.

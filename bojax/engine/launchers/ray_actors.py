@@ -1,26 +1,178 @@
-"""Ray: placeholder."""
+"""Ray: one long-lived actor for each GPU, or for some cores each, on a cluster that runs already.
 
+An actor is a worker like any other: it takes chunks from the folder, compiles each program once, and stays
+until no chunk is left. Ray starts it again if its process or node is lost. It outlives the driver: a driver
+that is started again finds the actors by their names.
+"""
+
+import hashlib
+import importlib
+import logging
+import os
+import signal
+import sys
+import threading
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from typing_extensions import override
 
+from bojax.config.extras import MissingExtra
 from bojax.config.launching import RayConfig
+from bojax.engine.errors import FAILURE, EngineError
 from bojax.engine.remote import Launcher
+from bojax.text import error_line
+
+NAMESPACE = "bojax"
+
+STOP_SECONDS = 600.0
+"""Time in which actors have to reach a checkpoint."""
+
+HEAR_SECONDS = 5.0
+"""Time in which an actor that is alive hears that it has to stop."""
+
+IDLE_SECONDS = 60.0
+"""Time after which an actor without work ends, if the driver that would end it is gone."""
 
 
 class Ray(Launcher):
-    """To be written."""
+    """Starts actors, and waits for them."""
 
     is_awaited = True
 
     def __init__(self, config: RayConfig):
         self._config = config
+        self._actors: dict[int, Any] = {}
+        self._running: dict[Any, int] = {}
+        self._was_running = False
 
     @override
     def check(self, name: str) -> None:
-        return
+        ray = _ray()
+        handler = signal.getsignal(signal.SIGTERM) if _is_main() else None
+        self._was_running = ray.is_initialized()
+        try:
+            if not self._was_running:
+                ray.init(address=self._config.address, namespace=NAMESPACE, logging_level=logging.ERROR)
+        except Exception as error:
+            where = self._config.address or os.environ.get("RAY_ADDRESS")
+            raise EngineError(
+                f"--launcher ray: no Ray cluster at {where}; start one with `ray start --head`, or leave out "
+                "the address to use this machine"
+            ) from error
+        if handler is not None:  # Ray's own would end this process at once
+            signal.signal(signal.SIGTERM, handler)
 
     @override
     def start(self, name: str, folders: Sequence[Path]) -> None:
-        return
+        ray = _ray()
+        self._paths = [str(folder.absolute()) for folder in folders]
+        self._count, self._options, self._cores = self._shape(ray.cluster_resources(), len(ray.nodes()))
+        for number in range(self._count):
+            self._call(number)
+        print(f"started {self._count} workers on Ray", file=sys.stderr)
+
+    def _call(self, number: int) -> None:
+        """Have an actor work; an earlier driver may have started it."""
+        identity = hashlib.sha256("\n".join(self._paths).encode()).hexdigest()[:12]
+        actor = (
+            _ray()
+            .remote(_Actor)
+            .options(
+                name=f"bojax-{identity}-{number}",
+                get_if_exists=True,
+                lifetime="detached",
+                max_restarts=-1,
+                max_concurrency=4,
+                **self._options,
+            )
+            .remote()
+        )
+        self._actors[number] = actor
+        self._running[actor.work.remote(self._paths, number, self._count, self._cores)] = number
+
+    def _shape(self, resources: dict[str, float], num_nodes: int) -> tuple[int, dict[str, Any], int | None]:
+        """Number of actors, what each needs, and its number of cores."""
+        config, gpus, cpus = self._config, int(resources.get("GPU", 0)), int(resources.get("CPU", 0))
+        if gpus and config.cpus_per_worker is None:
+            return config.workers or gpus, {"num_gpus": 1, "num_cpus": 0}, None
+        cores = config.cpus_per_worker or max(1, cpus // num_nodes)
+        if cores > cpus:
+            raise EngineError(f"--launcher ray: cpus_per_worker: got {cores}; allowed: at most {cpus}")
+        environment = {"env_vars": {"JAX_PLATFORMS": "cpu"}}
+        options = {"num_cpus": cores, "num_gpus": 0, "runtime_env": environment}
+        return config.workers or max(1, cpus // cores), options, cores
+
+    @override
+    def keep(self) -> bool:
+        ray = _ray()
+        ended, _ = ray.wait(list(self._running), num_returns=len(self._running), timeout=0.0)
+        for call in ended:
+            number = self._running.pop(call)
+            try:
+                ray.get(call)
+            except ray.exceptions.RayActorError:  # its process was lost; Ray has started it again, or will
+                self._call(number)
+            except ray.exceptions.RayError as error:
+                raise EngineError(
+                    f"--launcher ray: a worker cannot run: {error_line(error)}", FAILURE
+                ) from error
+        return bool(self._running)
+
+    @override
+    def close(self) -> None:
+        ray = _ray()
+        told = {actor.stop.remote(): number for number, actor in self._actors.items()}
+        if told:
+            heard, _ = ray.wait(list(told), num_returns=len(told), timeout=HEAR_SECONDS)
+            alive = {told[call] for call in heard}  # others may wait for a node that is gone
+            calls = [call for call, number in self._running.items() if number in alive]
+            if calls:
+                ray.wait(calls, num_returns=len(calls), timeout=STOP_SECONDS)
+        for actor in self._actors.values():
+            ray.kill(actor)
+        if not self._was_running:
+            ray.shutdown()
+
+
+class _Actor:
+    """A worker in a process of Ray."""
+
+    def __init__(self):
+        self._is_stopping = False
+        self._one = threading.Lock()
+
+    def work(self, folders: Sequence[str], number: int, count: int, cores: int | None) -> None:
+        """Run chunks until none is left; a second call waits for the first."""
+        from bojax.engine.worker import WorkerOptions, guarded, run_worker
+
+        with self._one:
+            options = WorkerOptions(None, cores, number, count, waits=True)
+            guarded(lambda: run_worker([Path(folder) for folder in folders], options, self._stops))
+        timer = threading.Timer(IDLE_SECONDS, self._leave)
+        timer.daemon = True
+        timer.start()
+
+    def _leave(self) -> None:
+        if self._one.acquire(blocking=False):
+            ray = _ray()
+            ray.kill(ray.get_runtime_context().current_actor)
+
+    def stop(self) -> None:
+        """Have `work` end at a checkpoint."""
+        self._is_stopping = True
+
+    def _stops(self) -> bool:
+        return self._is_stopping
+
+
+def _ray() -> Any:
+    try:
+        return importlib.import_module("ray")
+    except ImportError as error:
+        raise MissingExtra("ray", "ray") from error
+
+
+def _is_main() -> bool:
+    return threading.current_thread() is threading.main_thread()

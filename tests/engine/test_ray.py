@@ -1,0 +1,122 @@
+"""A sweep on a local cluster of Ray, with two nodes that pretend to have a GPU each."""
+
+import importlib
+import importlib.util
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from bojax.cli.main import main
+from bojax.results.leases import Attempts
+from bojax.results.store import WORK
+
+SWEEP = """\
+base: cliff-walking
+axes: {env.slip: [0.01, 0.1, 0.2]}
+runs: 20
+record: {runs: 0}
+engine: {segment_seconds: 0.2, checkpoint_seconds: 0.2, lease_seconds: 3}
+"""
+"""One group of four chunks."""
+
+EPISODES = "episodes=1000"
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    if importlib.util.find_spec("ray") is None:
+        pytest.skip("needs the extra ray")
+    utils = importlib.import_module("ray.cluster_utils")
+    made = utils.Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "num_gpus": 1})
+    made.second = made.add_node(num_cpus=1, num_gpus=1)
+    made.wait_for_nodes()
+    yield made
+    made.shutdown()
+
+
+def start(place: Path, *words: str, address: str | None = None) -> subprocess.Popen:
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    if address:
+        environment["RAY_ADDRESS"] = address
+    return subprocess.Popen(
+        [sys.executable, "-m", "bojax", "sweep", "sweep.yaml", EPISODES, *words],
+        cwd=place,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {name: (folder / f"{name}.parquet").read_bytes() for name in ("runs", "episodes")}
+
+
+def wait_until(condition, process: subprocess.Popen) -> None:
+    deadline = time.monotonic() + 400
+    while not condition():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def workers_with_checkpoints(out: Path) -> list[int]:
+    """The processes that have committed something."""
+    if not (out / WORK).is_dir():
+        return []
+    attempts = Attempts(out / WORK)
+    attempts.look()
+    leases = [
+        attempts.lease(chunk, number)
+        for chunk, number in attempts.newest.items()
+        if list(attempts.path(chunk, number).glob("checkpoint-*"))
+    ]
+    return sorted({int(lease.owner.rsplit("-", 2)[1]) for lease in leases if lease and not lease.is_released})
+
+
+@pytest.mark.ray
+def test_actors_nodes_and_drivers_are_lost(cluster, tmp_path):
+    (tmp_path / "sweep.yaml").write_text(SWEEP)
+    alone, out = tmp_path / "alone", tmp_path / "out"
+    assert start(tmp_path, "--out", "alone").wait(300) == 0
+    options = ("--launcher", "ray", "--out", "out")
+    driver = start(tmp_path, *options, address=cluster.address)
+    wait_until(lambda: len(workers_with_checkpoints(out)) == 2, driver)  # one for each GPU
+    os.kill(workers_with_checkpoints(out)[0], signal.SIGKILL)
+    driver.send_signal(signal.SIGKILL)
+    driver.communicate()
+    driver = start(tmp_path, *options, "--resume", address=cluster.address)
+    cluster.remove_node(cluster.second)
+    text, _ = driver.communicate(timeout=300)
+    assert driver.returncode == 0, text
+    assert contents(out) == contents(alone)
+    assert not (out / WORK).exists()
+
+
+@pytest.mark.ray
+def test_a_driver_that_is_interrupted_stops_its_actors(cluster, tmp_path):
+    (tmp_path / "sweep.yaml").write_text(SWEEP)
+    out = tmp_path / "out"
+    driver = start(tmp_path, "--launcher", "ray", "--out", "out", address=cluster.address)
+    wait_until(lambda: workers_with_checkpoints(out), driver)
+    driver.send_signal(signal.SIGTERM)
+    text, _ = driver.communicate(timeout=120)
+    assert driver.returncode == 143, text
+    assert "interrupted; to resume:\n  bojax sweep sweep.yaml" in text
+    assert not workers_with_checkpoints(out)  # all leases are given back
+
+
+def test_without_the_extra(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "sweep.yaml").write_text(SWEEP)
+    monkeypatch.setitem(sys.modules, "ray", None)
+    assert main(["sweep", "sweep.yaml", "--launcher", "ray", "--out", "out"]) == 2
+    assert capsys.readouterr().err == (
+        "error: ray is not installed; install it in a clone of bojax: pip install -e '.[ray]'\n"
+    )
+    assert not (tmp_path / "out").exists()
