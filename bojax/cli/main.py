@@ -11,7 +11,7 @@ from typing import NoReturn
 
 from bojax import __version__
 from bojax.cli.parser import Parser, UsageError
-from bojax.config.errors import allowed_names, control_character, printable, shown
+from bojax.config.errors import control_character, did_you_mean, printable, shown
 
 COMMANDS = {
     "list": ("listing", "list problems, planners and other parts, configs and sweeps"),
@@ -99,7 +99,8 @@ def _run(words: list[str]) -> int:
         return 0
     if name not in COMMANDS:
         kind = "option" if name.startswith("-") else "command"
-        raise UsageError(f"unknown {kind} {name}{allowed_names(name, COMMANDS)}")
+        allowed = ", ".join(sorted(COMMANDS))
+        raise UsageError(f"unknown {kind} {name}; allowed: {allowed}{did_you_mean(name, COMMANDS)}")
     module = importlib.import_module(f"bojax.cli.{COMMANDS[name][0]}")
     return module.main(name, words[1:])
 

@@ -112,7 +112,7 @@ def test_mistakes_in_standard_input(here, capsys, monkeypatch, case):
 
 def test_a_config_is_read_from_standard_input(here, monkeypatch):
     found = []
-    monkeypatch.setattr("bojax.cli.running.run", lambda sweeps, *_: found.extend(sweeps) or 0)
+    monkeypatch.setattr("bojax.cli.running.run", lambda sweeps, *_, **__: found.extend(sweeps) or 0)
     monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(b"{planner: sbo, runs: 3}")))
     assert main(["run", "-", "planner.depth=2"]) == 0
     (sweep,) = found

@@ -90,11 +90,9 @@ def test_a_command_is_understood(page, words, monkeypatch, capsys, tmp_path):
     """Up to the point where a sweep would be run; the learner that is evaluated is one of mountain car."""
     asked = []
     for function in ("running.run", "reproducing._run"):
-        monkeypatch.setattr(f"bojax.cli.{function}", lambda sweeps, *_: asked.extend(sweeps) or 0)
-    monkeypatch.setattr("bojax.cli.reporting.main", lambda *_: 0)
-    monkeypatch.setattr("bojax.cli.best.main", lambda *_: 0)
-    monkeypatch.setattr("bojax.cli.rendering.main", lambda *_: 0)
-    monkeypatch.setattr("bojax.cli.doctor.main", lambda *_: 0)
+        monkeypatch.setattr(f"bojax.cli.{function}", lambda sweeps, *_, **__: asked.extend(sweeps) or 0)
+    for reads_results in ("reporting", "best", "rendering", "doctor", "status", "worker"):
+        monkeypatch.setattr(f"bojax.cli.{reads_results}.main", lambda *_: 0)
     monkeypatch.chdir(ROOT / "examples" if any("my_" in word for word in words) else ROOT)
     for word in words:
         if "/learners/" in word:
@@ -102,8 +100,12 @@ def test_a_command_is_understood(page, words, monkeypatch, capsys, tmp_path):
             Path(word).mkdir(parents=True)
             config = load_config("mountain-car").points[0].config.model_dump(mode="json")
             Path(word, EXPERIMENT).write_text(yaml.safe_dump(evaluation(config)))
+    if "--cluster" in words:
+        monkeypatch.chdir(tmp_path)
+        slurm, ray = (content for kind, content, _ in blocks(DOCS / "clusters.md") if kind == "yaml")
+        Path("cluster.yaml").write_text(slurm if "slurm" in words else ray)
     assert cli.main(words[1:]) == 0, capsys.readouterr().err
-    assert asked or words[1] not in ("run", "sweep", "reproduce")
+    assert asked or words[1] not in ("run", "sweep", "reproduce") or "--dry-run" in words
 
 
 def test_make_targets_exist():
