@@ -23,7 +23,7 @@ DISTRIBUTIONS = {"warp": ["warp-lang"]} | dict(importlib.metadata.packages_distr
 """By the name of a module, the distributions that bring it; `warp-lang` need not be installed."""
 
 REQUIRED = [Requirement(text) for text in PROJECT["dependencies"]]
-PINNED = ("robots", "robots-cuda", "gym", "brax", "test")
+PINNED = ("robots", "robots-cuda", "ray", "gym", "brax", "test")
 """Extras whose versions are pinned; the others are chosen by the machine, or are not needed by the tests."""
 
 
