@@ -66,20 +66,22 @@ def merge(
 def sorted_rows(parts: Sequence[Path], most: int = HELD_ROWS) -> Iterator[pa.Table]:
     """The rows of all parts in the order of results, in tables that do not overlap.
 
-    A part has the rows of a few hundred runs, so that few parts are held at a time: the rows before the first
-    row of all parts that are still to be read are complete.
+    Parts are read in the order of their first rows. The rows before the first row of all parts that are still
+    to be read are complete.
 
     Args:
         parts: Files of one table.
-        most: Number of rows above which those that are complete are given out.
+        most: Number of further rows after which those that are complete are given out.
     """
     schema = pa.unify_schemas([pq.read_schema(part) for part in parts])
     order = sorted((_first_run(part), index) for index, part in enumerate(parts))
     bounds = [start for start, _ in order[1:]] + [None]
     held: list[pa.Table] = []
+    count = kept = 0
     for (_, index), bound in zip(order, bounds, strict=True):
         held.append(read_table(parts[index]))
-        if bound is not None and sum(table.num_rows for table in held) <= most:
+        count += held[-1].num_rows
+        if bound is not None and count - kept <= most:
             continue
         rows = pa.concat_tables([schema.empty_table(), *held], promote_options="default")
         if bound is None:
@@ -87,6 +89,7 @@ def sorted_rows(parts: Sequence[Path], most: int = HELD_ROWS) -> Iterator[pa.Tab
             return
         is_complete = pa.array(_keys(rows) < bound)
         held = [rows.filter(pc.call_function("invert", [is_complete]))]
+        count = kept = held[0].num_rows
         if (complete := rows.filter(is_complete)).num_rows:
             yield sort_rows(complete)
 
