@@ -112,12 +112,12 @@ class Ray(Launcher):
             number = self._running.pop(call)
             try:
                 ray.get(call)
-            except ray.exceptions.RayActorError:  # its process was lost; Ray has started it again, or will
-                self._call(number)
             except ray.exceptions.RayError as error:
-                raise EngineError(
-                    f"--launcher ray: a worker cannot run: {error_line(error)}", FAILURE
-                ) from error
+                is_lost = isinstance(error, ray.exceptions.RayActorError) and not error.actor_init_failed
+                if not is_lost:
+                    reason = f"--launcher ray: a worker cannot run: {error_line(error)}"
+                    raise EngineError(reason, FAILURE) from error
+                self._call(number)  # Ray has started it again, or will
         return bool(self._running)
 
     @override
