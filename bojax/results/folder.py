@@ -203,19 +203,10 @@ def choose_folder(name: str, out: Path | None, *, resume: bool) -> tuple[Path, b
     if out is None and resume:
         return _newest_unfinished(ROOT / name), True
     if out is None:
-        return ROOT / name / time.strftime("%Y%m%d-%H%M%S"), False
-    if not os.path.lexists(out):
-        return out, False
-    if not os.path.isdir(out):
-        raise ResultsError(f"{out}: is not a folder; allowed: a new or empty folder")
-    if resume and (is_unfinished(out) or os.path.lexists(out / MANIFEST)):
+        return dated_folder(name), False
+    if resume and os.path.isdir(out) and (is_unfinished(out) or os.path.lexists(out / MANIFEST)):
         return out, True
-    with explained(out, "read"):
-        is_empty = not any(out.iterdir())
-    if not is_empty:
-        raise ResultsError(
-            f"{out}: the folder is not empty; give another --out, or --resume an unfinished sweep"
-        )
+    require_empty(out, "give another --out, or --resume an unfinished sweep")
     return out, False
 
 
@@ -237,6 +228,23 @@ def make_new(path: Path) -> Path:
             return made
         except FileExistsError:
             made, number = path.with_name(f"{path.name}-{number}"), number + 1
+
+
+def dated_folder(name: str) -> Path:
+    """The folder `results/<name>/<timestamp>`."""
+    return ROOT / name / time.strftime("%Y%m%d-%H%M%S")
+
+
+def require_empty(folder: Path, advice: str = "give another --out") -> None:
+    """Raise a `ResultsError` unless a folder is new or empty."""
+    if not os.path.lexists(folder):
+        return
+    if not os.path.isdir(folder):
+        raise ResultsError(f"{folder}: is not a folder; allowed: a new or empty folder")
+    with explained(folder, "read"):
+        is_empty = not any(folder.iterdir())
+    if not is_empty:
+        raise ResultsError(f"{folder}: the folder is not empty; {advice}")
 
 
 def drop_leftovers(folder: Path) -> None:

@@ -11,6 +11,7 @@ from matplotlib.ticker import MaxNLocator
 
 from bojax.report import style
 from bojax.report.source import Point, Results
+from bojax.report.statistics import Interval
 
 T = TypeVar("T")
 
@@ -107,3 +108,10 @@ def set_rows(axes: Axes, points: Sequence[Point], *, bottom: float, ticks: int, 
     style.plain_ticks(axes.xaxis)
     style.quiet_grid(axes, "x")
     axes.tick_params(axis="y", length=0)
+
+
+def draw_intervals(axes: Axes, points: Sequence[Point], intervals: Sequence[Interval]) -> None:
+    """Draw a dot with its interval in the row of each point, see `set_rows`."""
+    for row, (look, interval) in enumerate(zip(style.looks(points), intervals, strict=True)):
+        axes.plot([interval.low, interval.high], [row, row], color=look["color"], linewidth=2)
+        axes.scatter([interval.estimate], [row], s=24, color=look["color"], zorder=3)

@@ -1,15 +1,13 @@
 """Errors of the final belief, and their ratios to those of one setting (Tables 3.1 and 4.1 of the thesis)."""
 
-from collections.abc import Sequence
 from typing import Any
 
-from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from bojax.report import style
-from bojax.report.drawing.base import Drawing, Undrawable, drawn_points, set_rows
-from bojax.report.source import Point, Results
-from bojax.report.statistics import Interval, mean_interval, ratio_interval
+from bojax.report.drawing.base import Drawing, Undrawable, draw_intervals, drawn_points, set_rows
+from bojax.report.source import Results
+from bojax.report.statistics import mean_interval, ratio_interval
 from bojax.report.text import number, ranged
 
 RANK = 110
@@ -44,7 +42,7 @@ def draw(results: Results) -> Drawing:
     told = []
     for axes, column in zip(grid[0], columns, strict=True):
         means = [mean_interval(results.runs_of(point)[column]) for point in points]
-        _draw_intervals(axes, points, means)
+        draw_intervals(axes, points, means)
         axes.set_title(column.upper())
         listed = [f"{point.name} {number(mean.estimate)}" for point, mean in zip(points, means, strict=True)]
         told.append(f"{column.upper()}: {', '.join(listed)}")
@@ -59,7 +57,7 @@ def draw(results: Results) -> Drawing:
             if column in ratios:
                 axes.axvline(1, color="#9A9A9A", linewidth=0.8, zorder=0.5)
                 pairs = [results.paired([point, reference], column).T for point in points]
-                _draw_intervals(axes, points, [ratio_interval(*pair) for pair in pairs])
+                draw_intervals(axes, points, [ratio_interval(*pair) for pair in pairs])
                 for row, point in enumerate(points):
                     thesis = results.thesis_ratio(point, column)
                     if thesis is not None and point is not reference:
@@ -78,9 +76,3 @@ def draw(results: Results) -> Drawing:
         caption=caption,
         alt=f"Dot plots of the mean errors of the final belief with intervals. {'; '.join(told)}.",
     )
-
-
-def _draw_intervals(axes: Axes, points: Sequence[Point], intervals: Sequence[Interval]) -> None:
-    for row, (look, interval) in enumerate(zip(style.looks(points), intervals, strict=True)):
-        axes.plot([interval.low, interval.high], [row, row], color=look["color"], linewidth=2)
-        axes.scatter([interval.estimate], [row], s=24, color=look["color"], zorder=3)
