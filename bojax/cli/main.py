@@ -22,6 +22,7 @@ COMMANDS = {
     "worker": ("worker", "run chunks of a sweep that another process has started"),
     "report": ("reporting", "rebuild the figures, tables and claims of results folders"),
     "best": ("best", "print the config of the best point of a sweep, and confirm its score"),
+    "compare": ("comparing", "compare results folders and curves of other libraries on one page"),
     "render": ("rendering", "draw a film or a still of a recorded run"),
     "bench": ("bench", "run benchmarks that compare bojax with other packages"),
     "doctor": ("doctor", "check versions, devices, precision and folders"),

@@ -1,8 +1,12 @@
 """The statistics of a report: bootstrap, Wilson and Welch intervals, Holm's procedure, carrying forward.
 
+`iqm_interval` and `improvement_interval` are the estimates that Agarwal et al. (2021), Deep Reinforcement
+Learning at the Edge of the Statistical Precipice (NeurIPS), recommend for a few runs on several tasks.
+
 Random numbers come from one fixed seed, so that the same table gives the same report.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from statistics import NormalDist
@@ -27,6 +31,11 @@ GROUPS = 5_000
 """Largest number of rows that are resampled one by one; more rows are resampled in this many groups of
 equal size. The standard deviation of a mean is then known to about 1%, as precisely as `RESAMPLES` fix the
 bounds."""
+FEW_RESAMPLES = 1_000
+"""Number of resamples of a statistic that is no mean, so that its rows cannot be grouped, of more than
+`GROUPS` rows: it fixes the bounds of an interval to about 3% of its width."""
+TRIMMED = 0.25
+"""Share of the values that an interquartile mean leaves out on either side."""
 
 # Resamples are counted in blocks of at most this many cells, 16 MB.
 _BLOCK_CELLS = 2_000_000
@@ -78,12 +87,13 @@ def bootstrap_means(values: ArrayLike, *, resamples: int = RESAMPLES) -> Floats:
 
 
 @lru_cache(maxsize=2)
-def _counts(num_rows: int, resamples: int, block: int) -> NDArray[Any]:
+def _counts(num_rows: int, resamples: int, block: int, stream: int = 0) -> NDArray[Any]:
     """How often each resample draws each row, `[resamples, rows]`: the same for all tables of a length.
 
-    Counts of one block are numbers for a product; those of several blocks are small integers, to save memory.
+    Counts of different streams are independent. Counts of one block are numbers for a product; those of
+    several blocks are small integers, to save memory.
     """
-    random = np.random.default_rng(SEED)
+    random = np.random.default_rng(SEED + stream)
     counts = np.empty((resamples, num_rows), dtype=np.float64 if resamples <= block else np.uint16)
     for start in range(0, resamples, block):
         size = min(block, resamples - start)
@@ -149,6 +159,84 @@ def _ratio_interval(values: bytes) -> Interval:
         return _UNKNOWN
     ratio = float(table[:, 0].mean() / table[:, 1].mean())
     return Interval(ratio, *central(means[:, 0] / means[:, 1]))
+
+
+def iqm(values: ArrayLike) -> float:
+    """Interquartile mean of `[n]` values: their mean without the lowest and the highest quarter.
+
+    A quarter is rounded down to whole values, so that all of up to three values count.
+    """
+    kept = np.sort(np.asarray(values, dtype=np.float64))
+    cut = int(TRIMMED * kept.size)
+    return float(kept[cut : kept.size - cut].mean()) if kept.size else float("nan")
+
+
+def iqm_interval(strata: Sequence[ArrayLike]) -> Interval:
+    """Interquartile mean of the values of all strata, with its stratified percentile bootstrap interval.
+
+    Every resample draws from each stratum, such as the runs of a task, as many values as it has (Agarwal et
+    al. 2021, section 4.1). NaN for no value or a NaN among them.
+    """
+    tables = [np.asarray(values, dtype=np.float64) for values in strata]
+    pooled = np.concatenate(tables) if tables else np.empty(0)
+    if not pooled.size or not np.isfinite(pooled).all():
+        return _UNKNOWN
+    order = np.argsort(pooled)
+    cut = int(TRIMMED * pooled.size)
+    means = []
+    for block in _strata_counts([table.size for table in tables], range(len(tables))):
+        # A resample is the sorted values with counts, of which ranks from `cut` to `size - cut` are kept.
+        ends = np.cumsum(np.concatenate(block, axis=1)[:, order], axis=1)
+        inside = np.clip(ends, cut, pooled.size - cut)
+        kept = np.diff(inside, axis=1, prepend=cut)
+        means.append(kept @ pooled[order] / (pooled.size - 2 * cut))
+    return Interval(iqm(pooled), *central(np.concatenate(means)))
+
+
+def improvement_interval(strata: Sequence[tuple[ArrayLike, ArrayLike]], *, is_paired: bool) -> Interval:
+    """Probability that a run of the first kind has a greater value than a run of the second kind.
+
+    The estimate is the mean over strata, such as tasks, of the Mann-Whitney statistic over the product of
+    the numbers of runs: the share of pairs of runs, one of each kind, with the greater first value; a tie
+    counts half (Agarwal et al. 2021, section 4.3). The interval is a stratified percentile bootstrap.
+
+    Args:
+        strata: The values of both kinds in each stratum, `[n]` and `[m]`.
+        is_paired: Whether the values of a stratum belong to the same runs, `n = m`, which are then resampled
+            together. Otherwise both kinds are resampled on their own.
+
+    Returns:
+        The interval; NaN for a kind without values or a NaN among them.
+    """
+    tables = [tuple(np.asarray(each, dtype=np.float64) for each in pair) for pair in strata]
+    values = [each for pair in tables for each in pair]
+    if not values or not all(each.size and np.isfinite(each).all() for each in values):
+        return _UNKNOWN
+    streams = [2 * stratum + (0 if is_paired else side) for stratum in range(len(tables)) for side in (0, 1)]
+    shares = []
+    ones = [np.ones((1, each.size)) for each in values]
+    for counts in (ones, *_strata_counts([each.size for each in values], streams)):
+        pairs = zip(tables, counts[::2], counts[1::2], strict=True)
+        shares.append(np.mean([_improvement(*pair, *drawn) for pair, *drawn in pairs], axis=0))
+    return Interval(float(shares[0][0]), *central(np.concatenate(shares[1:])))
+
+
+def _improvement(first: Floats, second: Floats, drawn: Floats, other_drawn: Floats) -> Floats:
+    """Share of pairs with the greater first value in resamples with these counts `[resamples, n or m]`."""
+    order = np.argsort(second)
+    below = np.pad(np.cumsum(other_drawn[:, order], axis=1), ((0, 0), (1, 0)))
+    places = [np.searchsorted(second[order], first, side=side) for side in ("left", "right")]
+    wins = (below[:, places[0]] + below[:, places[1]]) / 2
+    return (drawn * wins).sum(axis=1) / (first.size * second.size)
+
+
+def _strata_counts(sizes: Sequence[int], streams: Sequence[int]) -> Iterator[list[Floats]]:
+    """Blocks of resamples of several tables of these lengths: counts `[resamples, rows]` of each table."""
+    resamples = RESAMPLES if max(sizes) <= GROUPS else FEW_RESAMPLES
+    block = max(1, _BLOCK_CELLS // sum(sizes))
+    tables = [_counts(size, resamples, block, stream) for size, stream in zip(sizes, streams, strict=True)]
+    for start in range(0, resamples, block):
+        yield [table[start : start + block].astype(np.float64, copy=False) for table in tables]
 
 
 def mean_band(values: ArrayLike) -> Band:

@@ -1,0 +1,1 @@
+"""One page over several results folders and curves of other libraries."""

@@ -1,0 +1,303 @@
+"""Builds a comparison: reads folders and CSV files, draws the figures and writes `comparison.html`."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from bojax.config.errors import allowed_names
+from bojax.report import statistics, style
+from bojax.report.comparing import tables
+from bojax.report.comparing.contenders import (
+    PLANNING_CURVE,
+    Axis,
+    Contender,
+    Kind,
+    Measure,
+    Phase,
+    kind_of,
+    named,
+    of_file,
+    of_folder,
+)
+from bojax.report.comparing.curve_files import read_curves
+from bojax.report.drawing.base import MAX_POINTS, Drawing, Undrawable, draw_intervals, set_rows
+from bojax.report.drawing.curves import Chart, Panel
+from bojax.report.figures.learning_curves import limit
+from bojax.report.page import Plate
+from bojax.report.source import Results, load
+from bojax.report.tables import Table
+from bojax.report.template import fill
+from bojax.report.text import counted, joined, number, percent, ranged
+from bojax.results.store import ResultsError, explained, write_atomically
+
+PAGE = "comparison.html"
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is compared, and how.
+
+    Attributes:
+        folders: Results folders.
+        files: CSV files.
+        metric: Column, with a minus sign if less is better; None for the default.
+        axis: Horizontal axis of curves; None for the default.
+        phase: Phase of the episodes.
+        last: Number of the last values of a curve whose mean is the score of a run; None for the default.
+        reference: Name of the contender that others are compared with; None for the first.
+        command: The command line.
+    """
+
+    folders: Sequence[Path]
+    files: Sequence[Path]
+    metric: str | None = None
+    axis: Axis | None = None
+    phase: Phase = "train"
+    last: int | None = None
+    reference: str | None = None
+    command: str = ""
+
+
+@dataclass(frozen=True)
+class Part:
+    """The contenders of a task, as the page shows them."""
+
+    title: str
+    plates: list[Plate]
+    scores: Table
+
+
+def compare(request: Request, out: Path) -> Path:
+    """Write a comparison into a folder, which is made, and return `comparison.html`.
+
+    Nothing is written before everything is ready.
+
+    Raises:
+        ResultsError: A folder or file is missing or damaged, has no such metric or cannot be compared with
+            the others; one line.
+    """
+    results = [load(folder) for folder in request.folders]
+    measure = _measure(request, results)
+    contenders = _contenders(request, results, measure)
+    references = _references(contenders, request.reference)
+    images, parts = {}, []
+    with style.settings():
+        for task, members in _by_task(contenders).items():
+            suffix = f"-{task}" if len(references) > 1 else ""
+            drawings = _drawings(members, references[task], measure)
+            plates = []
+            for name, drawing in drawings.items():
+                images[f"{name}{suffix}"] = files = style.encode(drawing.figure)
+                plates.append(Plate.of(drawing, files["svg"]))
+            parts.append(Part(task, plates, tables.scores(members, references[task], measure)))
+    page = _page(request, results, contenders, parts, measure)
+
+    figures = out / "figures"
+    with explained(figures):
+        figures.mkdir(parents=True, exist_ok=True)
+    for name, files in images.items():
+        for suffix, content in files.items():
+            path = figures / f"{name}.{suffix}"
+            write_atomically(path, lambda temporary, content=content: temporary.write_bytes(content))
+    write_atomically(out / PAGE, lambda temporary: temporary.write_bytes(page.encode()))
+    return out / PAGE
+
+
+def _measure(request: Request, results: Sequence[Results]) -> Measure:
+    kinds: list[Kind] = [kind_of(each) for each in results]
+    for each, kind in zip(results, kinds, strict=True):
+        if kind != kinds[0]:
+            raise ResultsError(
+                f"{each.folder}: got results of {kind}, {results[0].folder} has results of {kinds[0]}; "
+                "allowed: one of both"
+            )
+    kind: Kind = kinds[0] if kinds else "learning"
+    axis: Axis = request.axis or ("step" if kind == "planning" else "episode")
+    if kind == "planning" and axis != "step":
+        raise ResultsError(f"--x: got {axis}; allowed of planning: step")
+    metric = request.metric or (PLANNING_CURVE if kind == "planning" else "return")
+    if request.phase == "test":
+        for each in results:
+            if not each.episodes or not (each.episodes["phase"] == "test").any():
+                raise ResultsError(f"{each.folder}: has no test episodes; allowed: --phase train")
+    return Measure(kind, metric.removeprefix("-"), metric.startswith("-"), axis, request.phase, request.last)
+
+
+def _contenders(request: Request, results: Sequence[Results], measure: Measure) -> list[Contender]:
+    found = [contender for each in results for contender in of_folder(each, measure)]
+    known = list(dict.fromkeys(contender.task for contender in found))
+    for path in request.files:
+        rows = read_curves(path)
+        if found and results and found[0].curve is None:
+            raise ResultsError(f"{path}: has curves, but {measure.column} has none; allowed: results folders")
+        for task in {each.task for each in rows}:
+            if len(known) > 1 and not task:
+                raise ResultsError(f"{path}: no column task; allowed: a task among {', '.join(known)}")
+            if known and task and task not in known:
+                raise ResultsError(f"{path}: task: got {task}{allowed_names(task, known)}")
+        found += of_file(path, rows, measure, known[0] if known else "")
+    if len(found) < 2:
+        raise ResultsError(f"got one curve, {found[0].name}; allowed: two or more")
+    return named(found)
+
+
+def _by_task(contenders: Sequence[Contender]) -> dict[str, list[Contender]]:
+    found: dict[str, list[Contender]] = {}
+    for each in contenders:
+        found.setdefault(each.task, []).append(each)
+    return found
+
+
+def _references(contenders: Sequence[Contender], name: str | None) -> dict[str, Contender]:
+    """The reference of each task: the one of this name, otherwise the first."""
+    names = [each.name for each in contenders]
+    if name is not None and name not in names:
+        raise ResultsError(f"--reference: got {name}{allowed_names(name, set(names))}")
+    found = {}
+    for task, members in _by_task(contenders).items():
+        found[task] = next((each for each in members if each.name == name), members[0])
+    return found
+
+
+def _drawings(contenders: list[Contender], reference: Contender, measure: Measure) -> dict[str, Drawing]:
+    """The figures of a task by name, without those that cannot be drawn."""
+    shown, note = contenders, ""
+    if len(contenders) > MAX_POINTS:
+        order = sorted(contenders, key=lambda each: -measure.sign * np.nan_to_num(each.scores.mean()))
+        shown = [each for each in contenders if each in order[:MAX_POINTS]]
+        note = f" Of {len(contenders)} contenders, the {MAX_POINTS} with the best mean score are drawn."
+    drawings = {}
+    for name, draw in (("curves", _draw_curves), ("scores", _draw_scores)):
+        try:
+            drawings[name] = draw(shown, reference, measure, note)
+        except Undrawable:
+            continue
+    return drawings
+
+
+def _draw_curves(
+    contenders: Sequence[Contender], reference: Contender, measure: Measure, note: str
+) -> Drawing:
+    del reference
+    curves = [each.curve for each in contenders if each.curve is not None]
+    if not curves:
+        raise Undrawable(f"{measure.column} has one value per run")
+    if measure.kind == "planning":  # a run with a NaN is left out, as a NaN is carried forward
+        curves = [
+            replace(curve, values=curve.values[~np.isnan(curve.values).any(axis=1)]) for curve in curves
+        ]
+    is_share = measure.column == "success"
+    words = measure.column.replace("_", " ")
+    tests = " of the tests after each episode" if measure.phase == "test" else ""
+    quantity = f"share of runs with success{tests}" if is_share else f"mean {words}{tests}"
+    label = "success (%)" if is_share else words
+    missing = "A run is left out where it has no value." if measure.axis == "episode" else ""
+    panel = Panel(label, quantity, curves, is_share=is_share, missing=missing)
+    by_step = measure.axis == "step" and measure.kind == "learning"
+    chart = Chart([panel], "environment step" if by_step else measure.axis)
+    details = ["A run that has ended keeps its last value."] if measure.kind == "planning" else []
+    if by_step:
+        style.plain_ticks(chart.axes[0].xaxis)
+        chart.axes[0].set_xticks(chart.axes[0].get_xticks()[::2])
+        details += [
+            "A value holds from the end of its episode to that of the next.",
+            "A curve ends with its shortest run.",
+        ]
+    if not is_share and limit(chart.axes[0], panel, []):
+        details.append("Extreme values lie beyond the axis.")
+    return chart.drawing("Curves", " ".join(details), note)
+
+
+def _draw_scores(
+    contenders: Sequence[Contender], reference: Contender, measure: Measure, note: str
+) -> Drawing:
+    points = [each.point for each in contenders]
+    means = [statistics.mean_interval(each.scores) for each in contenders]
+    iqms = [statistics.iqm_interval([each.scores]) for each in contenders]
+    unknown = statistics.mean_interval([])
+    better = [
+        unknown if each is reference else tables.improvement([(each, reference)], measure)
+        for each in contenders
+    ]
+    if not any(np.isfinite(interval.estimate) for interval in (*means, *iqms)):
+        raise Undrawable("no contender has scores of all its runs")
+    lines = max(style.wrapped(point.name, 16).count("\n") + 1 for point in points)
+    figure, grid = style.figure(1.0 + max(0.26, 0.06 + 0.17 * lines) * len(points), 1, 3)
+    figure.set_layout_engine("constrained", wspace=0.1)
+    titles = ("mean", "IQM", "P(better)")
+    for place, (axes, title, intervals) in enumerate(
+        zip(grid[0], titles, (means, iqms, better), strict=True)
+    ):
+        set_rows(axes, points, bottom=0.5, ticks=2, name_width=0 if place else 16)
+        draw_intervals(axes, points, intervals)
+        axes.xaxis.set_major_formatter(lambda value, _: _tick(value))
+        axes.set_title(title)
+    grid[0, 2].set_xlim(-0.03, 1.03)
+    grid[0, 2].set_xticks([0, 0.5, 1], ["0", "50", "100%"])
+    grid[0, 2].axvline(0.5, color="#9A9A9A", linewidth=0.8, zorder=0.5)
+    told = [
+        f"{each.name}: mean {number(mean.estimate)}, IQM {number(middle.estimate)}"
+        + (f", P(better) {percent(share.estimate)}" if each is not reference else "")
+        for each, mean, middle, share in zip(contenders, means, iqms, better, strict=True)
+    ]
+    return Drawing(
+        figure=figure,
+        title="Scores",
+        caption=f"Mean and interquartile mean (IQM) of the score, the {_score(contenders, measure)}, and the "
+        f"probability that a run is better than one of {reference.name}, with 95% bootstrap intervals.{note}",
+        alt=f"Dot plots with intervals. {'; '.join(told)}.",
+    )
+
+
+def _tick(value: float) -> str:
+    """A number that takes little room: `20k` for 20,000."""
+    text = f"{value / 1000:g}k" if abs(value) >= 10_000 else f"{value:,.10g}"
+    return text.replace("-", "\N{MINUS SIGN}")
+
+
+def _score(contenders: Sequence[Contender], measure: Measure) -> str:
+    """What the score of a run is, in words."""
+    words = measure.column.replace("_", " ")
+    if contenders[0].curve is None:
+        return words
+    unit = "steps" if measure.axis == "step" else "episodes"
+    if measure.kind == "planning":
+        return f"final {words}" if measure.last is None else f"mean {words} of the last {measure.last} {unit}"
+    if measure.last is None:
+        return f"mean {words} of the last tenth of the {unit}"
+    places = "values on the axis" if measure.axis == "step" else unit
+    return f"mean {words} of the last {measure.last} {places}"
+
+
+def _page(
+    request: Request,
+    results: Sequence[Results],
+    contenders: Sequence[Contender],
+    parts: Sequence[Part],
+    measure: Measure,
+) -> str:
+    by_task = _by_task(contenders)
+    first = next(iter(by_task.values()))
+    sources = counted(len({each.source for each in contenders}), "source")
+    runs = ranged((each.scores.size for each in contenders), "run")
+    tasks = f" on {joined(filter(None, by_task))}" if any(by_task) else ""
+    names = list(dict.fromkeys(each.name for each in contenders))
+    listed = f" ({joined(names)})" if len(names) <= MAX_POINTS else ""
+    what = measure.column.replace("_", " ")
+    direction = ", of which less is better" if measure.is_least else ""
+    reference = request.reference or first[0].name
+    return fill(
+        "comparison.html.j2",
+        title=f"Comparison: {what}{tasks}",
+        summary=f"{counted(len(names), 'contender')}{listed} of {sources}, {runs} each. The score of a run "
+        f"is the {_score(contenders, measure)}{direction}.",
+        counts=[],
+        parts=parts,
+        overall=tables.overall(list(by_task.values()), reference, measure),
+        settings=tables.settings(contenders),
+        sources=tables.sources(results, contenders),
+        provenance=[("command", request.command)] if request.command else [],
+        footer="Written by bojax from the tables of these results.",
+    )

@@ -1,0 +1,261 @@
+"""What is compared: points of results folders and labels of CSV files, with their curves and scores."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+
+from bojax.config.component import Component
+from bojax.config.errors import allowed_names
+from bojax.experiments.settings import Learning, Planning
+from bojax.report import statistics
+from bojax.report.comparing.curve_files import Rows
+from bojax.report.drawing.curves import Curve
+from bojax.report.manifest import Unread
+from bojax.report.source import Point, Results
+from bojax.report.statistics import Floats
+from bojax.results.outline import Outline
+from bojax.results.store import ResultsError
+
+Axis: TypeAlias = Literal["episode", "step"]
+
+Kind: TypeAlias = Literal["planning", "learning"]
+Phase: TypeAlias = Literal["train", "test"]
+
+AXES: tuple[Axis, ...] = ("episode", "step")
+"""What the horizontal axis of curves may be: a training episode, or a step of the environment or plan."""
+
+PLANNING_CURVE = "accumulated_reward"
+"""The column of `steps.parquet` of which planning has curves."""
+
+GRID = 200
+"""Number of places at which curves over the steps of an environment are compared."""
+
+_KEYS = ("point", "run", "episode", "seed", "nans")
+_LAST = 0.1
+
+
+@dataclass(frozen=True)
+class Measure:
+    """What is compared.
+
+    Attributes:
+        kind: Kind of the experiments.
+        column: A column of `episodes.parquet` or `runs.parquet`; `accumulated_reward` of planning.
+        is_least: Whether less is better.
+        axis: The horizontal axis of curves.
+        phase: The phase of the episodes.
+        last: Number of the last values of a run's curve whose mean is its score; None for those of the last
+            tenth of the axis, and the last one in planning.
+    """
+
+    kind: Kind
+    column: str
+    is_least: bool
+    axis: Axis
+    phase: Phase
+    last: int | None
+
+    @property
+    def sign(self) -> float:
+        """The factor with which more is better."""
+        return -1.0 if self.is_least else 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Contender:
+    """A setting that is compared with others."""
+
+    point: Point  # its name and colour
+    source: Path  # its results folder or CSV file
+    task: str  # the problem or environment; curves and scores of different tasks have different scales
+    run: Floats  # `[runs]` indices
+    scores: Floats  # `[runs]`
+    curve: Curve | None  # None where only scores are known
+    settings: Mapping[str, Any] | None  # None of a CSV file
+    seed: int | None = None
+    is_share: bool = False  # whether scores are 0 or 1
+
+    @property
+    def name(self) -> str:
+        """Its name, unique among those of its task."""
+        return self.point.name
+
+    def is_paired_with(self, other: "Contender") -> bool:
+        """Whether runs of equal index had the same random numbers, and both have the same runs."""
+        is_same = self.seed is not None and self.seed == other.seed and self.settings is not None
+        return is_same and other.settings is not None and np.array_equal(self.run, other.run)
+
+
+def kind_of(results: Results) -> Kind:
+    """The kind of the experiments of a folder.
+
+    Raises:
+        ResultsError: Another kind, or settings that this version cannot read.
+    """
+    for point in results.points:
+        experiment = point.experiment
+        if isinstance(experiment, Unread):
+            raise ResultsError(
+                f"{results.folder}: this version of bojax cannot read the settings of {point.name} "
+                f"({experiment.reason}); allowed: results of this version"
+            )
+        if not isinstance(experiment, Learning | Planning):
+            raise ResultsError(
+                f"{results.folder}: got the experiment {experiment.kind}; allowed: learning, planning"
+            )
+    return "learning" if results.points[0].is_learning else "planning"
+
+
+def task_of(point: Point) -> str:
+    """The kind of the problem or environment of a point."""
+    part: Component | None = point.env if point.is_learning else point.problem
+    return "" if part is None else part.kind
+
+
+def columns_of(results: Results) -> list[str]:
+    """The columns that can be compared, those with curves first."""
+    found = [PLANNING_CURVE] if kind_of(results) == "planning" and PLANNING_CURVE in results.steps else []
+    hidden = {*_KEYS, *(key for point in results.points for key in point.swept)}
+    for table in (results.episodes, results.runs):
+        found += [name for name, values in table.items() if values.dtype.kind in "bfiu"]
+    return [name for name in dict.fromkeys(found) if name not in hidden]
+
+
+def of_folder(results: Results, measure: Measure) -> list[Contender]:
+    """The points of a results folder that have runs.
+
+    Raises:
+        ResultsError: There is no such column of numbers, or no run.
+    """
+    known = columns_of(results)
+    if measure.column not in known:
+        raise ResultsError(
+            f"{results.folder}: unknown metric {measure.column}{allowed_names(measure.column, known)}"
+        )
+    contenders = []
+    for point in results.points:
+        runs = results.runs_of(point)
+        if not runs["run"].size:
+            continue
+        curve = _curve(results, point, measure)
+        if curve is None:
+            values = runs[measure.column]
+            scores, is_share = values.astype(np.float64), values.dtype.kind == "b"
+        else:
+            has_nan = runs.get("nans", np.zeros(runs["run"].size)) > 0
+            scores, is_share = np.where(has_nan, np.nan, _last(curve, measure)), False
+        contenders.append(
+            Contender(
+                point=point,
+                source=results.folder,
+                task=task_of(point),
+                run=runs["run"],
+                scores=scores,
+                curve=curve,
+                settings=point.config,
+                seed=results.manifest.seed,
+                is_share=is_share,
+            )
+        )
+    if not contenders:
+        raise ResultsError(f"{results.folder}: no run has been finished; allowed: at least one")
+    return contenders
+
+
+def of_file(path: Path, rows: Sequence[Rows], measure: Measure, task: str) -> list[Contender]:
+    """The labels of a CSV file; those without a task of their own have the task that is given.
+
+    Raises:
+        ResultsError: With episodes as the axis, runs of a label have different episodes.
+    """
+    contenders = []
+    for number, each in enumerate(rows):
+        point = Point(number, each.label, each.label, each.label, {}, {}, Unread({}, str(path)), Outline())
+        x, values = _common(path, each, measure)
+        curve = Curve(point, x, values)
+        run = np.asarray(list(each.runs))
+        scores = _last(curve, measure)
+        contenders.append(Contender(point, path, each.task or task, run, scores, curve, None))
+    return contenders
+
+
+def named(contenders: Sequence[Contender]) -> list[Contender]:
+    """The same contenders with names that are unique within each task: sources tell equal names apart."""
+    sources = list(dict.fromkeys(each.source for each in contenders))
+    short = {
+        source: source.name
+        if [other.name for other in sources].count(source.name) == 1
+        else source.as_posix().strip("/")
+        for source in sources
+    }
+    renamed = []
+    for each in contenders:
+        twins = [other for other in contenders if (other.task, other.name) == (each.task, each.name)]
+        name = each.name if len(twins) == 1 else f"{each.name} ({short[each.source]})"
+        point = replace(each.point, name=name)
+        curve = each.curve and replace(each.curve, point=point)
+        renamed.append(replace(each, point=point, curve=curve))
+    return renamed
+
+
+def _curve(results: Results, point: Point, measure: Measure) -> Curve | None:
+    """The curve of a column; None of a column that has one value per run."""
+    column = measure.column
+    if not point.is_learning:
+        if column != PLANNING_CURVE:
+            return None
+        rows, runs, last = results.steps_of(point), results.runs_of(point)["run"], results.num_steps
+        values = statistics.carry_forward(runs, rows["run"], rows["step"], rows[column], last)
+        return Curve(point, np.arange(last + 1.0), values)
+    if column not in results.episodes:
+        return None
+    values = results.by_episode(point, column, measure.phase)
+    if measure.axis == "episode":
+        return Curve(point, np.arange(1.0, values.shape[1] + 1), values)
+    ends, known = np.nancumsum(results.by_episode(point, "length"), axis=1), np.isfinite(values)
+    runs = [(x[there], each[there]) for x, each, there in zip(ends, values, known, strict=True)]
+    return Curve(point, *_by_step(runs, ends_with_shortest=True))
+
+
+def _common(path: Path, rows: Rows, measure: Measure) -> tuple[Floats, Floats]:
+    """The places and the values `[runs, places]` of a label of a CSV file."""
+    runs = list(rows.runs.values())
+    if measure.axis == "step":
+        return _by_step(runs, ends_with_shortest=measure.kind == "learning")
+    first, (x, _) = next(iter(rows.runs.items()))
+    for run, (other, _) in rows.runs.items():
+        if not np.array_equal(x, other):
+            differing = sorted({*other.tolist()} ^ {*x.tolist()})[0]
+            raise ResultsError(
+                f"{path}: x: run {run} of {rows.label} has {other.size} rows, run {first} has {x.size}, and "
+                f"only one of them has x = {differing:g}; allowed: equal x in all runs of a label "
+                "(runs of any length: --x step)"
+            )
+    return x, np.stack([values for _, values in runs])
+
+
+def _by_step(runs: Sequence[tuple[Floats, Floats]], *, ends_with_shortest: bool) -> tuple[Floats, Floats]:
+    """Values at common steps: each holds until the next one; NaN before the first.
+
+    The steps end with the shortest run, since the longer runs alone would be another population. Otherwise a
+    run that has ended keeps its last value.
+    """
+    ends = [x[-1] if x.size else 0.0 for x, _ in runs]
+    last = min(ends) if ends_with_shortest else max(ends)
+    spacing = max(1, int(np.ceil(last / GRID)))
+    grid = np.arange(spacing if ends_with_shortest else 0, last + 1, spacing, dtype=np.float64)
+    table = np.full((len(runs), max(1, grid.size)), np.nan)
+    for row, (x, values) in enumerate(runs):
+        place = np.searchsorted(x, grid, side="right") - 1
+        table[row, : grid.size] = np.where(place >= 0, values[place] if values.size else np.nan, np.nan)
+    return (grid if grid.size else np.ones(1)), table
+
+
+def _last(curve: Curve, measure: Measure) -> Floats:
+    """Mean of the last values of each run; NaN for a run without a value among them."""
+    count = measure.last or (1 if measure.kind == "planning" else max(1, round(_LAST * curve.x.size)))
+    tail = [values[np.isfinite(values)][-count:] for values in curve.values]
+    return np.array([values.mean() if values.size else np.nan for values in tail])

@@ -1,0 +1,137 @@
+"""The tables of a comparison: scores, differences from a reference, all tasks together, settings, sources."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from bojax.report import statistics
+from bojax.report.comparing.contenders import Contender, Measure
+from bojax.report.source import Results
+from bojax.report.statistics import Floats, Interval
+from bojax.report.tables import Cell, Table, flatten, mean_cell, share_cell
+from bojax.report.text import MISSING, line, percent, plain, with_bounds
+
+
+def scores(contenders: Sequence[Contender], reference: Contender, measure: Measure) -> Table:
+    """One row per contender of a task: mean, interquartile mean, and comparison with the reference."""
+    rows = []
+    for each in contenders:
+        cells = [
+            Cell(f"{each.scores.size:,}"),
+            (share_cell if each.is_share else mean_cell)(each.scores),
+            _cell(statistics.iqm_interval([each.scores])),
+        ]
+        if each is reference:
+            cells += [Cell(MISSING)] * 3
+        else:
+            cells += [
+                _cell(difference(each, reference)),
+                _share_cell(improvement([(each, reference)], measure)),
+                Cell("paired" if each.is_paired_with(reference) else "unpaired"),
+            ]
+        rows.append((each.name, cells))
+    than = reference.name
+    return Table(
+        ["runs", "mean", "IQM", f"difference from {than}", f"P(better than {than})", "runs are"], rows
+    )
+
+
+def overall(tasks: Sequence[Sequence[Contender]], reference: str, measure: Measure) -> Table | None:
+    """One row per name that every one of several tasks has; None if there are fewer than two.
+
+    Scores of a task are scaled so that the worst mean of a contender is 0 and the best is 1.
+    """
+    names = [each.name for each in tasks[0]]
+    shared = [name for name in names if all(name in {each.name for each in task} for task in tasks)]
+    if len(tasks) < 2 or len(shared) < 2:
+        return None
+    of_task = [{each.name: each for each in task} for task in tasks]
+    scaled = [_scaled([task[name] for name in shared], measure) for task in of_task]
+    than = reference if reference in shared else shared[0]
+    rows = []
+    for place, name in enumerate(shared):
+        pairs = [(task[name], task[than]) for task in of_task]
+        better = Cell(MISSING) if name == than else _share_cell(improvement(pairs, measure))
+        rows.append((name, [_cell(statistics.iqm_interval([task[place] for task in scaled])), better]))
+    return Table(["IQM of scaled scores", f"P(better than {than})"], rows)
+
+
+def difference(contender: Contender, reference: Contender) -> Interval:
+    """Difference of the mean scores: bootstrap of paired runs, otherwise Welch's, or Newcombe's of shares.
+
+    NaN for fewer than two runs or a NaN among the scores.
+    """
+    first, second = contender.scores, reference.scores
+    is_known = np.isfinite(first).all() and np.isfinite(second).all()
+    if min(first.size, second.size) < 2 or not is_known:
+        return statistics.mean_interval([])
+    if contender.is_paired_with(reference):
+        return statistics.mean_interval(first - second)
+    if contender.is_share and reference.is_share:
+        hits = [(int(scores.sum()), scores.size) for scores in (first, second)]
+        return statistics.share_difference(*hits[0], *hits[1])
+    moments = [(float(scores.mean()), float(scores.std(ddof=1)), scores.size) for scores in (first, second)]
+    return statistics.welch_difference(moments[0], moments[1])
+
+
+def improvement(pairs: Sequence[tuple[Contender, Contender]], measure: Measure) -> Interval:
+    """Probability that a run of the first is better than one of the second, over tasks."""
+    strata = [(measure.sign * first.scores, measure.sign * second.scores) for first, second in pairs]
+    return statistics.improvement_interval(
+        strata, is_paired=all(first.is_paired_with(second) for first, second in pairs)
+    )
+
+
+def settings(contenders: Sequence[Contender]) -> Table | None:
+    """One row per setting that differs among the results folders; None if none does."""
+    known = [each for each in contenders if each.settings is not None]
+    flat = [dict(flatten(each.settings or {})) | {"seed": plain(each.seed)} for each in known]
+    keys = dict.fromkeys(key for each in flat for key in each)
+    several_tasks = len({each.task for each in contenders}) > 1
+    names = [f"{each.name}, {each.task}" if several_tasks else each.name for each in known]
+    rows = []
+    for key in keys:
+        values = [each.get(key, MISSING) for each in flat]
+        if len(set(values)) > 1:
+            rows.append((key, [Cell(value) for value in values]))
+    return Table(names, rows) if rows else None
+
+
+def sources(results: Sequence[Results], contenders: Sequence[Contender]) -> list[tuple[str, str]]:
+    """Provenance of each results folder and CSV file, as path and text."""
+    rows = []
+    for each in results:
+        manifest = each.manifest
+        parts = {
+            "sweep": each.name,
+            "runs": plain(manifest.runs),
+            "seed": plain(manifest.seed),
+            "written": manifest.written,
+            **manifest.provenance,
+        }
+        rows.append((str(each.folder), line(parts)))
+    folders = {each.folder for each in results}
+    for path in dict.fromkeys(each.source for each in contenders if each.source not in folders):
+        labels = ", ".join(each.name for each in contenders if each.source == path)
+        rows.append((str(path), f"CSV: {labels}"))
+    return rows
+
+
+def _scaled(contenders: Sequence[Contender], measure: Measure) -> list[Floats]:
+    """Scores with 0 for the worst and 1 for the best mean; NaN if the means are equal."""
+    signed = [measure.sign * each.scores for each in contenders]
+    means = [float(scores.mean()) for scores in signed]
+    span = max(means) - min(means)
+    return [(scores - min(means)) / (span or np.nan) for scores in signed]
+
+
+def _cell(interval: Interval) -> Cell:
+    if not np.isfinite(interval.estimate):
+        return Cell(MISSING)
+    return Cell(*with_bounds(interval.estimate, interval.low, interval.high))
+
+
+def _share_cell(interval: Interval) -> Cell:
+    if not np.isfinite(interval.estimate):
+        return Cell(MISSING)
+    return Cell(percent(interval.estimate), f"[{percent(interval.low)}, {percent(interval.high)}]")

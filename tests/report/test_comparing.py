@@ -1,0 +1,376 @@
+"""Comparisons: curves on common axes, scores with paired and unpaired intervals, a page, one-line errors."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from bojax.cli.main import main
+from bojax.report import statistics
+from bojax.report.comparing import tables
+from bojax.report.comparing.build import Request, compare
+from bojax.report.comparing.contenders import Measure, named, of_file, of_folder
+from bojax.report.comparing.curve_files import Rows, read_curves
+from bojax.report.source import load
+from bojax.results.store import ResultsError
+from tests.report.synthetic import edit_manifest, in_memory, write_learning, write_results
+from tests.report.test_report import Page
+
+EPISODES = Measure("learning", "return", False, "episode", "train", None)
+STEPS = Measure("learning", "return", False, "step", "train", None)
+
+
+def resampled_iqms(random, strata, count=4000):
+    """IQMs of a stratified bootstrap as it is written down: draw, pool, sort, trim."""
+    found = []
+    for _ in range(count):
+        pooled = np.concatenate([random.choice(values, len(values)) for values in strata])
+        found.append(stats.trim_mean(pooled, 0.25))
+    return found
+
+
+def share_of_wins(first, second):
+    """Probability of improvement by comparing every pair."""
+    wins = [(x > y) + 0.5 * (x == y) for x in first for y in second]
+    return float(np.mean(wins))
+
+
+class TestStatistics:
+    @pytest.mark.parametrize("size", [1, 2, 3, 4, 7, 8, 101])
+    def test_an_iqm_is_a_trimmed_mean(self, size):
+        values = np.random.default_rng(size).normal(size=size)
+        assert statistics.iqm(values) == pytest.approx(stats.trim_mean(values, 0.25))
+
+    @pytest.mark.parametrize("sizes", [(9,), (12, 12), (5, 16, 11)])
+    def test_the_interval_of_an_iqm_is_that_of_a_stratified_bootstrap(self, sizes):
+        random = np.random.default_rng(3)
+        strata = [random.normal(3 * place, 1, size) for place, size in enumerate(sizes)]
+        found = statistics.iqm_interval(strata)
+        assert found.estimate == pytest.approx(stats.trim_mean(np.concatenate(strata), 0.25))
+        low, high = np.quantile(resampled_iqms(random, strata), [0.025, 0.975])
+        width = high - low
+        assert (found.low, found.high) == pytest.approx((low, high), abs=0.06 * width)
+
+    def test_strata_keep_the_number_of_runs_of_each_task(self):
+        """Runs without spread within tasks: pooled resamples would vary, stratified ones do not."""
+        found = statistics.iqm_interval([np.zeros(10), np.full(10, 5.0)])
+        assert (found.estimate, found.low, found.high) == (2.5, 2.5, 2.5)
+        pooled = statistics.iqm_interval([np.repeat([0.0, 5.0], 10)])
+        assert pooled.low < 2.5 < pooled.high
+
+    def test_the_probability_of_improvement_is_the_share_of_pairs(self):
+        random = np.random.default_rng(5)
+        first, second = random.integers(0, 6, 13), random.integers(0, 5, 9)
+        found = statistics.improvement_interval([(first, second)], is_paired=False)
+        assert found.estimate == pytest.approx(share_of_wins(first, second))
+        u = stats.mannwhitneyu(first, second).statistic
+        assert found.estimate == pytest.approx(u / (first.size * second.size))
+
+    @pytest.mark.parametrize("is_paired", [False, True])
+    def test_the_interval_of_a_probability_is_that_of_a_bootstrap(self, is_paired):
+        random = np.random.default_rng(7)
+        common = random.normal(size=12)
+        strata = [
+            (common + random.normal(0.5, 0.4, 12), common),
+            (random.normal(size=8), random.normal(size=8)),
+        ]
+        found = statistics.improvement_interval(strata, is_paired=is_paired)
+        assert found.estimate == pytest.approx(np.mean([share_of_wins(*pair) for pair in strata]))
+        shares = []
+        for _ in range(3000):
+            drawn = []
+            for first, second in strata:
+                rows = random.integers(0, len(first), len(first))
+                others = rows if is_paired else random.integers(0, len(second), len(second))
+                drawn.append(share_of_wins(first[rows], second[others]))
+            shares.append(np.mean(drawn))
+        low, high = np.quantile(shares, [0.025, 0.975])
+        assert (found.low, found.high) == pytest.approx((low, high), abs=0.06 * (high - low))
+
+    def test_many_runs_take_fewer_resamples_and_give_the_same(self):
+        random = np.random.default_rng(1)
+        values = random.normal(size=statistics.GROUPS + 1)
+        found = statistics.iqm_interval([values])
+        error = (found.high - found.low) / 2
+        # The IQM of n normal values has about 1.09 / sqrt(n) as its standard deviation.
+        assert error == pytest.approx(1.96 * 1.09 / np.sqrt(values.size), rel=0.15)
+
+    @pytest.mark.parametrize("strata", [[], [[]], [[1.0, np.nan]]])
+    def test_no_value_and_nan_give_nan(self, strata):
+        assert np.isnan(statistics.iqm_interval(strata).estimate)
+        pairs = [(values, [1.0]) for values in strata]
+        assert np.isnan(statistics.improvement_interval(pairs, is_paired=False).estimate)
+
+
+GOOD = "label,run,x,value\na,0,1,0.5\na,0,2,1.5\nb,0,1,2\nb,0,2,3\n"
+
+MISTAKES = {
+    "an empty file": ("", "is empty; allowed: the columns label, run, x, value and rows"),
+    "no rows": ("label,run,x,value\n", "has no rows; allowed: at least one below the header"),
+    "a missing column": (
+        "label,run,x\na,0,1\n",
+        "no column value; allowed: label, run, x, value, optionally",
+    ),
+    "a misspelt column": (
+        "labl,run,x,value\na,0,1,2\n",
+        'unknown column "labl"; allowed: label, run, task, value, x; did you mean "label"?',
+    ),
+    "a column twice": ("label,run,x,x,value\n", 'two columns are called "x"; allowed: one'),
+    "too few cells": (GOOD + "b,0,3\n", "line 6: got 3 cells; allowed: 4, as in the header"),
+    "a NaN": (GOOD + "b,0,3,nan\n", 'line 6: value: got "nan"; allowed: a finite number'),
+    "an infinite value": (GOOD + "b,0,3,-inf\n", 'line 6: value: got "-inf"; allowed: a finite number'),
+    "an empty value": (GOOD + "b,0,3,\n", 'line 6: value: got ""; allowed: a finite number'),
+    "a word": (GOOD + "b,0,3,high\n", 'line 6: value: got "high"; allowed: a finite number'),
+    "no label": (GOOD + ",0,3,1\n", "line 6: label: got nothing; allowed: text"),
+    "half a run": (GOOD + "b,0.5,3,1\n", 'line 6: run: got "0.5"; allowed: an integer from 0'),
+    "a negative run": (GOOD + "b,-1,3,1\n", 'line 6: run: got "-1"; allowed: an integer from 0'),
+    "a negative x": (GOOD + "b,0,-3,1\n", 'line 6: x: got "-3"; allowed: >= 0'),
+    "a duplicate": (GOOD + "b,0,2.0,1\n", "line 6: x: got 2.0 of run 0 of b twice; allowed: once"),
+    "runs of other lengths": (
+        GOOD + "b,1,1,5\n",
+        "x: run 1 of b has 1 rows, run 0 has 2, and only one of them has x = 2; allowed: equal x in all runs",
+    ),
+    "one label": ("label,run,x,value\na,0,1,0.5\n", None),
+    "an open quote": (
+        'label,run,x,value\n"a,0,1,2\n',
+        "cannot be read (unexpected end of data); allowed: CSV",
+    ),
+}
+
+
+class TestCurveFiles:
+    @pytest.mark.parametrize("case", MISTAKES)
+    def test_a_mistake_is_one_line_and_writes_nothing(self, case, tmp_path, monkeypatch, capsys):
+        monkeypatch.chdir(tmp_path)
+        (tmp_path / "other.csv").write_text(MISTAKES[case][0])
+        assert main(["compare", "--csv", "other.csv"]) == 2
+        out, err = capsys.readouterr()
+        message = MISTAKES[case][1]
+        expected = "got one curve, a; allowed: two or more" if message is None else f"other.csv: {message}"
+        assert out == "" and err.count("\n") == 1 and err.startswith(f"error: {expected}"), err
+        assert [path.name for path in tmp_path.iterdir()] == ["other.csv"]
+
+    @pytest.mark.parametrize("content", [b"\xff\xfe\x00label", b"label,run,x,value\na,0,1,\xff\n"])
+    def test_a_file_that_is_no_text(self, content, tmp_path):
+        (tmp_path / "x.csv").write_bytes(content)
+        with pytest.raises(ResultsError, match="cannot be read|unknown column"):
+            read_curves(tmp_path / "x.csv")
+
+    def test_rows_and_columns_may_have_any_order(self, tmp_path):
+        (tmp_path / "x.csv").write_text(
+            "\ufeffvalue, x, run, label, task\n3,2,1,b,t\n\n1,1,1,b,t\n7,1,0,b,t\n8,2,0,b,t\n",
+            encoding="utf-8",
+        )
+        (rows,) = read_curves(tmp_path / "x.csv")
+        assert (rows.label, rows.task) == ("b", "t")
+        assert {run: (x.tolist(), values.tolist()) for run, (x, values) in rows.runs.items()} == {
+            0: ([1, 2], [7, 8]),
+            1: ([1, 2], [1, 3]),
+        }
+
+
+def contenders_of(episodes, measure, lengths=None):
+    """Contenders of returns `[runs, episodes]` by name, NaN where a run had no such episode."""
+    runs = {name: {"return": values[:, -1]} for name, values in episodes.items()}
+    results = in_memory(runs, episodes=episodes)
+    rows = results.episodes
+    rows["return"] = rows.pop("value")
+    rows["length"] = np.ones(rows["run"].size) if lengths is None else lengths
+    return of_folder(results, measure)
+
+
+class TestContenders:
+    def test_a_score_is_the_mean_of_the_last_tenth(self):
+        values = np.arange(40.0).reshape(2, 20)
+        (each,) = contenders_of({"a": values}, EPISODES)
+        assert each.scores == pytest.approx(values[:, -2:].mean(axis=1))
+
+    def test_a_run_that_stopped_early_scores_its_own_last_values(self):
+        values = np.arange(20.0).reshape(2, 10)
+        values[1, 4:] = np.nan
+        (each,) = contenders_of({"a": values}, EPISODES)
+        assert each.scores.tolist() == [9.0, 13.0]
+
+    def test_a_value_holds_from_the_end_of_its_episode(self):
+        """Episodes of 2 and 3 steps in run 0, of 1 and 4 in run 1: both have made 5 steps."""
+        values = np.array([[1.0, 2.0], [3.0, 4.0]])
+        (each,) = contenders_of({"a": values}, STEPS, np.array([2, 3, 1, 4]))
+        assert each.curve.x.tolist() == [1, 2, 3, 4, 5]
+        np.testing.assert_array_equal(each.curve.values, [[np.nan, 1, 1, 1, 2], [3, 3, 3, 3, 4]])
+
+    def test_a_curve_by_step_ends_with_its_shortest_run(self):
+        values = np.array([[1.0, 2.0], [3.0, 4.0]])
+        (each,) = contenders_of({"a": values}, STEPS, np.array([2, 2, 10, 10]))
+        assert each.curve.x[-1] == 4
+
+    def test_runs_are_paired_by_seed_and_index(self, tmp_path):
+        folders = [
+            write_learning(tmp_path / name, runs=runs) for name, runs in (("a", 6), ("b", 6), ("c", 5))
+        ]
+        edit_manifest(folders[1], lambda manifest: manifest.update(seed=1))
+        a, b, c = (of_folder(load(folder), EPISODES)[0] for folder in folders)
+        again = of_folder(load(folders[0]), EPISODES)[1]
+        rows = Rows("x", "", {run: (np.ones(1), np.ones(1)) for run in range(6)})
+        (x,) = of_file(tmp_path / "x.csv", [rows], EPISODES, "t")
+        assert a.is_paired_with(again) and again.is_paired_with(a)
+        assert not any(a.is_paired_with(other) for other in (b, c, x))
+
+    def test_equal_names_are_told_apart_by_their_sources(self, tmp_path):
+        folders = [write_learning(tmp_path / name, runs=3) for name in ("a", "b")]
+        found = named([each for folder in folders for each in of_folder(load(folder), EPISODES)])
+        assert [each.name for each in found][::3] == ["emu-q (a)", "emu-q (b)"]
+        assert [each.curve.point.name for each in found] == [each.name for each in found]
+
+    def test_a_run_with_a_nan_has_no_score(self, tmp_path):
+        folder = write_learning(tmp_path / "a", runs=3)
+        results = load(folder)
+        results.runs["nans"] = np.where(results.runs["run"] == 1, 2, 0)
+        scores = of_folder(results, EPISODES)[0].scores
+        assert np.isnan(scores).tolist() == [False, True, False]
+
+
+class TestTables:
+    def test_a_difference_of_paired_runs_is_that_of_their_differences(self, tmp_path):
+        results = load(write_results(tmp_path / "a", runs=20))
+        measure = Measure("planning", "accumulated_reward", False, "step", "train", None)
+        found = of_folder(results, measure)
+        returns = results.paired(results.points[:2], "return")
+        assert found[0].scores == pytest.approx(returns[:, 0])
+        interval = tables.difference(found[1], found[0])
+        assert interval == statistics.mean_interval(found[1].scores - found[0].scores)
+
+    def test_a_difference_of_other_runs_is_welchs(self, tmp_path):
+        folders = [write_learning(tmp_path / name, runs=runs) for name, runs in (("a", 6), ("b", 9))]
+        measure = Measure("learning", "steps_to_goal", True, "episode", "train", None)
+        a, b = (of_folder(load(folder), measure)[0] for folder in folders)
+        test = stats.ttest_ind(b.scores, a.scores, equal_var=False).confidence_interval()
+        interval = tables.difference(b, a)
+        assert (interval.low, interval.high) == pytest.approx((test.low, test.high))
+
+    def test_less_is_better_with_a_minus_sign(self, tmp_path):
+        found = of_folder(
+            load(write_learning(tmp_path / "a", runs=6)),
+            Measure("learning", "episodes", True, "episode", "train", None),
+        )
+        pair = [(found[0], found[1])]
+        less = tables.improvement(pair, Measure("learning", "x", True, "episode", "train", None))
+        more = tables.improvement(pair, Measure("learning", "x", False, "episode", "train", None))
+        assert less.estimate + more.estimate == pytest.approx(1.0)
+
+    def test_only_settings_that_differ_are_listed(self, tmp_path):
+        folders = [write_learning(tmp_path / name, runs=3) for name in ("a", "b")]
+        edit_manifest(folders[1], lambda manifest: manifest.update(seed=9))
+        found = named([each for folder in folders for each in of_folder(load(folder), EPISODES)])
+        rows = dict(tables.settings(found).rows)
+        assert set(rows) == {"learner.kind", "seed"}
+        assert [cell.text for cell in rows["seed"]] == ["0", "0", "0", "9", "9", "9"]
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("compare")
+    write_learning(folder / "a", runs=8)
+    (folder / "x.csv").write_text(
+        "label,run,x,value\n" + "".join(f"dqn,{r},{x},{x / 20 - r}\n" for r in range(4) for x in range(1, 21))
+    )
+    request = Request([folder / "a"], [folder / "x.csv"], command="bojax compare a --csv x.csv")
+    assert compare(request, folder / "out") == folder / "out" / "comparison.html"
+    return folder / "out"
+
+
+class TestPage:
+    def test_it_has_every_contender_and_loads_nothing(self, out):
+        page = Page((out / "comparison.html").read_text(encoding="utf-8"))
+        for name in (
+            "emu-q",
+            "rff-q",
+            "epsilon-greedy",
+            "dqn",
+            "IQM",
+            "paired",
+            "bojax compare a --csv x.csv",
+        ):
+            assert name in page.text
+        assert page.loaded and all(each.startswith(("data:", "#")) for each in page.loaded)
+        assert all(image["alt"] for image in page.all("img"))
+
+    def test_its_figures_are_files(self, out):
+        files = {path.name for path in (out / "figures").iterdir()}
+        assert files == {f"{name}.{suffix}" for name in ("curves", "scores") for suffix in ("png", "svg")}
+
+    def test_equal_input_gives_equal_files(self, out, tmp_path):
+        request = Request([out.parent / "a"], [out.parent / "x.csv"], command="bojax compare a --csv x.csv")
+        compare(request, tmp_path / "out")
+        for path in sorted(out.rglob("*.*")):
+            assert path.read_bytes() == (tmp_path / "out" / path.relative_to(out)).read_bytes()
+
+    def test_several_tasks_have_their_own_figures_and_a_table_over_all(self, tmp_path):
+        lines = ["label,task,run,x,value"]
+        for task, scale in (("easy", 1), ("hard", 100)):
+            for label, score in (("a", 1), ("b", 2)):
+                lines += [f"{label},{task},{run},1,{scale * (score + 0.1 * run)}" for run in range(5)]
+        (tmp_path / "x.csv").write_text("\n".join(lines))
+        page = Page(compare(Request([], [tmp_path / "x.csv"]), tmp_path / "out").read_text(encoding="utf-8"))
+        assert "All tasks" in page.text and "P(better than a)" in page.text
+        names = {path.stem for path in (tmp_path / "out" / "figures").iterdir()}
+        assert names == {"curves-easy", "curves-hard", "scores-easy", "scores-hard"}
+        measure = EPISODES
+        tasks = {}
+        for each in of_file(tmp_path / "x.csv", read_curves(tmp_path / "x.csv"), measure, ""):
+            tasks.setdefault(each.task, []).append(each)
+        overall = dict(tables.overall(list(tasks.values()), "a", measure).rows)
+        # Runs of b are 1 above those of a in units of the difference of the means.
+        assert overall["b"][1].text == "100.0%"
+        assert [overall[name][0].text for name in "ab"] == ["0.00", "1.00"]
+
+
+class TestMistakes:
+    @pytest.fixture
+    def here(self, tmp_path, monkeypatch):
+        monkeypatch.chdir(tmp_path)
+        write_learning(tmp_path / "car", runs=3, tests=0)
+        write_results(tmp_path / "parking", runs=4, recorded=0)
+        (tmp_path / "good.csv").write_text(GOOD)
+        (tmp_path / "empty").mkdir()
+        write_learning(tmp_path / "newer", runs=3)
+        edit_manifest(tmp_path / "newer", lambda m: m["points"][0]["config"].update(episodes="many"))
+        return tmp_path
+
+    @pytest.mark.parametrize(
+        ("words", "message"),
+        [
+            ([], "bojax compare: got none; allowed: results folders or --csv files"),
+            (["car", "car"], "bojax compare: got car twice; allowed: distinct sources"),
+            (["nowhere"], "nowhere: no such results folder"),
+            (["empty"], "empty: not a results folder"),
+            (["car", "--csv", "nowhere.csv"], "nowhere.csv: cannot be read: No such file or directory"),
+            (["car", "--csv", "empty"], "empty: cannot be read: Is a directory"),
+            (["car", "parking"], "parking: got results of planning, car has results of learning; allowed"),
+            (
+                ["car", "newer"],
+                "newer: this version of bojax cannot read the settings of emu-q (episodes: got",
+            ),
+            (["car", "--metric", "retrun"], "car: unknown metric retrun; allowed: "),
+            (["parking", "--metric=-rmse"], "parking: unknown metric rmse; allowed: "),
+            (["car", "--metric", "steps", "--csv", "good.csv"], "good.csv: has curves, but steps has none"),
+            (["car", "--x", "time"], "--x: invalid choice: 'time' (choose from"),
+            (["parking", "--x", "episode"], "--x: got episode; allowed of planning: step"),
+            (["car", "--phase", "test"], "car: has no test episodes; allowed: --phase train"),
+            (["car", "--last", "0"], "--last: got 0; allowed: >= 1"),
+            (
+                ["car", "--reference", "emuq"],
+                "--reference: got emuq; allowed: emu-q, epsilon-greedy, rff-q; did",
+            ),
+            (["car", "--out", "parking"], "parking: the folder is not empty; give another --out"),
+            (["car", "--out", "good.csv"], "good.csv: is not a folder; allowed: a new or empty folder"),
+        ],
+    )
+    def test_a_mistake_is_one_line_and_writes_nothing(self, here, capsys, words, message):
+        before = sorted(here.rglob("*"))
+        assert main(["compare", *words]) == 2
+        out, err = capsys.readouterr()
+        assert out == "" and err.count("\n") == 1 and err.startswith(f"error: {message}"), err
+        assert sorted(here.rglob("*")) == before
+
+    def test_a_good_command_writes_one_page(self, here, capsys):
+        assert main(["compare", "car", "--csv", "good.csv", "--metric=-return", "--out", "out"]) == 0
+        assert capsys.readouterr().out == "out/comparison.html\n"
