@@ -19,8 +19,9 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 EXTRAS = {
     extra: [Requirement(text) for text in texts] for extra, texts in PROJECT["optional-dependencies"].items()
 }
-DISTRIBUTIONS = {"warp": ["warp-lang"]} | dict(importlib.metadata.packages_distributions())
-"""By the name of a module, the distributions that bring it; `warp-lang` need not be installed."""
+DISTRIBUTIONS = {"warp": ["warp-lang"], "mlflow": ["mlflow-skinny"]}
+DISTRIBUTIONS |= dict(importlib.metadata.packages_distributions())
+"""By the name of a module, the distributions that bring it; those of extras need not be installed."""
 
 REQUIRED = [Requirement(text) for text in PROJECT["dependencies"]]
 PINNED = ("robots", "robots-cuda", "ray", "gym", "brax", "test")

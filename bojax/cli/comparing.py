@@ -4,7 +4,7 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
-from bojax.cli.parser import Parser, UsageError, integer
+from bojax.cli.parser import Parser, UsageError, integer, one_of
 
 _DESCRIPTION = """\
 Compare finished results on one page: curves with bands, final scores with intervals, probabilities of
@@ -43,13 +43,13 @@ def main(name: str, words: Sequence[str]) -> int:
     parser.add_argument(
         "--x",
         metavar="AXIS",
-        choices=("episode", "step"),
+        type=one_of(("episode", "step")),
         help="axis of curves: episode or step (default: episode; step in planning)",
     )
     parser.add_argument(
         "--phase",
         metavar="PHASE",
-        choices=("train", "test"),
+        type=one_of(("train", "test")),
         default="train",
         help="episodes of which curves are drawn: train or test (default: train)",
     )

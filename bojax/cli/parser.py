@@ -1,11 +1,12 @@
 """An argument parser with one-line errors."""
 
 import argparse
+from collections.abc import Callable, Sequence
 from typing import NoReturn
 
 from typing_extensions import override
 
-from bojax.config.errors import did_you_mean
+from bojax.config.errors import allowed_names, did_you_mean
 
 
 class UsageError(Exception):
@@ -49,6 +50,17 @@ def integer(text: str) -> int:
     except ValueError:
         hint = f" (write {float(text):.0f})" if _is_integral(text) else ""
         raise argparse.ArgumentTypeError(f"got {text}; allowed: an integer{hint}") from None
+
+
+def one_of(names: Sequence[str]) -> Callable[[str], str]:
+    """A function that checks that an argument is one of some names."""
+
+    def check(text: str) -> str:
+        if text not in names:
+            raise argparse.ArgumentTypeError(f"got {text}{allowed_names(text, names)}")
+        return text
+
+    return check
 
 
 def _is_integral(text: str) -> bool:

@@ -94,6 +94,7 @@ def test_a_command_is_understood(page, words, monkeypatch, capsys, tmp_path):
     for reads_results in ("reporting", "best", "rendering", "doctor", "status", "worker"):
         monkeypatch.setattr(f"bojax.cli.{reads_results}.main", lambda *_: 0)
     monkeypatch.setattr("bojax.report.comparing.build.compare", lambda request, out: out)
+    monkeypatch.setattr("bojax.report.exporting.build.export", lambda folder, target, out: folder)
     monkeypatch.chdir(ROOT / "examples" if any("my_" in word for word in words) else ROOT)
     for word in words:
         if "/learners/" in word:

@@ -352,7 +352,7 @@ class TestMistakes:
             (["car", "--metric", "retrun"], "car: unknown metric retrun; allowed: "),
             (["parking", "--metric=-rmse"], "parking: unknown metric rmse; allowed: "),
             (["car", "--metric", "steps", "--csv", "good.csv"], "good.csv: has curves, but steps has none"),
-            (["car", "--x", "time"], "--x: invalid choice: 'time' (choose from"),
+            (["car", "--x", "time"], "--x: got time; allowed: episode, step (see: bojax compare --help)"),
             (["parking", "--x", "episode"], "--x: got episode; allowed of planning: step"),
             (["car", "--phase", "test"], "car: has no test episodes; allowed: --phase train"),
             (["car", "--last", "0"], "--last: got 0; allowed: >= 1"),

@@ -19,13 +19,13 @@ from bojax.report.statistics import Floats
 from bojax.results.outline import Outline
 from bojax.results.store import ResultsError
 
-Axis: TypeAlias = Literal["episode", "step"]
-
 Kind: TypeAlias = Literal["planning", "learning"]
+Axis: TypeAlias = Literal["episode", "step"]
+"""A training episode, or a step of the environment or plan."""
 Phase: TypeAlias = Literal["train", "test"]
 
-AXES: tuple[Axis, ...] = ("episode", "step")
-"""What the horizontal axis of curves may be: a training episode, or a step of the environment or plan."""
+PHASES: tuple[Phase, ...] = ("train", "test")
+"""The phases of learning."""
 
 PLANNING_CURVE = "accumulated_reward"
 """The column of `steps.parquet` of which planning has curves."""
@@ -140,7 +140,7 @@ def of_folder(results: Results, measure: Measure) -> list[Contender]:
         runs = results.runs_of(point)
         if not runs["run"].size:
             continue
-        curve = _curve(results, point, measure)
+        curve = curve_of(results, point, measure)
         if curve is None:
             values = runs[measure.column]
             scores, is_share = values.astype(np.float64), values.dtype.kind == "b"
@@ -201,7 +201,7 @@ def named(contenders: Sequence[Contender]) -> list[Contender]:
     return renamed
 
 
-def _curve(results: Results, point: Point, measure: Measure) -> Curve | None:
+def curve_of(results: Results, point: Point, measure: Measure) -> Curve | None:
     """The curve of a column; None of a column that has one value per run."""
     column = measure.column
     if not point.is_learning:

@@ -1,0 +1,1 @@
+"""Export of finished results to CSV files and to the loggers of other libraries."""

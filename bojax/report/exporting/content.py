@@ -1,0 +1,122 @@
+"""What is exported of each point: its settings, curves averaged over runs, and final numbers."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from bojax.report.comparing.contenders import (
+    PHASES,
+    PLANNING_CURVE,
+    Measure,
+    Phase,
+    columns_of,
+    curve_of,
+    kind_of,
+)
+from bojax.report.source import Point, Results
+from bojax.report.statistics import Floats
+from bojax.report.tables import flatten
+from bojax.report.text import plain
+
+
+@dataclass(frozen=True, eq=False)
+class MeanCurve:
+    """A curve averaged over runs.
+
+    Attributes:
+        name: Phase and column, such as `train/return`; `accumulated_reward` of planning.
+        axis: What `x` is: `episode` or `step`.
+        x: `[n]` whole numbers in ascending order.
+        mean: `[n]` mean over the runs that have a value there.
+        deviation: `[n]` standard deviation over these runs, of n - 1; 0 for a single run.
+    """
+
+    name: str
+    axis: str
+    x: Floats
+    mean: Floats
+    deviation: Floats
+
+    def rows(self) -> list[tuple[int, float, float]]:
+        """Its places as x, mean and standard deviation."""
+        columns = (self.x.astype(np.int64), self.mean, self.deviation)
+        return list(zip(*(column.tolist() for column in columns), strict=True))
+
+
+@dataclass(frozen=True)
+class ExportedPoint:
+    """A point of a sweep, which becomes one run of another library.
+
+    Attributes:
+        sweep: Name of the sweep.
+        name: Name of the point.
+        index: Its index.
+        settings: Its settings by dotted path, as text; the number of runs and the seed among them.
+        scalars: By column of `runs.parquet`, the mean over the runs with a value; with the ending `_std` the
+            standard deviation over them, and `_runs` their number where other runs have none.
+        curves: Its curves.
+    """
+
+    sweep: str
+    name: str
+    index: int
+    settings: Mapping[str, str]
+    scalars: Mapping[str, float]
+    curves: list[MeanCurve]
+
+
+def exported(results: Results) -> list[ExportedPoint]:
+    """The points that have runs.
+
+    Raises:
+        ResultsError: The results are of another version, or of another experiment than learning or planning.
+    """
+    kind = kind_of(results)
+    points = []
+    for point in results.points:
+        size = results.runs_of(point)["run"].size
+        if size:
+            about = {"runs": str(size), "seed": plain(results.manifest.seed)}
+            settings = dict(flatten(point.config)) | about
+            scalars, curves = _scalars(results, point), _curves(results, point, kind == "learning")
+            points.append(ExportedPoint(results.name, point.name, point.index, settings, scalars, curves))
+    return points
+
+
+def _scalars(results: Results, point: Point) -> dict[str, float]:
+    runs, scalars = results.runs_of(point), {}
+    for name in columns_of(results):
+        values = runs.get(name, np.empty(0)).astype(np.float64)
+        there = values[np.isfinite(values)]
+        if there.size:
+            scalars[name] = float(there.mean())
+            scalars[f"{name}_std"] = float(there.std(ddof=1)) if there.size > 1 else 0.0
+        if 0 < there.size < values.size:
+            scalars[f"{name}_runs"] = float(there.size)
+    return scalars
+
+
+def _curves(results: Results, point: Point, is_learning: bool) -> list[MeanCurve]:
+    if not is_learning:
+        measures = [Measure("planning", PLANNING_CURVE, False, "step", "train", None)]
+    else:
+        columns = [name for name in columns_of(results) if name in results.episodes]
+        phases: list[Phase] = [phase for phase in PHASES if (results.episodes["phase"] == phase).any()]
+        measures = [
+            Measure("learning", name, False, "episode", phase, None) for phase in phases for name in columns
+        ]
+    curves = []
+    for measure in measures:
+        curve = curve_of(results, point, measure)
+        if curve is None:
+            continue
+        is_there = np.isfinite(curve.values)
+        known = is_there.any(axis=0)
+        table, count = np.where(is_there, curve.values, 0.0)[:, known], is_there.sum(axis=0)[known]
+        mean = table.sum(axis=0) / count
+        squares = np.where(is_there[:, known], table - mean, 0.0) ** 2
+        deviation = np.sqrt(squares.sum(axis=0) / np.maximum(count - 1, 1))
+        name = f"{measure.phase}/{measure.column}" if is_learning else measure.column
+        curves.append(MeanCurve(name, measure.axis, curve.x[known], mean, deviation))
+    return curves
