@@ -196,11 +196,15 @@ def mixed(ink: str, other: str, share: float) -> str:
 
 
 def looks(points: Sequence[Point]) -> list[dict[str, Any]]:
-    """Colour and line style of each point; the first variant of a label has the label's own colour."""
+    """Colour and line style of each point; the first variant of a label has the label's own colour.
+
+    Labels that share a colour, because there are more of them than colours, are told apart like variants.
+    """
     labels = [point.label for point in points]
+    inks = [colour(label, labels) for label in labels]
     return [
-        look(point.label, labels, labels[:position].count(point.label))
-        for position, point in enumerate(points)
+        look(label, labels, inks[:position].count(ink))
+        for position, (label, ink) in enumerate(zip(labels, inks, strict=True))
     ]
 
 

@@ -1,6 +1,7 @@
 """Formats numbers for the page, the figures and `claims.json`."""
 
 import math
+import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -73,6 +74,11 @@ def line(value: Any) -> str:
         kinds = list(dict.fromkeys(lines))
         return ", ".join(f"{lines.count(kind)} x {kind}" if lines.count(kind) > 1 else kind for kind in kinds)
     return "" if value is None else plain(value)
+
+
+def file_name(name: str) -> str:
+    """A name with a hyphen in place of characters that some file systems refuse."""
+    return re.sub(r"[^\w.-]+", "-", name)
 
 
 def joined(items: Iterable[object]) -> str:

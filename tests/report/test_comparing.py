@@ -305,14 +305,14 @@ class TestPage:
 
     def test_several_tasks_have_their_own_figures_and_a_table_over_all(self, tmp_path):
         lines = ["label,task,run,x,value"]
-        for task, scale in (("easy", 1), ("hard", 100)):
+        for task, scale in (("easy", 1), ("very/hard", 100)):
             for label, score in (("a", 1), ("b", 2)):
                 lines += [f"{label},{task},{run},1,{scale * (score + 0.1 * run)}" for run in range(5)]
         (tmp_path / "x.csv").write_text("\n".join(lines))
         page = Page(compare(Request([], [tmp_path / "x.csv"]), tmp_path / "out").read_text(encoding="utf-8"))
         assert "All tasks" in page.text and "P(better than a)" in page.text
         names = {path.stem for path in (tmp_path / "out" / "figures").iterdir()}
-        assert names == {"curves-easy", "curves-hard", "scores-easy", "scores-hard"}
+        assert names == {"curves-1-easy", "curves-2-very-hard", "scores-1-easy", "scores-2-very-hard"}
         measure = EPISODES
         tasks = {}
         for each in of_file(tmp_path / "x.csv", read_curves(tmp_path / "x.csv"), measure, ""):

@@ -7,6 +7,7 @@ from bojax.report import style, text
 from bojax.report.drawing.curves import step_ticks
 from bojax.report.drawing.smooth import smooth
 from bojax.report.figures.returns import swarm
+from tests.report.synthetic import point_of
 
 
 def test_labels_are_spread_no_further_than_needed():
@@ -27,6 +28,12 @@ def test_a_known_identifier_has_one_colour_and_unknown_ones_take_the_rest():
     assert style.colour("kcbts", ["mine", "kcbts"]) == style.colour("kcbts", ["kcbts"]) == style.BLUE
     labels = ["kcbts", "mine", "yours"]
     assert len({style.colour(label, labels) for label in labels}) == 3
+
+
+def test_more_labels_than_colours_do_not_look_alike():
+    points = [point_of(number, f"agent {number}", f"agent {number}") for number in range(20)]
+    looks = [tuple(look.values()) for look in style.looks(points)]
+    assert len(set(looks)) == len(looks)
 
 
 @pytest.mark.parametrize(

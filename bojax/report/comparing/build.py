@@ -29,7 +29,7 @@ from bojax.report.page import Plate
 from bojax.report.source import Results, load
 from bojax.report.tables import Table
 from bojax.report.template import fill
-from bojax.report.text import counted, joined, number, percent, ranged
+from bojax.report.text import counted, file_name, joined, number, percent, ranged
 from bojax.results.store import ResultsError, explained, write_atomically
 
 PAGE = "comparison.html"
@@ -84,8 +84,8 @@ def compare(request: Request, out: Path) -> Path:
     references = _references(contenders, request.reference)
     images, parts = {}, []
     with style.settings():
-        for task, members in _by_task(contenders).items():
-            suffix = f"-{task}" if len(references) > 1 else ""
+        for number, (task, members) in enumerate(_by_task(contenders).items(), start=1):
+            suffix = f"-{number}-{file_name(task)}" if len(references) > 1 else ""
             drawings = _drawings(members, references[task], measure)
             plates = []
             for name, drawing in drawings.items():

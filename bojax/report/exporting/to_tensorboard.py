@@ -1,11 +1,11 @@
 """Export to event files of TensorBoard, one folder per point."""
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
 from bojax.config.extras import MissingExtra
 from bojax.report.exporting.content import ExportedPoint
+from bojax.report.text import file_name
 from bojax.results.store import explained
 
 
@@ -21,7 +21,7 @@ def write(points: Sequence[ExportedPoint], out: Path) -> None:
     except ImportError as error:
         raise MissingExtra("tensorboardX", "tensorboard") from error
     for point in points:
-        folder = out / f"{point.index}-{re.sub(r'[^a-zA-Z0-9_.-]+', '-', point.name)}"
+        folder = out / f"{point.index}-{file_name(point.name)}"
         with explained(folder), SummaryWriter(str(folder)) as writer:
             for curve in point.curves:
                 for x, mean, deviation in curve.rows():
