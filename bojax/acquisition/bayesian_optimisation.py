@@ -195,6 +195,21 @@ class BayesianOptimisation(eqx.Module):
         values = jnp.where(state.model.is_held(), state.model.y, -jnp.inf)
         return self._from_unit(state.model.x[jnp.argmax(values)]), jnp.max(values)
 
+    def predict(
+        self, state: OptimisationState, xs: Float[Array, "M D"]
+    ) -> tuple[Float[Array, "M"], Float[Array, "M"]]:
+        """Posterior mean and standard deviation of the noise-free objective at points of the box.
+
+        Both are in the units of the objective. Without observations, the mean is 0 and the unit is 1.
+        """
+        centre, unit = self._scale(state)
+        mean, variance = _standardised(state.model).predict(jax.vmap(self._to_unit)(xs))
+        return centre + unit * mean, unit * jnp.sqrt(variance)
+
+    def noise_std(self, state: OptimisationState) -> Float[Array, ""]:
+        """Standard deviation of the noise of an observation, in the units of the objective."""
+        return self._scale(state)[1] * jnp.sqrt(state.model.noise_variance)
+
     def maximise(
         self,
         key: Key[Array, ""],
@@ -234,6 +249,13 @@ class BayesianOptimisation(eqx.Module):
         log_prior = log_normal_prior(self.kernel, self.noise_variance, PRIOR_SPREAD)
         learned, _ = relearn(_standardised(model), key, log_prior=log_prior, num_starts=4)
         return eqx.tree_at(lambda gp: gp.y, learned, model.y)
+
+    def _scale(self, state: OptimisationState) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """Mean and standard deviation of the observed values."""
+        is_held, y = state.model.is_held(), state.model.y
+        mean = jnp.mean(y, where=is_held)
+        is_empty = state.model.count == 0
+        return jnp.where(is_empty, 0.0, mean), jnp.where(is_empty, 1.0, jnp.std(y, where=is_held))
 
     def _quasirandom(self, key: Key[Array, ""]) -> Float[Array, "C D"]:
         return shifted_kronecker(key, self.num_candidates, self.low.shape[0], self.low.dtype)

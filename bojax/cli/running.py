@@ -56,7 +56,7 @@ def main(name: str, words: Sequence[str]) -> int:
         raise UsageError(f"bojax {name}: got {got}; allowed: {allowed} (bojax list shows the names)")
     if sources.count(STANDARD_INPUT) > 1:
         raise UsageError(f"bojax {name}: got {STANDARD_INPUT} twice; allowed: distinct sweeps")
-    given = [_read_standard_input() if source == STANDARD_INPUT else source for source in sources]
+    given = [read_standard_input() if source == STANDARD_INPUT else source for source in sources]
     load = load_config if name == "run" else load_sweep
     sweeps = [load(source, overrides, args.runs, args.seed) for source in given]
     names = [sweep.name for sweep in sweeps]
@@ -115,7 +115,8 @@ def resolved(sweep: Sweep) -> Sweep:
     return resolve(sweep)
 
 
-def _read_standard_input() -> dict[str, Any]:
+def read_standard_input() -> dict[str, Any]:
+    """The content of a YAML file on standard input."""
     return mapping_of(sys.stdin.buffer.read(), "standard input")
 
 

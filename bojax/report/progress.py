@@ -7,6 +7,7 @@ from rich.console import Console
 from rich.status import Status
 
 from bojax.report.build import build_report
+from bojax.report.tuning import TUNING, build_tuning_report
 
 PATIENCE = 1.0
 """Seconds before progress is shown."""
@@ -31,6 +32,9 @@ def report(folder: Path) -> Path:
         has_spoken = True
 
     try:
+        if (folder / TUNING).is_file():
+            at("tables")
+            return build_tuning_report(folder)
         return build_report(folder, at)
     finally:
         status.stop()

@@ -107,10 +107,10 @@ def ranked(results: Results) -> RankedTable | None:
     keys = [key for key in points[0].swept if len(swept_values(points, key)) > 1]
     rows = []
     for rank, standing in enumerate(standings, start=1):
-        lag = _ranked_cell(standing.lag) if rank > 1 else (MISSING, "", 0.0)
+        lag = ranked_cell(standing.lag) if rank > 1 else (MISSING, "", 0.0)
         swept = [_swept_cell(standing.point.swept.get(key)) for key in keys]
         runs = f"{standing.runs:,}", "", standing.runs
-        rows.append(RankedRow(rank, [_ranked_cell(standing.mean), lag, *swept, runs]))
+        rows.append(RankedRow(rank, [ranked_cell(standing.mean), lag, *swept, runs]))
     order = "least" if measure.is_least else "greatest"
     caption = (
         f"{counted(len(rows), 'point')} by {measure.words}, the {order} first, 95% intervals in brackets. "
@@ -325,7 +325,8 @@ def swept_values(points: Sequence[Point], key: str) -> list[Any]:
     return [value for index, value in enumerate(values) if value not in values[:index]]  # lists have no hash
 
 
-def _ranked_cell(interval: statistics.Interval) -> tuple[str, str, float | str]:
+def ranked_cell(interval: statistics.Interval) -> tuple[str, str, float | str]:
+    """The cell of an estimate with its interval."""
     if not np.isfinite(interval.estimate):  # no run of both points
         return MISSING, "", ""
     return *with_bounds(interval.estimate, interval.low, interval.high), interval.estimate

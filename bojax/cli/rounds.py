@@ -1,0 +1,227 @@
+"""The rounds of a search in its folder: sweeps of proposed points, then the confirmation of the best ones."""
+
+import contextlib
+import io
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import yaml
+
+from bojax.config.errors import printable
+from bojax.config.sweep import Sweep
+from bojax.config.tuning import described, value_at
+from bojax.engine.run import Request, run_sweeps
+from bojax.engine.tuning import Search, Values
+from bojax.report.progress import report
+from bojax.report.ranking import Measure, config_of, ranking, scored
+from bojax.report.source import load
+from bojax.report.tuning import ROUNDS, TUNING, read_tuning
+from bojax.results.folder import RunFolder, check_plan, is_unfinished, reserve_folder
+from bojax.results.store import MANIFEST, ResultsError, write_atomically, write_json
+
+if TYPE_CHECKING:
+    from bojax.cli.tuning import Task
+
+TOP = 3
+"""Number of the best settings that are confirmed."""
+
+NUM_SLICE = 101
+"""Number of values at which a slice through the posterior is computed."""
+
+
+def run_rounds(task: "Task", out: Path | None, resume: bool, command: list[str]) -> int:
+    """Run or resume a search, write its report, and return the exit code.
+
+    The state of the search follows from the seed and the tables of the finished rounds, so that a resumed
+    search makes the proposals that an undisturbed one would have made.
+
+    Args:
+        task: The search.
+        out: Its folder; None for `results/NAME-tune/TIME`.
+        resume: Whether to continue an unfinished search, or to extend the finished one in `out`.
+        command: The command line, for the manifests and for the hint on how to resume.
+    """
+    is_extended = resume and out is not None and (out / TUNING).is_file() and not is_unfinished(out)
+    if is_extended and out is not None:
+        check_plan(out, read_tuning(out).plan, task.content)
+        folder, is_resumed = out, False
+    else:
+        folder, is_resumed = reserve_folder(f"{task.config.name}-tune", out, resume=resume)
+    for key in task.recompiled:
+        note = f"note: {key} fixes the shape of a program; each of its values is compiled anew"
+        print(printable(note), file=sys.stderr)
+    if not any(word == "--out" or word.startswith("--out=") for word in command):
+        command = [*command, "--out", str(folder)]
+    files, is_done = RunFolder(folder), False
+    if is_resumed:
+        files.resume(task.content)
+    else:
+        files.create(task.content)
+    try:
+        code = _Rounds(task, folder, command).run()
+        is_done = code == 0
+    finally:
+        files.close(finished=is_done)
+    if is_done:
+        print(report(folder))
+    return code
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """A point whose runs are done: its round, its values and its score, the mean of the metric."""
+
+    round: int
+    values: Values
+    score: float
+
+
+class _Rounds:
+    """A search that runs in its folder."""
+
+    def __init__(self, task: "Task", folder: Path, command: list[str]):
+        self._task, self._folder, self._command = task, folder, command
+        self._keys = [each.key for each in task.ranges]
+        self._measure = Measure(task.column, task.is_least)
+        self._search = Search(task.ranges, task.config.seed, task.batch, task.rounds * task.batch)
+        self._tried: list[_Tried] = []
+
+    def run(self) -> int:
+        """Run the rounds that are left, and confirm the best points."""
+        task = self._task
+        for number in range(task.rounds):
+            folder = self._folder / ROUNDS / f"{number:03d}"
+            if not _is_finished(folder):
+                points = self._search.propose(task.batch)
+                if not points:
+                    print("all values of the tuned settings have been tried")
+                    break
+                if code := self._run(task.sweep(points, f"round-{number:03d}"), folder):
+                    return code
+            self._learn(number, folder)
+        order = self._order()
+        if not order:
+            raise ResultsError(f"{self._folder}: {task.column} is not finite in some run of every point")
+        confirmed = self._confirmed(order) if task.confirm else None
+        if isinstance(confirmed, int):
+            return confirmed
+        self._write(order, confirmed)
+        return 0
+
+    def _run(self, sweep: Sweep, folder: Path) -> int:
+        with contextlib.redirect_stdout(io.StringIO()):  # the paths of the rounds
+            return run_sweeps([Request(sweep, folder)], True, self._command)
+
+    def _learn(self, number: int, folder: Path) -> None:
+        """Tell the search the scores of a finished round, and print the best point so far."""
+        results = load(folder)
+        tried = [
+            _Tried(
+                number,
+                tuple(point.swept[key] for key in self._keys),
+                float(self._measure.values(results.runs_of(point)).mean()),
+            )
+            for point in results.points
+        ]
+        self._search.tell(
+            [each.values for each in tried], [self._measure.sign * each.score for each in tried]
+        )
+        self._tried += tried
+        if order := self._order():
+            best = self._tried[order[0]].values
+            mean, _ = self._expected([best])
+            print(
+                f"round {number + 1} of {self._task.rounds}: {self._measure.words} {mean[0]:.4g} expected "
+                f"at {described(self._task.ranges, best)}",
+                flush=True,
+            )
+
+    def _expected(self, points: Sequence[Values]) -> tuple[np.ndarray, np.ndarray]:
+        """Posterior mean of the metric, and its standard deviation."""
+        mean, std = self._search.predict(points)
+        return self._measure.sign * mean, std
+
+    def _order(self) -> list[int]:
+        """The tried points with a finite score, the best posterior mean first."""
+        mean, _ = self._search.predict([each.values for each in self._tried])
+        order = np.argsort(-mean, kind="stable").tolist()
+        return [index for index in order if math.isfinite(self._tried[index].score)]
+
+    def _confirmed(self, order: Sequence[int]) -> str | int:
+        """Run the best points and the config as written with another seed.
+
+        Returns:
+            The name of the folder of these runs, or the exit code if they did not finish.
+        """
+        task, config = self._task, self._task.config
+        points = [self._tried[index].values for index in order[:TOP]]
+        written = [value_at(config.points[0].config, key.split(".")) for key in self._keys]
+        known = tuple(value for value in written if value is not None)
+        if len(known) == len(written) and known not in points:
+            points.append(known)
+        name = f"confirm-{len(self._tried)}"
+        sweep = task.sweep(
+            points,
+            name,
+            runs=task.confirm,
+            seed=(config.seed + 1) % 2**32,
+            record=config.record.model_dump(mode="json"),
+        )
+        if code := self._run(sweep, self._folder / name):
+            return code
+        for standing in ranking(load(self._folder / name), self._measure):
+            if standing.point.index == 0:
+                print(f"the best setting on fresh runs: {scored(self._measure, standing)}")
+        return name
+
+    def _write(self, order: Sequence[int], confirmed: str | None) -> None:
+        """Write the config of the best point, and what the report reads."""
+        task, best = self._task, self._tried[order[0]]
+        results = load(self._folder / ROUNDS / f"{best.round:03d}")
+        point = next(
+            point
+            for point in results.points
+            if tuple(point.swept[key] for key in self._keys) == best.values
+        )
+        config = yaml.safe_dump(config_of(results, point), sort_keys=False, allow_unicode=True)
+        write_atomically(self._folder / "best.yaml", lambda path: path.write_text(config))
+        mean, std = self._expected([each.values for each in self._tried])
+        write_json(
+            self._folder / TUNING,
+            {
+                "plan": task.content,
+                "name": task.config.name,
+                "title": task.config.title,
+                "points": [
+                    {
+                        "round": each.round,
+                        "values": list(each.values),
+                        "score": each.score,
+                        "mean": float(mean[index]),
+                        "std": float(std[index]),
+                    }
+                    for index, each in enumerate(self._tried)
+                ],
+                "order": list(order),
+                "noise_std": self._search.noise_std,
+                "slices": [self._slice(index, best.values) for index in range(len(task.ranges))],
+                "confirmed": confirmed,
+            },
+        )
+
+    def _slice(self, index: int, best: Values) -> dict[str, Any]:
+        """The posterior over one setting, the others as at the best point."""
+        each = self._task.ranges[index]
+        positions = np.linspace(each.position(each.low), each.position(each.high), NUM_SLICE)
+        values = sorted({each.value(position) for position in positions.tolist()})
+        mean, std = self._expected([(*best[:index], value, *best[index + 1 :]) for value in values])
+        return {"values": values, "mean": mean.tolist(), "std": std.tolist()}
+
+
+def _is_finished(folder: Path) -> bool:
+    return (folder / MANIFEST).is_file() and not is_unfinished(folder)

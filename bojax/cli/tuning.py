@@ -1,0 +1,236 @@
+"""`bojax tune`: Bayesian optimisation of the numeric settings of an experiment, in rounds of sweeps."""
+
+import dataclasses
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from bojax.cli.parser import Parser, UsageError, integer
+from bojax.cli.running import read_standard_input, resolved
+from bojax.config.component import Component
+from bojax.config.errors import allowed_names
+from bojax.config.files import STANDARD_INPUT
+from bojax.config.overrides import parse_overrides
+from bojax.config.sweep import Source, Sweep, load_config, load_sweep
+from bojax.config.tuning import EXAMPLE, Range, range_of, split_ranges
+
+_EXAMPLES = """\
+  bojax tune parking planner.exploration=0.1:100:log    one setting, searched by its logarithm
+  bojax tune mountain-car learner.discount=0.8:1 learner.prior_precision=0.01:10:log \\
+             --metric steps_to_goal --minimise --budget 800
+  bojax tune my.yaml planner.exploration=1:50 planner.iterations=100 --runs 16
+"""
+
+_DESCRIPTION = """\
+Search the values of numeric settings whose mean score is best: Bayesian optimisation in rounds, each a sweep
+of --batch points that run together. key=low:high is a setting to tune, key=low:high:log one whose range spans
+decades; key=value sets any other setting. The best settings, chosen by the mean that the model of the scores
+expects, are run again with another seed.
+"""
+
+MOST_POINTS = 1000
+"""Largest number of points of a search: the model takes time of their cube."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """A search that was checked.
+
+    Attributes:
+        config: The experiment, a sweep of one point.
+        ranges: The tuned settings.
+        column: Column of `runs.parquet` whose mean is the score.
+        is_least: Whether less is better.
+        batch: Number of points of a round.
+        rounds: Largest number of rounds.
+        confirm: Number of fresh runs of each of the best settings; 0 for none.
+        recompiled: Keys of tuned settings each value of which is another program.
+    """
+
+    config: Sweep
+    ranges: tuple[Range, ...]
+    column: str
+    is_least: bool
+    batch: int
+    rounds: int
+    confirm: int
+    recompiled: tuple[str, ...]
+
+    @cached_property
+    def content(self) -> dict[str, Any]:
+        """Everything that the proposals and the scores depend on; a search resumes with equal content."""
+        return {
+            "config": self.config.base,
+            "settings": {each.key: dataclasses.asdict(each) for each in self.ranges},
+            "metric": self.column,
+            "minimise": self.is_least,
+            "batch": self.batch,
+            "runs": self.config.runs,
+            "seed": self.config.seed,
+        }
+
+    def sweep(self, points: Sequence[Sequence[int | float]], name: str, **settings: Any) -> Sweep:
+        """A sweep of the experiment over values of the tuned settings, in the order of the points."""
+        config, keys = self.config, [each.key for each in self.ranges]
+        content = {
+            "title": config.title,
+            "runs": config.runs,
+            "seed": config.seed,
+            "record": {"runs": 0},
+            "engine": config.engine.model_dump(mode="json"),
+            "base": config.base,
+            "axes": dict(zip(keys, map(list, zip(*points, strict=True)), strict=True)),
+            "combine": "zip",
+            "report": {"rank_by": f"-{self.column}" if self.is_least else self.column},
+        }
+        sweep = load_sweep({**content, **settings})
+        return resolved(dataclasses.replace(sweep, name=name, source=config.source))
+
+
+def main(name: str, words: Sequence[str]) -> int:
+    """Run the command and return its exit code."""
+    parser = _parser(name)
+    args = parser.parse_intermixed_args(list(words))
+    task = checked(args)
+    return search(task, args.out, args.resume, ["bojax", name, *words])
+
+
+def search(task: "Task", out: Path | None, resume: bool, command: list[str]) -> int:
+    """Run or resume a search, and return the exit code."""
+    from bojax.cli.rounds import run_rounds  # imports JAX
+
+    return run_rounds(task, out, resume, command)
+
+
+def _parser(name: str) -> Parser:
+    parser = Parser(
+        prog=f"bojax {name}",
+        usage=f"bojax {name} CONFIG key=low:high ... [key=value ...] [--metric COLUMN] [--minimise]\n"
+        "                  [--budget RUNS] [--batch POINTS] [--runs N] [--seed S] [--confirm N] [--out DIR] "
+        "[--resume]",
+        description=_DESCRIPTION,
+        examples=_EXAMPLES,
+    )
+    parser.add_argument(
+        "words", nargs="*", metavar="CONFIG", help="a file or a name in configs/, ranges, settings to change"
+    )
+    parser.add_argument(
+        "--metric", metavar="COLUMN", default="return", help="column of runs.parquet (default: return)"
+    )
+    parser.add_argument("--minimise", action="store_true", help="less is better")
+    parser.add_argument(
+        "--budget", type=integer, metavar="RUNS", help="runs of the search in all (default: 10 rounds)"
+    )
+    parser.add_argument(
+        "--batch", type=integer, metavar="POINTS", default=8, help="points of a round (default: 8)"
+    )
+    parser.add_argument("--runs", type=integer, metavar="N", help="runs of each point (default: as in the file)")
+    parser.add_argument(
+        "--seed", type=integer, metavar="S", help="seed of the search and of its runs (default: as in the file)"
+    )
+    parser.add_argument(
+        "--confirm",
+        type=integer,
+        metavar="N",
+        default=100,
+        help="fresh runs of each of the best 3 settings (default: 100; 0 for none)",
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="folder of the search (default: results/NAME-tune/TIME)"
+    )
+    parser.add_argument(
+        "--resume", action="store_true", help="resume an interrupted search, or extend one by a larger budget"
+    )
+    return parser
+
+
+def checked(args: Any) -> Task:
+    """The search that the arguments ask for.
+
+    Raises:
+        ConfigError: A setting, a range or the metric is wrong.
+        UsageError: An option is wrong.
+    """
+    asked, words = split_ranges(args.words)
+    overrides = [word for word in words if "=" in word and not os.path.isfile(word)]
+    sources = [word for word in words if word not in overrides]
+    parse_overrides(overrides)
+    if len(sources) != 1:
+        got = ", ".join(sources) or "none"
+        raise UsageError(f"bojax tune: got {got}; allowed: one config (bojax list shows the names)")
+    if not asked:
+        raise UsageError(f"bojax tune: got no range; allowed: key=low:high, such as {EXAMPLE}")
+    for option, value, least in (("--batch", args.batch, 1), ("--confirm", args.confirm, 0)):
+        if value < least:
+            raise UsageError(f"bojax tune: {option}: got {value}; allowed: >= {least}")
+    source: Source = read_standard_input() if sources[0] == STANDARD_INPUT else sources[0]
+
+    def at(*changes: str) -> Sweep:
+        return resolved(load_config(source, [*overrides, *changes], args.runs, args.seed))
+
+    config = at()
+    ends = [
+        [at(f"{each.key}={bound}").points[0].config for bound in (each.low, each.high)] for each in asked
+    ]
+    ranges = tuple(range_of(each, *configs) for each, configs in zip(asked, ends, strict=True))
+    rounds = _rounds(args.budget, args.batch, config.runs)
+    _check_metric(args.metric, config)
+    return Task(
+        config=config,
+        ranges=ranges,
+        column=args.metric,
+        is_least=args.minimise,
+        batch=args.batch,
+        rounds=rounds,
+        confirm=args.confirm,
+        recompiled=_recompiled(config, ranges, ends),
+    )
+
+
+def _rounds(budget: int | None, batch: int, runs: int) -> int:
+    """The number of whole rounds in a budget."""
+    if budget is None:
+        budget = 10 * batch * runs
+    if budget < batch * runs:
+        raise UsageError(
+            f"bojax tune: --budget: got {budget}; allowed: >= {batch * runs}, the runs of one round "
+            f"(--batch {batch} x --runs {runs})"
+        )
+    rounds = budget // (batch * runs)
+    if rounds * batch > MOST_POINTS:
+        raise UsageError(
+            f"bojax tune: --budget: got {budget}, which is {rounds * batch} points; allowed: "
+            f"<= {MOST_POINTS} points; more --runs make each of them more precise"
+        )
+    return rounds
+
+
+def _check_metric(column: str, config: Sweep) -> None:
+    columns = _module(config, config.points[0].config).tables["runs"]
+    known = [each.name for each in columns if each.dtype != "string"]
+    if column not in known:
+        raise UsageError(f"bojax tune: --metric: got {column}; unknown column{allowed_names(column, known)}")
+
+
+def _recompiled(
+    config: Sweep, ranges: Sequence[Range], ends: Sequence[Sequence[Component]]
+) -> tuple[str, ...]:
+    """The keys whose values at both bounds are different programs."""
+    from bojax.engine.groups import static_groups
+
+    return tuple(
+        each.key
+        for each, configs in zip(ranges, ends, strict=True)
+        if len(static_groups([_module(config, experiment) for experiment in configs])) > 1
+    )
+
+
+def _module(config: Sweep, experiment: Component) -> Any:
+    from bojax.engine.build import build
+    from bojax.engine.devices import prepare
+
+    prepare(config.engine.device)
+    return build(experiment, getattr(experiment, "dtype", "float64"))

@@ -1,0 +1,209 @@
+"""The report of a search over settings: reads the files of its folder, and writes `report.html`."""
+
+from pathlib import Path
+from typing import Any
+
+import pydantic
+
+from bojax.config.errors import dotted, from_validation
+from bojax.config.tuning import Range, described
+from bojax.report import style
+from bojax.report.drawing.search import draw_progress, draw_slices
+from bojax.report.manifest import Count, Part
+from bojax.report.page import Plate, provenance
+from bojax.report.ranking import Measure, ranking
+from bojax.report.source import Results, load
+from bojax.report.tables import RankedRow, RankedTable, ranked_cell
+from bojax.report.template import fill
+from bojax.report.text import MISSING, counted, number, plain, with_bounds
+from bojax.results.store import ResultsError, read_json, write_atomically
+
+TUNING = "tuning.json"
+"""The file of a search that is finished: its plan, its points, and the posterior of its model."""
+
+ROUNDS = "rounds"
+"""The folder of the sweeps of a search."""
+
+MOST_RANKED = 50
+"""Number of points in the table."""
+
+
+class TriedPoint(Part):
+    """A point of a search.
+
+    Attributes:
+        round: Its round, from 0.
+        values: Value of each tuned setting.
+        score: Mean of the metric over its runs; None if a run has no finite value.
+        mean: Posterior mean of the metric.
+        std: Posterior standard deviation of the metric without noise.
+    """
+
+    round: Count
+    values: list[float]
+    score: float | None
+    mean: float
+    std: float
+
+
+class Slice(Part):
+    """The posterior over one setting, the others as at the best point."""
+
+    values: list[float]
+    mean: list[float]
+    std: list[float]
+
+
+class SearchPlan(Part):
+    """What the proposals and the scores of a search depend on."""
+
+    config: dict[str, Any]
+    settings: dict[str, Any]
+    metric: str
+    minimise: bool
+    batch: Count
+    runs: Count
+    seed: Count
+
+
+class Tuning(Part):
+    """A finished search."""
+
+    plan_: SearchPlan = pydantic.Field(alias="plan")
+    name: str
+    title: str
+    points: list[TriedPoint]
+    order: list[Count]
+    noise_std: float
+    slices: list[Slice]
+    confirmed: str | None
+
+    @property
+    def plan(self) -> dict[str, Any]:
+        """The plan as plain values."""
+        return self.plan_.model_dump()
+
+    @property
+    def ranges(self) -> list[Range]:
+        """The tuned settings."""
+        return [Range(**each) for each in self.plan_.settings.values()]
+
+    @property
+    def measure(self) -> Measure:
+        """What is tuned."""
+        return Measure(self.plan_.metric, self.plan_.minimise)
+
+    @property
+    def best(self) -> TriedPoint:
+        """The point with the best posterior mean."""
+        return self.points[self.order[0]]
+
+
+def read_tuning(folder: Path) -> Tuning:
+    """The search in a folder.
+
+    Raises:
+        ResultsError: The file is missing or damaged.
+    """
+    path = folder / TUNING
+    try:
+        tuning = Tuning.model_validate(read_json(path))
+        _ = tuning.ranges, tuning.best
+    except pydantic.ValidationError as error:
+        raise ResultsError(str(from_validation(error, lambda at: f"{path}: {dotted(at)}"))) from error
+    except (TypeError, IndexError) as error:
+        raise ResultsError(f"{path}: is damaged: delete it, and resume the search") from error
+    return tuning
+
+
+def build_tuning_report(folder: Path) -> Path:
+    """Write `report.html` of a finished search, and return its path.
+
+    Raises:
+        ResultsError: A file of the folder is missing or damaged.
+    """
+    tuning = read_tuning(folder)
+    last = load(folder / ROUNDS / f"{tuning.points[-1].round:03d}")
+    fresh = None if tuning.confirmed is None else load(folder / tuning.confirmed)
+    plates = []
+    for draw in (draw_slices, draw_progress):
+        with style.settings():
+            drawing = draw(tuning)
+            plates.append(Plate.of(drawing, style.encode(drawing.figure)["svg"]))
+    page = fill(
+        "tuning.html.j2",
+        title=f"{tuning.title}: tuned",
+        summary=_summary(tuning, fresh),
+        counts=[],
+        plates=plates,
+        confirmed=None if fresh is None else _confirmed(tuning, fresh),
+        ranked=_ranked(tuning),
+        settings=[(each.key, _range(each), plain(tuning.best.values[i])) for i, each in enumerate(tuning.ranges)],
+        folder=folder.name,
+        provenance=provenance(last),
+        footer="Written by bojax from the files of this folder, which hold every number shown here.",
+    )
+    path = folder / "report.html"
+    write_atomically(path, lambda temporary: temporary.write_text(page))
+    return path
+
+
+def _summary(tuning: Tuning, fresh: Results | None) -> str:
+    plan, best = tuning.plan_, tuning.best
+    runs = len(tuning.points) * plan.runs
+    found = (
+        f"{counted(len(tuning.points), 'point')} with {counted(plan.runs, 'run')} each, {counted(runs, 'run')} in "
+        f"all. The best setting is {described(tuning.ranges, best.values)}: the model expects a "
+        f"{tuning.measure.words} of {number(best.mean)}"
+    )
+    if fresh is None:
+        return f"{found}."
+    standings = {standing.point.index: standing.mean for standing in ranking(fresh, tuning.measure)}
+    if 0 not in standings:
+        return f"{found}; some fresh runs have no finite value."
+    mean, bounds = with_bounds(standings[0].estimate, standings[0].low, standings[0].high)
+    return f"{found}, and {counted(fresh.manifest.runs or 0, 'fresh run')} have {mean} {bounds}."
+
+
+def _confirmed(tuning: Tuning, fresh: Results) -> RankedTable:
+    """The best points and the config as written, on fresh runs."""
+    rows = []
+    keys = [each.key for each in tuning.ranges]
+    for rank, standing in enumerate(ranking(fresh, tuning.measure), start=1):
+        index, values = standing.point.index, [standing.point.swept[key] for key in keys]
+        expected = {tuple(tuning.points[i].values): place for place, i in enumerate(tuning.order, start=1)}
+        place = expected.get(tuple(map(float, values)))
+        name = f"{place} of {len(tuning.order)}" if place else "as written in the config"
+        lag = ranked_cell(standing.lag) if rank > 1 else (MISSING, "", 0.0)
+        cells = [(name, "", index), ranked_cell(standing.mean), lag]
+        rows.append(RankedRow(rank, [*cells, *((plain(value), "", value) for value in values)]))
+    headings = ["in the search", tuning.measure.words, "behind the best", *keys]
+    caption = (
+        f"{counted(fresh.manifest.runs or 0, 'run')} of each setting with another seed, which the search has not "
+        "seen; 95% intervals in brackets. Behind the best: mean difference over equal runs."
+    )
+    return RankedTable(headings, rows, caption)
+
+
+def _ranked(tuning: Tuning) -> RankedTable:
+    """The points of the search by their posterior mean."""
+    rows = []
+    for rank, index in enumerate(tuning.order[:MOST_RANKED], start=1):
+        point = tuning.points[index]
+        low, high = point.mean - 1.96 * point.std, point.mean + 1.96 * point.std
+        expected = *with_bounds(point.mean, low, high), point.mean
+        score = number(point.score), "", point.score
+        values = [(plain(value), "", value) for value in point.values]
+        rows.append(RankedRow(rank, [expected, score, *values, (f"{point.round + 1}", "", point.round)]))
+    headings = [f"expected {tuning.measure.words}", "score", *(each.key for each in tuning.ranges), "round"]
+    caption = (
+        f"The best {counted(len(rows), 'point')} of {len(tuning.points)} by the posterior mean of the model, its 95% "
+        f"interval in brackets. Score: the mean of {counted(tuning.plan_.runs, 'run')}. The standard deviation of "
+        f"the noise of a score is {number(tuning.noise_std)}, as learned by the model."
+    )
+    return RankedTable(headings, rows, caption)
+
+
+def _range(each: Range) -> str:
+    scale = ", by its logarithm" if each.is_log else ""
+    return f"{each.low:g} to {each.high:g}{scale}{', an integer' if each.is_integer else ''}"
