@@ -184,9 +184,7 @@ class _Rounds:
         task, best = self._task, self._tried[order[0]]
         results = load(self._folder / ROUNDS / f"{best.round:03d}")
         point = next(
-            point
-            for point in results.points
-            if tuple(point.swept[key] for key in self._keys) == best.values
+            point for point in results.points if tuple(point.swept[key] for key in self._keys) == best.values
         )
         config = yaml.safe_dump(config_of(results, point), sort_keys=False, allow_unicode=True)
         write_atomically(self._folder / "best.yaml", lambda path: path.write_text(config))

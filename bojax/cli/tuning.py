@@ -127,9 +127,14 @@ def _parser(name: str) -> Parser:
     parser.add_argument(
         "--batch", type=integer, metavar="POINTS", default=8, help="points of a round (default: 8)"
     )
-    parser.add_argument("--runs", type=integer, metavar="N", help="runs of each point (default: as in the file)")
     parser.add_argument(
-        "--seed", type=integer, metavar="S", help="seed of the search and of its runs (default: as in the file)"
+        "--runs", type=integer, metavar="N", help="runs of each point (default: as in the file)"
+    )
+    parser.add_argument(
+        "--seed",
+        type=integer,
+        metavar="S",
+        help="seed of the search and of its runs (default: as in the file)",
     )
     parser.add_argument(
         "--confirm",
@@ -172,9 +177,7 @@ def checked(args: Any) -> Task:
         return resolved(load_config(source, [*overrides, *changes], args.runs, args.seed))
 
     config = at()
-    ends = [
-        [at(f"{each.key}={bound}").points[0].config for bound in (each.low, each.high)] for each in asked
-    ]
+    ends = [[at(f"{each.key}={bound}").points[0].config for bound in (each.low, each.high)] for each in asked]
     ranges = tuple(range_of(each, *configs) for each, configs in zip(asked, ends, strict=True))
     rounds = _rounds(args.budget, args.batch, config.runs)
     _check_metric(args.metric, config)

@@ -129,6 +129,4 @@ def value_at(config: Component, path: Sequence[str]) -> int | float | None:
 
 def described(ranges: Sequence[Range], values: Sequence[int | float]) -> str:
     """Values with their keys, in one line."""
-    return ", ".join(
-        f"{each.key} {value:g}" for each, value in zip(ranges, values, strict=True)
-    )
+    return ", ".join(f"{each.key} {value:g}" for each, value in zip(ranges, values, strict=True))

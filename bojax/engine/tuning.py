@@ -1,4 +1,4 @@
-"""Search over numeric settings in batches: Bayesian optimisation (Algorithm 1) that proposes several points."""
+"""Search over numeric settings: Bayesian optimisation (Algorithm 1) that proposes batches of points."""
 
 import contextlib
 import dataclasses
@@ -74,10 +74,6 @@ class Search:
             self._believer = dataclasses.replace(self._learner, relearn_every=0)
             self._key = jax.random.fold_in(jax.random.key(seed), _STREAM)
             self._state = self._learner.init(jax.random.fold_in(self._key, 0))
-        self._tell = eqx.filter_jit(self._learner.tell)
-        self._believe = eqx.filter_jit(self._believer.tell)
-        self._ask = eqx.filter_jit(self._believer.ask)
-        self._predict = eqx.filter_jit(self._learner.predict)
 
     def propose(self, number: int) -> list[Values]:
         """New points, at most `number`; fewer if no other values are left."""
@@ -85,7 +81,7 @@ class Search:
         state = self._state
         with _on_cpu():
             for _ in range(number):
-                values = self._values(np.asarray(self._ask(state)))
+                values = self._values(np.asarray(_ask(self._believer, state)))
                 if values in self._seen or values in proposals:
                     fresh = self._fresh(int(state.num_told), {*self._seen, *proposals})
                     if fresh is None:
@@ -93,15 +89,17 @@ class Search:
                     values = fresh
                 proposals.append(values)
                 point = self._point(values)
-                mean, _ = self._predict(state, point[None, :])
-                state = self._believe(state, point, mean[0])
+                mean, _ = _predict(self._believer, state, point[None, :])
+                state = _tell(self._believer, state, point, mean[0])
         return proposals
 
-    def tell(self, points: Sequence[Values], scores: Sequence[float]) -> None:
+    def tell(self, points: Sequence[Values], scores: Sequence[int | float]) -> None:
         """Learn the scores of points; a score that is not finite only says that the point was tried."""
         with _on_cpu():
             for values, score in zip(points, scores, strict=True):
-                self._state = self._tell(self._state, self._point(values), jnp.asarray(score, jnp.float64))
+                self._state = _tell(
+                    self._learner, self._state, self._point(values), jnp.asarray(float(score))
+                )
         self._seen.update(points)
 
     def predict(self, points: Sequence[Values]) -> tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]]:
@@ -111,7 +109,7 @@ class Search:
         with _on_cpu():
             for first in range(0, len(points), BLOCK):  # of one size, so that one program serves all
                 rows = np.resize(positions[first : first + BLOCK], (BLOCK, positions.shape[1]))
-                parts.append(np.stack(self._predict(self._state, jnp.asarray(rows))))
+                parts.append(np.stack(_predict(self._learner, self._state, jnp.asarray(rows))))
         mean, std = np.concatenate(parts, axis=1)[:, : len(points)]
         return mean, std
 
@@ -139,6 +137,12 @@ class Search:
             if values not in tried:
                 return values
         return None
+
+
+# Compiled once for all searches of a size.
+_ask = eqx.filter_jit(BayesianOptimisation.ask)
+_tell = eqx.filter_jit(BayesianOptimisation.tell)
+_predict = eqx.filter_jit(BayesianOptimisation.predict)
 
 
 @contextlib.contextmanager

@@ -138,7 +138,9 @@ def build_tuning_report(folder: Path) -> Path:
         plates=plates,
         confirmed=None if fresh is None else _confirmed(tuning, fresh),
         ranked=_ranked(tuning),
-        settings=[(each.key, _range(each), plain(tuning.best.values[i])) for i, each in enumerate(tuning.ranges)],
+        settings=[
+            (each.key, _range(each), plain(tuning.best.values[i])) for i, each in enumerate(tuning.ranges)
+        ],
         folder=folder.name,
         provenance=provenance(last),
         footer="Written by bojax from the files of this folder, which hold every number shown here.",
@@ -152,9 +154,9 @@ def _summary(tuning: Tuning, fresh: Results | None) -> str:
     plan, best = tuning.plan_, tuning.best
     runs = len(tuning.points) * plan.runs
     found = (
-        f"{counted(len(tuning.points), 'point')} with {counted(plan.runs, 'run')} each, {counted(runs, 'run')} in "
-        f"all. The best setting is {described(tuning.ranges, best.values)}: the model expects a "
-        f"{tuning.measure.words} of {number(best.mean)}"
+        f"{counted(len(tuning.points), 'point')} with {counted(plan.runs, 'run')} each, "
+        f"{counted(runs, 'run')} in all. The best setting is {described(tuning.ranges, best.values)}: the "
+        f"model expects a {tuning.measure.words} of {number(best.mean)}"
     )
     if fresh is None:
         return f"{found}."
@@ -179,8 +181,8 @@ def _confirmed(tuning: Tuning, fresh: Results) -> RankedTable:
         rows.append(RankedRow(rank, [*cells, *((plain(value), "", value) for value in values)]))
     headings = ["in the search", tuning.measure.words, "behind the best", *keys]
     caption = (
-        f"{counted(fresh.manifest.runs or 0, 'run')} of each setting with another seed, which the search has not "
-        "seen; 95% intervals in brackets. Behind the best: mean difference over equal runs."
+        f"{counted(fresh.manifest.runs or 0, 'run')} of each setting with another seed, which the search has "
+        "not seen; 95% intervals in brackets. Behind the best: mean difference over equal runs."
     )
     return RankedTable(headings, rows, caption)
 
@@ -192,14 +194,17 @@ def _ranked(tuning: Tuning) -> RankedTable:
         point = tuning.points[index]
         low, high = point.mean - 1.96 * point.std, point.mean + 1.96 * point.std
         expected = *with_bounds(point.mean, low, high), point.mean
-        score = number(point.score), "", point.score
+        score = number(point.score), "", "" if point.score is None else point.score
         values = [(plain(value), "", value) for value in point.values]
-        rows.append(RankedRow(rank, [expected, score, *values, (f"{point.round + 1}", "", point.round)]))
+        rows.append(
+            RankedRow(rank, [expected, score, *values, (f"{point.round + 1}", "", float(point.round))])
+        )
     headings = [f"expected {tuning.measure.words}", "score", *(each.key for each in tuning.ranges), "round"]
     caption = (
-        f"The best {counted(len(rows), 'point')} of {len(tuning.points)} by the posterior mean of the model, its 95% "
-        f"interval in brackets. Score: the mean of {counted(tuning.plan_.runs, 'run')}. The standard deviation of "
-        f"the noise of a score is {number(tuning.noise_std)}, as learned by the model."
+        f"The best {counted(len(rows), 'point')} of {len(tuning.points)} by the posterior mean of the model, "
+        f"its 95% interval in brackets. Score: the mean of {counted(tuning.plan_.runs, 'run')}. The standard "
+        f"deviation of the noise of a score is {number(tuning.noise_std)}, as learned by the model. The best "
+        "point was chosen by these runs, so its mean is optimistic."
     )
     return RankedTable(headings, rows, caption)
 

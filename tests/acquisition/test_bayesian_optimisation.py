@@ -502,3 +502,36 @@ def test_values_of_wrong_types_end_in_one_line_each():
         "key: got 0",
         "num_iterations: got 2.0",
     ]
+
+
+def test_predictions_are_those_of_a_gaussian_process_in_the_units_of_the_objective():
+    low, high = np.array([0.0, -2.0]), np.array([4.0, 2.0])
+    optimisation = BayesianOptimisation(
+        kernel=Matern52(jnp.asarray(0.6)),
+        acquisition=LogExpectedImprovement(jnp.asarray(0.0)),
+        noise_variance=jnp.asarray(0.05),
+        low=jnp.asarray(low),
+        high=jnp.asarray(high),
+        capacity=6,
+    )
+    random = np.random.default_rng(0)
+    xs, ys = random.uniform(low, high, (4, 2)), 100.0 + 7.0 * random.standard_normal(4)
+    state = optimisation.init(jax.random.key(0))
+    for x, y in zip(xs, ys, strict=True):
+        state = optimisation.tell(state, x, float(y))
+    at = random.uniform(low, high, (5, 2))
+    mean, std = optimisation.predict(state, jnp.asarray(at))
+
+    def unit(x):
+        return 2.0 * (x - low) / (high - low) - 1.0
+
+    def covariance(a, b):
+        s = 5.0**0.5 * np.linalg.norm(unit(a)[:, None] - unit(b)[None], axis=2) / 0.6
+        return (1.0 + s + s**2 / 3.0) * np.exp(-s)
+
+    weights = np.linalg.solve(covariance(xs, xs) + 0.05 * np.eye(4), covariance(xs, at))
+    expected = ys.mean() + weights.T @ (ys - ys.mean())
+    variance = ys.var() * (1.0 - np.sum(covariance(xs, at) * weights, axis=0))
+    np.testing.assert_allclose(mean, expected, rtol=1e-9)
+    np.testing.assert_allclose(std, np.sqrt(variance), rtol=1e-9)
+    np.testing.assert_allclose(optimisation.noise_std(state), ys.std() * 0.05**0.5, rtol=1e-12)

@@ -3,10 +3,11 @@
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from bojax.report import style
 from bojax.report.drawing.base import Drawing, panel_grid
-from bojax.report.text import number
+from bojax.report.text import counted, number
 
 if TYPE_CHECKING:
     from bojax.report.tuning import Tuning
@@ -38,18 +39,21 @@ def draw_slices(tuning: "Tuning") -> Drawing:
         axes.plot([best.values[index]], [best.mean], "D", color=style.ORANGE, markersize=6)
         if each.is_log:
             axes.set_xscale("log")
+            axes.xaxis.set_major_locator(LogLocator(subs=_ticks(each.low, each.high)))
+            axes.xaxis.set_minor_formatter(NullFormatter())
         else:
-            style.plain_ticks(axes.xaxis)
+            axes.xaxis.set_major_locator(MaxNLocator(nbins=4))
+        style.plain_ticks(axes.xaxis)
         style.plain_ticks(axes.yaxis)
         style.quiet_grid(axes)
-        axes.set_xlabel(each.key)
+        axes.set_xlabel(style.wrapped(each.key.replace(".", ". "), 22).replace(". ", "."))
     for row in grid:
-        row[0].set_ylabel(tuning.measure.words)
+        row[0].set_ylabel(_label(tuning))
     return Drawing(
         figure,
         f"{tuning.measure.words} over each setting".capitalize(),
-        "Line and band: posterior mean and 95% interval of the mean without noise, the other settings as at the best "
-        "point (diamond). Dots: scores of all points, whose other settings differ.",
+        "Line and band: posterior mean and 95% interval of the mean without noise, the other settings as at "
+        "the best point (diamond). Dots: scores of all points, whose other settings differ.",
         f"The model expects {number(best.mean)} at the best point.",
     )
 
@@ -65,14 +69,23 @@ def draw_progress(tuning: "Tuning") -> Drawing:
     axes.step(spent, best, where="post", color=style.BLUE)
     axes.axhline(tuning.best.mean, color=style.ORANGE, linewidth=1.2, linestyle=(0, (5, 2)))
     axes.set_xlabel("runs")
-    axes.set_ylabel(tuning.measure.words)
+    axes.set_ylabel(_label(tuning))
     style.plain_ticks(axes.xaxis)
     style.plain_ticks(axes.yaxis)
     style.quiet_grid(axes)
     return Drawing(
         figure,
         "Best score by number of runs",
-        f"Dots: score of each point, a mean of {runs} runs. Line: best score so far, optimistic because of the noise. "
-        "Dashed line: posterior mean of the best point.",
+        f"Dots: score of each point, a mean of {counted(runs, 'run')}. Line: best score so far, optimistic "
+        "because of the noise. Dashed line: posterior mean of the best point.",
         f"The best score after {spent[-1]} runs is {number(float(best[-1]))}.",
     )
+
+
+def _label(tuning: "Tuning") -> str:
+    return "mean " + tuning.plan_.metric.replace("_", " ")
+
+
+def _ticks(low: float, high: float) -> tuple[float, ...]:
+    """Leading digits of the ticks of a logarithmic axis: more of them over a short range."""
+    return (1.0,) if high / low > 100.0 else (1.0, 3.0) if high / low > 10.0 else (1.0, 2.0, 5.0)

@@ -1,0 +1,108 @@
+"""A search finds the best settings from noisy scores, and its proposals follow from what it was told."""
+
+import numpy as np
+import pytest
+
+from bojax.config.tuning import Range
+from bojax.engine.tuning import Search
+
+RATE = Range("learner.learning_rate", 1e-3, 1.0, is_log=True, is_integer=False)
+WEIGHT = Range("learner.kappa", -2.0, 2.0, is_log=False, is_integer=False)
+CAPACITY = 48
+DEPTH = Range("planner.depth", 1, 5, is_log=False, is_integer=True)
+
+
+def objective(values) -> float:
+    """A peak of height 1 at a rate of 0.05 and a weight of 0.5; its width is a third of each range."""
+    rate, weight = values
+    return float(np.exp(-((np.log10(rate / 0.05)) ** 2) - (weight - 0.5) ** 2))
+
+
+def searched(seed: int, rounds: int, batch: int = 6, noise: float = 0.2):
+    """A search after some rounds of scores with noise, and the points that it proposed."""
+    random, points, scores = np.random.default_rng(seed), [], []
+    search = Search([RATE, WEIGHT], seed, batch, CAPACITY)
+    for _ in range(rounds):
+        proposed = search.propose(batch)
+        observed = [objective(point) + noise * random.standard_normal() for point in proposed]
+        search.tell(proposed, observed)
+        points, scores = points + proposed, scores + observed
+    return search, points, scores
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_best_posterior_mean_is_near_the_maximum_of_a_noisy_function(seed):
+    search, points, scores = searched(seed, rounds=8)
+    best = points[int(np.argmax(search.predict(points)[0]))]
+    assert objective(best) > 0.85
+    assert max(scores) > 1.0  # the luckiest score is above what any point is worth
+    assert 0.1 < search.noise_std < 0.4
+
+
+def test_the_posterior_agrees_with_the_function_where_the_search_has_been():
+    search, points, _ = searched(seed=1, rounds=8)
+    mean, std = search.predict(points)
+    error = np.abs(mean - [objective(point) for point in points])
+    assert np.mean(error < 3.0 * std) > 0.9 and np.median(std) < 0.2
+
+
+def test_the_same_scores_give_the_same_proposals():
+    search, points, scores = searched(seed=3, rounds=2)
+    other = Search([RATE, WEIGHT], 3, 6, CAPACITY)
+    for first in (0, 6):
+        other.tell(points[first : first + 6], scores[first : first + 6])
+    assert other.propose(6) == search.propose(6)
+    assert other.propose(6) == search.propose(6)  # proposing changes nothing
+
+
+def test_the_first_batch_fills_the_ranges():
+    proposed = np.asarray(Search([RATE, WEIGHT], 0, 16, 16).propose(16))
+    assert (proposed.min(axis=0) >= [RATE.low, WEIGHT.low]).all()
+    assert (proposed.max(axis=0) <= [RATE.high, WEIGHT.high]).all()
+    counts, _ = np.histogram(np.log10(proposed[:, 0]), bins=4, range=(-3, 0))
+    assert counts.min() >= 3  # by the logarithm
+    counts, _ = np.histogram(proposed[:, 1], bins=4, range=(-2, 2))
+    assert counts.min() >= 3
+
+
+def test_points_of_a_batch_are_apart_from_each_other():
+    search, _, _ = searched(seed=0, rounds=3)
+    proposed = np.asarray(search.propose(6))
+    positions = np.stack([np.log10(proposed[:, 0]) / 1.5, proposed[:, 1] / 2.0], axis=1)
+    distances = np.linalg.norm(positions[:, None] - positions[None], axis=2)
+    assert distances[np.triu_indices(6, 1)].min() > 1e-3
+
+
+def test_integers_are_tried_once_until_none_is_left():
+    search = Search([DEPTH], 0, 3, 12)
+    tried = []
+    for _ in range(3):
+        proposed = search.propose(3)
+        search.tell(proposed, [-((depth - 4) ** 2) for (depth,) in proposed])
+        tried += proposed
+    assert sorted(tried) == [(1,), (2,), (3,), (4,), (5,)]
+    assert all(isinstance(depth, int) for (depth,) in tried)
+    assert search.propose(3) == []
+
+
+def test_a_point_without_a_score_is_not_tried_again():
+    search = Search([DEPTH], 0, 2, 8)
+    (missing, known) = search.propose(2)
+    search.tell([missing, known], [float("nan"), 1.0])
+    assert missing not in search.propose(4)
+    assert np.isfinite(search.predict([missing])).all()
+
+
+@pytest.mark.parametrize("each", [RATE, WEIGHT, DEPTH])
+def test_values_stay_within_the_bounds(each):
+    low, high = each.box
+    values = [each.value(position) for position in np.linspace(low, high, 1001).tolist()]
+    assert min(values) == each.low and max(values) == each.high
+    assert [each.value(each.position(value)) for value in values] == values
+
+
+def test_every_integer_has_an_equal_share_of_the_range():
+    low, high = DEPTH.box
+    positions = np.linspace(low, high, 5001)[:-1].tolist()
+    _, counts = np.unique([DEPTH.value(position) for position in positions], return_counts=True)
+    assert counts.tolist() == [1000] * 5
