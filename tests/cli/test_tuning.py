@@ -1,0 +1,247 @@
+"""`bojax tune` finds settings in rounds, goes on after a kill, and refuses bad input in one line."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import pytest
+import yaml
+from jax.experimental.compilation_cache import compilation_cache
+
+from bojax.cli.main import main
+from bojax.config.sweep import load_config
+from bojax.engine import batch
+from bojax.report.source import load
+from bojax.report.tuning import read_tuning
+
+ROOT = Path(__file__).parents[2]
+
+CHAIN = ["chain", "env.length=5", "env.max_length=5", "env.max_steps=40", "episodes=12", "learner=additive"]
+RANGES = ["learner.learning_rate=0.05:1:log", "learner.discount=0.5:1"]
+OPTIONS = ["--metric", "steps_to_goal", "--minimise", "--batch", "3", "--runs", "4", "--confirm", "4"]
+OFTEN = ["engine.segment_seconds=0.000001", "engine.checkpoint_seconds=0.000001"]
+WORDS = [*CHAIN, *RANGES, *OPTIONS, *OFTEN]
+
+
+def tune(out, *more: str, rounds: int = 3) -> int:
+    return main(["tune", *WORDS, "--budget", str(12 * rounds), "--out", str(out), *more])
+
+
+def killed(out, statements: str, rounds: int = 3) -> None:
+    """Run a search in a process of its own that ends itself by SIGKILL."""
+    code = (
+        "import os, signal, sys, tests.strict\n"
+        "from bojax.cli.main import main\n"
+        f"{statements}\n"
+        "main(sys.argv[1:])\n"
+    )
+    words = ["tune", *WORDS, "--budget", str(12 * rounds), "--out", str(out)]
+    found = subprocess.run([sys.executable, "-c", code, *words], cwd=ROOT, capture_output=True, timeout=300)
+    assert found.returncode == -signal.SIGKILL, found.stderr.decode()
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """All content of a search that an interruption must not change."""
+    files = [*folder.rglob("runs.parquet"), folder / "tuning.json", folder / "best.yaml"]
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory) -> Path:
+    out = tmp_path_factory.mktemp("undisturbed") / "search"
+    assert tune(out) == 0
+    return out
+
+
+def test_a_search_writes_its_rounds_the_best_config_and_fresh_runs(undisturbed):
+    tuning = read_tuning(undisturbed)
+    assert len(tuning.points) == 9 and not (undisturbed / ".work").exists()
+    for number in range(3):
+        results = load(undisturbed / "rounds" / f"{number:03d}")
+        assert results.runs["run"].tolist() == [0, 1, 2, 3] * 3 and results.manifest.seed == 0
+    assert tuning.best.mean == min(point.mean for point in tuning.points)
+    config = load_config(yaml.safe_load((undisturbed / "best.yaml").read_text())).points[0].config
+    assert tuning.best.values == [config.learner.learning_rate, config.learner.discount]
+    fresh = load(undisturbed / "confirm-9")
+    assert fresh.manifest.seed == 1 and len(fresh.points) == 4
+    assert list(fresh.points[0].swept.values()) == tuning.best.values
+    assert list(fresh.points[-1].swept.values()) == [0.1, 0.99]  # as written in the config
+    page = (undisturbed / "report.html").read_text()
+    assert "as written in the config" in page and "learner.learning_rate" in page
+
+
+def test_the_score_is_the_mean_over_the_runs_of_a_point(undisturbed):
+    tuning = read_tuning(undisturbed)
+    for index, point in enumerate(tuning.points):
+        results = load(undisturbed / "rounds" / f"{index // 3:03d}")
+        runs = results.runs_of(results.points[index % 3])
+        assert tuning.measure.values(runs).mean() == pytest.approx(point.score, rel=1e-12)
+
+
+@pytest.fixture
+def empty_cache(tmp_path):
+    """An empty cache of programs, beside an empty one of JAX."""
+    before = jax.config.jax_compilation_cache_dir
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path / "cache"))
+    compilation_cache.reset_cache()
+    yield
+    jax.config.update("jax_compilation_cache_dir", before)
+    compilation_cache.reset_cache()
+
+
+@pytest.mark.usefixtures("empty_cache")
+def test_later_rounds_compile_nothing(tmp_path, monkeypatch):
+    from bojax.cli.rounds import _Rounds
+
+    counts, original = [batch.compile_counts.total()], _Rounds._learn
+
+    def learn(self, number, folder):
+        counts.append(batch.compile_counts.total())
+        original(self, number, folder)
+
+    monkeypatch.setattr(_Rounds, "_learn", learn)
+    assert tune(tmp_path / "search", "--confirm", "0") == 0
+    before, first, second, third = counts
+    assert before < first == second == third
+
+
+@pytest.mark.bits
+def test_killed_between_rounds_and_resumed(tmp_path, undisturbed):
+    out = tmp_path / "search"
+    killed(
+        out,
+        "from bojax.engine.tuning import Search\n"
+        "propose = Search.propose\n"
+        "def stop(self, number):\n"
+        "    if self._seen: os.kill(os.getpid(), signal.SIGKILL)\n"
+        "    return propose(self, number)\n"
+        "Search.propose = stop",
+    )
+    assert [path.name for path in (out / "rounds").iterdir()] == ["000"]
+    assert tune(out, "--resume") == 0
+    assert contents(out) == contents(undisturbed)
+
+
+@pytest.mark.bits
+def test_killed_inside_a_round_and_resumed(tmp_path, undisturbed):
+    out = tmp_path / "search"
+    killed(
+        out,
+        "from bojax.engine.runner import ChunkRunner\n"
+        "segment, count = ChunkRunner._segment, [0]\n"
+        "def stop(self):\n"
+        "    if os.path.isdir(sys.argv[-1] + '/rounds/001'): count[0] += 1\n"
+        "    if count[0] > 1: os.kill(os.getpid(), signal.SIGKILL)\n"
+        "    return segment(self)\n"
+        "ChunkRunner._segment = stop",
+    )
+    assert (out / "rounds" / "001" / ".work").is_dir()
+    assert tune(out, "--resume") == 0
+    assert contents(out) == contents(undisturbed)
+
+
+def test_an_interrupted_search_prints_how_to_resume_it(tmp_path, monkeypatch, capfd):
+    from bojax.engine.runner import ChunkRunner
+
+    original = ChunkRunner._segment
+
+    def segment(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        while not self._limits.stop():
+            pass
+        return original(self)
+
+    monkeypatch.setattr(ChunkRunner, "_segment", segment)
+    out = tmp_path / "search"
+    assert tune(out) == 130
+    last = capfd.readouterr().err.splitlines()[-1].strip()
+    assert last.startswith("bojax tune chain") and last.endswith(f"--out {out} --resume")
+
+
+def test_a_finished_search_is_extended_but_not_changed(tmp_path, undisturbed, capsys):
+    out = tmp_path / "search"
+    assert tune(out, "--confirm", "0", rounds=1) == 0
+    assert tune(out, "--resume", "--confirm", "0", rounds=2) == 0
+    first, second = read_tuning(out), read_tuning(undisturbed)
+    assert [each.values for each in first.points] == [each.values for each in second.points[:6]]
+    capsys.readouterr()
+    assert tune(out, "--resume", "learner.initial_q=1") == 2
+    assert "cannot resume, the sweep has changed: config.learner: additive -> " in capsys.readouterr().err
+
+
+def test_the_report_is_built_again_from_the_files(undisturbed, capsys):
+    before = (undisturbed / "report.html").read_bytes()
+    assert main(["report", str(undisturbed)]) == 0
+    assert capsys.readouterr().out == f"{undisturbed}/report.html\n"
+    assert (undisturbed / "report.html").read_bytes() == before
+
+
+def test_a_damaged_file_ends_in_one_line(tmp_path, undisturbed, capsys):
+    content = json.loads((undisturbed / "tuning.json").read_text())
+    for name, change in (("points", "many"), ("plan", {}), ("order", [])):
+        (tmp_path / "tuning.json").write_text(json.dumps({**content, name: change}))
+        assert main(["report", str(tmp_path)]) == 2
+        err = capsys.readouterr().err
+        assert err.startswith(f"error: {tmp_path}/tuning.json: ") and err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (
+            ["chain", "learner.kappa=2:1"],
+            "command line: learner.kappa: got 2:1; allowed: low:high with low < ",
+        ),
+        (
+            ["chain", "learner.kappa=0:1:log"],
+            "command line: learner.kappa: got 0:1; allowed: low > 0, for log",
+        ),
+        (["chain", "learner.kapa=0:1"], "command line: learner.kapa: unknown key"),
+        (["chain", "learner.discount=0.5:2"], "command line: learner.discount: got 2; allowed: <= 1"),
+        (["chain", "learner.ties=0:1"], "command line: learner.ties: got 0; allowed: "),
+        (["chain", "learner=0:1"], "command line: learner: got 0; unknown learner"),
+        (["chain", "seed=0:9"], "command line: seed: got 0:9; allowed: settings of the experiment"),
+        (["chain", "learner.kappa=0:1", "learner.kappa=2"], "command line: learner.kappa: given twice"),
+        (["chain", "learner.kappa=0:1", "learner.kappa=0:2"], "command line: learner.kappa: given twice"),
+        (
+            ["chain", "learner.kappa=0:1", "--metric", "retrun"],
+            "bojax tune: --metric: got retrun; unknown column",
+        ),
+        (["chain", "learner.kappa=0:1", "--budget", "63"], "bojax tune: --budget: got 63; allowed: >= 64"),
+        (
+            ["chain", "learner.kappa=0:1", "--budget", "640000"],
+            "bojax tune: --budget: got 640000, which is 80000",
+        ),
+        (["chain", "learner.kappa=0:1", "--batch", "0"], "bojax tune: --batch: got 0; allowed: >= 1"),
+        (["chain", "learner.kappa=0:1", "--confirm", "-1"], "bojax tune: --confirm: got -1; allowed: >= 0"),
+        (["chain", "learner.kappa=0:1", "--runs", "0"], "command line: runs: got 0; allowed: >= 1"),
+        (["chain", "learner.kappa=3"], "bojax tune: got no range; allowed: key=low:high"),
+        (["learner.kappa=0:1"], "bojax tune: got none; allowed: one config"),
+        (["chain", "parking", "learner.kappa=0:1"], "bojax tune: got chain, parking; allowed: one config"),
+        (["chian", "learner.kappa=0:1"], "chian: "),
+        (["swept.yaml", "learner.kappa=0:1"], "swept.yaml: is a sweep, not an experiment"),
+    ],
+)
+def test_mistakes(tmp_path, monkeypatch, capsys, words, message):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "swept.yaml").write_text("base: chain\naxes: {learner.kappa: [0.1, 1]}\n")
+    assert main(["tune", *words]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith(f"error: {message}") and err.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["swept.yaml"]
+
+
+def test_an_integer_that_fixes_a_shape_is_announced(tmp_path, monkeypatch):
+    from bojax.cli import tuning
+
+    asked = []
+    monkeypatch.setattr(tuning, "search", lambda task, *_: asked.append(task) or 0)
+    words = ["parking", "planner.iterations=10:50", "planner.exploration=1:100:log"]
+    assert main(["tune", *words]) == 0
+    (task,) = asked
+    assert task.recompiled == ("planner.iterations",)
+    assert [each.is_integer for each in task.ranges] == [True, False]
