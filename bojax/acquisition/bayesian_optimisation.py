@@ -28,7 +28,7 @@ from bojax.models.kernels import Kernel
 from bojax.numerics.quasirandom import shifted_kronecker
 
 PRIOR_SPREAD = 1.5
-"""Standard deviation of the log-normal prior of relearned hyper-parameters, in the logarithm."""
+"""Default of `prior_spread`."""
 
 _STREAMS = ("initial", "candidates", "relearning")
 
@@ -77,6 +77,8 @@ class BayesianOptimisation(eqx.Module):
         num_initial: Number of initial observations, at quasi-random points.
         refine_steps: Number of gradient steps from the best candidate; 0 disables them.
         relearn_every: Number of evaluations between two relearnings; 0 disables relearning.
+        prior_spread: Standard deviation of the log-normal prior of relearned hyper-parameters, in the
+            logarithm.
     """
 
     kernel: Kernel
@@ -89,6 +91,7 @@ class BayesianOptimisation(eqx.Module):
     num_initial: int = eqx.field(static=True, default=4)
     refine_steps: int = eqx.field(static=True, default=20)
     relearn_every: int = eqx.field(static=True, default=0)
+    prior_spread: float = eqx.field(static=True, default=PRIOR_SPREAD)
 
     def __check_init__(self):
         """Check the classes and the common precision of the parts, the sizes, and the box.
@@ -101,6 +104,7 @@ class BayesianOptimisation(eqx.Module):
         least = {"capacity": 1, "num_candidates": 1, "num_initial": 1, "refine_steps": 0, "relearn_every": 0}
         for name, number in least.items():
             check_count(name, getattr(self, name), number)
+        check_number("prior_spread", self.prior_spread, 0.0, str(self.low.dtype), is_above=True)
         if self.noise_variance.shape:
             raise ValueError(f"noise_variance: got shape {self.noise_variance.shape}; allowed: one number")
         for name, corner in (("low", self.low), ("high", self.high)):
@@ -246,7 +250,7 @@ class BayesianOptimisation(eqx.Module):
         return state, xs, ys
 
     def _relearn(self, key: Key[Array, ""], model: GaussianProcess) -> GaussianProcess:
-        log_prior = log_normal_prior(self.kernel, self.noise_variance, PRIOR_SPREAD)
+        log_prior = log_normal_prior(self.kernel, self.noise_variance, self.prior_spread)
         learned, _ = relearn(_standardised(model), key, log_prior=log_prior, num_starts=4)
         return eqx.tree_at(lambda gp: gp.y, learned, model.y)
 

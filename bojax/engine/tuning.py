@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from bojax.acquisition.bayesian_optimisation import BayesianOptimisation
-from bojax.acquisition.functions import LogExpectedImprovement
+from bojax.acquisition.functions import UpperConfidenceBound
 from bojax.config.tuning import Range
 from bojax.models.kernels import Matern52
 from bojax.numerics.quasirandom import shifted_kronecker
@@ -21,6 +21,14 @@ Values = tuple[int | float, ...]
 
 LENGTHSCALE, NOISE_VARIANCE = 0.5, 0.1
 """Medians of the priors of the hyper-parameters, for settings in [-1, 1] and standardised scores."""
+
+PRIOR_SPREAD = 0.6
+"""Standard deviation of these priors, in the logarithm. With a wide prior, few scores with much noise are
+explained as noise alone, and the search stays at the corners of the box."""
+
+KAPPA = 2.0
+"""Weight of the standard deviation in the upper confidence bound (2.37), which, unlike expected improvement,
+does not depend on the best observed score, the luckiest of noisy ones."""
 
 CANDIDATES, SPARE = 1024, 256
 """Number of points among which a proposal is searched, and of those that stand in for a repeated one."""
@@ -62,7 +70,7 @@ class Search:
             low, high = np.asarray([each.box for each in ranges], np.float64).T
             self._learner = BayesianOptimisation(
                 kernel=Matern52(jnp.full(len(ranges), LENGTHSCALE, jnp.float64)),
-                acquisition=LogExpectedImprovement(jnp.asarray(0.0, jnp.float64)),
+                acquisition=UpperConfidenceBound(jnp.asarray(KAPPA, jnp.float64)),
                 noise_variance=jnp.asarray(NOISE_VARIANCE, jnp.float64),
                 low=jnp.asarray(low),
                 high=jnp.asarray(high),
@@ -70,6 +78,7 @@ class Search:
                 num_candidates=CANDIDATES,
                 num_initial=batch,
                 relearn_every=batch,
+                prior_spread=PRIOR_SPREAD,
             )
             self._believer = dataclasses.replace(self._learner, relearn_every=0)
             self._key = jax.random.fold_in(jax.random.key(seed), _STREAM)

@@ -95,8 +95,13 @@ def test_a_command_is_understood(page, words, monkeypatch, capsys, tmp_path):
         monkeypatch.setattr(f"bojax.cli.{reads_results}.main", lambda *_: 0)
     monkeypatch.setattr("bojax.report.comparing.build.compare", lambda request, out: out)
     monkeypatch.setattr("bojax.report.exporting.build.export", lambda folder, target, out: folder)
+    monkeypatch.setattr("bojax.cli.tuning.search", lambda *_: 0)
     monkeypatch.chdir(ROOT / "examples" if any("my_" in word for word in words) else ROOT)
     for word in words:
+        if word.endswith("/best.yaml"):
+            monkeypatch.chdir(tmp_path)
+            Path(word).parent.mkdir(parents=True)
+            Path(word).write_text("experiment: planning\n")
         if "/learners/" in word:
             monkeypatch.chdir(tmp_path)
             Path(word).mkdir(parents=True)
