@@ -3,6 +3,7 @@
 import contextlib
 import io
 import math
+import shlex
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -65,6 +66,10 @@ def run_rounds(task: "Task", out: Path | None, resume: bool, command: list[str])
     try:
         code = _Rounds(task, folder, command).run()
         is_done = code == 0
+    except KeyboardInterrupt:  # between two rounds; within one, the engine prints this
+        again = command if "--resume" in command else [*command, "--resume"]
+        print(f"to resume:\n  {shlex.join(again)}", file=sys.stderr)
+        raise
     finally:
         files.close(finished=is_done)
     if is_done:
@@ -164,7 +169,7 @@ class _Rounds:
         known = tuple(value for value in written if value is not None)
         if len(known) == len(written) and known not in points:
             points.append(known)
-        name = f"confirm-{len(self._tried)}"
+        name = f"confirm-{len(self._tried)}-{task.confirm}"
         sweep = task.sweep(
             points,
             name,

@@ -1,5 +1,6 @@
 """`bojax tune`: Bayesian optimisation of the numeric settings of an experiment, in rounds of sweeps."""
 
+import argparse
 import dataclasses
 import os
 from collections.abc import Sequence
@@ -98,7 +99,7 @@ def main(name: str, words: Sequence[str]) -> int:
     return search(task, args.out, args.resume, ["bojax", name, *words])
 
 
-def search(task: "Task", out: Path | None, resume: bool, command: list[str]) -> int:
+def search(task: Task, out: Path | None, resume: bool, command: list[str]) -> int:
     """Run or resume a search, and return the exit code."""
     from bojax.cli.rounds import run_rounds  # imports JAX
 
@@ -152,7 +153,7 @@ def _parser(name: str) -> Parser:
     return parser
 
 
-def checked(args: Any) -> Task:
+def checked(args: argparse.Namespace) -> Task:
     """The search that the arguments ask for.
 
     Raises:

@@ -288,10 +288,12 @@ def test_hyperparameters_are_relearned_when_due_and_kept_between():
         np.testing.assert_allclose(state.model.y[number - 1], jnp.cos(4.0 * x[0]) + 5.0, rtol=1e-14)
 
 
-def test_what_is_relearned_has_the_greatest_posterior_density():
-    one = optimisation(relearn_every=NUM_ITERATIONS, kernel=RBF(jnp.asarray([0.1, 0.1])))
+@pytest.mark.parametrize("spread", [1.5, 0.5])
+def test_what_is_relearned_has_the_greatest_posterior_density(spread):
+    settings = {"kernel": RBF(jnp.asarray([0.1, 0.1])), "prior_spread": spread}
+    one = optimisation(relearn_every=NUM_ITERATIONS, **settings)
     state, xs, ys = maximise(one, jax.random.key(0))
-    assert np.all(state.model.kernel.lengthscale > 0.2)
+    assert np.all(state.model.kernel.lengthscale > 0.15)
     values = (np.asarray(ys) - np.mean(ys)) / np.std(ys)
 
     def log_density(logs):
@@ -300,7 +302,7 @@ def test_what_is_relearned_has_the_greatest_posterior_density():
         distance = (np.asarray(xs)[:, None] - np.asarray(xs)[None]) / lengthscale
         covariance = np.exp(-0.5 * np.sum(distance**2, axis=-1)) + noise * np.eye(len(values))
         evidence = stats.multivariate_normal(np.zeros(len(values)), covariance).logpdf(values)
-        return evidence + np.sum(stats.norm.logpdf(logs, np.log([0.1, 0.1, 1e-4]), 1.5))
+        return evidence + np.sum(stats.norm.logpdf(logs, np.log([0.1, 0.1, 1e-4]), spread))
 
     found = np.log([*state.model.kernel.lengthscale, state.model.noise_variance])
     for away in np.random.default_rng(0).normal(size=(30, 3)):
@@ -435,6 +437,7 @@ def test_python_numbers_and_lists_are_as_good_as_arrays():
         ({"noise_variance": "0.1"}, 'noise_variance: got "0.1"; allowed: numbers'),
         ({"noise_variance": None}, "noise_variance: got None; allowed: numbers"),
         # The median of a log-normal prior.
+        ({"prior_spread": 0.0}, "prior_spread: got 0.0; allowed: a number > 0"),
         ({"noise_variance": 0, "relearn_every": 5}, "noise_variance: got 0.0; allowed: a number > 0"),
         ({"low": [0.0, 1.0]}, r"high\[1\]: got 1; allowed: > low\[1\], which is 1, and finite"),
         ({"low": [-1.7e308, 0.0], "high": [1.7e308, 1.0]}, r"high\[0\]: got 1.7e\+308; allowed: > low"),

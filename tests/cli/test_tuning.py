@@ -66,7 +66,7 @@ def test_a_search_writes_its_rounds_the_best_config_and_fresh_runs(undisturbed):
     assert tuning.best.mean == min(point.mean for point in tuning.points)
     config = load_config(yaml.safe_load((undisturbed / "best.yaml").read_text())).points[0].config
     assert tuning.best.values == [config.learner.learning_rate, config.learner.discount]
-    fresh = load(undisturbed / "confirm-9")
+    fresh = load(undisturbed / "confirm-9-4")
     assert fresh.manifest.seed == 1 and len(fresh.points) == 4
     assert list(fresh.points[0].swept.values()) == tuning.best.values
     assert list(fresh.points[-1].swept.values()) == [0.1, 0.99]  # as written in the config
