@@ -69,18 +69,26 @@ class Ray(Launcher):
         ray = _ray()
         self._paths = [str(folder.absolute()) for folder in folders]
         self._count, self._options, self._cores = self._shape(ray.cluster_resources(), len(ray.nodes()))
-        for number in range(self._count):
+        # Actors of an earlier driver may hold the GPUs, also those for which there is no node any more.
+        prefix = self._name("")
+        names = importlib.import_module("ray.util").list_named_actors()
+        found = {int(name.removeprefix(prefix)) for name in names if name.startswith(prefix)}
+        for number in sorted(found | set(range(self._count))):
             self._call(number)
-        print(f"started {self._count} workers on Ray", file=sys.stderr)
+        print(f"{len(self._actors)} workers on Ray", file=sys.stderr)
+
+    def _name(self, number: int | str) -> str:
+        """Name of an actor, by which another driver finds it."""
+        identity = hashlib.sha256("\n".join(self._paths).encode()).hexdigest()[:12]
+        return f"bojax-{identity}-{number}"
 
     def _call(self, number: int) -> None:
         """Have an actor work; an earlier driver may have started it."""
-        identity = hashlib.sha256("\n".join(self._paths).encode()).hexdigest()[:12]
         actor = (
             _ray()
             .remote(_Actor)
             .options(
-                name=f"bojax-{identity}-{number}",
+                name=self._name(number),
                 get_if_exists=True,
                 lifetime="detached",
                 max_restarts=-1,
@@ -142,6 +150,7 @@ class _Actor:
     def __init__(self):
         self._is_stopping = False
         self._one = threading.Lock()
+        self._wait_for_work()
 
     def work(self, folders: Sequence[str], number: int, count: int, cores: int | None) -> None:
         """Run chunks until none is left; a second call waits for the first."""
@@ -150,6 +159,9 @@ class _Actor:
         with self._one:
             options = WorkerOptions(None, cores, number, count, waits=True)
             guarded(lambda: run_worker([Path(folder) for folder in folders], options, self._stops))
+        self._wait_for_work()
+
+    def _wait_for_work(self) -> None:
         timer = threading.Timer(IDLE_SECONDS, self._leave)
         timer.daemon = True
         timer.start()
