@@ -1,6 +1,8 @@
 """Comparisons: curves on common axes, scores with paired and unpaired intervals, a page, one-line errors."""
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from scipy import stats
 
@@ -321,6 +323,23 @@ class TestPage:
         # Runs of b are 1 above those of a in units of the difference of the means.
         assert overall["b"][1].text == "100.0%"
         assert [overall[name][0].text for name in "ab"] == ["0.00", "1.00"]
+
+    def test_curves_of_planning_may_begin_at_step_1(self, tmp_path):
+        write_results(tmp_path / "parking", runs=4, recorded=1)
+        (tmp_path / "x.csv").write_text("label,run,x,value\nother,0,1,5\nother,0,9,6\nother,1,1,5\n")
+        page = compare(Request([tmp_path / "parking"], [tmp_path / "x.csv"]), tmp_path / "out")
+        curves, _ = Page(page.read_text(encoding="utf-8")).all("img")
+        assert "other 5.00 and 5.50" in curves["alt"]  # run 1 keeps its last value
+
+    def test_a_run_of_planning_with_a_nan_is_left_out_and_counted(self, tmp_path):
+        folder = write_results(tmp_path / "parking", runs=4, recorded=1)
+        table = pq.read_table(folder / "runs.parquet")
+        nans = pa.array([1] + [0] * (table.num_rows - 1))
+        pq.write_table(
+            table.set_column(table.column_names.index("nans"), "nans", nans), folder / "runs.parquet"
+        )
+        page = Page(compare(Request([folder], []), tmp_path / "out").read_text(encoding="utf-8"))
+        assert "Left out: 1 run with a non-finite value." in page.text and "in 1 run" in page.text
 
 
 class TestMistakes:

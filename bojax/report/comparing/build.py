@@ -181,13 +181,15 @@ def _draw_curves(
     contenders: Sequence[Contender], reference: Contender, measure: Measure, note: str
 ) -> Drawing:
     del reference
-    curves = [each.curve for each in contenders if each.curve is not None]
+    curves, left_out = [], 0
+    for each in contenders:
+        if each.curve is not None:
+            # A NaN of planning is carried forward, so that its run is left out.
+            has_score = np.isfinite(each.scores) | (measure.kind == "learning")
+            curves.append(replace(each.curve, values=each.curve.values[has_score]))
+            left_out += int((~has_score).sum())
     if not curves:
         raise Undrawable(f"{measure.column} has one value per run")
-    if measure.kind == "planning":  # a run with a NaN is left out, as a NaN is carried forward
-        curves = [
-            replace(curve, values=curve.values[~np.isnan(curve.values).any(axis=1)]) for curve in curves
-        ]
     is_share = measure.column == "success"
     words = measure.column.replace("_", " ")
     tests = " of the tests after each episode" if measure.phase == "test" else ""
@@ -198,6 +200,8 @@ def _draw_curves(
     by_step = measure.axis == "step" and measure.kind == "learning"
     chart = Chart([panel], "environment step" if by_step else measure.axis)
     details = ["A run that has ended keeps its last value."] if measure.kind == "planning" else []
+    if left_out:
+        details.append(f"Left out: {counted(left_out, 'run')} with a non-finite value.")
     if by_step:
         style.plain_ticks(chart.axes[0].xaxis)
         chart.axes[0].set_xticks(chart.axes[0].get_xticks()[::2])

@@ -19,7 +19,9 @@ def scores(contenders: Sequence[Contender], reference: Contender, measure: Measu
         cells = [
             Cell(f"{each.scores.size:,}"),
             (share_cell if each.is_share else mean_cell)(each.scores),
-            _cell(statistics.iqm_interval([each.scores])),
+            mean_cell(each.scores)
+            if each.scores.size == 1
+            else _cell(statistics.iqm_interval([each.scores])),
         ]
         if each is reference:
             cells += [Cell(MISSING)] * 3
@@ -112,7 +114,7 @@ def sources(results: Sequence[Results], contenders: Sequence[Contender]) -> list
         rows.append((str(each.folder), line(parts)))
     folders = {each.folder for each in results}
     for path in dict.fromkeys(each.source for each in contenders if each.source not in folders):
-        labels = ", ".join(each.name for each in contenders if each.source == path)
+        labels = ", ".join(dict.fromkeys(each.name for each in contenders if each.source == path))
         rows.append((str(path), f"CSV: {labels}"))
     return rows
 
