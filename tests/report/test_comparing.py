@@ -229,6 +229,12 @@ class TestContenders:
         scores = of_folder(results, EPISODES)[0].scores
         assert np.isnan(scores).tolist() == [False, True, False]
 
+    def test_a_run_that_never_reached_the_goal_counts_with_its_end(self, tmp_path):
+        measure = Measure("learning", "episodes_to_goal", True, "episode", "train", None)
+        _, rff_q, epsilon_greedy = of_folder(load(write_learning(tmp_path / "a", runs=3)), measure)
+        assert rff_q.scores.tolist() == [12, 20, 12]
+        assert epsilon_greedy.scores.tolist() == [20, 20, 20]
+
 
 class TestTables:
     def test_a_difference_of_paired_runs_is_that_of_their_differences(self, tmp_path):

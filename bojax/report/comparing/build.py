@@ -26,6 +26,7 @@ from bojax.report.drawing.base import MAX_POINTS, Drawing, Undrawable, draw_inte
 from bojax.report.drawing.curves import Chart, Panel
 from bojax.report.figures.learning_curves import limit
 from bojax.report.page import Plate
+from bojax.report.ranking import ENDS
 from bojax.report.source import Results, load
 from bojax.report.tables import Table
 from bojax.report.template import fill
@@ -265,7 +266,7 @@ def _score(contenders: Sequence[Contender], measure: Measure) -> str:
     """What the score of a run is, in words."""
     words = measure.column.replace("_", " ")
     if contenders[0].curve is None:
-        return words
+        return f"{words}, or to the end of a run" if measure.column in ENDS else words
     unit = "steps" if measure.axis == "step" else "episodes"
     if measure.kind == "planning":
         return f"final {words}" if measure.last is None else f"mean {words} of the last {measure.last} {unit}"

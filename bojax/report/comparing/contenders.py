@@ -10,7 +10,7 @@ import numpy as np
 from bojax.config.component import Component
 from bojax.config.errors import allowed_names
 from bojax.experiments.settings import Learning, Planning
-from bojax.report import statistics
+from bojax.report import ranking, statistics
 from bojax.report.comparing.curve_files import Rows
 from bojax.report.drawing.curves import Curve
 from bojax.report.manifest import Unread
@@ -142,8 +142,8 @@ def of_folder(results: Results, measure: Measure) -> list[Contender]:
             continue
         curve = curve_of(results, point, measure)
         if curve is None:
-            values = runs[measure.column]
-            scores, is_share = values.astype(np.float64), values.dtype.kind == "b"
+            scores = ranking.Measure(measure.column, measure.is_least).values(runs)
+            is_share = runs[measure.column].dtype.kind == "b"
         else:
             has_nan = runs.get("nans", np.zeros(runs["run"].size)) > 0
             scores, is_share = np.where(has_nan, np.nan, _last(curve, measure)), False
