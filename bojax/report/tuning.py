@@ -182,7 +182,8 @@ def _confirmed(tuning: Tuning, fresh: Results) -> RankedTable:
     headings = ["in the search", tuning.measure.words, "behind the best", *keys]
     caption = (
         f"{counted(fresh.manifest.runs or 0, 'run')} of each setting with another seed, which the search has "
-        "not seen; 95% intervals in brackets. Behind the best: mean difference over equal runs."
+        "not seen; 95% intervals in brackets. Behind the best: mean difference over equal runs. Where its "
+        "interval contains 0, these runs do not tell the two apart."
     )
     return RankedTable(headings, rows, caption)
 
