@@ -3,6 +3,7 @@
 import contextlib
 import io
 import math
+import os
 import shlex
 import sys
 from collections.abc import Sequence
@@ -47,7 +48,7 @@ def run_rounds(task: "Task", out: Path | None, resume: bool, command: list[str])
         resume: Whether to continue an unfinished search, or to extend the finished one in `out`.
         command: The command line, for the manifests and for the hint on how to resume.
     """
-    is_extended = resume and out is not None and (out / TUNING).is_file() and not is_unfinished(out)
+    is_extended = resume and out is not None and os.path.isfile(out / TUNING) and not is_unfinished(out)
     if is_extended and out is not None:
         check_plan(out, read_tuning(out).plan, task.content)
         folder, is_resumed = out, False

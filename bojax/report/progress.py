@@ -1,5 +1,6 @@
 """Builds a report and shows its progress on standard error."""
 
+import os
 import time
 from pathlib import Path
 
@@ -32,7 +33,7 @@ def report(folder: Path) -> Path:
         has_spoken = True
 
     try:
-        if (folder / TUNING).is_file():
+        if os.path.isfile(folder / TUNING):
             at("tables")
             return build_tuning_report(folder)
         return build_report(folder, at)
