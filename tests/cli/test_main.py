@@ -23,8 +23,8 @@ def here(tmp_path, monkeypatch):
 MISTAKES = {
     "an unknown command": (
         ["swep"],
-        "unknown command swep; allowed: bench, best, compare, doctor, export, list, render, report, reproduce, "
-        'run, status, sweep, tune, worker; did you mean "sweep"?',
+        "unknown command swep; allowed: bench, best, compare, doctor, export, list, render, report, "
+        'reproduce, run, status, sweep, tune, worker; did you mean "sweep"?',
     ),
     "a path of many names": (
         ["run", "parking", ".".join(["a"] * 5000) + "=1"],
