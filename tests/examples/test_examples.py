@@ -22,7 +22,7 @@ FILES = [path for path in (ROOT / "examples").iterdir() if path.is_file()]
 
 
 def _uses_example(words: list[str]) -> bool:
-    if words[1:2] == ["render"]:  # of results that another command makes
+    if words[1:2] in (["render"], ["compare"]):  # of results that another command makes
         return False
     return any(path.name in word or f"={path.stem}:" in word for word in words for path in FILES)
 
