@@ -71,7 +71,8 @@ def test_page_shows_the_numbers_of_the_tables(page):
 
 
 def test_page_loads_nothing_and_runs_nothing(page, folder):
-    assert page.loaded and all(address.startswith("data:image/svg+xml;base64,") for address in page.loaded)
+    loaded = [address for address in page.loaded if not address.startswith("#")]  # places of the page
+    assert loaded and all(address.startswith("data:image/svg+xml;base64,") for address in loaded)
     assert not page.all("script") and not page.all("link")
     text = (folder / "report.html").read_text()
     assert not re.search(r"url\(|@import|https?://", text)
@@ -243,3 +244,13 @@ def test_reports_are_made_without_jax_and_without_pyplot(folder):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_the_figure_and_the_table_come_before_the_claims_and_the_contents_lead_to_all(folder):
+    page = (folder / "report.html").read_text()
+    links = re.findall(r'href="#([\w-]+)"', page[: page.index("</nav>")])
+    places = [page.index(f'id="{name}"') for name in links]
+    assert places == sorted(places)
+    assert links[0] == "figure" and links.index("outcomes") < links.index("claims") < links.index(
+        "provenance"
+    )
