@@ -23,6 +23,11 @@ class Box(eqx.Module):
         """Number of dimensions."""
         return self.low.shape[0]
 
+    @property
+    def example(self) -> Float[Array, "D"]:
+        """Zeros with the shape and dtype of a vector."""
+        return jnp.zeros_like(self.low)
+
     def to_unit(self, x: Float[Array, "*N D"]) -> Float[Array, "*N D"]:
         """Map the bounds to 0 and 1."""
         low, high = (jnp.broadcast_to(bound, x.shape) for bound in (self.low, self.high))
@@ -47,6 +52,11 @@ class Discrete(eqx.Module):
     def num_dims(self) -> int:
         """Number of dimensions of the result of `to_unit`."""
         return 1
+
+    @property
+    def example(self) -> Int[Array, ""]:
+        """The first element."""
+        return jnp.zeros((), jnp.int32)
 
     def to_unit(self, x: Int[Array, "*N"]) -> Float[Array, "*N 1"]:
         """Map the first element to 0 and the last one to 1."""

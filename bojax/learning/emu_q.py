@@ -9,12 +9,12 @@ from jaxtyping import Array, Float, Int, Key
 from typing_extensions import override
 
 from bojax.envs.base import Action, Observation
-from bojax.envs.spaces import Box, Discrete, Space
+from bojax.envs.spaces import Box, Space
 from bojax.learning.actions import even_actions, refined_action
 from bojax.learning.base import Episode, ExplorationState, Learner, Transition
 from bojax.learning.emu_q_model import TERMINAL_Q, TERMINAL_U, EMUQModel, EMUQState, Q, U
 from bojax.learning.features import FeatureSpec
-from bojax.learning.memory import Memory
+from bojax.learning.memory import Memory, emptied
 from bojax.learning.refit import Refit
 from bojax.models.bayesian_linear_regression import BayesianLinearRegression
 from bojax.numerics.choices import Choice
@@ -75,11 +75,9 @@ class EMUQ(Learner):
         )
         candidates = even_actions(key_candidates, self.num_actions, action_space)
         samples = even_actions(key_samples, self.num_samples, action_space)
-        is_discrete = isinstance(observation_space, Discrete)
-        observation = jnp.zeros((), jnp.int32) if is_discrete else jnp.zeros_like(observation_space.low)
         # At least one row: an empty array cannot be spread over devices.
         capacity = max(1, 0 if self.refit == "none" else capacity)
-        memory = Memory.empty(capacity, observation, candidates[0], dtype)
+        memory = Memory.empty(capacity, observation_space.example, candidates[0], dtype)
         return EMUQState(features, posterior, memory, candidates, samples)
 
     @override
@@ -174,8 +172,7 @@ class EMUQ(Learner):
 
     @override
     def policy_state(self, state: EMUQState) -> EMUQState:
-        memory = jax.tree.map(lambda rows: jnp.zeros_like(rows[:1] if rows.ndim else rows), state.memory)
-        return eqx.tree_at(lambda s: s.memory, state, memory)
+        return eqx.tree_at(lambda s: s.memory, state, emptied(state.memory))
 
     @override
     def values(

@@ -1,5 +1,7 @@
 """A memory of all transitions of a run, as states and actions; features are recomputed where needed."""
 
+from typing import TypeVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -8,6 +10,9 @@ from jaxtyping import Array, Bool, Float, Int
 from bojax.envs.base import Action, Observation
 from bojax.learning.base import Episode
 from bojax.numerics.lanes import largest_in_lanes
+
+T = TypeVar("T")
+"""A tree of arrays with one row for each transition, and of counts."""
 
 
 class Memory(eqx.Module):
@@ -96,3 +101,8 @@ class Memory(eqx.Module):
 
         number = jnp.clip(largest_in_lanes(self.count), first, end) - first
         return jax.lax.fori_loop(0, (number + block - 1) // block, visit, start)
+
+
+def emptied(memory: T) -> T:
+    """A memory, or several, with room for one transition and none stored."""
+    return jax.tree.map(lambda rows: jnp.zeros_like(rows[:1] if rows.ndim else rows), memory)

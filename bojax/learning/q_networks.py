@@ -15,11 +15,11 @@ from jaxtyping import Array, Bool, Float, Int, Key, PyTree
 from typing_extensions import override
 
 from bojax.envs.base import Action, Observation
-from bojax.envs.spaces import Discrete, Space
+from bojax.envs.spaces import Space
 from bojax.learning.actions import grid_actions, nearest_action
 from bojax.learning.base import Episode, ExplorationState, Learner, Transition
 from bojax.learning.inputs import as_inputs, input_size
-from bojax.learning.memory import Memory
+from bojax.learning.memory import Memory, emptied
 from bojax.numerics.linalg import matmul
 
 
@@ -147,11 +147,10 @@ class QNetworkLearner(Learner):
     ) -> QNetworkState:
         key_networks, key_extra = jax.random.split(key)
         actions = grid_actions(self.actions_per_dimension, action_space)
-        is_discrete = isinstance(observation_space, Discrete)
         trained, fixed = self.networks(key_networks, input_size(observation_space), len(actions))
-        observation = jnp.zeros((), jnp.int32) if is_discrete else jnp.zeros_like(observation_space.low)
         # At least one row: an empty array cannot be spread over devices.
-        memory = Memory.empty(max(1, capacity), observation, jnp.zeros((), jnp.int32), self.discount.dtype)
+        number = jnp.zeros((), jnp.int32)
+        memory = Memory.empty(max(1, capacity), observation_space.example, number, self.discount.dtype)
         return QNetworkState(
             observations=observation_space,
             actions=actions,
@@ -191,9 +190,9 @@ class QNetworkLearner(Learner):
             fixed=state.fixed,
             optimiser=state.optimiser,
             memory=memory,
-            index=_where(learns, index, state.index),
+            index=optax.tree.where(learns, index, state.index),
             is_due=state.is_due | learns,
-            extra=_where(learns, extra, state.extra),
+            extra=optax.tree.where(learns, extra, state.extra),
         )
 
     @override
@@ -204,7 +203,7 @@ class QNetworkLearner(Learner):
             steps, optimiser = self._adam.update(gradient, state.optimiser)
         trained = optax.apply_updates(state.trained, steps)
         target = optax.incremental_update(trained, state.target, self.target_rate)
-        after = _where(
+        after = optax.tree.where(
             state.is_due, (trained, target, optimiser), (state.trained, state.target, state.optimiser)
         )
         return eqx.tree_at(
@@ -215,8 +214,7 @@ class QNetworkLearner(Learner):
 
     @override
     def policy_state(self, state: QNetworkState) -> QNetworkState:
-        memory = jax.tree.map(lambda rows: jnp.zeros_like(rows[:1] if rows.ndim else rows), state.memory)
-        return eqx.tree_at(lambda s: s.memory, state, memory)
+        return eqx.tree_at(lambda s: s.memory, state, emptied(state.memory))
 
     # What the methods share.
 
@@ -243,7 +241,3 @@ class QNetworkLearner(Learner):
     @property
     def _adam(self) -> optax.GradientTransformation:
         return optax.adam(self.learning_rate)
-
-
-def _where(condition: Bool[Array, ""], after: PyTree, before: PyTree) -> PyTree:
-    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), after, before)

@@ -13,6 +13,7 @@ from bojax.learning.advantages import LinearBaseline, discounted_sums, td_errors
 from bojax.learning.base import Episode, ExplorationState, Learner, Transition
 from bojax.learning.episode_batch import EpisodeBatch
 from bojax.learning.inputs import as_inputs, input_size
+from bojax.learning.memory import emptied
 from bojax.learning.replay import ReplayPool, Standardisation
 from bojax.learning.stochastic_policy import PolicyNetwork
 from bojax.learning.trpo import TRPO, Samples
@@ -128,7 +129,7 @@ class VIME(Learner):
     ) -> VIMEState:
         key_policy, key_model = jax.random.split(key)
         dtype = self.eta.dtype
-        observation, action = _example(observation_space), _example(action_space)
+        observation, action = observation_space.example, action_space.example
         size = input_size(observation_space)
         policy = PolicyNetwork.draw(key_policy, size, self.policy_units, action_space, self.initial_deviation)
         sizes = size + input_size(action_space), self.model_units, size
@@ -202,11 +203,7 @@ class VIME(Learner):
 
     @override
     def policy_state(self, state: VIMEState) -> VIMEState:
-        def first(rows: Array) -> Array:
-            return jnp.zeros_like(rows[:1] if rows.ndim else rows)
-
-        empty = jax.tree.map(first, (state.pool, state.batch))
-        return eqx.tree_at(lambda s: (s.pool, s.batch), state, empty)
+        return eqx.tree_at(lambda s: (s.pool, s.batch), state, emptied((state.pool, state.batch)))
 
     @property
     @override
@@ -256,13 +253,10 @@ class VIME(Learner):
         model, optimiser = self._fit(key_model, state, pool)
         is_trained = is_due & (pool.size.astype(self.min_pool.dtype) >= self.min_pool)
 
-        def keep(condition, after, before):
-            return jax.tree.map(lambda a, b: jnp.where(condition, a, b), after, before)
-
         small = policy, baseline, medians, state.iterations + 1
         before = state.policy, state.baseline, state.medians, state.iterations
-        policy, baseline, medians, iterations = keep(is_due, small, before)
-        model, optimiser = keep(is_trained, (model, optimiser), (state.model, state.optimiser))
+        policy, baseline, medians, iterations = optax.tree.where(is_due, small, before)
+        model, optimiser = optax.tree.where(is_trained, (model, optimiser), (state.model, state.optimiser))
         return VIMEState(
             observations=state.observations,
             actions=state.actions,
@@ -371,11 +365,6 @@ class VIME(Learner):
         inputs = Standardisation.of(rows, pool.is_filled)
         number = input_size(state.observations)
         return inputs, Standardisation(inputs.mean[:number], inputs.deviation[:number])
-
-
-def _example(space: Space) -> Array:
-    """An observation or action."""
-    return jnp.zeros((), jnp.int32) if isinstance(space, Discrete) else jnp.zeros_like(space.low)
 
 
 def _standardised(samples: Samples) -> Samples:

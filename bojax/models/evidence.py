@@ -110,7 +110,7 @@ def maximise(
         value, gradient = (optax.tree_utils.tree_get(state, name) for name in ("value", "grad"))
         new = _Iterate(iterate.point + updates, value, gradient)
         is_better = is_active & new.is_finite() & (value < iterate.value)
-        iterate = jax.tree.map(lambda a, b: jnp.where(is_better, a, b), new, iterate)
+        iterate = optax.tree.where(is_better, new, iterate)
         return iterate, state, number + 1, is_better & ~iterate.is_stationary()
 
     solver = optax.lbfgs()
