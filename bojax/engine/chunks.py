@@ -26,8 +26,12 @@ REPACKINGS = 100
 """Number of repackings of a run that lasts for all its advances. A repacking waits for the device, so this
 bounds the time lost to them: about 0.2 ms each."""
 
-NARROWING = 8
-"""Factor between two numbers of lanes of a queue, and the smallest of them."""
+NARROWING, NARROWEST = 3, 32
+"""Factor between two numbers of lanes of a queue, and a bound below all of them.
+
+On an H200 an advance of EMU-Q has a fixed cost, as much as about 100 lanes cost: fewer than `NARROWEST` lanes
+save little. A smaller factor keeps more of the lanes busy, but each number of lanes is a program to compile.
+"""
 
 
 @dataclass(frozen=True)
@@ -72,7 +76,7 @@ def choose_layout(experiment: Experiment, num_runs: int, platform: str, given: i
     if experiment.is_hosted:
         return Layout(queue, (queue,), 0)
     widths = [min(limit, queue)]
-    while not is_cpu and experiment.has_stragglers and widths[-1] >= NARROWING**2:
+    while not is_cpu and experiment.has_stragglers and widths[-1] >= NARROWING * NARROWEST:
         widths.append(math.ceil(widths[-1] / NARROWING))
     return Layout(queue, tuple(widths), math.ceil(experiment.max_advances / REPACKINGS))
 

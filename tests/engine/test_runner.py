@@ -210,9 +210,10 @@ def test_layout(platform, runs, given, queue, widths):
 
 def test_runs_with_stragglers_narrow_on_an_accelerator(monkeypatch):
     monkeypatch.setattr(Toy, "has_stragglers", True)
-    assert choose_layout(toy(), 4000, "gpu", None).widths == (4000, 500, 63)
-    assert choose_layout(toy(), 200, "gpu", None).widths == (200, 25)
-    assert choose_layout(toy(), 8, "gpu", None).widths == (8,)
+    assert choose_layout(toy(), 4000, "gpu", None).widths == (4000, 1334, 445, 149, 50)
+    assert choose_layout(toy(), 600, "gpu", None).widths == (600, 200, 67)
+    assert choose_layout(toy(), 200, "gpu", None).widths == (200, 67)
+    assert choose_layout(toy(), 95, "gpu", None).widths == (95,)
     assert choose_layout(toy(), 4000, "cpu", None).widths == (16,)
     assert choose_layout(toy(max_length=1001), 8, "gpu", None).repack == 6  # of 501
 
