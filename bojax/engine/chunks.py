@@ -76,7 +76,8 @@ def choose_layout(experiment: Experiment, num_runs: int, platform: str, given: i
     if experiment.is_hosted:
         return Layout(queue, (queue,), 0)
     widths = [min(limit, queue)]
-    while not is_cpu and experiment.has_stragglers and widths[-1] >= NARROWING * NARROWEST:
+    can_narrow = not is_cpu and experiment.has_stragglers and experiment.max_advances > 1
+    while can_narrow and widths[-1] >= NARROWING * NARROWEST:
         widths.append(math.ceil(widths[-1] / NARROWING))
     return Layout(queue, tuple(widths), math.ceil(experiment.max_advances / REPACKINGS))
 

@@ -215,6 +215,7 @@ def test_runs_with_stragglers_narrow_on_an_accelerator(monkeypatch):
     assert choose_layout(toy(), 200, "gpu", None).widths == (200, 67)
     assert choose_layout(toy(), 95, "gpu", None).widths == (95,)
     assert choose_layout(toy(), 4000, "cpu", None).widths == (16,)
+    assert choose_layout(toy(max_length=2), 4000, "gpu", None).widths == (4000,)  # all end together
     assert choose_layout(toy(max_length=1001), 8, "gpu", None).repack == 6  # of 501
 
 
