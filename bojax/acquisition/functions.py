@@ -65,7 +65,7 @@ class ExpectedImprovement(Acquisition):
     Settings: `bojax.acquisition.settings.ExpectedImprovement`.
     """
 
-    xi: Float[Array, ""]
+    xi: Float[Array, ""] = eqx.field(converter=as_numbers("xi"))
 
     @override
     def __call__(

@@ -46,7 +46,10 @@ class ExpectedImprovement(AcquisitionSettings, frozen=True):
 
     kind: Literal["ei"] = "ei"
     xi: float = Field(
-        default=0.01, ge=0, description="required improvement over the best value, in units of the target"
+        default=0.01,
+        ge=0,
+        le=GREATEST,
+        description="required improvement over the best value, in units of the target",
     )
 
 
