@@ -21,7 +21,8 @@ from rich.table import Table
 from bojax.cli.tuning import Task
 from bojax.config.sweep import load_config
 from bojax.config.tuning import Range, described
-from bojax.engine.run import Request, run_sweeps
+from bojax.engine.requests import Request
+from bojax.engine.run import run_sweeps
 from bojax.engine.tuning import Search, Values
 from bojax.report.source import load
 

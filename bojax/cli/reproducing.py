@@ -56,7 +56,8 @@ def _run(sweeps: Sequence[Sweep], args: Namespace, command: list[str]) -> int:
         command += ["--out", str(out)]
 
     from bojax.cli.background import Reports
-    from bojax.engine.run import Request, run_sweeps
+    from bojax.engine.requests import Request
+    from bojax.engine.run import run_sweeps
     from bojax.report.reproduction import reproduction
 
     launcher, devices = launcher_of(args)

@@ -17,7 +17,8 @@ import yaml
 from bojax.config.errors import printable
 from bojax.config.sweep import Sweep
 from bojax.config.tuning import described, value_at
-from bojax.engine.run import Request, run_sweeps
+from bojax.engine.requests import Request
+from bojax.engine.run import run_sweeps
 from bojax.engine.tuning import Search, Values
 from bojax.report.progress import report
 from bojax.report.ranking import Measure, config_of, ranking, scored

@@ -147,7 +147,8 @@ def run(
     # During the import of JAX, a callback can raise a KeyboardInterrupt, which is discarded there.
     with StopRequest(announce=lambda _: None, exits=exits) as stop:
         from bojax.engine.bar import is_read_by_a_process
-        from bojax.engine.run import Request, run_sweeps
+        from bojax.engine.requests import Request
+        from bojax.engine.run import run_sweeps
     if stop:
         print("interrupted", file=sys.stderr)
         return stop.exit_code

@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import jax
 
-from bojax.config.extras import MissingExtra
 from bojax.config.saved_sweep import saved
 from bojax.engine.conclude import conclude, interrupt, resuming
 from bojax.engine.devices import prepare
 from bojax.engine.errors import FAILURE, EngineError
 from bojax.engine.journal import Journal
-from bojax.engine.plan import make_plan, plain, plan_made_elsewhere
+from bojax.engine.plan import plain, plan_made_elsewhere
+from bojax.engine.requests import Target, plan_unfinished
 from bojax.engine.signals import StopRequest
-from bojax.results.folder import RunFolder, check_finished, check_plan, drop_leftovers, is_unfinished
+from bojax.results.folder import RunFolder, check_plan
 from bojax.results.leases import Standing
 from bojax.results.status import status_of
 from bojax.results.store import MANIFEST, read_json
@@ -31,19 +31,6 @@ POLL_SECONDS = 1.0
 
 TELL_SECONDS = 10.0
 """Time between two lines of progress."""
-
-
-@dataclass(frozen=True)
-class Request:
-    """A sweep to run.
-
-    Attributes:
-        sweep: The sweep, in which parts given by import path have been resolved.
-        out: The results folder; `results/<name>/<timestamp>` if None.
-    """
-
-    sweep: "Sweep"
-    out: Path | None
 
 
 class Launcher(abc.ABC):
@@ -91,7 +78,7 @@ class _Remote:
 
 
 def run_remotely(
-    chosen: Sequence[tuple[Request, Path, bool]],
+    targets: Sequence[Target],
     command: Sequence[str],
     finish: Callable[[Path], Any],
     skipped: dict[str, str] | None,
@@ -101,7 +88,7 @@ def run_remotely(
     """Start workers for sweeps, merge those whose chunks have ended, and return the exit code.
 
     Args:
-        chosen: The sweeps with their folders, and whether they are resumed.
+        targets: The sweeps with their folders.
         command: The command line.
         finish: Called with the results folder of each finished sweep.
         skipped: Receives the names of sweeps whose extra is not installed, and the reasons.
@@ -109,27 +96,11 @@ def run_remotely(
         launcher: Starts the workers.
     """
     prepare("cpu")
-    remotes: list[_Remote] = []
-    names = ", ".join(request.sweep.name for request, _, _ in chosen)
+    names = ", ".join(target.sweep.name for target in targets)
     launcher.check(names)
-    for request, path, is_resumed in chosen:
-        try:
-            checked = make_plan(request.sweep, jax.devices("cpu")[:1])  # what is wrong shows before a launch
-        except MissingExtra as error:
-            if skipped is None:
-                raise
-            skipped[request.sweep.name] = str(error)
-            print(f"{request.sweep.name}: skipped: {error}", file=sys.stderr)
-            continue
-        if is_resumed and not is_unfinished(path):
-            check_finished(path, checked.content)
-            drop_leftovers(path)
-            print(f"{path}: already finished")
-            finish(path)
-            continue
-        folder = RunFolder(path)
-        _open(folder, request, is_resumed=is_resumed)
-        remotes.append(_Remote(request.sweep, folder.path))
+    # What is wrong with a sweep shows before the launch.
+    unfinished = plan_unfinished(targets, jax.devices("cpu")[:1], finish, skipped)
+    remotes = [_Remote(target.sweep, _open(target)) for target, _ in unfinished]
     try:
         return _run(remotes, names, command, finish, stop, launcher) if remotes else 0
     finally:
@@ -138,15 +109,16 @@ def run_remotely(
                 remote.journal.close()
 
 
-def _open(folder: RunFolder, request: Request, *, is_resumed: bool) -> None:
-    """Write what workers need to know."""
-    sweep = plain(saved(request.sweep))
-    if is_resumed:
+def _open(target: Target) -> Path:
+    """Write what workers need to know, and return the results folder."""
+    folder, sweep = RunFolder(target.path), plain(saved(target.sweep))
+    if target.is_resumed:
         check_plan(folder.path, _asked_for(folder.launched().sweep), _asked_for(sweep))
     else:
-        folder.create(None, may_rename=request.out is None)
+        folder.create(None, may_rename=target.may_rename)
     folder.launch(sweep)
     folder.close(finished=False)
+    return folder.path
 
 
 def _asked_for(sweep: dict[str, Any]) -> dict[str, Any]:

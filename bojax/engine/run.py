@@ -7,25 +7,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from bojax.config.errors import ConfigError, printable
-from bojax.config.extras import MissingExtra
 from bojax.engine.conclude import conclude, interrupt
 from bojax.engine.devices import Device, choose, find_devices, prepare, workers_of
 from bojax.engine.errors import FAILURE, EngineError
 from bojax.engine.execute import execute
 from bojax.engine.journal import Journal
 from bojax.engine.latency import measure_latency
-from bojax.engine.plan import make_plan
 from bojax.engine.progress import SweepProgress
-from bojax.engine.remote import Launcher, Request, run_remotely
+from bojax.engine.remote import Launcher, run_remotely
+from bojax.engine.requests import Request, Target, choose_targets, plan_unfinished
 from bojax.engine.signals import StopRequest
 from bojax.engine.tasks import progress_of, tasks_of
-from bojax.results.folder import (
-    NothingToResume,
-    check_finished,
-    choose_folder,
-    drop_leftovers,
-    is_unfinished,
-)
 from bojax.results.store import ResultsError
 from bojax.text import error_line
 
@@ -65,45 +57,35 @@ def run_sweeps(
     try:
         with StopRequest(exits=exits) as stop:
             device = _common_device([request.sweep for request in requests])
-            chosen = _choose_folders(requests, resume=resume)
+            targets = choose_targets(requests, resume=resume)
             if launcher is not None:
-                return run_remotely(chosen, command, finish, skipped, stop, launcher)
+                return run_remotely(targets, command, finish, skipped, stop, launcher)
             prepare(device)
             devices = choose(find_devices(device), indices)
-            return _run(chosen, devices, command, finish, skipped, stop)
+            return _run(targets, devices, command, finish, skipped, stop)
     except (ConfigError, ResultsError, EngineError) as error:
         print(printable(f"error: {error}"), file=sys.stderr)
         return error.exit_code
 
 
 def _run(
-    chosen: Sequence[tuple[Request, Path, bool]],
+    targets: Sequence[Target],
     devices: Sequence[Device],
     command: Sequence[str],
     finish: Callable[[Path], Any],
     skipped: dict[str, str] | None,
     stop: StopRequest,
 ) -> int:
-    journals: list[Journal] = []
-    for request, path, is_resumed in chosen:
-        try:
-            plan = make_plan(request.sweep, devices)
-        except MissingExtra as error:
-            if skipped is None:
-                raise
-            skipped[request.sweep.name] = str(error)
-            print(f"{request.sweep.name}: skipped: {error}", file=sys.stderr)
-            continue
-        if is_resumed and not is_unfinished(path):
-            check_finished(path, plan.content)
-            drop_leftovers(path)
-            print(f"{path}: already finished")
-            finish(path)
-        else:
-            journal = Journal(
-                plan, path, shlex.join(command), is_resumed=is_resumed, may_rename=request.out is None
-            )
-            journals.append(journal)
+    journals = [
+        Journal(
+            plan,
+            target.path,
+            shlex.join(command),
+            is_resumed=target.is_resumed,
+            may_rename=target.may_rename,
+        )
+        for target, plan in plan_unfinished(targets, devices, finish, skipped)
+    ]
     return carry_out(journals, devices, command, finish, stop) if journals else 0
 
 
@@ -114,24 +96,6 @@ def _common_device(sweeps: Sequence["Sweep"]) -> Literal["auto", "cpu", "gpu"]:
         each = ", ".join(f"{device} ({name})" for device, name in asked.items())
         raise ConfigError(f"engine.device: got {each}; allowed: one device for all sweeps")
     return sweeps[0].engine.device
-
-
-def _choose_folders(requests: Sequence[Request], *, resume: bool) -> list[tuple[Request, Path, bool]]:
-    """The results folder of each sweep, and whether it is resumed there.
-
-    Of several sweeps to resume, those without an unfinished folder are left out.
-    """
-    chosen, finished = [], []
-    for request in requests:
-        try:
-            chosen.append((request, *choose_folder(request.sweep.name, request.out, resume=resume)))
-        except NothingToResume as error:
-            finished.append(error)
-    if not chosen:
-        raise finished[0]
-    for error in finished:
-        print(printable(f"note: {error}"), file=sys.stderr)
-    return chosen
 
 
 def carry_out(

@@ -22,7 +22,8 @@ def run_toy(out: Path | None, *points: dict, resume: bool = False, **settings) -
 
 def run_sweep(sweep, out: Path | None, resume: bool = False, command: list[str] = COMMAND) -> int:
     """Run or resume a sweep; the exit code."""
-    from bojax.engine.run import Request, run_sweeps
+    from bojax.engine.requests import Request
+    from bojax.engine.run import run_sweeps
 
     return run_sweeps([Request(sweep, out)], resume, command)
 

@@ -13,7 +13,8 @@ import pytest
 from bojax.config.errors import ConfigError
 from bojax.config.limits import Limit
 from bojax.engine import batch
-from bojax.engine.run import Request, run_sweeps
+from bojax.engine.requests import Request
+from bojax.engine.run import run_sweeps
 from bojax.results.leases import Leases
 from bojax.results.store import WORK, ResultsError, read_manifest, read_table
 from tests.engine.drive import contents, run_toy, start_toy

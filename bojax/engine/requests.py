@@ -1,0 +1,114 @@
+"""Sweeps that are asked for: where each goes, and which of them have something left to run."""
+
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bojax.config.errors import printable
+from bojax.config.extras import MissingExtra
+from bojax.engine.devices import Device
+from bojax.engine.plan import Plan, make_plan
+from bojax.results.folder import (
+    NothingToResume,
+    check_finished,
+    choose_folder,
+    drop_leftovers,
+    is_unfinished,
+)
+
+if TYPE_CHECKING:
+    from bojax.config.sweep import Sweep
+
+
+@dataclass(frozen=True)
+class Request:
+    """A sweep to run.
+
+    Attributes:
+        sweep: The sweep, in which parts given by import path have been resolved.
+        out: The results folder; `results/<name>/<timestamp>` if None.
+    """
+
+    sweep: "Sweep"
+    out: Path | None
+
+
+@dataclass(frozen=True)
+class Target:
+    """A sweep with its results folder.
+
+    Attributes:
+        sweep: The sweep.
+        path: The results folder.
+        is_resumed: Whether the sweep has begun there.
+        may_rename: Whether a new folder whose name is taken gets a number appended to the name.
+    """
+
+    sweep: "Sweep"
+    path: Path
+    is_resumed: bool
+    may_rename: bool
+
+
+def choose_targets(requests: Sequence[Request], *, resume: bool) -> list[Target]:
+    """The results folder of each sweep.
+
+    Of several sweeps to resume, those without an unfinished folder are left out.
+
+    Raises:
+        NothingToResume: No sweep has an unfinished folder.
+    """
+    chosen, finished = [], []
+    for request in requests:
+        try:
+            path, is_resumed = choose_folder(request.sweep.name, request.out, resume=resume)
+            chosen.append(Target(request.sweep, path, is_resumed, request.out is None))
+        except NothingToResume as error:
+            finished.append(error)
+    if not chosen:
+        raise finished[0]
+    for error in finished:
+        print(printable(f"note: {error}"), file=sys.stderr)
+    return chosen
+
+
+def plan_unfinished(
+    targets: Sequence[Target],
+    devices: Sequence[Device],
+    finish: Callable[[Path], Any],
+    skipped: dict[str, str] | None,
+) -> list[tuple[Target, Plan]]:
+    """Plan all sweeps, and return those that are not finished yet, with their plans.
+
+    Args:
+        targets: The sweeps with their folders.
+        devices: The devices to plan for.
+        finish: Called with the results folder of each sweep that is finished already.
+        skipped: Receives the names of sweeps whose extra is not installed, and the reasons. If None, such a
+            sweep is an error.
+
+    Raises:
+        ConfigError: A sweep cannot be built.
+        MissingExtra: The extra of a sweep is not installed.
+        ResultsError: A finished sweep is another one, or a saved learner cannot be read.
+    """
+    unfinished = []
+    for target in targets:
+        try:
+            plan = make_plan(target.sweep, devices)
+        except MissingExtra as error:
+            if skipped is None:
+                raise
+            skipped[target.sweep.name] = str(error)
+            print(f"{target.sweep.name}: skipped: {error}", file=sys.stderr)
+            continue
+        if target.is_resumed and not is_unfinished(target.path):
+            check_finished(target.path, plan.content)
+            drop_leftovers(target.path)
+            print(f"{target.path}: already finished")
+            finish(target.path)
+        else:
+            unfinished.append((target, plan))
+    return unfinished
