@@ -25,11 +25,15 @@ BY_STEP = 6
 
 @dataclass(frozen=True)
 class Cell:
-    """A value, its interval and the thesis's value as text; interval and thesis's value may be empty."""
+    """A value, its interval and the thesis's value as text; interval and thesis's value may be empty.
+
+    The key orders the rows of a table that its reader sorts; a cell whose key is empty comes last.
+    """
 
     text: str
     interval: str = ""
     thesis: str = ""
+    key: float | str = ""
 
 
 @dataclass(frozen=True)
@@ -42,10 +46,10 @@ class Table:
 
 @dataclass(frozen=True)
 class RankedRow:
-    """A row of the table of ranks: its rank, and text, interval and sort key of each cell."""
+    """A row of the table of ranks."""
 
     rank: int
-    cells: list[tuple[str, str, float | str]]
+    cells: list[Cell]
 
 
 @dataclass(frozen=True)
@@ -107,10 +111,9 @@ def ranked(results: Results) -> RankedTable | None:
     keys = [key for key in points[0].swept if len(swept_values(points, key)) > 1]
     rows = []
     for rank, standing in enumerate(standings, start=1):
-        lag = ranked_cell(standing.lag) if rank > 1 else (MISSING, "", 0.0)
-        swept = [_swept_cell(standing.point.swept.get(key)) for key in keys]
-        runs = f"{standing.runs:,}", "", standing.runs
-        rows.append(RankedRow(rank, [ranked_cell(standing.mean), lag, *swept, runs]))
+        lag = interval_cell(standing.lag) if rank > 1 else Cell(MISSING, key=0.0)
+        swept = [setting_cell(standing.point.swept.get(key)) for key in keys]
+        rows.append(RankedRow(rank, [interval_cell(standing.mean), lag, *swept, count_cell(standing.runs)]))
     order = "least" if measure.is_least else "greatest"
     caption = (
         f"{counted(len(rows), 'point')} by {measure.words}, the {order} first, 95% intervals in brackets. "
@@ -278,8 +281,8 @@ def mean_cell(values: np.ndarray, *, empty: str = MISSING) -> Cell:
         return Cell("NaN", f"in {counted(bad, 'run')}")
     interval = statistics.mean_interval(values)
     if values.size == 1:
-        return Cell(f"{interval.estimate:,.6g}")
-    return Cell(*with_bounds(interval.estimate, interval.low, interval.high))
+        return Cell(f"{interval.estimate:,.6g}", key=interval.estimate)
+    return interval_cell(interval)
 
 
 def own_cell(values: np.ndarray, nans: np.ndarray | None = None) -> Cell:
@@ -315,8 +318,7 @@ def censored_cell(values: np.ndarray, ends: np.ndarray) -> Cell:
 
 def share_cell(flags: np.ndarray) -> Cell:
     """Share with its Wilson interval."""
-    interval = statistics.share_interval(flags)
-    return Cell(percent(interval.estimate), f"[{percent(interval.low)}, {percent(interval.high)}]")
+    return percent_cell(statistics.share_interval(flags))
 
 
 def swept_values(points: Sequence[Point], key: str) -> list[Any]:
@@ -325,18 +327,33 @@ def swept_values(points: Sequence[Point], key: str) -> list[Any]:
     return [value for index, value in enumerate(values) if value not in values[:index]]  # lists have no hash
 
 
-def ranked_cell(interval: statistics.Interval) -> tuple[str, str, float | str]:
-    """The cell of an estimate with its interval."""
-    if not np.isfinite(interval.estimate):  # no run of both points
-        return MISSING, "", ""
-    return *with_bounds(interval.estimate, interval.low, interval.high), interval.estimate
+def interval_cell(interval: statistics.Interval) -> Cell:
+    """An estimate with its interval; nothing if the estimate is NaN."""
+    if not np.isfinite(interval.estimate):
+        return Cell(MISSING)
+    text, bounds = with_bounds(interval.estimate, interval.low, interval.high)
+    return Cell(text, bounds, key=interval.estimate)
 
 
-def _swept_cell(value: Any) -> tuple[str, str, float | str]:
+def percent_cell(interval: statistics.Interval) -> Cell:
+    """A share with its interval, in per cent; nothing if the share is NaN."""
+    if not np.isfinite(interval.estimate):
+        return Cell(MISSING)
+    bounds = f"[{percent(interval.low)}, {percent(interval.high)}]"
+    return Cell(percent(interval.estimate), bounds, key=interval.estimate)
+
+
+def count_cell(number: int) -> Cell:
+    """A number of things."""
+    return Cell(f"{number:,}", key=number)
+
+
+def setting_cell(value: Any) -> Cell:
+    """The value of a setting; nothing if a point does not have it."""
     if value is None:
-        return MISSING, "", ""
+        return Cell(MISSING)
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return plain(value), "", value if is_number else plain(value)
+    return Cell(plain(value), key=value if is_number else plain(value))
 
 
 def _heading(column: str) -> str:

@@ -13,7 +13,8 @@ from bojax.report.manifest import Count, Part
 from bojax.report.page import Plate, provenance
 from bojax.report.ranking import Measure, ranking
 from bojax.report.source import Results, load
-from bojax.report.tables import RankedRow, RankedTable, ranked_cell
+from bojax.report.statistics import Interval
+from bojax.report.tables import Cell, RankedRow, RankedTable, count_cell, interval_cell, setting_cell
 from bojax.report.template import fill
 from bojax.report.text import MISSING, counted, number, plain, with_bounds
 from bojax.results.store import ResultsError, read_json, write_atomically
@@ -176,9 +177,9 @@ def _confirmed(tuning: Tuning, fresh: Results) -> RankedTable:
         expected = {tuple(tuning.points[i].values): place for place, i in enumerate(tuning.order, start=1)}
         place = expected.get(tuple(map(float, values)))
         name = f"{place} of {len(tuning.order)}" if place else "as written in the config"
-        lag = ranked_cell(standing.lag) if rank > 1 else (MISSING, "", 0.0)
-        cells = [(name, "", index), ranked_cell(standing.mean), lag]
-        rows.append(RankedRow(rank, [*cells, *((plain(value), "", value) for value in values)]))
+        lag = interval_cell(standing.lag) if rank > 1 else Cell(MISSING, key=0.0)
+        cells = [Cell(name, key=index), interval_cell(standing.mean), lag]
+        rows.append(RankedRow(rank, [*cells, *map(setting_cell, values)]))
     headings = ["in the search", tuning.measure.words, "behind the best", *keys]
     caption = (
         f"{counted(fresh.manifest.runs or 0, 'run')} of each setting with another seed, which the search has "
@@ -194,12 +195,10 @@ def _ranked(tuning: Tuning) -> RankedTable:
     for rank, index in enumerate(tuning.order[:MOST_RANKED], start=1):
         point = tuning.points[index]
         low, high = point.mean - 1.96 * point.std, point.mean + 1.96 * point.std
-        expected = *with_bounds(point.mean, low, high), point.mean
-        score = number(point.score), "", "" if point.score is None else point.score
-        values = [(plain(value), "", value) for value in point.values]
-        rows.append(
-            RankedRow(rank, [expected, score, *values, (f"{point.round + 1}", "", float(point.round))])
-        )
+        expected = interval_cell(Interval(point.mean, low, high))
+        score = Cell(number(point.score), key="" if point.score is None else point.score)
+        values = map(setting_cell, point.values)
+        rows.append(RankedRow(rank, [expected, score, *values, count_cell(point.round + 1)]))
     headings = [f"expected {tuning.measure.words}", "score", *(each.key for each in tuning.ranges), "round"]
     caption = (
         f"The best {counted(len(rows), 'point')} of {len(tuning.points)} by the posterior mean of the model, "

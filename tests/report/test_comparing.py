@@ -1,5 +1,7 @@
 """Comparisons: curves on common axes, scores with paired and unpaired intervals, a page, one-line errors."""
 
+import re
+
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -300,6 +302,17 @@ class TestPage:
             assert name in page.text
         assert page.loaded and all(each.startswith(("data:", "#")) for each in page.loaded)
         assert all(image["alt"] for image in page.all("img"))
+
+    def test_the_table_of_scores_can_be_sorted_by_every_column(self, out):
+        text = (out / "comparison.html").read_text(encoding="utf-8")
+        (table,) = re.findall(r'<table class="sortable">.*?</table>', text, re.DOTALL)
+        rows = [re.findall(r'data-sort="([^"]*)"', row) for row in table.split("<tr>")[2:]]
+        assert [row[0] for row in rows] == ["emu-q", "rff-q", "epsilon-greedy", "dqn"]
+        assert [float(row[1]) for row in rows] == [8, 8, 8, 4]
+        assert float(rows[3][2]) == pytest.approx(np.mean([19.5 / 20 - run for run in range(4)]))
+        assert rows[0][4:] == ["", "", ""]  # the reference
+        assert all(map(float, rows[1][4:6])) and rows[1][6] == "paired"
+        assert text.count("<script>") == 1
 
     def test_its_figures_are_files(self, out):
         files = {path.name for path in (out / "figures").iterdir()}

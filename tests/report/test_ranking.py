@@ -13,7 +13,7 @@ from bojax.report.drawing.base import Undrawable
 from bojax.report.figures import heat_map, settings_
 from bojax.report.ranking import Measure, best_of, config_of, measure_of, ranking, scored
 from bojax.report.source import load
-from bojax.report.tables import FEW_POINTS, ranked, ranking_gaps
+from bojax.report.tables import FEW_POINTS, Cell, ranked, ranking_gaps
 from bojax.results.store import ResultsError
 from tests.report.synthetic import edit_manifest, in_memory, write_learning, write_monitoring, write_results
 
@@ -136,8 +136,8 @@ def test_the_table_of_ranks_is_sorted_and_has_the_best_point_first():
     table = ranked(grid())
     assert table.headings == ["mean return", "behind the best", "planner.depth", "planner.kappa", "runs"]
     assert [row.rank for row in table.rows] == list(range(1, 17))
-    assert [text for text, _, _ in table.rows[0].cells][2:] == ["3", "1", "30"]
-    keys = [[key for _, _, key in row.cells] for row in table.rows]
+    assert [cell.text for cell in table.rows[0].cells][2:] == ["3", "1", "30"]
+    keys = [[cell.key for cell in row.cells] for row in table.rows]
     assert [row[0] for row in keys] == sorted((row[0] for row in keys), reverse=True)
     assert [row[1] for row in keys] == sorted(row[1] for row in keys)
 
@@ -147,7 +147,7 @@ def test_without_common_runs_nothing_is_said_of_a_difference():
     results.runs["run"] = results.runs["run"] + 1000 * (results.runs["point"] % 2)
     table = ranked(results)
     assert [row.rank for row in table.rows] == list(range(1, 17))
-    assert sum(row.cells[1] == ("–", "", "") for row in table.rows) == 8
+    assert sum(row.cells[1] == Cell("–") for row in table.rows) == 8
 
 
 def test_few_points_need_no_table():

@@ -8,8 +8,18 @@ from bojax.report import statistics
 from bojax.report.comparing.contenders import Contender, Measure
 from bojax.report.source import Results
 from bojax.report.statistics import Floats, Interval
-from bojax.report.tables import Cell, Table, flatten, mean_cell, share_cell
-from bojax.report.text import MISSING, line, percent, plain, with_bounds
+from bojax.report.tables import (
+    Cell,
+    Table,
+    count_cell,
+    flatten,
+    interval_cell,
+    mean_cell,
+    percent_cell,
+    setting_cell,
+    share_cell,
+)
+from bojax.report.text import MISSING, line, plain
 
 
 def scores(contenders: Sequence[Contender], reference: Contender, measure: Measure) -> Table:
@@ -17,19 +27,19 @@ def scores(contenders: Sequence[Contender], reference: Contender, measure: Measu
     rows = []
     for each in contenders:
         cells = [
-            Cell(f"{each.scores.size:,}"),
+            count_cell(each.scores.size),
             (share_cell if each.is_share else mean_cell)(each.scores),
             mean_cell(each.scores)
             if each.scores.size == 1
-            else _cell(statistics.iqm_interval([each.scores])),
+            else interval_cell(statistics.iqm_interval([each.scores])),
         ]
         if each is reference:
             cells += [Cell(MISSING)] * 3
         else:
             cells += [
-                _cell(difference(each, reference)),
-                _share_cell(improvement([(each, reference)], measure)),
-                Cell("paired" if each.is_paired_with(reference) else "unpaired"),
+                interval_cell(difference(each, reference)),
+                percent_cell(improvement([(each, reference)], measure)),
+                setting_cell("paired" if each.is_paired_with(reference) else "unpaired"),
             ]
         rows.append((each.name, cells))
     than = reference.name
@@ -53,8 +63,10 @@ def overall(tasks: Sequence[Sequence[Contender]], reference: str, measure: Measu
     rows = []
     for place, name in enumerate(shared):
         pairs = [(task[name], task[than]) for task in of_task]
-        better = Cell(MISSING) if name == than else _share_cell(improvement(pairs, measure))
-        rows.append((name, [_cell(statistics.iqm_interval([task[place] for task in scaled])), better]))
+        better = Cell(MISSING) if name == than else percent_cell(improvement(pairs, measure))
+        rows.append(
+            (name, [interval_cell(statistics.iqm_interval([task[place] for task in scaled])), better])
+        )
     return Table(["IQM of scaled scores", f"P(better than {than})"], rows)
 
 
@@ -125,15 +137,3 @@ def _scaled(contenders: Sequence[Contender], measure: Measure) -> list[Floats]:
     means = [float(scores.mean()) for scores in signed]
     span = max(means) - min(means)
     return [(scores - min(means)) / (span or np.nan) for scores in signed]
-
-
-def _cell(interval: Interval) -> Cell:
-    if not np.isfinite(interval.estimate):
-        return Cell(MISSING)
-    return Cell(*with_bounds(interval.estimate, interval.low, interval.high))
-
-
-def _share_cell(interval: Interval) -> Cell:
-    if not np.isfinite(interval.estimate):
-        return Cell(MISSING)
-    return Cell(percent(interval.estimate), f"[{percent(interval.low)}, {percent(interval.high)}]")
