@@ -108,7 +108,8 @@ class BojaxEnv(brax_envs.Env):
 
     Actions range from -1 to 1, which are mapped to the bounds. Brax has a single flag `done`, set if a step
     terminates or truncates the episode; Brax applies the time limit (`episode_length`). The metric `success`
-    tells whether a step reached the goal.
+    is 1 in the first step of an episode that reaches the goal, so that its sum over an episode, as Brax reports
+    it, is 0 or 1, also where the episode goes on at the goal.
 
     Attributes:
         env: The environment; its observations and actions must be vectors.
@@ -133,20 +134,22 @@ class BojaxEnv(brax_envs.Env):
         observation = self.env.observe(state)
         zero = jnp.zeros((), observation.dtype)
         info = {"key": jax.random.key_data(later)}
-        return brax_envs.State(state, observation, zero, zero, {"success": zero}, info)
+        return brax_envs.State((state, zero), observation, zero, zero, {"success": zero}, info)
 
     @override
     def step(self, state: brax_envs.State, action: jax.Array) -> brax_envs.State:
         own, later = jax.random.split(_typed(state.info["key"]))
         action = self._actions.from_unit(0.5 * (jnp.clip(action, -1.0, 1.0) + 1.0))
-        after, transition = self.env.step(own, state.pipeline_state, action)
+        before, has_succeeded = state.pipeline_state  # Brax resets both at the end of an episode
+        after, transition = self.env.step(own, before, action)
         dtype = transition.reward.dtype
+        success = transition.success.astype(dtype)
         return brax_envs.State(
-            pipeline_state=after,
+            pipeline_state=(after, jnp.maximum(has_succeeded, success)),
             obs=transition.observation,
             reward=transition.reward,
             done=(transition.terminated | transition.truncated).astype(dtype),
-            metrics={**state.metrics, "success": transition.success.astype(dtype)},
+            metrics={**state.metrics, "success": success * (1.0 - has_succeeded)},
             info={**state.info, "key": jax.random.key_data(later)},
         )
 

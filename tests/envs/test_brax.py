@@ -131,7 +131,7 @@ def test_ours_rolls_under_the_wrappers_of_brax_training():
         state = jax.jit(env.reset)(jax.random.split(jax.random.PRNGKey(0), 3))
         step, dones = jax.jit(env.step), []
         for i in range(41):
-            before = state.pipeline_state
+            before, _ = state.pipeline_state
             action = jnp.full((3, 1), 0.5 * (-1) ** i)
             state = step(state, action)
             dones.append(np.asarray(state.done))
@@ -148,9 +148,24 @@ def test_brax_sees_our_goals():
     own = build(envs.SinglePendulum(), "float32")
     env = BojaxEnv(own)
     state = env.reset(jax.random.key(0))
-    state = state.replace(pipeline_state=jnp.asarray([0.01, 0.0], jnp.float32))
+    state = state.replace(pipeline_state=(jnp.asarray([0.01, 0.0], jnp.float32), state.reward))
     state = env.step(state, jnp.zeros(1, jnp.float32))
     assert (state.reward, state.done, state.metrics["success"]) == (1.0, 1.0, 1.0)
+
+
+def test_a_success_counts_once_in_each_episode():
+    """Upright at the start of each episode of 5 steps, which does not end at the goal."""
+    own = build(envs.SinglePendulum(reward="classic", classic_ends_at_goal=False), "float32")
+    with plain_jax():
+        env = training.wrap(BojaxEnv(own), episode_length=5)
+        state = env.reset(jax.random.split(jax.random.PRNGKey(0), 1))
+        upright = jnp.zeros((1, 2), jnp.float32), jnp.zeros(1, jnp.float32)
+        state = state.replace(pipeline_state=upright, info={**state.info, "first_pipeline_state": upright})
+        step, found = jax.jit(env.step), []
+        for _ in range(10):
+            state = step(state, jnp.zeros((1, 1)))
+            found.append(float(state.metrics["success"][0]))
+    assert found == [1, 0, 0, 0, 0, 1, 0, 0, 0, 0]
 
 
 def test_a_typed_key_begins_the_same_episode_as_a_raw_one():
