@@ -1,8 +1,9 @@
 """A random walk of random length: the smallest experiment that has everything the engine must handle."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -130,7 +131,13 @@ def toy(**settings) -> Toy:
 
 
 def toy_sweep(
-    *points: dict, runs: int = 10, seed: int = 3, record: int = 2, name: str = "toy", **engine
+    *points: dict,
+    runs: int = 10,
+    seed: int = 3,
+    record: int = 2,
+    name: str = "toy",
+    report: Mapping[str, Any] = MappingProxyType({}),
+    **engine,
 ) -> Sweep:
     """A sweep over the given settings; by default two static groups, one of them of two points."""
     settings = points or ({"scale": 1.0}, {"scale": 2.0}, {"max_length": 15})
@@ -151,7 +158,7 @@ def toy_sweep(
         seed=seed,
         record=Record(runs=record),
         engine=EngineConfig(**{"latency": False, **engine}),
-        report={},
+        report=dict(report),
         claims=(),
         base={"experiment": "toy", **settings[0]},
         source=Path("toy.yaml"),

@@ -74,3 +74,21 @@ class Claim(Schema, frozen=True):
         default=None, union_mode="left_to_right", description="value in the thesis, a number or text"
     )
     test: Annotated[Test, Slot("test")] = Field(description="test that decides the claim")
+
+
+Cause = Literal["choice", "slip", "few-runs", "unexplained"]
+
+
+class Explanation(Schema, frozen=True):
+    """Why claims of a sweep are not reproduced or inconclusive, in one paragraph."""
+
+    claims: tuple[str, ...] = Field(strict=False, min_length=1, description="ids of claims of the sweep")
+    cause: Cause = Field(
+        description="choice: one that the thesis leaves open; slip: an error in the thesis or in the code "
+        "behind it; few-runs: the printed numbers rest on too few runs to decide; unexplained: nothing that "
+        "was tried has shown a cause"
+    )
+    text: str = Field(min_length=1, description="cause and evidence, a paragraph of plain text")
+    sweeps: tuple[str, ...] = Field(
+        default=(), strict=False, description="names of the sweeps whose results are the evidence"
+    )

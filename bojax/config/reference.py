@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pydantic
 
 from bojax.config.catalog import kinds, roles
-from bojax.config.claims import Claim, Window
+from bojax.config.claims import Claim, Explanation, Window
 from bojax.config.component import Component, registry
 from bojax.config.describe import settings_of, summary_of
 from bojax.config.settings import EngineConfig, Record, Settings
@@ -30,6 +30,7 @@ _FILES: dict[str, type[pydantic.BaseModel]] = {
     "`engine`": EngineConfig,
     "Further keys of a sweep": SweepFile,
     "`report`": Report,
+    "`explanations` of `report`": Explanation,
     "`claims`": Claim,
     "`window` and `since` of a test": Window,
 }

@@ -13,7 +13,7 @@ from pydantic import Field
 from bojax.config import catalog as _catalog  # noqa: F401 (registers every schema class)
 from bojax.config.axes import Combination, expand, read_axes, split_overrides
 from bojax.config.changed import changed_settings
-from bojax.config.claims import Claim
+from bojax.config.claims import Claim, Explanation
 from bojax.config.component import Component, Schema, Slot, merged
 from bojax.config.errors import (
     ConfigError,
@@ -25,7 +25,7 @@ from bojax.config.errors import (
     shown,
 )
 from bojax.config.figures import TABLES, figure_modules
-from bojax.config.files import STANDARD_INPUT, SUFFIXES, display, find, shipped
+from bojax.config.files import STANDARD_INPUT, SUFFIXES, available, display, find, shipped
 from bojax.config.limits import RUNS
 from bojax.config.origin import Origin
 from bojax.config.overrides import Override, apply, parse_overrides
@@ -129,6 +129,9 @@ class Report(Schema, frozen=True):
     )
     heat_map: tuple[str, str] | None = Field(
         default=None, strict=False, description="the two swept numbers of heat-map"
+    )
+    explanations: tuple[Explanation, ...] = Field(
+        default=(), strict=False, description="why claims are not reproduced or inconclusive"
     )
 
 
@@ -235,6 +238,16 @@ def load_config(
     )
     settings = {"title": path.stem, "runs": 1, **settings}
     return _assemble(path, path.stem, settings, [experiment], experiment, origin, SweepFile())
+
+
+def published_report(name: str) -> Report | None:
+    """The settings of the report of a sweep that is part of bojax; None if none has this name.
+
+    Raises:
+        ConfigError: The file is not readable.
+    """
+    path = {path.stem: path for path in shipped("sweeps").glob("*.yaml")}.get(name)
+    return path and Report.model_validate(read_mapping(path, display(path)).get("report", {}))
 
 
 def validate_experiment(settings: Any) -> Component:
@@ -414,3 +427,15 @@ def _check_claims(sweep: Sweep, file: str) -> None:
                 raise ConfigError(
                     f"{where}.test: got {shown(name)}; unknown {claim.test.by}{allowed_names(name, known)}"
                 )
+    explained = set()
+    for index, explanation in enumerate(sweep.report.get("explanations", ())):
+        where = f"{file}: report.explanations.{index}"
+        for name in explanation["claims"]:
+            if name not in seen:
+                raise ConfigError(f"{where}.claims: got {shown(name)}; unknown id{allowed_names(name, seen)}")
+            if name in explained:
+                raise ConfigError(f"{where}.claims: got {shown(name)}; allowed: one explanation of a claim")
+            explained.add(name)
+        for name in explanation.get("sweeps", ()):
+            if name not in (names := available("sweeps")):
+                raise ConfigError(f"{where}.sweeps: got {shown(name)}{allowed_names(name, names)}")

@@ -10,6 +10,7 @@ from bojax.experiments.settings import Learning, Planning
 from bojax.report import statistics, tables
 from bojax.report.dark import adapted
 from bojax.report.drawing.base import Drawing
+from bojax.report.explanations import explanations_of
 from bojax.report.manifest import Unread
 from bojax.report.source import Results
 from bojax.report.template import fill
@@ -52,6 +53,7 @@ def render(
         counts=tally(tested),
         changed=results.manifest.changes,
         claims=tested,
+        explanations=explanations_of(results.manifest, tested),
         plates=plates,
         ranked=tables.ranked(results),
         outcomes=tables.outcomes(results),

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from bojax.report.explanations import Explained, causes_of, explanations_of
 from bojax.report.manifest import Manifest
 from bojax.report.source import load
 from bojax.report.template import fill
@@ -40,6 +41,7 @@ class Sweep:
 
     manifest: Manifest
     claims: Sequence[TestedClaim]
+    explanations: Sequence[Explained]  # of the claims that are not reproduced, or inconclusive
     report: str  # address of its report, relative to the page; empty if there is none
 
     @property
@@ -97,6 +99,19 @@ class Chapter:
         return [(reference, rows[0].sweep, rows) for (reference, _), rows in found.items()]
 
 
+@dataclass(frozen=True)
+class Paragraph:
+    """An explanation, with the rows of its claims in the order of the thesis."""
+
+    explained: Explained
+    rows: Sequence[Row]
+
+    @property
+    def title(self) -> str:
+        """The figures, tables and sections of its claims."""
+        return joined(dict.fromkeys(row.reference or row.sweep.name for row in self.rows))
+
+
 def reproduction(
     folder: Path, sources: Sequence[Path], command: str, seconds: float, skipped: Mapping[str, str] = {}
 ) -> Path:
@@ -104,7 +119,8 @@ def reproduction(
 
     The sources are results folders, each with the `claims.json` of its report. A folder that is missing,
     unfinished or damaged becomes one line of the page, as does each skipped sweep, by name with the reason.
-    `command` is the command line that ran the sweeps, `seconds` its wall time.
+    `command` is the command line that ran the sweeps, `seconds` its wall time. The explanations of the sweeps
+    (`report.explanations`) follow the tables, also if the results were made before they were written.
 
     Raises:
         ResultsError: The files cannot be written; one line.
@@ -133,7 +149,9 @@ def _read(source: Path, folder: Path) -> Sweep:
     results = load(source)
     manifest = results.manifest.model_copy(update={"name": results.name, "title": results.title})
     report = source / "report.html"
-    return Sweep(manifest, read_claims(source), quote(_relative(report, folder)) if report.is_file() else "")
+    claims = read_claims(source)
+    address = quote(_relative(report, folder)) if report.is_file() else ""
+    return Sweep(manifest, claims, explanations_of(manifest, claims), address)
 
 
 def _relative(path: Path, folder: Path) -> str:
@@ -149,6 +167,7 @@ def _content(
     changed = sum(bool(claim.changed) for claim in claims)
     summary = [
         f"{counted(len(claims), 'claim')}, tested by {counted(len(sweeps), 'sweep')}: {_verdicts(claims)}.",
+        causes_of(each for sweep in sweeps for each in sweep.explanations),
         f"{counted(changed, 'claim')} {'was' if changed == 1 else 'were'} tested with changed settings."
         if changed
         else "",
@@ -163,6 +182,7 @@ def _content(
         "counts": tally(claims),
         "gaps": gaps,
         "chapters": _chapters(sweeps),
+        "paragraphs": _paragraphs(sweeps),
         "changes": _changes(manifests),
         "sweeps": sweeps,
         "seconds": seconds,
@@ -180,6 +200,15 @@ def _chapters(sweeps: Sequence[Sweep]) -> list[Chapter]:
         title = f"Chapter {number}{f': {CHAPTERS[number]}' if number in CHAPTERS else ''}"
         chapters.append(Chapter(title if number else "Other claims", list(members)))
     return chapters
+
+
+def _paragraphs(sweeps: Sequence[Sweep]) -> list[Paragraph]:
+    paragraphs = [
+        Paragraph(each, sorted((Row.of(sweep, claim) for claim in each.claims), key=_order))
+        for sweep in sweeps
+        for each in sweep.explanations
+    ]
+    return sorted(paragraphs, key=lambda paragraph: _order(paragraph.rows[0]))
 
 
 def _order(row: Row) -> tuple[Any, ...]:

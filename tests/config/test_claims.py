@@ -4,6 +4,9 @@ import pydantic
 import pytest
 
 from bojax.config.claims import Claim
+from bojax.config.errors import ConfigError
+from bojax.config.files import available
+from bojax.config.sweep import load_sweep
 
 WINDOW = {"from": 31, "to": 100}
 DEFAULTS = {"phase": "train", "counted_from": "start", "missing": 0.0}
@@ -130,3 +133,41 @@ def test_a_test_reads_as_it_was_written(test):
 def test_what_makes_no_sense_is_refused(test, reason):
     with pytest.raises(pydantic.ValidationError, match=reason):
         validated(test)
+
+
+def explained(*explanations):
+    """A sweep with the claim `a`, its report with explanations."""
+    test = {"kind": "share", "label": "kcbts", "column": "success", "above": 0.5}
+    claim = {"id": "a", "source": "s", "claim": "c", "test": test}
+    given = [{"text": "Because.", "cause": "slip", **each} for each in explanations]
+    return load_sweep({"base": "parking", "claims": [claim], "report": {"explanations": given}})
+
+
+def test_explanations_are_part_of_the_report():
+    (written,) = explained({"claims": ["a"], "sweeps": ["study-ties"]}).report["explanations"]
+    assert written == {"claims": ["a"], "cause": "slip", "text": "Because.", "sweeps": ["study-ties"]}
+
+
+@pytest.mark.parametrize(
+    ("explanations", "reason"),
+    [
+        ([{"claims": ["b"]}], "explanations.0.claims: got .b.; unknown id; allowed: a"),
+        ([{"claims": ["a"]}, {"claims": ["a"]}], "explanations.1.claims: got .a.; allowed: one explanation"),
+        (
+            [{"claims": ["a"], "sweeps": ["study-tie"]}],
+            r"explanations.0.sweeps: got .study-tie.; .*study-ties",
+        ),
+        ([{"claims": ["a"], "cause": "luck"}], "explanations.0.cause: got .luck.; allowed: .choice"),
+        ([{"claims": []}], "explanations.0.claims"),
+    ],
+)
+def test_an_explanation_of_nothing_or_by_nothing_is_refused(explanations, reason):
+    with pytest.raises(ConfigError, match=reason) as error:
+        explained(*explanations)
+    assert "\n" not in str(error.value)
+
+
+def test_published_explanations_are_of_claims_and_by_sweeps_of_bojax():
+    sweeps = [load_sweep(name) for name in available("sweeps")]
+    paragraphs = [each for sweep in sweeps for each in sweep.report.get("explanations", ())]
+    assert paragraphs and all("sweeps" in each for each in paragraphs if each["cause"] == "choice")

@@ -164,7 +164,9 @@ def test_changed_code_is_refused(interrupted, capsys, monkeypatch):
 
 
 def test_segments_and_reports_may_change(interrupted, undisturbed):
-    assert run_sweep_here(interrupted, resume=True, segment_seconds=0.5, checkpoint_seconds=9.0) == 0
+    why = {"claims": ["a"], "cause": "slip", "text": "Written after the sweep began."}
+    changes = {"segment_seconds": 0.5, "checkpoint_seconds": 9.0, "report": {"explanations": [why]}}
+    assert run_sweep_here(interrupted, resume=True, **changes) == 0
     assert contents(interrupted) == contents(undisturbed)
 
 

@@ -8,6 +8,7 @@ import sys
 import pytest
 
 from bojax.cli.main import main
+from bojax.config.sweep import published_report
 from bojax.report.build import build_report
 from bojax.report.reproduction import reproduction
 from bojax.results.store import ResultsError
@@ -61,7 +62,7 @@ def pages(folder, sources, **options):
 
 def cells(text, start):
     """Cells of the row of a Markdown table that contains a text."""
-    (row,) = [line for line in text.splitlines() if start in line]
+    (row,) = [line for line in text.splitlines() if start in line and line.startswith("|")]
     return [cell.strip() for cell in re.split(r"(?<!\\)\|", row)[1:-1]]
 
 
@@ -227,6 +228,57 @@ def test_equal_input_gives_equal_files(tmp_path):
     )
 
 
+WHY = {"claims": ["c", "b"], "cause": "choice", "text": "Because of *it*, by -3.\n", "sweeps": ["study-ties"]}
+OTHER = {"claims": ["a"], "cause": "slip", "text": "Not shown."}
+
+
+def section(text):
+    """The paragraphs on what is not reproduced."""
+    return text.split("## What is not reproduced, and why")[1].split("## Sweeps")[0]
+
+
+def test_what_is_not_reproduced_is_explained_beside_the_numbers(tmp_path):
+    claims = [
+        claim("a", "Fig. 5.6b, p. 131"),
+        claim("b", "Table 4.1, p. 98", "inconclusive"),
+        claim("c", "Fig. 4.4, p. 97", "not reproduced"),
+        claim("d", "Fig. 3.3, p. 74", "not reproduced", changed={"runs": [200, 20]}),
+    ]
+    folder = write(tmp_path / "mine", claims, report={"explanations": [OTHER, WHY]})
+    page, text = pages(tmp_path, [folder])
+    counts = (
+        "Causes of the 2 not reproduced: 1 a choice that the thesis leaves open and 1 unexplained. "
+        "Causes of the 1 inconclusive: 1 a choice that the thesis leaves open."
+    )
+    assert counts in page.text and counts in text.split("## Chapter")[0]
+    assert section(text).strip().split("\n\n") == [
+        "### Fig. 3.3: unexplained",
+        "- statement d; thesis: 0.75; here: 80.0% [74.0%, 85.0%]; **not reproduced**, changed",
+        "### Fig. 4.4 and Table 4.1: a choice that the thesis leaves open",
+        "- statement c; thesis: 0.75; here: 80.0% [74.0%, 85.0%]; **not reproduced**\n"
+        "- statement b; thesis: 0.75; here: 80.0% [74.0%, 85.0%]; inconclusive",
+        "Because of \\*it\\*, by \N{MINUS SIGN}3.",
+        "Evidence: `study-ties`.",
+    ]
+    assert "Because of *it*, by \N{MINUS SIGN}3." in page.text and "Not shown." not in page.text
+
+
+def test_earlier_results_of_a_published_sweep_have_its_explanations(tmp_path):
+    report = published_report("fig-5.6b")
+    assert report is not None and report.explanations, "choose a sweep that has an explanation"
+    (each, *_) = report.explanations
+    verdicts = [claim(name, "Fig. 5.6b", "not reproduced") for name in each.claims]
+    outdated = {"explanations": [{**OTHER, "claims": list(each.claims), "text": "Outdated."}]}
+    folders = [write(tmp_path / "earlier", verdicts, name="fig-5.6b", report=outdated)]
+    page, text = pages(tmp_path, folders)
+    assert " ".join(each.text.split()[:8]) in page.text and "Outdated." not in text
+
+
+def test_no_section_if_all_is_reproduced(tmp_path):
+    page, text = pages(tmp_path, [write(tmp_path / "a", [claim("a", "Fig. 3.1")])])
+    assert "Causes" not in text and "and why" not in text + page.text
+
+
 def test_a_folder_that_cannot_be_written_is_one_line(tmp_path):
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(ResultsError) as error:
@@ -235,9 +287,15 @@ def test_a_folder_that_cannot_be_written_is_one_line(tmp_path):
 
 
 def test_the_page_shows_what_the_report_shows(tmp_path):
-    folder = write_results(tmp_path / "parking", runs=40, recorded=0, report={"figures": ["returns"]})
+    why = {"claims": ["order-fails", "missing"], "cause": "slip", "text": "There are none."}
+    report = {"figures": ["returns"], "explanations": [why]}
+    folder = write_results(tmp_path / "parking", runs=40, recorded=0, report=report)
+    edit_manifest(folder, lambda manifest: manifest.update(name="mine"))
     build_report(folder)
     page, _ = pages(tmp_path, [folder])
+    report = Page((folder / "report.html").read_text())
+    assert "Why: a slip of the thesis. There are none." in report.text
+    assert "#why-order-fails" in report.loaded, "the second claim refers to the first"
     for entry in json.loads((folder / "claims.json").read_text()):
         assert entry["claim"] in page.text and entry["verdict"] in page.text
         if entry["test"]["kind"] == "share":
