@@ -123,7 +123,7 @@ def test_make_targets_exist():
 
 
 def test_the_configuration_page_shows_files_that_load(tmp_path):
-    experiment, kernel, learning, axes, claims = (
+    experiment, kernel, learning, axes, claims, explanations = (
         yaml.safe_load(c) for k, c, _ in blocks(DOCS / "configuration.md") if k == "yaml"
     )
     path = tmp_path / "shown.yaml"
@@ -134,7 +134,7 @@ def test_the_configuration_page_shows_files_that_load(tmp_path):
     path.write_text(yaml.safe_dump(learning))
     shown = load_config(str(path))
     assert shown.record.learners and shown.points[0].config.schedule.episodes == 30
-    path.write_text(yaml.safe_dump({"base": "parking"} | axes | claims))
+    path.write_text(yaml.safe_dump({"base": "parking"} | axes | claims | explanations))
     sweep = load_sweep(str(path))
     assert [point.variant for point in sweep.points[::2]] == ["kcbts", "patient", "sbo-17"]
 
