@@ -59,6 +59,10 @@ class Toy(Experiment):
     def max_advances(self) -> int:
         return -(-self.max_length // STEPS_PER_ADVANCE)
 
+    @property
+    def steps_per_advance(self) -> int:
+        return STEPS_PER_ADVANCE
+
     def init(self, key: Key[Array, ""]) -> Walk:
         length = jax.random.randint(jax.random.fold_in(key, 0), (), 1, self.max_length + 1, jnp.int32)
         zero = jnp.zeros((), jnp.int32)

@@ -81,6 +81,12 @@ class GroupTask:
             self.progress.chunks[chunk.index] = _progress_of(chunk, ChunkState(), self.experiment)
 
     @property
+    def most_steps(self) -> int:
+        """Upper bound of the environment steps that are left, of all runs together."""
+        num_runs = sum(chunk.num_runs for chunk in (*self.chunks, *self.elsewhere))
+        return num_runs * self.experiment.max_advances * self.experiment.steps_per_advance
+
+    @property
     def is_exclusive(self) -> bool:
         """Whether only one chunk can run at a time: its environments are on the host."""
         return self.experiment.is_hosted
@@ -104,7 +110,7 @@ def execute(
     After a requested stop, the chunks that run are paused at a checkpoint, and no further task is yielded.
 
     Args:
-        tasks: The groups with their chunks.
+        tasks: The groups with their chunks, in the order in which they are compiled and run.
         workers: The device of each worker thread.
         progress: Where progress is reported.
         stop: Whether a stop is requested.

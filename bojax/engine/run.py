@@ -17,7 +17,7 @@ from bojax.engine.progress import SweepProgress
 from bojax.engine.remote import Launcher, run_remotely
 from bojax.engine.requests import Request, Target, choose_targets, plan_unfinished
 from bojax.engine.signals import StopRequest
-from bojax.engine.tasks import progress_of, tasks_of
+from bojax.engine.tasks import longest_first, progress_of, tasks_of
 from bojax.results.store import ResultsError
 from bojax.text import error_line
 
@@ -124,17 +124,15 @@ def _execute(
 ) -> None:
     """Run the chunks of all sweeps; merge and finish each sweep once its chunks are done."""
     several = len(journals) > 1
-    tasks = {
-        task: journal
-        for journal in journals
-        for task in tasks_of(journal.share, stop.__bool__, name_sweep=several)
-    }
-    left = {journal: sum(1 for each in tasks.values() if each is journal) for journal in journals}
+    by_sweep = {journal: tasks_of(journal.share, stop.__bool__, name_sweep=several) for journal in journals}
+    journal_of = {task: journal for journal, tasks in by_sweep.items() for task in tasks}
+    tasks = longest_first(by_sweep.values())
+    left = {journal: len(tasks) for journal, tasks in by_sweep.items()}
     workers = workers_of(devices)
     ended = [journal for journal in journals if not left[journal]]  # killed before it was merged
-    with progress_of([journal.share for journal in journals], list(tasks), workers) as progress:
-        for task in execute(list(tasks), workers, progress, stop.__bool__):
-            journal = tasks[task]
+    with progress_of([journal.share for journal in journals], tasks, workers) as progress:
+        for task in execute(tasks, workers, progress, stop.__bool__):
+            journal = journal_of[task]
             left[journal] -= 1
             if not left[journal]:
                 ended.append(journal)

@@ -1,7 +1,7 @@
 """What is left of a sweep for a process to run: its groups, each with the chunks that are not done."""
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 from bojax.engine.chunks import Chunk
 from bojax.engine.devices import Device
@@ -49,6 +49,20 @@ def tasks_of(
             )
         )
     return tasks
+
+
+def longest_first(sweeps: Iterable[Sequence[GroupTask]]) -> list[GroupTask]:
+    """The groups of several sweeps, the longest sweep first, and in it the longest group.
+
+    The length is a bound on the environment steps. The steps of a planner take far longer than those of a
+    tabular learner, so that planning comes too late for its share of the time. But its programs take long to
+    compile, and the learners keep the device busy meanwhile. With short groups last, several devices end at
+    about the same time. The groups of a sweep stay together: its report is written while the next ones run.
+    """
+    by_length = sorted(sweeps, key=lambda tasks: sum(task.most_steps for task in tasks), reverse=True)
+    return [
+        task for tasks in by_length for task in sorted(tasks, key=lambda task: task.most_steps, reverse=True)
+    ]
 
 
 def progress_of(

@@ -65,6 +65,11 @@ class Experiment(eqx.Module):
     def max_advances(self) -> int:
         """Number of advances after which every lane is done."""
 
+    @property
+    def steps_per_advance(self) -> int:
+        """Maximum of environment steps of an advance."""
+        return 1
+
     @abc.abstractmethod
     def init(self, key: Key[Array, ""]) -> Carry:
         """The carry before the first advance."""

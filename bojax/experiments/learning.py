@@ -124,6 +124,11 @@ class LearningRun(Experiment):
     def max_advances(self) -> int:
         return self.episodes
 
+    @property
+    @override
+    def steps_per_advance(self) -> int:
+        return self.env.max_steps
+
     @override
     def init(self, key: Key[Array, ""]) -> RunState:
         learner = self.saved

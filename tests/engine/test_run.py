@@ -12,7 +12,7 @@ import pytest
 
 from bojax.config.errors import ConfigError
 from bojax.config.limits import Limit
-from bojax.engine import batch
+from bojax.engine import batch, execute
 from bojax.engine.requests import Request
 from bojax.engine.run import run_sweeps
 from bojax.results.leases import Leases
@@ -266,6 +266,20 @@ def test_several_sweeps_are_one_plan_and_give_what_each_gives_alone(tmp_path):
     for name, scale in (("first", 1.0), ("second", 3.0)):
         assert run_toy(tmp_path / "alone" / name, {"scale": scale}) == 0
         assert contents(tmp_path / name) == contents(tmp_path / "alone" / name)
+
+
+def test_the_longest_sweep_and_in_it_the_longest_group_are_compiled_first(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(execute, "compile_threads", lambda: 1)
+    lengths = {"short": (18,), "long": (4, 16)}
+    sweeps = [
+        toy_sweep(*({"max_length": each} for each in of_sweep), runs=2, name=name)
+        for name, of_sweep in lengths.items()
+    ]
+    requests = [Request(sweep, tmp_path / sweep.name) for sweep in sweeps]
+    assert run_sweeps(requests, False, ["bojax", "sweep", *lengths]) == 0
+    started = [line for line in capsys.readouterr().err.splitlines() if line.startswith("compiling ")]
+    groups = [("long", 16), ("long", 4), ("short", 18)]
+    assert started == [f"compiling {name}: max_length={length} ..." for name, length in groups]
 
 
 def test_a_failed_sweep_does_not_stop_the_others_and_is_tried_again(tmp_path, capsys, monkeypatch):
