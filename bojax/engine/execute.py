@@ -180,19 +180,25 @@ class _Executor:
         unfinished = [(i, task) for i, task in enumerate(self._tasks) if task.chunks or task.running]
         for i, task in unfinished[:AHEAD]:
             device = self._devices[i % len(self._devices)]
-            self._request(task, device, task.layout.lanes, priority=i)
+            self._request(task, device, task.layout.lanes)
 
-    def _request(self, task: GroupTask, device: Device, width: int, priority: int = 0) -> None:
-        key = (task, device, width)
-        self._ahead.request(key, lambda: self._compile(task, device, width), priority)
+    def _request(self, task: GroupTask, device: Device, width: int, compiled: Programs | None = None) -> None:
+        self._ahead.request(
+            (task, device, width),
+            lambda: self._compile(task, device, width, compiled),
+            self._tasks.index(task),
+        )
 
-    def _compile(self, task: GroupTask, device: Device, width: int) -> Programs:
+    def _compile(self, task: GroupTask, device: Device, width: int, compiled: Programs | None) -> Programs:
+        """Compile the programs of a group, or load those that another device has compiled."""
         is_first = width == task.layout.lanes
-        if is_first:
+        for other in self._devices:
+            if compiled is None and self._ahead.is_ready((task, other, width)):
+                compiled = self._programs(task, other, width)
+        if compiled is not None:
+            compiled.keep()
+        elif is_first:
             self._progress.compiling(task.progress)
-        for other in self._devices:  # from which these programs are then loaded
-            if other != device and self._ahead.is_ready((task, other, width)):
-                self._programs(task, other, width).keep()
         kind = Hosted if task.experiment.is_hosted else Programs
         programs = kind(
             task.functions,
@@ -202,10 +208,12 @@ class _Executor:
             recorded=task.recorded,
             fills=is_first,
         )
-        if is_first:
+        if is_first and compiled is None:
             self._progress.compiled(task.progress, programs.compile_seconds)
             for narrower in task.layout.widths[1:]:  # needed after the first runs have ended
                 self._request(task, device, narrower)
+        for other in self._devices if len(task.chunks) > 1 else ():  # which will take some of them
+            self._request(task, other, width, programs)
         key = task, device, width, "kept"
         self._ahead.request(key, programs.keep, LAST)
         self._kept.append(key)
