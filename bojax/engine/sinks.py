@@ -111,7 +111,7 @@ class FolderSink(Sink):
 
     @override
     def finish(self) -> None:
-        self.state.is_done, self.state.checkpoint = True, None
+        self.state.finish()
         self._files.commit()
 
 
@@ -158,7 +158,8 @@ class MemorySink(Sink):
 
     @override
     def finish(self) -> None:
-        self.state.is_done, self.state.checkpoint, self._checkpoint = True, None, None
+        self.state.finish()
+        self._checkpoint = None
 
 
 def _copy(carry: Carry) -> Carry:

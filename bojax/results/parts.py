@@ -3,7 +3,7 @@
 import os
 import re
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +55,10 @@ class ChunkState:
     is_done: bool = False
     segments: list[list[float]] = field(default_factory=list)
     files: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    def finish(self) -> None:
+        """Note that the chunk is done; what only a resumed chunk needs is dropped."""
+        self.is_done, self.checkpoint, self.lanes, self.started = True, None, [], []
 
 
 class ChunkFolder:
@@ -213,7 +217,7 @@ class ChunkFolder:
         return self.path / "state.json"
 
     def _write_state(self) -> None:
-        write_checked_json(self._state_file, {"chunk": self._chunk, **asdict(self.state)})
+        write_checked_json(self._state_file, {"chunk": self._chunk, **vars(self.state)})
 
     def _read_state(self) -> ChunkState:
         try:
