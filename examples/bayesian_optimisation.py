@@ -5,16 +5,15 @@ import jax
 import jax.numpy as jnp
 
 from bojax.acquisition.bayesian_optimisation import BayesianOptimisation
-from bojax.acquisition.functions import LogExpectedImprovement
 from bojax.models.kernels import Matern52
 
 jax.config.update("jax_enable_x64", True)
 search = BayesianOptimisation(
-    kernel=Matern52(jnp.asarray(0.5)),  # in units of the box, mapped to [-1, 1]^D, and of standardised values
-    acquisition=LogExpectedImprovement(xi=jnp.asarray(0.0)),
-    noise_variance=jnp.asarray(1e-4),
-    low=jnp.asarray([-5.0, 0.0]),
-    high=jnp.asarray([10.0, 15.0]),
+    kernel=Matern52(0.5),  # in units of the box, mapped to [-1, 1]^D, and of standardised values
+    acquisition="log-ei",
+    noise_variance=1e-4,
+    low=[-5, 0],
+    high=[10, 15],
     capacity=30,
 )
 

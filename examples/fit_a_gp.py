@@ -15,11 +15,11 @@ y = jnp.sin(2.0 * x[:, 0]) + 0.1 * jax.random.normal(key_noise, (30,))
 
 
 @eqx.filter_jit  # compiled as one program; without it, every operation is one
-def fit(kernel, noise_variance, x, y):
+def fit(kernel, x, y):
     """A process on 30 observations, with room for 40."""
-    gp = GaussianProcess.fit(kernel, noise_variance, x[:20], y[:20], capacity=40)  # all at once
+    gp = GaussianProcess.fit(kernel, 0.05, x[:20], y[:20], capacity=40)  # all at once
     gp = gp.update(x[20], y[20])  # one more
-    return gp.extend(x[21:], y[21:], is_valid=jnp.ones(9, bool))  # several more
+    return gp.extend(x[21:], y[21:])  # several more
 
 
 @eqx.filter_jit
@@ -29,9 +29,7 @@ def describe(gp, key, queries):
     return mean, jnp.sqrt(variance), gp.predict_gradient(queries), gp.sample(key, queries, 2)
 
 
-kernel = Scaled(RBF(lengthscale=jnp.ones(2)), variance=jnp.asarray(1.0))
-noise_variance = jnp.asarray(0.05)
-gp = fit(kernel, noise_variance, x, y)
+gp = fit(Scaled(RBF([1.0, 1.0]), 1.0), x, y)
 
 learned, optimum = eqx.filter_jit(relearn)(gp, key_starts)
 evidence = eqx.filter_jit(GaussianProcess.log_marginal_likelihood)
@@ -46,5 +44,5 @@ print("two draws:", draws.ravel())
 
 # A noise variance for each observation: the right half was measured with a worse sensor.
 own_noise = jnp.where(x[:, 0] < 0.0, 0.01, 0.25)
-uneven = eqx.filter_jit(GaussianProcess.fit)(learned.kernel, noise_variance, x, y, noise_variances=own_noise)
+uneven = eqx.filter_jit(GaussianProcess.fit)(learned.kernel, 0.05, x, y, noise_variances=own_noise)
 print("mean with uneven noise:", eqx.filter_jit(GaussianProcess.predict)(uneven, queries)[0])

@@ -15,22 +15,20 @@ x = jax.random.uniform(key_x, (500, 1), minval=-3.0, maxval=3.0)
 y = jnp.sin(2.0 * x[:, 0]) + 0.1 * jax.random.normal(key_noise, (500,))
 queries = jnp.asarray([[0.0], [0.8]])
 
-one = jnp.asarray(1.0)
-
 
 @eqx.filter_jit  # compiled as one program; without it, every operation is one
 def polynomials(x, y, queries):
     """Least squares (2.8) and its maximum a posteriori estimate (2.14), on the powers of x."""
     cubic = Polynomial(degree=3, num_dims=1)
     design, at_queries = cubic.design(x), cubic.design(queries)
-    ridge = LinearRegression.fit_map(design, y, prior_precision=one, noise_precision=4.0 * one)
+    ridge = LinearRegression.fit_map(design, y, prior_precision=1, noise_precision=4)
     return LinearRegression.fit(design, y).predict(at_queries), ridge.predict(at_queries)
 
 
 @eqx.filter_jit
 def bayesian(key, x, y, queries):
     """The posterior of the weights (2.13), on features whose inner product approximates a kernel."""
-    fourier = RandomFourier.draw(key, RBF(one), num_features=64, num_dims=1)
+    fourier = RandomFourier.draw(key, RBF(1.0), num_features=64, num_dims=1)
     design, at_queries = fourier.design(x), fourier.design(queries)
     alpha, beta = maximise_evidence(design, y)  # both precisions, by type-II maximum likelihood
     batch = BayesianLinearRegression.fit(design, y, alpha, beta)  # (2.14, 2.15)

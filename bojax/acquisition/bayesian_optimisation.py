@@ -25,6 +25,7 @@ from bojax.models.checks import (
 from bojax.models.evidence import log_normal_prior, relearn
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Kernel
+from bojax.models.names import by_name
 from bojax.numerics.quasirandom import shifted_kronecker
 
 PRIOR_SPREAD = 1.5
@@ -67,8 +68,8 @@ class BayesianOptimisation(eqx.Module):
     ask for nearly the same point again, so the next point is quasi-random.
 
     Attributes:
-        kernel: Covariance of the values.
-        acquisition: Acquisition function.
+        kernel: Covariance of the values, an object or a name, such as `"matern52"`.
+        acquisition: Acquisition function, an object or a name, such as `"log-ei"`.
         noise_variance: Noise variance of an observation, relative to the variance of the observed values.
         low: Lower corner of the box.
         high: Upper corner of the box.
@@ -81,8 +82,8 @@ class BayesianOptimisation(eqx.Module):
             logarithm.
     """
 
-    kernel: Kernel
-    acquisition: Acquisition
+    kernel: Kernel = eqx.field(converter=by_name("kernel"))
+    acquisition: Acquisition = eqx.field(converter=by_name("acquisition"))
     noise_variance: Float[Array, ""] = eqx.field(converter=as_numbers("noise_variance"))
     low: Float[Array, "D"] = eqx.field(converter=as_numbers("low"))
     high: Float[Array, "D"] = eqx.field(converter=as_numbers("high"))

@@ -5,8 +5,12 @@ The schema classes of a package's parts are in its module `settings`, which load
 
 import importlib
 from pathlib import Path
+from typing import Annotated, Any
 
-from bojax.config.component import Component, registry
+import pydantic
+
+from bojax.config.component import Component, Slot, registry
+from bojax.config.errors import dotted, from_validation
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 
@@ -30,3 +34,16 @@ def roles() -> dict[str, type[Component]]:
 def kinds(role: str) -> dict[str, type[Component]]:
     """The built-in schema classes of a role, by kind."""
     return {kind: schema for kind, schema in registry.get(role, {}).items() if issubclass(schema, Component)}
+
+
+def named(role: str, part: Any) -> Component:
+    """The settings of a part that is given as in a config, by its name or as a mapping.
+
+    Raises:
+        ConfigError: There is no such part, or its settings are wrong.
+    """
+    slot: Any = Annotated[Component, Slot(role)]
+    try:
+        return pydantic.TypeAdapter(slot).validate_python(part)
+    except pydantic.ValidationError as error:
+        raise from_validation(error, lambda location: dotted((role, *location))) from error

@@ -1,5 +1,6 @@
 """Base classes of settings: one frozen pydantic class per kind of part, registered by its definition."""
 
+import importlib
 import inspect
 import re
 from collections.abc import Collection, Iterator, Mapping
@@ -103,6 +104,12 @@ class Component(Registered, frozen=True):
     def imported_module(self) -> tuple[str, str] | None:
         """The module outside bojax that is imported to build the part, and the setting that names it."""
         return None
+
+
+def import_target(target: str) -> type:
+    """The class at `package.module:Class`."""
+    module, _, name = target.partition(":")
+    return getattr(importlib.import_module(module), name)
 
 
 class External(Component, frozen=True):

@@ -1,7 +1,6 @@
 """From settings to modules: import a component's target and construct it with strongly typed arrays."""
 
 import dataclasses
-import importlib
 import inspect
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import PyTree
 
-from bojax.config.component import IMPORT_PATH, Component, External
+from bojax.config.component import IMPORT_PATH, Component, External, import_target
 from bojax.config.errors import ConfigError, dotted, shown
 from bojax.config.external import error_at_line
 from bojax.engine.devices import setting
@@ -55,12 +54,6 @@ def _load(folder: str, run: Any) -> PyTree:
         "a saved learner loads only with the same kind of learner, features and spaces of the environment"
     )
     return restore(Path(folder), structure, advice)
-
-
-def import_target(target: str) -> type:
-    """The class at `package.module:Class`."""
-    module, _, name = target.partition(":")
-    return getattr(importlib.import_module(module), name)
 
 
 def _build(component: Component, dtype: str, path: tuple[str, ...]) -> Any:

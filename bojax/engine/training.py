@@ -8,21 +8,19 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import count
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pyarrow as pa
-import pydantic
 from rich.console import Console
 from typing_extensions import override
 
-from bojax.config.catalog import roles
-from bojax.config.component import Component, Slot
-from bojax.config.errors import dotted, from_validation
-from bojax.engine.build import build, import_target
+from bojax.config.catalog import named, roles
+from bojax.config.component import Component, import_target
+from bojax.engine.build import build
 from bojax.engine.chunks import choose_layout, cut
 from bojax.engine.devices import find_devices, workers_of
 from bojax.engine.execute import GroupTask, execute
@@ -195,9 +193,4 @@ def _run(experiment: LearningRun, runs: int, seed: int, callback: Callback | Non
 def _part(role: str, part: Any, dtype: Literal["float64", "float32"]) -> Any:
     if isinstance(part, import_target(roles()[role].protocol)):
         return part
-    slot: Any = Annotated[Component, Slot(role)]
-    try:
-        settings = pydantic.TypeAdapter(slot).validate_python(part)
-    except pydantic.ValidationError as error:
-        raise from_validation(error, lambda location: dotted((role, *location))) from error
-    return build(settings, dtype)
+    return build(named(role, part), dtype)

@@ -1,11 +1,14 @@
 """Bayesian linear regression: batch and sequential posteriors, the evidence, and its maximum."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float, Int
 
+from bojax.models.checks import Numbers, precision, to_data, to_numbers, to_points
 from bojax.numerics.linalg import covariance_floor, matmul, matmul_on_tensor_cores
 
 NUM_RATIOS = 128
@@ -28,6 +31,9 @@ class BayesianLinearRegression(eqx.Module):
     the observation furthest below its floor, which preserves the relative weights of the observations. In
     sequential updates at the floor, longer feature vectors therefore weigh less.
 
+    Features, targets, precisions and weights may be Python numbers, lists, or arrays of NumPy or JAX. They
+    are converted to the precision of the features in `fit`, and of the model in updates and predictions.
+
     Attributes:
         mean: Mean of the weights, with a column for each target if several targets share the features.
         base: Covariance of the weights at the last flush.
@@ -46,8 +52,8 @@ class BayesianLinearRegression(eqx.Module):
     def prior(
         cls,
         num_features: int,
-        prior_precision: Float[Array, ""],
-        noise_precision: Float[Array, ""],
+        prior_precision: Float[Array, ""] | Numbers,
+        noise_precision: Float[Array, ""] | Numbers,
         *,
         num_targets: int | None = None,
         block: int = 0,
@@ -69,25 +75,26 @@ class BayesianLinearRegression(eqx.Module):
                 raise ValueError(f"{name}: got {number}; allowed: >= {least}")
         if num_targets is not None and num_targets < 1:
             raise ValueError(f"num_targets: got {num_targets}; allowed: >= 1 or None")
-        dtype = prior_precision.dtype
+        dtype = precision(prior_precision, noise_precision)
+        prior_precision = to_numbers("prior_precision", prior_precision, dtype)
         targets = () if num_targets is None else (num_targets,)
         return cls(
             mean=jnp.zeros((num_features, *targets), dtype),
             base=jnp.eye(num_features, dtype=dtype) / prior_precision,
             rows=jnp.zeros((block, num_features), dtype),
             prior_precision=prior_precision,
-            noise_precision=noise_precision,
+            noise_precision=to_numbers("noise_precision", noise_precision, dtype),
         )
 
     @classmethod
     def fit(
         cls,
-        features: Float[Array, "N M"],
-        targets: Float[Array, "N *K"],
-        prior_precision: Float[Array, ""],
-        noise_precision: Float[Array, ""],
+        features: Float[Array, "N M"] | Numbers,
+        targets: Float[Array, "N *K"] | Numbers,
+        prior_precision: Float[Array, ""] | Numbers,
+        noise_precision: Float[Array, ""] | Numbers,
         *,
-        sample_weight: Float[Array, "N"] | None = None,
+        sample_weight: Float[Array, "N"] | Numbers | None = None,
         block: int = 0,
     ) -> "BayesianLinearRegression":
         """The posterior given all observations at once (2.14, 2.15); differentiable.
@@ -96,10 +103,11 @@ class BayesianLinearRegression(eqx.Module):
         its condition number is the square root of that of the precision matrix. The arguments are those of
         `prior` and `update`.
         """
-        num_observations, num_features = features.shape
+        features, targets = to_data(features, targets)
+        num_features, dtype = features.shape[1], features.dtype
+        prior_precision = to_numbers("prior_precision", prior_precision, dtype)
         prior = cls.prior(num_features, prior_precision, noise_precision, block=block)
-        if sample_weight is None:
-            sample_weight = jnp.ones((num_observations,), features.dtype)
+        sample_weight = _weights(sample_weight, features)
         features, targets = _where_seen(sample_weight, features), _where_seen(sample_weight, targets)
         scale = jnp.sqrt(prior._precisions(features, sample_weight))
         factor, rotated = _triangular(
@@ -110,8 +118,8 @@ class BayesianLinearRegression(eqx.Module):
             mean=matmul(inverse, rotated),
             base=_symmetric(matmul(inverse, inverse.T)),
             rows=prior.rows,
-            prior_precision=prior_precision,
-            noise_precision=noise_precision,
+            prior_precision=prior.prior_precision,
+            noise_precision=prior.noise_precision,
         )
 
     @property
@@ -145,10 +153,10 @@ class BayesianLinearRegression(eqx.Module):
 
     def update(
         self,
-        features: Float[Array, "M"],
-        target: Float[Array, "*K"],
+        features: Float[Array, "M"] | Numbers,
+        target: Float[Array, "*K"] | Numbers,
         *,
-        sample_weight: Float[Array, ""] | None = None,
+        sample_weight: Float[Array, ""] | Numbers | None = None,
         product: Float[Array, "M"] | None = None,
         step_in_block: Int[Array, ""] | int | None = None,
     ) -> "BayesianLinearRegression":
@@ -168,6 +176,10 @@ class BayesianLinearRegression(eqx.Module):
                 the block to write; preferably the same in every run of a batch. By default all rows move up
                 by one, which costs 3 to 5% of a step with several hundred features on a GPU.
         """
+        dtype = self.mean.dtype
+        features, target = to_numbers("features", features, dtype), to_numbers("target", target, dtype)
+        if sample_weight is not None:
+            sample_weight = to_numbers("sample_weight", sample_weight, dtype)
         row, gain = self._gain(features, sample_weight, product)
         residual = target - matmul(features, self.mean)
         if sample_weight is not None:
@@ -183,18 +195,18 @@ class BayesianLinearRegression(eqx.Module):
 
     def update_batch(
         self,
-        features: Float[Array, "N M"],
-        targets: Float[Array, "N *K"],
+        features: Float[Array, "N M"] | Numbers,
+        targets: Float[Array, "N *K"] | Numbers,
         *,
-        sample_weight: Float[Array, "N"] | None = None,
+        sample_weight: Float[Array, "N"] | Numbers | None = None,
     ) -> "BayesianLinearRegression":
         """The posterior after several more observations, as by an `update` with each of them in any order.
 
         Also in gain form: the factorised matrix has the size of the batch, not of the model. The update is
         applied to `base` at once and occupies no row of the block.
         """
-        if sample_weight is None:
-            sample_weight = jnp.ones((len(features),), features.dtype)
+        features, targets = to_data(features, targets, self.mean.dtype)
+        sample_weight = _weights(sample_weight, features)
         features, targets = _where_seen(sample_weight, features), _where_seen(sample_weight, targets)
         scale = jnp.sqrt(self._precisions(features, sample_weight))
         scaled = _times_rows(scale, features)
@@ -212,12 +224,13 @@ class BayesianLinearRegression(eqx.Module):
         return self._with(self.mean, self.covariance, jnp.zeros_like(self.rows))
 
     def predict(
-        self, features: Float[Array, "N M"], *, with_noise: bool = False
+        self, features: Float[Array, "N M"] | Numbers, *, with_noise: bool = False
     ) -> tuple[Float[Array, "N *K"], Float[Array, "N"]]:
         """Predictive mean and variance (2.17, 2.18) of the noise-free value, or of a noisy observation.
 
         The variance is the same for all targets.
         """
+        features = to_points("features", features, self.mean.dtype, len(self.mean))
         variance = jnp.maximum(jnp.sum(features * self.covariance_times(features), axis=1), 0.0)
         if with_noise:
             variance = variance + 1.0 / self.noise_precision
@@ -254,12 +267,15 @@ class BayesianLinearRegression(eqx.Module):
 
 
 def log_marginal_likelihood(
-    features: Float[Array, "N M"],
-    targets: Float[Array, "N"],
-    prior_precision: Float[Array, ""],
-    noise_precision: Float[Array, ""],
+    features: Float[Array, "N M"] | Numbers,
+    targets: Float[Array, "N"] | Numbers,
+    prior_precision: Float[Array, ""] | Numbers,
+    noise_precision: Float[Array, ""] | Numbers,
 ) -> Float[Array, ""]:
     """Logarithm of the evidence, ln p(t | alpha, beta): the negative of (2.23); differentiable."""
+    features, targets = to_data(features, targets)
+    prior_precision = to_numbers("prior_precision", prior_precision, features.dtype)
+    noise_precision = to_numbers("noise_precision", noise_precision, features.dtype)
     num_observations, num_features = features.shape
     scale = jnp.sqrt(noise_precision)
     factor, rotated = _triangular(scale * features, scale * targets, prior_precision)
@@ -275,7 +291,7 @@ def log_marginal_likelihood(
 
 
 def maximise_evidence(
-    features: Float[Array, "N M"], targets: Float[Array, "N"]
+    features: Float[Array, "N M"] | Numbers, targets: Float[Array, "N"] | Numbers
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """The prior precision and the noise precision of highest evidence: type-II maximum likelihood.
 
@@ -289,6 +305,7 @@ def maximise_evidence(
     Raises:
         ValueError: There are no observations.
     """
+    features, targets = to_data(features, targets)
     num_observations = len(targets)
     if not num_observations:
         raise ValueError("observations: got 0; allowed: >= 1, since the evidence is constant without any")
@@ -324,6 +341,13 @@ def maximise_evidence(
     ratio = power * jnp.exp(jnp.mean(bracket))
     noise_precision = 1.0 / noise_variance(ratio / (ratio + singular**2))[1]
     return ratio * noise_precision, noise_precision
+
+
+def _weights(sample_weight: Any, features: Float[Array, "N M"]) -> Float[Array, "N"]:
+    """The weights of observations, 1 by default."""
+    if sample_weight is None:
+        return jnp.ones((len(features),), features.dtype)
+    return to_numbers("sample_weight", sample_weight, features.dtype)
 
 
 def _triangular(features, targets, prior_precision) -> tuple[Float[Array, "M M"], Float[Array, "M *K"]]:

@@ -1,20 +1,85 @@
-"""Checks of a user's inputs to a model, on the host; every failure names the allowed values in one line."""
+"""A user's inputs to a model: conversion to arrays, and checks on the host.
+
+Every failure names the allowed values in one line.
+"""
 
 import math
 import numbers
 import operator
 import reprlib
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, TypeAlias
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jaxtyping import PyTree
+from jaxtyping import Array, Float, PyTree
 
 from bojax.text import one_line
+
+Numbers: TypeAlias = np.ndarray | np.generic | Sequence[Any] | float | int
+"""What may be given instead of an array of JAX: Python numbers, lists of them, and arrays of NumPy."""
+
+
+def precision(*trees: PyTree) -> Any:
+    """Data type of the first floating-point array in the trees, or JAX's default if there is none."""
+    leaves = (leaf for leaf in jax.tree.leaves(trees) if eqx.is_inexact_array(leaf))
+    return next((jax.dtypes.canonicalize_dtype(leaf.dtype) for leaf in leaves), jnp.result_type(float))
+
+
+def to_numbers(name: str, given: Any, dtype: Any) -> Array:
+    """Numbers as an array of a precision.
+
+    Raises:
+        ValueError: They are not an array of real numbers.
+    """
+    return as_numbers(name)(given).astype(dtype)
+
+
+def to_points(name: str, given: Any, dtype: Any, num_dims: int | None = None) -> Float[Array, "N D"]:
+    """Points as the rows of an array of a precision.
+
+    On a line, a point may be given as one number, and several points as a list of numbers.
+
+    Raises:
+        ValueError: They are not an array of real numbers, or have another number of dimensions.
+    """
+    array = to_numbers(name, given, dtype)
+    rows = array.reshape(-1, 1) if array.ndim < 2 else array
+    if rows.ndim != 2 or num_dims not in (None, rows.shape[1]):
+        allowed = "[points, dimensions]" if num_dims is None else f"[points, {num_dims}]"
+        raise ValueError(f"{name}: got shape {array.shape}; allowed: {allowed}")
+    return rows
+
+
+def to_data(
+    features: Any, targets: Any, dtype: Any = None
+) -> tuple[Float[Array, "N M"], Float[Array, "N *K"]]:
+    """Features and targets as arrays of a precision, by default that of the features.
+
+    Raises:
+        ValueError: They are not arrays of real numbers, or there are not as many targets as rows of features.
+    """
+    dtype = precision(features) if dtype is None else dtype
+    features, targets = to_points("features", features, dtype), to_numbers("targets", targets, dtype)
+    if targets.shape[:1] != features.shape[:1]:
+        allowed = f"{len(features)} rows, one for each row of features"
+        raise ValueError(f"targets: got shape {targets.shape}; allowed: {allowed}")
+    return features, targets
+
+
+def to_point(name: str, given: Any, dtype: Any, num_dims: int) -> Float[Array, "D"]:
+    """One point as an array of a precision; on a line it may be one number.
+
+    Raises:
+        ValueError: It is not an array of real numbers, or has another number of dimensions.
+    """
+    array = jnp.atleast_1d(to_numbers(name, given, dtype))
+    if array.shape != (num_dims,):
+        raise ValueError(f"{name}: got shape {array.shape}; allowed: {num_dims} numbers")
+    return array
 
 
 def as_numbers(name: str) -> Callable[[Any], Any]:

@@ -29,7 +29,7 @@ from bojax.models.checks import (
 from bojax.models.evidence import relearn
 from bojax.models.features import Features, Polynomial
 from bojax.models.gaussian_process import GaussianProcess
-from bojax.models.kernels import RBF, Kernel, Scaled
+from bojax.models.kernels import Kernel, KernelName, Scaled, as_kernel
 from bojax.models.means import Mean, ZeroMean
 
 Regressor = TypeVar("Regressor", bound="_Regressor")
@@ -133,8 +133,9 @@ class GaussianProcessRegressor(_Regressor):
     and `has_converged_` (None if nothing is learned).
 
     Args:
-        kernel: Prior covariance; by default `Scaled(RBF)` with a lengthscale for each column. Its
-            hyper-parameters are the first starting point of the search, or are kept if nothing is learned.
+        kernel: Prior covariance. The name of a stationary kernel, such as `"matern52"`, means this kernel
+            with a lengthscale of 1 for each column, scaled by a variance of 1. The hyper-parameters are the
+            first starting point of the search, or are kept if nothing is learned.
         noise_variance: Variance of the observation noise, treated like the hyper-parameters of the kernel.
         mean: Prior mean, which is not learned; zero by default.
         optimise: Whether `fit` learns the kernel's hyper-parameters and the noise variance
@@ -147,7 +148,7 @@ class GaussianProcessRegressor(_Regressor):
 
     def __init__(
         self,
-        kernel: Kernel | None = None,
+        kernel: Kernel | KernelName = "rbf",
         noise_variance: float = 0.1,
         mean: Mean | None = None,
         *,
@@ -181,9 +182,11 @@ class GaussianProcessRegressor(_Regressor):
         dtype = self._dtype()
         X, y = self._data(X, y, dtype)
         number, num_dims = X.shape
-        kernel = Scaled(RBF(jnp.ones(num_dims)), jnp.ones(())) if self.kernel is None else self.kernel
+        kernel = self.kernel
+        if isinstance(kernel, str):
+            kernel = Scaled(as_kernel({"kind": kernel, "lengthscale": [1.0] * num_dims}), 1.0)
+        kernel = as_kernel(kernel)
         mean = ZeroMean() if self.mean is None else self.mean
-        check_kind("kernel", kernel, Kernel, "RBF(1.0)")
         check_kind("mean", mean, Mean, "ConstantMean(1.0)")
         kernel, mean = cast(kernel, dtype), cast(mean, dtype)
         check_positive("kernel", kernel)

@@ -12,7 +12,19 @@ from jax.scipy.special import erf, ndtri
 from jaxtyping import Array, Float, Key
 from typing_extensions import override
 
-from bojax.models.kernels import RBF, Kernel, Matern12, Matern32, Matern52, Product, Scaled, Sum
+from bojax.models.checks import Numbers, precision, to_points
+from bojax.models.kernels import (
+    RBF,
+    Kernel,
+    KernelName,
+    Matern12,
+    Matern32,
+    Matern52,
+    Product,
+    Scaled,
+    Sum,
+    as_kernel,
+)
 from bojax.numerics.linalg import matmul
 from bojax.numerics.quasirandom import inside_the_cube, scrambled_halton
 
@@ -35,9 +47,9 @@ class Features(eqx.Module):
     def __call__(self, x: Float[Array, "D"]) -> Float[Array, "M"]:
         """The features of one input."""
 
-    def design(self, xs: Float[Array, "N D"]) -> Float[Array, "N M"]:
-        """The design matrix: a row of features for each input."""
-        return jax.vmap(self)(xs)
+    def design(self, xs: Float[Array, "N D"] | Numbers) -> Float[Array, "N M"]:
+        """The design matrix: a row of features for each input; the inputs may be lists, too."""
+        return jax.vmap(self)(to_points("xs", xs, precision(self, xs)))
 
 
 class RandomFourier(Features):
@@ -60,7 +72,7 @@ class RandomFourier(Features):
     def draw(
         cls,
         key: Key[Array, ""],
-        kernel: Kernel,
+        kernel: Kernel | KernelName,
         num_features: int,
         num_dims: int,
         *,
@@ -75,7 +87,8 @@ class RandomFourier(Features):
 
         Args:
             key: Random key.
-            kernel: Composed of `RBF`, `Matern12`, `Matern32`, `Matern52`, `Scaled`, `Sum` and `Product`.
+            kernel: A name, or composed of `RBF`, `Matern12`, `Matern32`, `Matern52`, `Scaled`, `Sum` and
+                `Product`.
             num_features: Number of features M, which is even and at least 2 for each term of a sum.
             num_dims: Number of dimensions of the input.
             sampling: `quasi-random` takes points of a scrambled Halton sequence, which cover the density
@@ -85,7 +98,7 @@ class RandomFourier(Features):
             ValueError: A number is out of range, or a lengthscale has another number of dimensions.
             TypeError: The spectral density of a part of the kernel is not known.
         """
-        terms = _terms(kernel)
+        terms = _terms(as_kernel(kernel))
         if num_features < 2 * len(terms) or num_features % 2:
             raise ValueError(f"num_features: got {num_features}; allowed: even, >= {2 * len(terms)}")
         _refuse_below(1, "num_dims", num_dims)

@@ -7,7 +7,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from bojax.models.kernels import Kernel
+from bojax.models.checks import Numbers, precision, to_numbers, to_point, to_points
+from bojax.models.kernels import Kernel, KernelName, as_kernel
 from bojax.models.means import Mean, ZeroMean
 from bojax.numerics.linalg import eigh, guarded_cholesky, inverse_cholesky, matmul, noise_floor
 
@@ -20,6 +21,9 @@ class GaussianProcess(eqx.Module):
     Rows past `count` are zero, in the data and in the factor, and drop out of every product. An update
     appends one row to the inverse Cholesky factor and needs neither a triangular solve nor a refit. An
     observed value of NaN makes every later mean NaN; an input of NaN makes every later variance NaN as well.
+
+    Inputs, values and noise variances may be Python numbers, lists, or arrays of NumPy or JAX. They are
+    converted to the precision of the kernel. Inputs of one dimension may be given without their last axis.
 
     Attributes:
         kernel: Prior covariance.
@@ -43,17 +47,18 @@ class GaussianProcess(eqx.Module):
     @classmethod
     def prior(
         cls,
-        kernel: Kernel,
-        noise_variance: Float[Array, ""],
+        kernel: Kernel | KernelName,
+        noise_variance: Float[Array, ""] | Numbers,
         capacity: int,
         num_dims: int,
         mean: Mean = NO_MEAN,
     ) -> "GaussianProcess":
         """The prior, without observations and with room for `capacity` of them."""
-        dtype = noise_variance.dtype
+        kernel = as_kernel(kernel)
+        dtype = precision(kernel, noise_variance)
         return cls(
             kernel=kernel,
-            noise_variance=noise_variance,
+            noise_variance=to_numbers("noise_variance", noise_variance, dtype),
             x=jnp.zeros((capacity, num_dims), dtype),
             y=jnp.zeros((capacity,), dtype),
             inverse_cholesky=jnp.zeros((capacity, capacity), dtype),
@@ -64,20 +69,20 @@ class GaussianProcess(eqx.Module):
     @classmethod
     def fit(
         cls,
-        kernel: Kernel,
-        noise_variance: Float[Array, ""],
-        x: Float[Array, "n D"],
-        y: Float[Array, "n"],
+        kernel: Kernel | KernelName,
+        noise_variance: Float[Array, ""] | Numbers,
+        x: Float[Array, "n D"] | Numbers,
+        y: Float[Array, "n"] | Numbers,
         *,
         mean: Mean = NO_MEAN,
         count: Int[Array, ""] | None = None,
         capacity: int | None = None,
-        noise_variances: Float[Array, "n"] | None = None,
+        noise_variances: Float[Array, "n"] | Numbers | None = None,
     ) -> "GaussianProcess":
         """The posterior given all observations at once, by a Cholesky factor; differentiable.
 
         Args:
-            kernel: Prior covariance.
+            kernel: Prior covariance, an object or a name, such as `"rbf"`.
             noise_variance: Variance of the observation noise.
             x: Inputs.
             y: Observed values.
@@ -87,9 +92,15 @@ class GaussianProcess(eqx.Module):
             noise_variances: Noise variance of each observation, instead of `noise_variance`.
 
         Raises:
-            ValueError: There are more rows than the capacity.
+            ValueError: There are more rows than the capacity, or not as many values as inputs.
         """
+        kernel = as_kernel(kernel)
+        dtype = precision(kernel, noise_variance)
+        x = to_points("x", x, dtype)
+        y = to_numbers("y", y, dtype)
         number, num_dims = x.shape
+        if y.shape != (number,):
+            raise ValueError(f"y: got shape {y.shape}; allowed: {number} numbers, one for each row of x")
         capacity = number if capacity is None else capacity
         if capacity < number:
             raise ValueError(f"capacity: got {capacity}; allowed: >= {number}, the number of observations")
@@ -97,10 +108,10 @@ class GaussianProcess(eqx.Module):
         count = jnp.asarray(number, jnp.int32) if count is None else jnp.clip(count, 0, number)
         is_held = jnp.arange(number, dtype=count.dtype) < count
         if noise_variances is not None:
-            noise_variances = empty.y.at[:number].set(noise_variances)
+            noise_variances = empty.y.at[:number].set(to_numbers("noise_variances", noise_variances, dtype))
         data = cls(
             kernel=kernel,
-            noise_variance=noise_variance,
+            noise_variance=empty.noise_variance,
             x=empty.x.at[:number].set(jnp.where(is_held[:, None], x, 0.0)),
             y=empty.y.at[:number].set(jnp.where(is_held, y, 0.0)),
             inverse_cholesky=empty.inverse_cholesky,
@@ -115,24 +126,37 @@ class GaussianProcess(eqx.Module):
         return eqx.tree_at(lambda gp: gp.inverse_cholesky, data, inverse)
 
     def update(
-        self, x: Float[Array, "D"], y: Float[Array, ""], noise_variance: Float[Array, ""] | None = None
+        self,
+        x: Float[Array, "D"] | Numbers,
+        y: Float[Array, ""] | Numbers,
+        noise_variance: Float[Array, ""] | Numbers | None = None,
     ) -> "GaussianProcess":
         """The posterior after one more observation, which is ignored once the capacity is reached."""
+        x = to_point("x", x, self.y.dtype, self.x.shape[1])
+        y = to_numbers("y", y, self.y.dtype)
+        if noise_variance is not None:
+            noise_variance = to_numbers("noise_variance", noise_variance, self.y.dtype)
         row = self.next_row(x, self.whiten(x[None, :])[:, 0], noise_variance)
         return self._appended(self.count, x, y, row, jnp.ones_like(self.count))
 
     def extend(
         self,
-        xs: Float[Array, "S D"],
-        ys: Float[Array, "S"],
-        is_valid: Bool[Array, "S"],
-        noise_variances: Float[Array, "S"] | None = None,
+        xs: Float[Array, "S D"] | Numbers,
+        ys: Float[Array, "S"] | Numbers,
+        is_valid: Bool[Array, "S"] | None = None,
+        noise_variances: Float[Array, "S"] | Numbers | None = None,
     ) -> "GaussianProcess":
         """The posterior after several more observations, as by an `update` with each of the valid ones.
 
         With V = L^-1 k(X, xs) and B B' = k(xs, xs) + noise - V'V, the rows [-B^-1 V' L^-1, B^-1] are
-        appended. Invalid observations are not stored; observations beyond the capacity are ignored.
+        appended. Invalid observations are not stored; observations beyond the capacity are ignored. By
+        default all are valid.
         """
+        xs, ys = self._points(xs), to_numbers("ys", ys, self.y.dtype)
+        if noise_variances is not None:
+            noise_variances = to_numbers("noise_variances", noise_variances, self.y.dtype)
+        if is_valid is None:
+            is_valid = jnp.ones(ys.shape, bool)
         capacity = self.y.shape[0]
         xs = jnp.where(is_valid[:, None], xs, 0.0)
         noise = self.noise(xs, noise_variances)
@@ -232,8 +256,9 @@ class GaussianProcess(eqx.Module):
         variance = self._prior_variance(xs) - jnp.sum(whitened * whitened, axis=0)
         return jax.vmap(self.mean)(xs) + mean, jnp.maximum(variance, 0.0)
 
-    def predict(self, xs: Float[Array, "M D"]) -> tuple[Float[Array, "M"], Float[Array, "M"]]:
+    def predict(self, xs: Float[Array, "M D"] | Numbers) -> tuple[Float[Array, "M"], Float[Array, "M"]]:
         """Posterior mean and variance of the noise-free function at `xs` (2.28, 2.29)."""
+        xs = self._points(xs)
         return self.moments(xs, self.whiten(xs))
 
     def predict_first(
@@ -251,24 +276,29 @@ class GaussianProcess(eqx.Module):
         variance = self._prior_variance(xs)[None] - explained
         return jax.vmap(self.mean)(xs)[None] + mean, jnp.maximum(variance, 0.0)
 
-    def predict_gradient(self, xs: Float[Array, "M D"]) -> Float[Array, "M D"]:
+    def predict_gradient(self, xs: Float[Array, "M D"] | Numbers) -> Float[Array, "M D"]:
         """Gradient of the posterior mean at `xs`; a kernel contributes 0 where it is not differentiable."""
-        weights = self.weights()
+        xs, weights = self._points(xs), self.weights()
 
         def mean(x: Float[Array, "D"]) -> Float[Array, ""]:
             return self.mean(x) + matmul(self.kernel.gram(x[None, :], self.x)[0], weights)
 
         return jax.vmap(jax.grad(mean))(xs)
 
-    def predict_covariance(self, xs: Float[Array, "M D"]) -> tuple[Float[Array, "M"], Float[Array, "M M"]]:
+    def predict_covariance(
+        self, xs: Float[Array, "M D"] | Numbers
+    ) -> tuple[Float[Array, "M"], Float[Array, "M M"]]:
         """Posterior mean and covariance matrix of the noise-free function at `xs` (2.28, 2.29)."""
+        xs = self._points(xs)
         whitened = self.whiten(xs)
         mean, variance = self.moments(xs, whitened)
         covariance = self.kernel.gram(xs, xs) - matmul(whitened.T, whitened)
         is_diagonal = jnp.eye(xs.shape[0], dtype=bool)
         return mean, jnp.where(is_diagonal, variance[None, :], covariance)
 
-    def sample(self, key: Key[Array, ""], xs: Float[Array, "M D"], num: int) -> Float[Array, "num M"]:
+    def sample(
+        self, key: Key[Array, ""], xs: Float[Array, "M D"] | Numbers, num: int
+    ) -> Float[Array, "num M"]:
         """Joint draws of the noise-free function at `xs`.
 
         Computed from an eigendecomposition of the covariance. For points near each other, rounding makes some
@@ -276,7 +306,7 @@ class GaussianProcess(eqx.Module):
         """
         mean, covariance = self.predict_covariance(xs)
         values, vectors = eigh(covariance)
-        normal = jax.random.normal(key, (num, xs.shape[0]), xs.dtype)
+        normal = jax.random.normal(key, (num, mean.shape[0]), mean.dtype)
         return mean[None, :] + matmul(normal * jnp.sqrt(jnp.maximum(values, 0.0))[None, :], vectors.T)
 
     def log_marginal_likelihood(self) -> Float[Array, ""]:
@@ -285,6 +315,9 @@ class GaussianProcess(eqx.Module):
         pivots = jnp.where(self.is_held(), jnp.diagonal(self.inverse_cholesky), 1.0)
         constant = 0.5 * math.log(2.0 * math.pi) * self.count.astype(whitened.dtype)
         return jnp.sum(jnp.log(pivots)) - 0.5 * jnp.sum(whitened * whitened) - constant
+
+    def _points(self, xs: Float[Array, "M D"] | Numbers) -> Float[Array, "M D"]:
+        return to_points("xs", xs, self.x.dtype, self.x.shape[1])
 
     def _prior_variance(self, xs: Float[Array, "M D"]) -> Float[Array, "M"]:
         return jax.vmap(lambda x: self.kernel(x, x))(xs)

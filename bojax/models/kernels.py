@@ -3,6 +3,8 @@
 import abc
 import functools
 import operator
+from collections.abc import Mapping
+from typing import Any, TypeAlias
 
 import equinox as eqx
 import jax
@@ -10,7 +12,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Scalar
 from typing_extensions import override
 
-from bojax.models.checks import as_numbers
+from bojax.models.checks import as_numbers, check_kind
+from bojax.models.names import by_name
+
+KernelName: TypeAlias = str | Mapping[str, Any]
+"""A kernel as in a config file: its name, or a mapping with its `kind` and settings."""
 
 FAR = 1e3
 """Maximum scaled distance, to which longer ones are reduced; every covariance underflows to 0 before it."""
@@ -38,6 +44,17 @@ class Kernel(eqx.Module):
     def gram(self, xs: Float[Array, "N D"], ys: Float[Array, "M D"]) -> Float[Array, "N M"]:
         """Covariances of all pairs."""
         return jax.vmap(lambda x: jax.vmap(lambda y: self(x, y))(ys))(xs)
+
+
+def as_kernel(given: Kernel | KernelName) -> Kernel:
+    """The kernel itself, or the kernel of a name or of settings.
+
+    Raises:
+        ValueError: There is no kernel of this name, or a setting is wrong.
+    """
+    kernel = by_name("kernel")(given)
+    check_kind("kernel", kernel, Kernel, "RBF(0.5)")
+    return kernel
 
 
 class RBF(Kernel):

@@ -4,11 +4,14 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from bojax.models.checks import Numbers, to_data, to_numbers, to_points
 from bojax.numerics.linalg import matmul
 
 
 class LinearRegression(eqx.Module):
     """A linear function of the features, y = w' phi(x) (2.4); each column of `targets` is fitted separately.
+
+    Features and targets may be lists, or arrays of NumPy or JAX.
 
     Attributes:
         weights: Weight of each feature, with a column for each target if there are several.
@@ -17,33 +20,39 @@ class LinearRegression(eqx.Module):
     weights: Float[Array, "M *K"]
 
     @classmethod
-    def fit(cls, features: Float[Array, "N M"], targets: Float[Array, "N *K"]) -> "LinearRegression":
+    def fit(
+        cls, features: Float[Array, "N M"] | Numbers, targets: Float[Array, "N *K"] | Numbers
+    ) -> "LinearRegression":
         """The weights of least squared error (2.8); of several solutions, the one of minimum norm.
 
         Solved by a singular value decomposition, since the normal equations would square the condition number
         of the features. Singular values below max(N, M) machine epsilons of the largest one count as zero.
         Without observations the weights are zero.
         """
+        features, targets = to_data(features, targets)
         return cls(jnp.linalg.lstsq(features, targets)[0])
 
     @classmethod
     def fit_map(
         cls,
-        features: Float[Array, "N M"],
-        targets: Float[Array, "N *K"],
-        prior_precision: Float[Array, ""],
-        noise_precision: Float[Array, ""],
+        features: Float[Array, "N M"] | Numbers,
+        targets: Float[Array, "N *K"] | Numbers,
+        prior_precision: Float[Array, ""] | Numbers,
+        noise_precision: Float[Array, ""] | Numbers,
     ) -> "LinearRegression":
         """The most probable weights under the prior N(0, I / prior_precision) (2.14): ridge regression.
 
         Solved by least squares, with sqrt(prior_precision / noise_precision) I appended to the features and
         zeros appended to the targets.
         """
-        num_features = features.shape[1]
-        ridge = jnp.sqrt(prior_precision / noise_precision) * jnp.eye(num_features, dtype=features.dtype)
+        features, targets = to_data(features, targets)
+        num_features, dtype = features.shape[1], features.dtype
+        prior_precision = to_numbers("prior_precision", prior_precision, dtype)
+        noise_precision = to_numbers("noise_precision", noise_precision, dtype)
+        ridge = jnp.sqrt(prior_precision / noise_precision) * jnp.eye(num_features, dtype=dtype)
         nothing = jnp.zeros((num_features, *targets.shape[1:]), targets.dtype)
         return cls.fit(jnp.concatenate([features, ridge]), jnp.concatenate([targets, nothing]))
 
-    def predict(self, features: Float[Array, "N M"]) -> Float[Array, "N *K"]:
+    def predict(self, features: Float[Array, "N M"] | Numbers) -> Float[Array, "N *K"]:
         """Values at the points with these features."""
-        return matmul(features, self.weights)
+        return matmul(to_points("features", features, self.weights.dtype, len(self.weights)), self.weights)

@@ -400,8 +400,8 @@ def test_sizes_that_make_no_sense_are_refused(name, number):
 def test_python_numbers_and_lists_are_as_good_as_arrays():
     arrays = optimisation(LogExpectedImprovement(jnp.asarray(0.0)), low=(-5.0, 0.0), high=(10.0, 15.0))
     numbers = BayesianOptimisation(
-        kernel=RBF(0.5),
-        acquisition=LogExpectedImprovement(0),
+        kernel="rbf",
+        acquisition={"kind": "log-ei", "xi": 0},
         noise_variance=1e-4,
         low=[-5, 0],
         high=(10, 15),

@@ -9,7 +9,8 @@ import pytest
 
 import bojax
 from bojax.config.catalog import kinds, roles
-from bojax.engine.build import build, import_target
+from bojax.config.component import import_target
+from bojax.engine.build import build
 from tests.parts import FILES, REQUIRED
 
 COMPONENTS = [(role, kind, schema) for role in roles() for kind, schema in kinds(role).items()]

@@ -553,3 +553,23 @@ def test_random_fourier_features_know_no_more_directions_than_they_are():
         model = fit(features_of(num), np.zeros(num), jnp.asarray(prior), jnp.asarray(1.0))
         left.append(np.mean(np.sum(elsewhere * covariance_times(model, elsewhere), axis=1)) * prior)
     np.testing.assert_allclose(left, [0.6, 0.09, 0.01], rtol=0.1)
+
+
+def test_lists_and_python_numbers_are_as_good_as_arrays():
+    def everything(features, targets, alpha, beta, weights, row, target, weight):
+        model = BayesianLinearRegression.fit(features, targets, alpha, beta, sample_weight=weights)
+        model = model.update(row, target, sample_weight=weight)
+        model = model.update_batch(features, targets, sample_weight=weights)
+        return model, model.predict(features), log_marginal_likelihood(features, targets, alpha, beta)
+
+    given = [[1, 0], [0.5, 1]], [1, 2.5], 0.5, 4, (1, 0), [1, 2], np.float32(3.0), 2
+    arrays = [jnp.asarray(value, float) for value in given]
+    lists = jax.jit(lambda: everything(*given))()
+    assert eqx.tree_equal(lists, jax.jit(everything)(*arrays), rtol=1e-12, atol=1e-12)
+
+
+def test_other_numbers_of_targets_than_rows_are_refused():
+    with pytest.raises(ValueError, match=r"targets: got shape \(2,\); allowed: 3 rows, one for each row of"):
+        BayesianLinearRegression.fit([[1, 0], [0, 1], [1, 1]], [1, 2], 1, 1)
+    with pytest.raises(ValueError, match=r"features: got shape \(1, 1\); allowed: \[points, 2\]"):
+        BayesianLinearRegression.prior(2, 1, 1).predict([[1]])

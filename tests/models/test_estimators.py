@@ -156,7 +156,9 @@ def test_refuses_data_that_are_no_data(name, x, y, message):
             r"mean: does not accept points of dimension 2 \(the columns of X\)",
         ),
         ({"mean": ConstantMean(jnp.asarray(jnp.inf))}, "mean.value: got a number that is not finite"),
-        ({"kernel": "rbf"}, 'kernel: got "rbf"; allowed: an instance of Kernel, such as RBF'),
+        ({"kernel": "rfb"}, 'kernel: got "rfb"; unknown kernel; .*did you mean "rbf"'),
+        ({"kernel": "sum"}, "kernel.lengthscale: unknown key .*rbf"),
+        ({"kernel": {"kind": "rbf", "lengthscale": 0}}, "kernel.lengthscale: got 0; allowed: a number from"),
         ({"kernel": RBF}, "kernel: got <class .*; allowed: an instance of Kernel, such as RBF"),
         ({"mean": 0.0}, "mean: got 0.0; allowed: an instance of Mean, such as ConstantMean"),
         (
@@ -228,6 +230,13 @@ def test_the_precision_is_asked_for():
 def test_bojax_needs_no_scikit_learn():
     program = "import sys, bojax.models.estimators; sys.exit('sklearn' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", program], check=False).returncode == 0
+
+
+def test_a_name_is_a_scaled_kernel_with_a_lengthscale_for_each_column():
+    named = GaussianProcessRegressor("matern52", optimise=False).fit(X, Y)
+    reference = Reference(1.0 * sk.Matern([1.0, 1.0], nu=2.5), alpha=0.1, optimizer=None).fit(X, Y)
+    np.testing.assert_allclose(named.predict(QUERIES), reference.predict(QUERIES), atol=1e-12)
+    assert named.kernel_.kernel.lengthscale.shape == (2,) and named.get_params()["kernel"] == "matern52"
 
 
 def test_a_kernel_of_python_numbers_is_learned_like_one_of_arrays():

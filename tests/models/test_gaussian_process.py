@@ -528,3 +528,50 @@ def test_without_noise_a_factor_that_grows_row_by_row_stays_one(
     assert np.abs(np.asarray(gp.inverse_cholesky)).max() < 1.01 / np.sqrt(floor)
     np.testing.assert_allclose(mean / scale, expected_mean / scale, atol=tolerance)
     np.testing.assert_allclose(np.sqrt(spread) / scale, expected_std / scale, atol=tolerance)
+
+
+def test_lists_and_python_numbers_are_as_good_as_arrays():
+    numbers = jnp.asarray
+
+    def everything(kernel, noise, x, y, noises, later, value, queries):
+        gp = GaussianProcess.fit(kernel, noise, x, y, capacity=5, noise_variances=noises)
+        gp = gp.update(later, value, noise).extend(queries, y)
+        return gp, gp.predict(queries), gp.predict_gradient(queries)
+
+    kernel = {"kind": "scaled", "kernel": {"kind": "matern52", "lengthscale": 2}, "variance": 3}
+    given = kernel, 0.5, [0, 1], [1, 2.5], (0.1, 0.2), 3, np.float32(1.0), [0.5, 2]
+    lists = jax.jit(lambda: everything(*given))()
+    arrays = (
+        *(Scaled(Matern52(numbers(2.0)), numbers(3.0)), numbers(0.5)),
+        *(numbers([[0.0], [1.0]]), numbers([1.0, 2.5]), numbers([0.1, 0.2])),
+        *(numbers([3.0]), numbers(1.0), numbers([[0.5], [2.0]])),
+    )
+    assert eqx.tree_equal(lists, jax.jit(everything)(*arrays), rtol=1e-12, atol=1e-12)
+
+
+def test_inputs_take_the_precision_of_the_kernel():
+    def predicted():
+        gp = GaussianProcess.fit(RBF(np.float32(0.5)), 0.1, np.zeros((2, 1)), [1, 2])
+        return gp, gp.update(0.5, np.float64(1)).predict(np.ones(3)), gp.sample(jax.random.key(0), [1], 2)
+
+    found = jax.tree.leaves(jax.eval_shape(predicted))
+    assert {leaf.dtype for leaf in found} == {jnp.dtype("float32"), jnp.dtype("int32")}
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda gp: gp.predict([[1, 2, 3]]), r"xs: got shape \(1, 3\); allowed: \[points, 2\]"),
+        (lambda gp: gp.predict([1, 2]), r"xs: got shape \(2,\); allowed: \[points, 2\]"),
+        (lambda gp: gp.predict("here"), 'xs: got "here"; allowed: numbers'),
+        (lambda gp: gp.update([1], 0), r"x: got shape \(1,\); allowed: 2 numbers"),
+        (lambda gp: GaussianProcess.fit("rbf", 0.1, [1, 2], [1]), r"y: got shape \(1,\); allowed: 2 numbers"),
+        (lambda gp: GaussianProcess.fit("rbf", 0.1, [[1], [2, 3]], [1, 2]), "x: got .*; allowed: numbers"),
+        (lambda gp: GaussianProcess.fit("rfb", 0.1, [1], [1]), 'unknown kernel; .*; did you mean "rbf"'),
+        (lambda gp: GaussianProcess.fit("my:Own", 0.1, [1], [1]), "my:Own; allowed: a name, or an object"),
+    ],
+)
+def test_inputs_of_the_wrong_kind_are_refused_in_one_line(call, message):
+    with pytest.raises(ValueError, match=message) as caught:
+        call(prior(0.1))
+    assert "\n" not in str(caught.value)

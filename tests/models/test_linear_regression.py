@@ -89,3 +89,11 @@ def test_a_batch_of_regressions_is_a_loop():
     batched = jax.jit(jax.vmap(LinearRegression.fit))(features, targets).weights
     alone = jnp.stack([fit(*pair).weights for pair in pairs])
     np.testing.assert_allclose(batched, alone, rtol=1e-12)
+
+
+def test_lists_are_as_good_as_arrays():
+    features, targets = [[1, 0], [1, 1], [1, 2]], [0, 1, 2]
+    np.testing.assert_allclose(LinearRegression.fit(features, targets).predict([[1, 5]]), [5], rtol=1e-12)
+    ridge = LinearRegression.fit_map(features, targets, 3, 2)
+    gram = np.asarray(features).T @ features + 1.5 * np.eye(2)
+    np.testing.assert_allclose(ridge.weights, np.linalg.solve(gram, np.asarray(features).T @ targets))
