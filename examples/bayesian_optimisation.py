@@ -7,7 +7,6 @@ import jax.numpy as jnp
 from bojax.acquisition.bayesian_optimisation import BayesianOptimisation
 from bojax.models.kernels import Matern52
 
-jax.config.update("jax_enable_x64", True)
 search = BayesianOptimisation(
     kernel=Matern52(0.5),  # in units of the box, mapped to [-1, 1]^D, and of standardised values
     acquisition="log-ei",

@@ -8,7 +8,6 @@ from bojax.models.evidence import relearn
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import RBF, Scaled
 
-jax.config.update("jax_enable_x64", True)
 key_x, key_noise, key_starts, key_sample = jax.random.split(jax.random.key(0), 4)
 x = jax.random.uniform(key_x, (30, 2), minval=-2.0, maxval=2.0)
 y = jnp.sin(2.0 * x[:, 0]) + 0.1 * jax.random.normal(key_noise, (30,))

@@ -9,7 +9,6 @@ from bojax.models.features import Polynomial, RandomFourier
 from bojax.models.kernels import RBF
 from bojax.models.linear_regression import LinearRegression
 
-jax.config.update("jax_enable_x64", True)
 key_x, key_noise, key_features = jax.random.split(jax.random.key(0), 3)
 x = jax.random.uniform(key_x, (500, 1), minval=-3.0, maxval=3.0)
 y = jnp.sin(2.0 * x[:, 0]) + 0.1 * jax.random.normal(key_noise, (500,))

@@ -52,6 +52,11 @@ ALONE = "plan_once.py"
 SHOWN = {tuple(words): None for page in PAGES for words in commands(page)}
 WITH_EXAMPLES = [list(words) for words in SHOWN if _uses_example(list(words))]
 COMMANDS = [words for words in WITH_EXAMPLES if words[0] == "bojax"]
+WIDE = [
+    words for page in PAGES if (of := commands(page)).count(["export", "JAX_ENABLE_X64=1"]) for words in of
+]
+"""Commands of pages that enable 64-bit numbers."""
+
 PROGRAMS = [words for words in WITH_EXAMPLES if words[0] != "bojax" and words[1] != ALONE]
 
 
@@ -69,6 +74,7 @@ def folder(tmp_path, monkeypatch, usual_jax):
 
 @pytest.mark.parametrize("words", PROGRAMS, ids=[" ".join(words) for words in PROGRAMS])
 def test_a_program_of_the_pages_runs(words, folder, capsys):
+    jax.config.update("jax_enable_x64", words in WIDE)
     runpy.run_path(words[1], run_name="__main__")
     printed = capsys.readouterr().out
     assert "nan" not in printed
