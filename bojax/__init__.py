@@ -1,7 +1,8 @@
 """A batch experiment engine in JAX for Bayesian optimisation in planning and reinforcement learning.
 
-Importing this package imports no JAX and changes no global flag. The functions `run`, `sweep` and `load` and
-their classes are imported when they are first used; `__init__.pyi` declares them.
+Importing this package imports no JAX and changes no global flag. The functions `run`, `sweep`, `load`,
+`plot_gp` and `plot_search` and their classes are imported when they are first used; `__init__.pyi` declares
+them.
 """
 
 import importlib
@@ -13,6 +14,8 @@ _HOMES = {
     "run": "start",
     "sweep": "start",
     "load": "results",
+    "plot_gp": "plots",
+    "plot_search": "plots",
     "Results": "results",
     "Picture": "results",
     "BojaxError": "errors",

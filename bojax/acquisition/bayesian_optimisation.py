@@ -150,8 +150,7 @@ class BayesianOptimisation(eqx.Module):
     def ask(self, state: OptimisationState) -> Float[Array, "D"]:
         """The next point to evaluate, a function of the state alone."""
         model = _standardised(state.model)
-        # Without observations all points are equally good, whatever the finite threshold.
-        best = jnp.where(model.count > 0, jnp.max(jnp.where(model.is_held(), model.y, -jnp.inf)), 0.0)
+        best = _highest(model)
         candidates = self._quasirandom(jax.random.fold_in(_stream(state, "candidates"), state.num_told))
         choice = best_candidate(self.acquisition, model, best, candidates, model.whiten(candidates))
         point = candidates[choice]
@@ -200,6 +199,10 @@ class BayesianOptimisation(eqx.Module):
         values = jnp.where(state.model.is_held(), state.model.y, -jnp.inf)
         return self._from_unit(state.model.x[jnp.argmax(values)]), jnp.max(values)
 
+    def observations(self, state: OptimisationState) -> tuple[Float[Array, "N D"], Float[Array, "N"]]:
+        """Points of the box and values that the model holds; rows past the count are meaningless."""
+        return jax.vmap(self._from_unit)(state.model.x), state.model.y
+
     def predict(
         self, state: OptimisationState, xs: Float[Array, "M D"]
     ) -> tuple[Float[Array, "M"], Float[Array, "M"]]:
@@ -210,6 +213,20 @@ class BayesianOptimisation(eqx.Module):
         centre, unit = self._scale(state)
         mean, variance = _standardised(state.model).predict(jax.vmap(self._to_unit)(xs))
         return centre + unit * mean, unit * jnp.sqrt(variance)
+
+    def sample(
+        self, key: Key[Array, ""], state: OptimisationState, xs: Float[Array, "M D"], num: int
+    ) -> Float[Array, "num M"]:
+        """Joint draws of the noise-free objective at points of the box, in its units."""
+        centre, unit = self._scale(state)
+        draws = _standardised(state.model).sample(key, jax.vmap(self._to_unit)(xs), num)
+        return centre + unit * draws
+
+    def score(self, state: OptimisationState, xs: Float[Array, "M D"]) -> Float[Array, "M"]:
+        """The acquisition function at points of the box, whose maximum `ask` seeks."""
+        model = _standardised(state.model)
+        mean, variance = model.predict(jax.vmap(self._to_unit)(xs))
+        return self.acquisition(mean, jnp.sqrt(variance), _highest(model))
 
     def noise_std(self, state: OptimisationState) -> Float[Array, ""]:
         """Standard deviation of the noise of an observation, in the units of the objective."""
@@ -276,6 +293,11 @@ class BayesianOptimisation(eqx.Module):
 
 def _standardised(model: GaussianProcess) -> GaussianProcess:
     return eqx.tree_at(lambda gp: gp.y, model, standardise(model.y, model.is_held()))
+
+
+def _highest(model: GaussianProcess) -> Float[Array, ""]:
+    # Without observations all points are equally good, whatever the finite threshold.
+    return jnp.where(model.count > 0, jnp.max(jnp.where(model.is_held(), model.y, -jnp.inf)), 0.0)
 
 
 def _stream(state: OptimisationState, name: str) -> Key[Array, ""]:
