@@ -14,7 +14,15 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from tests.campaign.case import Outcome
 
-KINDS = {"configs": 600, "kills": 110, "damage": 220, "disk": 24, "results": 150, "numbers": 60}
+KINDS = {
+    "configs": 600,
+    "kills": 110,
+    "launches": 100,
+    "damage": 220,
+    "disk": 24,
+    "results": 150,
+    "numbers": 60,
+}
 """Kinds of cases, each a module of this package, with how many are run by default."""
 
 QUICK = {

@@ -50,10 +50,84 @@ def import_all() -> None:
     """Import what the commands import when they run, so that no child has to."""
     import importlib
 
-    for name in ("cli.listing", "cli.reporting", "cli.rendering", "cli.running", "engine.run"):
+    for name in ("cli.listing", "cli.reporting", "cli.rendering", "cli.running", "cli.worker", "engine.run"):
         importlib.import_module(f"bojax.{name}")
-    for name in ("report.build", "report.animations.choose", "report.animations.film", "config.external"):
+    for name in (
+        "engine.worker",
+        "report.build",
+        "report.animations.choose",
+        "report.animations.film",
+        "config.external",
+    ):
         importlib.import_module(f"bojax.{name}")
+
+
+class Child:
+    """A function that runs in a child whose working folder is `place`; its result is the exit code.
+
+    Args:
+        function: What to call.
+        place: The working folder.
+        is_limited: Whether the child may not take much more memory than this process has.
+    """
+
+    def __init__(self, function: Callable[[], int], place: Path, *, is_limited: bool = True):
+        self._streams = tempfile.TemporaryFile(), tempfile.TemporaryFile()
+        self._start = time.monotonic()
+        self._ended: Ended | None = None
+        self.pid = os.fork()
+        if self.pid == 0:
+            _be_child(function, place, *(each.fileno() for each in self._streams), is_limited)
+
+    @property
+    def wall(self) -> float:
+        """Seconds since it started."""
+        return time.monotonic() - self._start
+
+    def send(self, number: int) -> None:
+        """Send a signal, unless the child has ended."""
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def poll(self, *, is_late: bool = False) -> Ended | None:
+        """How it ended; None if it runs."""
+        if self._ended is not None:
+            return self._ended
+        found, status, usage = os.wait4(self.pid, os.WNOHANG)
+        if not found:
+            return None
+        texts = []
+        for file in self._streams:
+            file.seek(0)
+            texts.append(file.read().decode(errors="backslashreplace"))
+            file.close()
+        self._ended = Ended(
+            code=os.waitstatus_to_exitcode(status),
+            out=texts[0],
+            err=texts[1],
+            wall=self.wall,
+            cpu=usage.ru_utime + usage.ru_stime,
+            megabytes=usage.ru_maxrss / 1024,
+            is_late=is_late,
+        )
+        return self._ended
+
+    def wait(self, seconds: float = 90.0, signals: Sequence[tuple[float, int]] = ()) -> Ended:
+        """Wait for its end.
+
+        Args:
+            seconds: Time since its start after which it is killed.
+            signals: `(time since its start in seconds, signal)`, sent in this order.
+        """
+        waiting, is_late = sorted(signals), False
+        while (ended := self.poll(is_late=is_late)) is None:
+            if waiting and self.wall >= waiting[0][0]:
+                self.send(waiting.pop(0)[1])
+            elif self.wall > seconds and not is_late:
+                is_late = True
+                self.send(signal.SIGKILL)
+            time.sleep(0.002)
+        return ended
 
 
 def run(
@@ -63,48 +137,11 @@ def run(
     signals: Sequence[tuple[float, int]] = (),
     seconds: float = 90.0,
 ) -> Ended:
-    """Call a function in a child whose working folder is `place`; its result is the exit code.
-
-    Args:
-        function: What to call.
-        place: The working folder.
-        signals: `(delay in seconds, signal)`, sent in this order.
-        seconds: Time after which the child is killed.
-    """
-    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
-        start = time.monotonic()
-        pid = os.fork()
-        if pid == 0:
-            _be_child(function, place, out.fileno(), err.fileno())
-        waiting, is_late = sorted(signals), False
-        while True:
-            found, status, usage = os.wait4(pid, os.WNOHANG)
-            if found:
-                break
-            wall = time.monotonic() - start
-            if waiting and wall >= waiting[0][0]:
-                os.kill(pid, waiting.pop(0)[1])
-            elif wall > seconds:
-                is_late = True
-                os.kill(pid, signal.SIGKILL)
-                seconds = float("inf")
-            time.sleep(0.002)
-        texts = []
-        for file in (out, err):
-            file.seek(0)
-            texts.append(file.read().decode(errors="backslashreplace"))
-    return Ended(
-        code=os.waitstatus_to_exitcode(status),
-        out=texts[0],
-        err=texts[1],
-        wall=time.monotonic() - start,
-        cpu=usage.ru_utime + usage.ru_stime,
-        megabytes=usage.ru_maxrss / 1024,
-        is_late=is_late,
-    )
+    """Call a function in a child, and wait for its end; see `Child`."""
+    return Child(function, place).wait(seconds, signals)
 
 
-def _be_child(function: Callable[[], int], place: Path, out: int, err: int) -> None:
+def _be_child(function: Callable[[], int], place: Path, out: int, err: int, is_limited: bool) -> None:
     code = 1
     try:
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)  # a campaign that is ended leaves nothing
@@ -117,7 +154,8 @@ def _be_child(function: Callable[[], int], place: Path, out: int, err: int) -> N
         sys.stderr = open(2, "w", encoding="utf-8", errors="backslashreplace", closefd=False)
         sys.dont_write_bytecode = True
         os.chdir(place)
-        resource.setrlimit(resource.RLIMIT_AS, (_memory() + _SPARE_MEMORY, resource.RLIM_INFINITY))
+        if is_limited:
+            resource.setrlimit(resource.RLIMIT_AS, (_memory() + _SPARE_MEMORY, resource.RLIM_INFINITY))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         code = function()
     except SystemExit as leave:

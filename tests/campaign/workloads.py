@@ -19,7 +19,7 @@ OFTEN = ["engine.segment_seconds=0.000001", "engine.checkpoint_seconds=0.000001"
 _TOY_POINTS = ({"scale": 1.0, "max_length": 60}, {"scale": 2.0, "max_length": 60}, {"max_length": 30})
 """Two static groups; with four lanes on a device, each of several chunks."""
 
-_ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[2]
 
 
 @dataclass(frozen=True)
@@ -39,18 +39,19 @@ class Workload:
         """A function that runs or resumes it, writing into `out`, with or without its report."""
         return functools.partial(_start, self, out, resume, report)
 
-    def start_afresh(self, out: Path, *, resume: bool = False) -> Callable[[], int]:
+    def start_afresh(self, out: Path, *options: str, resume: bool = False) -> Callable[[], int]:
         """The same as `python -m bojax`, imports and report included; not for the toy."""
         words = [
             sys.executable,
             "-m",
             "bojax",
             *self.words,
+            *options,
             "--out",
             str(out),
             *(["--resume"] if resume else []),
         ]
-        return lambda: os.execve(sys.executable, words, {**os.environ, "PYTHONPATH": str(_ROOT)})
+        return lambda: os.execve(sys.executable, words, {**os.environ, "PYTHONPATH": str(ROOT)})
 
 
 WORKLOADS = {
@@ -81,7 +82,7 @@ WORKLOADS = {
         Workload(
             "hosted",
             (
-                *("run", str(_ROOT / "examples" / "my_gym_env.yaml"), "--runs", "2", "episodes=3"),
+                *("run", str(ROOT / "examples" / "my_gym_env.yaml"), "--runs", "2", "episodes=3"),
                 *("env.max_steps=20", "learner.features.num_features=20", "record.learners=false", *OFTEN),
             ),
         ),
@@ -89,6 +90,7 @@ WORKLOADS = {
             "variants",
             ("sweep", "fig-5.2a", "--runs", "4", "episodes=40", "env.max_steps=60"),
         ),
+        Workload("shared", ("sweep", str(Path(__file__).with_name("shared.yaml")))),
     )
 }
 

@@ -1,6 +1,5 @@
 """Several processes share a sweep through its folder: the bytes are those of one that ran it alone."""
 
-import random
 import shutil
 import signal
 import time
@@ -17,7 +16,7 @@ from bojax.engine.share import FolderShare
 from bojax.results.folder import RunFolder
 from bojax.results.leases import Attempts, Leases
 from bojax.results.store import WORK, read_manifest, read_table
-from tests.engine.drive import contents, plan_toy, run_toy, start_toy, start_worker, work_on
+from tests.engine.drive import contents, plan_toy, run_toy, start_worker, work_on
 from tests.toy import toy_sweep
 
 POINTS = ({"scale": 1.0, "max_length": 80}, {"scale": 2.0, "max_length": 80}, {"max_length": 30})
@@ -315,35 +314,3 @@ def test_several_sweeps_are_one_plan(planned, tmp_path, alone):
     assert merged(planned) == alone
     assert run_here(other, resume=True, runs=2) == 0
     assert read_table(other / "runs.parquet").num_rows == 6
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(4))
-def test_random_faults(often, alone, seed):
-    """Drivers and workers are killed, paused and replaced at random moments."""
-    draw = random.Random(seed)
-    given = {**SWEEP, **OFTEN}
-
-    def start():
-        if draw.random() < 0.3:
-            return start_toy(often, resume=True, **given)
-        return start_worker(often, "--cores", "1")
-
-    processes = [start() for _ in range(3)]
-    for _ in range(6):
-        time.sleep(draw.uniform(0.2, 3.0))
-        index, number = draw.randrange(3), draw.choice([signal.SIGKILL, signal.SIGSTOP, signal.SIGTERM])
-        if processes[index].poll() is None:
-            processes[index].send_signal(number)
-            if number == signal.SIGSTOP:
-                time.sleep(draw.uniform(0.2, 2.0))  # longer than a lease, or not
-                processes[index].send_signal(signal.SIGCONT)
-                continue
-            processes[index].communicate(timeout=120)
-        processes[index] = start()
-    for process in processes:
-        _, errors = process.communicate(timeout=300)
-        assert "Traceback" not in errors
-    if (often / WORK).exists():  # otherwise one of the drivers has merged it
-        assert run_here(often, resume=True) == 0
-    assert contents(often) == alone
