@@ -13,7 +13,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from bojax.results.parts import ChunkFolder
-from bojax.results.store import explained, read_table, write_tables
+from bojax.results.store import explained, read_footer, read_table, write_tables
 from bojax.results.tables import count_nans, sort_rows
 
 RUNS = "runs"
@@ -73,8 +73,14 @@ def sorted_rows(parts: Sequence[Path], most: int = HELD_ROWS) -> Iterator[pa.Tab
         parts: Files of one table.
         most: Number of further rows after which those that are complete are given out.
     """
-    schema = pa.unify_schemas([pq.read_schema(part) for part in parts])
-    order = sorted((_first_run(part), index) for index, part in enumerate(parts))
+    schemas: dict[pa.Schema, None] = {}
+    order: list[tuple[int, int]] = []
+    for index, part in enumerate(parts):
+        footer = read_footer(part)
+        schemas[footer.schema.to_arrow_schema()] = None
+        order.append((_first_run(footer), index))
+    order.sort()
+    schema = pa.unify_schemas(list(schemas))
     bounds = [start for start, _ in order[1:]] + [None]
     held: list[pa.Table] = []
     count = kept = 0
@@ -103,10 +109,9 @@ def _key(point, run):
     return (point << 32) + run
 
 
-def _first_run(part: Path) -> int:
+def _first_run(footer: pq.FileMetaData) -> int:
     """A lower bound of the keys in a part, from the statistics in its footer."""
-    metadata = pq.read_metadata(part)
-    groups = [metadata.row_group(index) for index in range(metadata.num_row_groups)]
+    groups = [footer.row_group(index) for index in range(footer.num_row_groups)]
     of_point, of_run = ([group.column(column).statistics for group in groups] for column in (0, 1))
     first, last = min(each.min for each in of_point), max(each.max for each in of_point)
     return _key(first, min(each.min for each in of_run) if first == last else 0)

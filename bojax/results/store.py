@@ -127,9 +127,9 @@ def fingerprint(path: Path) -> dict[str, Any] | None:
             return {"size": path.stat().st_size, "sha256": hashlib.file_digest(file, "sha256").hexdigest()}
 
 
-def write_json(path: Path, content: Any, *, durably: bool = True) -> None:
+def write_json(path: Path, content: Any, *, durably: bool = True, indent: int | None = 1) -> None:
     """Write a JSON file; non-finite numbers, which JSON lacks, become null."""
-    text = json.dumps(_finite(content), indent=1, allow_nan=False) + "\n"
+    text = json.dumps(_finite(content), indent=indent, allow_nan=False) + "\n"
     write_atomically(path, lambda temporary: temporary.write_text(text), durably=durably)
 
 
@@ -145,9 +145,9 @@ def read_json(path: Path) -> Any:
 
 
 def write_checked_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write a mapping as a JSON file with a checksum."""
+    """Write a mapping as a JSON file with a checksum, in one line: Python is slow to indent."""
     plain = _finite(dict(content))
-    write_json(path, {**plain, CHECKSUM: _digest(plain)})
+    write_json(path, {**plain, CHECKSUM: _digest(plain)}, indent=None)
 
 
 def read_checked_json(path: Path) -> dict[str, Any]:
@@ -194,11 +194,23 @@ def write_tables(path: Path, tables: Iterable[pa.Table]) -> None:
 
 def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
     """Read a Parquet file and verify the checksums, or raise a `ResultsError`."""
+    with _decoded(path), pq.ParquetFile(path, page_checksum_verification=True) as file:
+        return file.read(columns=columns)
+
+
+def read_footer(path: Path) -> pq.FileMetaData:
+    """Schema and statistics of a Parquet file, or a `ResultsError`."""
+    with _decoded(path):
+        return pq.read_metadata(path)
+
+
+@contextmanager
+def _decoded(path: Path) -> Iterator[None]:
+    """Turn errors of the decoders at `path`, which raise many types of exceptions, into a `ResultsError`."""
     _require_file(path)
     try:
-        with pq.ParquetFile(path, page_checksum_verification=True) as file:
-            return file.read(columns=columns)
-    except Exception as error:  # the decoders raise many types of exceptions
+        yield
+    except Exception as error:
         reason = one_line(error).rstrip(".")
         raise ResultsError(f"{path}: not a readable parquet file ({reason}): was it truncated?") from error
 
