@@ -1,6 +1,5 @@
-"""The options of `bojax sweep` and `bojax reproduce` that choose where chunks run."""
+"""The options of `bojax sweep`, `bojax reproduce` and `bojax tune` that choose where chunks run."""
 
-import time
 from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import TYPE_CHECKING
 from bojax.cli.parser import Parser, UsageError
 from bojax.cli.worker import device_indices
 from bojax.config.launching import RayConfig, SlurmConfig, load_launching
+from bojax.results.folder import dated_folder
 
 if TYPE_CHECKING:
     from bojax.engine.remote import Launcher
@@ -55,13 +55,18 @@ def check_launching(args: Namespace) -> None:
         load_launching(args.cluster, SlurmConfig if launcher == "slurm" else RayConfig)
 
 
-def launcher_of(args: Namespace) -> tuple["Launcher | None", list[int] | None]:
-    """The launcher, None for this process, and the indices of the devices that this process uses."""
+def launcher_of(args: Namespace, *, waits: bool = False) -> tuple["Launcher | None", list[int] | None]:
+    """The launcher, None for this process, and the indices of the devices that this process uses.
+
+    Args:
+        args: The options.
+        waits: Whether the command needs the results, so that it waits for Slurm too.
+    """
     launcher = getattr(args, "launcher", "inline")
     if launcher == "slurm":
         from bojax.engine.launchers.slurm import Slurm
 
-        return Slurm(load_launching(args.cluster, SlurmConfig)), None
+        return Slurm(load_launching(args.cluster, SlurmConfig), waits=waits), None
     if launcher == "ray":
         from bojax.engine.launchers.ray_actors import Ray
 
@@ -69,11 +74,17 @@ def launcher_of(args: Namespace) -> tuple["Launcher | None", list[int] | None]:
     return None, getattr(args, "devices", None)
 
 
-def dry_run(args: Namespace, names: Sequence[str]) -> int:
-    """Print the script that would be submitted to Slurm."""
+def dry_run(args: Namespace, names: Sequence[str], out: Path | None = None) -> int:
+    """Print the script that would be submitted to Slurm.
+
+    Args:
+        args: The options.
+        names: Names of the sweeps.
+        out: Their folder; that of the options by default.
+    """
     from bojax.engine.launchers.slurm import Slurm
 
-    out = args.out or Path("results") / names[0] / time.strftime("%Y%m%d-%H%M%S")
-    folders = [out / name for name in names] if len(names) > 1 else [out]
+    folder: Path = out or args.out or dated_folder(names[0])
+    folders = [folder / name for name in names] if len(names) > 1 else [folder]
     print(Slurm(load_launching(args.cluster, SlurmConfig)).script(", ".join(names), folders), end="")
     return 0

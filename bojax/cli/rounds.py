@@ -17,6 +17,7 @@ import yaml
 from bojax.config.errors import printable
 from bojax.config.sweep import Sweep
 from bojax.config.tuning import described, value_at
+from bojax.engine.remote import Launcher
 from bojax.engine.requests import Request
 from bojax.engine.run import run_sweeps
 from bojax.engine.tuning import Search, Values
@@ -37,7 +38,14 @@ NUM_SLICE = 101
 """Number of values at which a slice through the posterior is computed."""
 
 
-def run_rounds(task: "Task", out: Path | None, resume: bool, command: list[str]) -> int:
+def run_rounds(
+    task: "Task",
+    out: Path | None,
+    resume: bool,
+    command: list[str],
+    launcher: Launcher | None = None,
+    devices: Sequence[int] | None = None,
+) -> int:
     """Run or resume a search, write its report, and return the exit code.
 
     The state of the search follows from the seed and the tables of the finished rounds, so that a resumed
@@ -48,6 +56,8 @@ def run_rounds(task: "Task", out: Path | None, resume: bool, command: list[str])
         out: Its folder; None for `results/NAME-tune/TIME`.
         resume: Whether to continue an unfinished search, or to extend the finished one in `out`.
         command: The command line, for the manifests and for the hint on how to resume.
+        launcher: Starts workers that run the chunks of a round; None to run them in this process.
+        devices: Indices of the devices that this process uses; None for all.
     """
     is_extended = resume and out is not None and os.path.isfile(out / TUNING) and not is_unfinished(out)
     if is_extended and out is not None:
@@ -66,7 +76,7 @@ def run_rounds(task: "Task", out: Path | None, resume: bool, command: list[str])
     else:
         files.create(task.content)
     try:
-        code = _Rounds(task, folder, command).run()
+        code = _Rounds(task, folder, command, launcher, devices).run()
         is_done = code == 0
     except KeyboardInterrupt:  # between two rounds; within one, the engine prints this
         again = command if "--resume" in command else [*command, "--resume"]
@@ -91,8 +101,16 @@ class _Tried:
 class _Rounds:
     """A search that runs in its folder."""
 
-    def __init__(self, task: "Task", folder: Path, command: list[str]):
+    def __init__(
+        self,
+        task: "Task",
+        folder: Path,
+        command: list[str],
+        launcher: Launcher | None,
+        devices: Sequence[int] | None,
+    ):
         self._task, self._folder, self._command = task, folder, command
+        self._launcher, self._devices = launcher, devices
         self._keys = [each.key for each in task.ranges]
         self._measure = Measure(task.column, task.is_least)
         self._search = Search(task.ranges, task.config.seed, task.batch, task.rounds * task.batch)
@@ -122,7 +140,13 @@ class _Rounds:
 
     def _run(self, sweep: Sweep, folder: Path) -> int:
         with contextlib.redirect_stdout(io.StringIO()):  # the paths of the rounds
-            return run_sweeps([Request(sweep, folder)], True, self._command)
+            return run_sweeps(
+                [Request(sweep, folder)],
+                True,
+                self._command,
+                launcher=self._launcher,
+                indices=self._devices,
+            )
 
     def _learn(self, number: int, folder: Path) -> None:
         """Tell the search the scores of a finished round, and print the best point so far."""

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
+from bojax.cli.launching import LAUNCHING_USAGE, add_launching, check_launching, dry_run
 from bojax.cli.parser import Parser, UsageError, integer
 from bojax.cli.running import read_standard_input, resolved
 from bojax.config.component import Component
@@ -17,6 +18,7 @@ from bojax.config.files import STANDARD_INPUT
 from bojax.config.overrides import parse_overrides
 from bojax.config.sweep import Source, Sweep, load_config, load_sweep
 from bojax.config.tuning import EXAMPLE, Range, range_of, split_ranges
+from bojax.results.folder import dated_folder
 
 _EXAMPLES = """\
   bojax tune parking planner.exploration=0.1:100:log    one setting, searched by its logarithm
@@ -31,6 +33,8 @@ of --batch points that run together. key=low:high is a setting to tune, key=low:
 decades; key=value sets any other setting. The best settings, chosen by the mean that the model of the scores
 expects, are run again with another seed.
 """
+
+Platform: TypeAlias = Literal["auto", "cpu", "gpu"]
 
 MOST_POINTS = 1000
 """Largest number of points of a search: the model takes time of their cube."""
@@ -95,15 +99,23 @@ def main(name: str, words: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     parser = _parser(name)
     args = parser.parse_intermixed_args(list(words))
+    check_launching(args)
     task = checked(args)
-    return search(task, args.out, args.resume, ["bojax", name, *words])
+    if args.dry_run:
+        from bojax.report.tuning import ROUNDS
+
+        out = args.out or dated_folder(f"{task.config.name}-tune")
+        return dry_run(args, ["round-000"], out / ROUNDS / "000")
+    return search(task, args, ["bojax", name, *words])
 
 
-def search(task: Task, out: Path | None, resume: bool, command: list[str]) -> int:
+def search(task: Task, args: argparse.Namespace, command: list[str]) -> int:
     """Run or resume a search, and return the exit code."""
+    from bojax.cli.launching import launcher_of
     from bojax.cli.rounds import run_rounds  # imports JAX
 
-    return run_rounds(task, out, resume, command)
+    launcher, devices = launcher_of(args, waits=True)
+    return run_rounds(task, args.out, args.resume, command, launcher, devices)
 
 
 def _parser(name: str) -> Parser:
@@ -111,7 +123,7 @@ def _parser(name: str) -> Parser:
         prog=f"bojax {name}",
         usage=f"bojax {name} CONFIG key=low:high ... [key=value ...] [--metric COLUMN] [--minimise]\n"
         "                  [--budget RUNS] [--batch POINTS] [--runs N] [--seed S] [--confirm N] [--out DIR] "
-        "[--resume]",
+        f"[--resume]{LAUNCHING_USAGE}",
         description=_DESCRIPTION,
         examples=_EXAMPLES,
     )
@@ -150,6 +162,7 @@ def _parser(name: str) -> Parser:
     parser.add_argument(
         "--resume", action="store_true", help="resume an interrupted search, or extend one by a larger budget"
     )
+    add_launching(parser)
     return parser
 
 
@@ -181,7 +194,9 @@ def checked(args: argparse.Namespace) -> Task:
     ends = [[at(f"{each.key}={bound}").points[0].config for bound in (each.low, each.high)] for each in asked]
     ranges = tuple(range_of(each, *configs) for each, configs in zip(asked, ends, strict=True))
     rounds = _rounds(args.budget, args.batch, config.runs)
-    _check_metric(args.metric, config)
+    # With a launcher, this process leaves the accelerators to the workers.
+    device = config.engine.device if args.launcher == "inline" else "cpu"
+    _check_metric(args.metric, config, device)
     return Task(
         config=config,
         ranges=ranges,
@@ -190,7 +205,7 @@ def checked(args: argparse.Namespace) -> Task:
         batch=args.batch,
         rounds=rounds,
         confirm=args.confirm,
-        recompiled=_recompiled(config, ranges, ends),
+        recompiled=_recompiled(ranges, ends, device),
     )
 
 
@@ -212,15 +227,15 @@ def _rounds(budget: int | None, batch: int, runs: int) -> int:
     return rounds
 
 
-def _check_metric(column: str, config: Sweep) -> None:
-    columns = _module(config, config.points[0].config).tables["runs"]
+def _check_metric(column: str, config: Sweep, device: Platform) -> None:
+    columns = _module(config.points[0].config, device).tables["runs"]
     known = [each.name for each in columns if each.dtype != "string"]
     if column not in known:
         raise UsageError(f"bojax tune: --metric: got {column}; unknown column{allowed_names(column, known)}")
 
 
 def _recompiled(
-    config: Sweep, ranges: Sequence[Range], ends: Sequence[Sequence[Component]]
+    ranges: Sequence[Range], ends: Sequence[Sequence[Component]], device: Platform
 ) -> tuple[str, ...]:
     """The keys whose values at both bounds are different programs."""
     from bojax.engine.groups import static_groups
@@ -228,13 +243,13 @@ def _recompiled(
     return tuple(
         each.key
         for each, configs in zip(ranges, ends, strict=True)
-        if len(static_groups([_module(config, experiment) for experiment in configs])) > 1
+        if len(static_groups([_module(experiment, device) for experiment in configs])) > 1
     )
 
 
-def _module(config: Sweep, experiment: Component) -> Any:
+def _module(experiment: Component, device: Platform) -> Any:
     from bojax.engine.build import build
     from bojax.engine.devices import prepare
 
-    prepare(config.engine.device)
+    prepare(device)
     return build(experiment, getattr(experiment, "dtype", "float64"))

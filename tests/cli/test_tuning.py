@@ -15,6 +15,8 @@ from jax.experimental.compilation_cache import compilation_cache
 from bojax.cli.main import main
 from bojax.config.sweep import load_config
 from bojax.engine import batch
+from bojax.engine.remote import Launcher
+from bojax.engine.worker import WorkerOptions, run_worker
 from bojax.report.source import load
 from bojax.report.tuning import read_tuning
 
@@ -160,6 +162,26 @@ def test_an_interrupted_search_prints_how_to_resume_it(tmp_path, monkeypatch, ca
     assert tune(out) == 130
     last = capfd.readouterr().err.splitlines()[-1].strip()
     assert last.startswith("bojax tune chain") and last.endswith(f"--out {out} --resume")
+
+
+class _Here(Launcher):
+    """Runs a worker in this process."""
+
+    is_awaited = True
+
+    def check(self, name):
+        return
+
+    def start(self, name, folders):
+        assert run_worker(folders, WorkerOptions(cores=1), lambda: False) == 0
+
+
+@pytest.mark.bits
+def test_workers_of_a_launcher_run_the_rounds(tmp_path, undisturbed, monkeypatch):
+    monkeypatch.setattr("bojax.engine.launchers.ray_actors.Ray", lambda config: _Here())
+    out = tmp_path / "search"
+    assert tune(out, "--launcher", "ray") == 0
+    assert contents(out) == contents(undisturbed)
 
 
 def test_a_finished_search_is_extended_but_not_changed(tmp_path, undisturbed, capsys):

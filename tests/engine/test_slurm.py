@@ -174,12 +174,13 @@ def here(tmp_path, monkeypatch) -> Path:
     return tmp_path
 
 
-def test_a_dry_run_prints_the_script_and_does_nothing(here, capsys):
+@pytest.mark.parametrize(("command", "folder"), [("sweep", "out"), ("tune", "out/rounds/000")])
+def test_a_dry_run_prints_the_script_and_does_nothing(here, capsys, command, folder):
     (here / "cluster.yaml").write_text("{tasks: 8}")
-    words = ["sweep", "sweep.yaml", "--launcher", "slurm", "--cluster", "cluster.yaml", "--dry-run"]
+    words = [*COMMANDS[command], "--launcher", "slurm", "--cluster", "cluster.yaml", "--dry-run"]
     assert main([*words, "--out", "out"]) == 0
     out = capsys.readouterr().out
-    assert "#SBATCH --array=0-7" in out and f" {here / 'out'} " in out
+    assert "#SBATCH --array=0-7" in out and f" {here / folder} " in out
     assert sorted(path.name for path in here.iterdir()) == ["cluster.yaml", "sweep.yaml"]
 
 
@@ -190,6 +191,37 @@ def test_no_slurm_on_this_machine(here, capsys, monkeypatch):
         "error: --launcher slurm: no sbatch on this machine; allowed: a login node of a Slurm cluster\n"
     )
     assert not (here / "out").exists()
+
+
+COMMANDS = {
+    "sweep": ["sweep", "sweep.yaml"],
+    "reproduce": ["reproduce", "fig-4.6"],
+    "tune": ["tune", "cliff-walking", "learner.kappa=0:1"],
+}
+
+
+def test_a_driver_that_waits_asks_slurm_until_the_array_has_ended(tmp_path, monkeypatch, capsys):
+    """A search waits for each round, and cancels what is left of its array."""
+    told = tmp_path / "told"
+    for command, text in {"sbatch": "echo '7;name'", "squeue": f"cat {tmp_path}/queue"}.items():
+        script = tmp_path / command
+        script.write_text(f'#!/bin/sh\ncat > /dev/null\necho {command} "$@" >> {told}\n{text}\n')
+        script.chmod(0o755)
+    shutil.copy(tmp_path / "squeue", tmp_path / "scancel")
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    monkeypatch.setattr("bojax.engine.launchers.slurm.ASK_SECONDS", 0.0)
+    launcher = Slurm(SlurmConfig(tasks=2), waits=True)
+    (tmp_path / "queue").write_text("7_0 running")
+    launcher.start("round", [tmp_path])
+    assert capsys.readouterr().err == "submitted job 7 of 2 tasks\n"
+    assert launcher.is_awaited and launcher.keep() and launcher.keep()
+    launcher.close()
+    assert told.read_text().splitlines()[-1].endswith(" 7")
+    (tmp_path / "queue").write_text("")
+    assert not launcher.keep()
+    before = told.read_text()
+    launcher.close()
+    assert told.read_text() == before
 
 
 MISTAKES = {
@@ -210,11 +242,11 @@ MISTAKES = {
 
 
 @pytest.mark.parametrize("case", MISTAKES)
-@pytest.mark.parametrize("command", ["sweep", "reproduce"])
+@pytest.mark.parametrize("command", COMMANDS)
 def test_mistakes(here, capsys, command, case):
     words, message = MISTAKES[case]
     (here / "c.yaml").write_text("{task: 3}")
-    assert main([command, "sweep.yaml" if command == "sweep" else "fig-4.6", *words]) == 2
+    assert main([*COMMANDS[command], *words]) == 2
     err = capsys.readouterr().err
     assert err.startswith(f"error: {message}") and err.count("\n") == 1
     assert sorted(path.name for path in here.iterdir()) == ["c.yaml", "sweep.yaml"]

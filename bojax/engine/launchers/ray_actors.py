@@ -140,6 +140,8 @@ class Ray(Launcher):
                 ray.wait(calls, num_returns=len(calls), timeout=STOP_SECONDS)
         for actor in self._actors.values():
             ray.kill(actor)
+        self._actors.clear()
+        self._running.clear()
         if not self._was_running:
             ray.shutdown()
 

@@ -3,6 +3,7 @@
 import shlex
 import subprocess
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -20,17 +21,26 @@ NOTICE_SECONDS = 120
 """Time before the limit at which Slurm tells a worker to stop at a checkpoint."""
 
 
+ASK_SECONDS = 15.0
+"""Time between two questions to Slurm whether an array has ended."""
+
+
 class Slurm(Launcher):
-    """Submits an array and returns.
+    """Submits an array and returns, or waits for it.
 
     Slurm starts a task again that nears its time limit or whose node fails. A cancelled task stops at a
     checkpoint, and is not started again.
+
+    Args:
+        config: The settings.
+        waits: Whether the driver waits for the array; if it is interrupted, the array is cancelled.
     """
 
-    is_awaited = False
-
-    def __init__(self, config: SlurmConfig):
+    def __init__(self, config: SlurmConfig, *, waits: bool = False):
         self._config = config
+        self.is_awaited = waits
+        self._job: str | None = None
+        self._next_question = 0.0
 
     @override
     def check(self, name: str) -> None:
@@ -41,7 +51,26 @@ class Slurm(Launcher):
         text = self.script(name, folders)
         for folder in folders:
             write_atomically(folder / SCRIPT, lambda temporary: temporary.write_text(text))
-        print(f"submitted job {_sbatch(text, '--parsable')} of {self._config.tasks} tasks")
+        self._job = _sbatch(text, "--parsable").partition(";")[0]  # the name of a cluster may follow
+        self._next_question = time.monotonic() + ASK_SECONDS
+        told = f"submitted job {self._job} of {self._config.tasks} tasks"
+        print(told, file=sys.stderr if self.is_awaited else sys.stdout)
+
+    @override
+    def keep(self) -> bool:
+        if self._job is not None and time.monotonic() >= self._next_question:
+            self._next_question = time.monotonic() + ASK_SECONDS
+            shown = subprocess.run(["squeue", "-h", "-j", self._job], capture_output=True, text=True)
+            # A job that ended long ago is forgotten; any other failure of squeue says nothing about the job.
+            is_forgotten = shown.returncode and "Invalid job id" in shown.stderr
+            if is_forgotten or (not shown.returncode and not shown.stdout.strip()):
+                self._job = None
+        return self._job is not None
+
+    @override
+    def close(self) -> None:
+        if self.is_awaited and self._job is not None:
+            subprocess.run(["scancel", self._job], capture_output=True, check=False)
 
     def script(self, name: str, folders: Sequence[Path]) -> str:
         """The batch script of an array of workers for the sweeps in these folders."""
