@@ -58,7 +58,13 @@ def run_rounds(
         command: The command line, for the manifests and for the hint on how to resume.
         launcher: Starts workers that run the chunks of a round; None to run them in this process.
         devices: Indices of the devices that this process uses; None for all.
+
+    Raises:
+        EngineError: The launcher is missing on this machine, or refuses its settings; nothing is written.
+        ResultsError: The folder cannot be used.
     """
+    if launcher is not None:
+        launcher.check(f"{task.config.name}-tune")
     is_extended = resume and out is not None and os.path.isfile(out / TUNING) and not is_unfinished(out)
     if is_extended and out is not None:
         check_plan(out, read_tuning(out).plan, task.content)

@@ -184,9 +184,10 @@ def test_a_dry_run_prints_the_script_and_does_nothing(here, capsys, command, fol
     assert sorted(path.name for path in here.iterdir()) == ["cluster.yaml", "sweep.yaml"]
 
 
-def test_no_slurm_on_this_machine(here, capsys, monkeypatch):
+@pytest.mark.parametrize("command", ["sweep", "tune"])
+def test_no_slurm_on_this_machine(here, capsys, monkeypatch, command):
     monkeypatch.setenv("PATH", str(here))
-    assert main(["sweep", "sweep.yaml", "--launcher", "slurm", "--out", "out"]) == 2
+    assert main([*COMMANDS[command], "--launcher", "slurm", "--out", "out"]) == 2
     assert capsys.readouterr().err == (
         "error: --launcher slurm: no sbatch on this machine; allowed: a login node of a Slurm cluster\n"
     )
