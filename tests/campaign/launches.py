@@ -1,12 +1,14 @@
 """Sweeps of 24 chunks that drivers and workers share while both are lost: the bytes are those of one process.
 
-A case is run by processes that it starts itself, by Ray's actors on two nodes, or by an array of Slurm, where
-these are installed. Faults hit when a random share of the chunks has begun, so that a slow machine sees them
-at the same points as a quick one.
+A case is run by processes; by processes each of which sees the folder through a mount of its own, like nodes
+that share it by NFS; by Ray's actors on two nodes; or by an array of Slurm, where these are installed. Faults
+hit when a random share of the chunks has begun, so that a slow machine sees them at the same points as a
+quick one.
 """
 
 import abc
 import atexit
+import dataclasses
 import functools
 import importlib.util
 import os
@@ -29,19 +31,19 @@ from tests.campaign.process import Child, Ended, scratch
 from tests.campaign.workloads import ROOT, WORKLOADS, contents, difference, finished
 
 CHUNKS = 24
-_LEASE = 0.5
-"""Seconds without a heartbeat after which a lease ends, as the workload sets it."""
-
 _PATIENCE = 400.0
 """Seconds after which a process is taken to hang, on a busy machine."""
 
 _MOST_RESUMES = 12
 
+_LATE = 1.0
+"""Seconds for which a mount may not see what others have written."""
+
 
 def check(seed: int) -> Outcome:
     """Disturb a sweep at moments that follow from the seed, and resume it until it is finished."""
     draw = random.Random(f"launches {seed}")
-    kind = {0: _Ray, 5: _Slurm}.get(seed % 10, _Processes)
+    kind = {0: _Ray, 5: _Slurm, 7: _Mounts}.get(seed % 10, _Processes)
     kind = kind if kind.is_installed() else _Processes
     wanted = contents(finished("shared"))
     with scratch() as place:
@@ -64,6 +66,9 @@ class _Launch(abc.ABC):
 
     faults = (2, 5)
     """Bounds of the number of faults."""
+
+    lease = 0.5
+    """Seconds without a heartbeat after which a lease ends, as the workload sets it."""
 
     def __init__(self, place: Path, draw: random.Random):
         self.place, self.out, self.fault = place, place / "out", ""
@@ -203,7 +208,7 @@ class _Launch(abc.ABC):
 
     def _pause(self) -> None:
         for pid in self._signal_one(signal.SIGSTOP):
-            time.sleep(self._draw.uniform(0.2, 4.0) * _LEASE)
+            time.sleep(self._draw.uniform(0.2, 4.0) * self.lease)
             _send(pid, signal.SIGCONT)
 
     def _pause_to_the_end(self) -> None:
@@ -226,7 +231,15 @@ class _Processes(_Launch):
 
     @override
     def drive(self, *, resume: bool) -> None:
-        self._driver = self._start(WORKLOADS["shared"].start(self.out, resume=resume))
+        self._driver = self._start(self.sweep(self.seen(), resume=resume))
+
+    def sweep(self, out: Path, *, resume: bool) -> Callable[[], int]:
+        """A function that runs the sweep in a folder."""
+        return WORKLOADS["shared"].start(out, resume=resume)
+
+    def seen(self) -> Path:
+        """The results folder as the next process sees it."""
+        return self.out
 
     @override
     def begin(self) -> None:
@@ -262,13 +275,71 @@ class _Processes(_Launch):
     def _pause_driver(self) -> None:
         assert self._driver is not None
         self._driver.send(signal.SIGSTOP)
-        time.sleep(self._draw.uniform(0.2, 4.0) * _LEASE)
+        time.sleep(self._draw.uniform(0.2, 4.0) * self.lease)
         self._driver.send(signal.SIGCONT)
 
     def _join(self) -> None:
         from bojax.cli.main import main
 
-        self._start(lambda: main(["worker", str(self.out), "--cores", "1"]))
+        out = str(self.seen())
+        self._start(lambda: main(["worker", out, "--cores", "1"]))
+
+
+class _Mounts(_Processes):
+    """The same, where each process is on a node of its own: it sees what others write a second late.
+
+    A mount of bindfs keeps entries of folders, also missing ones, and attributes of files, as NFS does.
+    """
+
+    lease = 4 * _LATE
+
+    def __init__(self, place: Path, draw: random.Random):
+        super().__init__(place, draw)
+        self._mounts: list[Path] = []
+
+    @staticmethod
+    @override
+    def is_installed() -> bool:
+        return os.geteuid() == 0 and shutil.which("bindfs") is not None and Path("/dev/fuse").exists()
+
+    @override
+    def sweep(self, out: Path, *, resume: bool) -> Callable[[], int]:
+        shared = WORKLOADS["shared"]
+        patient = dataclasses.replace(shared, words=(*shared.words, f"engine.lease_seconds={self.lease}"))
+        return patient.start(out, resume=resume)
+
+    @override
+    def seen(self) -> Path:
+        folder = self.place / f"node-{len(self._mounts)}"
+        folder.mkdir()
+        (self.place / "shared").mkdir(exist_ok=True)
+        self.out = self.place / "shared" / "out"
+        caching = ",".join(f"{kind}_timeout={_LATE}" for kind in ("attr", "entry", "negative"))
+        subprocess.run(["bindfs", "-o", caching, self.place / "shared", folder], check=True)
+        self._mounts.append(folder)
+        return folder / "out"
+
+    @override
+    def _start(self, function: Callable[[], int], *, is_limited: bool = True) -> Child:
+        def elsewhere() -> int:
+            import bojax.results.leases
+
+            # Processes of other machines cannot be looked up: their leases end with their heartbeats alone.
+            bojax.results.leases.process_identity = lambda pid: None
+            return function()
+
+        return super()._start(elsewhere, is_limited=is_limited)
+
+    @override
+    def _workers(self) -> list[int]:
+        alive = [child.pid for child in self._children if child.poll() is None and child is not self._driver]
+        return sorted(set(alive) - set(self._paused))
+
+    @override
+    def close(self) -> None:
+        super().close()
+        for folder in self._mounts:
+            subprocess.run(["umount", "-l", folder], check=True)
 
 
 class _Ray(_Launch):
