@@ -86,10 +86,10 @@ def test_integers_are_tried_once_until_none_is_left():
 
 
 def test_a_point_without_a_score_is_not_tried_again():
-    search = Search([DEPTH], 0, 2, 8)
-    (missing, known) = search.propose(2)
-    search.tell([missing, known], [float("nan"), 1.0])
-    assert missing not in search.propose(4)
+    search = Search([DEPTH], 0, 3, 12)
+    missing, *known = search.propose(3)
+    search.tell([missing, *known], [float("nan"), 1.0, 1.0])
+    assert missing not in search.propose(3)
     assert np.isfinite(search.predict([missing])).all()
 
 
