@@ -26,7 +26,7 @@ from bojax.report.ranking import Measure, config_of, ranking, scored
 from bojax.report.source import load
 from bojax.report.tuning import ROUNDS, TUNING, read_tuning
 from bojax.results.folder import RunFolder, check_plan, is_unfinished, reserve_folder
-from bojax.results.store import MANIFEST, ResultsError, write_atomically, write_json
+from bojax.results.store import MANIFEST, ResultsError, write_content, write_json
 
 if TYPE_CHECKING:
     from bojax.cli.tuning import Task
@@ -224,7 +224,7 @@ class _Rounds:
             point for point in results.points if tuple(point.swept[key] for key in self._keys) == best.values
         )
         config = yaml.safe_dump(config_of(results, point), sort_keys=False, allow_unicode=True)
-        write_atomically(self._folder / "best.yaml", lambda path: path.write_text(config))
+        write_content(self._folder / "best.yaml", config)
         mean, std = self._expected([each.values for each in self._tried])
         write_json(
             self._folder / TUNING,

@@ -14,7 +14,7 @@ from bojax.engine.sinks import FolderSink, MemorySink, Sink
 from bojax.results.folder import Launch, RunFolder
 from bojax.results.leases import Leases, Standing
 from bojax.results.parts import ChunkFolder
-from bojax.results.store import ResultsError, write_atomically
+from bojax.results.store import ResultsError, write_content
 from bojax.text import error_line
 
 
@@ -150,8 +150,8 @@ class FolderShare(Share):
         message = str(known or error_line(error))
         if known is None and not isinstance(error, ResultsError):
             stack = self.folder.work / f"error-{chunks[0].index:05d}.txt"
-            text = "".join(traceback.format_exception(error)).encode(errors="backslashreplace")
-            write_atomically(stack, lambda temporary: temporary.write_bytes(text))
+            text = "".join(traceback.format_exception(error))
+            write_content(stack, text.encode(errors="backslashreplace"))
             message += f" (traceback in {stack})"
         for chunk in chunks:
             self.leases.fail(chunk.name, message)

@@ -17,7 +17,7 @@ from bojax.config.settings import Record
 from bojax.experiments.base import Carry
 from bojax.numerics import checkpoint
 from bojax.results.parts import ChunkFolder, ChunkState
-from bojax.results.store import LEARNERS, write_atomically
+from bojax.results.store import LEARNERS, write_content
 
 LEARNED = "learner.npz"
 """File of a saved learner's arrays, next to the config that evaluates the learner."""
@@ -96,7 +96,7 @@ class FolderSink(Sink):
     def write_learner(self, point: int, run: int, learned: PyTree) -> None:
         folder = f"{LEARNERS}/{point}-{run}"
         text = yaml.safe_dump(evaluation(self._configs[point]), sort_keys=False)
-        write_atomically(self._files.add(f"{folder}/{EXPERIMENT}"), lambda file: file.write_text(text))
+        write_content(self._files.add(f"{folder}/{EXPERIMENT}"), text)
         checkpoint.save(self._files.add(f"{folder}/{LEARNED}"), learned)
 
     @override

@@ -108,8 +108,8 @@ class BojaxEnv(brax_envs.Env):
 
     Actions range from -1 to 1, which are mapped to the bounds. Brax has a single flag `done`, set if a step
     terminates or truncates the episode; Brax applies the time limit (`episode_length`). The metric `success`
-    is 1 in the first step of an episode that reaches the goal, so that its sum over an episode, as Brax reports
-    it, is 0 or 1, also where the episode goes on at the goal.
+    is 1 in the first step of an episode that reaches the goal, so that its sum over an episode, as Brax
+    reports it, is 0 or 1, also where the episode goes on at the goal.
 
     Attributes:
         env: The environment; its observations and actions must be vectors.

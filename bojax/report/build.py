@@ -16,7 +16,7 @@ from bojax.report.page import Plate, render
 from bojax.report.source import Results, load
 from bojax.report.tables import count_nan_runs, ranking_gaps, thesis_gaps
 from bojax.report.text import counted, joined
-from bojax.results.store import ResultsError, explained, write_atomically
+from bojax.results.store import ResultsError, explained, write_content
 from bojax.text import error_line
 
 
@@ -45,13 +45,13 @@ def build_report(folder: Path, at: Callable[[str], None] = lambda stage: None) -
         for suffix in ("png", "svg"):
             path = figures / f"{name}.{suffix}"
             if name in images:
-                _write(path, images[name][suffix])
+                write_content(path, images[name][suffix])
             else:
                 with explained(path):
                     path.unlink(missing_ok=True)  # an earlier report drew it
     text = json.dumps(claims, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    _write(folder / "claims.json", text.encode())
-    _write(folder / "report.html", page.encode())
+    write_content(folder / "claims.json", text)
+    write_content(folder / "report.html", page)
     return folder / "report.html"
 
 
@@ -130,7 +130,3 @@ def _unknown(results: Results) -> list[str]:
             f"{joined(own)}: given by import path, so the report knows the settings only as plain values."
         )
     return notes
-
-
-def _write(path: Path, content: bytes) -> None:
-    write_atomically(path, lambda temporary: temporary.write_bytes(content))

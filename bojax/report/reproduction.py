@@ -15,7 +15,7 @@ from bojax.report.source import load
 from bojax.report.template import fill
 from bojax.report.text import counted, joined, seconds
 from bojax.report.verdicts import TestedClaim, read_claims, tally
-from bojax.results.store import ResultsError, explained, write_atomically
+from bojax.results.store import ResultsError, explained, write_content
 
 CHAPTERS = {
     3: "Bayesian optimisation for sequential planning",
@@ -140,8 +140,7 @@ def reproduction(
         folder.mkdir(parents=True, exist_ok=True)
     values = _content(sweeps, gaps, command, seconds)
     for name in (TEXT, PAGE):
-        text = fill(f"{name}.j2", **values).encode()
-        write_atomically(folder / name, lambda temporary, text=text: temporary.write_bytes(text))
+        write_content(folder / name, fill(f"{name}.j2", **values))
     return folder / PAGE
 
 

@@ -17,7 +17,7 @@ from bojax.report.statistics import Interval
 from bojax.report.tables import Cell, RankedRow, RankedTable, count_cell, interval_cell, setting_cell
 from bojax.report.template import fill
 from bojax.report.text import MISSING, counted, number, plain, with_bounds
-from bojax.results.store import ResultsError, read_json, write_atomically
+from bojax.results.store import ResultsError, read_json, write_content
 
 TUNING = "tuning.json"
 """The file of a search that is finished: its plan, its points, and the posterior of its model."""
@@ -147,7 +147,7 @@ def build_tuning_report(folder: Path) -> Path:
         footer="Written by bojax from the files of this folder, which hold every number shown here.",
     )
     path = folder / "report.html"
-    write_atomically(path, lambda temporary: temporary.write_text(page))
+    write_content(path, page)
     return path
 
 

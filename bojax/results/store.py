@@ -127,10 +127,15 @@ def fingerprint(path: Path) -> dict[str, Any] | None:
             return {"size": path.stat().st_size, "sha256": hashlib.file_digest(file, "sha256").hexdigest()}
 
 
+def write_content(path: Path, content: str | bytes, *, durably: bool = True) -> None:
+    """Write a file as `write_atomically` does; text is encoded as UTF-8."""
+    encoded = content.encode() if isinstance(content, str) else content
+    write_atomically(path, lambda temporary: temporary.write_bytes(encoded), durably=durably)
+
+
 def write_json(path: Path, content: Any, *, durably: bool = True, indent: int | None = 1) -> None:
     """Write a JSON file; non-finite numbers, which JSON lacks, become null."""
-    text = json.dumps(_finite(content), indent=indent, allow_nan=False) + "\n"
-    write_atomically(path, lambda temporary: temporary.write_text(text), durably=durably)
+    write_content(path, json.dumps(_finite(content), indent=indent, allow_nan=False) + "\n", durably=durably)
 
 
 def read_json(path: Path) -> Any:

@@ -12,7 +12,7 @@ from typing_extensions import override
 from bojax.config.launching import SlurmConfig
 from bojax.engine.errors import EngineError
 from bojax.engine.remote import Launcher
-from bojax.results.store import WORK, write_atomically
+from bojax.results.store import WORK, write_content
 
 SCRIPT = "slurm.sh"
 """The script of the last submission, in the results folder."""
@@ -50,7 +50,7 @@ class Slurm(Launcher):
     def start(self, name: str, folders: Sequence[Path]) -> None:
         text = self.script(name, folders)
         for folder in folders:
-            write_atomically(folder / SCRIPT, lambda temporary: temporary.write_text(text))
+            write_content(folder / SCRIPT, text)
         self._job = _sbatch(text, "--parsable").partition(";")[0]  # the name of a cluster may follow
         self._next_question = time.monotonic() + ASK_SECONDS
         told = f"submitted job {self._job} of {self._config.tasks} tasks"

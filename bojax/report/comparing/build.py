@@ -31,7 +31,7 @@ from bojax.report.source import Results, load
 from bojax.report.tables import Table
 from bojax.report.template import fill
 from bojax.report.text import counted, file_name, joined, number, percent, ranged
-from bojax.results.store import ResultsError, explained, write_atomically
+from bojax.results.store import ResultsError, explained, write_content
 
 PAGE = "comparison.html"
 
@@ -100,9 +100,8 @@ def compare(request: Request, out: Path) -> Path:
         figures.mkdir(parents=True, exist_ok=True)
     for name, files in images.items():
         for suffix, content in files.items():
-            path = figures / f"{name}.{suffix}"
-            write_atomically(path, lambda temporary, content=content: temporary.write_bytes(content))
-    write_atomically(out / PAGE, lambda temporary: temporary.write_bytes(page.encode()))
+            write_content(figures / f"{name}.{suffix}", content)
+    write_content(out / PAGE, page)
     return out / PAGE
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from bojax.report.exporting.content import ExportedPoint
-from bojax.results.store import explained, write_atomically
+from bojax.results.store import explained, write_content
 
 
 def write(points: Sequence[ExportedPoint], out: Path) -> None:
@@ -36,4 +36,4 @@ def _write(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> 
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(header)
     writer.writerows(rows)
-    write_atomically(path, lambda temporary: temporary.write_text(text.getvalue(), encoding="utf-8"))
+    write_content(path, text.getvalue())
