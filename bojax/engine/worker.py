@@ -26,6 +26,9 @@ from bojax.results.folder import Launch, RunFolder
 from bojax.results.store import ResultsError
 from bojax.text import error_line
 
+EXPECTED = (ConfigError, ResultsError, EngineError, ImportError)
+"""Errors that the user can act on, told in one line."""
+
 
 @dataclass(frozen=True)
 class WorkerOptions:
@@ -104,6 +107,6 @@ def guarded(work: Callable[[], int]) -> int:
     """The exit code of a worker; an error that the user can act on becomes one line and the code 1."""
     try:
         return work()
-    except (ConfigError, ResultsError, EngineError, ImportError) as error:
+    except EXPECTED as error:
         print(printable(f"error: {error}"), file=sys.stderr)
         return FAILURE

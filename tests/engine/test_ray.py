@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from bojax.cli.main import main
+from bojax.engine.launchers import ray_actors
 from bojax.results.leases import Attempts
 from bojax.results.store import WORK
 
@@ -109,6 +110,13 @@ def test_a_driver_that_is_interrupted_stops_its_actors(cluster, tmp_path):
     assert driver.returncode == 143, text
     assert "interrupted; to resume:\n  bojax sweep sweep.yaml" in text
     assert not workers_with_checkpoints(out)  # all leases are given back
+
+
+def test_an_actor_tells_why_it_left(tmp_path, monkeypatch):
+    """As on a node that does not share the folder."""
+    monkeypatch.setattr(ray_actors, "IDLE_SECONDS", 1e6)
+    error = ray_actors._Actor().work([str(tmp_path / "elsewhere")], 0, 1, 1)
+    assert error is not None and "elsewhere: no unfinished sweep in this folder on " in error
 
 
 def test_without_the_extra(tmp_path, capsys, monkeypatch):

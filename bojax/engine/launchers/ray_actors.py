@@ -10,6 +10,7 @@ import importlib
 import logging
 import os
 import signal
+import socket
 import sys
 import threading
 from collections.abc import Sequence
@@ -18,6 +19,7 @@ from typing import Any
 
 from typing_extensions import override
 
+from bojax.config.errors import printable
 from bojax.config.extras import MissingExtra
 from bojax.config.launching import RayConfig
 from bojax.engine.errors import FAILURE, EngineError
@@ -119,7 +121,8 @@ class Ray(Launcher):
         for call in ended:
             number = self._running.pop(call)
             try:
-                ray.get(call)
+                if error := ray.get(call):
+                    print(printable(f"a worker has left: {error}"), file=sys.stderr)
             except ray.exceptions.RayError as error:
                 is_lost = isinstance(error, ray.exceptions.RayActorError) and not error.actor_init_failed
                 if not is_lost:
@@ -154,14 +157,22 @@ class _Actor:
         self._one = threading.Lock()
         self._wait_for_work()
 
-    def work(self, folders: Sequence[str], number: int, count: int, cores: int | None) -> None:
-        """Run chunks until none is left; a second call waits for the first."""
-        from bojax.engine.worker import WorkerOptions, guarded, run_worker
+    def work(self, folders: Sequence[str], number: int, count: int, cores: int | None) -> str | None:
+        """Run chunks until none is left, and return what kept the worker from it; None if nothing did.
 
+        A second call waits for the first.
+        """
+        from bojax.engine.worker import EXPECTED, WorkerOptions, run_worker
+
+        error = None
         with self._one:
             options = WorkerOptions(None, cores, number, count, waits=True)
-            guarded(lambda: run_worker([Path(folder) for folder in folders], options, self._stops))
+            try:
+                run_worker([Path(folder) for folder in folders], options, self._stops)
+            except EXPECTED as problem:
+                error = f"{socket.gethostname()}: {problem}"
         self._wait_for_work()
+        return error
 
     def _wait_for_work(self) -> None:
         timer = threading.Timer(IDLE_SECONDS, self._leave)
