@@ -50,7 +50,21 @@ def _peak(x):
     return 1.0 / (1.0 + jnp.sum((x - jnp.asarray([0.3, -0.6], x.dtype)) ** 2))
 
 
-LANDSCAPES = ("peak", "gap", "plain", "nowhere")
+def _negative_branin(x):
+    """Branin's function, whose three minima of 0.397887 lie in [-5, 10] x [0, 15], upside down."""
+    a = x[1] - 5.1 / (4.0 * np.pi**2) * x[0] ** 2 + 5.0 / np.pi * x[0] - 6.0
+    return -(a**2 + 10.0 * (1.0 - 1.0 / (8.0 * np.pi)) * jnp.cos(x[0]) + 10.0)
+
+
+LANDSCAPES = (
+    lambda key, x: _peak(x),
+    lambda key, x: jnp.where(x[1] > 0.3, jnp.nan, _peak(x)),
+    lambda key, x: jnp.asarray(2.5, x.dtype),
+    lambda key, x: jnp.asarray(jnp.nan, x.dtype),
+    lambda key, x: x[0] - 2.0 * x[1],
+    lambda key, x: jax.random.normal(key, dtype=x.dtype),
+    lambda key, x: _negative_branin(x),
+)
 
 
 class Landscape(eqx.Module):
@@ -59,21 +73,14 @@ class Landscape(eqx.Module):
     number: Int[Array, ""]
 
     def __call__(self, key, x):
-        del key
-        peak = _peak(x)
-        gap = jnp.where(x[1] > 0.3, jnp.nan, peak)
-        return jnp.stack([peak, gap, jnp.asarray(2.5, x.dtype), jnp.asarray(jnp.nan, x.dtype)])[self.number]
+        return jnp.stack([landscape(key, x) for landscape in LANDSCAPES])[self.number]
 
 
-peak, gap, plain, nowhere = (Landscape(jnp.asarray(number, jnp.int32)) for number in range(len(LANDSCAPES)))
-"""One peak of height 1 at (0.3, -0.6); the same behind a third of the box without values; 2.5; no values."""
-
-
-def negative_branin(key, x):
-    """Branin's function, whose three minima of 0.397887 lie in [-5, 10] x [0, 15], upside down."""
-    del key
-    a = x[1] - 5.1 / (4.0 * np.pi**2) * x[0] ** 2 + 5.0 / np.pi * x[0] - 6.0
-    return -(a**2 + 10.0 * (1.0 - 1.0 / (8.0 * np.pi)) * jnp.cos(x[0]) + 10.0)
+peak, gap, plain, nowhere, slope, noise, negative_branin = (
+    Landscape(jnp.asarray(number, jnp.int32)) for number in range(len(LANDSCAPES))
+)
+"""One peak of height 1 at (0.3, -0.6); the same behind a third of the box without values; 2.5; no values; a
+plane; noise alone; and Branin's function."""
 
 
 @_jit
@@ -131,7 +138,7 @@ def test_points_and_values_are_those_of_plain_numpy(acquisition, function):
 
     evaluate = _jit(function)
     expected_xs, expected_ys = reference.maximise(
-        lambda x: float(evaluate(None, jnp.asarray(x))),
+        lambda x: float(evaluate(jax.random.key(0), jnp.asarray(x))),
         reference_kernel(one.kernel),
         reference_acquisition(acquisition),
         noise_variance=1e-4,
@@ -190,54 +197,55 @@ def test_new_keys_and_hyperparameters_compile_nothing_and_matter():
     assert TRACES["maximise"] == before
 
 
-def regrets(function, maximum, optimisations, num_iterations):
-    """How far the best value found is below the maximum, in each lane."""
-    number = optimisations.noise_variance.shape[0]
-    state, _, ys = maximise_lanes(optimisations, seeds(number), function, num_iterations)
-    _, best = jax.vmap(type(optimisations).best)(optimisations, state)
+LANES, LONG = 16, 40
+"""Number of lanes and of iterations of long searches, which share one program an acquisition."""
+
+
+def searched(function, one):
+    """Final states, points and values of equal optimisations of capacity `LONG`."""
+    return maximise_lanes(stacked([one] * LANES), seeds(LANES), function, LONG)
+
+
+def regrets(function, maximum, one, num_iterations=LONG):
+    """How far the best of the first values is below the maximum, in each lane."""
+    state, _, ys = searched(function, one)
+    _, best = jax.vmap(one.best)(state)
     np.testing.assert_allclose(best, np.max(ys, axis=1), rtol=1e-12)  # XLA may compute a value twice
-    return maximum - np.asarray(best)
+    return maximum - np.max(ys[:, :num_iterations], axis=1)
 
 
-def random_regrets(function, maximum, low, high, num_iterations, number):
+def random_regrets(function, maximum, low, high, num_iterations):
     """The same for points drawn uniformly."""
-    rng = np.random.default_rng(0)
-    points = jnp.asarray(rng.uniform(low, high, (number, num_iterations, 2)))
-    values = jax.jit(jax.vmap(jax.vmap(partial(function, None))))(points)
-    return maximum - np.max(values, axis=1)
+    points = np.random.default_rng(0).uniform(low, high, (LANES * num_iterations, 2))
+    values = jax.jit(jax.vmap(partial(function, jax.random.key(0))))(jnp.asarray(points))
+    return maximum - np.max(values.reshape(LANES, num_iterations), axis=1)
 
 
 @each_acquisition
 def test_one_peak_is_found(acquisition):
-    lanes = stacked([optimisation(acquisition, capacity=20)] * 16)
-    found = regrets(peak, 1.0, lanes, 20)
+    found = regrets(peak, 1.0, optimisation(acquisition, capacity=LONG), 20)
     assert np.all(found < 0.02) and np.median(found) < 2e-3
-    by_chance = random_regrets(peak, 1.0, (-1, -1), (1, 1), 20, 16)
+    by_chance = random_regrets(peak, 1.0, (-1, -1), (1, 1), 20)
     assert np.median(found) < 0.05 * np.median(by_chance)
 
 
 @each_acquisition
 def test_the_minimum_of_branin_is_found_by_maximising_its_negative(acquisition):
     low, high = (-5.0, 0.0), (10.0, 15.0)
-    one = optimisation(acquisition, low, high, capacity=40, kernel=Matern52(jnp.asarray(0.6)), num_initial=4)
-    found = regrets(negative_branin, -0.397887, stacked([one] * 16), 40)
+    found = regrets(negative_branin, -0.397887, optimisation(acquisition, low, high, capacity=LONG))
     assert np.all(found > -1e-6) and np.all(found < 0.5) and np.median(found) < 0.05
-    by_chance = random_regrets(negative_branin, -0.397887, low, high, 40, 16)
+    by_chance = random_regrets(negative_branin, -0.397887, low, high, LONG)
     assert np.median(found) < 0.1 * np.median(by_chance)
 
 
 # The probability of improvement is left out: it prefers a sure gain, however small, to the corner.
 @pytest.mark.parametrize("name", ["ucb", "log-ei"])
 def test_a_maximum_in_a_corner_is_found_there(name):
-    def slope(key, x):
-        del key
-        return x[0] - 2.0 * x[1]
-
-    one = optimisation(ACQUISITIONS[name], low=(-0.1, 3.0), high=(0.7, 3.1), capacity=24, refine_steps=20)
-    state, xs, ys = maximise_lanes(stacked([one] * 4), seeds(4), slope, 24)
+    one = optimisation(ACQUISITIONS[name], low=(-0.1, 3.0), high=(0.7, 3.1), capacity=LONG)
+    state, xs, ys = searched(slope, one)
     assert np.all(np.asarray(xs) >= np.asarray(one.low)) and np.all(np.asarray(xs) <= np.asarray(one.high))
     best, value = jax.vmap(one.best)(state)
-    np.testing.assert_allclose(best, np.broadcast_to([0.7, 3.0], (4, 2)), atol=1e-3)
+    np.testing.assert_allclose(best, np.broadcast_to([0.7, 3.0], (LANES, 2)), atol=1e-3)
     np.testing.assert_allclose(value, 0.7 - 6.0, atol=3e-3)
 
 
@@ -311,9 +319,10 @@ def test_what_is_relearned_has_the_greatest_posterior_density(spread):
 
 
 def test_relearning_mends_a_wrong_lengthscale():
-    settings = {"kernel": Matern52(jnp.asarray([0.05, 0.05])), "capacity": 20}
-    kept = regrets(peak, 1.0, stacked([optimisation(**settings)] * 8), 20)
-    relearned = regrets(peak, 1.0, stacked([optimisation(**settings, relearn_every=5)] * 8), 20)
+    kept, relearned = (
+        [1.0 - np.max(maximise(one, key)[2]) for key in seeds(8)]
+        for one in (optimisation(kernel=RBF(jnp.asarray(0.05)), relearn_every=every) for every in (0, 5))
+    )
     assert np.median(relearned) < 0.1 * np.median(kept)
 
 
@@ -340,10 +349,9 @@ def test_a_function_without_values_is_still_searched():
 
 
 def test_a_peak_beside_missing_values_is_found():
-    lanes = stacked([optimisation(capacity=20)] * 16)
-    state, _, ys = maximise_lanes(lanes, seeds(16), gap, 20)
+    state, _, ys = searched(gap, optimisation(capacity=LONG))
     np.testing.assert_array_equal(state.num_missing, np.isnan(ys).sum(axis=1))
-    found = np.nanmax(ys, axis=1)
+    found = np.nanmax(ys[:, :20], axis=1)
     assert np.all(state.num_missing > 0) and np.all(found > 0.95) and np.median(found) > 0.99
 
 
@@ -376,11 +384,8 @@ def test_what_is_told_beyond_the_capacity_is_forgotten():
 
 
 def test_noise_differs_between_iterations_and_lanes():
-    def noise(key, x):
-        return jax.random.normal(key) + 0.0 * x[0]
-
-    _, _, ys = maximise_lanes(stacked([optimisation()] * 2), seeds(2), noise)
-    assert len(np.unique(ys)) == 2 * NUM_ITERATIONS
+    _, _, ys = searched(noise, optimisation(capacity=LONG))
+    assert len(np.unique(ys)) == LANES * LONG
 
 
 def test_more_iterations_than_the_capacity_are_refused():
@@ -520,10 +525,11 @@ def test_predictions_are_those_of_a_gaussian_process_in_the_units_of_the_objecti
     random = np.random.default_rng(0)
     xs, ys = random.uniform(low, high, (4, 2)), 100.0 + 7.0 * random.standard_normal(4)
     state = optimisation.init(jax.random.key(0))
+    tell, predict = _jit(type(optimisation).tell), _jit(type(optimisation).predict)
     for x, y in zip(xs, ys, strict=True):
-        state = optimisation.tell(state, x, float(y))
+        state = tell(optimisation, state, x, y)
     at = random.uniform(low, high, (5, 2))
-    mean, std = optimisation.predict(state, jnp.asarray(at))
+    mean, std = predict(optimisation, state, jnp.asarray(at))
 
     def unit(x):
         return 2.0 * (x - low) / (high - low) - 1.0
