@@ -3,7 +3,7 @@
 import numpy as np
 
 from bojax.report import statistics
-from bojax.report.claims.finding import Comparison, Finding, within
+from bojax.report.claims.finding import Comparison, Finding
 from bojax.report.claims.samples import Measure, column, enough, most_present, stand_ins
 from bojax.report.claims.settings import Agrees
 from bojax.report.source import Results
@@ -41,10 +41,11 @@ def agrees(results: Results, test: Agrees) -> Finding:
         theirs = f"{number(test.mean)} (sd {number(test.sd)}, {counted(runs, 'run')})"
         what = f"Welch's 95% interval of the difference between our mean {name}"
     is_apart = interval.low > 0 or interval.high < 0
+    is_close = -tolerance < interval.low and interval.high < tolerance
     comparison = Comparison(f"{name} of {label} - thesis's", interval)
     return Finding(
         ours=estimate,
-        verdict="not reproduced" if is_apart else within(interval, -tolerance, tolerance),
+        verdict="not reproduced" if is_apart else "reproduced" if is_close else "inconclusive",
         comparisons=[comparison],
         decisive=comparison,
         runs=size,

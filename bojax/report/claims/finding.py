@@ -1,7 +1,7 @@
 """The result of a test, and how an interval decides."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -32,31 +32,40 @@ class Finding:
     chosen: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
-    def single(
+    def between(
         cls,
-        of: str,
-        interval: statistics.Interval,
-        verdict: Verdict,
+        low: float | None,
+        high: float | None,
+        comparisons: Sequence[Comparison],
         *,
+        ours: float | str | None = None,
         runs: int,
         method: str,
         chosen: Mapping[str, str],
     ) -> "Finding":
-        """The result of a test of one statement, whose estimate is the counterpart of `thesis`."""
-        comparison = Comparison(of, interval)
-        return cls(interval.estimate, verdict, [comparison], comparison, runs, method, chosen)
+        """The result of a test whose quantities all have to lie between two bounds, None for no bound.
+
+        The claim is reproduced if all of them do, and not reproduced if one of them does not. The decisive
+        interval is the one that is furthest outside then, and otherwise the one that is least far inside.
+        Without `ours`, the estimate of the only quantity is the counterpart of `thesis`.
+        """
+        low, high = -math.inf if low is None else low, math.inf if high is None else high
+        intervals = [comparison.interval for comparison in comparisons]
+        if all(low < each.low and each.high < high for each in intervals):
+            verdict = "reproduced"
+        elif any(each.high < low or each.low > high for each in intervals):
+            verdict = "not reproduced"
+        else:
+            verdict = "inconclusive"
+        if verdict == "not reproduced":
+            room = [-max(low - each.high, each.low - high) for each in intervals]
+        else:
+            room = [min(each.low - low, high - each.high) for each in intervals]
+        decisive = comparisons[room.index(min(room))]
+        ours = decisive.interval.estimate if ours is None else ours
+        return cls(ours, verdict, list(comparisons), decisive, runs, method, chosen)
 
 
 def bootstrap(runs: int) -> str:
     """The bootstrap of a number of runs, in words."""
     return f"percentile bootstrap, {statistics.RESAMPLES:,} resamples of {statistics.resampled(runs)}"
-
-
-def within(interval: statistics.Interval, low: float | None, high: float | None) -> Verdict:
-    """Whether a quantity lies between two bounds, None for no bound: all of its interval does, or none."""
-    low, high = -math.inf if low is None else low, math.inf if high is None else high
-    if low < interval.low and interval.high < high:
-        return "reproduced"
-    if interval.high < low or interval.low > high:
-        return "not reproduced"
-    return "inconclusive"

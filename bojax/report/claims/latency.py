@@ -3,7 +3,7 @@
 from itertools import pairwise
 
 from bojax.report import statistics
-from bojax.report.claims.finding import Comparison, Finding, Verdict, within
+from bojax.report.claims.finding import Comparison, Finding
 from bojax.report.claims.samples import Undecidable, named
 from bojax.report.claims.settings import Latency
 from bojax.report.source import Results
@@ -20,7 +20,7 @@ def latency(results: Results, test: Latency) -> Finding:
     if test.below is not None:
         (interval,) = times
         comparisons = [Comparison(f"seconds of an advance of {test.labels[0]}", interval)]
-        verdict = within(interval, None, test.below)
+        bounds = None, test.below
         ours, claimed = interval.estimate, f"below {test.below:g} s"
     else:
         comparisons = [
@@ -30,23 +30,18 @@ def latency(results: Results, test: Latency) -> Finding:
             )
             for (quick, a), (slow, b) in pairwise(zip(test.labels, times, strict=True))
         ]
-        verdicts: list[Verdict] = [within(each.interval, 1.0, None) for each in comparisons]
-        verdict = "not reproduced" if "not reproduced" in verdicts else "inconclusive"
-        if set(verdicts) == {"reproduced"}:
-            verdict = "reproduced"
+        bounds = 1.0, None
         by_time = sorted(zip(times, test.labels, strict=True), key=lambda pair: pair[0].estimate)
         ours = " < ".join(f"{name} {number(time.estimate)} s" for time, name in by_time)
         claimed = "ratios above 1"
-    return Finding(
+    return Finding.between(
+        *bounds,
+        comparisons,
         ours=ours,
-        verdict=verdict,
-        comparisons=comparisons,
-        decisive=min(
-            comparisons, key=lambda c: c.interval.high if verdict == "not reproduced" else c.interval.low
-        ),
         runs=1,
         method="median time of an advance of a single run on this machine, and the range of the measured "
         f"times, which contains it with at least 97% confidence, against {claimed}",
+        chosen={},
     )
 
 

@@ -6,7 +6,7 @@ from itertools import pairwise, product
 import numpy as np
 
 from bojax.report import statistics
-from bojax.report.claims.finding import Comparison, Finding, Verdict, bootstrap
+from bojax.report.claims.finding import Comparison, Finding, bootstrap
 from bojax.report.claims.samples import Measure, paired, stand_ins
 from bojax.report.claims.settings import Order
 from bojax.report.source import Results
@@ -62,19 +62,12 @@ def order(results: Results, test: Order) -> Finding:
         low = float(np.quantile(means[:, pair], low_levels[pair]))
         high = float(np.quantile(means[:, pair], 1 - high_levels[pair]))
         comparisons.append(Comparison(of, statistics.Interval(float(estimates[pair]), low, high)))
-    verdict: Verdict = "inconclusive"
-    if all(comparison.interval.low > 0 for comparison in comparisons):
-        verdict = "reproduced"
-    elif any(comparison.interval.high < 0 for comparison in comparisons):
-        verdict = "not reproduced"
     by_mean = sorted((name for tier in tiers for name in tier), key=lambda name: -sign * values[name].mean())
-    return Finding(
+    return Finding.between(
+        0.0,
+        None,
+        comparisons,
         ours=(" > " if sign > 0 else " < ").join(f"{name} {number(values[name].mean())}" for name in by_mean),
-        verdict=verdict,
-        comparisons=comparisons,
-        decisive=min(
-            comparisons, key=lambda c: c.interval.high if verdict == "not reproduced" else c.interval.low
-        ),
         runs=len(table),
         method=f"mean difference of {measure} between paired runs{' plus the margin' if margin else ''}, "
         f"each pair of neighbours, one-sided at {statistics.TAIL:.1%} with Holm's correction over "

@@ -3,7 +3,7 @@
 import numpy as np
 
 from bojax.report import statistics
-from bojax.report.claims.finding import Finding, bootstrap, within
+from bojax.report.claims.finding import Comparison, Finding, bootstrap
 from bojax.report.claims.samples import Measure, Undecidable, paired, stand_ins
 from bojax.report.claims.settings import Ratio
 from bojax.report.source import Results
@@ -33,10 +33,10 @@ def ratio(results: Results, test: Ratio) -> Finding:
     if is_apart and expected != 1:
         agrees = (interval.estimate > 1) == (expected > 1)
         side += ", as claimed" if agrees else ", contrary to the claim"
-    return Finding.single(
-        f"{measure} of {test.label} / {test.to}",
-        interval,
-        within(interval, low, high),
+    return Finding.between(
+        low,
+        high,
+        [Comparison(f"{measure} of {test.label} / {test.to}", interval)],
         runs=len(table),
         method=f"ratio of the means of {measure} over paired runs, 95% interval against "
         f"[{number(low)}, {number(high)}]: {expected:g} up to a factor of {factor:g}"

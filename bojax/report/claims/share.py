@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from bojax.config.claims import Window
 from bojax.report import statistics
-from bojax.report.claims.finding import Finding, within
+from bojax.report.claims.finding import Comparison, Finding
 from bojax.report.claims.samples import (
     Measure,
     Undecidable,
@@ -42,10 +42,10 @@ def share(results: Results, test: Share) -> Finding:
     enough(hits.size, "run")
     interval = statistics.share_interval(hits)
     threshold = f"less than {test.below:g}" if test.above is None else f"more than {test.above:g}"
-    return Finding.single(
-        f"share of {label} with {condition}",
-        interval,
-        within(interval, test.above, test.below),
+    return Finding.between(
+        test.above,
+        test.below,
+        [Comparison(f"share of {label} with {condition}", interval)],
         runs=int(hits.size),
         method=f"Wilson 95% interval of the share of runs with {condition}, against {threshold}",
         chosen=chosen,

@@ -5,7 +5,7 @@ from itertools import combinations
 import numpy as np
 
 from bojax.report import statistics
-from bojax.report.claims.finding import Comparison, Finding, Verdict, bootstrap
+from bojax.report.claims.finding import Comparison, Finding, bootstrap
 from bojax.report.claims.samples import Measure, Undecidable, paired, stand_ins
 from bojax.report.claims.settings import Similar
 from bojax.report.source import Results
@@ -39,19 +39,12 @@ def similar(results: Results, test: Similar) -> Finding:
         estimate = float((at[:, a] - at[:, b]).mean()) / scale
         interval = statistics.Interval(estimate, float(low), float(high))
         comparisons.append(Comparison(f"{names[a]} - {names[b]}", interval))
-    verdict: Verdict = "inconclusive"
-    if all(-margin < c.interval.low and c.interval.high < margin for c in comparisons):
-        verdict = "reproduced"
-    elif any(c.interval.low > margin or c.interval.high < -margin for c in comparisons):
-        verdict = "not reproduced"
-    ends = np.array([(c.interval.low, -c.interval.high) for c in comparisons])
-    extreme = ends.max(axis=1) if verdict == "not reproduced" else -ends.min(axis=1)
     unit = "" if spread_at is None else f", as a share of the range of {spread}"
-    return Finding(
+    return Finding.between(
+        -margin,
+        margin,
+        comparisons,
         ours=", ".join(f"{name} {number(mean)}" for name, mean in zip(names, at.mean(axis=0), strict=True)),
-        verdict=verdict,
-        comparisons=comparisons,
-        decisive=comparisons[int(np.argmax(extreme))],
         runs=len(at),
         method=f"differences of the means of {measure}{unit}, within paired runs, simultaneous "
         f"95% intervals (Bonferroni over {counted(len(pairs), 'pair')}) against ±{margin:g}; "

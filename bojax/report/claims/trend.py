@@ -6,7 +6,7 @@ import numpy as np
 
 from bojax.config.claims import Window
 from bojax.report import statistics
-from bojax.report.claims.finding import Finding, bootstrap, within
+from bojax.report.claims.finding import Comparison, Finding, bootstrap
 from bojax.report.claims.samples import Measure, episodes_in, paired, stand_ins
 from bojax.report.claims.settings import Trend
 from bojax.report.source import Results
@@ -25,10 +25,9 @@ def trend(results: Results, test: Trend) -> Finding:
         changes = np.subtract(*(paired(results, test, points, end)[:, 0] for end in (last, first)))
     interval = statistics.mean_interval(changes)
     between = f"from {_place(test.first)} to {_place(test.last)}"
-    return Finding.single(
-        f"change of {test.label} {between}",
-        interval,
-        within(interval, 0.0, None) if test.direction == "rises" else within(interval, None, 0.0),
+    return Finding.between(
+        *((0.0, None) if test.direction == "rises" else (None, 0.0)),
+        [Comparison(f"change of {test.label} {between}", interval)],
         runs=len(changes),
         method=f"mean change of {test.column} {between} within a run, 95% interval "
         f"against 0 (the claim: it {test.direction}); {bootstrap(len(changes))}",
