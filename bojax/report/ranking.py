@@ -16,8 +16,6 @@ from bojax.results.store import ResultsError
 ENDS = {"steps_to_goal": "steps", "episodes_to_goal": "episodes", "episodes_to_target": "episodes"}
 """For columns that are null in a run without success: the column of the end of the run, which then counts."""
 
-_NOT_MEASURED = ("point", "run", "seed", "nans")
-
 
 @dataclass(frozen=True)
 class Measure:
@@ -79,12 +77,7 @@ def measure_of(results: Results, by: str | None = None) -> Measure:
     """
     by = by or results.report.rank_by or _usual(results)
     column = by.removeprefix("-")
-    swept = {key for point in results.points for key in point.swept}
-    known = [
-        name
-        for name, values in results.runs.items()
-        if values.dtype.kind in "bfiu" and name not in {*_NOT_MEASURED, *swept}
-    ]
+    known = results.measured(results.runs)
     if column not in known:
         raise ResultsError(f"runs.parquet: unknown column {column}{allowed_names(column, known)}")
     return Measure(column, by.startswith("-"))

@@ -20,6 +20,8 @@ from bojax.report.snapshots import Arrays, read_snapshot
 from bojax.results.outline import Outline
 from bojax.results.store import ARRAYS, MANIFEST, WORK, ResultsError, array_file, read_manifest
 
+_NOT_MEASURED = ("point", "run", "episode", "seed", "nans")
+
 
 @dataclass(frozen=True)
 class Point:
@@ -181,6 +183,16 @@ class Results:
     def steps_of(self, point: Point) -> Columns:
         """The steps of one point."""
         return where(self.steps, point=point.index)
+
+    @cached_property
+    def run_points(self) -> list[Point]:
+        """The points that have runs."""
+        return [point for point in self.points if self.runs_of(point)["run"].size]
+
+    def measured(self, table: Columns) -> list[str]:
+        """The columns of numbers and Booleans of a table that were measured: neither keys nor settings."""
+        hidden = {*_NOT_MEASURED, *(key for point in self.points for key in point.swept)}
+        return [name for name, values in table.items() if values.dtype.kind in "bfiu" and name not in hidden]
 
     def shared_runs(self, points: Sequence[Point]) -> NDArray[Any]:
         """Indices of the runs that all points have."""

@@ -10,7 +10,17 @@ from bojax.experiments.settings import Trajectories
 from bojax.report import statistics
 from bojax.report.ranking import measure_of, ranking
 from bojax.report.source import Point, Results
-from bojax.report.text import MISSING, counted, joined, number, percent, plain, seconds, with_bounds
+from bojax.report.text import (
+    MISSING,
+    counted,
+    is_number,
+    joined,
+    number,
+    percent,
+    plain,
+    seconds,
+    with_bounds,
+)
 from bojax.results.store import ResultsError
 
 FEW_POINTS = 12
@@ -240,18 +250,17 @@ def _measures(results: Results) -> list[_Measure]:
     runs, points = results.runs, results.points
     is_learning = any(point.is_learning for point in points)
     special = _LEARNING if is_learning else _planning(results.report.by_step or BY_STEP)
-    known = {"point", "label", "variant", "run", "seed", "nans"}
-    known.update(*(point.swept for point in points), *(measure.needs for measure in special))
+    known = {column for measure in special for column in measure.needs}
     if not is_learning and not all(point.ends_at_success for point in points):
         special = [measure for measure in special if "steps" not in measure.needs]
     if not is_learning and not all(point.has_success for point in points):
         special = [measure for measure in special if measure.name != "success"]
     others = [
         _Measure(_heading(column), column, share_cell)
-        if values.dtype.kind == "b"
+        if runs[column].dtype.kind == "b"
         else _Measure(_heading(column), column, own_cell, (column, *(["nans"] if "nans" in runs else [])))
-        for column, values in runs.items()
-        if column not in known and values.dtype.kind in "bfiu"
+        for column in results.measured(runs)
+        if column not in known
     ]
     return [measure for measure in special if runs.keys() >= {*measure.needs}] + others
 
@@ -352,8 +361,7 @@ def setting_cell(value: Any) -> Cell:
     """The value of a setting; nothing if a point does not have it."""
     if value is None:
         return Cell(MISSING)
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return Cell(plain(value), key=value if is_number else plain(value))
+    return Cell(plain(value), key=value if is_number(value) else plain(value))
 
 
 def _heading(column: str) -> str:
@@ -362,10 +370,10 @@ def _heading(column: str) -> str:
 
 def _times(column: str, end: str) -> list[_Measure]:
     """When a goal was reached, NaN for never, in runs that ended at `end`."""
-    heading = _heading(column)
+    words = _heading(column)
     return [
-        _Measure(f"{heading}, runs that reached it", column, among_cell),
-        _Measure(f"{heading}, all runs", f"{column}_of_all", censored_cell, (column, end)),
+        _Measure(f"{words}, runs that reached it", column, among_cell),
+        _Measure(f"{words}, all runs", f"{column}_of_all", censored_cell, (column, end)),
     ]
 
 

@@ -65,6 +65,16 @@ def plain(value: Any) -> str:
     return str(value)
 
 
+def is_number(value: Any) -> bool:
+    """Whether a setting is a number, and not a Boolean."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def heading(name: str) -> str:
+    """The last part of a dotted path in words: `learning rate`."""
+    return name.rsplit(".", 1)[-1].replace("_", " ")
+
+
 def line(value: Any) -> str:
     """A nested value on one line, empty entries left out; equal items of a list are counted: `2 x a, b`."""
     if isinstance(value, Mapping):

@@ -33,7 +33,6 @@ PLANNING_CURVE = "accumulated_reward"
 GRID = 200
 """Number of places at which curves over the steps of an environment are compared."""
 
-_KEYS = ("point", "run", "episode", "seed", "nans")
 _LAST = 0.1
 
 
@@ -118,10 +117,7 @@ def task_of(point: Point) -> str:
 def columns_of(results: Results) -> list[str]:
     """The columns that can be compared, those with curves first."""
     found = [PLANNING_CURVE] if kind_of(results) == "planning" and PLANNING_CURVE in results.steps else []
-    hidden = {*_KEYS, *(key for point in results.points for key in point.swept)}
-    for table in (results.episodes, results.runs):
-        found += [name for name, values in table.items() if values.dtype.kind in "bfiu"]
-    return [name for name in dict.fromkeys(found) if name not in hidden]
+    return list(dict.fromkeys([*found, *results.measured(results.episodes), *results.measured(results.runs)]))
 
 
 def of_folder(results: Results, measure: Measure) -> list[Contender]:
@@ -136,10 +132,8 @@ def of_folder(results: Results, measure: Measure) -> list[Contender]:
             f"{results.folder}: unknown metric {measure.column}{allowed_names(measure.column, known)}"
         )
     contenders = []
-    for point in results.points:
+    for point in results.run_points:
         runs = results.runs_of(point)
-        if not runs["run"].size:
-            continue
         curve = curve_of(results, point, measure)
         if curve is None:
             scores = ranking.Measure(measure.column, measure.is_least).values(runs)

@@ -8,7 +8,7 @@ import numpy as np
 from bojax.report.drawing.base import Undrawable
 from bojax.report.drawing.curves import Curve, Panel
 from bojax.report.source import Point, Results
-from bojax.report.text import joined
+from bojax.report.text import heading, joined
 
 
 def swept_panel(results: Results) -> tuple[Panel, str, str]:
@@ -27,9 +27,9 @@ def swept_panel(results: Results) -> tuple[Panel, str, str]:
     curves = curves_over(results, over, column)
     if not curves:
         raise Undrawable(f"no setting was run with several values of {over}")
-    quantity = f"mean {_heading(column)}"
+    quantity = f"mean {heading(column)}"
     missing = "Hollow markers: means over only those runs that have a value."
-    return Panel(quantity, quantity, curves, missing=missing), _heading(over), _heading(column)
+    return Panel(quantity, quantity, curves, missing=missing), heading(over), heading(column)
 
 
 def curves_over(results: Results, over: str, column: str) -> list[Curve]:
@@ -74,7 +74,3 @@ def _name_without(point: Point, over: str) -> str:
         if key != over and value not in point.variant.split("/")
     ]
     return ", ".join([point.variant, *others])
-
-
-def _heading(name: str) -> str:
-    return name.rsplit(".", 1)[-1].replace("_", " ")

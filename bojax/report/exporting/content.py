@@ -74,13 +74,11 @@ def exported(results: Results) -> list[ExportedPoint]:
     """
     kind = kind_of(results)
     points = []
-    for point in results.points:
-        size = results.runs_of(point)["run"].size
-        if size:
-            about = {"runs": str(size), "seed": plain(results.manifest.seed)}
-            settings = dict(flatten(point.config)) | about
-            scalars, curves = _scalars(results, point), _curves(results, point, kind == "learning")
-            points.append(ExportedPoint(results.name, point.name, point.index, settings, scalars, curves))
+    for point in results.run_points:
+        about = {"runs": str(results.runs_of(point)["run"].size), "seed": plain(results.manifest.seed)}
+        settings = dict(flatten(point.config)) | about
+        scalars, curves = _scalars(results, point), _curves(results, point, kind == "learning")
+        points.append(ExportedPoint(results.name, point.name, point.index, settings, scalars, curves))
     return points
 
 

@@ -11,14 +11,13 @@ from matplotlib.patches import Rectangle
 
 from bojax.config.errors import allowed_names
 from bojax.report import style
-from bojax.report.drawing.base import MAX_POINTS, Drawing, Undrawable, panel_grid
+from bojax.report.drawing.base import MAX_POINTS, Drawing, Undrawable, panel_grid, ranked_points
 from bojax.report.drawing.maps import draw_scale
-from bojax.report.ranking import Measure, measure_of
+from bojax.report.ranking import Measure
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats
 from bojax.report.tables import swept_values
-from bojax.report.text import number
-from bojax.results.store import ResultsError
+from bojax.report.text import heading, is_number, number
 
 RANK = 175
 
@@ -36,11 +35,7 @@ BOLD = {"facecolor": "none", "edgecolor": style.ORANGE, "linewidth": 2.2}
 
 def draw(results: Results) -> Drawing:
     """One panel for each variant, on a common scale of colours; the best cell has a frame."""
-    try:
-        measure = measure_of(results)
-    except ResultsError as error:
-        raise Undrawable(str(error)) from None
-    points = [point for point in results.points if results.runs_of(point)["run"].size]
+    measure, points = ranked_points(results)
     horizontal, vertical = _keys(results, points)
     points = [point for point in points if {horizontal, vertical} <= point.swept.keys()]
     x, y = (sorted(swept_values(points, key)) for key in (horizontal, vertical))
@@ -72,9 +67,9 @@ def draw(results: Results) -> Drawing:
         for row, column in np.argwhere(values == best):
             axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, clip_on=False, **BOLD))
     for row in grid:
-        row[0].set_ylabel(_short(vertical))
+        row[0].set_ylabel(heading(vertical))
     for axes in grid[-1]:
-        axes.set_xlabel(_short(horizontal))
+        axes.set_xlabel(heading(horizontal))
     bar = draw_scale(figure, grid[0, 0].images[0], grid.flat, aspect=36, shrink=0.8)
     bar.set_label(measure.words)
     style.plain_ticks(bar.ax.xaxis)
@@ -82,11 +77,11 @@ def draw(results: Results) -> Drawing:
     over = ", the best over all other settings" if len(cells) < len(points) else ""
     name, values = next((name, values) for name, values in zip(variants, maps, strict=True) if best in values)
     row, column = np.argwhere(values == best)[0]
-    place = f"{_short(horizontal)} {x[column]:g} and {_short(vertical)} {y[row]:g}"
+    place = f"{heading(horizontal)} {x[column]:g} and {heading(vertical)} {y[row]:g}"
     place += f" of {name}" if len(maps) > 1 else ""
     return Drawing(
         figure=figure,
-        title=f"{_short(vertical)} and {_short(horizontal)}".capitalize(),
+        title=f"{heading(vertical)} and {heading(horizontal)}".capitalize(),
         caption=f"{measure.words.capitalize()} at each pair of values{over}. Frame: the best, {number(best)} "
         f"at {place}, chosen by these same runs. Empty: not run, or a run without a number.",
         alt=f"Map of the {measure.words} over {horizontal} and {vertical}; the best value is at {place}.",
@@ -116,7 +111,7 @@ def _keys(results: Results, points: Sequence[Point]) -> tuple[str, str]:
     numeric = [
         key
         for key in dict.fromkeys(key for point in points for key in point.swept)
-        if len(values := swept_values(points, key)) > 1 and all(map(_is_number, values))
+        if len(values := swept_values(points, key)) > 1 and all(map(is_number, values))
     ]
     asked = results.report.heat_map or tuple(numeric[:2])
     unknown = [key for key in asked if key not in numeric]
@@ -129,10 +124,6 @@ def _keys(results: Results, points: Sequence[Point]) -> tuple[str, str]:
     return asked[0], asked[1]
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
 def _write_numbers(axes: Axes, image: AxesImage, values: Floats) -> None:
     """Write the number of each cell in black or white, whichever is read better on its colour."""
     colours = image.to_rgba(values)
@@ -142,7 +133,3 @@ def _write_numbers(axes: Axes, image: AxesImage, values: Floats) -> None:
             ink = "#111111" if 0.299 * red + 0.587 * green + 0.114 * blue > 0.5 else "#fefefe"
             text = number(float(value)).replace("-", "\N{MINUS SIGN}")
             axes.text(column, row, text, ha="center", va="center", color=ink, fontsize=8)
-
-
-def _short(key: str) -> str:
-    return key.rsplit(".", 1)[-1].replace("_", " ")

@@ -6,12 +6,10 @@ from typing import Any
 import numpy as np
 
 from bojax.report import style
-from bojax.report.drawing.base import Drawing, Undrawable, panel_grid
-from bojax.report.ranking import measure_of
+from bojax.report.drawing.base import Drawing, Undrawable, panel_grid, ranked_points
 from bojax.report.source import Point, Results
 from bojax.report.tables import swept_values
-from bojax.report.text import number
-from bojax.results.store import ResultsError
+from bojax.report.text import is_number, number
 
 RANK = 170
 
@@ -20,11 +18,7 @@ MAX_PANELS = 8
 
 def draw(results: Results) -> Drawing:
     """One panel for each swept list of values, with two curves per label."""
-    try:
-        measure = measure_of(results)
-    except ResultsError as error:
-        raise Undrawable(str(error)) from None
-    points = [point for point in results.points if results.runs_of(point)["run"].size]
+    measure, points = ranked_points(results)
     swept = dict.fromkeys(key for point in points for key in point.swept)
     keys = [key for key in swept if len(swept_values(points, key)) > 1][:MAX_PANELS]
     if not keys:
@@ -89,6 +83,6 @@ def _curve_names(points: Sequence[Point], keys: list[str]) -> list[str]:
 
 
 def _short(value: Any) -> str:
-    if isinstance(value, bool) or not isinstance(value, int | float):
+    if not is_number(value):
         return str(value).lower()
     return f"{value / 1000:g}k" if abs(value) >= 1000 else f"{value:g}"
