@@ -60,6 +60,25 @@ def test_two_executions_give_the_same_bits():
 
 
 @pytest.mark.bits
+@pytest.mark.parametrize("name", ["reacher", "jaco", "quadrotor"])
+def test_without_contacts_long_executions_on_all_devices_give_the_same_bits(name):
+    """The models for which `physics.impl: auto` is `warp`, with more lanes than a GPU has multiprocessors."""
+    robot, copies = simulator(name, "warp"), 256 // LANES
+
+    def lane(qpos, qvel, controls):
+        controls = jnp.tile(controls, (10, 1))
+        return jax.lax.scan(lambda s, u: (robot.advance(s, u), None), robot.state(qpos, qvel), controls)[0]
+
+    inputs = [np.repeat(part, copies, axis=0) for part in driven(name)]
+    advance = jax.jit(jax.vmap(lane))
+    first = advance(*inputs)
+    assert np.isfinite(first.qpos).all()
+    for device in [jax.devices()[0], *jax.devices()]:
+        assert_same_bits(advance(*jax.device_put(inputs, device)), first)
+    assert_same_bits(jax.tree.map(lambda leaf: leaf[copies - 1 :: copies], first), advance(*driven(name)))
+
+
+@pytest.mark.bits
 @pytest.mark.parametrize("width", [1, 2, 5])
 def test_a_lane_does_not_depend_on_their_number(width):
     found = jax.jit(jax.vmap(scanned))(*(part[:width] for part in start()))
