@@ -18,6 +18,7 @@ from bojax.envs.base import Action, Observation
 from bojax.envs.spaces import Discrete, Space
 from bojax.models.features import FourierBasis, RandomFourier, Sampling
 from bojax.models.kernels import RBF, Matern12, Matern32, Matern52
+from bojax.numerics.angles import cos_and_sin
 from bojax.numerics.linalg import HIGHEST, matmul
 
 
@@ -101,14 +102,14 @@ class FourierFeatures(StateActionFeatures):
         number = self._num_angles
         unit = self.observations.to_unit(observation).astype(self.phases.dtype)
         angles = matmul(self.state_frequencies[:number], unit) + self.phases[:number]
-        return self.amplitude * jnp.concatenate([jnp.cos(angles), jnp.sin(angles)])
+        return self.amplitude * jnp.concatenate(cos_and_sin(angles))
 
     @override
     def action(self, action: Action) -> Float[Array, "R"]:
         """Cosines and sines of the action's part of the angles."""
         unit = self.actions.to_unit(action).astype(self.phases.dtype)
         angles = matmul(self.action_frequencies[: self._num_angles], unit)
-        return jnp.concatenate([jnp.cos(angles), jnp.sin(angles)])
+        return jnp.concatenate(cos_and_sin(angles))
 
     @override
     def join(self, x: Float[Array, "P"], y: Float[Array, "R"]) -> Float[Array, "M"]:
@@ -127,7 +128,8 @@ class FourierFeatures(StateActionFeatures):
         angles = matmul(self.state_frequencies[:number], state) + self.phases[:number]
         action = self.actions.to_unit(action).astype(dtype)
         angles = angles + matmul(self.action_frequencies[:number], action)
-        waves = jnp.concatenate([jnp.cos(angles), jnp.sin(angles)]) if has_pairs else jnp.cos(angles)
+        cosines, sines = cos_and_sin(angles)
+        waves = jnp.concatenate([cosines, sines]) if has_pairs else cosines
         return self.amplitude * waves
 
     @override
@@ -143,7 +145,7 @@ class FourierFeatures(StateActionFeatures):
             c, s = jnp.split(weights, 2)
             weights, angles = jnp.hypot(c, s), angles - jnp.arctan2(s, c)
         angles = angles[None, :] + matmul(units.astype(dtype), self.action_frequencies[:number].T)
-        return self.amplitude * matmul(jnp.cos(angles), weights)
+        return self.amplitude * matmul(cos_and_sin(angles)[0], weights)
 
     @override
     def split(self, weights: Float[Array, "M"], y: Float[Array, "R"]) -> Float[Array, "P"]:
