@@ -132,7 +132,7 @@ class _Equations(eqx.Module):
         return matmul(self.gain, self.transitions.fold(visit, jnp.zeros_like(weights)))
 
     def matrix_and_constant(self) -> tuple[Float[Array, "M M"], Float[Array, "M"]]:
-        """The right-hand side as a function of the weights: F and c of F m + c."""
+        """The right-hand side as a function of the weights: F and c of beta S (F m + c)."""
 
         def visit(total, rows):
             matrix, vector = total
@@ -141,13 +141,13 @@ class _Equations(eqx.Module):
             return matrix + matmul_on_tensor_cores(rows.phi.T, phi_next), vector + matmul(constant, rows.phi)
 
         start = jnp.zeros_like(self.gain), jnp.zeros_like(self.gain[0])
-        matrix, vector = self.transitions.fold(visit, start)
-        return matmul_on_tensor_cores(self.gain, matrix), matmul(self.gain, vector)
+        return self.transitions.fold(visit, start)
 
     def inverse(self) -> Float[Array, "M M"]:
-        """The inverse of I - F."""
+        """The inverse of I - beta S F."""
         identity = jnp.eye(len(self.gain), dtype=self.gain.dtype)
-        return inverse_matrix(identity - self.matrix_and_constant()[0])
+        matrix, _ = self.matrix_and_constant()
+        return inverse_matrix(identity - matmul_on_tensor_cores(self.gain, matrix))
 
     def solution(
         self, inverse: Float[Array, "M M"], start: Float[Array, "M"], is_active: Bool[Array, ""]
@@ -253,10 +253,14 @@ class Refit(eqx.Module):
 
             mean = mean.at[:, Q].set(self._until_converged(sweep, mean[:, Q], is_active))
             # With a' fixed, a sweep is an affine map of the weights: one pass over the transitions is enough.
+            # Two products with vectors in every sweep take less time than the product of both matrices.
             equations = self._u_equations(transitions, gain, *policy(key_u, mean))
-            matrix, vector = equations.matrix_and_constant()
-            u = self._until_converged(lambda _, u: vector + matmul(matrix, u), mean[:, U], is_active)
-            return mean.at[:, U].set(u)
+            matrix, constant = equations.matrix_and_constant()
+
+            def sweep_u(_, u):
+                return matmul(gain, constant + matmul(matrix, u))
+
+            return mean.at[:, U].set(self._until_converged(sweep_u, mean[:, U], is_active))
 
         def q_equations(number: Int[Array, ""], q: Float[Array, "M"]) -> _Equations:
             return self._q_equations(transitions, gain, policy_of_q(number, q))
