@@ -108,8 +108,8 @@ class BojaxEnv(brax_envs.Env):
 
     Actions range from -1 to 1, which are mapped to the bounds. Brax has a single flag `done`, set if a step
     terminates or truncates the episode; Brax applies the time limit (`episode_length`). The metric `success`
-    is 1 in the first step of an episode that reaches the goal, so that its sum over an episode, as Brax
-    reports it, is 0 or 1, also where the episode goes on at the goal.
+    is 1 in the first step of an episode that reaches the goal, so that its sum over an episode, which Brax
+    reports, is 0 or 1 even if the episode goes on at the goal.
 
     Attributes:
         env: The environment; its observations and actions must be vectors.
@@ -134,18 +134,21 @@ class BojaxEnv(brax_envs.Env):
         observation = self.env.observe(state)
         zero = jnp.zeros((), observation.dtype)
         info = {"key": jax.random.key_data(later)}
-        return brax_envs.State((state, zero), observation, zero, zero, {"success": zero}, info)
+        inner: Any = state, zero
+        return brax_envs.State(inner, observation, zero, zero, {"success": zero}, info)
 
     @override
     def step(self, state: brax_envs.State, action: jax.Array) -> brax_envs.State:
         own, later = jax.random.split(_typed(state.info["key"]))
         action = self._actions.from_unit(0.5 * (jnp.clip(action, -1.0, 1.0) + 1.0))
-        before, has_succeeded = state.pipeline_state  # Brax resets both at the end of an episode
+        inner: Any = state.pipeline_state  # which Brax resets at the end of an episode
+        before, has_succeeded = inner
         after, transition = self.env.step(own, before, action)
         dtype = transition.reward.dtype
         success = transition.success.astype(dtype)
+        inner = after, jnp.maximum(has_succeeded, success)
         return brax_envs.State(
-            pipeline_state=(after, jnp.maximum(has_succeeded, success)),
+            pipeline_state=inner,
             obs=transition.observation,
             reward=transition.reward,
             done=(transition.terminated | transition.truncated).astype(dtype),
