@@ -1,6 +1,7 @@
 """`bojax doctor`: checks of the installation, with one line per finding."""
 
 import importlib.metadata
+import importlib.util
 import io
 import platform
 import tempfile
@@ -11,7 +12,7 @@ from pathlib import Path
 
 from bojax import __version__
 from bojax.cli.parser import Parser
-from bojax.config.extras import how_to_install
+from bojax.config.extras import OPTIONAL, how_to_install
 from bojax.text import error_line
 
 _EXAMPLES = """\
@@ -58,7 +59,7 @@ def main(name: str, words: Sequence[str]) -> int:
     parser = Parser(
         prog=f"bojax {name}",
         usage=f"bojax {name}",
-        description="Check versions, devices, precision, compilation cache, films and the results folder.",
+        description="Check versions, optional packages, devices, precision, folders and films.",
         examples=_EXAMPLES,
     )
     parser.parse_intermixed_args(list(words))
@@ -97,6 +98,17 @@ def _packages() -> Iterator[Finding]:
     yield Finding("ok", ", ".join(found))
     if missing:
         raise Failure(f"not installed: {', '.join(missing)}; reinstall bojax")
+
+
+def _extras() -> Iterator[Finding]:
+    """Optional packages; the extras for a GPU are the subject of `devices`."""
+    missing = {
+        extra: needs for extra, needs in OPTIONAL.items() if importlib.util.find_spec(needs[0]) is None
+    }
+    if found := [f"{extra} ({purpose})" for extra, (_, purpose) in OPTIONAL.items() if extra not in missing]:
+        yield Finding("ok", ", ".join(found))
+    for extra, (module, purpose) in missing.items():
+        yield Finding("note", f"{purpose}: {module} is not installed; {how_to_install(extra)}")
 
 
 def _devices() -> Iterator[Finding]:
@@ -166,11 +178,9 @@ def _films() -> Iterator[Finding]:
     )
     try:
         version = importlib.metadata.version("mujoco")
-    except importlib.metadata.PackageNotFoundError:
-        yield Finding("note", f"no robots; MuJoCo is not installed; {how_to_install('robots')}")
-        return
-    try:
         name = backend() or "its default backend"
+    except importlib.metadata.PackageNotFoundError:  # a line of `extras` says so
+        return
     except CannotDraw as error:
         yield Finding("note", str(error))
         return
@@ -197,6 +207,7 @@ def _write_in(folder: Path) -> None:
 CHECKS: dict[str, Callable[[], Iterator[Finding]]] = {
     "Python": _python,
     "packages": _packages,
+    "extras": _extras,
     "devices": _devices,
     "precision": _computation,
     "cache": _cache,

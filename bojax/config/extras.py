@@ -1,8 +1,20 @@
-"""The error for a missing optional package, with the command that installs the package."""
+"""Optional packages: what each is for, and the error if one is missing, with the command that installs it."""
+
+OPTIONAL = {
+    "gym": ("gymnasium", "environments of Gymnasium"),
+    "brax": ("brax", "environments of Brax"),
+    "robots": ("mujoco", "simulated robots and their films"),
+    "robots-cuda": ("warp", "robots on an NVIDIA GPU by MuJoCo Warp"),
+    "ray": ("ray", "--launcher ray"),
+    "tensorboard": ("tensorboardX", "bojax export --to tensorboard"),
+    "wandb": ("wandb", "bojax export --to wandb"),
+    "mlflow": ("mlflow", "bojax export --to mlflow"),
+}
+"""By the name of an extra, a module that it installs and what needs it."""
 
 
 def how_to_install(extra: str) -> str:
-    """The command that installs an extra, from a clone: on PyPI the name bojax belongs to another project."""
+    """The command that installs an extra, from a clone."""
     return f"install it in a clone of bojax: pip install -e '.[{extra}]'"
 
 

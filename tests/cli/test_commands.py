@@ -186,6 +186,23 @@ class TestDoctor:
             "1 of 2 checks failed",
         ]
 
+    def test_it_says_what_a_missing_package_is_for(self, monkeypatch):
+        monkeypatch.setattr(
+            "importlib.util.find_spec", lambda name: None if name in ("ray", "wandb") else name
+        )
+        installed, *missing = doctor.examine(doctor.CHECKS["extras"])
+        assert installed.state == "ok" and "gym (environments of Gymnasium)" in installed.text
+        assert [(finding.state, finding.text) for finding in missing] == [
+            (
+                "note",
+                f"{purpose}: {name} is not installed; install it in a clone of bojax: pip install -e {extra}",
+            )
+            for purpose, name, extra in (
+                ("--launcher ray", "ray", "'.[ray]'"),
+                ("bojax export --to wandb", "wandb", "'.[wandb]'"),
+            )
+        ]
+
     def test_a_folder_that_cannot_be_written(self, tmp_path, monkeypatch):
         monkeypatch.chdir(tmp_path)
 
