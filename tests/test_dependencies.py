@@ -12,6 +12,9 @@ import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
+import bojax
+from bojax.config.extras import OPTIONAL
+
 ROOT = Path(__file__).parents[1]
 TEXTS = [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "bojax").rglob("*.py")]
 TEXTS += (ROOT / "benchmarks").glob("*.py")
@@ -24,7 +27,7 @@ DISTRIBUTIONS |= dict(importlib.metadata.packages_distributions())
 """By the name of a module, the distributions that bring it; those of extras need not be installed."""
 
 REQUIRED = [Requirement(text) for text in PROJECT["dependencies"]]
-PINNED = ("robots", "robots-cuda", "ray", "gym", "brax", "test")
+PINNED = ("robots", "robots-cuda", "ray", "gym", "brax", "tensorboard", "wandb", "mlflow", "test")
 """Extras whose versions are pinned; the others are chosen by the machine, or are not needed by the tests."""
 
 
@@ -89,6 +92,22 @@ def test_every_declared_package_is_pinned_to_a_version_that_is_allowed(constrain
     assert names_of(requirements) <= pins.keys()
     refused = [r.name for r in requirements if not r.specifier.contains(pins[canonicalize_name(r.name)])]
     assert refused == []
+
+
+def test_the_doctor_knows_every_extra_of_a_user():
+    others = {"cuda12", "cuda13", "test", "bench", "notebook", "docs"}
+    assert OPTIONAL.keys() == EXTRAS.keys() - others
+    page = (ROOT / "docs" / "installation.md").read_text()
+    for extra, (module, _) in OPTIONAL.items():
+        providers = {canonicalize_name(name) for name in DISTRIBUTIONS.get(module, [module])}
+        assert providers & names_of(EXTRAS[extra]), extra
+        assert re.search(rf"^\|.*`{extra}`.*\|.*\|$", page, re.MULTILINE)
+
+
+def test_the_version_is_the_same_everywhere():
+    changes = re.findall(r"^## (\S+)$", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    (cited,) = re.findall(r"^version: (\S+)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
+    assert changes[0] == cited == bojax.__version__
 
 
 def test_commands_that_install_extras_work_in_a_clone():
