@@ -85,8 +85,8 @@ class Explanation(Schema, frozen=True):
     claims: tuple[str, ...] = Field(strict=False, min_length=1, description="ids of claims of the sweep")
     cause: Cause = Field(
         description="choice: one that the thesis leaves open; slip: an error in the thesis or in the code "
-        "behind it; few-runs: the printed numbers rest on too few runs to decide; unexplained: nothing that "
-        "was tried has shown a cause"
+        "behind it; few-runs: too few printed runs to tell the difference from chance; unexplained: nothing "
+        "that was tried has shown a cause"
     )
     text: str = Field(min_length=1, description="cause and evidence, a paragraph of plain text")
     sweeps: tuple[str, ...] = Field(
