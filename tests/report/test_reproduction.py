@@ -252,9 +252,9 @@ def test_what_is_not_reproduced_is_explained_beside_the_numbers(tmp_path):
     )
     assert counts in page.text and counts in text.split("## Chapter")[0]
     assert section(text).strip().split("\n\n") == [
-        "### Fig. 3.3: unexplained",
+        "### Fig. 3.3 (`mine`): unexplained",
         "- statement d; thesis: 0.75; here: 80.0% [74.0%, 85.0%]; **not reproduced**, changed",
-        "### Fig. 4.4 and Table 4.1: a choice that the thesis leaves open",
+        "### Fig. 4.4 and Table 4.1 (`mine`): a choice that the thesis leaves open",
         "- statement c; thesis: 0.75; here: 80.0% [74.0%, 85.0%]; **not reproduced**\n"
         "- statement b; thesis: 0.75; here: 80.0% [74.0%, 85.0%]; inconclusive",
         "Because of \\*it\\*, by \N{MINUS SIGN}3.",
