@@ -41,12 +41,13 @@ def explanations_of(manifest: Manifest, claims: Sequence[TestedClaim]) -> list[E
     unexplained, and last.
     """
     report = published_report(manifest.name or "") or manifest.report
-    left = {claim.id: claim for claim in claims if claim.verdict != "reproduced"}
+    left = [claim for claim in claims if claim.verdict != "reproduced"]
     found = []
     for each in report.explanations:
-        if members := [left.pop(name) for name in each.claims if name in left]:
+        if members := [claim for claim in left if claim.id in each.claims]:
             found.append(Explained(each.cause, each.text.strip(), each.sweeps, members))
-    return [*found, Explained("unexplained", "", (), list(left.values()))] if left else found
+        left = [claim for claim in left if claim.id not in each.claims]
+    return [*found, Explained("unexplained", "", (), left)] if left else found
 
 
 def causes_of(explanations: Iterable[Explained]) -> str:

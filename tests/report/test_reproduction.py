@@ -287,7 +287,7 @@ def test_a_folder_that_cannot_be_written_is_one_line(tmp_path):
 
 
 def test_the_page_shows_what_the_report_shows(tmp_path):
-    why = {"claims": ["order-fails", "missing"], "cause": "slip", "text": "There are none."}
+    why = {"claims": ["missing", "order-fails"], "cause": "slip", "text": "There are none."}
     report = {"figures": ["returns"], "explanations": [why]}
     folder = write_results(tmp_path / "parking", runs=40, recorded=0, report=report)
     edit_manifest(folder, lambda manifest: manifest.update(name="mine"))
