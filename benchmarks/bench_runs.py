@@ -1,11 +1,13 @@
 """The time of an experiment against its number of runs, beside the same steps in runs one after the other.
 
-Every experiment is a command `bojax run` in a process of its own, after one that fills the cache of compiled
-programs. The peer is a single run: its steps per second. (Runs of a learner differ in length.)
+Every experiment is a command `bojax run` in a process of its own, after one of a single queue that fills the
+cache of compiled programs. The peer is a single run: its steps per second. (Runs of a learner differ in
+length.)
 """
 
 import argparse
 import json
+import math
 import subprocess
 import sys
 import tempfile
@@ -16,6 +18,8 @@ from typing import Any
 
 from options import make_parser, positive
 
+from bojax.engine.chunks import LANES_ON_ACCELERATOR
+
 EXPERIMENTS = {
     "parking": ["parking"],
     "mountain-car": ["mountain-car"],
@@ -24,26 +28,20 @@ EXPERIMENTS = {
 
 EXAMPLES = """\
   python benchmarks/bench_runs.py                            1 to 1,000 runs
-  python benchmarks/bench_runs.py --most 100000 --seconds 300 --json runs.json --plot runs.svg
+  python benchmarks/bench_runs.py --only parking --runs 1 100 10000 100000 --json gpu.json
+  python benchmarks/bench_runs.py --results cpu.json gpu.json --plot runs.png
 """
 
 
 def main(argv: Sequence[str]) -> int:
     """Run the benchmark."""
     args = parse(argv)
-    numbers = [10**power for power in range(len(str(args.most))) if 10**power <= args.most]
-    rows = []
-    with tempfile.TemporaryDirectory() as place:
-        for name, command in EXPERIMENTS.items():
-            for number in numbers:
-                if rows and rows[-1]["experiment"] == name and 10 * rows[-1]["advancing"] > args.seconds:
-                    break
-                timed(command, number, args, Path(place) / f"{name}-{number}-first")
-                rows.append(
-                    {"experiment": name} | timed(command, number, args, Path(place) / f"{name}-{number}")
-                )
-                print(json.dumps(rows[-1]), flush=True)
-    print_table(rows)
+    rows = [row for path in args.results for row in json.loads(path.read_text())["rows"]]
+    if not args.results:
+        with tempfile.TemporaryDirectory() as place:
+            for name in args.only:
+                rows += measured(name, args, Path(place))
+        print_table(rows)
     if args.json:
         args.json.write_text(json.dumps({"benchmark": "runs", "rows": rows}, indent=1) + "\n")
     if args.plot:
@@ -54,7 +52,17 @@ def main(argv: Sequence[str]) -> int:
 def parse(argv: Sequence[str]) -> argparse.Namespace:
     """The arguments of the benchmark."""
     parser = make_parser(__file__, __doc__, EXAMPLES)
-    parser.add_argument("--most", type=positive, default=1000, help="largest number of runs (1000)")
+    parser.add_argument(
+        "--runs",
+        nargs="+",
+        type=positive,
+        default=[1, 10, 100, 1000],
+        metavar="N",
+        help="numbers of runs, the first of which is 1 (1 10 100 1000)",
+    )
+    parser.add_argument(
+        "--only", nargs="+", choices=EXPERIMENTS, default=list(EXPERIMENTS), help="which experiments (all)"
+    )
     parser.add_argument(
         "--seconds",
         type=positive,
@@ -62,7 +70,33 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
         help="leave out numbers of runs that are expected to take longer (120)",
     )
     parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the curves")
-    return parser.parse_args(argv)
+    parser.add_argument(
+        "--results",
+        nargs="+",
+        type=Path,
+        default=[],
+        metavar="FILE",
+        help="run nothing; take earlier results",
+    )
+    args = parser.parse_args(argv)
+    if args.runs[0] != 1 or args.runs != sorted(set(args.runs)):
+        parser.error(f"--runs: got {' '.join(map(str, args.runs))}; allowed: 1 and larger numbers, in order")
+    return args
+
+
+def measured(name: str, args: argparse.Namespace, place: Path) -> list[dict[str, Any]]:
+    """A row for each number of runs, up to the first that is expected to take too long."""
+    rows: list[dict[str, Any]] = []
+    for number in args.runs:
+        if rows and number / rows[-1]["runs"] * rows[-1]["advancing"] > args.seconds:
+            break
+        queues = math.ceil(number / LANES_ON_ACCELERATOR)
+        one_queue = math.ceil(number / queues)  # the programs of all
+        timed(EXPERIMENTS[name], one_queue, args, place / f"{name}-{number}-first")
+        row = {"experiment": name} | timed(EXPERIMENTS[name], number, args, place / f"{name}-{number}")
+        print(json.dumps(row), flush=True)
+        rows.append(row)
+    return rows
 
 
 def timed(command: Sequence[str], runs: int, args: argparse.Namespace, out: Path) -> dict[str, Any]:
@@ -108,22 +142,29 @@ def single_rate(rows: Sequence[Mapping[str, Any]], experiment: str) -> float:
 
 
 def plot(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Draw the seconds against the number of runs, on logarithmic axes."""
+    """Draw the seconds against the number of runs, on logarithmic axes, of every device."""
     import matplotlib
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(figsize=(6.0, 3.6), layout="constrained")
-    for name in EXPERIMENTS:
-        own = [row for row in rows if row["experiment"] == name]
-        runs = [row["runs"] for row in own]
-        (line,) = axes.plot(runs, [row["seconds"] for row in own], marker="o", label=f"{name}, command")
-        one_by_one = [row["steps"] / single_rate(rows, name) for row in own]
-        axes.plot(runs, one_by_one, color=line.get_color(), linestyle=":", label=f"{name}, one by one")
-    axes.set(xscale="log", yscale="log", xlabel="runs", ylabel="seconds", title=rows[0]["device"])
-    axes.legend(frameon=False, fontsize="small")
-    figure.savefig(path)
+    names = list(dict.fromkeys(row["experiment"] for row in rows))
+    size = 0.5 + 3.5 * len(names), 3.2
+    figure, panels = plt.subplots(
+        1, len(names), figsize=size, layout="constrained", sharey=True, squeeze=False
+    )
+    for axes, name in zip(panels[0], names, strict=True):
+        for device in dict.fromkeys(row["device"] for row in rows if row["experiment"] == name):
+            own = [row for row in rows if row["experiment"] == name and row["device"] == device]
+            runs = [row["runs"] for row in own]
+            label = "CPU" if device == "cpu" else device
+            (line,) = axes.plot(runs, [row["seconds"] for row in own], marker="o", label=label)
+            one_by_one = [row["steps"] / single_rate(own, name) for row in own]
+            axes.plot(runs, one_by_one, color=line.get_color(), linestyle=":", label=f"{label}, one by one")
+        axes.set(xscale="log", yscale="log", xlabel="runs", title=name)
+        axes.legend(frameon=False, fontsize="small")
+    panels[0, 0].set_ylabel("seconds of the command")
+    figure.savefig(path, dpi=150)
     plt.close(figure)
 
 
