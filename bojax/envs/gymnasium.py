@@ -44,8 +44,8 @@ class GymnasiumEnv(gymnasium.Env):
 
     def __init__(self, env: Env):
         self.env = env
-        self.observation_space = _to_gymnasium(env.observation_space)
-        self.action_space = _to_gymnasium(env.action_space)
+        self.observation_space = to_gymnasium(env.observation_space)
+        self.action_space = to_gymnasium(env.action_space)
         self._episode = self._state = None
         self._num_steps = 0
 
@@ -209,8 +209,8 @@ class Idling(gymnasium.Wrapper):
         super().__init__(env)
         self._inner_observation: Any = env.observation_space
         self._inner_action: Any = env.action_space
-        self.observation_space = _to_gymnasium(observations)
-        self.action_space = _to_gymnasium(actions)
+        self.observation_space = to_gymnasium(observations)
+        self.action_space = to_gymnasium(actions)
         self._last: Any = None
         self._has_ended = False
 
@@ -290,7 +290,8 @@ def from_gymnasium(
     return Box(jnp.asarray(bounds[0], dtype), jnp.asarray(bounds[1], dtype))
 
 
-def _to_gymnasium(space: Space) -> gymnasium.Space:
+def to_gymnasium(space: Space) -> gymnasium.Space:
+    """Convert a space of bojax; the bounds of a box become 32-bit numbers."""
     if isinstance(space, Discrete):
         return spaces.Discrete(space.num)
     return spaces.Box(np.asarray(space.low, np.float32), np.asarray(space.high, np.float32))

@@ -43,6 +43,9 @@ CHECKS: dict[str, Callable[[dict[str, list[float]]], bool]] = {
     "train_emu_q.py": lambda of: (
         max(of["episodes to the goal"]) <= 5 and of["steps of what run 0 has learned"][0] < 300
     ),
+    "vector_of_envs.py": lambda of: (
+        of["goals of 64 cars in 300 steps"][0] >= 64 and of["goals of 64 compiled cars"][0] >= 64
+    ),
     "plan_once.py": lambda of: len(of[""]) == 31,
 }
 """Checks of the numbers that an example prints, by the words before them."""
