@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
+from scipy import special
 
 from bojax.envs.spaces import Box, Discrete
 from bojax.learning.stochastic_policy import Categorical, Gaussian, PolicyNetwork
@@ -24,7 +25,12 @@ def trpo(**settings):
 
 def problem(space, seed=0, hidden=(4,)):
     """A policy, and actions that it drew; the last rows are not valid."""
-    keys = jax.random.split(jax.random.key(seed), 4)
+    return _drawn(space, jax.random.key(seed), hidden)
+
+
+@eqx.filter_jit
+def _drawn(space, key, hidden):
+    keys = jax.random.split(key, 4)
     policy = PolicyNetwork.draw(keys[0], 3, hidden, space, jnp.asarray(0.7))
     inputs = jax.random.normal(keys[1], (NUM, 3))
     actions = jax.vmap(lambda key, x: policy(x).sample(key))(jax.random.split(keys[2], NUM), inputs)
@@ -34,24 +40,28 @@ def problem(space, seed=0, hidden=(4,)):
 
 def fisher_matrix(policy, samples):
     """The mean of J'MJ over the valid rows; M is the metric of the distribution in its own parameters."""
-    flat, unravel = ravel_pytree(policy)
-    total = np.zeros((len(flat), len(flat)))
+    distributions, jacobians = jax.device_get(_linearised(policy, samples.inputs))
+    metrics = []
+    if isinstance(distributions, Gaussian):  # of the mean and the logarithm of the deviation
+        for log_deviation in distributions.log_deviation:
+            precision = np.exp(-2 * log_deviation)
+            metrics.append(np.diag(np.append(precision, np.full(len(precision), 2.0))))
+    else:
+        for p in special.softmax(distributions.logits, axis=1):
+            metrics.append(np.diag(p) - np.outer(p, p))
     rows = np.flatnonzero(samples.is_valid)
-    for x in samples.inputs[rows]:
+    return np.mean([jacobians[row].T @ metrics[row] @ jacobians[row] for row in rows], axis=0)
 
-        def parameters(theta, x=x):
-            return jnp.concatenate(jax.tree.leaves(unravel(theta)(x)))
 
-        jacobian = np.asarray(jax.jacobian(parameters)(flat))
-        distribution = policy(x)
-        if isinstance(distribution, Gaussian):  # of the mean and the logarithm of the deviation
-            precision = np.exp(-2 * np.asarray(distribution.log_deviation))
-            metric = np.diag(np.append(precision, np.full(len(precision), 2.0)))
-        else:
-            p = np.asarray(jax.nn.softmax(distribution.logits))
-            metric = np.diag(p) - np.outer(p, p)
-        total += jacobian.T @ metric @ jacobian / len(rows)
-    return total
+@eqx.filter_jit
+def _linearised(policy, inputs):
+    """The distribution in each row, and the derivatives of its parameters by those of the policy."""
+    flat, unravel = ravel_pytree(policy)
+
+    def parameters(theta, x):
+        return jnp.concatenate(jax.tree.leaves(unravel(theta)(x)))
+
+    return jax.vmap(policy)(inputs), jax.vmap(jax.jacobian(parameters), (None, 0))(flat, inputs)
 
 
 @each_space
@@ -69,7 +79,7 @@ def test_the_first_attempt_is_the_natural_gradient_at_the_bound(space):
     policy, samples = problem(space)
     settings = trpo(max_kl=1e-6, damping=1e-3, cg_steps=200)  # small: the quadratic model is exact enough
     flat, _ = ravel_pytree(policy)
-    gradient = jax.grad(lambda new: settings.surrogate(policy, new, samples))(policy)
+    gradient = eqx.filter_jit(jax.grad(settings.surrogate, argnums=1))(policy, policy, samples)
     matrix = fisher_matrix(policy, samples) + 1e-3 * np.eye(len(flat))
     direction = np.linalg.solve(matrix, np.asarray(ravel_pytree(gradient)[0]))
     step = direction * np.sqrt(2e-6 / (direction @ matrix @ direction))
@@ -87,9 +97,10 @@ def test_a_step_improves_the_surrogate_within_the_bound(space, seed):
     policy, samples = problem(space, seed, hidden=(8, 4))
     settings = trpo(cg_steps=10)
     new = eqx.filter_jit(settings.improved)(policy, samples, jnp.asarray(True))
-    assert float(settings.mean_kl(policy, policy, samples)) == pytest.approx(0.0, abs=1e-15)
-    assert 0.002 < float(settings.mean_kl(policy, new, samples)) <= 0.01
-    assert settings.surrogate(policy, new, samples) > settings.surrogate(policy, policy, samples)
+    mean_kl, surrogate = eqx.filter_jit(settings.mean_kl), eqx.filter_jit(settings.surrogate)
+    assert float(mean_kl(policy, policy, samples)) == pytest.approx(0.0, abs=1e-15)
+    assert 0.002 < float(mean_kl(policy, new, samples)) <= 0.01
+    assert surrogate(policy, new, samples) > surrogate(policy, policy, samples)
 
 
 def same(a, b):
