@@ -343,6 +343,16 @@ class TestPage:
         assert overall["b"][1].text == "100.0%"
         assert [overall[name][0].text for name in "ab"] == ["0.00", "1.00"]
 
+    @pytest.mark.parametrize(("values", "band"), [((0, 1), "Wilson"), ((0.25, 0.5), "bootstrap")])
+    def test_shares_of_episodes_are_no_successes_of_runs(self, tmp_path, values, band):
+        rows = [f"{label},{run},1,{values[run]}" for label in "ab" for run in (0, 1)]
+        (tmp_path / "x.csv").write_text("\n".join(["label,run,x,value", *rows]))
+        page = compare(Request([], [tmp_path / "x.csv"], metric="success"), tmp_path / "out")
+        (caption, *_) = re.findall(
+            r"<figcaption>(.*?)</figcaption>", page.read_text(encoding="utf-8"), re.DOTALL
+        )
+        assert f"95% {band} bands" in caption
+
     def test_curves_of_planning_may_begin_at_step_1(self, tmp_path):
         write_results(tmp_path / "parking", runs=4, recorded=1)
         (tmp_path / "x.csv").write_text("label,run,x,value\nother,0,1,5\nother,0,9,6\nother,1,1,5\n")

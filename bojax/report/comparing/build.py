@@ -190,7 +190,10 @@ def _draw_curves(
             left_out += int((~has_score).sum())
     if not curves:
         raise Undrawable(f"{measure.column} has one value per run")
-    is_share = measure.column == "success"
+    # Means of several tests, and shares of episodes in a CSV file, lie between 0 and 1.
+    is_share = measure.column == "success" and all(
+        np.isin(each.values[np.isfinite(each.values)], (0.0, 1.0)).all() for each in curves
+    )
     words = measure.column.replace("_", " ")
     tests = " of the tests after each episode" if measure.phase == "test" else ""
     quantity = f"share of runs with success{tests}" if is_share else f"mean {words}{tests}"
