@@ -53,6 +53,9 @@ CHECKS: dict[str, Callable[[dict[str, list[float]]], bool]] = {
 ALONE = "plan_once.py"
 """The program that runs in a process of its own."""
 
+DEEP_RL = "deep_rl.py"
+"""The program that trains for minutes."""
+
 SHOWN = {tuple(words): None for page in PAGES for words in commands(page)}
 WITH_EXAMPLES = [list(words) for words in SHOWN if _uses_example(list(words))]
 COMMANDS = [words for words in WITH_EXAMPLES if words[0] == "bojax"]
@@ -61,7 +64,7 @@ WIDE = [
 ]
 """Commands of pages that enable 64-bit numbers."""
 
-PROGRAMS = [words for words in WITH_EXAMPLES if words[0] != "bojax" and words[1] != ALONE]
+PROGRAMS = [words for words in WITH_EXAMPLES if words[0] != "bojax" and words[1] not in (ALONE, DEEP_RL)]
 
 
 @pytest.fixture
@@ -91,6 +94,29 @@ def test_a_program_runs_in_a_process_of_its_own(folder):
     ran = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
     assert ran.returncode == 0, ran.stderr
     assert CHECKS[ALONE](_numbers(ran.stdout)), ran.stdout
+
+
+@pytest.mark.slow
+def test_curves_of_deep_rl_are_compared(folder):
+    command = [
+        sys.executable,
+        DEEP_RL,
+        "mountain-car",
+        "--runs",
+        "1",
+        "--steps",
+        "2048",
+        "--evaluations",
+        "2",
+    ]
+    ran = subprocess.run(command, capture_output=True, text=True, timeout=900)
+    assert ran.returncode == 0, ran.stderr
+    assert len(re.findall("share of episodes with success", ran.stdout)) == 4
+    table = np.genfromtxt("results/deep_rl.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")
+    assert set(table["x"]) >= {0, 2048} and set(table["task"]) == {"mountain-car"}
+    words = ["compare", "--csv", "results/deep_rl.csv", "--metric", "success", "--x", "step", "--out", "out"]
+    assert main(words) == 0
+    assert "sac (classic)" in (folder / "out" / "comparison.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("words", COMMANDS, ids=[" ".join(words) for words in COMMANDS])
