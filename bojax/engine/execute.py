@@ -179,14 +179,15 @@ class _Executor:
         """Request the programs of the first unfinished groups, spread over the devices."""
         unfinished = [(i, task) for i, task in enumerate(self._tasks) if task.chunks or task.running]
         for i, task in unfinished[:AHEAD]:
-            device = self._devices[i % len(self._devices)]
-            self._request(task, device, task.layout.lanes)
+            for width in task.layout.widths:
+                self._request(task, self._devices[i % len(self._devices)], width)
 
     def _request(self, task: GroupTask, device: Device, width: int, compiled: Programs | None = None) -> None:
+        later = 0 if width == task.layout.lanes else COMPILE_THREADS  # needed after the first runs have ended
         self._ahead.request(
             (task, device, width),
             lambda: self._compile(task, device, width, compiled),
-            self._tasks.index(task),
+            self._tasks.index(task) + later,
         )
 
     def _compile(self, task: GroupTask, device: Device, width: int, compiled: Programs | None) -> Programs:
@@ -210,8 +211,6 @@ class _Executor:
         )
         if is_first and compiled is None:
             self._progress.compiled(task.progress, programs.compile_seconds)
-            for narrower in task.layout.widths[1:]:  # needed after the first runs have ended
-                self._request(task, device, narrower)
         for other in self._devices if len(task.chunks) > 1 else ():  # which will take some of them
             self._request(task, other, width, programs)
         key = task, device, width, "kept"

@@ -13,6 +13,7 @@ import pytest
 from bojax.config.errors import ConfigError
 from bojax.config.limits import Limit
 from bojax.engine import batch, execute
+from bojax.engine.chunks import Layout
 from bojax.engine.requests import Request
 from bojax.engine.run import run_sweeps
 from bojax.results.leases import Leases
@@ -280,6 +281,22 @@ def test_the_longest_sweep_and_in_it_the_longest_group_are_compiled_first(tmp_pa
     started = [line for line in capsys.readouterr().err.splitlines() if line.startswith("compiling ")]
     groups = [("long", 16), ("long", 4), ("short", 18)]
     assert started == [f"compiling {name}: max_length={length} ..." for name, length in groups]
+
+
+def test_narrower_programs_are_compiled_after_the_first_of_the_next_groups(tmp_path, monkeypatch):
+    compiled = []
+
+    class Noted(batch.Programs):
+        def __init__(self, functions, device, num_lanes, *others, **options):
+            compiled.append((functions.group.index, num_lanes))
+            super().__init__(functions, device, num_lanes, *others, **options)
+
+    monkeypatch.setattr(execute, "Programs", Noted)
+    monkeypatch.setattr(execute, "compile_threads", lambda: 1)
+    monkeypatch.setattr("bojax.engine.plan.choose_layout", lambda *_: Layout(4, (4, 2, 1), 1))
+    assert run_toy(tmp_path / "toy", {"max_length": 20}, {"max_length": 10}, runs=4) == 0
+    assert compiled == [(0, 4), (1, 4), (0, 2), (0, 1), (1, 2), (1, 1)][: len(compiled)]
+    assert len(compiled) >= 3
 
 
 def test_a_failed_sweep_does_not_stop_the_others_and_is_tried_again(tmp_path, capsys, monkeypatch):
