@@ -1,6 +1,8 @@
 """Programs come back from the cache untraced, with the same bits; what may change unseen is not cached."""
 
+import contextlib
 import os
+import shutil
 import threading
 import time
 
@@ -24,15 +26,39 @@ from tests.toy import toy
 DEVICE = jax.devices("cpu")[0]
 
 
-@pytest.fixture(autouse=True)
-def cache(tmp_path, monkeypatch):
-    """An empty cache, beside an empty one of JAX."""
+@contextlib.contextmanager
+def caching_in(folder):
+    """Keep programs in a folder, beside those of JAX."""
     before = jax.config.jax_compilation_cache_dir
-    jax.config.update("jax_compilation_cache_dir", str(tmp_path / "cache"))
+    jax.config.update("jax_compilation_cache_dir", str(folder))
     compilation_cache.reset_cache()
-    yield tmp_path / "cache" / "programs"
-    jax.config.update("jax_compilation_cache_dir", before)
-    compilation_cache.reset_cache()
+    try:
+        yield folder / "programs"
+    finally:
+        jax.config.update("jax_compilation_cache_dir", before)
+        compilation_cache.reset_cache()
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path):
+    """An empty cache, beside an empty one of JAX."""
+    with caching_in(tmp_path / "cache") as programs:
+        yield programs
+
+
+@pytest.fixture(scope="module")
+def compiled(tmp_path_factory):
+    """The programs of a group, and the cache into which they were saved."""
+    with caching_in(tmp_path_factory.mktemp("compiled") / "cache") as folder:
+        return programs_of(group_of()), folder
+
+
+@pytest.fixture
+def entry(compiled, cache):
+    """The entry of these programs in a cache, beside an empty one of JAX."""
+    shutil.copytree(compiled[1], cache)
+    (path,) = files(cache)
+    return path
 
 
 def group_of(**changes):
@@ -60,9 +86,11 @@ def files(folder):
 
 @pytest.mark.bits
 @pytest.mark.parametrize("device", jax.devices("cpu"), ids=str)
-def test_loaded_programs_are_neither_traced_nor_compiled_and_give_the_same_bits(cache, monkeypatch, device):
-    compiled = programs_of(group_of())
-    assert len(files(cache)) == 1
+@pytest.mark.usefixtures("entry")
+def test_loaded_programs_are_neither_traced_nor_compiled_and_give_the_same_bits(
+    compiled, monkeypatch, device
+):
+    compiled, _ = compiled
     count = batch.compile_counts.total()
     monkeypatch.setattr(Programs, "_lower", lambda *_, **__: pytest.fail("traced"))
     loaded = programs_of(group_of(), device=device)
@@ -138,13 +166,12 @@ def test_nothing_foreign_may_be_part_of_a_group(cache, part):
 
 
 @pytest.mark.parametrize("damage", ["emptied", "cut off", "flipped"])
-def test_a_damaged_entry_is_not_used(cache, damage):
-    expected = advanced(programs_of(group_of()))
-    (path,) = files(cache)
-    whole = path.read_bytes()
+def test_a_damaged_entry_is_not_used(compiled, entry, damage):
+    expected = advanced(compiled[0])
+    whole = entry.read_bytes()
     middle = len(whole) // 2
     flipped = whole[:middle] + bytes([whole[middle] ^ 1]) + whole[middle + 1 :]
-    path.write_bytes({"emptied": b"", "cut off": whole[:middle], "flipped": flipped}[damage])
+    entry.write_bytes({"emptied": b"", "cut off": whole[:middle], "flipped": flipped}[damage])
     count = batch.compile_counts.total()
     found = advanced(programs_of(group_of()))
     assert batch.compile_counts.total() > count
@@ -210,13 +237,13 @@ def test_several_devices_compile_a_program_once(cache, monkeypatch, tmp_path):
     assert batch.compile_counts["advance"] == before + 1
 
 
-@pytest.mark.parametrize("lanes", [[], [1], [0, 2]])
-def test_only_rows_of_recorded_lanes_leave_the_device(cache, lanes):
+def test_only_rows_of_recorded_lanes_leave_the_device():
     programs = Programs(Functions(group_of()), DEVICE, 3, 0, recorded=2, fills=True)
     given = programs.place(np.zeros(3, int), np.arange(3))
     _, tables, _ = programs.advance(programs.init(given), given)
-    kept = programs.recorded(tables, np.asarray(lanes, dtype=int))
-    assert kept["episodes"] is tables["episodes"]
-    for name, column in kept["steps"].items():
-        assert len(column) == (2 if lanes else 0)
-        np.testing.assert_array_equal(column[: len(lanes)], np.asarray(tables["steps"][name])[lanes])
+    for lanes in ([], [1], [0, 2]):
+        kept = programs.recorded(tables, np.asarray(lanes, dtype=int))
+        assert kept["episodes"] is tables["episodes"]
+        for name, column in kept["steps"].items():
+            assert len(column) == (2 if lanes else 0)
+            np.testing.assert_array_equal(column[: len(lanes)], np.asarray(tables["steps"][name])[lanes])
