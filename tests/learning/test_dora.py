@@ -47,7 +47,7 @@ def transitions(num=400, seed=0):
 
 def make(**settings):
     learner = build(Settings(**settings))
-    return learner, learner.init(jax.random.key(1), OBSERVATIONS, ACTIONS, 0)
+    return learner, eqx.filter_jit(learner.init)(jax.random.key(1), OBSERVATIONS, ACTIONS, 0)
 
 
 @eqx.filter_jit
@@ -94,11 +94,11 @@ def test_the_hash_is_that_of_python_integers_and_even():
 
 def test_a_look_up_that_keeps_nothing_finds_the_same_indices():
     table = TileTable.empty(100, 4, 2, 2)
+    look_up = eqx.filter_jit(lambda table, x, *keeps: table.look_up(tiles(x, 4), *keeps))
     for x in walk(10):
-        tile = tiles(jnp.asarray(x), 4)
-        unchanged, found = table.look_up(tile, False)
-        assert eqx.tree_equal(unchanged, table)
-        table, kept = table.look_up(tile)
+        unchanged, found = look_up(table, jnp.asarray(x), False)
+        assert eqx.tree_equal(*jax.device_get((unchanged, table)))
+        table, kept = look_up(table, jnp.asarray(x))
         np.testing.assert_array_equal(found, kept)
 
 
@@ -145,14 +145,14 @@ def test_the_first_bonus_is_that_of_the_published_code():
     after, _ = learn(learner, state, steps, exploring())
     # With the rate 1, Q becomes the bonus: log(1 - 0.0625) / log(0.5) = 0.093, a bit less by the update of E.
     action, observation = state.actions[steps["action"][0]], jnp.asarray(steps["observation"][0])
-    q, _ = learner.values(after, observation, action)
+    q, _ = eqx.filter_jit(learner.values)(after, observation, action)
     assert 0.0925 < float(q) < np.log(1 - 0.0625) / np.log(0.5)
 
 
 @pytest.mark.parametrize("e_discount", [0.0, 0.9])
 def test_counters_on_a_table_are_visit_counts_if_nothing_is_discounted(e_discount):
     learner = build(Settings(e_values="linear", num_tilings=1, e_discount=e_discount, num_indices=12))
-    state = learner.init(jax.random.key(1), Discrete(6), Discrete(2), 0)
+    state = eqx.filter_jit(learner.init)(jax.random.key(1), Discrete(6), Discrete(2), 0)
     rng = np.random.default_rng(3)
     steps = {
         "observation": rng.integers(6, size=60).astype(np.int32),
@@ -164,8 +164,8 @@ def test_counters_on_a_table_are_visit_counts_if_nothing_is_discounted(e_discoun
     after, _ = learn(learner, state, steps, exploring())
     visits = np.zeros((6, 2))
     np.add.at(visits, (steps["observation"], steps["action"]), 1)
-    pairs = jnp.meshgrid(jnp.arange(6, dtype=jnp.int32), jnp.arange(2, dtype=jnp.int32), indexing="ij")
-    counters = jax.vmap(jax.vmap(lambda s, a: learner.counter(after, s, a)))(*pairs)
+    pairs = np.meshgrid(np.arange(6, dtype=np.int32), np.arange(2, dtype=np.int32), indexing="ij")
+    counters = np.asarray(jax.jit(jax.vmap(jax.vmap(lambda s, a: learner.counter(after, s, a))))(*pairs))
     if e_discount == 0.0:
         np.testing.assert_allclose(counters, visits, atol=1e-9)
     else:  # a pair counts less while what follows it is new
@@ -218,8 +218,9 @@ def test_the_action_chosen_before_the_update_is_taken():
     steps = {name: rows[:1] for name, rows in transitions(1).items()} | {"terminated": np.zeros(1, bool)}
     after, (next_action,) = learn(learner, state, steps, exploring())
     observation = jnp.asarray(steps["next_observation"][0])
+    act = eqx.filter_jit(learner.act)
     for seed in range(5):
-        action, _ = learner.act(jax.random.key(seed), after, observation, exploring())
+        action, _ = act(jax.random.key(seed), after, observation, exploring())
         np.testing.assert_array_equal(action, state.actions[next_action])
     transition = Transition(**{name: jnp.asarray(rows) for name, rows in steps.items()})
     ended = learner.end_episode(
@@ -232,21 +233,20 @@ def test_without_learning_nothing_changes():
     learner, state = make()
     learned, _ = learn(learner, state, transitions(50), exploring())
     again, _ = learn(learner, learned, transitions(50, seed=1), exploring(is_learning=False))
-    assert eqx.tree_equal(again, learned)
+    assert eqx.tree_equal(*jax.device_get((again, learned)))
 
 
 def test_lanes_do_not_depend_on_each_other():
     learner, state = make(num_indices=200)
     lanes = [transitions(100, seed) for seed in range(3)]
     together = jax.tree.map(lambda *rows: np.stack(rows), *lanes)
-    states = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (3, *leaf.shape)), state)
     with jax.debug_key_reuse(False):  # the check takes any scan over a batch of keys for a reuse
-        found, _ = eqx.filter_vmap(lambda s, steps: learn(learner, s, steps, exploring()))(states, together)
+        found, _ = eqx.filter_vmap(lambda steps: learn(learner, state, steps, exploring()))(together)
+    found = jax.device_get(found)
     for lane, steps in enumerate(lanes):
         alone, _ = learn(learner, state, steps, exploring())
-        assert eqx.tree_equal(
-            jax.tree.map(lambda leaf, lane=lane: leaf[lane], found), alone, rtol=1e-12, atol=1e-12
-        )
+        one = jax.tree.map(lambda leaf, lane=lane: leaf[lane], found)
+        assert eqx.tree_equal(one, jax.device_get(alone), rtol=1e-12, atol=1e-12)
 
 
 def test_unbounded_observations_are_refused():

@@ -41,7 +41,7 @@ SMALL = {
 
 def make(**settings):
     learner = build(VIME.model_validate({**SMALL, **settings}))
-    return learner, learner.init(jax.random.key(1), OBSERVATIONS, ACTIONS, 1000)
+    return learner, eqx.filter_jit(learner.init)(jax.random.key(1), OBSERVATIONS, ACTIONS, 1000)
 
 
 def episode(seed: int, length: int, reward: float = 1.0) -> Episode:
@@ -181,9 +181,8 @@ def check_policy(learner, before, after, observations, actions, gains):
     parts = (np.concatenate(part) for part in (observations, actions))
     samples = Samples(*map(jnp.asarray, parts), jnp.asarray(gains), jnp.ones(len(gains), bool))
     numbers = learner.max_kl, learner.damping, learner.backtrack_ratio
-    expected = TRPO(*numbers, learner.cg_steps, learner.backtracks).improved(
-        before.policy, samples, jnp.asarray(True)
-    )
+    improved = eqx.filter_jit(TRPO(*numbers, learner.cg_steps, learner.backtracks).improved)
+    expected = improved(before.policy, samples, jnp.asarray(True))
     leaves = zip(*map(jax.tree.leaves, (after.policy, expected, before.policy)), strict=True)
     for got, wanted, old in leaves:
         np.testing.assert_allclose(got, wanted, rtol=1e-6, atol=1e-9)
