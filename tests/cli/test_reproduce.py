@@ -123,7 +123,7 @@ def test_a_sweep_without_its_extra_is_skipped(two, capfd, monkeypatch):
             raise MissingExtra("mujoco-mjx", "robots")
         return make_plan(sweep, devices)
 
-    monkeypatch.setattr("bojax.engine.run.make_plan", plan)
+    monkeypatch.setattr("bojax.engine.requests.make_plan", plan)
     assert main(["reproduce", "fig-9.1", "--out", "out"]) == 0
     assert "fig-9.1a: skipped: mujoco-mjx is not installed" in capfd.readouterr().err
     text = Path("out/reproduction.md").read_text()
