@@ -15,17 +15,17 @@ from bojax.config.sweep import load_sweep
 from bojax.engine.plan import make_plan
 
 SMALL = """\
-base: {experiment: learning, env: chain, learner: epsilon-greedy, episodes: 2, runs: 2}
+base: {experiment: learning, env: chain, learner: {kind: epsilon-greedy}, episodes: 2, runs: 2}
 report: {figures: [returns]}
 claims:
 - id: %s/higher
   source: Fig. 5.2, p. 100
   claim: the first is above the second
-  test: {kind: order, column: return, greater: [epsilon-greedy, additive]}
+  test: {kind: order, column: return, by: variant, greater: [bold, timid]}
 axes:
   learner:
-    epsilon-greedy: {kind: epsilon-greedy}
-    additive: {kind: additive}
+    bold: {epsilon: 0.9}
+    timid: {epsilon: 0.1}
 """
 
 
