@@ -23,10 +23,11 @@ from bojax.numerics.lanes import any_lane
 from bojax.numerics.linalg import gcr, inverse_matrix, matmul, matmul_on_tensor_cores
 
 NUM_STORED = 2048
-"""Largest number of transitions whose features are stored during a refit: the first ones of a run.
+"""Largest number of transitions whose features an accelerator stores during a refit: the first ones of a run.
 
-They take 8 MB a run for 500 features in float32. The features of later transitions are recomputed, a block at
-a time, whenever they are needed.
+They take 8 MB a run for 500 features in float32. Other features are recomputed, a block at a time, whenever
+they are needed. A CPU stores none: to recompute them takes no longer than to read them from memory, and to
+clear this memory takes a third of a refit of few transitions.
 """
 
 MOST_ON_CPU = 64
@@ -75,7 +76,7 @@ class _Transitions(eqx.Module):
         """The transitions in memory, in blocks of at most `block`."""
         if jax.default_backend() == "cpu":
             block = min(block, MOST_ON_CPU)
-        number = min(NUM_STORED, len(state.memory.rewards))
+        number = min(_num_stored(), len(state.memory.rewards))
 
         def visit(arrays, rows, index, is_valid):
             del is_valid
@@ -280,7 +281,7 @@ class Refit(eqx.Module):
             constant, discount = self._q_terms(rows)
             return total + matmul(constant + discount * value, rows.phi)
 
-        return transitions.fold(visit, jnp.zeros_like(transitions.phi[0]))
+        return transitions.fold(visit, jnp.zeros((transitions.phi.shape[1],), transitions.phi.dtype))
 
     def _q_equations(
         self, transitions: _Transitions, gain: Float[Array, "M M"], policy: _Policy
@@ -398,6 +399,10 @@ class Refit(eqx.Module):
 
         loop = jnp.zeros((), jnp.int32), start, is_active
         return jax.lax.while_loop(lambda loop: any_lane(loop[2]), step, loop)[1]
+
+
+def _num_stored() -> int:
+    return 0 if jax.default_backend() == "cpu" else NUM_STORED
 
 
 def _quadratic_forms(x: Float[Array, "B P"], forms: Float[Array, "J P P"]) -> Float[Array, "B J"]:
