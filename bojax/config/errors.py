@@ -67,8 +67,12 @@ def printable(message: object) -> str:
 
 
 def did_you_mean(name: Any, names: Iterable[str]) -> str:
-    """`; did you mean "x"?` with the name nearest to `name`; empty if no name is near."""
-    near = difflib.get_close_matches(str(name)[:MAX_SHOWN], sorted(names), n=1)
+    """`; did you mean "x"?` with the name nearest to `name`; empty if no name is near.
+
+    A name that continues the given one at a hyphen, as `fig-5.3-taxi` continues `fig-5.3`, is nearest.
+    """
+    name, names = str(name)[:MAX_SHOWN], sorted(names)
+    near = _continued(name, names) or difflib.get_close_matches(name, names, n=1)
     return f'; did you mean "{near[0]}"?' if near else ""
 
 
@@ -91,8 +95,13 @@ def listed(name: Any, names: Iterable[str]) -> str:
         matcher.set_seq1(other)
         return -matcher.ratio()
 
-    near = sorted(names, key=distance)[:MAX_NAMES]
+    near = list(dict.fromkeys([*_continued(str(name), names), *sorted(names, key=distance)]))[:MAX_NAMES]
     return f"{', '.join(near)} and {len(names) - MAX_NAMES} more (see: bojax list)"
+
+
+def _continued(name: str, names: Iterable[str]) -> list[str]:
+    """The names that begin with `name` and a hyphen."""
+    return [other for other in names if other.startswith(f"{name}-")]
 
 
 def dotted(location: Iterable[int | str]) -> str:

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from bojax.config.errors import ConfigError, shown
+from bojax.config.errors import ConfigError, allowed_names, shown
 from bojax.config.sweep import load_config, load_sweep
 
 
@@ -555,3 +555,10 @@ def test_an_unreadable_file(write, monkeypatch):
 def test_a_long_value_is_cut_and_stays_on_one_line():
     assert shown("a\nb") == '"a\\nb"'
     assert len(shown(list(range(1000)))) == 60
+
+
+def test_a_name_that_continues_the_given_one_comes_first():
+    names = [f"fig-5.{number}" for number in range(10, 30)] + ["fig-5.3-taxi", "fig-5.3-cliff", "fig-5.7"]
+    told = allowed_names("fig-5.3", names)
+    assert told.startswith("; allowed: fig-5.3-cliff, fig-5.3-taxi, ")
+    assert told.endswith('; did you mean "fig-5.3-cliff"?')
