@@ -12,6 +12,7 @@ from bojax.acquisition.functions import Acquisition
 from bojax.acquisition.maximise import best_candidate, refine
 from bojax.acquisition.scaling import standardise
 from bojax.models.checks import (
+    Numbers,
     as_numbers,
     check_count,
     check_finite,
@@ -21,6 +22,7 @@ from bojax.models.checks import (
     check_positive,
     check_takes,
     is_known,
+    to_points,
 )
 from bojax.models.evidence import log_normal_prior, relearn
 from bojax.models.gaussian_process import GaussianProcess
@@ -204,28 +206,28 @@ class BayesianOptimisation(eqx.Module):
         return jax.vmap(self._from_unit)(state.model.x), state.model.y
 
     def predict(
-        self, state: OptimisationState, xs: Float[Array, "M D"]
+        self, state: OptimisationState, xs: Float[Array, "M D"] | Numbers
     ) -> tuple[Float[Array, "M"], Float[Array, "M"]]:
         """Posterior mean and standard deviation of the noise-free objective at points of the box.
 
         Both are in the units of the objective. Without observations, the mean is 0 and the unit is 1.
         """
         centre, unit = self._scale(state)
-        mean, variance = _standardised(state.model).predict(jax.vmap(self._to_unit)(xs))
+        mean, variance = _standardised(state.model).predict(self._units(xs))
         return centre + unit * mean, unit * jnp.sqrt(variance)
 
     def sample(
-        self, key: Key[Array, ""], state: OptimisationState, xs: Float[Array, "M D"], num: int
+        self, key: Key[Array, ""], state: OptimisationState, xs: Float[Array, "M D"] | Numbers, num: int
     ) -> Float[Array, "num M"]:
         """Joint draws of the noise-free objective at points of the box, in its units."""
         centre, unit = self._scale(state)
-        draws = _standardised(state.model).sample(key, jax.vmap(self._to_unit)(xs), num)
+        draws = _standardised(state.model).sample(key, self._units(xs), num)
         return centre + unit * draws
 
-    def score(self, state: OptimisationState, xs: Float[Array, "M D"]) -> Float[Array, "M"]:
+    def score(self, state: OptimisationState, xs: Float[Array, "M D"] | Numbers) -> Float[Array, "M"]:
         """The acquisition function at points of the box, whose maximum `ask` seeks."""
         model = _standardised(state.model)
-        mean, variance = model.predict(jax.vmap(self._to_unit)(xs))
+        mean, variance = model.predict(self._units(xs))
         return self.acquisition(mean, jnp.sqrt(variance), _highest(model))
 
     def noise_std(self, state: OptimisationState) -> Float[Array, ""]:
@@ -286,6 +288,9 @@ class BayesianOptimisation(eqx.Module):
         # Unlike low + weight * (high - low), a weighted sum of the corners cannot leave the box by rounding.
         weight = 0.5 * (point + 1.0)
         return (1.0 - weight) * self.low + weight * self.high
+
+    def _units(self, xs: Float[Array, "M D"] | Numbers) -> Float[Array, "M D"]:
+        return jax.vmap(self._to_unit)(to_points("xs", xs, self.low.dtype, self.low.size))
 
     def _to_unit(self, x: Float[Array, "D"]) -> Float[Array, "D"]:
         return 2.0 * (x - self.low) / (self.high - self.low) - 1.0

@@ -185,7 +185,9 @@ def _draw_line(posterior: _Posterior):
     caption = "Posterior mean and 95% band of the noise-free function"
     caption += f", {len(posterior.draws)} joint draws" if len(posterior.draws) else ""
     caption += f", and {len(posterior.y)} observations."
-    return figure, caption + (" Below, the acquisition function and its maximum." if has_score else "")
+    return figure, caption + (
+        " Below, the acquisition function above its lower quartile, and its maximum." if has_score else ""
+    )
 
 
 def _draw_maps(posterior: _Posterior):
@@ -218,7 +220,9 @@ def _draw_maps(posterior: _Posterior):
     )
     has_score = posterior.score is not None
     return figure, caption + (
-        " Below, the acquisition function; a cross marks its maximum." if has_score else ""
+        " Below, the acquisition function above its lower quartile; a cross marks its maximum."
+        if has_score
+        else ""
     )
 
 

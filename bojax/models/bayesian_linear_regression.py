@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float, Int
 
-from bojax.models.checks import Numbers, precision, to_data, to_numbers, to_points
+from bojax.models.checks import Numbers, precision, to_data, to_numbers, to_point, to_points
 from bojax.numerics.linalg import covariance_floor, matmul, matmul_on_tensor_cores
 
 NUM_RATIOS = 128
@@ -177,7 +177,8 @@ class BayesianLinearRegression(eqx.Module):
                 by one, which costs 3 to 5% of a step with several hundred features on a GPU.
         """
         dtype = self.mean.dtype
-        features, target = to_numbers("features", features, dtype), to_numbers("target", target, dtype)
+        features = to_point("features", features, dtype, len(self.mean))
+        target = to_numbers("target", target, dtype)
         if sample_weight is not None:
             sample_weight = to_numbers("sample_weight", sample_weight, dtype)
         row, gain = self._gain(features, sample_weight, product)

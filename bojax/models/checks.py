@@ -78,7 +78,7 @@ def to_point(name: str, given: Any, dtype: Any, num_dims: int) -> Float[Array, "
     """
     array = jnp.atleast_1d(to_numbers(name, given, dtype))
     if array.shape != (num_dims,):
-        raise ValueError(f"{name}: got shape {array.shape}; allowed: {num_dims} numbers")
+        raise ValueError(f"{name}: got shape {array.shape}; allowed: [{num_dims}]")
     return array
 
 

@@ -420,6 +420,14 @@ def test_python_numbers_and_lists_are_as_good_as_arrays():
     told = jax.jit(lambda state: numbers.tell(state, [1, 2.5], 3))(state)
     from_arrays = _jit(type(arrays).tell)(arrays, state, jnp.asarray([1.0, 2.5]), jnp.asarray(3.0))
     assert_equal_leaves(told, from_arrays)
+    queries = [[0, 1], [2.5, 3]]
+    listed = jax.jit(lambda state: (numbers.predict(state, queries), numbers.score(state, queries)))(told)
+    expected, scores = _jit(lambda state, xs: (arrays.predict(state, xs), arrays.score(state, xs)))(
+        told, jnp.asarray(queries)
+    )
+    assert_equal_leaves(listed, (expected, scores))
+    with pytest.raises(ValueError, match=r"xs: got shape \(2,\); allowed: \[points, 2\]"):
+        numbers.predict(told, [0, 1])
     x, value = numbers.best(told)
     np.testing.assert_allclose(x, [1.0, 2.5], rtol=1e-14)
     assert value == 3.0

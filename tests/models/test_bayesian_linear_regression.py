@@ -573,3 +573,5 @@ def test_other_numbers_of_targets_than_rows_are_refused():
         BayesianLinearRegression.fit([[1, 0], [0, 1], [1, 1]], [1, 2], 1, 1)
     with pytest.raises(ValueError, match=r"features: got shape \(1, 1\); allowed: \[points, 2\]"):
         BayesianLinearRegression.prior(2, 1, 1).predict([[1]])
+    with pytest.raises(ValueError, match=r"features: got shape \(3,\); allowed: \[2\]"):
+        BayesianLinearRegression.prior(2, 1, 1).update([1, 2, 3], 0)

@@ -564,7 +564,7 @@ def test_inputs_take_the_precision_of_the_kernel():
         (lambda gp: gp.predict([[1, 2, 3]]), r"xs: got shape \(1, 3\); allowed: \[points, 2\]"),
         (lambda gp: gp.predict([1, 2]), r"xs: got shape \(2,\); allowed: \[points, 2\]"),
         (lambda gp: gp.predict("here"), 'xs: got "here"; allowed: numbers'),
-        (lambda gp: gp.update([1], 0), r"x: got shape \(1,\); allowed: 2 numbers"),
+        (lambda gp: gp.update([1], 0), r"x: got shape \(1,\); allowed: \[2\]"),
         (lambda gp: GaussianProcess.fit("rbf", 0.1, [1, 2], [1]), r"y: got shape \(1,\); allowed: 2 numbers"),
         (lambda gp: GaussianProcess.fit("rbf", 0.1, [[1], [2, 3]], [1, 2]), "x: got .*; allowed: numbers"),
         (lambda gp: GaussianProcess.fit("rfb", 0.1, [1], [1]), 'unknown kernel; .*; did you mean "rbf"'),
