@@ -9,6 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key, Scalar
+from pydantic import Field
 
 from bojax.config.component import Component
 from bojax.config.settings import EngineConfig, Record
@@ -118,7 +119,7 @@ class ToyConfig(Component, frozen=True):
     kind: str = "toy"
     dtype: str = "float64"
     scale: float = 1.0
-    start: tuple[float, float] = (0.0, 1.0)
+    start: tuple[float, float] = Field(default=(0.0, 1.0), strict=False)
     poison: float = 1e9
     max_length: int = 12
 

@@ -21,7 +21,7 @@ from bojax.engine.signals import StopRequest
 from bojax.results.folder import RunFolder, check_plan
 from bojax.results.leases import Standing
 from bojax.results.status import status_of
-from bojax.results.store import MANIFEST, read_json
+from bojax.results.store import MANIFEST, ResultsError, read_json
 
 if TYPE_CHECKING:
     from bojax.config.sweep import Sweep
@@ -113,7 +113,11 @@ def _open(target: Target) -> Path:
     """Write what workers need to know, and return the results folder."""
     folder, sweep = RunFolder(target.path), plain(saved(target.sweep))
     if target.is_resumed:
-        check_plan(folder.path, _asked_for(folder.launched().sweep), _asked_for(sweep))
+        try:
+            before = folder.launched().sweep
+        except ResultsError:  # a driver was lost before it was written, or it is damaged: now it is written
+            before = sweep
+        check_plan(folder.path, _asked_for(before), _asked_for(sweep))
     else:
         folder.create(None, may_rename=target.may_rename)
     folder.launch(sweep)

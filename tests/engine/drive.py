@@ -62,10 +62,7 @@ def knows_toys(patch: pytest.MonkeyPatch) -> None:
     """Let workers read the settings of toys, which are not registered."""
     from tests.toy import ToyConfig
 
-    def validate(config):
-        return ToyConfig(**{**config, "start": tuple(config["start"])})
-
-    patch.setattr("bojax.config.saved_sweep.validate_experiment", validate)
+    patch.setattr("bojax.config.saved_sweep.validate_experiment", lambda config: ToyConfig(**config))
 
 
 def start_worker(out: Path, *words: str) -> subprocess.Popen:

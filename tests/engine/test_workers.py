@@ -14,6 +14,9 @@ import pytest
 from bojax.engine import batch
 from bojax.engine.batch import Functions, Programs
 from bojax.engine.plan import make_plan
+from bojax.engine.remote import Launcher
+from bojax.engine.requests import Request
+from bojax.engine.run import run_sweeps
 from bojax.engine.runner import ChunkRunner, Limits
 from bojax.engine.share import FolderShare
 from bojax.results.folder import RunFolder
@@ -332,6 +335,31 @@ def test_the_sweep_ends_while_a_worker_runs(planned, capsys, monkeypatch):
     assert work_on(planned) == 0
     assert capsys.readouterr().err.splitlines()[-1] == "the sweep has ended"
     assert not (planned / WORK).exists()
+
+
+class Here(Launcher):
+    """Runs a worker in this process."""
+
+    is_awaited = True
+
+    def check(self, name):
+        return
+
+    def start(self, name, folders):
+        assert work_on(*folders, cores=1) == 0
+
+
+@pytest.mark.bits
+@pytest.mark.parametrize("content", [None, "{}"])
+def test_a_driver_that_was_lost_before_it_launched_its_workers(tmp_path, alone, content):
+    out = tmp_path / "toy"
+    (out / WORK).mkdir(parents=True)
+    if content is not None:
+        (out / WORK / "sweep.json").write_text(content)
+    given = dict(SWEEP)
+    sweep = toy_sweep(*given.pop("points"), **given)
+    assert run_sweeps([Request(sweep, out)], True, ["bojax"], launcher=Here()) == 0
+    assert contents(out) == alone
 
 
 def test_several_sweeps_are_one_plan(planned, tmp_path, alone):
