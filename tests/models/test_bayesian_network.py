@@ -1,5 +1,7 @@
 """The Bayesian network against plain NumPy, and its information gain against KL divergences."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,15 +15,21 @@ PRIOR, LIKELIHOOD, BATCHES = 0.5, 0.7, 5.0
 
 def network_and_model(seed=0):
     """A network after some changes of its deviations, and the same in NumPy."""
-    key, key_rho = jax.random.split(jax.random.key(seed))
+    network = changed_network(jax.random.key(seed))
+    return network, Model([np.array(x) for x in jax.tree.leaves(network)], PRIOR, LIKELIHOOD, BATCHES)
+
+
+@jax.jit
+def changed_network(key):
+    key, key_rho = jax.random.split(key)
     network = BayesianNetwork.draw(key, (3, 5, 2), jnp.asarray(PRIOR))
     leaves, structure = jax.tree.flatten(network)
     keys = jax.random.split(key_rho, len(leaves))
     leaves = [x + 0.3 * jax.random.normal(k, x.shape) for x, k in zip(leaves, keys, strict=True)]
-    model = Model([np.array(x) for x in leaves], PRIOR, LIKELIHOOD, BATCHES)
-    return jax.tree.unflatten(structure, leaves), model
+    return jax.tree.unflatten(structure, leaves)
 
 
+@partial(jax.jit, static_argnames="num")
 def data(network, num=4, seed=1):
     keys = jax.random.split(jax.random.key(seed), 3)
     inputs, targets = jax.random.normal(keys[0], (num, 3)), jax.random.normal(keys[1], (num, 2))
@@ -40,7 +48,8 @@ def test_loss_and_gradient_are_those_of_numpy():
         "likelihood": jnp.asarray(LIKELIHOOD),
         "num_batches": jnp.asarray(BATCHES),
     }
-    value, gradient = jax.value_and_grad(lambda n: n.loss(noise, inputs, targets, **settings))(network)
+    loss = jax.value_and_grad(lambda n: n.loss(noise, inputs, targets, **settings))
+    value, gradient = jax.jit(loss)(network)
     expected, expected_gradient = model.loss(*map(arrays, (noise,)), np.array(inputs), np.array(targets))
     np.testing.assert_allclose(value, expected, rtol=1e-12)
     for got, wanted in zip(arrays(gradient), expected_gradient, strict=True):
@@ -61,9 +70,10 @@ def test_a_draw_has_the_moments_of_drawn_weights():
     np.testing.assert_allclose(jnp.std(local, 0), jnp.std(drawn, 0), rtol=0.03)
 
 
+@jax.jit
 def gain_of(network, noise, inputs, targets, step):
     return network.information_gain(
-        noise, inputs[0], targets[0], likelihood=jnp.asarray(LIKELIHOOD), step=jnp.asarray(step)
+        noise, inputs[0], targets[0], likelihood=jnp.asarray(LIKELIHOOD), step=step
     )
 
 
@@ -73,7 +83,7 @@ def test_half_of_the_information_gain_is_the_kl_divergence_of_a_small_step(seed)
     noise, inputs, targets = data(network, num=1, seed=seed)
     errors = []
     for step in (1e-2, 1e-3, 1e-4):
-        gain = float(gain_of(network, noise, inputs, targets, step))
+        gain = float(gain_of(network, noise, inputs, targets, jnp.asarray(step)))
         after = model.stepped(arrays(noise), np.array(inputs), np.array(targets), step)
         errors.append(abs(0.5 * gain / after.kl(model) - 1.0))
     assert errors[0] < 0.1
@@ -104,10 +114,10 @@ def test_inverse_curvature_is_that_of_the_kl_divergence():
             total += jnp.sum(jnp.log(deviation2 / deviation) + ratio - 0.5)
         return total
 
-    slope = jax.grad(kl)
+    product = jax.jit(lambda ones: jax.jvp(jax.grad(kl), (leaves,), (ones,))[1])
     for k, inverse in enumerate(arrays(network.inverse_curvature())):
         ones = [jnp.ones_like(x) if i == k else jnp.zeros_like(x) for i, x in enumerate(leaves)]
-        diagonal = jax.jvp(slope, (leaves,), (ones,))[1][k]  # the Hessian is diagonal
+        diagonal = product(ones)[k]  # the Hessian is diagonal
         np.testing.assert_allclose(inverse, 1.0 / diagonal, rtol=1e-9)
     assert structure == jax.tree.structure(network.inverse_curvature())
     gains = model.inverse_curvature()
