@@ -4,19 +4,24 @@ from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
-import gymnasium
 import jax
 import jax.numpy as jnp
 import numpy as np
-from gymnasium.vector import AutoresetMode, VectorEnv
-from gymnasium.vector.utils import batch_space
 from jaxtyping import Array, Int, Key
 from typing_extensions import override
 
+from bojax.config.extras import MissingExtra
 from bojax.envs.base import Action, Env
 from bojax.envs.gymnasium import to_gymnasium
 from bojax.envs.gymnax import Episode, GymnaxEnv
 from bojax.envs.spaces import Box
+
+try:
+    import gymnasium
+    from gymnasium.vector import AutoresetMode, VectorEnv
+    from gymnasium.vector.utils import batch_space
+except ImportError as error:
+    raise MissingExtra("gymnasium", "gym") from error
 
 
 class GymnasiumVectorEnv(VectorEnv):
