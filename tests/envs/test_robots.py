@@ -146,10 +146,10 @@ def test_hopper_pays_the_published_reward():
 
 
 def test_the_second_action_of_the_reacher_can_be_fixed():
-    env, fixed = built(CLASSIC["reacher"]), built(envs.Reacher(reward="classic", second_action="fixed"))
-    state = env.reset(jax.random.key(0))
-    told = jnp.asarray([[[0.5, -0.3]]], jnp.float32)
-    states = jax.tree.map(lambda x: x[None], state)
+    env, actions, *_ = beside_gymnasium("reacher")  # whose program serves here too
+    fixed = built(envs.Reacher(reward="classic", second_action="fixed"))
+    still = jnp.zeros((LANES, env.simulator.mujoco_model.nq), jnp.float32)
+    states, told = jax.vmap(env.simulator.state)(still, still), jnp.asarray(actions)
     expected = rollout(env, states, told.at[..., 1].set(1.0))
     found = rollout(fixed, states, told)
     for ours, theirs in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
