@@ -201,24 +201,28 @@ COMMANDS = {
 }
 
 
-def test_a_driver_that_waits_asks_slurm_until_the_array_has_ended(tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize(("submitted", "cluster"), [("7", ""), ("7;name", "--clusters=name ")])
+def test_a_driver_that_waits_asks_slurm_until_the_array_has_ended(
+    tmp_path, monkeypatch, capsys, submitted, cluster
+):
     """A search waits for each round, and cancels what is left of its array."""
     told = tmp_path / "told"
-    for command, text in {"sbatch": "echo '7;name'", "squeue": f"cat {tmp_path}/queue"}.items():
+    answers = {"sbatch": f"echo '{submitted}'", "squeue": f"cat {tmp_path}/queue", "scancel": ""}
+    for command, text in answers.items():
         script = tmp_path / command
         script.write_text(f'#!/bin/sh\ncat > /dev/null\necho {command} "$@" >> {told}\n{text}\n')
         script.chmod(0o755)
-    shutil.copy(tmp_path / "squeue", tmp_path / "scancel")
     monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
     monkeypatch.setattr("bojax.engine.launchers.slurm.ASK_SECONDS", 0.0)
     launcher = Slurm(SlurmConfig(tasks=2), waits=True)
-    (tmp_path / "queue").write_text("7_0 running")
+    (tmp_path / "queue").write_text("CLUSTER: name\n7\n7\n")
     launcher.start("round", [tmp_path])
     assert capsys.readouterr().err == "submitted job 7 of 2 tasks\n"
     assert launcher.is_awaited and launcher.keep() and launcher.keep()
     launcher.close()
-    assert told.read_text().splitlines()[-1].endswith(" 7")
-    (tmp_path / "queue").write_text("")
+    asked = f"squeue --noheader {cluster}--jobs=7 --format=%F"
+    assert told.read_text().splitlines()[1:] == [asked, asked, f"scancel {cluster}7"]
+    (tmp_path / "queue").write_text("CLUSTER: name\n")
     assert not launcher.keep()
     before = told.read_text()
     launcher.close()

@@ -20,7 +20,6 @@ SCRIPT = "slurm.sh"
 NOTICE_SECONDS = 120
 """Time before the limit at which Slurm tells a worker to stop at a checkpoint."""
 
-
 ASK_SECONDS = 15.0
 """Time between two questions to Slurm whether an array has ended."""
 
@@ -39,7 +38,7 @@ class Slurm(Launcher):
     def __init__(self, config: SlurmConfig, *, waits: bool = False):
         self._config = config
         self.is_awaited = waits
-        self._job: str | None = None
+        self._job: list[str] = []  # the words that name it to Slurm's commands; empty once it has ended
         self._next_question = 0.0
 
     @override
@@ -51,26 +50,30 @@ class Slurm(Launcher):
         text = self.script(name, folders)
         for folder in folders:
             write_content(folder / SCRIPT, text)
-        self._job = _sbatch(text, "--parsable").partition(";")[0]  # the name of a cluster may follow
+        job, _, cluster = _sbatch(text, "--parsable").partition(";")  # a site may have several clusters
+        self._job = [f"--clusters={cluster}", job] if cluster else [job]
         self._next_question = time.monotonic() + ASK_SECONDS
-        told = f"submitted job {self._job} of {self._config.tasks} tasks"
+        told = f"submitted job {job} of {self._config.tasks} tasks"
         print(told, file=sys.stderr if self.is_awaited else sys.stdout)
 
     @override
     def keep(self) -> bool:
-        if self._job is not None and time.monotonic() >= self._next_question:
+        if self._job and time.monotonic() >= self._next_question:
             self._next_question = time.monotonic() + ASK_SECONDS
-            shown = subprocess.run(["squeue", "-h", "-j", self._job], capture_output=True, text=True)
+            *cluster, job = self._job
+            # Its lines: the name of the cluster if one is given, and the array's job for each of its tasks.
+            asked = ["squeue", "--noheader", *cluster, f"--jobs={job}", "--format=%F"]
+            shown = subprocess.run(asked, capture_output=True, text=True)
             # A job that ended long ago is forgotten; any other failure of squeue says nothing about the job.
             is_forgotten = shown.returncode and "Invalid job id" in shown.stderr
-            if is_forgotten or (not shown.returncode and not shown.stdout.strip()):
-                self._job = None
-        return self._job is not None
+            if is_forgotten or (not shown.returncode and job not in shown.stdout.split()):
+                self._job = []
+        return bool(self._job)
 
     @override
     def close(self) -> None:
-        if self.is_awaited and self._job is not None:
-            subprocess.run(["scancel", self._job], capture_output=True, check=False)
+        if self.is_awaited and self._job:
+            subprocess.run(["scancel", *self._job], capture_output=True, check=False)
 
     def script(self, name: str, folders: Sequence[Path]) -> str:
         """The batch script of an array of workers for the sweeps in these folders."""
