@@ -56,16 +56,19 @@ class GymnasiumVectorEnv(VectorEnv):
 
     @override
     def reset(self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None):
-        """Begin an episode in every lane; `options` are ignored."""
+        """Begin an episode in every lane; `options` are ignored.
+
+        Without a seed, the episodes follow from the seed of an earlier reset.
+        """
         del options
-        if seed is None:
-            seed = int(self.np_random.integers(2**31))
-        if isinstance(seed, int | np.integer):
-            key = jax.random.key(int(seed))
+        if seed is None or isinstance(seed, int | np.integer):
+            super().reset(seed=None if seed is None else int(seed))
+            key = jax.random.key(int(self.np_random.integers(2**31) if seed is None else seed))
             keys = jax.vmap(lambda lane: jax.random.fold_in(key, lane))(jnp.arange(self.num_envs))
         elif len(seed) != self.num_envs:
             raise ValueError(f"seed: got {len(seed)} seeds; allowed: {self.num_envs}, one for each lane")
         else:
+            self.np_random = np.random.default_rng(seed)
             keys = jax.vmap(jax.random.key)(jnp.asarray(seed))
         self._keys, self._num_steps = keys, 0
         observations, self._episodes = _reset(self.env, keys)

@@ -145,6 +145,10 @@ def test_seeds_repeat_and_tell_lanes_apart():
     np.testing.assert_array_equal(one, two)
     np.testing.assert_array_equal(listed[0], listed[1])
     assert not np.array_equal(one[0], one[1])
+    for seed in (1, [5, 6]):
+        again = [[vector.reset(seed=each)[0] for each in (seed, None, None)] for _ in range(2)]
+        np.testing.assert_array_equal(*again)
+        assert not np.array_equal(again[0][1], again[0][2])
     wider = GymnasiumVectorEnv(pendulum(), 3).reset(seed=1)[0]
     np.testing.assert_array_equal(wider[:2], one)
     with pytest.raises(ValueError, match="seed: got 3 seeds; allowed: 2, one for each lane"):
