@@ -152,7 +152,7 @@ class BayesianOptimisation(eqx.Module):
     def ask(self, state: OptimisationState) -> Float[Array, "D"]:
         """The next point to evaluate, a function of the state alone."""
         model = _standardised(state.model)
-        best = _highest(model)
+        best = highest(model)
         candidates = self._quasirandom(jax.random.fold_in(_stream(state, "candidates"), state.num_told))
         choice = best_candidate(self.acquisition, model, best, candidates, model.whiten(candidates))
         point = candidates[choice]
@@ -228,7 +228,7 @@ class BayesianOptimisation(eqx.Module):
         """The acquisition function at points of the box, whose maximum `ask` seeks."""
         model = _standardised(state.model)
         mean, variance = model.predict(self._units(xs))
-        return self.acquisition(mean, jnp.sqrt(variance), _highest(model))
+        return self.acquisition(mean, jnp.sqrt(variance), highest(model))
 
     def noise_std(self, state: OptimisationState) -> Float[Array, ""]:
         """Standard deviation of the noise of an observation, in the units of the objective."""
@@ -300,8 +300,11 @@ def _standardised(model: GaussianProcess) -> GaussianProcess:
     return eqx.tree_at(lambda gp: gp.y, model, standardise(model.y, model.is_held()))
 
 
-def _highest(model: GaussianProcess) -> Float[Array, ""]:
-    # Without observations all points are equally good, whatever the finite threshold.
+def highest(model: GaussianProcess) -> Float[Array, ""]:
+    """The highest observed value, over which an acquisition function wants an improvement.
+
+    Without observations it is 0: all points are equally good, whatever the finite threshold.
+    """
     return jnp.where(model.count > 0, jnp.max(jnp.where(model.is_held(), model.y, -jnp.inf)), 0.0)
 
 

@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from matplotlib.axes import Axes
 
-from bojax.acquisition.bayesian_optimisation import BayesianOptimisation, OptimisationState
+from bojax.acquisition.bayesian_optimisation import BayesianOptimisation, OptimisationState, highest
 from bojax.acquisition.functions import Acquisition
 from bojax.api.results import Picture
-from bojax.models.checks import to_numbers
+from bojax.models.checks import check_count, check_kind, to_numbers
 from bojax.models.estimators import GaussianProcessRegressor
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.names import by_name
@@ -58,8 +58,8 @@ def plot_gp(
         seed: Seed of the draws.
 
     Raises:
-        ValueError: The estimator has not been fitted, the process has more than two dimensions, or the box is
-            empty or unknown.
+        ValueError: The estimator has not been fitted, the process has more than two dimensions, the box is
+            empty or unknown, or an argument is of the wrong kind.
     """
     if isinstance(gp, GaussianProcessRegressor):
         if not hasattr(gp, "posterior_"):
@@ -78,13 +78,14 @@ def plot_gp(
     )
     grid = _grid(low, high, gp.x.shape[1], samples)
     acquisition = by_name("acquisition")(acquisition)
+    if acquisition is not None:
+        check_kind("acquisition", acquisition, Acquisition, "LogExpectedImprovement(0.01)")
 
     @eqx.filter_jit
     def evaluate(gp, acquisition, key, grid):
         mean, variance = gp.predict(grid)
         std = jnp.sqrt(variance)
-        best = jnp.max(jnp.where(gp.is_held(), gp.y, -jnp.inf))
-        score = None if acquisition is None else acquisition(mean, std, best)
+        score = None if acquisition is None else acquisition(mean, std, highest(gp))
         return mean, std, gp.sample(key, grid, samples) if samples else jnp.zeros((0, len(grid))), score
 
     return _drawn(grid, evaluate(gp, acquisition, jax.random.key(seed), grid), x, y, "Gaussian process")
@@ -120,6 +121,7 @@ def _grid(low: jax.Array, high: jax.Array, num_dims: int, samples: int) -> jax.A
     """Points of a box, row by row."""
     if num_dims not in NUM_POINTS:
         raise ValueError(f"a process of {num_dims} dimensions is not drawn; allowed: 1 or 2")
+    check_count("samples", samples, 0)
     if num_dims > 1 and samples:
         raise ValueError(f"samples: got {samples}; draws are shown on a line, not in {num_dims} dimensions")
     if low.shape not in ((), (num_dims,)) or high.shape not in ((), (num_dims,)):
@@ -186,7 +188,9 @@ def _draw_line(posterior: _Posterior):
     caption += f", {len(posterior.draws)} joint draws" if len(posterior.draws) else ""
     caption += f", and {len(posterior.y)} observations."
     return figure, caption + (
-        " Below, the acquisition function above its lower quartile, and its maximum." if has_score else ""
+        " Below: the acquisition function, cut off at its lower quartile; a line marks its maximum."
+        if has_score
+        else ""
     )
 
 
@@ -220,14 +224,14 @@ def _draw_maps(posterior: _Posterior):
     )
     has_score = posterior.score is not None
     return figure, caption + (
-        " Below, the acquisition function above its lower quartile; a cross marks its maximum."
+        " Below: the acquisition function, cut off at its lower quartile; a cross marks its maximum."
         if has_score
         else ""
     )
 
 
 def _shown(score: np.ndarray) -> tuple[float, float]:
-    """The upper three quarters of the scores: a logarithm falls without bound at observations."""
+    """The range of the upper three quarters of the scores: a logarithm has no lower bound at observations."""
     bottom, top = float(np.quantile(score, 0.25)), float(np.max(score))
     return bottom, top if top > bottom else bottom + 1.0
 

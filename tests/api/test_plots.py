@@ -57,6 +57,12 @@ def test_a_search_in_two_dimensions_is_drawn_in_the_units_of_the_objective(searc
     assert len(score.collections) == 3 and "a cross marks its maximum" in picture.caption
 
 
+def test_improvement_over_no_observation_is_the_same_everywhere():
+    picture = bojax.plot_gp(GaussianProcess.prior("rbf", 1, 2, 1), 0, 1, acquisition="ei")
+    score = picture.figure.axes[1].lines[0].get_ydata()
+    assert np.isfinite(score).all() and np.ptp(score) == 0.0
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
@@ -65,6 +71,11 @@ def test_a_search_in_two_dimensions_is_drawn_in_the_units_of_the_objective(searc
             lambda gp: bojax.plot_gp(gp, [0, 0], 1),
             r"low, high: got shapes \(2,\) and \(\); allowed: 1 numbers",
         ),
+        (
+            lambda gp: bojax.plot_gp(gp, acquisition=3),
+            "acquisition: got 3; allowed: an instance of Acquisition",
+        ),
+        (lambda gp: bojax.plot_gp(gp, samples=-1), "samples: got -1; allowed: an integer >= 0"),
         (lambda gp: bojax.plot_gp(gp, acquisition="eii"), 'unknown acquisition; .*did you mean "ei"'),
         (
             lambda gp: bojax.plot_gp(GaussianProcess.prior("rbf", 1, 2, 1)),
