@@ -27,10 +27,11 @@ REPACKINGS = 100
 bounds the time lost to them: about 0.2 ms each."""
 
 NARROWING, NARROWEST = 3, 32
-"""Factor between two numbers of lanes of a queue, and a bound below all of them.
+"""Factor between two numbers of lanes of a queue, and the lower bound of these numbers.
 
-On an H200 an advance of EMU-Q has a fixed cost, as much as about 100 lanes cost: fewer than `NARROWEST` lanes
-save little. A smaller factor keeps more of the lanes busy, but each number of lanes is a program to compile.
+On an H200 an advance of EMU-Q has a fixed cost, equal to that of about 100 lanes, so that fewer than
+`NARROWEST` lanes save little. A smaller factor keeps more of the lanes busy, but each number of lanes is a
+program to compile.
 """
 
 

@@ -191,7 +191,14 @@ class _Executor:
         )
 
     def _compile(self, task: GroupTask, device: Device, width: int, compiled: Programs | None) -> Programs:
-        """Compile the programs of a group, or load those that another device has compiled."""
+        """Compile the programs of a group, or load those that another device has compiled.
+
+        Args:
+            task: The group.
+            device: The device.
+            width: Number of lanes.
+            compiled: The programs of another device; None to look for some.
+        """
         is_first = width == task.layout.lanes
         for other in self._devices:
             if compiled is None and self._ahead.is_ready((task, other, width)):
@@ -211,8 +218,9 @@ class _Executor:
         )
         if is_first and compiled is None:
             self._progress.compiled(task.progress, programs.compile_seconds)
-        for other in self._devices if len(task.chunks) > 1 else ():  # which will take some of them
-            self._request(task, other, width, programs)
+        if len(task.chunks) > 1:  # the other devices will run some of them
+            for other in self._devices:
+                self._request(task, other, width, programs)
         key = task, device, width, "kept"
         self._ahead.request(key, programs.keep, LAST)
         self._kept.append(key)

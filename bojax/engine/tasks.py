@@ -54,10 +54,11 @@ def tasks_of(
 def longest_first(sweeps: Iterable[Sequence[GroupTask]]) -> list[GroupTask]:
     """The groups of several sweeps, the longest sweep first, and in it the longest group.
 
-    The length is a bound on the environment steps. The steps of a planner take far longer than those of a
-    tabular learner, so that planning comes too late for its share of the time. But its programs take long to
-    compile, and the learners keep the device busy meanwhile. With short groups last, several devices end at
-    about the same time. The groups of a sweep stay together: its report is written while the next ones run.
+    The length is an upper bound of the number of environment steps. It underrates planning, whose steps take
+    far longer than those of a tabular learner; but programs of planners also take long to compile, and the
+    learners that come first keep the device busy meanwhile. With the short groups last, several devices
+    finish at about the same time. The groups of a sweep stay together, so that its report is written while
+    the groups of the next sweep run.
     """
     by_length = sorted(sweeps, key=lambda tasks: sum(task.most_steps for task in tasks), reverse=True)
     return [

@@ -67,7 +67,7 @@ class Experiment(eqx.Module):
 
     @property
     def steps_per_advance(self) -> int:
-        """Maximum of environment steps of an advance."""
+        """Largest number of environment steps of an advance."""
         return 1
 
     @abc.abstractmethod

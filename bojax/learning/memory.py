@@ -104,5 +104,5 @@ class Memory(eqx.Module):
 
 
 def emptied(memory: T) -> T:
-    """A memory, or several, with room for one transition and none stored."""
+    """A memory, or a tree of memories, with room for one transition and none stored."""
     return jax.tree.map(lambda rows: jnp.zeros_like(rows[:1] if rows.ndim else rows), memory)

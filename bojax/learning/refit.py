@@ -25,9 +25,9 @@ from bojax.numerics.linalg import gcr, inverse_matrix, matmul, matmul_on_tensor_
 NUM_STORED = 2048
 """Largest number of transitions whose features an accelerator stores during a refit: the first ones of a run.
 
-They take 8 MB a run for 500 features in float32. Other features are recomputed, a block at a time, whenever
-they are needed. A CPU stores none: to recompute them takes no longer than to read them from memory, and to
-clear this memory takes a third of a refit of few transitions.
+They take 8 MB a run for 500 features in float32. The features of other transitions are recomputed, a block at
+a time, whenever they are needed. A CPU stores none: recomputing features takes no longer than reading them
+from memory, and clearing that memory takes a third of the time of a refit of few transitions.
 """
 
 MOST_ON_CPU = 64

@@ -26,7 +26,8 @@ def cos_and_sin(angles: Float[Array, "*N"]) -> tuple[Float[Array, "*N"], Float[A
     On a CPU, XLA computes them one number after the other, in 10 ns each in float32 and 20 in float64. The
     elementwise arithmetic here is vectorised and takes a tenth of that: the angle is reduced to a quarter
     turn (Cody and Waite, 1980), where both functions are their Taylor polynomials. The errors are below two
-    units of rounding, plus the change of the functions within half a unit of rounding of a large angle.
+    units of rounding, plus, for a large angle, the change of the functions within half a unit of rounding of
+    the angle.
     """
     if jax.default_backend() != "cpu":
         return jnp.cos(angles), jnp.sin(angles)
@@ -35,7 +36,7 @@ def cos_and_sin(angles: Float[Array, "*N"]) -> tuple[Float[Array, "*N"], Float[A
     rest = angles
     for part in _parts_of_half_pi((info.nmant + 1) // 2):
         rest = rest - quarters * part
-    # Only an angle beyond the reciprocal of the rounding unit has a longer rest; it has no digits left.
+    # The rest is only longer for an angle beyond 1 / eps, and then has no correct digit.
     rest = jnp.clip(rest, -1.0, 1.0)
     square = rest * rest
     eps = float(info.eps)
@@ -48,7 +49,7 @@ def cos_and_sin(angles: Float[Array, "*N"]) -> tuple[Float[Array, "*N"], Float[A
 
 
 def _parts_of_half_pi(bits: int) -> list[float]:
-    """Three numbers whose sum is pi/2; the first two have so many bits that their multiples are exact."""
+    """Three numbers whose sum is pi/2; the first two have so few bits that their multiples are exact."""
     parts, rest = [], _HALF_PI
     for _ in range(2):
         unit = Fraction(2) ** (math.floor(math.log2(rest)) + 1 - bits)

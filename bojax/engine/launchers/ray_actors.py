@@ -158,9 +158,10 @@ class _Actor:
         self._wait_for_work()
 
     def work(self, folders: Sequence[str], number: int, count: int, cores: int | None) -> str | None:
-        """Run chunks until none is left, and return what kept the worker from it; None if nothing did.
+        """Run chunks until none is left; a second call waits for the first.
 
-        A second call waits for the first.
+        Returns:
+            The error for which the worker left early, in one line; None if there was none.
         """
         from bojax.engine.worker import EXPECTED, WorkerOptions, run_worker
 
