@@ -131,7 +131,8 @@ class HostEnv(Env):
         self.id, self.kwargs, self.success = id, json.dumps(dict(kwargs), sort_keys=True), success
         try:
             made = self._made()
-            limit = max_steps or gymnasium.spec(id).max_episode_steps
+            _, _, name = id.rpartition(":")  # `make` has imported the module; `spec` does not know it
+            limit = max_steps or gymnasium.spec(name).max_episode_steps
             spaces = made.observation_space, made.action_space
         except (Exception, SystemExit) as error:
             raise ValueError(f'id: got "{id}"; {error_line(error)}') from error

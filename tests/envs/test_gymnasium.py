@@ -229,6 +229,10 @@ def test_what_counts_as_success():
         np.testing.assert_array_equal(env.is_success(rewards, ends), expected)
 
 
+def test_the_limit_of_an_id_with_a_module_is_the_registered_one(toy):
+    assert toy(id="tests.envs.test_gymnasium:Toy-v0").max_steps == 40
+
+
 def test_it_cannot_be_compiled():
     env = build(envs.Gymnasium(id="MountainCar-v0"), "float32")
     with pytest.raises(TypeError, match="MountainCar-v0 is stepped on the host"):
