@@ -76,6 +76,7 @@ class Journal:
             self.folder.resume(self.plan.content)
         else:
             self.folder.create(self.plan.content, may_rename=self._may_rename)
+        self.folder.describe(self.plan.device)
         self._verify(retry=retry)
         launch = self.folder.launch(plain(saved(self.plan.sweep)))
         self._share = FolderShare.join(self.plan, self.folder, launch, is_driver=True)

@@ -1,6 +1,7 @@
 """Running sweeps by workers that a launcher starts. This process merges, and needs no device."""
 
 import abc
+import shlex
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -114,10 +115,10 @@ def _open(target: Target) -> Path:
     folder, sweep = RunFolder(target.path), plain(saved(target.sweep))
     if target.is_resumed:
         try:
-            before = folder.launched().sweep
-        except ResultsError:  # a driver was lost before it was written, or it is damaged: now it is written
-            before = sweep
-        check_plan(folder.path, _asked_for(before), _asked_for(sweep))
+            before, now = _asked_for(folder.launched().sweep), _asked_for(sweep)
+        except ResultsError:  # a driver was lost before it wrote the file, or the file is damaged
+            before, now = _described(folder.plan() or sweep), _described(sweep)
+        check_plan(folder.path, before, now)
     else:
         folder.create(None, may_rename=target.may_rename)
     folder.launch(sweep)
@@ -129,6 +130,13 @@ def _asked_for(sweep: dict[str, Any]) -> dict[str, Any]:
     """What must be the same when a sweep is resumed."""
     kept = {name: sweep[name] for name in ("runs", "seed", "record", "config", "points")}
     return {**kept, "engine.lanes_per_device": sweep["engine"]["lanes_per_device"]}
+
+
+def _described(content: dict[str, Any]) -> dict[str, Any]:
+    """What a sweep and its plan have in common; the plan has the settings of points that workers resolved."""
+    kept = {name: content[name] for name in ("runs", "seed", "record", "config")}
+    points = [{**point, "config": None} for point in content["points"]]
+    return {**kept, "points": points}
 
 
 def _run(
@@ -150,7 +158,7 @@ def _run(
         try:
             launcher.start(names, [remote.path for remote in waiting])
             if not launcher.is_awaited:
-                folders = " ".join(map(str, paths))
+                folders = shlex.join(map(str, paths))
                 print(f"progress:  bojax status {folders}\nto merge:  {resuming(command, paths)}")
                 return 0
             _wait(waiting, command, finish, stop, launcher)
@@ -172,7 +180,7 @@ def _plan(remote: _Remote, command: Sequence[str]) -> None:
     if content is None or remote.journal is not None:
         return
     plan = plan_made_elsewhere(remote.sweep, content, folder.device())
-    journal = Journal(plan, remote.path, " ".join(command), is_resumed=True, may_rename=False)
+    journal = Journal(plan, remote.path, shlex.join(command), is_resumed=True, may_rename=False)
     # Failures are told before they are tried again.
     manifest = remote.path / MANIFEST
     journal.open(retry=manifest.exists() and read_json(manifest).get("status") == "failed")

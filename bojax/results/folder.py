@@ -125,15 +125,19 @@ class RunFolder:
         """
         own = self.work / f".{_PLAN}-{secrets.token_hex(6)}"
         if self.plan() is None:
-            write_checked_json(self.work / _DEVICE, device)
+            self.describe(device)
             write_checked_json(own, plan)
             with contextlib.suppress(FileExistsError):
                 link(own, self.work / _PLAN)  # of several, one succeeds
             own.unlink()
         check_plan(self.path, self.plan() or {}, plan, what="this worker does not fit the plan")
 
+    def describe(self, device: Mapping[str, Any]) -> None:
+        """Write the description of the devices of the process that makes the plan."""
+        write_checked_json(self.work / _DEVICE, device)
+
     def device(self) -> dict[str, Any]:
-        """Description of the devices of the first worker."""
+        """The description that `describe` wrote, for a driver on a machine that may have no such device."""
         return read_checked_json(self.work / _DEVICE)
 
     def launch(self, sweep: Mapping[str, Any]) -> Launch:

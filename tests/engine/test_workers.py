@@ -362,6 +362,22 @@ def test_a_driver_that_was_lost_before_it_launched_its_workers(tmp_path, alone, 
     assert contents(out) == alone
 
 
+@pytest.mark.bits
+def test_another_sweep_is_refused_where_only_the_plan_is_left(planned, alone, capsys):
+    (planned / WORK / "sweep.json").write_text("{}")
+    points = [
+        ({"runs": 9}, "runs: 8 -> 9"),
+        ({"points": POINTS[:2]}, "points: a list of 3 -> a list of 2"),
+        ({}, ""),
+    ]
+    for changes, told in points:
+        given = {**SWEEP, **changes}
+        sweep = toy_sweep(*given.pop("points"), **given)
+        code = run_sweeps([Request(sweep, planned)], True, ["bojax"], launcher=Here())
+        assert (code, told in capsys.readouterr().err) == (2 if told else 0, True)
+    assert contents(planned) == alone
+
+
 def test_several_sweeps_are_one_plan(planned, tmp_path, alone):
     other = tmp_path / "other"
     plan_here(other, runs=2)
