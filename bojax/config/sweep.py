@@ -247,7 +247,7 @@ def published_report(name: str) -> Report | None:
         ConfigError: The file is not readable.
     """
     path = {path.stem: path for path in shipped("sweeps").glob("*.yaml")}.get(name)
-    return path and Report.model_validate(read_mapping(path, display(path)).get("report", {}))
+    return path and Report.model_validate(_follow_alias(path)[1].get("report", {}))
 
 
 def validate_experiment(settings: Any) -> Component:

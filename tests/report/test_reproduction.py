@@ -263,6 +263,12 @@ def test_what_is_not_reproduced_is_explained_beside_the_numbers(tmp_path):
     assert "Because of *it*, by \N{MINUS SIGN}3." in page.text and "Not shown." not in page.text
 
 
+def test_an_alias_has_the_explanations_of_its_sweep():
+    report = published_report("parking")
+    assert report is not None and report.explanations
+    assert report == published_report("fig-4.6")
+
+
 def test_earlier_results_of_a_published_sweep_have_its_explanations(tmp_path):
     report = published_report("fig-5.6b")
     assert report is not None and report.explanations, "choose a sweep that has an explanation"
