@@ -65,6 +65,10 @@ def plot_gp(
         if not hasattr(gp, "posterior_"):
             raise ValueError("GaussianProcessRegressor has not been fitted: call fit first")
         gp = gp.posterior_
+    if not isinstance(gp, GaussianProcess):
+        raise ValueError(
+            f"gp: got {type(gp).__name__}; allowed: a GaussianProcess or a GaussianProcessRegressor"
+        )
     count = int(gp.count)
     x, y = np.asarray(gp.x)[:count], np.asarray(gp.y)[:count]
     if not count and (low is None or high is None):

@@ -84,6 +84,10 @@ def test_improvement_over_no_observation_is_the_same_everywhere():
         (lambda gp: bojax.plot_gp(GaussianProcess.prior("rbf", 1, 2, 3), 0, 1), "3 dimensions is not drawn"),
         (lambda gp: bojax.plot_gp(GaussianProcess.prior("rbf", 1, 2, 2), 0, 1, samples=1), "samples: got 1"),
         (lambda gp: bojax.plot_gp(GaussianProcessRegressor()), "has not been fitted"),
+        (
+            lambda gp: bojax.plot_gp((gp, None)),
+            "gp: got tuple; allowed: a GaussianProcess",
+        ),  # as `relearn` returns
     ],
 )
 def test_what_cannot_be_drawn_is_refused_in_one_line(gp, call, message):
