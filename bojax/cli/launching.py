@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 from bojax.cli.parser import Parser, UsageError
 from bojax.cli.worker import device_indices
 from bojax.config.launching import RayConfig, SlurmConfig, load_launching
-from bojax.results.folder import dated_folder
 
 if TYPE_CHECKING:
     from bojax.engine.remote import Launcher
@@ -83,6 +82,7 @@ def dry_run(args: Namespace, names: Sequence[str], out: Path | None = None) -> i
         out: Their folder; that of the options by default.
     """
     from bojax.engine.launchers.slurm import Slurm
+    from bojax.results.folder import dated_folder
 
     folder: Path = out or args.out or dated_folder(names[0])
     folders = [folder / name for name in names] if len(names) > 1 else [folder]

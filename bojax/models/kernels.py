@@ -46,11 +46,11 @@ class Kernel(eqx.Module):
         return jax.vmap(lambda x: jax.vmap(lambda y: self(x, y))(ys))(xs)
 
 
-def as_kernel(given: Kernel | KernelName) -> Kernel:
+def as_kernel(given: Any) -> Kernel:
     """The kernel itself, or the kernel of a name or of settings.
 
     Raises:
-        ValueError: There is no kernel of this name, or a setting is wrong.
+        ValueError: It is none of these, there is no kernel of this name, or a setting is wrong.
     """
     kernel = by_name("kernel")(given)
     check_kind("kernel", kernel, Kernel, "RBF(0.5)")

@@ -79,7 +79,7 @@ def test_the_first_attempt_is_the_natural_gradient_at_the_bound(space):
     policy, samples = problem(space)
     settings = trpo(max_kl=1e-6, damping=1e-3, cg_steps=200)  # small: the quadratic model is exact enough
     flat, _ = ravel_pytree(policy)
-    gradient = eqx.filter_jit(jax.grad(settings.surrogate, argnums=1))(policy, policy, samples)
+    gradient = jax.jit(jax.grad(settings.surrogate, argnums=1))(policy, policy, samples)
     matrix = fisher_matrix(policy, samples) + 1e-3 * np.eye(len(flat))
     direction = np.linalg.solve(matrix, np.asarray(ravel_pytree(gradient)[0]))
     step = direction * np.sqrt(2e-6 / (direction @ matrix @ direction))
