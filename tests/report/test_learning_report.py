@@ -8,10 +8,11 @@ import pytest
 from bojax.report import tables
 from bojax.report.build import build_report
 from bojax.report.drawing.base import Undrawable
+from bojax.report.drawing.curves import Chart, Curve, Panel
 from bojax.report.drawing.swept import curves_over
 from bojax.report.figures import draw
 from bojax.report.figures.growth import nearest_law
-from bojax.report.figures.learning_curves import rolling_mean
+from bojax.report.figures.learning_curves import limit, rolling_mean
 from bojax.report.source import load
 from bojax.report.style import settings
 from bojax.report.text import MISSING
@@ -159,6 +160,14 @@ class TestCurves:
         drawing = drawn("learning-curves", results)
         assert drawing.figure.axes[0].get_ylim()[0] > -10
         assert "Extreme values lie beyond the axis." in drawing.caption
+
+    def test_the_last_of_a_few_episodes_is_not_an_extreme(self, folder):
+        returns = np.repeat([[0.0, 0.0, 0.0, 0.0, 0.0, 1.0], [0.0, 1.0, 1.0, 1.0, 0.0, 1.0]], [6, 2], axis=0)
+        curve = Curve(load(folder).points[0], np.arange(1.0, 7.0), returns)
+        panel = Panel("return", "mean return", [curve])
+        axes = Chart([panel], "episode").axes[0]
+        assert not limit(axes, panel, [])
+        assert axes.get_ylim()[1] >= 1.0
 
     def test_steps_to_the_goal_are_those_of_successful_episodes(self, folder):
         above, below = drawn("steps-to-goal", load(folder)).figure.axes

@@ -82,8 +82,8 @@ def limit(axes: Axes, panel: Panel, lines: Sequence[float]) -> bool:
     means, bounds = means[np.isfinite(means)], bounds[np.isfinite(bounds)]
     if not means.size:
         return False
-    low = min([float(np.quantile(means, _TAIL, method="higher")), *lines])
-    high = max([float(np.quantile(means, 1 - _TAIL, method="lower")), *lines])
+    ranked, tail = np.sort(means), int(_TAIL * means.size)
+    low, high = min([ranked[tail], *lines]), max([ranked[-1 - tail], *lines])
     least, most = bounds.min(), bounds.max()
     # Everything is shown, unless the extremes would take more than three fifths of the axis.
     if most - least > 2.5 * (high - low) > 0:
