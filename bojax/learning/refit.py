@@ -23,11 +23,10 @@ from bojax.numerics.lanes import any_lane
 from bojax.numerics.linalg import gcr, inverse_matrix, matmul, matmul_on_tensor_cores
 
 NUM_STORED = 2048
-"""Largest number of transitions whose features an accelerator stores during a refit: the first ones of a run.
+"""Largest number of transitions whose features are stored during a refit: the first ones of a run.
 
-They take 8 MB a run for 500 features in float32. The features of other transitions are recomputed, a block at
-a time, whenever they are needed. A CPU stores none: recomputing features takes no longer than reading them
-from memory, and clearing that memory takes a third of the time of a refit of few transitions.
+They take 8 MB a run for 500 features in float32. The features of later transitions are recomputed, a block at
+a time, whenever they are needed.
 """
 
 MOST_ON_CPU = 64
@@ -76,7 +75,7 @@ class _Transitions(eqx.Module):
         """The transitions in memory, in blocks of at most `block`."""
         if jax.default_backend() == "cpu":
             block = min(block, MOST_ON_CPU)
-        number = min(_num_stored(), len(state.memory.rewards))
+        number = min(NUM_STORED, len(state.memory.rewards))
 
         def visit(arrays, rows, index, is_valid):
             del is_valid
@@ -281,7 +280,7 @@ class Refit(eqx.Module):
             constant, discount = self._q_terms(rows)
             return total + matmul(constant + discount * value, rows.phi)
 
-        return transitions.fold(visit, jnp.zeros((transitions.phi.shape[1],), transitions.phi.dtype))
+        return transitions.fold(visit, jnp.zeros_like(transitions.phi[0]))
 
     def _q_equations(
         self, transitions: _Transitions, gain: Float[Array, "M M"], policy: _Policy
@@ -399,10 +398,6 @@ class Refit(eqx.Module):
 
         loop = jnp.zeros((), jnp.int32), start, is_active
         return jax.lax.while_loop(lambda loop: any_lane(loop[2]), step, loop)[1]
-
-
-def _num_stored() -> int:
-    return 0 if jax.default_backend() == "cpu" else NUM_STORED
 
 
 def _quadratic_forms(x: Float[Array, "B P"], forms: Float[Array, "J P P"]) -> Float[Array, "B J"]:
