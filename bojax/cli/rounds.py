@@ -24,7 +24,7 @@ from bojax.engine.tuning import Search, Values
 from bojax.report.progress import report
 from bojax.report.ranking import Measure, config_of, ranking, scored
 from bojax.report.source import load
-from bojax.report.tuning import ROUNDS, TUNING, read_tuning
+from bojax.report.tuning import TUNING, read_tuning, round_folder, round_name
 from bojax.results.folder import RunFolder, check_plan, is_unfinished, reserve_folder
 from bojax.results.store import MANIFEST, ResultsError, write_content, write_json
 
@@ -126,13 +126,13 @@ class _Rounds:
         """Run the rounds that are left, and confirm the best points."""
         task = self._task
         for number in range(task.rounds):
-            folder = self._folder / ROUNDS / f"{number:03d}"
+            folder = round_folder(self._folder, number)
             if not _is_finished(folder):
                 points = self._search.propose(task.batch)
                 if not points:
                     print("all values of the tuned settings have been tried")
                     break
-                if code := self._run(task.sweep(points, f"round-{number:03d}"), folder):
+                if code := self._run(task.sweep(points, round_name(number)), folder):
                     return code
             self._learn(number, folder)
         order = self._order()
@@ -219,7 +219,7 @@ class _Rounds:
     def _write(self, order: Sequence[int], confirmed: str | None) -> None:
         """Write the config of the best point, and what the report reads."""
         task, best = self._task, self._tried[order[0]]
-        results = load(self._folder / ROUNDS / f"{best.round:03d}")
+        results = load(round_folder(self._folder, best.round))
         point = next(
             point for point in results.points if tuple(point.swept[key] for key in self._keys) == best.values
         )

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any
 
 from bojax.cli.launching import LAUNCHING_USAGE, add_launching, check_launching, dry_run
 from bojax.cli.parser import Parser, UsageError, integer
@@ -16,6 +16,7 @@ from bojax.config.component import Component
 from bojax.config.errors import allowed_names
 from bojax.config.files import STANDARD_INPUT
 from bojax.config.overrides import parse_overrides
+from bojax.config.settings import Platform
 from bojax.config.sweep import Source, Sweep, load_config, load_sweep
 from bojax.config.tuning import EXAMPLE, Range, range_of, split_ranges
 from bojax.results.folder import dated_folder
@@ -33,8 +34,6 @@ of --batch points that run together. key=low:high is a setting to tune, key=low:
 decades; key=value sets any other setting. The best settings, chosen by the mean that the model of the scores
 expects, are run again with another seed.
 """
-
-Platform: TypeAlias = Literal["auto", "cpu", "gpu"]
 
 MOST_POINTS = 1000
 """Largest number of points of a search: the model takes time of their cube."""
@@ -102,10 +101,10 @@ def main(name: str, words: Sequence[str]) -> int:
     check_launching(args)
     task = checked(args)
     if args.dry_run:
-        from bojax.report.tuning import ROUNDS
+        from bojax.report.tuning import round_folder, round_name
 
         out = args.out or dated_folder(f"{task.config.name}-tune")
-        return dry_run(args, ["round-000"], out / ROUNDS / "000")
+        return dry_run(args, [round_name(0)], round_folder(out, 0))
     return search(task, args, ["bojax", name, *words])
 
 

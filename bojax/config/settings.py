@@ -1,7 +1,7 @@
 """The top-level keys that experiments share: title, runs, seed, record and engine."""
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 from pydantic import Field
 
@@ -19,10 +19,14 @@ class Record(Schema, frozen=True):
     learners: bool = Field(default=False, description="whether the learners of these runs are saved too")
 
 
+Platform: TypeAlias = Literal["auto", "cpu", "gpu"]
+"""A kind of device; `auto` is a GPU if there is one."""
+
+
 class EngineConfig(Schema, frozen=True):
     """How runs are executed. These settings change the results by rounding at most."""
 
-    device: Literal["auto", "cpu", "gpu"] = Field(default="auto", description="device to run on")
+    device: Platform = Field(default="auto", description="device to run on")
     lanes_per_device: int | None = Field(
         default=None,
         ge=1,

@@ -8,10 +8,11 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Any, TypeAlias
 
 import jax
 
+from bojax.config.settings import Platform
 from bojax.engine.errors import EngineError
 
 _FLAGS = (
@@ -26,7 +27,7 @@ Device: TypeAlias = Any
 """A JAX device; `Any`, since type checkers take `jax.Device` for a variable."""
 
 
-def prepare(device: Literal["auto", "cpu", "gpu"]) -> None:
+def prepare(device: Platform) -> None:
     """Set JAX's process-wide flags: platform, float64, persistent compilation cache.
 
     Flags that the user has set, in the environment or in JAX's configuration, are left alone.
@@ -52,7 +53,7 @@ def restored() -> Iterator[None]:
             _update_before_start(name, value)
 
 
-def find_devices(device: Literal["auto", "cpu", "gpu"]) -> list[Device]:
+def find_devices(device: Platform) -> list[Device]:
     """The devices of the requested platform; `auto` prefers GPUs. A CPU is one device.
 
     Raises:

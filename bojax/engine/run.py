@@ -4,9 +4,10 @@ import shlex
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from bojax.config.errors import ConfigError, printable
+from bojax.config.settings import Platform
 from bojax.engine.conclude import conclude, interrupt
 from bojax.engine.devices import Device, choose, find_devices, prepare, workers_of
 from bojax.engine.errors import FAILURE, EngineError
@@ -89,7 +90,7 @@ def _run(
     return carry_out(journals, devices, command, finish, stop) if journals else 0
 
 
-def _common_device(sweeps: Sequence["Sweep"]) -> Literal["auto", "cpu", "gpu"]:
+def _common_device(sweeps: Sequence["Sweep"]) -> Platform:
     """The device that all sweeps ask for."""
     asked = {sweep.engine.device: sweep.name for sweep in sweeps}
     if len(asked) > 1:

@@ -22,8 +22,6 @@ from bojax.results.store import ResultsError, read_json, write_content
 TUNING = "tuning.json"
 """The file of a search that is finished: its plan, its points, and the posterior of its model."""
 
-ROUNDS = "rounds"
-"""The folder of the sweeps of a search."""
 
 MOST_RANKED = 50
 """Number of points in the table."""
@@ -117,6 +115,16 @@ def read_tuning(folder: Path) -> Tuning:
     return tuning
 
 
+def round_name(number: int) -> str:
+    """Name of the sweep of a round."""
+    return f"round-{number:03d}"
+
+
+def round_folder(search: Path, number: int) -> Path:
+    """Results folder of a round, in that of its search."""
+    return search / "rounds" / f"{number:03d}"
+
+
 def build_tuning_report(folder: Path) -> Path:
     """Write `report.html` of a finished search, and return its path.
 
@@ -124,7 +132,7 @@ def build_tuning_report(folder: Path) -> Path:
         ResultsError: A file of the folder is missing or damaged.
     """
     tuning = read_tuning(folder)
-    last = load(folder / ROUNDS / f"{tuning.points[-1].round:03d}")
+    last = load(round_folder(folder, tuning.points[-1].round))
     fresh = None if tuning.confirmed is None else load(folder / tuning.confirmed)
     plates = []
     for draw in (draw_slices, draw_progress):

@@ -97,12 +97,13 @@ def test_damage_follows_from_the_seed_and_damages(tmp_path):
     assert changed >= 25  # a file copied over its equal is none
 
 
-def campaign(*words: str) -> None:
+def campaign(*words: str) -> list[str]:
+    """The words of the table that the campaign prints."""
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-m", "tests.campaign", *words]
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert len(done.stdout.split()) >= 8
+    return done.stdout.split()
 
 
 linux = pytest.mark.skipif(
@@ -112,10 +113,10 @@ linux = pytest.mark.skipif(
 
 @linux
 def test_some_cases_hold():
-    campaign("--quick")
+    assert len(campaign("--quick")) >= 20
 
 
 @linux
 @pytest.mark.slow
 def test_drivers_and_workers_that_are_lost():
-    campaign("--only", "launches", "--count", "5")
+    assert len(campaign("--only", "launches", "--count", "5")) >= 8

@@ -15,10 +15,10 @@ from jax.experimental.compilation_cache import compilation_cache
 from bojax.cli.main import main
 from bojax.config.sweep import load_config
 from bojax.engine import batch
-from bojax.engine.remote import Launcher
 from bojax.engine.worker import WorkerOptions, run_worker
 from bojax.report.source import load
 from bojax.report.tuning import read_tuning
+from tests.engine.here import Here
 
 ROOT = Path(__file__).parents[2]
 
@@ -164,21 +164,10 @@ def test_an_interrupted_search_prints_how_to_resume_it(tmp_path, monkeypatch, ca
     assert last.startswith("bojax tune chain") and last.endswith(f"--out {out} --resume")
 
 
-class _Here(Launcher):
-    """Runs a worker in this process."""
-
-    is_awaited = True
-
-    def check(self, name):
-        return
-
-    def start(self, name, folders):
-        assert run_worker(folders, WorkerOptions(cores=1), lambda: False) == 0
-
-
 @pytest.mark.bits
 def test_workers_of_a_launcher_run_the_rounds(tmp_path, undisturbed, monkeypatch):
-    monkeypatch.setattr("bojax.engine.launchers.ray_actors.Ray", lambda config: _Here())
+    here = Here(lambda folders: run_worker(folders, WorkerOptions(cores=1), lambda: False))
+    monkeypatch.setattr("bojax.engine.launchers.ray_actors.Ray", lambda config: here)
     out = tmp_path / "search"
     assert tune(out, "--launcher", "ray") == 0
     assert contents(out) == contents(undisturbed)

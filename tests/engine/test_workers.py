@@ -14,7 +14,6 @@ import pytest
 from bojax.engine import batch
 from bojax.engine.batch import Functions, Programs
 from bojax.engine.plan import make_plan
-from bojax.engine.remote import Launcher
 from bojax.engine.requests import Request
 from bojax.engine.run import run_sweeps
 from bojax.engine.runner import ChunkRunner, Limits
@@ -23,6 +22,7 @@ from bojax.results.folder import RunFolder
 from bojax.results.leases import Attempts, Leases
 from bojax.results.store import WORK, read_manifest, read_table
 from tests.engine.drive import contents, plan_toy, run_toy, start_worker, work_on
+from tests.engine.here import Here
 from tests.toy import toy_sweep
 
 POINTS = ({"scale": 1.0, "max_length": 80}, {"scale": 2.0, "max_length": 80}, {"max_length": 30})
@@ -337,16 +337,7 @@ def test_the_sweep_ends_while_a_worker_runs(planned, capsys, monkeypatch):
     assert not (planned / WORK).exists()
 
 
-class Here(Launcher):
-    """Runs a worker in this process."""
-
-    is_awaited = True
-
-    def check(self, name):
-        return
-
-    def start(self, name, folders):
-        assert work_on(*folders, cores=1) == 0
+HERE = Here(lambda folders: work_on(*folders, cores=1))
 
 
 @pytest.mark.bits
@@ -358,7 +349,7 @@ def test_a_driver_that_was_lost_before_it_launched_its_workers(tmp_path, alone, 
         (out / WORK / "sweep.json").write_text(content)
     given = dict(SWEEP)
     sweep = toy_sweep(*given.pop("points"), **given)
-    assert run_sweeps([Request(sweep, out)], True, ["bojax"], launcher=Here()) == 0
+    assert run_sweeps([Request(sweep, out)], True, ["bojax"], launcher=HERE) == 0
     assert contents(out) == alone
 
 
@@ -373,7 +364,7 @@ def test_another_sweep_is_refused_where_only_the_plan_is_left(planned, alone, ca
     for changes, told in points:
         given = {**SWEEP, **changes}
         sweep = toy_sweep(*given.pop("points"), **given)
-        code = run_sweeps([Request(sweep, planned)], True, ["bojax"], launcher=Here())
+        code = run_sweeps([Request(sweep, planned)], True, ["bojax"], launcher=HERE)
         assert (code, told in capsys.readouterr().err) == (2 if told else 0, True)
     assert contents(planned) == alone
 

@@ -1,38 +1,57 @@
-"""Plans and merges a sweep of very many chunks, as the driver of a cluster does.
+"""The time and the memory that the driver of a cluster needs for a sweep of very many chunks.
 
-`python -m benchmarks.many_chunks FOLDER --chunks 100000` makes a folder in which workers have computed all
-chunks (their rows are made up), and merges it in a process of its own. It prints the processor time
-of each step, and the most memory that the process held.
+The benchmark makes a results folder in which workers have computed all chunks; their rows are made up.
+Another process plans the sweep and merges it, which is timed.
 """
 
 import argparse
 import json
 import multiprocessing
 import resource
-import shutil
+import sys
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
+
+from options import positive
 
 QUEUE = 64
 """Runs of a chunk on a CPU."""
 
+EXAMPLES = """\
+  python benchmarks/bench_chunks.py                                       2,000 chunks
+  python benchmarks/bench_chunks.py --chunks 100000 --folder /dev/shm     6.4 million runs, in memory
+"""
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path, help="a new folder; it is deleted at the end")
-    parser.add_argument("--chunks", type=int, default=100_000)
-    args = parser.parse_args()
-    context = multiprocessing.get_context("spawn")
+
+def main(argv: Sequence[str]) -> int:
+    """Run the benchmark."""
+    args = parse(argv)
+    context = multiprocessing.get_context("spawn")  # each step in a process of its own, for its memory
     found: dict[str, Any] = {"chunks": args.chunks}
-    try:
+    with tempfile.TemporaryDirectory(dir=args.folder) as place:
         for step in (_make, _merge):
             with context.Pool(1) as pool:
-                found |= pool.apply(step, (args.folder, args.chunks))
-    finally:
-        shutil.rmtree(args.folder, ignore_errors=True)
+                found |= pool.apply(step, (Path(place) / "many-chunks", args.chunks))
     print(json.dumps(found, indent=1))
+    if args.json:
+        args.json.write_text(json.dumps({"benchmark": "chunks"} | found, indent=1) + "\n")
+    return 0
+
+
+def parse(argv: Sequence[str]) -> argparse.Namespace:
+    """The arguments of the benchmark."""
+    parser = argparse.ArgumentParser(
+        description=(__doc__ or "").split("\n")[0],
+        epilog=f"examples:\n{EXAMPLES}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--chunks", type=positive, default=2000, help="number of chunks (2000)")
+    parser.add_argument("--folder", type=Path, help="where the results folder is made for a while")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the results to a file")
+    return parser.parse_args(argv)
 
 
 def _journal(folder: Path, chunks: int, *, is_resumed: bool) -> tuple[Any, float]:
@@ -117,4 +136,4 @@ def _megabytes() -> float:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main(sys.argv[1:]))
