@@ -17,12 +17,10 @@ from bojax.models.estimators import GaussianProcessRegressor
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.names import by_name
 from bojax.report import style
+from bojax.report.statistics import BAND
 
 NUM_POINTS = {1: 201, 2: 41}
 """Number of points along each dimension, by the number of dimensions."""
-
-_LEVEL = 1.96
-"""Half width of a band of 95%, in standard deviations."""
 
 
 @dataclass(frozen=True)
@@ -162,7 +160,7 @@ def _draw_line(posterior: _Posterior):
         gridspec_kw={"height_ratios": (3, 1)[: 1 + has_score]},
     )
     axes, x = grid[0, 0], posterior.grid[:, 0]
-    band = _LEVEL * posterior.std
+    band = BAND * posterior.std
     axes.fill_between(
         x,
         posterior.mean - band,

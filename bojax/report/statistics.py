@@ -20,6 +20,9 @@ Floats = NDArray[np.float64]
 Band: TypeAlias = tuple[Floats, Floats, Floats]
 """Mean, lower and upper bound of every column of a table."""
 
+BAND = 1.96
+"""Half the width of a band of 95% of a normal distribution, in standard deviations."""
+
 RESAMPLES = 10_000
 """Number of bootstrap resamples; it fixes the bounds of a 95% interval to about 1% of its width."""
 LEVEL = 0.95

@@ -13,7 +13,7 @@ from bojax.report.manifest import Count, Part
 from bojax.report.page import Plate, provenance
 from bojax.report.ranking import Measure, ranking
 from bojax.report.source import Results, load
-from bojax.report.statistics import Interval
+from bojax.report.statistics import BAND, Interval
 from bojax.report.tables import Cell, RankedRow, RankedTable, count_cell, interval_cell, setting_cell
 from bojax.report.template import fill
 from bojax.report.text import MISSING, counted, number, plain, with_bounds
@@ -202,7 +202,7 @@ def _ranked(tuning: Tuning) -> RankedTable:
     rows = []
     for rank, index in enumerate(tuning.order[:MOST_RANKED], start=1):
         point = tuning.points[index]
-        low, high = point.mean - 1.96 * point.std, point.mean + 1.96 * point.std
+        low, high = point.mean - BAND * point.std, point.mean + BAND * point.std
         expected = interval_cell(Interval(point.mean, low, high))
         score = Cell(number(point.score), key="" if point.score is None else point.score)
         values = map(setting_cell, point.values)

@@ -7,13 +7,11 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from bojax.report import style
 from bojax.report.drawing.base import Drawing, panel_grid
+from bojax.report.statistics import BAND
 from bojax.report.text import counted, number
 
 if TYPE_CHECKING:
     from bojax.report.tuning import Tuning
-
-_BAND = 1.96
-"""Half the width of the bands, in standard deviations: 95%."""
 
 
 def draw_slices(tuning: "Tuning") -> Drawing:
@@ -23,9 +21,7 @@ def draw_slices(tuning: "Tuning") -> Drawing:
     tried = [point for point in tuning.points if point.score is not None]
     for index, (axes, each, curve) in enumerate(zip(grid.flat, ranges, tuning.slices, strict=False)):
         x, mean, std = (np.asarray(values) for values in (curve.values, curve.mean, curve.std))
-        axes.fill_between(
-            x, mean - _BAND * std, mean + _BAND * std, color=style.BLUE, alpha=0.18, linewidth=0
-        )
+        axes.fill_between(x, mean - BAND * std, mean + BAND * std, color=style.BLUE, alpha=0.18, linewidth=0)
         axes.plot(x, mean, color=style.BLUE)
         axes.plot(
             [point.values[index] for point in tried],
