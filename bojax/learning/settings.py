@@ -106,6 +106,15 @@ _MixesTransitions = Annotated[
 ]
 
 
+_Refit = Annotated[
+    Literal["sweeps", "direct", "none"],
+    Field(
+        description="fit of Q and U at the end of an episode: sweeps over all transitions (published code), "
+        "the direct solution of the equations that the sweeps converge to, or none"
+    ),
+]
+
+
 class _EMUQ(LearnerSettings, frozen=True):
     target: ClassVar[str] = "bojax.learning.emu_q:EMUQ"
 
@@ -135,11 +144,7 @@ class _EMUQ(LearnerSettings, frozen=True):
     terminal_u: _TerminalU = "absorbing"
     optimistic_u: _OptimisticU = False
     has_noise: _HasNoise = False
-    refit: Literal["sweeps", "direct", "none"] = Field(
-        default="sweeps",
-        description="fit of Q and U at the end of an episode: sweeps over all transitions, the direct "
-        "solution of the equations that the sweeps converge to, or none",
-    )
+    refit: _Refit = "direct"
     max_sweeps: int = Field(
         default=30,
         ge=1,
@@ -148,7 +153,8 @@ class _EMUQ(LearnerSettings, frozen=True):
     tolerance: float = Field(
         default=0.1,
         ge=0,
-        description="change of the weights, as a Euclidean norm, below which the sweeps stop",
+        description="change of the weights, as a Euclidean norm, at which sweeps, or policies whose "
+        "equations are solved, stop",
     )
     mixes_transitions: _MixesTransitions = False
     block: int = Field(default=16, ge=1, description="number of steps between two flushes of the covariance")
@@ -175,6 +181,7 @@ class EMUQPublished(_EMUQ, frozen=True):
     terminal_u: _TerminalU = "bootstrap"
     optimistic_u: _OptimisticU = True
     has_noise: _HasNoise = True
+    refit: _Refit = "sweeps"
     mixes_transitions: _MixesTransitions = True
 
     @property

@@ -97,7 +97,7 @@ def reference_of(cls, learner, state, **settings):
     ids=["thesis", "published"],
 )
 def test_is_the_numpy_version(schema, cls, settings, alpha):
-    learner, state = make(schema, prior_precision=alpha)
+    learner, state = make(schema, prior_precision=alpha, refit="sweeps")
     steps = transitions()
     reference = reference_of(cls, learner, state, **settings)
     online, after = learn(learner, state, steps)
@@ -115,7 +115,7 @@ def test_is_the_numpy_version(schema, cls, settings, alpha):
 
 
 def test_a_second_episode_is_the_numpy_version_too():
-    learner, state = make()
+    learner, state = make(refit="sweeps")
     reference = reference_of(Algorithm6, learner, state)
     first, second = transitions(0), transitions(1)
     _, after = learn(learner, state, first)
@@ -177,11 +177,12 @@ def test_features_of_later_transitions_are_recomputed(monkeypatch):
         np.testing.assert_allclose(means[how, 16], means[how, 2048], atol=1e-9)
 
 
-def test_blocks_of_a_refit_do_not_matter():
+@pytest.mark.parametrize("how", ["sweeps", "direct"])
+def test_blocks_of_a_refit_do_not_matter(how):
     steps = transitions()
     means = []
     for refit_block in (7, NUM_STEPS, 512):
-        learner, state = make(refit_block=refit_block)
+        learner, state = make(refit=how, refit_block=refit_block)
         means.append(learn(learner, state, steps)[1].posterior.mean)
     np.testing.assert_allclose(means[0], means[1], atol=1e-9)
     np.testing.assert_allclose(means[0], means[2], atol=1e-9)
