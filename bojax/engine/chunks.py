@@ -15,12 +15,17 @@ from bojax.experiments.base import Experiment
 LANES_ON_ACCELERATOR = 4096
 """Default maximum of lanes on an accelerator; on a CPU it is `Experiment.lanes_on_cpu`."""
 
-QUEUE_ON_CPU = 64
-"""Maximum of runs in a queue on a CPU."""
+QUEUE_ON_CPU, QUEUE_ON_ACCELERATOR = 64, 4 * LANES_ON_ACCELERATOR
+"""Maximum of runs in a queue.
 
-QUEUES_ON_CPU, SHORTEST_QUEUE = 4, 8
-"""On a CPU a group is divided into this number of queues, so that several cores share it, unless they would
-be shorter than this."""
+In a queue longer than its lanes, the next runs take the lanes of those that have finished. On an accelerator
+that pays only beyond `LANES_ON_ACCELERATOR`: an advance has a fixed cost, so that runs which fit at once are
+done soonest if all start at once (benchmarks/results/2026-11-23-lanes.md).
+"""
+
+QUEUES, SHORTEST_ON_CPU = 4, 8
+"""A group is divided into this number of queues, so that several devices or cores share it, unless they would
+be shorter than this on a CPU, or all fit into the lanes of fewer queues on an accelerator."""
 
 REPACKINGS = 100
 """Number of repackings of a run that lasts for all its advances. A repacking waits for the device, so this
@@ -69,14 +74,17 @@ def choose_layout(experiment: Experiment, num_runs: int, platform: str, given: i
     """
     is_cpu = platform == "cpu"
     limit = given or (experiment.lanes_on_cpu if is_cpu else LANES_ON_ACCELERATOR)
-    longest = limit if experiment.is_hosted else QUEUE_ON_CPU if is_cpu else LANES_ON_ACCELERATOR
-    num_queues = math.ceil(num_runs / longest)
-    if is_cpu:
-        num_queues = max(num_queues, min(QUEUES_ON_CPU, num_runs // SHORTEST_QUEUE))
+    longest = limit if experiment.is_hosted else QUEUE_ON_CPU if is_cpu else QUEUE_ON_ACCELERATOR
+    useful = num_runs // SHORTEST_ON_CPU if is_cpu else math.ceil(num_runs / LANES_ON_ACCELERATOR)
+    num_queues = max(math.ceil(num_runs / longest), min(QUEUES, useful))
     queue = math.ceil(num_runs / num_queues)
     if experiment.is_hosted:
         return Layout(queue, (queue,), 0)
     widths = [min(limit, queue)]
+    if not is_cpu:  # runs of equal length leave no lane empty
+        rounds = math.ceil(num_runs / limit)
+        widths = [math.ceil(num_runs / rounds)]
+        queue = widths[0] * math.ceil(rounds / num_queues)
     can_narrow = not is_cpu and experiment.has_stragglers and experiment.max_advances > 1
     while can_narrow and widths[-1] >= NARROWING * NARROWEST:
         widths.append(math.ceil(widths[-1] / NARROWING))

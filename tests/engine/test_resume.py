@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from bojax.engine.chunks import Layout
 from bojax.results.store import WORK, read_manifest
 from tests.engine.drive import contents, run_toy, start_toy
 
@@ -33,13 +34,14 @@ def run_sweep_here(out: Path, **settings) -> int:
     return run_toy(out, *given.pop("points"), **given)
 
 
-def wait_for_checkpoint(out: Path, advances: int) -> None:
-    """Wait until some chunk has a checkpoint after at least so many advances."""
+def wait_for_checkpoint(out: Path, advances: int, most_lanes: int = 1 << 20) -> None:
+    """Wait until some chunk has a checkpoint after at least so many advances, in at most so many lanes."""
     deadline = time.monotonic() + 120
     while time.monotonic() < deadline:
         for path in (out / WORK).glob("chunk-*/state.json"):
             state = json.loads(path.read_text())
-            if state["checkpoint"] and state["advances"] >= advances:
+            is_narrow = len(state["lanes"]) <= most_lanes
+            if state["checkpoint"] and state["advances"] >= advances and is_narrow:
                 return
         time.sleep(0.01)
     raise AssertionError(f"no checkpoint in {out}")
@@ -63,6 +65,22 @@ def test_killed_and_resumed(tmp_path, undisturbed):
     assert run_sweep_here(out, resume=True) == 0
     assert contents(out) == contents(undisturbed)
     assert not (out / WORK).exists()
+
+
+@pytest.mark.bits
+def test_killed_where_runs_have_taken_lanes_and_moved_to_fewer(tmp_path, monkeypatch):
+    sweep: dict = {"points": ({"max_length": 400},), "runs": 8}
+    monkeypatch.setattr("bojax.engine.plan.choose_layout", lambda *_: Layout(8, (4, 2), 1))
+    undisturbed, killed = tmp_path / "undisturbed", tmp_path / "killed"
+    assert run_sweep_here(undisturbed, **sweep) == 0
+    same = "import bojax.engine.plan as p; p.choose_layout = lambda *_: p.Layout(8, (4, 2), 1)"
+    process = start_toy(killed, same, **{**sweep, **OFTEN})
+    wait_for_checkpoint(killed, advances=5, most_lanes=2)
+    process.kill()
+    process.communicate(timeout=60)
+    assert not (killed / "runs.parquet").exists()
+    assert run_sweep_here(killed, resume=True, **sweep) == 0
+    assert contents(killed) == contents(undisturbed)
 
 
 @pytest.mark.bits

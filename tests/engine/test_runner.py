@@ -200,6 +200,9 @@ def test_a_stop_while_waiting_for_a_program_loses_nothing_but_the_last_segment(t
         ("gpu", 200, None, 200, (200,)),
         ("gpu", 5000, None, 2500, (2500,)),
         ("gpu", 5000, 100, 2500, (100,)),
+        ("gpu", 16_384, None, 4096, (4096,)),  # four queues, which several devices share
+        ("gpu", 36_000, None, 12_000, (4000,)),  # three times as many runs as lanes
+        ("gpu", 180_000, None, 16_364, (4091,)),
     ],
 )
 def test_layout(platform, runs, given, queue, widths):
