@@ -17,6 +17,9 @@ registry: dict[str, dict[str, type["Registered"]]] = {}
 IMPORT_PATH = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*")
 """Pattern of an import path: `package.module:Class`."""
 
+RECORDED = object()
+"""Context of a validation of settings that results record: files that they name may have gone or changed."""
+
 
 class Schema(pydantic.BaseModel, frozen=True):
     """A mapping of settings without unknown keys, NaN or infinity; only integers are converted, to floats."""
@@ -152,15 +155,15 @@ class Slot:
     def __get_pydantic_core_schema__(self, source: Any, handler: pydantic.GetCoreSchemaHandler) -> CoreSchema:
         """Validate by `kind` and serialise the whole component; called by pydantic."""
         del source, handler
-        return core_schema.no_info_plain_validator_function(
-            self.validate,
+        return core_schema.with_info_plain_validator_function(
+            lambda value, info: self.validate(value, info.context),
             serialization=core_schema.plain_serializer_function_ser_schema(
                 lambda component, info: component and component.model_dump(mode=info.mode), info_arg=True
             ),
         )
 
-    def validate(self, value: Any) -> Registered | None:
-        """The component that `value` describes."""
+    def validate(self, value: Any, context: Any = None) -> Registered | None:
+        """The component that `value` describes, validated in a context of pydantic."""
         if value is None and self.optional:
             return None
         if isinstance(value, Registered):
@@ -172,7 +175,7 @@ class Slot:
             return External(kind=kind, slot=self.role, params=params)
         if not isinstance(kind, str) or kind not in self._allowed_kinds():
             raise self._unknown_kind(kind)
-        return kinds[kind].model_validate(_mapping(value))
+        return kinds[kind].model_validate(_mapping(value), context=context)
 
     def _checked(self, component: Registered) -> Registered:
         is_external = isinstance(component, External)

@@ -14,7 +14,7 @@ from bojax.config import catalog as _catalog  # noqa: F401 (registers every sche
 from bojax.config.axes import Combination, expand, read_axes, split_overrides
 from bojax.config.changed import changed_settings
 from bojax.config.claims import Claim, Explanation
-from bojax.config.component import Component, Schema, Slot, merged
+from bojax.config.component import RECORDED, Component, Schema, Slot, merged
 from bojax.config.errors import (
     ConfigError,
     Location,
@@ -250,13 +250,18 @@ def published_report(name: str) -> Report | None:
     return path and Report.model_validate(_follow_alias(path)[1].get("report", {}))
 
 
-def validate_experiment(settings: Any) -> Component:
+def validate_experiment(settings: Any, *, is_recorded: bool = False) -> Component:
     """The experiment that a mapping of settings describes.
+
+    Args:
+        settings: The mapping.
+        is_recorded: Whether results record these settings, so that the files of data which they name, with
+            the hash of their content, are not read again.
 
     Raises:
         pydantic.ValidationError: A setting is wrong.
     """
-    return _EXPERIMENT.validate_python(settings)
+    return _EXPERIMENT.validate_python(settings, context=RECORDED if is_recorded else None)
 
 
 def _command(source: Source) -> str:

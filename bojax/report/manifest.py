@@ -1,11 +1,12 @@
 """What a report reads of `manifest.json`: a schema, and the settings objects that were written into it.
 
 A wrong type or shape ends in one line. Settings that this version of bojax refuses, because another version
-wrote them or a data file is gone, stay plain values (`Unread`): a report without them is better than none.
+wrote them, stay plain values (`Unread`): a report without them is better than none.
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, Any, Literal, TypeVar
 
 import pydantic
@@ -189,7 +190,7 @@ def validated(schema: type[T], content: Any, path: str) -> T:
 
 def experiment_of(point: PointEntry) -> Component | Unread:
     """The experiment of a point."""
-    return _settings(validate_experiment, point.config or {})
+    return _settings(partial(validate_experiment, is_recorded=True), point.config or {})
 
 
 def claims_of(manifest: Manifest) -> tuple[Claim | Unread, ...]:

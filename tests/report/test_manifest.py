@@ -5,7 +5,7 @@ import json
 import pytest
 
 from bojax.config.files import available
-from bojax.config.sweep import load_config, load_sweep
+from bojax.config.sweep import load_config, load_sweep, validate_experiment
 from bojax.engine.manifest import plain
 from bojax.report.build import build_report
 from bojax.report.manifest import Manifest, PointEntry, Unread, claims_of, experiment_of
@@ -45,3 +45,16 @@ def test_parts_by_import_path_are_named(tmp_path):
     folder = write_monitoring(tmp_path / "results", runs=2, recorded=0)
     edit_manifest(folder, lambda m: m["points"][0]["config"]["problem"].update(kind="mine:Dock"))
     assert "mine:Dock: given by import path" in build_report(folder).read_text()
+
+
+def test_files_of_data_are_not_read_again(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "depth.csv").write_text("0,1\n2,3\n")
+    field = {"kind": "grid", "file": "depth.csv", "extent": [0.0, 0.0, 1.0, 1.0]}
+    config = validate_experiment({"kind": "planning", "problem": {"kind": "two-pits", "field": field}})
+    recorded = PointEntry(index=0, label="x", config=json.loads(json.dumps(plain(config))))
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    assert experiment_of(recorded) == config
+    (tmp_path / "elsewhere" / "depth.csv").write_text("4,5\n6,7\n")  # another file of the same name
+    assert experiment_of(recorded) == config
