@@ -8,9 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key, Scalar
 
-from bojax.acquisition.functions import Acquisition
+from bojax.acquisition.functions import Acquisition, UpperConfidenceBound
 from bojax.acquisition.maximise import best_candidate, refine
 from bojax.acquisition.scaling import standardise
+from bojax.acquisition.thompson import ThompsonSampling
 from bojax.models.checks import (
     Numbers,
     as_numbers,
@@ -33,7 +34,7 @@ from bojax.numerics.quasirandom import shifted_kronecker
 PRIOR_SPREAD = 1.5
 """Default of `prior_spread`."""
 
-_STREAMS = ("initial", "candidates", "relearning")
+_STREAMS = ("initial", "candidates", "relearning", "draws")
 
 
 class OptimisationState(eqx.Module):
@@ -71,7 +72,8 @@ class BayesianOptimisation(eqx.Module):
 
     Attributes:
         kernel: Covariance of the values, an object or a name, such as `"matern52"`.
-        acquisition: Acquisition function, an object or a name, such as `"log-ei"`.
+        acquisition: Acquisition function, an object or a name, such as `"log-ei"`; or `ThompsonSampling()`,
+            which maximises a new draw of the posterior at every step.
         noise_variance: Noise variance of an observation, relative to the variance of the observed values.
         low: Lower corner of the box.
         high: Upper corner of the box.
@@ -85,7 +87,7 @@ class BayesianOptimisation(eqx.Module):
     """
 
     kernel: Kernel = eqx.field(converter=by_name("kernel"))
-    acquisition: Acquisition = eqx.field(converter=by_name("acquisition"))
+    acquisition: Acquisition | ThompsonSampling = eqx.field(converter=by_name("acquisition"))
     noise_variance: Float[Array, ""] = eqx.field(converter=as_numbers("noise_variance"))
     low: Float[Array, "D"] = eqx.field(converter=as_numbers("low"))
     high: Float[Array, "D"] = eqx.field(converter=as_numbers("high"))
@@ -103,7 +105,8 @@ class BayesianOptimisation(eqx.Module):
             ValueError: A value is not allowed.
         """
         check_kind("kernel", self.kernel, Kernel, "Matern52(0.5)")
-        check_kind("acquisition", self.acquisition, Acquisition, "LogExpectedImprovement(0.0)")
+        if not isinstance(self.acquisition, ThompsonSampling):
+            check_kind("acquisition", self.acquisition, Acquisition, "LogExpectedImprovement(0.0)")
         least = {"capacity": 1, "num_candidates": 1, "num_initial": 1, "refine_steps": 0, "relearn_every": 0}
         for name, number in least.items():
             check_count(name, getattr(self, name), number)
@@ -151,13 +154,13 @@ class BayesianOptimisation(eqx.Module):
 
     def ask(self, state: OptimisationState) -> Float[Array, "D"]:
         """The next point to evaluate, a function of the state alone."""
-        model = _standardised(state.model)
+        acquisition, model = self._target(state)
         best = highest(model)
         candidates = self._quasirandom(jax.random.fold_in(_stream(state, "candidates"), state.num_told))
-        choice = best_candidate(self.acquisition, model, best, candidates, model.whiten(candidates))
+        choice = best_candidate(acquisition, model, best, candidates, model.whiten(candidates))
         point = candidates[choice]
         if self.refine_steps > 0:
-            point = refine(self.acquisition, model, best, point, self.refine_steps)
+            point = refine(acquisition, model, best, point, self.refine_steps)
         initial = self._quasirandom(_stream(state, "initial"))[state.num_told % self.num_candidates]
         is_initial = (model.count < self.num_initial) | state.was_missing
         return self._from_unit(jnp.where(is_initial, initial, point))
@@ -225,10 +228,10 @@ class BayesianOptimisation(eqx.Module):
         return centre + unit * draws
 
     def score(self, state: OptimisationState, xs: Float[Array, "M D"] | Numbers) -> Float[Array, "M"]:
-        """The acquisition function at points of the box, whose maximum `ask` seeks."""
-        model = _standardised(state.model)
+        """The acquisition function, or the draw, at points of the box, whose maximum `ask` seeks."""
+        acquisition, model = self._target(state)
         mean, variance = model.predict(self._units(xs))
-        return self.acquisition(mean, jnp.sqrt(variance), highest(model))
+        return acquisition(mean, jnp.sqrt(variance), highest(model))
 
     def noise_std(self, state: OptimisationState) -> Float[Array, ""]:
         """Standard deviation of the noise of an observation, in the units of the objective."""
@@ -268,6 +271,14 @@ class BayesianOptimisation(eqx.Module):
 
         state, (xs, ys) = jax.lax.scan(step, self.init(key_search), jnp.arange(num_iterations))
         return state, xs, ys
+
+    def _target(self, state: OptimisationState) -> tuple[Acquisition, GaussianProcess]:
+        """What `ask` maximises: a function of the moments of a process."""
+        model = _standardised(state.model)
+        if not isinstance(self.acquisition, ThompsonSampling):
+            return self.acquisition, model
+        key = jax.random.fold_in(_stream(state, "draws"), state.num_told)
+        return UpperConfidenceBound(jnp.zeros((), self.low.dtype)), self.acquisition.draw(key, model)
 
     def _relearn(self, key: Key[Array, ""], model: GaussianProcess) -> GaussianProcess:
         log_prior = log_normal_prior(self.kernel, self.noise_variance, self.prior_spread)
