@@ -16,7 +16,7 @@ from bojax.config.sweep import load_config, load_sweep
 from bojax.engine import batch, executables
 from bojax.engine.batch import Functions, Programs
 from bojax.engine.build import build
-from bojax.engine.chunks import SHORTEST_QUEUE
+from bojax.engine.chunks import SHORTEST_ON_CPU
 from bojax.engine.groups import static_groups
 from bojax.engine.runner import ChunkRunner
 from bojax.envs.robots.base import RobotTask
@@ -231,7 +231,7 @@ def test_several_devices_compile_a_program_once(cache, monkeypatch, tmp_path):
     both = threading.Barrier(len(devices), timeout=60.0)  # each device takes a chunk
     monkeypatch.setattr(ChunkRunner, "run", noted)
     before = batch.compile_counts["advance"]
-    sweep = load_config("chain", ["episodes=2"], 2 * SHORTEST_QUEUE, None)
+    sweep = load_config("chain", ["episodes=2"], 2 * SHORTEST_ON_CPU, None)
     assert run_sweep(sweep, tmp_path / "chain") == 0
     assert len(used) == len(devices) == 2
     assert batch.compile_counts["advance"] == before + 1
