@@ -98,6 +98,11 @@ class Sweep:
     changed: dict[str, list[Any]] = field(default_factory=dict)
     locate: Callable[[int, Location], str] = field(default=_locate_point, repr=False, compare=False)
 
+    @property
+    def is_published(self) -> bool:
+        """Whether its file is part of bojax."""
+        return self.source.resolve().parent == shipped("sweeps").resolve()
+
 
 class Report(Schema, frozen=True):
     """Content of the report of a sweep."""

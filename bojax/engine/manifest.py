@@ -60,6 +60,7 @@ def describe_sweep(
         "report": plain(sweep.report),
         "claims": plain(sweep.claims),
         "changed": plain(sweep.changed),
+        "is_published": sweep.is_published,
         "engine": plain(sweep.engine),
         "versions": versions(),
         "git": git_revision(),

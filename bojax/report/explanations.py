@@ -36,11 +36,12 @@ class Explained:
 def explanations_of(manifest: Manifest, claims: Sequence[TestedClaim]) -> list[Explained]:
     """The explanations of those claims that are not reproduced, or inconclusive, in the order of the sweep.
 
-    A sweep that is part of bojax has the explanations of this version, also if the results were made before
-    they were written; any other sweep has those of its manifest. Claims without an explanation are
-    unexplained, and last.
+    A sweep that is part of bojax has the explanations of this version, which may be later than the results.
+    Any other sweep, also one of the same name, has those of its manifest. Claims without an explanation are
+    unexplained, and come last.
     """
-    report = published_report(manifest.name or "") or manifest.report
+    published = published_report(manifest.name or "") if manifest.is_published else None
+    report = published or manifest.report
     left = [claim for claim in claims if claim.verdict != "reproduced"]
     found = []
     for each in report.explanations:

@@ -115,6 +115,7 @@ class Manifest(Part):
         dict[str, Annotated[list[Any], Field(min_length=2, max_length=2)]],
         BeforeValidator(lambda value: {} if value is None else value),
     ] = {}
+    is_published: bool = True  # earlier versions did not record it
     report: Annotated[Report, BeforeValidator(_known)] = Report()
     claims: Listed[ClaimEntry] = []
     groups: Listed[Group] = []

@@ -43,11 +43,14 @@ def test_the_parking_sweep_is_figure_4_6():
 def test_shipped_files_are_found_from_anywhere(write):
     write("unrelated.yaml", "planner: sbo")
     assert load_sweep("parking").source == shipped("sweeps") / "fig-4.6.yaml"
+    assert load_sweep("parking").is_published
 
 
 def test_a_file_in_the_working_directory_hides_a_shipped_one(write):
     path = write("configs/parking.yaml", "planner: sbo")
     assert load_config("parking").source.resolve() == path
+    write("sweeps/parking.yaml", "{base: {}, axes: {planner.depth: [1, 2]}}")
+    assert not load_sweep("parking").is_published
     assert planner(load_config(str(path))) == SBO()
 
 

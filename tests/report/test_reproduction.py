@@ -278,6 +278,9 @@ def test_earlier_results_of_a_published_sweep_have_its_explanations(tmp_path):
     folders = [write(tmp_path / "earlier", verdicts, name="fig-5.6b", report=outdated)]
     page, text = pages(tmp_path, folders)
     assert " ".join(each.text.split()[:8]) in page.text and "Outdated." not in text
+    edit_manifest(folders[0], lambda manifest: manifest.update(is_published=False))
+    page, text = pages(tmp_path, folders)
+    assert "Outdated." in text, "a user's sweep of the same name has explanations of its own"
 
 
 def test_no_section_if_all_is_reproduced(tmp_path):
