@@ -9,6 +9,7 @@ from pathlib import Path
 from types import TracebackType
 
 from bojax.config.errors import printable
+from bojax.report.verdicts import print_verdicts
 from bojax.text import error_line
 
 PROCESSES = 4
@@ -16,7 +17,7 @@ PROCESSES = 4
 
 
 class Reports:
-    """Writes reports. On leaving its `with` block, it waits for all and prints their paths.
+    """Writes reports. On leaving its `with` block, it waits for all and prints verdicts and paths.
 
     Attributes:
         exit_code: 1 if a report could not be written in the background, 0 otherwise.
@@ -41,7 +42,7 @@ class Reports:
     def write(self, folder: Path) -> None:
         """Write the report of a results folder."""
         if self._pool is None:
-            from bojax.report.progress import report
+            from bojax.report.progress import report  # imports matplotlib
 
             print(report(folder))
         else:
@@ -52,7 +53,9 @@ class Reports:
     ) -> None:
         for folder, pending in self._pending.items():
             try:
-                print(pending.result())
+                page = pending.result()
+                print_verdicts(folder, is_brief=True)
+                print(page)
             except Exception as problem:  # the report can be rebuilt from the results, which are complete
                 self.exit_code = 1
                 reason = f"the report of {folder} cannot be written: {error_line(problem)}"

@@ -17,7 +17,7 @@ def main(name: str, words: Sequence[str]) -> int:
         prog=f"bojax {name}",
         usage=f"bojax {name} DIR...",
         description="Draw the figures, decide the claims and write report.html of finished results folders.\n"
-        "The tables are not changed.",
+        "The tables are not changed. Verdicts are printed on standard error, paths on standard output.",
         examples=_EXAMPLES,
     )
     parser.add_argument("folders", nargs="+", metavar="DIR", type=Path, help="results folders")
@@ -26,5 +26,5 @@ def main(name: str, words: Sequence[str]) -> int:
     from bojax.report.progress import report
 
     for folder in args.folders:
-        print(report(folder))
+        print(report(folder, is_brief=len(args.folders) > 1))
     return 0

@@ -1,4 +1,4 @@
-"""Builds a report and shows its progress on standard error."""
+"""Builds a report, and shows its progress and its verdicts on standard error."""
 
 import os
 import time
@@ -9,13 +9,21 @@ from rich.status import Status
 
 from bojax.report.build import build_report
 from bojax.report.tuning import TUNING, build_tuning_report
+from bojax.report.verdicts import print_verdicts
 
 PATIENCE = 1.0
 """Seconds before progress is shown."""
 
 
-def report(folder: Path) -> Path:
-    """Write the report of a folder; a terminal shows the stage, a log file gets one line."""
+def report(folder: Path, *, is_brief: bool = False) -> Path:
+    """Write the report of a folder, and print its verdicts; return the path of the page.
+
+    Meanwhile a terminal shows the stage, and a log file gets one line.
+
+    Args:
+        folder: The folder of a sweep or of a search over settings.
+        is_brief: Whether the verdicts are only counted.
+    """
     console, begin = Console(stderr=True), time.monotonic()
     status, has_spoken = Status("", console=console), False
 
@@ -36,6 +44,8 @@ def report(folder: Path) -> Path:
         if os.path.isfile(folder / TUNING):
             at("tables")
             return build_tuning_report(folder)
-        return build_report(folder, at)
+        page = build_report(folder, at)
     finally:
         status.stop()
+    print_verdicts(folder, is_brief=is_brief)
+    return page

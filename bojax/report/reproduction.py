@@ -14,7 +14,7 @@ from bojax.report.manifest import Manifest
 from bojax.report.source import load
 from bojax.report.template import fill
 from bojax.report.text import counted, joined, seconds
-from bojax.report.verdicts import TestedClaim, read_claims, tally
+from bojax.report.verdicts import TestedClaim, in_words, read_claims, tally
 from bojax.results.store import ResultsError, explained, write_content
 
 CHAPTERS = {
@@ -88,7 +88,7 @@ class Chapter:
     @property
     def summary(self) -> str:
         """The numbers of its verdicts in words."""
-        return f"{_verdicts([row.claim for row in self.rows])}."
+        return f"{in_words([row.claim for row in self.rows])}."
 
     @property
     def groups(self) -> list[tuple[str, Sweep, list[Row]]]:
@@ -165,7 +165,7 @@ def _content(
     manifests = [sweep.manifest for sweep in sweeps]
     changed = sum(bool(claim.changed) for claim in claims)
     summary = [
-        f"{counted(len(claims), 'claim')}, tested by {counted(len(sweeps), 'sweep')}: {_verdicts(claims)}.",
+        f"{counted(len(claims), 'claim')}, tested by {counted(len(sweeps), 'sweep')}: {in_words(claims)}.",
         causes_of(each for sweep in sweeps for each in sweep.explanations),
         f"{counted(changed, 'claim')} {'was' if changed == 1 else 'were'} tested with changed settings."
         if changed
@@ -221,10 +221,6 @@ def _changes(manifests: Iterable[Manifest]) -> list[tuple[str, str, str, str]]:
         for change in manifest.changes:
             found.setdefault(change, []).append(manifest.name or "")
     return [(*change, joined(names)) for change, names in found.items()]
-
-
-def _verdicts(claims: Sequence[TestedClaim]) -> str:
-    return joined(f"{count} {verdict}" for verdict, _, count in tally(claims))
 
 
 def _said(sweeps: Sequence[Sweep], key: str) -> str:

@@ -1,14 +1,16 @@
-"""The entries of `claims.json` as a page shows them."""
+"""The entries of `claims.json` as pages and the terminal show them."""
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 from pydantic import Field
 
+from bojax.config.errors import printable
 from bojax.report.claims.finding import Verdict
 from bojax.report.manifest import Count, Part, validated
-from bojax.report.text import MISSING, percent, plain, with_bounds
+from bojax.report.text import MISSING, counted, joined, percent, plain, with_bounds
 from bojax.results.store import read_json
 
 CLAIMS = "claims.json"
@@ -126,3 +128,23 @@ def read_claims(folder: Path) -> list[TestedClaim]:
 def tally(claims: Sequence[TestedClaim]) -> list[tuple[Verdict, str, int]]:
     """Each verdict with its mark and the number of claims that have it."""
     return [(verdict, mark, sum(c.verdict == verdict for c in claims)) for verdict, mark in MARKS.items()]
+
+
+def in_words(claims: Sequence[TestedClaim]) -> str:
+    """The number of each verdict: `2 reproduced, 0 not reproduced and 1 inconclusive`."""
+    return joined(f"{count} {verdict}" for verdict, _, count in tally(claims))
+
+
+def print_verdicts(folder: Path, *, is_brief: bool = False) -> None:
+    """Print the verdicts of a results folder on standard error; nothing of a sweep without claims.
+
+    There is one line per claim, unless `is_brief`, and one with the number of each verdict.
+    """
+    claims = read_claims(folder) if (folder / CLAIMS).is_file() else []
+    for claim in () if is_brief else claims:
+        reason = f" ({claim.test.reason})" if claim.test.reason else ""
+        told = printable(f"{claim.id}: {claim.claim}{reason}")
+        print(f"{claim.verdict:<14}  {told}", file=sys.stderr)
+    if claims:
+        told = f"{folder}: {counted(len(claims), 'claim')}: {in_words(claims)}"
+        print(printable(told), file=sys.stderr)

@@ -80,9 +80,11 @@ def two(tmp_path, monkeypatch):
 def reproduced(tmp_path_factory):
     """A folder with two small sweeps of a figure and their finished reproduction, and what was printed."""
     folder = _with_two_sweeps(tmp_path_factory.mktemp("reproduced"))
-    with contextlib.chdir(folder), contextlib.redirect_stdout(io.StringIO()) as out:
+    printed = io.StringIO()
+    redirected = contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed)
+    with contextlib.chdir(folder), redirected[0], redirected[1]:
         assert main(["reproduce", "fig-9.1", "--out", "out"]) == 0
-    return folder, out.getvalue()
+    return folder, printed.getvalue()
 
 
 def _with_two_sweeps(folder):
@@ -95,6 +97,7 @@ def _with_two_sweeps(folder):
 def test_sweeps_of_a_figure_and_one_page(reproduced, monkeypatch, capfd):
     folder, printed = reproduced
     assert printed.splitlines()[-1] == "out/reproduction.html"
+    assert "out/fig-9.1a: 1 claim: 0 reproduced, 0 not reproduced and 1 inconclusive\n" in printed
     for name in ("fig-9.1a", "fig-9.1b"):
         assert (folder / "out" / name / "report.html").is_file()
     text = (folder / "out" / "reproduction.md").read_text()

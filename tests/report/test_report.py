@@ -10,6 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from bojax.report.build import build_report
+from bojax.report.verdicts import print_verdicts
 from bojax.results.store import ResultsError
 from tests.report.synthetic import BEHAVIOUR, edit_manifest, write_results
 
@@ -61,6 +62,20 @@ def test_page_names_every_planner_and_every_verdict(page, folder):
     assert "bojax sweep sweeps/parking.yaml --runs 40" in page.text
     assert "17.5 s of run time, 36.2 s of compilation" in page.text
     assert "97d835b, with uncommitted changes" in page.text
+
+
+def test_verdicts_are_printed(folder, capsys):
+    claims = json.loads((folder / "claims.json").read_text())
+    print_verdicts(folder)
+    out, err = capsys.readouterr()
+    *lines, counts = err.splitlines()
+    assert out == "" and len(lines) == len(claims) == 7
+    for claim, line in zip(claims, lines, strict=True):
+        assert line.startswith(f"{claim['verdict']:<14}  {claim['id']}: {claim['claim']}")
+    assert lines[-1].endswith("(no runs of cbts)")
+    assert counts == f"{folder}: 7 claims: 3 reproduced, 2 not reproduced and 2 inconclusive"
+    print_verdicts(folder, is_brief=True)
+    assert capsys.readouterr().err.splitlines() == [counts]
 
 
 def test_page_shows_the_numbers_of_the_tables(page):
