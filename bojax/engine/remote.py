@@ -33,6 +33,9 @@ POLL_SECONDS = 1.0
 TELL_SECONDS = 10.0
 """Time between two lines of progress."""
 
+LATE_SECONDS = 60.0
+"""Time after which a file of a worker is visible here: NFS keeps what it knows of a folder for so long."""
+
 
 class Launcher(abc.ABC):
     """Starts workers on other machines, or further processes of this one.
@@ -40,9 +43,11 @@ class Launcher(abc.ABC):
     Attributes:
         is_awaited: Whether the driver waits for the workers, and merges at the end. Otherwise it ends once
             they are submitted, and merges when it is started again with `--resume`.
+        all_refused: Whether every worker has left with an error.
     """
 
     is_awaited: bool
+    all_refused: bool = False
 
     @abc.abstractmethod
     def check(self, name: str) -> None:
@@ -208,10 +213,16 @@ def _wait(
     stop: StopRequest,
     launcher: Launcher,
 ) -> None:
-    """Merge each sweep once its chunks have ended."""
-    told = time.monotonic()
+    """Merge each sweep once its chunks have ended; take it off the list.
+
+    What the last workers wrote may become visible some time after they have left.
+    """
+    told, left = time.monotonic(), None
     while waiting and not stop:
-        is_alive = launcher.keep()
+        if launcher.keep():
+            left = None
+        elif left is None:
+            left = time.monotonic()
         if time.monotonic() - told > TELL_SECONDS:
             told = time.monotonic()
             for remote in waiting:
@@ -221,9 +232,10 @@ def _wait(
             if _has_ended(remote):
                 waiting.remove(remote)
                 _conclude(remote, finish)
-        if not is_alive:
+        if left is not None and (launcher.all_refused or time.monotonic() - left > LATE_SECONDS):
             return
-        _sleep(POLL_SECONDS, stop)
+        if waiting:
+            _sleep(POLL_SECONDS, stop)
 
 
 def _sleep(seconds: float, stop: StopRequest) -> None:

@@ -369,6 +369,41 @@ def test_another_sweep_is_refused_where_only_the_plan_is_left(planned, alone, ca
     assert contents(planned) == alone
 
 
+class Late(Here):
+    """The worker has left, and its last files are seen when the driver has looked a number of times."""
+
+    def __init__(self, out: Path, looks: int):
+        super().__init__(lambda folders: work_on(*folders, cores=1))
+        self.out, self.looks_left = out, looks
+
+    def start(self, name, folders):
+        super().start(name, folders)
+        for path in (self.out / WORK).glob("*.done"):
+            path.rename(path.with_suffix(".late"))
+
+    def keep(self):
+        self.looks_left -= 1
+        for path in (self.out / WORK).glob("*.late") if self.looks_left == 0 else ():
+            path.rename(path.with_suffix(".done"))
+        return False
+
+
+@pytest.mark.parametrize(("looks", "refused", "left"), [(3, False, 0), (99, False, None), (3, True, 2)])
+def test_files_that_are_seen_late(planned, alone, capsys, monkeypatch, looks, refused, left):
+    """The driver waits for them once the last worker has left, unless the workers have told an error."""
+    monkeypatch.setattr("bojax.engine.remote.POLL_SECONDS", 0.01)
+    monkeypatch.setattr("bojax.engine.remote.LATE_SECONDS", 60.0 if left == 0 else 0.1)
+    launcher = Late(planned, looks)
+    launcher.all_refused = refused
+    sweep = toy_sweep(*SWEEP["points"], **{name: SWEEP[name] for name in SWEEP if name != "points"})
+    code = run_sweeps([Request(sweep, planned)], True, ["bojax"], launcher=launcher)
+    if left == 0:
+        assert code == 0 and contents(planned) == alone
+    else:
+        assert code == 1 and "the workers have ended early; to go on: bojax" in one_line(capsys)
+        assert left is None or launcher.looks_left == left
+
+
 def test_several_sweeps_are_one_plan(planned, tmp_path, alone):
     other = tmp_path / "other"
     plan_here(other, runs=2)

@@ -48,6 +48,7 @@ class Ray(Launcher):
         self._actors: dict[int, Any] = {}
         self._running: dict[Any, int] = {}
         self._was_running = False
+        self._errors: dict[int, str] = {}
 
     @override
     def check(self, name: str) -> None:
@@ -75,6 +76,7 @@ class Ray(Launcher):
         prefix = self._name("")
         names = importlib.import_module("ray.util").list_named_actors()
         found = {int(name.removeprefix(prefix)) for name in names if name.startswith(prefix)}
+        self._errors.clear()
         for number in sorted(found | set(range(self._count))):
             self._call(number)
         print(f"{len(self._actors)} workers on Ray", file=sys.stderr)
@@ -122,6 +124,7 @@ class Ray(Launcher):
             number = self._running.pop(call)
             try:
                 if error := ray.get(call):
+                    self._errors[number] = error
                     print(printable(f"a worker has left: {error}"), file=sys.stderr)
             except ray.exceptions.RayError as error:
                 is_lost = isinstance(error, ray.exceptions.RayActorError) and not error.actor_init_failed
@@ -129,6 +132,7 @@ class Ray(Launcher):
                     reason = f"--launcher ray: a worker cannot run: {error_line(error)}"
                     raise EngineError(reason, FAILURE) from error
                 self._call(number)  # Ray has started it again, or will
+        self.all_refused = set(self._errors) == set(self._actors)
         return bool(self._running)
 
     @override
