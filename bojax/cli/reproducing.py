@@ -4,6 +4,7 @@ import shlex
 import time
 from argparse import Namespace
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 
 from bojax.cli.launching import LAUNCHING_USAGE, add_launching, check_launching, dry_run, launcher_of
@@ -63,7 +64,7 @@ def _run(sweeps: Sequence[Sweep], args: Namespace, command: list[str]) -> int:
     launcher, devices = launcher_of(args)
     requests = [Request(resolved(sweep), out / sweep.name) for sweep in sweeps]
     skipped: dict[str, str] = {}
-    with Reports(in_background=len(sweeps) > 1) as reports:
+    with launcher or nullcontext(), Reports(in_background=len(sweeps) > 1) as reports:
         code = run_sweeps(
             requests,
             args.resume,

@@ -71,6 +71,8 @@ def run_rounds(
         folder, is_resumed = out, False
     else:
         folder, is_resumed = reserve_folder(f"{task.config.name}-tune", out, resume=resume)
+    if launcher is not None:
+        launcher.home = folder
     for key in task.recompiled:
         note = f"note: {key} fixes the shape of a program; each of its values is compiled anew"
         print(printable(note), file=sys.stderr)

@@ -5,6 +5,7 @@ import re
 import sys
 from argparse import Namespace
 from collections.abc import Sequence
+from contextlib import nullcontext
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -162,7 +163,7 @@ def run(
     several = len(sweeps) > 1
     folders = [out / sweep.name if out and several else out for sweep in sweeps]
     requests = [Request(sweep, folder) for sweep, folder in zip(sweeps, folders, strict=True)]
-    with Reports(in_background=several) as reports:
+    with launcher or nullcontext(), Reports(in_background=several) as reports:
         code = run_sweeps(
             requests,
             resume,

@@ -4,6 +4,7 @@ import argparse
 import dataclasses
 import os
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -114,7 +115,8 @@ def search(task: Task, args: argparse.Namespace, command: list[str]) -> int:
     from bojax.cli.rounds import run_rounds  # imports JAX
 
     launcher, devices = launcher_of(args, waits=True)
-    return run_rounds(task, args.out, args.resume, command, launcher, devices)
+    with launcher or nullcontext():
+        return run_rounds(task, args.out, args.resume, command, launcher, devices)
 
 
 def _parser(name: str) -> Parser:

@@ -38,15 +38,18 @@ LATE_SECONDS = 60.0
 
 
 class Launcher(abc.ABC):
-    """Starts workers on other machines, or further processes of this one.
+    """Starts workers on other machines, or further processes of this one, until it is closed.
 
     Attributes:
         is_awaited: Whether the driver waits for the workers, and merges at the end. Otherwise it ends once
             they are submitted, and merges when it is started again with `--resume`.
+        home: The folder by which another driver finds the workers; None for the folders of the sweeps. A
+            search has one, since its rounds have folders of their own.
         all_refused: Whether every worker has left with an error.
     """
 
     is_awaited: bool
+    home: Path | None = None
     all_refused: bool = False
 
     @abc.abstractmethod
@@ -59,7 +62,7 @@ class Launcher(abc.ABC):
 
     @abc.abstractmethod
     def start(self, name: str, folders: Sequence[Path]) -> None:
-        """Start workers for the sweeps in these folders.
+        """Start workers for the sweeps in these folders, or give these sweeps to those that wait for work.
 
         Raises:
             EngineError: They cannot be started.
@@ -72,6 +75,12 @@ class Launcher(abc.ABC):
     def close(self) -> None:
         """Have the workers stop at a checkpoint, and wait for them."""
         return
+
+    def __enter__(self) -> "Launcher":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
 
 @dataclass(eq=False)
@@ -92,6 +101,8 @@ def run_remotely(
     launcher: Launcher,
 ) -> int:
     """Start workers for sweeps, merge those whose chunks have ended, and return the exit code.
+
+    The launcher is closed unless all chunks have ended: its workers may wait for other sweeps.
 
     Args:
         targets: The sweeps with their folders.
@@ -168,7 +179,8 @@ def _run(
                 return 0
             _wait(waiting, command, finish, stop, launcher)
         finally:
-            launcher.close()
+            if waiting:
+                launcher.close()
     journals = [remote.journal for remote in remotes if remote.journal is not None]
     if stop:
         interrupt(journals, command)

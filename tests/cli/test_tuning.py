@@ -169,8 +169,11 @@ def test_workers_of_a_launcher_run_the_rounds(tmp_path, undisturbed, monkeypatch
     here = Here(lambda folders: run_worker(folders, WorkerOptions(cores=1), lambda: False))
     monkeypatch.setattr("bojax.engine.launchers.ray_actors.Ray", lambda config: here)
     out = tmp_path / "search"
+    closed = []
+    monkeypatch.setattr(here, "close", lambda: closed.append(here.num_started))
     assert tune(out, "--launcher", "ray") == 0
     assert contents(out) == contents(undisturbed)
+    assert here.home == out and closed == [4]  # three rounds and the confirmation by the same workers
 
 
 def test_a_finished_search_is_extended_but_not_changed(tmp_path, undisturbed, capsys):

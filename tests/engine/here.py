@@ -14,6 +14,7 @@ class Here(Launcher):
     """
 
     is_awaited = True
+    num_started = 0
 
     def __init__(self, work: Callable[[Sequence[Path]], int]):
         self._work = work
@@ -22,4 +23,5 @@ class Here(Launcher):
         return
 
     def start(self, name, folders):
+        self.num_started += 1
         assert self._work(folders) == 0

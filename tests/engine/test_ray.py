@@ -3,6 +3,7 @@
 import importlib
 import importlib.util
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -41,11 +42,15 @@ def cluster():
 
 
 def start(place: Path, *words: str, address: str | None = None) -> subprocess.Popen:
+    return bojax(place, "sweep", "sweep.yaml", EPISODES, *words, address=address)
+
+
+def bojax(place: Path, *words: str, address: str | None) -> subprocess.Popen:
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
     if address:
         environment["RAY_ADDRESS"] = address
     return subprocess.Popen(
-        [sys.executable, "-m", "bojax", "sweep", "sweep.yaml", EPISODES, *words],
+        [sys.executable, "-m", "bojax", *words],
         cwd=place,
         env=environment,
         stdout=subprocess.PIPE,
@@ -110,6 +115,15 @@ def test_a_driver_that_is_interrupted_stops_its_actors(cluster, tmp_path):
     assert driver.returncode == 143, text
     assert "interrupted; to resume:\n  bojax sweep sweep.yaml" in text
     assert not workers_with_checkpoints(out)  # all leases are given back
+
+
+@pytest.mark.ray
+def test_the_rounds_of_a_search_run_on_the_same_actors(cluster, tmp_path):
+    words = ["chain", "episodes=3", "learner.discount=0.8:1", "--batch", "2", "--runs", "2", "--budget", "8"]
+    options = ["--confirm", "2", "--launcher", "ray", "--out", "out"]
+    text, _ = bojax(tmp_path, "tune", *words, *options, address=cluster.address).communicate(timeout=300)
+    assert (tmp_path / "out" / "tuning.json").exists(), text
+    assert 1 <= len(set(re.findall(r"_Actor pid=(\d+)", text))) <= 2, text
 
 
 def test_an_actor_tells_why_it_left(tmp_path, monkeypatch):

@@ -205,9 +205,10 @@ COMMANDS = {
 def test_a_driver_that_waits_asks_slurm_until_the_array_has_ended(
     tmp_path, monkeypatch, capsys, submitted, cluster
 ):
-    """A search waits for each round, and cancels what is left of its array."""
+    """A search waits for each round, cancels what is left of its array, and waits for these tasks."""
     told = tmp_path / "told"
-    answers = {"sbatch": f"echo '{submitted}'", "squeue": f"cat {tmp_path}/queue", "scancel": ""}
+    empty = f"echo 'CLUSTER: name' > {tmp_path}/queue"
+    answers = {"sbatch": f"echo '{submitted}'", "squeue": f"cat {tmp_path}/queue", "scancel": empty}
     for command, text in answers.items():
         script = tmp_path / command
         script.write_text(f'#!/bin/sh\ncat > /dev/null\necho {command} "$@" >> {told}\n{text}\n')
@@ -221,8 +222,7 @@ def test_a_driver_that_waits_asks_slurm_until_the_array_has_ended(
     assert launcher.is_awaited and launcher.keep() and launcher.keep()
     launcher.close()
     asked = f"squeue --noheader {cluster}--jobs=7 --format=%F"
-    assert told.read_text().splitlines()[1:] == [asked, asked, f"scancel {cluster}7"]
-    (tmp_path / "queue").write_text("CLUSTER: name\n")
+    assert told.read_text().splitlines()[1:] == [asked, asked, f"scancel {cluster}7", asked]
     assert not launcher.keep()
     before = told.read_text()
     launcher.close()

@@ -1,8 +1,9 @@
 """Ray: one long-lived actor for each GPU, or for some cores each, on a cluster that runs already.
 
 An actor is a worker like any other: it takes chunks from the folder, compiles each program once, and stays
-until no chunk is left. Ray starts it again if its process or node is lost. It outlives the driver: a driver
-that is started again finds the actors by their names.
+until no chunk is left. The rounds of a search are run by the same actors. Ray starts an actor again if its
+process or node is lost. It outlives the driver: a driver that is started again finds the actors by their
+names.
 """
 
 import hashlib
@@ -47,17 +48,18 @@ class Ray(Launcher):
         self._config = config
         self._actors: dict[int, Any] = {}
         self._running: dict[Any, int] = {}
-        self._was_running = False
         self._errors: dict[int, str] = {}
+        self._has_connected = False
 
     @override
     def check(self, name: str) -> None:
         ray = _ray()
+        if ray.is_initialized():
+            return
         handler = signal.getsignal(signal.SIGTERM) if _is_main() else None
-        self._was_running = ray.is_initialized()
         try:
-            if not self._was_running:
-                ray.init(address=self._config.address, namespace=NAMESPACE, logging_level=logging.ERROR)
+            ray.init(address=self._config.address, namespace=NAMESPACE, logging_level=logging.ERROR)
+            self._has_connected = True
         except Exception as error:
             where = self._config.address or os.environ.get("RAY_ADDRESS")
             raise EngineError(
@@ -71,19 +73,22 @@ class Ray(Launcher):
     def start(self, name: str, folders: Sequence[Path]) -> None:
         ray = _ray()
         self._paths = [str(folder.absolute()) for folder in folders]
+        self._errors.clear()
         self._count, self._options, self._cores = self._shape(ray.cluster_resources(), len(ray.nodes()))
         # Actors of an earlier driver may hold the GPUs, also those for which there is no node any more.
         prefix = self._name("")
         names = importlib.import_module("ray.util").list_named_actors()
         found = {int(name.removeprefix(prefix)) for name in names if name.startswith(prefix)}
-        self._errors.clear()
+        is_first = not self._actors
         for number in sorted(found | set(range(self._count))):
             self._call(number)
-        print(f"{len(self._actors)} workers on Ray", file=sys.stderr)
+        if is_first:
+            print(f"{len(self._actors)} workers on Ray", file=sys.stderr)
 
     def _name(self, number: int | str) -> str:
         """Name of an actor, by which another driver finds it."""
-        identity = hashlib.sha256("\n".join(self._paths).encode()).hexdigest()[:12]
+        paths = [str(self.home.absolute())] if self.home else self._paths
+        identity = hashlib.sha256("\n".join(paths).encode()).hexdigest()[:12]
         return f"bojax-{identity}-{number}"
 
     def _call(self, number: int) -> None:
@@ -137,6 +142,8 @@ class Ray(Launcher):
 
     @override
     def close(self) -> None:
+        if not self._has_connected and not self._actors:
+            return
         ray = _ray()
         told = {actor.stop.remote(): number for number, actor in self._actors.items()}
         if told:
@@ -149,7 +156,8 @@ class Ray(Launcher):
             ray.kill(actor)
         self._actors.clear()
         self._running.clear()
-        if not self._was_running:
+        if self._has_connected:
+            self._has_connected = False
             ray.shutdown()
 
 
@@ -159,7 +167,7 @@ class _Actor:
     def __init__(self):
         self._is_stopping = False
         self._one = threading.Lock()
-        self._wait_for_work()
+        self._timer = self._wait_for_work()
 
     def work(self, folders: Sequence[str], number: int, count: int, cores: int | None) -> str | None:
         """Run chunks until none is left; a second call waits for the first.
@@ -171,18 +179,20 @@ class _Actor:
 
         error = None
         with self._one:
+            self._timer.cancel()
             options = WorkerOptions(None, cores, number, count, waits=True)
             try:
                 run_worker([Path(folder) for folder in folders], options, self._stops)
             except EXPECTED as problem:
                 error = f"{socket.gethostname()}: {problem}"
-        self._wait_for_work()
+            self._timer = self._wait_for_work()
         return error
 
-    def _wait_for_work(self) -> None:
+    def _wait_for_work(self) -> threading.Timer:
         timer = threading.Timer(IDLE_SECONDS, self._leave)
         timer.daemon = True
         timer.start()
+        return timer
 
     def _leave(self) -> None:
         if self._one.acquire(blocking=False):

@@ -23,6 +23,9 @@ NOTICE_SECONDS = 120
 ASK_SECONDS = 15.0
 """Time between two questions to Slurm whether an array has ended."""
 
+STOP_SECONDS = 60.0
+"""Time in which the tasks of a cancelled array have to reach a checkpoint."""
+
 
 class Slurm(Launcher):
     """Submits an array and returns, or waits for it.
@@ -32,7 +35,7 @@ class Slurm(Launcher):
 
     Args:
         config: The settings.
-        waits: Whether the driver waits for the array; if it is interrupted, the array is cancelled.
+        waits: Whether the driver waits for the array. The array is cancelled if the driver is interrupted.
     """
 
     def __init__(self, config: SlurmConfig, *, waits: bool = False):
@@ -47,6 +50,7 @@ class Slurm(Launcher):
 
     @override
     def start(self, name: str, folders: Sequence[Path]) -> None:
+        self._cancel()
         text = self.script(name, folders)
         for folder in folders:
             write_content(folder / SCRIPT, text)
@@ -60,18 +64,30 @@ class Slurm(Launcher):
     def keep(self) -> bool:
         if self._job and time.monotonic() >= self._next_question:
             self._next_question = time.monotonic() + ASK_SECONDS
-            *cluster, job = self._job
-            # Its lines: the name of the cluster if one is given, and the array's job for each of its tasks.
-            asked = ["squeue", "--noheader", *cluster, f"--jobs={job}", "--format=%F"]
-            shown = subprocess.run(asked, capture_output=True, text=True)
-            # A job that ended long ago is forgotten; any other failure of squeue says nothing about the job.
-            is_forgotten = shown.returncode and "Invalid job id" in shown.stderr
-            if is_forgotten or (not shown.returncode and job not in shown.stdout.split()):
-                self._job = []
+            self._ask()
         return bool(self._job)
+
+    def _ask(self) -> None:
+        """Ask Slurm whether the array has ended."""
+        *cluster, job = self._job
+        # Its lines: the name of the cluster if one is given, and the array's job for each of its tasks.
+        asked = ["squeue", "--noheader", *cluster, f"--jobs={job}", "--format=%F"]
+        shown = subprocess.run(asked, capture_output=True, text=True)
+        # A job that ended long ago is forgotten; any other failure of squeue says nothing about the job.
+        is_forgotten = shown.returncode and "Invalid job id" in shown.stderr
+        if is_forgotten or (not shown.returncode and job not in shown.stdout.split()):
+            self._job = []
 
     @override
     def close(self) -> None:
+        self._cancel()
+        end = time.monotonic() + STOP_SECONDS
+        while self.is_awaited and self._job and time.monotonic() < end:
+            self._ask()
+            time.sleep(1.0 if self._job else 0.0)
+
+    def _cancel(self) -> None:
+        """Cancel what is left of the last array, also tasks that have not begun."""
         if self.is_awaited and self._job:
             subprocess.run(["scancel", *self._job], capture_output=True, check=False)
 
