@@ -113,6 +113,7 @@ class _Equations(eqx.Module):
         ys: Features y(a') of the candidates.
         chosen: Index of a' = pi(s') among the candidates.
         terms: A function of some rows: their constants and discounts, 0 for rows that are not valid.
+        targets: Phi'(constant + discount Phi_next m) of the weights m that the policy was made for.
     """
 
     transitions: _Transitions
@@ -120,14 +121,17 @@ class _Equations(eqx.Module):
     ys: Float[Array, "J R"]
     chosen: Int[Array, "C"]
     terms: Callable[[_Rows], tuple[Float[Array, "B"], Float[Array, "B"]]]
+    targets: Float[Array, "M"]
 
-    def sweep(self, weights: Float[Array, "M"], scale: float = 1.0) -> Float[Array, "M"]:
-        """The right-hand side, with the constants multiplied by `scale`."""
+    def image(self, weights: Float[Array, "M"]) -> Float[Array, "M"]:
+        """The right-hand side without the constants."""
+        # A product with phi(s', a') is one with x(s') alone.
+        split = jax.vmap(self.transitions.state.features.split, (None, 0))(weights, self.ys)
 
         def visit(total, rows):
-            constant, discount = self.terms(rows)
-            target = scale * constant + discount * matmul(self._phi_next(rows), weights)
-            return total + matmul(target, rows.phi)
+            _, discount = self.terms(rows)
+            value = jnp.sum(rows.x * split[self.chosen[rows.index]], axis=1)
+            return total + matmul(discount * value, rows.phi)
 
         return matmul(self.gain, self.transitions.fold(visit, jnp.zeros_like(weights)))
 
@@ -137,7 +141,10 @@ class _Equations(eqx.Module):
         def visit(total, rows):
             matrix, vector = total
             constant, discount = self.terms(rows)
-            phi_next = discount[:, None] * self._phi_next(rows)
+            phi_next = jax.vmap(self.transitions.state.features.join)(
+                rows.x, self.ys[self.chosen[rows.index]]
+            )
+            phi_next = discount[:, None] * phi_next
             return matrix + matmul_on_tensor_cores(rows.phi.T, phi_next), vector + matmul(constant, rows.phi)
 
         start = jnp.zeros_like(self.gain), jnp.zeros_like(self.gain[0])
@@ -152,12 +159,12 @@ class _Equations(eqx.Module):
     def solution(
         self, inverse: Float[Array, "M M"], start: Float[Array, "M"], is_active: Bool[Array, ""]
     ) -> tuple[Float[Array, "M"], Bool[Array, ""]]:
-        """The weights that solve the equations, given an approximation of `inverse()`; see `gcr`."""
-        residual = self.sweep(start) - start
-        return gcr(lambda m: m - self.sweep(m, scale=0.0), inverse, start, residual, is_active)
+        """The weights that solve the equations, given an approximation of `inverse()`; see `gcr`.
 
-    def _phi_next(self, rows: _Rows) -> Float[Array, "B M"]:
-        return jax.vmap(self.transitions.state.features.join)(rows.x, self.ys[self.chosen[rows.index]])
+        They start from the weights m of `targets`.
+        """
+        residual = matmul(self.gain, self.targets) - start
+        return gcr(lambda m: m - self.image(m), inverse, start, residual, is_active)
 
 
 class _Policy(eqx.Module):
@@ -197,17 +204,17 @@ class _Policy(eqx.Module):
 
     def __call__(
         self, x: Float[Array, "B P"]
-    ) -> tuple[Int[Array, "B"], Float[Array, "B"], Float[Array, "B"]]:
-        """Index of the chosen candidate at every x(s'), its value Q, and its factor of U."""
+    ) -> tuple[Int[Array, "B"], Float[Array, "B 2"], Float[Array, "B"]]:
+        """Index of the chosen candidate at every x(s'), its phi'm_Q and phi'm_U, and its factor of U."""
         values = matmul_on_tensor_cores(x, self.weights.reshape(self.weights.shape[0], -1))
         values = values.reshape(len(x), -1, 2)
         factors = jnp.ones(values.shape[:2], values.dtype)
         if self.forms is not None:
             factors = self.model.u_factor(_quadratic_forms(x, self.forms))
-        q, u = values[:, :, Q], values[:, :, U] * factors
-        chosen = jnp.argmax(q + self.kappa * u, axis=1).astype(jnp.int32)
-        value, factor = (jnp.take_along_axis(a, chosen[:, None], axis=1)[:, 0] for a in (q, factors))
-        return chosen, value, factor
+        scores = values[:, :, Q] + self.kappa * (values[:, :, U] * factors)
+        chosen = jnp.argmax(scores, axis=1).astype(jnp.int32)
+        value = jnp.take_along_axis(values, chosen[:, None, None], axis=1)[:, 0]
+        return chosen, value, jnp.take_along_axis(factors, chosen[:, None], axis=1)[:, 0]
 
 
 class Refit(eqx.Module):
@@ -249,7 +256,7 @@ class Refit(eqx.Module):
         if not self.is_direct:
 
             def sweep(number, q):
-                return matmul(gain, self._q_targets(transitions, policy_of_q(number, q)))
+                return matmul(gain, self._q_equations(transitions, gain, policy_of_q(number, q)).targets)
 
             mean = mean.at[:, Q].set(self._until_converged(sweep, mean[:, Q], is_active))
             # With a' fixed, a sweep is an affine map of the weights: one pass over the transitions is enough.
@@ -272,25 +279,20 @@ class Refit(eqx.Module):
         u, _ = self._solve(lambda number, u: equations, mean[:, U], inverse, is_active, is_active, 1)
         return mean.at[:, U].set(u)
 
-    def _q_targets(self, transitions: _Transitions, policy: _Policy) -> Float[Array, "M"]:
-        """Phi'(r + gamma Q(s', pi(s')))."""
-
-        def visit(total, rows):
-            _, value, _ = policy(rows.x)
-            constant, discount = self._q_terms(rows)
-            return total + matmul(constant + discount * value, rows.phi)
-
-        return transitions.fold(visit, jnp.zeros_like(transitions.phi[0]))
-
     def _q_equations(
         self, transitions: _Transitions, gain: Float[Array, "M M"], policy: _Policy
     ) -> _Equations:
-        def visit(chosen, rows):
-            return jax.lax.dynamic_update_slice_in_dim(chosen, policy(rows.x)[0], rows.index[0], 0)
+        def visit(arrays, rows):
+            chosen, targets = arrays
+            new, value, _ = policy(rows.x)
+            constant, discount = self._q_terms(rows)
+            chosen = jax.lax.dynamic_update_slice_in_dim(chosen, new, rows.index[0], 0)
+            return chosen, targets + matmul(constant + discount * value[:, Q], rows.phi)
 
         capacity = len(transitions.state.memory.rewards)
-        chosen = transitions.fold(visit, jnp.zeros((capacity,), jnp.int32))
-        return _Equations(transitions, gain, policy.ys, chosen, self._q_terms)
+        start = jnp.zeros((capacity,), jnp.int32), jnp.zeros_like(gain[0])
+        chosen, targets = transitions.fold(visit, start)
+        return _Equations(transitions, gain, policy.ys, chosen, self._q_terms, targets)
 
     def _q_terms(self, rows: _Rows) -> tuple[Float[Array, "B"], Float[Array, "B"]]:
         reward = jnp.where(rows.is_valid, rows.memory.rewards, 0.0)
@@ -312,8 +314,8 @@ class Refit(eqx.Module):
         forms = jax.vmap(lambda ys: features.mean_form(state.posterior.base, ys))(groups)
 
         def visit(arrays, rows):
-            chosen, _, factor = policy(rows.x)
-            new = chosen, factor, _quadratic_forms(rows.x, forms)
+            chosen, value, factor = policy(rows.x)
+            new = chosen, value[:, U], factor, _quadratic_forms(rows.x, forms)
             return tuple(
                 jax.lax.dynamic_update_slice_in_dim(array, block, rows.index[0], 0)
                 for array, block in zip(arrays, new, strict=True)
@@ -322,10 +324,11 @@ class Refit(eqx.Module):
         capacity = len(memory.rewards)
         start = (
             jnp.zeros((capacity,), jnp.int32),
+            jnp.zeros((capacity,), dtype),
             jnp.ones((capacity,), dtype),
             jnp.zeros((capacity, len(forms)), dtype),
         )
-        chosen, factor, variances = transitions.fold(visit, start)
+        chosen, value, factor, variances = transitions.fold(visit, start)
         bonus = model.exploration_reward(model.mean_variances(variances, memory.count))
 
         def terms(rows: _Rows):
@@ -333,7 +336,12 @@ class Refit(eqx.Module):
             constant, discount = model.u_terms(bonus[index], factor[index], rows.memory.terminated)
             return jnp.where(rows.is_valid, constant, zero), jnp.where(rows.is_valid, discount, zero)
 
-        return _Equations(transitions, gain, policy.ys, chosen, terms)
+        def add(targets, rows):
+            constant, discount = terms(rows)
+            return targets + matmul(constant + discount * value[rows.index], rows.phi)
+
+        targets = transitions.fold(add, jnp.zeros_like(gain[0]))
+        return _Equations(transitions, gain, policy.ys, chosen, terms, targets)
 
     def _solve(
         self,
