@@ -5,8 +5,9 @@
 
 import os
 import sys
+import threading
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -85,18 +86,27 @@ def choose(devices: Sequence[Device], indices: Sequence[int] | None) -> list[Dev
 
 
 def workers_of(devices: Sequence[Device], cores: int | None = None) -> list[Device]:
-    """The device of each worker: a worker for each accelerator, and for each core of a CPU.
+    """The device of each worker: two workers for each accelerator, and one for each core of a CPU.
 
     Args:
         devices: The devices.
         cores: Number of cores of a CPU to use; all that this process may run on by default.
 
     XLA runs a vmapped loop on the core of the thread that called the program. Workers of a CPU share the one
-    device, and with it the compiled programs.
+    device, and with it the compiled programs. Those of an accelerator take turns (`turn_of`).
     """
-    if len(devices) == 1 and devices[0].platform == "cpu":
-        return [devices[0]] * (cores or usable_cores())
-    return list(devices)
+    if devices[0].platform != "cpu":
+        return [device for device in devices for _ in range(2)]
+    return [devices[0]] * (cores or usable_cores()) if len(devices) == 1 else list(devices)
+
+
+def turn_of(device: Device) -> AbstractContextManager[Any]:
+    """What a worker holds while it uses a device.
+
+    An accelerator runs one chunk at a time, since several at once take as long as one after the other. While
+    one worker writes the last rows of a chunk, the next chunk is advanced by the other.
+    """
+    return nullcontext() if device.platform == "cpu" else threading.Lock()
 
 
 def usable_cores() -> int:

@@ -12,7 +12,7 @@ from typing import Any
 from bojax.engine.ahead import POLL_SECONDS, Ahead, Stopped
 from bojax.engine.batch import Functions, Programs
 from bojax.engine.chunks import Chunk, Layout
-from bojax.engine.devices import Device, usable_cores
+from bojax.engine.devices import Device, turn_of, usable_cores
 from bojax.engine.forecast import ChunkProgress, GroupProgress
 from bojax.engine.groups import StaticGroup
 from bojax.engine.hosted import Hosted
@@ -141,6 +141,7 @@ class _Executor:
         self.error: ResultsError | None = None
         self._waits, self._looking, self._next_look = waits, threading.Lock(), 0.0
         self._tasks, self._devices, self._progress = list(tasks), list(dict.fromkeys(workers)), progress
+        self._turns = {device: turn_of(device) for device in self._devices}
         self._is_closed = False
         self._kept: list[Hashable] = []
         self._stop = lambda: self._is_closed or self.error is not None or stop()
@@ -236,20 +237,32 @@ class _Executor:
     # Workers
 
     def _work(self, device: Device) -> None:
-        while (taken := self._take(device)) is not None:
+        while self._work_on_a_chunk(device):
+            pass
+
+    def _work_on_a_chunk(self, device: Device) -> bool:
+        """Run a chunk on a device; False if none is left."""
+        with contextlib.ExitStack() as turn:
+            turn.enter_context(self._turns[device])
+            if (taken := self._take(device)) is None:
+                return False
             task, chunk = taken
             sink: Sink | None = None
             has_failed = False
             try:
                 sink = task.share.take(chunk)
                 if sink is not None:
-                    self._run(task, chunk, sink, device)
+                    runner = self._runner(task, chunk, sink, device)
+                    runner.advance()
+                    turn.close()
+                    runner.finish()
             except Stopped:
                 pass
             except (Exception, SystemExit) as error:  # user's code may call sys.exit
                 has_failed = True
                 self._fail(task, [chunk], error)
-            self._release(task, chunk, sink, has_failed=has_failed)
+        self._release(task, chunk, sink, has_failed=has_failed)
+        return True
 
     def _take(self, device: Device) -> tuple[GroupTask, Chunk] | None:
         """The next chunk for a device, once its programs are compiled; None if no chunk is left."""
@@ -332,7 +345,7 @@ class _Executor:
     def _is_ready(self, task: GroupTask, device: Device) -> bool:
         return self._ahead.is_ready((task, device, task.layout.lanes))
 
-    def _run(self, task: GroupTask, chunk: Chunk, sink: Sink, device: Device) -> None:
+    def _runner(self, task: GroupTask, chunk: Chunk, sink: Sink, device: Device) -> ChunkRunner:
         def report(segment: Segment) -> None:
             self._progress.segment(task.progress, chunk.index, segment)
 
@@ -341,7 +354,7 @@ class _Executor:
 
         task.progress.chunks[chunk.index] = _progress_of(chunk, sink.state, task.experiment)
         limits = Limits(task.limits.segment_seconds, task.limits.checkpoint_seconds, stop)
-        runner = ChunkRunner(
+        return ChunkRunner(
             chunk,
             task.experiment,
             lambda width: self._programs(task, device, width),
@@ -349,7 +362,6 @@ class _Executor:
             limits,
             report,
         )
-        runner.run()
 
     def _release(self, task: GroupTask, chunk: Chunk, sink: Sink | None, *, has_failed: bool) -> None:
         if sink is not None and not has_failed:

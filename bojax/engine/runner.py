@@ -100,19 +100,33 @@ class ChunkRunner:
         self._programs_of, self._limits, self._report = programs, limits, report
         self._state = sink.state
         self._summaries: list[Rows] = []
+        self._rounds: list[tuple[np.ndarray, np.ndarray, list[Any]]] = []
 
-    def run(self) -> None:
-        """Run the chunk to its end, or to a checkpoint if a stop is requested."""
+    def advance(self) -> None:
+        """Advance all runs to their ends, or to a checkpoint if a stop is requested.
+
+        The rows of the last segment are left to `finish`, which does not need the device.
+        """
         self._start()
         saved = time.monotonic()
         while self._is_unfinished and not self._limits.stop():
-            self._report(self._segment())
+            segment = self._segment()
+            if self._is_unfinished:
+                self._write()
+            self._report(segment)
             is_due = time.monotonic() - saved >= self._limits.checkpoint_seconds
             if self._is_unfinished and (self._limits.stop() or is_due):
                 self._sink.save(self._carry)
                 saved = time.monotonic()
-        if not self._is_unfinished:
-            self._sink.finish()
+        self._carry = None
+
+    def finish(self) -> None:
+        """Write what is left, and note that the chunk is done, if it is."""
+        if self._is_unfinished:
+            return
+        if self._rounds:
+            self._write()
+        self._sink.finish()
 
     @property
     def _is_unfinished(self) -> bool:
@@ -144,10 +158,9 @@ class ChunkRunner:
         return self._lanes
 
     def _segment(self) -> Segment:
-        """Advance the lanes for some seconds, and write the rows."""
+        """Advance the lanes for some seconds."""
         state, repack = self._state, self._chunk.layout.repack
         start, first_advance = time.perf_counter(), state.advances
-        rounds: list[tuple[np.ndarray, np.ndarray, list[Any]]] = []
         finished = lane_advances = active_steps = issued_steps = num_bytes = 0
         while True:
             left = self._limits.segment_seconds - (time.perf_counter() - start)
@@ -168,7 +181,7 @@ class ChunkRunner:
             self._carry = made.carry
             state.advances += len(made.records)
             num_bytes += made.num_bytes
-            rounds.append((lanes, recorded, made.records))
+            self._rounds.append((lanes, recorded, made.records))
             lane_advances += int((lanes != EMPTY).sum()) * len(made.statuses)
             for status in made.statuses:
                 steps = np.where(lanes == EMPTY, 0, status.active_steps)
@@ -183,7 +196,6 @@ class ChunkRunner:
                 break
         jax.block_until_ready(self._carry)
         seconds = time.perf_counter() - start
-        self._write(rounds)
         state.segments.append([len(state.lanes), active_steps, seconds])
         occupied = self._map != EMPTY
         youngest = int(np.max(np.asarray(state.started)[occupied], initial=0))
@@ -275,11 +287,11 @@ class ChunkRunner:
         for lane in lanes.tolist():
             self._state.lanes[lane] = EMPTY
 
-    def _write(self, rounds: list[tuple[np.ndarray, np.ndarray, list[Any]]]) -> None:
+    def _write(self) -> None:
         """Write the rows of a segment: those of the advances, and the summaries of finished runs."""
         tables = self._experiment.tables
         rows: dict[str, list[Rows]] = {"runs": self._summaries}
-        for lanes, recorded, records in rounds:
+        for lanes, recorded, records in self._rounds:
             runs = np.where(lanes == EMPTY, EMPTY, self._chunk.runs[lanes])
             points, of_recorded = self._chunk.points[lanes], self._experiment.recorded_tables
             for name, found in fetch_rows(records, tables, points, runs, recorded, of_recorded).items():
@@ -291,7 +303,7 @@ class ChunkRunner:
                 if found
             }
         )
-        self._summaries = []
+        self._summaries, self._rounds = [], []
 
 
 def _concatenated(parts: list[Rows]) -> Mapping[str, np.ndarray]:

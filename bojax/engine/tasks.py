@@ -72,11 +72,12 @@ def progress_of(
     """The progress of sweeps, with the runs that are done."""
     num_runs = sum(chunk.num_runs for share in shares for chunk in share.plan.chunks)
     waiting = sum(chunk.num_runs for task in tasks for chunk in (*task.chunks, *task.elsewhere))
+    is_cpu = workers[0].platform == "cpu"
     progress = SweepProgress(
         f"{len(shares)} sweeps" if len(shares) > 1 else shares[0].plan.sweep.name,
         num_runs,
-        workers=len(workers),
-        shares_cores=workers[0].platform == "cpu",
+        workers=len(workers) if is_cpu else len(set(workers)),  # those of an accelerator take turns
+        shares_cores=is_cpu,
     )
     progress.add([task.progress for task in tasks], runs_done=num_runs - waiting)
     return progress

@@ -36,12 +36,12 @@ def test_a_cpu_is_one_device_of_a_worker_for_each_core(tmp_path):
     assert cache == str(tmp_path / "bojax" / "jax") and least == 0.0
 
 
-def test_every_accelerator_has_one_worker():
+def test_every_accelerator_has_two_workers():
     class Accelerator:
         platform = "gpu"
 
     devices = [Accelerator(), Accelerator()]
-    assert workers_of(devices) == devices
+    assert workers_of(devices) == [devices[0], devices[0], devices[1], devices[1]]
 
 
 def test_what_the_user_has_set_is_left_alone():

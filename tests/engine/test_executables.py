@@ -221,15 +221,15 @@ def test_programs_that_call_this_process_are_not_cached(cache, monkeypatch, call
 def test_several_devices_compile_a_program_once(cache, monkeypatch, tmp_path):
     devices = jax.devices("cpu")
     monkeypatch.setattr("bojax.engine.run.find_devices", lambda _: devices)
-    used, run = set(), ChunkRunner.run
+    used, advance = set(), ChunkRunner.advance
 
     def noted(runner):
         used.add(threading.get_ident())
         both.wait()
-        run(runner)
+        advance(runner)
 
     both = threading.Barrier(len(devices), timeout=60.0)  # each device takes a chunk
-    monkeypatch.setattr(ChunkRunner, "run", noted)
+    monkeypatch.setattr(ChunkRunner, "advance", noted)
     before = batch.compile_counts["advance"]
     sweep = load_config("chain", ["episodes=2"], 2 * SHORTEST_ON_CPU, None)
     assert run_sweep(sweep, tmp_path / "chain") == 0

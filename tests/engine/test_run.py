@@ -3,6 +3,7 @@
 import errno
 import os
 import signal
+import threading
 from pathlib import Path
 
 import jax
@@ -16,6 +17,7 @@ from bojax.engine import batch, execute
 from bojax.engine.chunks import Layout
 from bojax.engine.requests import Request
 from bojax.engine.run import run_sweeps
+from bojax.engine.runner import ChunkRunner
 from bojax.results.leases import Leases
 from bojax.results.store import WORK, ResultsError, read_manifest, read_table
 from tests.engine.drive import contents, run_toy, start_toy
@@ -128,6 +130,34 @@ def test_any_number_of_devices_gives_the_same_bytes(folder, tmp_path, monkeypatc
 def test_any_number_of_workers_gives_the_same_bytes(folder, tmp_path, monkeypatch):
     monkeypatch.setattr("bojax.engine.devices.usable_cores", lambda: 5)
     assert run_toy(tmp_path / "toy", runs=RUNS) == 0
+    assert contents(tmp_path / "toy") == contents(folder)
+
+
+@pytest.mark.bits
+def test_workers_of_an_accelerator_advance_one_chunk_at_a_time(folder, tmp_path, monkeypatch):
+    turn, begun, ended = threading.Lock(), [], []
+    next_begins = [threading.Event() for _ in range(3)]
+    original = {name: getattr(ChunkRunner, name) for name in ("advance", "finish")}
+
+    def advance(runner):
+        assert turn.locked() and len(begun) == len(ended)
+        begun.append(runner)
+        for event in next_begins[: len(begun) - 1]:
+            event.set()
+        original["advance"](runner)
+        ended.append(runner)
+
+    def finish(runner):
+        number = begun.index(runner)
+        assert number == 2 or next_begins[number].wait(60.0)  # the other worker goes on with the next chunk
+        original["finish"](runner)
+
+    monkeypatch.setattr("bojax.engine.execute.turn_of", lambda _: turn)
+    monkeypatch.setattr("bojax.engine.run.workers_of", lambda devices: [devices[0]] * 2)
+    monkeypatch.setattr(ChunkRunner, "advance", advance)
+    monkeypatch.setattr(ChunkRunner, "finish", finish)
+    assert run_toy(tmp_path / "toy", runs=RUNS) == 0
+    assert len(ended) == 3
     assert contents(tmp_path / "toy") == contents(folder)
 
 

@@ -50,11 +50,16 @@ def chunks_of(layout: Layout):
     return cut(GROUP, range(RUNS), layout, [{}, {}], {})
 
 
+def run(runner: ChunkRunner) -> None:
+    runner.advance()
+    runner.finish()
+
+
 def run_in_memory(layout: Layout, limits: Limits = NEVER) -> tuple[dict[str, pa.Table], list]:
     parts, segments = {}, []
     for chunk in chunks_of(layout):
         sink = MemorySink()
-        ChunkRunner(chunk, MODULES[0], programs_of(layout), sink, limits, segments.append).run()
+        run(ChunkRunner(chunk, MODULES[0], programs_of(layout), sink, limits, segments.append))
         assert sink.state.is_done and sink.state.next_run == chunk.num_runs
         for name, tables in sink.tables.items():
             parts.setdefault(name, []).extend(tables)
@@ -124,7 +129,7 @@ def test_the_clock_changes_no_bit(name):
 def run_for_a_segment(chunk, layout: Layout, sink: Sink) -> None:
     seen = []
     limits = Limits(1e-9, float("inf"), lambda: bool(seen))
-    ChunkRunner(chunk, MODULES[0], programs_of(layout), sink, limits, seen.append).run()
+    run(ChunkRunner(chunk, MODULES[0], programs_of(layout), sink, limits, seen.append))
 
 
 @pytest.mark.bits
@@ -180,11 +185,11 @@ def test_a_stop_while_waiting_for_a_program_loses_nothing_but_the_last_segment(t
     files.open()
     with pytest.raises(Stopped):
         sink = FolderSink(files, [{}, {}], Record(runs=0))
-        ChunkRunner(chunk, MODULES[0], without_narrow, sink, NEVER, lambda _: None).run()
+        run(ChunkRunner(chunk, MODULES[0], without_narrow, sink, NEVER, lambda _: None))
     files = ChunkFolder(tmp_path / "chunk", tmp_path)
     files.open()
     sink = FolderSink(files, [{}, {}], Record(runs=0))
-    ChunkRunner(chunk, MODULES[0], programs_of(layout), sink, NEVER, lambda _: None).run()
+    run(ChunkRunner(chunk, MODULES[0], programs_of(layout), sink, NEVER, lambda _: None))
     expected, _ = run_in_memory(layout)
     assert sort_rows(pa.concat_tables(files.tables("runs"))).equals(expected["runs"])
 

@@ -208,7 +208,9 @@ def test_a_zombie_that_commits_late(often, alone):
         segments = []
         limits = Limits(1e-6, 1e-6, lambda: len(segments) >= most)
         experiment = plan.experiment(plan.groups[chunk.group])
-        ChunkRunner(chunk, experiment, compiled, sink, limits, segments.append).run()
+        runner = ChunkRunner(chunk, experiment, compiled, sink, limits, segments.append)
+        runner.advance()
+        runner.finish()
 
     plan = victim.plan
     for chunk in plan.chunks:
