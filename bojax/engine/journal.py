@@ -1,18 +1,19 @@
 """The journal of a sweep: its results folder while it runs, what is done, and what failed."""
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
+from typing import Any
 
 from bojax.config.saved_sweep import saved
 from bojax.engine.chunks import Chunk
 from bojax.engine.groups import StaticGroup
 from bojax.engine.latency import Latency
-from bojax.engine.manifest import describe_chunk, describe_group, describe_sweep, outline_of, timings
+from bojax.engine.manifest import describe_chunk, describe_groups, describe_sweep, outline_of, timings
 from bojax.engine.plan import Plan, plain
 from bojax.engine.share import FolderShare
 from bojax.results.folder import RunFolder
-from bojax.results.leases import Attempts
+from bojax.results.leases import Attempts, Heartbeat
 from bojax.results.merge import RUNS, PointInfo, merge
 from bojax.results.parts import ChunkFolder, ChunkState
 from bojax.results.store import MANIFEST, ResultsError, write_json, write_table
@@ -148,32 +149,23 @@ class Journal:
         manifest = {
             **describe_sweep(plan.sweep, plan.content, self._outlines, self._command, status),
             "device": plan.device,
-            "groups": [
-                describe_group(
-                    group,
-                    plan.name(group),
-                    states,
-                    {
-                        "lanes_per_device": plan.layout(group).lanes,
-                        "compile_seconds": sum(
-                            beat.compile_seconds.get(str(group.index), 0.0) for beat in heartbeats
-                        ),
-                        "latency_seconds": {
-                            str(point): each.median
-                            for point, each in self._latency.get(group.index, {}).items()
-                        },
-                        "latency_range": {
-                            str(point): [each.least, each.largest]
-                            for point, each in self._latency.get(group.index, {}).items()
-                        },
-                    },
-                )
-                for group in plan.groups
-            ],
+            "groups": describe_groups([self._facts(group, heartbeats) for group in plan.groups], states),
             "chunks": [describe_chunk(*state, self.errors.get(state[0].index)) for state in states],
             "nans": by_point,
         }
         write_json(self.path / MANIFEST, manifest)
+
+    def _facts(self, group: StaticGroup, heartbeats: Collection[Heartbeat]) -> dict[str, Any]:
+        """What is known of a group besides its advances."""
+        latency = self._latency.get(group.index, {})
+        return {
+            "name": self.plan.name(group),
+            "points": list(group.points),
+            "lanes_per_device": self.plan.layouts[group.index].lanes,
+            "compile_seconds": sum(beat.compile_seconds.get(str(group.index), 0.0) for beat in heartbeats),
+            "latency_seconds": {str(point): each.median for point, each in latency.items()},
+            "latency_range": {str(point): [each.least, each.largest] for point, each in latency.items()},
+        }
 
     def _states(self) -> list[tuple[Chunk, ChunkState]]:
         return [(chunk, self.state(chunk)) for chunk in self.plan.chunks]

@@ -9,7 +9,6 @@ import pyarrow as pa
 from bojax.config.errors import ConfigError
 from bojax.engine.chunks import Chunk, digest
 from bojax.engine.devices import setting
-from bojax.engine.groups import StaticGroup
 from bojax.engine.plan import plain
 from bojax.engine.provenance import git_revision, versions
 from bojax.results.parts import ChunkState
@@ -73,19 +72,22 @@ def describe_sweep(
     }
 
 
-def describe_group(group: StaticGroup, name: str, states: States, facts: Mapping[str, Any]) -> dict[str, Any]:
-    """Seconds and steps of a static group: compilation, advances, latency of a single run."""
-    segments = [
-        segment for chunk, state in states if chunk.group == group.index for segment in state.segments
+def describe_groups(groups: Sequence[Mapping[str, Any]], states: States) -> list[dict[str, Any]]:
+    """Seconds and steps of the static groups: compilation, advances, latency of a single run.
+
+    Args:
+        groups: What is known of each group besides its advances.
+        states: Every chunk with its state.
+    """
+    run_seconds, active_steps = [0.0] * len(groups), [0] * len(groups)
+    for chunk, state in states:
+        for _, steps, seconds in state.segments:
+            run_seconds[chunk.group] += seconds
+            active_steps[chunk.group] += int(steps)
+    return [
+        {"group": index, **group, "run_seconds": run_seconds[index], "active_steps": active_steps[index]}
+        for index, group in enumerate(groups)
     ]
-    return {
-        "group": group.index,
-        "name": name,
-        "points": list(group.points),
-        **facts,
-        "run_seconds": sum(seconds for _, _, seconds in segments),
-        "active_steps": int(sum(steps for _, steps, _ in segments)),
-    }
 
 
 def describe_chunk(chunk: Chunk, state: ChunkState, error: str | None) -> dict[str, Any]:

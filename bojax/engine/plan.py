@@ -29,6 +29,7 @@ class Plan:
         sweep: The sweep.
         modules: The experiment of each point.
         groups: The static groups.
+        layouts: How the runs of each group are divided and advanced.
         chunks: All chunks, group by group.
         device: Description of the devices.
         content: Everything that the numbers of the sweep depend on, as plain values. A sweep can only be
@@ -38,6 +39,7 @@ class Plan:
     sweep: "Sweep"
     modules: Sequence[Experiment]
     groups: Sequence[StaticGroup]
+    layouts: Sequence[Layout]
     chunks: Sequence[Chunk]
     device: Mapping[str, Any]
     content: Mapping[str, Any]
@@ -45,10 +47,6 @@ class Plan:
     def experiment(self, group: StaticGroup) -> Experiment:
         """The experiment of the first point of a group."""
         return self.modules[group.points[0]]
-
-    def layout(self, group: StaticGroup) -> Layout:
-        """How the runs of a group are divided and advanced."""
-        return next(chunk.layout for chunk in self.chunks if chunk.group == group.index)
 
     def name(self, group: StaticGroup) -> str:
         """The variants of a group, for messages."""
@@ -95,7 +93,7 @@ def _make_plan(sweep: "Sweep", device: Mapping[str, Any]) -> Plan:
         for group in groups
     ]
     content = _content(sweep, modules, device, groups, layouts)
-    return Plan(sweep, modules, groups, _cut(sweep, groups, layouts, content), device, content)
+    return Plan(sweep, modules, groups, layouts, _cut(sweep, groups, layouts, content), device, content)
 
 
 def _build(sweep: "Sweep", point: "Point") -> Experiment:

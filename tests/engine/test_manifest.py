@@ -7,9 +7,12 @@ import jax.numpy as jnp
 import pytest
 
 from bojax.config.errors import ConfigError
-from bojax.engine.manifest import describe_sweep, outline_of
+from bojax.engine.chunks import Layout, cut
+from bojax.engine.groups import static_groups
+from bojax.engine.manifest import describe_groups, describe_sweep, outline_of
 from bojax.results.outline import Outline
-from tests.toy import toy_sweep
+from bojax.results.parts import ChunkState
+from tests.toy import toy, toy_sweep
 
 
 def test_settings_changed_from_the_published_sweep_are_stated():
@@ -18,6 +21,16 @@ def test_settings_changed_from_the_published_sweep_are_stated():
     manifest = describe_sweep(sweep, plan, [], "bojax sweep toy", "running")
     assert manifest["changed"] == {"problem.half_width": [4.0, 3.0]}
     assert describe_sweep(toy_sweep(), plan, [], "bojax sweep toy", "running")["changed"] == {}
+
+
+def test_seconds_and_steps_of_a_group_are_those_of_its_chunks():
+    groups = static_groups([toy(), toy(max_length=15)])
+    chunks = [chunk for group in groups for chunk in cut(group, range(4), Layout(2, (2,), 1), [{}, {}], {})]
+    segments = [[[2, 10, 0.5], [2, 6, 0.25]], [[2, 1, 1.0]], [], []]
+    states = [(chunk, ChunkState(segments=each)) for chunk, each in zip(chunks, segments, strict=True)]
+    first, second = describe_groups([{"name": "a"}, {"name": "b"}], states)
+    assert first == {"group": 0, "name": "a", "run_seconds": 1.75, "active_steps": 17}
+    assert second == {"group": 1, "name": "b", "run_seconds": 0.0, "active_steps": 0}
 
 
 def experiment(outline):
