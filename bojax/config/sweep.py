@@ -28,7 +28,7 @@ from bojax.config.figures import TABLES, figure_modules
 from bojax.config.files import STANDARD_INPUT, SUFFIXES, available, display, find, shipped
 from bojax.config.limits import RUNS
 from bojax.config.origin import Origin
-from bojax.config.overrides import Override, apply, parse_overrides
+from bojax.config.overrides import SOURCE, Override, apply, parse_overrides
 from bojax.config.settings import RESERVED, EngineConfig, Record, Settings, split
 from bojax.config.yaml_file import read_mapping
 
@@ -333,10 +333,16 @@ def _read_base(base: Any, sweep: Path) -> tuple[dict[str, Any], Callable[[Locati
 
 
 def _changes(texts: Sequence[str], runs: int | None, seed: int | None) -> list[Override]:
-    options = {("runs",): runs, ("seed",): seed}
-    options = {path: value for path, value in options.items() if value is not None}
-    changes = [change for change in parse_overrides(texts) if change.path not in options]
-    return changes + [Override(path, value) for path, value in options.items()]
+    changes = parse_overrides(texts)
+    given = {change.path: change.value for change in changes}
+    for name, value in (("runs", runs), ("seed", seed)):
+        if value is None:
+            continue
+        if (name,) in given:
+            both = f"as {name}={shown(given[name,])} and as --{name} {value}"
+            raise ConfigError(f"{SOURCE}: {name}: given twice, {both}")
+        changes.append(Override((name,), value))
+    return changes
 
 
 def _override(

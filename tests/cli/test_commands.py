@@ -38,7 +38,7 @@ def calls(tmp_path, monkeypatch):
 
 def test_a_sweep_runs_and_is_reported(calls, capsys):
     made, _ = calls
-    assert main(["sweep", "parking", "problem.half_width=3", "--runs", "5", "runs=9", "--seed", "7"]) == 0
+    assert main(["sweep", "parking", "problem.half_width=3", "--runs", "5", "--seed", "7"]) == 0
     (_, sweep, out, resume, command), report = made
     assert (sweep.name, sweep.runs, sweep.seed) == ("parking", 5, 7)
     assert out is None and resume is False
@@ -49,7 +49,6 @@ def test_a_sweep_runs_and_is_reported(calls, capsys):
         "problem.half_width=3",
         "--runs",
         "5",
-        "runs=9",
         "--seed",
         "7",
     ]

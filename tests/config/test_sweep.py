@@ -3,6 +3,7 @@
 import pytest
 
 from bojax.config.component import Component
+from bojax.config.errors import ConfigError
 from bojax.config.files import available, shipped
 from bojax.config.settings import EngineConfig, Record
 from bojax.config.sweep import Sweep, load_config, load_sweep
@@ -64,11 +65,19 @@ def test_an_experiment_needs_almost_nothing(write):
     assert sweep.base == {"experiment": "planning", "planner": "sbo"}
 
 
-def test_options_take_precedence_over_overrides_and_those_over_the_file(write):
+def test_options_and_overrides_take_precedence_over_the_file(write):
     write("x.yaml", "{runs: 5, seed: 1, engine: {device: cpu, segment_seconds: 9}}")
-    sweep = load_config("x.yaml", ["runs=6", "seed=2", "engine.device=gpu"], runs=7)
+    sweep = load_config("x.yaml", ["seed=2", "engine.device=gpu"], runs=7)
     assert (sweep.runs, sweep.seed) == (7, 2)
     assert sweep.engine == EngineConfig(device="gpu", segment_seconds=9)
+
+
+@pytest.mark.parametrize("name", ["runs", "seed"])
+def test_an_option_and_an_override_of_one_setting_are_refused(name):
+    with pytest.raises(
+        ConfigError, match=f"^command line: {name}: given twice, as {name}=6 and as --{name} 7$"
+    ):
+        load_sweep("parking", [f"{name}=6"], **{name: 7})
 
 
 class TestOverrides:
