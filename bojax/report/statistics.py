@@ -1,4 +1,4 @@
-"""The statistics of a report: bootstrap, Wilson and Welch intervals, Holm's procedure, carrying forward.
+"""The statistics of a report: intervals of means and shares, Holm's procedure, carrying forward.
 
 `iqm_interval` and `improvement_interval` are the estimates that Agarwal et al. (2021), Deep Reinforcement
 Learning at the Edge of the Statistical Precipice (NeurIPS), recommend for a few runs on several tasks.
@@ -294,13 +294,21 @@ def share_interval(flags: ArrayLike) -> Interval:
     return Interval(float(hits.mean()) if hits.size else float("nan"), float(low), float(high))
 
 
-def share_difference(successes: int, trials: int, other_successes: float, other_trials: int) -> Interval:
+def share_difference(successes: int, trials: int, other_successes: int, other_trials: int) -> Interval:
     """Difference of two independent shares with the hybrid score interval (Newcombe 1998, method 10)."""
     first, second = successes / trials, other_successes / other_trials
     (low, high), (other_low, other_high) = wilson(successes, trials), wilson(other_successes, other_trials)
     below = np.hypot(first - low, other_high - second)
     above = np.hypot(high - first, second - other_low)
     return Interval(first - second, float(first - second - below), float(first - second + above))
+
+
+def fisher_p_value(successes: int, trials: int, other_successes: int, other_trials: int) -> float:
+    """Two-sided p-value of Fisher's exact test of whether two independent shares are equal."""
+    from scipy import stats  # takes half a second to import, and few reports need it
+
+    pairs = ((successes, trials), (other_successes, other_trials))
+    return float(stats.fisher_exact([[hits, runs - hits] for hits, runs in pairs]).pvalue)
 
 
 def welch_difference(first: tuple[float, float, int], second: tuple[float, float, int]) -> Interval:

@@ -278,6 +278,14 @@ class TestAgrees:
         assert judge(numbers(np.ones(50)), test).verdict == "reproduced"
         assert judge(numbers(np.full(50, 2.0)), test).verdict == "not reproduced"
 
+    def test_a_printed_deviation_of_0_does_not_make_the_printed_mean_exact(self):
+        # 5 of 200 runs need a second episode; of 20 printed runs, none did, which happens in 60% of all cases.
+        values = np.where(np.arange(200) < 5, 2.0, 1.0)
+        finding = judge(numbers(values), {**self.MEAN, "mean": 1.0, "sd": 0.0, "tolerance": 0.5})
+        twin = judge(numbers(values), {**self.MEAN, "mean": 1.0, "sd": values.std(ddof=1), "tolerance": 0.5})
+        assert finding.verdict == "reproduced" and finding.decisive.interval == twin.decisive.interval
+        assert "1.00 (sd 0, taken as ours, 20 runs)" in finding.method
+
     @pytest.mark.parametrize(
         ("hits", "verdict"), [(180, "reproduced"), (200, "not reproduced"), (80, "not reproduced")]
     )
@@ -285,6 +293,13 @@ class TestAgrees:
         # 18 of 20 printed: their own interval is 70% to 97%.
         finding = judge(numbers(np.arange(200) < hits), self.SHARE)
         assert finding.verdict == verdict and finding.ours == hits / 200
+
+    @pytest.mark.parametrize(("share", "verdict"), [(0.95, "reproduced"), (0.8, "not reproduced")])
+    def test_fishers_exact_test_tells_shares_apart(self, share, verdict):
+        # 19 of 20 and 200 of 200: p = 0.09, although Newcombe's interval of the difference excludes 0.
+        finding = judge(numbers(np.ones(200, dtype=bool)), {**self.SHARE, "share": share})
+        assert finding.verdict == verdict and finding.decisive.interval.low > 0
+        assert ("(p = 0.0909)" in finding.method) == (share == 0.95)
 
     def test_ten_printed_runs_say_little_about_a_share(self):
         assert judge(numbers(np.arange(200) < 180), {**self.SHARE, "runs": 10}).verdict == "inconclusive"

@@ -14,33 +14,43 @@ SHARE_TOLERANCE = 0.25
 
 
 def agrees(results: Results, test: Agrees) -> Finding:
-    """Whether the interval of the difference to a printed number contains 0 and lies within a tolerance.
+    """Whether our number may equal the printed one, and differs from it by less than a tolerance.
 
-    Runs without a value are left out if the claim allows it (`missing`): a mean printed over the
-    successful runs is comparable with ours only if nearly all of our runs succeed. The error of the printed
-    number follows from its standard deviation or share and its number of runs.
+    The interval of the difference has to lie within the tolerance, and a test that both are equal must not
+    reject: for means, Welch's interval then contains 0; for shares, Fisher's exact test decides, because
+    Newcombe's interval excludes 0 too often for shares near 0 or 1 of few printed runs. The error of the
+    printed number follows from its standard deviation or share and its number of runs. A printed deviation
+    of 0 says that no printed run differed, not that none would: ours stands for it.
+
+    Runs without a value are left out if the claim allows it (`missing`): a mean printed over the successful
+    runs is comparable with ours only if nearly all of our runs succeed.
     """
     label, name, runs = test.label, test.column, test.runs
     (point,), chosen = stand_ins(results, test, Measure(name))
     values = column(results.runs_of(point), name)
     enough(values.size, "run")
     if test.share is not None:
-        size, hits = values.size, int(np.count_nonzero(values))
-        interval = statistics.share_difference(hits, size, test.share * runs, runs)
+        size, hits, printed = values.size, int(np.count_nonzero(values)), round(test.share * runs)
+        interval = statistics.share_difference(hits, size, printed, runs)
+        p_value = statistics.fisher_p_value(hits, size, printed, runs)
+        is_apart = p_value < 1 - statistics.LEVEL
         estimate, tolerance = hits / size, test.tolerance or SHARE_TOLERANCE
         ours, theirs = percent(estimate), f"{percent(test.share)} of {counted(runs, 'run')}"
         what = f"Newcombe's 95% interval of the difference between our share of {name}"
+        rule = f"Fisher's exact test must not tell the shares apart (p = {number(p_value)})"
     else:
         assert test.mean is not None and test.sd is not None  # the schema requires these or a share
         values = values[most_present(values, label, name, test.missing)].astype(np.float64)
         enough(size := values.size, "run")
         estimate, sd = float(values.mean()), float(values.std(ddof=1))
-        interval = statistics.welch_difference((estimate, sd, size), (test.mean, test.sd, runs))
+        interval = statistics.welch_difference((estimate, sd, size), (test.mean, test.sd or sd, runs))
+        is_apart = interval.low > 0 or interval.high < 0
         tolerance = test.tolerance or test.sd
         ours = f"{number(estimate)} (sd {number(sd)}, {counted(size, 'run')})"
-        theirs = f"{number(test.mean)} (sd {number(test.sd)}, {counted(runs, 'run')})"
+        theirs = f"{number(test.mean)} (sd {number(test.sd)}{'' if test.sd else ', taken as ours'}, "
+        theirs += f"{counted(runs, 'run')})"
         what = f"Welch's 95% interval of the difference between our mean {name}"
-    is_apart = interval.low > 0 or interval.high < 0
+        rule = "to contain 0"
     is_close = -tolerance < interval.low and interval.high < tolerance
     comparison = Comparison(f"{name} of {label} - thesis's", interval)
     return Finding(
@@ -49,7 +59,6 @@ def agrees(results: Results, test: Agrees) -> Finding:
         comparisons=[comparison],
         decisive=comparison,
         runs=size,
-        method=f"{what}, {ours}, and the thesis's, {theirs}: it has to contain 0 and to lie within "
-        f"±{tolerance:g}",
+        method=f"{what}, {ours}, and the thesis's, {theirs}: it has to lie within ±{tolerance:g}, and {rule}",
         chosen=chosen,
     )
