@@ -308,7 +308,8 @@ def fisher_p_value(successes: int, trials: int, other_successes: int, other_tria
     from scipy import stats  # takes half a second to import, and few reports need it
 
     pairs = ((successes, trials), (other_successes, other_trials))
-    return float(stats.fisher_exact([[hits, runs - hits] for hits, runs in pairs]).pvalue)
+    result: Any = stats.fisher_exact([[hits, runs - hits] for hits, runs in pairs])
+    return float(result.pvalue)
 
 
 def welch_difference(first: tuple[float, float, int], second: tuple[float, float, int]) -> Interval:

@@ -279,7 +279,7 @@ class TestAgrees:
         assert judge(numbers(np.full(50, 2.0)), test).verdict == "not reproduced"
 
     def test_a_printed_deviation_of_0_does_not_make_the_printed_mean_exact(self):
-        # 5 of 200 runs need a second episode; of 20 printed runs, none did, which happens in 60% of all cases.
+        # 5 of 200 runs need a second episode. That none of 20 printed runs did has a probability of 60%.
         values = np.where(np.arange(200) < 5, 2.0, 1.0)
         finding = judge(numbers(values), {**self.MEAN, "mean": 1.0, "sd": 0.0, "tolerance": 0.5})
         twin = judge(numbers(values), {**self.MEAN, "mean": 1.0, "sd": values.std(ddof=1), "tolerance": 0.5})
