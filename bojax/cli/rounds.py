@@ -17,6 +17,7 @@ import yaml
 from bojax.config.errors import printable
 from bojax.config.sweep import Sweep
 from bojax.config.tuning import described, value_at
+from bojax.engine.executables import held
 from bojax.engine.remote import Launcher
 from bojax.engine.requests import Request
 from bojax.engine.run import run_sweeps
@@ -84,7 +85,8 @@ def run_rounds(
     else:
         files.create(task.content)
     try:
-        code = _Rounds(task, folder, command, launcher, devices).run()
+        with held():  # the rounds have their programs in common
+            code = _Rounds(task, folder, command, launcher, devices).run()
         is_done = code == 0
     except KeyboardInterrupt:  # between two rounds; within one, the engine prints this
         again = command if "--resume" in command else [*command, "--resume"]

@@ -139,6 +139,7 @@ class Programs:
             self.compile_seconds = traced + time.perf_counter() - start
             if key is not None and len(compiled) == len(self._programs):
                 self._unsaved = key, carry
+        executables.hold(key, device, (self._programs, carry))
         self.carry_structure = self._on_device(carry)
 
     def keep(self) -> None:

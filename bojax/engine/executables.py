@@ -49,6 +49,9 @@ PACKAGES = (
 )
 """Packages, with their versions in the key, whose classes and functions a cached group may contain."""
 
+_MOST_HELD = 8
+"""Number of groups whose programs stay in memory within `held`; the ones that were loaded last are kept."""
+
 _DIGEST_BYTES = hashlib.sha256().digest_size
 _KNOWN = {*sys.stdlib_module_names, *PACKAGES}
 _UNUSED_SECONDS = 30 * 24 * 3600
@@ -89,11 +92,39 @@ def _digest_of(group: StaticGroup, *others: object) -> str | None:
         return None
 
 
-def load(key: str | None, device: Device) -> tuple[dict[str, Compiled], PyTree] | None:
-    """The programs and the structure saved under a key; None if there are none, or if they are damaged."""
+Programs = tuple[dict[str, Compiled], PyTree[jax.ShapeDtypeStruct]]
+"""The programs of a group, and the structure of its carry without shardings."""
+
+_held: dict[tuple[str, Device], Programs] | None = None
+
+
+@contextlib.contextmanager
+def held() -> Iterator[None]:
+    """Context in which programs stay in memory, for sweeps of one process over the same groups."""
+    global _held
+    _held = {}
+    try:
+        yield
+    finally:
+        _held = None
+
+
+def hold(key: str | None, device: Device, programs: Programs) -> None:
+    """Keep programs in memory, within `held`."""
+    held = _held
+    if held is not None and key is not None:
+        held[key, device] = programs
+        while len(held) > _MOST_HELD:
+            held.pop(next(iter(held)), None)
+
+
+def load(key: str | None, device: Device) -> Programs | None:
+    """The programs held or saved under a key; None if there are none, or if they are damaged."""
     folder = _folder()
     if key is None or folder is None:
         return None
+    if found := (_held or {}).get((key, device)):
+        return found
     path = folder / key
     try:
         content = path.read_bytes()
@@ -109,7 +140,7 @@ def load(key: str | None, device: Device) -> tuple[dict[str, Compiled], PyTree] 
 
 
 def save(key: str, programs: Mapping[str, Compiled], structure: PyTree[jax.ShapeDtypeStruct]) -> None:
-    """Save the programs of a group, and the structure of its carry without shardings, if that is possible."""
+    """Save the programs of a group and the structure of its carry, if that is possible."""
     folder = _folder()
     if folder is None:
         return

@@ -123,6 +123,30 @@ def test_programs_of_jax_s_cache_are_not_saved(cache):
     np.testing.assert_array_equal(found[0]["success"], expected[0]["success"])
 
 
+def test_programs_that_are_held_are_neither_traced_nor_read(cache, monkeypatch):
+    with executables.held():
+        expected = advanced(programs_of(group_of()))
+        (path,) = files(cache)
+        path.unlink()
+        with monkeypatch.context() as patched:
+            patched.setattr(Programs, "_lower", lambda *_, **__: pytest.fail("traced"))
+            found = advanced(programs_of(group_of(**{"learner.discount": 0.5})))
+            assert not jax.tree.all(jax.tree.map(np.array_equal, found[1], expected[1]))
+            found = advanced(programs_of(group_of()))
+        jax.tree.map(np.testing.assert_array_equal, found, expected)
+    assert executables.load(executables.key_of(group_of(), DEVICE), DEVICE) is None
+
+
+def test_only_the_last_programs_are_held(cache):
+    held = [({}, jax.ShapeDtypeStruct((number,), bool)) for number in range(20)]
+    with executables.held():
+        for number, programs in enumerate(held):
+            executables.hold(str(number), DEVICE, programs)
+        assert executables.load("11", DEVICE) is None
+        assert [executables.load(str(number), DEVICE) for number in range(12, 20)] == held[12:]
+    assert executables.load("19", DEVICE) is None and not files(cache)
+
+
 def test_groups_with_a_program_in_common_are_both_saved(cache):
     for episodes in (2, 3):
         programs_of(group_of(episodes=episodes))
