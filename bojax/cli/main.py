@@ -4,13 +4,14 @@ import errno
 import importlib
 import io
 import os
+import platform
 import sys
 import threading
 from collections.abc import Sequence
 from typing import NoReturn
 
 from bojax import __version__
-from bojax.cli.parser import Parser, UsageError
+from bojax.cli.parser import ON_WINDOWS, Parser, UsageError
 from bojax.config.errors import control_character, did_you_mean, printable, shown
 
 COMMANDS = {
@@ -30,6 +31,9 @@ COMMANDS = {
     "doctor": ("doctor", "check versions, devices, precision and folders"),
 }
 """The module and the summary of each command."""
+
+_ANYWHERE = ("list", "report", "render", "doctor")
+"""Commands that do not lock a results folder."""
 
 _EXAMPLES = """\
   bojax sweep parking                       the parking study: four planners, 200 runs each
@@ -104,6 +108,8 @@ def _run(words: list[str]) -> int:
         kind = "option" if name.startswith("-") else "command"
         allowed = ", ".join(sorted(COMMANDS))
         raise UsageError(f"unknown {kind} {name}; allowed: {allowed}{did_you_mean(name, COMMANDS)}")
+    if platform.system() == "Windows" and name not in _ANYWHERE:
+        raise UsageError(f"bojax {name}: {ON_WINDOWS}")
     module = importlib.import_module(f"bojax.cli.{COMMANDS[name][0]}")
     return module.main(name, words[1:])
 

@@ -8,6 +8,9 @@ from typing_extensions import override
 
 from bojax.config.errors import allowed_names, did_you_mean
 
+ON_WINDOWS = "needs Linux or macOS, on Windows the Linux of WSL 2: see Installation in the documentation"
+"""Why sweeps do not run on Windows itself: results folders are locked by a POSIX call."""
+
 
 class UsageError(Exception):
     """An invalid command line; the message is one line.

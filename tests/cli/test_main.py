@@ -2,12 +2,14 @@
 
 import io
 import json
+import platform
 import subprocess
 import sys
 
 import pytest
 
 from bojax import __version__
+from bojax.cli.doctor import CHECKS, examine
 from bojax.cli.main import COMMANDS, main
 
 HEAVY = ("jax", "equinox", "numpy", "pyarrow", "matplotlib", "rich", "jinja2")
@@ -186,6 +188,17 @@ def test_every_command_has_help_with_examples(capsys, name):
     assert stop.value.code == 0
     assert out.startswith(f"usage: bojax {name}") and f"examples:\n  bojax {name}" in out
     assert max(len(line) for line in out.splitlines()) <= 110
+
+
+def test_windows_is_refused_in_one_line(here, capsys, monkeypatch):
+    """Results folders are locked by a POSIX call."""
+    monkeypatch.setattr(platform, "system", lambda: "Windows")
+    for name in sorted(set(COMMANDS) - {"list", "report", "render", "doctor"}):
+        assert main([name]) == 2
+        assert capsys.readouterr().err.startswith(f"error: bojax {name}: needs Linux or macOS, on Windows ")
+    assert list(here.iterdir()) == [] and main(["list"]) == 0
+    *_, finding = examine(CHECKS["Python"])
+    assert finding.state == "FAILED" and finding.text.startswith("running a sweep needs Linux or macOS")
 
 
 def test_the_version(capsys):
