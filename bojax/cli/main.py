@@ -74,8 +74,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def entry() -> None:
-    """Run the command of `sys.argv` and exit."""
-    leave(main())
+    """Run the command of `sys.argv` and exit, with the code 1 after the traceback of an unexpected error."""
+    try:
+        code = main()
+    except Exception:
+        sys.excepthook(*sys.exc_info())
+        code = 1
+    leave(code)
 
 
 def leave(code: int) -> NoReturn:

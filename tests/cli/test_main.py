@@ -10,7 +10,7 @@ import pytest
 
 from bojax import __version__
 from bojax.cli.doctor import CHECKS, examine
-from bojax.cli.main import COMMANDS, main
+from bojax.cli.main import COMMANDS, entry, main
 
 HEAVY = ("jax", "equinox", "numpy", "pyarrow", "matplotlib", "rich", "jinja2")
 
@@ -188,6 +188,16 @@ def test_every_command_has_help_with_examples(capsys, name):
     assert stop.value.code == 0
     assert out.startswith(f"usage: bojax {name}") and f"examples:\n  bojax {name}" in out
     assert max(len(line) for line in out.splitlines()) <= 110
+
+
+def test_an_unexpected_exception_while_a_program_is_compiled(monkeypatch, capsys):
+    """Python cannot end while a thread is in XLA, and would abort."""
+    codes = []
+    monkeypatch.setattr("bojax.cli.main.main", lambda: 1 // 0)
+    monkeypatch.setattr("bojax.cli.main.leave", codes.append)
+    entry()
+    err = capsys.readouterr().err
+    assert codes == [1] and "Traceback" in err and "ZeroDivisionError" in err.splitlines()[-1]
 
 
 def test_windows_is_refused_in_one_line(here, capsys, monkeypatch):
