@@ -77,8 +77,8 @@ def entry() -> None:
     """Run the command of `sys.argv` and exit, with the code 1 after the traceback of an unexpected error."""
     try:
         code = main()
-    except Exception:
-        sys.excepthook(*sys.exc_info())
+    except Exception as error:
+        sys.excepthook(type(error), error, error.__traceback__)
         code = 1
     leave(code)
 
