@@ -258,6 +258,9 @@ class _Executor:
                     runner.finish()
             except Stopped:
                 pass
+            except ResultsError as problem:  # of the folder, which all chunks write to
+                has_failed, self.error = True, problem
+                task.share.abandon(chunk)
             except (Exception, SystemExit) as error:  # user's code may call sys.exit
                 has_failed = True
                 self._fail(task, [chunk], error)
@@ -390,8 +393,6 @@ class _Executor:
 
     def _fail(self, task: GroupTask, chunks: Sequence[Chunk], error: BaseException) -> None:
         try:
-            if isinstance(error, ResultsError):  # of the folder, which all chunks write to
-                raise error
             message = task.share.fail(chunks, error)
         except ResultsError as problem:
             self.error = problem

@@ -33,6 +33,10 @@ class Share(abc.ABC):
     def release(self, chunk: Chunk, sink: Sink) -> None:
         """Give back a chunk, which is done or has been paused."""
 
+    def abandon(self, chunk: Chunk) -> None:
+        """Give back a chunk whose files cannot be written here; another process may go on with it."""
+        return
+
     @abc.abstractmethod
     def fail(self, chunks: Sequence[Chunk], error: BaseException) -> str:
         """Note that chunks that this process has taken failed, and return the reason in one line."""
@@ -139,6 +143,10 @@ class FolderShare(Share):
             self.leases.finish(chunk.name, {"seconds": seconds})
         else:
             self.leases.give_back(chunk.name)
+
+    @override
+    def abandon(self, chunk: Chunk) -> None:
+        self.leases.give_back(chunk.name)
 
     @override
     def fail(self, chunks: Sequence[Chunk], error: BaseException) -> str:

@@ -276,7 +276,9 @@ def test_a_worker_whose_disk_is_full_leaves_its_chunks_to_others(planned, alone,
         patch.setattr(parts, "write_table", full)
         assert work_on(planned) == 1
     assert "the disk is full" in one_line(capsys)
-    assert not attempts_of(planned).failed
+    attempts = attempts_of(planned)
+    leases = [attempts.lease(chunk, number) for chunk, number in attempts.newest.items()]
+    assert leases and all(lease and lease.is_released for lease in leases) and not attempts.failed
     assert work_on(planned) == 0
     assert merged(planned) == alone
 
