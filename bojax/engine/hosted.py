@@ -43,7 +43,7 @@ class Hosted(Programs):
     _is_compiled = False
 
     def _open(self, run: LearningRun) -> None:
-        self._num_tests, self._block = run.tests, run.learner.block
+        self._num_tests, self._tests_learn, self._block = run.tests, run.tests_learn, run.learner.block
         self._env: Any = run.env
         self._dtype = run.learner.exploration_weight.dtype
         self._vector = self._env.make_vector(self.num_lanes)
@@ -57,6 +57,8 @@ class Hosted(Programs):
         for number in range(1, self._num_tests + 1):
             test = self._run_episode(self._test, lanes, carry, learner, number)
             tests.append(self._test_row(lanes, carry, self._all(number), test))
+            if self._tests_learn:
+                learner = self._end_test(lanes, carry, self._all(number), test)
         rows = (
             {name: jnp.stack([test[name] for test in tests], axis=1) for name in tests[0]} if tests else None
         )
@@ -86,6 +88,7 @@ class Hosted(Programs):
         self._training = self._phase_programs(lambda run, carry, number: run.training(carry))
         self._test = self._phase_programs(lambda run, carry, number: run.test(carry, number))
         self._end_episode = self._program(lambda run, carry, episode: run.end_episode(carry, episode))
+        self._end_test = self._program(lambda run, carry, number, test: run.end_test(carry, number, test))
         self._test_row = self._program(lambda run, carry, number, test: run.test_row(carry, number, test))
         self._close = self._program(_close)
 

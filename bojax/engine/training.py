@@ -128,6 +128,7 @@ def train(
         episodes=episodes,
         stop=stop,
         tests=tests,
+        tests_learn=False,
         map_episodes=(),
         map_resolution=2,
         saved=None,

@@ -75,6 +75,7 @@ class LearningRun(Experiment):
     episodes: int = eqx.field(static=True)
     stop: Literal["never", "first-success", "target"] = eqx.field(static=True)
     tests: int = eqx.field(static=True)
+    tests_learn: bool = eqx.field(static=True)
     map_episodes: tuple[int, ...] = eqx.field(static=True)
     map_resolution: int = eqx.field(static=True)
 
@@ -133,7 +134,8 @@ class LearningRun(Experiment):
     def init(self, key: Key[Array, ""]) -> RunState:
         learner = self.saved
         if learner is None:
-            learner = self.new_learner(jax.random.fold_in(key, 0), self.episodes * self.env.max_steps)
+            episodes = self.episodes * (1 + self.tests * self.tests_learn)
+            learner = self.new_learner(jax.random.fold_in(key, 0), episodes * self.env.max_steps)
         zero, never = jnp.zeros((), jnp.int32), jnp.full((), -1, jnp.int32)
         number = jnp.zeros((), self._dtype)
         maps = None
@@ -169,12 +171,17 @@ class LearningRun(Experiment):
         tests = None
         if self.tests:
 
-            def run_test(number):
+            def run_test(learner, number):
                 test = self.test(carry, number)
                 episode = test.begin(learner, *self.reset(carry, test), ~carry.is_done)
-                return self.test_row(carry, number, run_episode(test, episode))
+                episode = run_episode(test, episode)
+                return self.end_test(carry, number, episode), self.test_row(carry, number, episode)
 
-            tests = jax.vmap(run_test, axis_name=EPISODES)(jnp.arange(1, self.tests + 1))
+            numbers = jnp.arange(1, self.tests + 1)
+            if self.tests_learn:
+                learner, tests = jax.lax.scan(run_test, learner, numbers)
+            else:
+                tests = jax.vmap(lambda number: run_test(learner, number)[1], axis_name=EPISODES)(numbers)
         return self.close(carry, episode, learner, tests)
 
     @override
@@ -230,12 +237,15 @@ class LearningRun(Experiment):
         exploration = ExplorationState(
             exploration.scale.astype(self._dtype), exploration.is_learning & ~carry.is_done
         )
-        return Phase(self.env, self.learner, exploration, self._episode_key(carry, 0), is_training=True)
+        return Phase(
+            self.env, self.learner, exploration, exploration, self._episode_key(carry, 0), learns=True
+        )
 
     def test(self, carry: RunState, number: Int[Array, ""]) -> Phase:
         """A test episode after the training episode; the first one has number 1."""
+        exploration = self.training(carry).exploration if self.tests_learn else self.exploiting
         key = self._episode_key(carry, number)
-        return Phase(self.env, self.learner, self.exploiting, key, is_training=False)
+        return Phase(self.env, self.learner, self.exploiting, exploration, key, learns=self.tests_learn)
 
     def reset(self, carry: RunState, phase: Phase) -> tuple[EnvState, Observation]:
         """Initial state and observation of an episode of a compiled environment."""
@@ -246,6 +256,12 @@ class LearningRun(Experiment):
     def end_episode(self, carry: RunState, episode: EpisodeState) -> LearnerState:
         """The learner after the training episode; its key follows those of the tests."""
         return self.training(carry).end(self._episode_key(carry, self.tests + 1), episode)
+
+    def end_test(self, carry: RunState, number: Int[Array, ""], episode: EpisodeState) -> LearnerState:
+        """The learner after a test episode."""
+        if not self.tests_learn:
+            return episode.learner
+        return self.test(carry, number).end(self._episode_key(carry, self.tests + 1 + number), episode)
 
     def test_row(self, carry: RunState, number: Int[Array, ""], episode: EpisodeState) -> dict[str, Array]:
         """The row of a test episode in `episodes.parquet`."""
@@ -263,7 +279,7 @@ class LearningRun(Experiment):
         Args:
             carry: The run before the training episode.
             episode: The training episode at its end.
-            learner: The learner after the training episode.
+            learner: The learner after the training episode and its tests.
             tests: Rows of the test episodes, in columns of `tests` values; None if there are none.
         """
         active = ~carry.is_done
@@ -315,7 +331,7 @@ class LearningRun(Experiment):
 
     @property
     def exploiting(self) -> ExplorationState:
-        """The exploration state of a test."""
+        """The exploration state by which a learner acts in a test."""
         return ExplorationState(jnp.zeros((), self._dtype), jnp.zeros((), bool))
 
     def _episode_key(self, carry: RunState, number: Int[Array, ""] | int) -> Key[Array, ""]:
@@ -376,7 +392,7 @@ _MAP_COLUMNS: Table = (
 
 _EPISODE_COLUMNS: Table = (
     Column("episode", "int32", "", "number of the training episode, from 1; of a test, the one before it"),
-    Column("phase", "string", "", "training, or a test that exploits and learns nothing", words=PHASES),
+    Column("phase", "string", "", "training, or a test that exploits", words=PHASES),
     Column("return", "float64", "", "sum of the rewards"),
     Column("length", "int32", "", "steps"),
     Column("success", "bool", "", "the goal was reached"),

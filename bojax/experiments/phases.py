@@ -42,23 +42,24 @@ class Phase(eqx.Module):
     Attributes:
         env: Environment.
         learner: Learner.
-        exploration: Exploration state of the episode.
+        acting: Exploration state by which the learner acts.
+        exploration: Exploration state by which it learns.
         key: Key of the episode.
-        is_training: Whether the learner learns, from every step and from the whole episode at its end. In a
-            test episode it only exploits.
+        learns: Whether the learner learns, from every step and from the whole episode at its end.
     """
 
     env: Env
     learner: Learner
+    acting: ExplorationState
     exploration: ExplorationState
     key: Key[Array, ""]
-    is_training: bool = eqx.field(static=True)
+    learns: bool = eqx.field(static=True)
 
     @property
     def num_rows(self) -> int:
-        """Number of steps that are kept, T; the time limit rounded up to whole blocks, or 0 in a test."""
+        """Number of steps that are kept, T: the time limit in whole blocks, or 0 if nothing is learned."""
         block = self.learner.block
-        return -(-self.env.max_steps // block) * block if self.is_training else 0
+        return -(-self.env.max_steps // block) * block if self.learns else 0
 
     @property
     def rows(self) -> StepRows:
@@ -106,7 +107,7 @@ class Phase(eqx.Module):
 
     def act(self, key: Key[Array, ""], episode: EpisodeState) -> Choice:
         """The action that the learner takes."""
-        return Choice(*self.learner.act(key, episode.learner, episode.observation, self.exploration))
+        return Choice(*self.learner.act(key, episode.learner, episode.observation, self.acting))
 
     def apply(
         self,
@@ -117,7 +118,7 @@ class Phase(eqx.Module):
         time_step: TimeStep,
         step: Int[Array, ""],
     ) -> EpisodeState:
-        """The episode after a step of the environment; in training, the learner learns from the step.
+        """The episode after a step of the environment, from which the learner may learn.
 
         Args:
             key: Random key.
@@ -128,7 +129,7 @@ class Phase(eqx.Module):
             step: Number of the step in the episode, from 0.
         """
         after, counts = apply_transition(self.env, episode, env_state, time_step)
-        if not self.is_training:
+        if not self.learns:
             return after
         transition = Transition(
             observation=episode.observation,
@@ -146,13 +147,13 @@ class Phase(eqx.Module):
         return eqx.tree_at(lambda e: (e.learner, e.rows), after, (learner, rows))
 
     def flush(self, episode: EpisodeState) -> EpisodeState:
-        """The episode after a block of steps: in training, the learner applies its delayed updates."""
-        if not self.is_training:
+        """The episode after a block of steps: a learner that learns applies its delayed updates."""
+        if not self.learns:
             return episode
         return eqx.tree_at(lambda e: e.learner, episode, self.learner.flush(episode.learner))
 
     def end(self, key: Key[Array, ""], episode: EpisodeState) -> LearnerState:
-        """The learner after a whole training episode."""
+        """The learner after a whole episode from which it learns."""
         transitions, _, _ = self.rows.unpack(episode.rows)
         exploration = self._exploration_if(episode.length > 0)
         return self.learner.end_episode(
@@ -168,7 +169,7 @@ class Phase(eqx.Module):
             "success": episode.success,
             "terminated": episode.terminated,
             "truncated": episode.truncated,
-            "kappa": self.exploration.scale * self.learner.exploration_weight,
+            "kappa": self.acting.scale * self.learner.exploration_weight,
         }
 
     def _exploration_if(self, learns: Bool[Array, ""]) -> ExplorationState:

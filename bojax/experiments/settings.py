@@ -73,7 +73,10 @@ class Learning(ExperimentSettings, frozen=True):
     tests: int = Field(
         default=0,
         ge=0,
-        description="number of test episodes after each training episode; they neither explore nor learn",
+        description="number of test episodes after each training episode; they do not explore",
+    )
+    tests_learn: bool = Field(
+        default=False, description="whether the learner goes on learning in its test episodes"
     )
     target_return: float | None = Field(
         default=None,

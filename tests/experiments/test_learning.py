@@ -295,6 +295,20 @@ def test_tests_leave_the_learner_untouched(learner):
     assert tested.active_steps[:, 0].sum() == total
 
 
+@pytest.mark.parametrize("learner", ["exploration-values", "additive"])
+def test_tests_learn_where_they_may_and_explore_in_no_case(learner):
+    run = run_of(
+        env=CHAIN, learner=learner, tests=3, tests_learn=True, target_return=0.5, schedule="until-target"
+    )
+    history = History(run)
+    visits = np.asarray(history.carry.learner.visits).sum((-2, -1))
+    for lane in range(3):
+        rows, reached = history.rows(lane=lane), history.summary(lane)["episodes_to_target"]
+        learned = rows["episode"] <= reached if reached > 0 else np.full(len(rows["episode"]), True)
+        assert visits[lane] == rows["length"][learned].sum()
+        assert np.all(rows["kappa"][rows["phase"] == 1] == 0.0)
+
+
 def test_tests_exploit():
     # One arm pays after a test of both; a test takes it every time, however large epsilon is.
     env = {"kind": "chain", "length": 3, "max_length": 3, "max_steps": 400}

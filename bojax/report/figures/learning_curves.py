@@ -18,7 +18,7 @@ _PANELS = {
     "train": ("return", "mean return in training"),
     "test": (
         "return of tests",
-        "mean return of the tests after each episode, in which nothing is learned",
+        "mean return of the tests after each episode, which do not explore",
     ),
 }
 """Label and quantity of the panel of each phase."""
