@@ -109,6 +109,21 @@ def turn_of(device: Device) -> AbstractContextManager[Any]:
     return nullcontext() if device.platform == "cpu" else threading.Lock()
 
 
+@contextmanager
+def on_cpu() -> Iterator[None]:
+    """Context in which JAX computes on the CPU, if it has started there.
+
+    For many small operations one after the other, each of which a GPU would compile and be called for.
+    """
+    try:
+        device = jax.devices("cpu")[0]
+    except RuntimeError:  # JAX_PLATFORMS leaves the CPU out
+        yield
+        return
+    with jax.default_device(device):
+        yield
+
+
 def usable_cores() -> int:
     """CPU cores that this process may run on."""
     if hasattr(os, "sched_getaffinity"):

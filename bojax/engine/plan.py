@@ -12,7 +12,7 @@ from bojax.config.files import display
 from bojax.config.limits import CHUNKS
 from bojax.engine.build import build
 from bojax.engine.chunks import Chunk, Layout, choose_layout, cut
-from bojax.engine.devices import Device
+from bojax.engine.devices import Device, on_cpu
 from bojax.engine.groups import StaticGroup, nodes_with, static_groups
 from bojax.engine.provenance import code_hashes, device_description, versions
 from bojax.experiments.base import Experiment
@@ -81,8 +81,9 @@ def plan_made_elsewhere(sweep: "Sweep", content: Mapping[str, Any], device: Mapp
 
 
 def _make_plan(sweep: "Sweep", device: Mapping[str, Any]) -> Plan:
-    modules = [_build(sweep, point) for point in sweep.points]
-    groups = static_groups(modules)
+    with on_cpu():  # the numbers of a point become NumPy arrays, which go to the device group by group
+        modules = [_build(sweep, point) for point in sweep.points]
+        groups = static_groups(modules)
     layouts = [
         choose_layout(
             modules[group.points[0]],

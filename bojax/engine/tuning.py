@@ -1,8 +1,7 @@
 """Search over numeric settings: Bayesian optimisation (Algorithm 1) that proposes batches of points."""
 
-import contextlib
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
@@ -13,6 +12,7 @@ from jaxtyping import Float
 from bojax.acquisition.bayesian_optimisation import BayesianOptimisation
 from bojax.acquisition.functions import UpperConfidenceBound
 from bojax.config.tuning import Range
+from bojax.engine.devices import on_cpu
 from bojax.models.kernels import Matern52
 from bojax.numerics.quasirandom import shifted_kronecker
 
@@ -66,7 +66,7 @@ class Search:
         """
         self._ranges = tuple(ranges)
         self._seen: set[Values] = set()
-        with _on_cpu():
+        with on_cpu():
             low, high = np.asarray([each.box for each in ranges], np.float64).T
             self._learner = BayesianOptimisation(
                 kernel=Matern52(jnp.full(len(ranges), LENGTHSCALE, jnp.float64)),
@@ -88,7 +88,7 @@ class Search:
         """New points, at most `number`; fewer if no other values are left."""
         proposals: list[Values] = []
         state = self._state
-        with _on_cpu():
+        with on_cpu():
             for _ in range(number):
                 values = self._values(np.asarray(_ask(self._believer, state)))
                 if values in self._seen or values in proposals:
@@ -104,7 +104,7 @@ class Search:
 
     def tell(self, points: Sequence[Values], scores: Sequence[int | float]) -> None:
         """Learn the scores of points; a score that is not finite only says that the point was tried."""
-        with _on_cpu():
+        with on_cpu():
             for values, score in zip(points, scores, strict=True):
                 self._state = _tell(
                     self._learner, self._state, self._point(values), jnp.asarray(float(score))
@@ -115,7 +115,7 @@ class Search:
         """Posterior mean and standard deviation of the score without noise."""
         positions = np.asarray([self._position(values) for values in points])
         parts = []
-        with _on_cpu():
+        with on_cpu():
             for first in range(0, len(points), BLOCK):  # of one size, so that one program serves all
                 rows = np.resize(positions[first : first + BLOCK], (BLOCK, positions.shape[1]))
                 parts.append(np.stack(_predict(self._learner, self._state, jnp.asarray(rows))))
@@ -152,15 +152,3 @@ class Search:
 _ask = eqx.filter_jit(BayesianOptimisation.ask)
 _tell = eqx.filter_jit(BayesianOptimisation.tell)
 _predict = eqx.filter_jit(BayesianOptimisation.predict)
-
-
-@contextlib.contextmanager
-def _on_cpu() -> Iterator[None]:
-    """Context in which JAX computes on the CPU, if it has started there."""
-    try:
-        device = jax.devices("cpu")[0]
-    except RuntimeError:  # JAX_PLATFORMS leaves the CPU out
-        yield
-        return
-    with jax.default_device(device):
-        yield
