@@ -1,5 +1,8 @@
 """Values, exceptions and durations as text on one line, for messages."""
 
+import traceback
+from pathlib import Path
+
 MAX_ERROR = 300
 """Longest message of a foreign exception that is quoted, in characters."""
 
@@ -15,6 +18,14 @@ def error_line(error: BaseException) -> str:
     if len(message) > MAX_ERROR:
         message = message[: MAX_ERROR - 3] + "..."
     return f"{name}: {message}" if message else name
+
+
+def error_at_line(error: BaseException) -> str:
+    """An exception on one line, with the file and the line where it was raised."""
+    frames = traceback.extract_tb(error.__traceback__)
+    if not frames or isinstance(error, SyntaxError):  # the message of a SyntaxError names the line
+        return error_line(error)
+    return f"{error_line(error)} ({Path(frames[-1].filename).name}, line {frames[-1].lineno})"
 
 
 def duration(seconds: float) -> str:

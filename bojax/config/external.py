@@ -9,7 +9,6 @@ import importlib
 import importlib.util
 import inspect
 import sys
-import traceback
 from collections.abc import Callable
 from functools import cache, partial
 from importlib.machinery import PathFinder
@@ -24,7 +23,7 @@ from bojax.config.errors import ConfigError, Location, did_you_mean, from_valida
 from bojax.config.files import WRITTEN
 from bojax.config.signature import fields_of
 from bojax.config.sweep import Sweep
-from bojax.text import error_line
+from bojax.text import error_at_line
 
 Locate = Callable[[Location], str]
 
@@ -175,11 +174,3 @@ def _check_protocol(cls: type, role: str, kind: str) -> None:
         hint = f"; see {base.replace(':', '.')}" if base else ""
         names = ", ".join(sorted(missing))
         raise _Refusal(f"got {shown(kind)}; the class does not implement {names}{hint}")
-
-
-def error_at_line(error: BaseException) -> str:
-    """An exception on one line, with the file and the line where it was raised."""
-    frames = traceback.extract_tb(error.__traceback__)
-    if not frames or isinstance(error, SyntaxError):  # the message of a SyntaxError names the line
-        return error_line(error)
-    return f"{error_line(error)} ({Path(frames[-1].filename).name}, line {frames[-1].lineno})"

@@ -1,35 +1,22 @@
-"""From settings to modules: import a component's target and construct it with strongly typed arrays."""
+"""The module of an experiment, from its settings and possibly from a saved learner."""
 
-import dataclasses
-import inspect
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 from jaxtyping import PyTree
 
-from bojax.config.component import IMPORT_PATH, Component, External, import_target
-from bojax.config.errors import ConfigError, dotted, shown
-from bojax.config.external import error_at_line
+from bojax.config.component import Component
+from bojax.config.errors import ConfigError
 from bojax.engine.devices import setting
 from bojax.experiments.settings import Learning
 from bojax.numerics.checkpoint import restore
-from bojax.text import one_line
+from bojax.numerics.construct import construct
 
 
 def build(component: Component, dtype: Literal["float64", "float32"] = "float64") -> Any:
-    """The module that a component describes.
-
-    Static fields of the module stay Python values. Every other number or list of numbers becomes an array
-    of `dtype`, even if it is an integer, so that it is a leaf that can be swept. Booleans become boolean
-    arrays. Strings and null stay as they are.
-
-    Args:
-        component: Validated settings, in which parts given by import path have been resolved.
-        dtype: Precision of every number.
+    """The module that a component describes, with numbers of `dtype` (see `construct`).
 
     Raises:
         ConfigError: A constructor rejects its settings, or `dtype` is float64 and JAX has 64-bit numbers
@@ -44,7 +31,7 @@ def build(component: Component, dtype: Literal["float64", "float32"] = "float64"
     if isinstance(component, Learning) and component.saved is not None:
         run = build(component.model_copy(update={"saved": None}), dtype)
         return eqx.tree_at(lambda r: r.saved, run, _load(component.saved, run), is_leaf=lambda x: x is None)
-    return _build(component, dtype, ())
+    return construct(component, dtype)
 
 
 def _load(folder: str, run: Any) -> PyTree:
@@ -54,114 +41,3 @@ def _load(folder: str, run: Any) -> PyTree:
         "a saved learner loads only with the same kind of learner, features and spaces of the environment"
     )
     return restore(Path(folder), structure, advice)
-
-
-def _build(component: Component, dtype: str, path: tuple[str, ...]) -> Any:
-    if isinstance(component, External):
-        raise ConfigError(
-            f"{_where(path, component)}: an import path must be resolved before its component is built"
-        )
-    cls = import_target(component.target)
-    static = static_fields(cls)
-    accepted = inspect.signature(cls).parameters
-    arguments = {}
-    for name in type(component).model_fields:
-        left_out = name in component.constructor_defaults and name not in component.model_fields_set
-        # `dtype` is how to build an experiment, not a setting that its constructor has to accept.
-        if name == "kind" or left_out or (name == "dtype" and name not in accepted):
-            continue
-        value = getattr(component, name)
-        if isinstance(value, Component):
-            arguments[name] = _build(value, dtype, (*path, name))
-        elif name in static:
-            arguments[name] = value
-        else:
-            arguments[name] = _leaf(value, dtype)
-    _check_arguments(arguments, accepted, component, path)
-    _check_shapes(arguments, accepted, component, path)
-    try:
-        return cls(**arguments)
-    except ValueError as error:
-        raise ConfigError(f"{_where(path, component)}: {one_line(error)}") from error
-    except (Exception, SystemExit) as error:  # a user's class may raise anything
-        if not IMPORT_PATH.fullmatch(component.kind):
-            raise
-        got = f"{_where(path, component)}: got {shown(component.kind)}"
-        raise ConfigError(f"{got}; its constructor failed: {error_at_line(error)}") from error
-
-
-def static_fields(cls: type) -> frozenset[str]:
-    """Arguments that stay Python values: static fields, and arguments that are not fields."""
-    if not dataclasses.is_dataclass(cls):
-        return frozenset(inspect.signature(cls).parameters)
-    fields = {field.name: field for field in dataclasses.fields(cls)}
-    others = inspect.signature(cls).parameters.keys() - fields.keys()
-    return frozenset(name for name, field in fields.items() if field.metadata.get("static")) | others
-
-
-def _leaf(value: Any, dtype: str) -> Any:
-    if value is None or isinstance(value, str):
-        return value
-    if isinstance(value, bool):
-        return jnp.asarray(value)
-    return jnp.asarray(value, dtype)
-
-
-def _check_arguments(
-    arguments: Mapping[str, Any],
-    accepted: Mapping[str, inspect.Parameter],
-    component: Component,
-    path: tuple[str, ...],
-) -> None:
-    """Refuse arguments that the constructor does not accept, and required arguments that are missing."""
-    kinds = inspect.Parameter
-    is_open = any(parameter.kind is kinds.VAR_KEYWORD for parameter in accepted.values())
-    for name in arguments:
-        if name not in accepted and not is_open:
-            raise ConfigError(
-                f"{_where((*path, name), component)}: not an argument of the constructor of "
-                f"{component.target}; allowed: {', '.join(accepted) or 'none'}"
-            )
-    for name, parameter in accepted.items():
-        is_needed = parameter.default is kinds.empty and parameter.kind not in (
-            kinds.VAR_KEYWORD,
-            kinds.VAR_POSITIONAL,
-        )
-        if is_needed and name not in arguments:
-            raise ConfigError(
-                f"{_where((*path, name), component)}: required by the constructor of {component.target}, "
-                f"but not a setting of {type(component).__name__}"
-            )
-
-
-def _check_shapes(
-    arguments: Mapping[str, Any],
-    accepted: Mapping[str, inspect.Parameter],
-    component: Component,
-    path: tuple[str, ...],
-) -> None:
-    """Refuse an array whose shape differs from its annotation: JAX does not report out-of-bounds indices."""
-    for name, value in arguments.items():
-        expected: Any = accepted[name].annotation if name in accepted else object
-        if not isinstance(value, jax.Array) or expected in (float, int):
-            continue
-        try:
-            fits = isinstance(value, expected)
-        except TypeError:  # a string, or another annotation that isinstance does not accept
-            continue
-        if not fits:
-            shape = f"{value.size} numbers" if value.ndim == 1 else f"shape {value.shape}"
-            wanted = " or ".join(_dimensions(kind) for kind in get_args(expected) or (expected,))
-            raise ConfigError(f"{_where((*path, name), component)}: got {shape}; allowed: {wanted}")
-
-
-def _dimensions(annotation: Any) -> str:
-    """The shape of an annotation in words, such as "3 numbers" for `Float[Array, "3"]`."""
-    dimensions = getattr(annotation, "dim_str", None)
-    if dimensions is None:
-        return getattr(annotation, "__name__", str(annotation))
-    return f"{dimensions.strip()} numbers" if dimensions.strip() else "one number"
-
-
-def _where(path: tuple[str, ...], component: Component) -> str:
-    return dotted(path) or component.kind

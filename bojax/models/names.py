@@ -3,16 +3,17 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from bojax.config.component import Component, External, import_target
-from bojax.config.errors import ConfigError
+import jax.numpy as jnp
+
+from bojax.numerics.construct import construct
 
 
 def by_name(role: str) -> Callable[[Any], Any]:
     """A converter of a field or an argument, from a name or a mapping of settings to the part.
 
     Names, settings and defaults are those of config files: `"matern52"`, or `{"kind": "matern52",
-    "lengthscale": [1, 2]}`. Anything else is returned as it is. The converter raises ConfigError, a
-    ValueError of one line, for an unknown name or a wrong setting.
+    "lengthscale": [1, 2]}`. Numbers have JAX's default precision. Anything else is returned as it is. The
+    converter raises ConfigError, a ValueError of one line, for an unknown name or a wrong setting.
     """
 
     def convert(given: Any) -> Any:
@@ -20,17 +21,6 @@ def by_name(role: str) -> Callable[[Any], Any]:
             return given
         from bojax.config.catalog import named  # imports the settings of every room
 
-        return _constructed(named(role, given))
+        return construct(named(role, given), str(jnp.result_type(float)))
 
     return convert
-
-
-def _constructed(component: Component) -> Any:
-    """The part of these settings; its constructor converts numbers to arrays of JAX's default precision."""
-    if isinstance(component, External):
-        raise ConfigError(
-            f"{component.slot}: got {component.kind}; allowed: a name, or an object of the class"
-        )
-    settings = {name: getattr(component, name) for name in type(component).model_fields if name != "kind"}
-    parts = {name: _constructed(part) for name, part in settings.items() if isinstance(part, Component)}
-    return import_target(component.target)(**settings | parts)

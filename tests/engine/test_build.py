@@ -155,7 +155,7 @@ def test_settings_left_to_the_constructor():
         (OuterSettings(corner=(1.0,)), "corner: got 1 numbers; allowed: 2 numbers"),
         (
             External(kind="a:B", slot="kernel"),
-            "a:B: an import path must be resolved before its component is built",
+            "kernel: got a:B; allowed: a name, or an object of the class",
         ),
     ],
 )
