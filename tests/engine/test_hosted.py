@@ -159,12 +159,19 @@ def test_a_sweep_goes_on_after_an_environment_crashed(finished, tmp_path):
 
 
 @pytest.mark.bits
-def test_is_what_the_compiled_run_does():
+@pytest.mark.parametrize("tests_learn", [False, True])
+def test_is_what_the_compiled_run_does(tests_learn):
     """One of our environments, stepped on the host, ends in the tables of its compiled run."""
     from bojax.envs.settings import Chain
 
     compiled_run = build(
-        Learning(env=Chain(length=5), learner=EpsilonGreedy(epsilon=0.3, block=4), episodes=3, tests=1),
+        Learning(
+            env=Chain(length=5),
+            learner=EpsilonGreedy(epsilon=0.3, block=4),
+            episodes=3,
+            tests=2,
+            tests_learn=tests_learn,
+        ),
         "float32",
     )
     given = Functions(static_groups([compiled_run])[0]), jax.devices("cpu")[0], 3, 0
@@ -185,7 +192,7 @@ class OurHosted(Hosted):
     """Steps one of our environments with the keys of the compiled run, in place of a vector environment."""
 
     def _open(self, run):
-        self._num_tests, self._block = run.tests, run.learner.block
+        self._num_tests, self._tests_learn, self._block = run.tests, run.tests_learn, run.learner.block
         self._dtype = run.learner.exploration_weight.dtype
         self._our_reset = self._program(our_reset)
         self._our_step = self._program(our_step)
