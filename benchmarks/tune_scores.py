@@ -8,8 +8,9 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import numpy as np
@@ -21,9 +22,11 @@ from rich.table import Table
 from bojax.cli.tuning import Task
 from bojax.config.sweep import load_config
 from bojax.config.tuning import Range, described
+from bojax.engine.executables import held
 from bojax.engine.requests import Request
 from bojax.engine.run import run_sweeps
 from bojax.engine.tuning import Search, Values
+from bojax.report.ranking import Measure
 from bojax.report.source import load
 
 PEAK = (0.03, 2.0, 0.4)
@@ -37,8 +40,13 @@ KCBTS = (
     Range("planner.noise_variance", 1e-4, 1.0, is_log=True, is_integer=False),
     Range("planner.discount", 0.5, 1.0, is_log=False, is_integer=False),
 )
+EMU_Q = (
+    Range("learner.features.state_lengthscale", 0.03, 3.0, is_log=True, is_integer=False),
+    Range("learner.prior_precision", 1e-3, 10.0, is_log=True, is_integer=False),
+    Range("learner.discount", 0.8, 0.999, is_log=False, is_integer=False),
+)
 RUNS, FRESH = 8, 200
-"""Runs of a point of parking, and of a chosen point with another seed."""
+"""Runs of a point of an experiment, and of a chosen point with another seed."""
 
 
 class Method(Protocol):
@@ -106,42 +114,88 @@ def synthetic(values: Values) -> float:
     return math.exp(-1.5 * a**2 - 0.5 * (b - 0.5 * a) ** 2 - 0.5 * c**2)
 
 
+@dataclass(frozen=True)
+class Problem:
+    """A problem of the benchmark.
+
+    Attributes:
+        name: Its name.
+        ranges: The tuned settings.
+        scores: Makes, from a seed, a function that gives the scores of a batch of points.
+        true: The value of a chosen point, or its mean score in fresh runs; more is better.
+        cost: Seconds that a batch counts beside the processor time it takes.
+    """
+
+    name: str
+    ranges: tuple[Range, ...]
+    scores: Callable[[int], Callable[[list[Values]], list[float]]]
+    true: Callable[[Values], float]
+    cost: float = 0.0
+
+
+class Found(NamedTuple):
+    """The point that a search chose, the number of its batches, and its seconds."""
+
+    point: Values
+    batches: int
+    seconds: float
+
+
 def search(
-    method: Method, rounds: int, batch: int, evaluate: Callable[[list[Values]], list[float]]
-) -> Values:
-    """The point that a method chooses after some batches."""
-    points, scores = [], []
-    for _ in range(rounds):
+    method: Method,
+    problem: Problem,
+    seed: int,
+    batch: int,
+    rounds: int,
+    seconds: float,
+) -> Found:
+    """A search, which ends after some batches or seconds."""
+    evaluate = problem.scores(seed)
+    points, scores, used, batches = [], [], 0.0, 0
+    begin = time.process_time()
+    while batches < rounds and used < seconds:
         proposed = method.propose(batch)
         observed = evaluate(proposed)
         method.tell(proposed, observed)
-        points, scores = points + proposed, scores + observed
+        points, scores, batches = points + proposed, scores + observed, batches + 1
+        used = time.process_time() - begin + batches * problem.cost
     expected = method.predict(points)[0] if isinstance(method, Search) else scores
-    return points[int(np.argmax(expected))]
+    return Found(points[int(np.argmax(expected))], batches, used)
 
 
-def noisy(seed: int, noise: float) -> Callable[[list[Values]], list[float]]:
+def synthetic_scores(noise: float) -> Callable[[int], Callable[[list[Values]], list[float]]]:
     """Scores of the synthetic function."""
-    random = np.random.default_rng([seed, 1])
-    return lambda points: [synthetic(point) + noise * random.standard_normal() for point in points]
+
+    def of_seed(seed: int) -> Callable[[list[Values]], list[float]]:
+        random = np.random.default_rng([seed, 1])
+        return lambda points: [synthetic(point) + noise * random.standard_normal() for point in points]
+
+    return of_seed
 
 
-def parking(ranges: tuple[Range, ...], runs: int, seed: int) -> Callable[[list[Values]], list[float]]:
-    """Mean returns of kCBTS on parking; all points have the same runs."""
-    config = load_config("parking", ["engine.segment_seconds=60"], runs, seed)
-    task = Task(config, ranges, "return", False, 1, 1, 0, ())
+def experiment(
+    name: str, config: str, overrides: list[str], ranges: tuple[Range, ...], measure: Measure
+) -> Problem:
+    """An experiment of bojax, scored by the mean of a column; all points of a search have the same runs."""
 
-    def evaluate(points: list[Values]) -> list[float]:
-        with tempfile.TemporaryDirectory() as folder, open(os.devnull, "w") as nowhere:
-            out = Path(folder) / "round"
-            with contextlib.redirect_stdout(nowhere), contextlib.redirect_stderr(nowhere):
-                code = run_sweeps([Request(task.sweep(points, "round"), out)], False, ["bojax", "bench"])
-            if code:
-                raise RuntimeError(f"the runs ended with exit code {code}")
-            results = load(out)
-            return [float(results.runs_of(point)["return"].mean()) for point in results.points]
+    def scores(seed: int, runs: int = RUNS) -> Callable[[list[Values]], list[float]]:
+        content = load_config(config, ["engine.segment_seconds=60", *overrides], runs, seed)
+        task = Task(content, ranges, measure.column, measure.is_least, 1, 1, 0, ())
 
-    return evaluate
+        def evaluate(points: list[Values]) -> list[float]:
+            with tempfile.TemporaryDirectory() as folder, open(os.devnull, "w") as nowhere:
+                out = Path(folder) / "round"
+                with contextlib.redirect_stdout(nowhere), contextlib.redirect_stderr(nowhere):
+                    code = run_sweeps([Request(task.sweep(points, "round"), out)], False, ["bojax", "bench"])
+                if code:
+                    raise RuntimeError(f"the runs ended with exit code {code}")
+                results = load(out)
+                means = [measure.values(results.runs_of(point)).mean() for point in results.points]
+                return [measure.sign * float(mean) for mean in means]
+
+        return evaluate
+
+    return Problem(name, ranges, scores, lambda point: scores(10_000, FRESH)([point])[0])
 
 
 def main(argv: list[str]) -> int:
@@ -153,32 +207,50 @@ def main(argv: list[str]) -> int:
         **installed({"Optuna, TPE": ("optuna", load_optuna)}),
         "random": Random,
     }
-    table = Table(title=f"{args.rounds} batches of {args.batch} points")
-    for heading in ("problem", "method", "searches", "chosen: mean", "least", "s a search"):
+    problems = (
+        (Problem("synthetic", SPACE, synthetic_scores(args.noise), synthetic, args.cost), args.searches),
+        (experiment("parking", "parking", [], KCBTS, Measure("return", False)), args.parking),
+        (
+            experiment(
+                "mountain car", "mountain-car", ["episodes=20"], EMU_Q, Measure("steps_to_goal", True)
+            ),
+            args.learning,
+        ),
+    )
+    bound = f" or {args.seconds:g} s" if math.isfinite(args.seconds) else ""
+    table = Table(title=f"At most {args.rounds} batches of {args.batch} points{bound}")
+    for heading in ("problem", "method", "searches", "chosen: mean", "least", "batches", "s a search"):
         table.add_column(heading, justify="left" if heading in ("problem", "method") else "right")
     record = []
-    for problem, ranges, count in (("synthetic", SPACE, args.searches), ("parking", KCBTS, args.parking)):
-        for name, method in methods.items():
-            found, begin = [], time.perf_counter()
-            for seed in range(args.seed, args.seed + count):
-                is_parking = problem == "parking"
-                evaluate = parking(ranges, RUNS, seed) if is_parking else noisy(seed, args.noise)
-                chosen = search(method(ranges, seed), args.rounds, args.batch, evaluate)
-                value = parking(ranges, FRESH, 10_000)([chosen])[0] if is_parking else synthetic(chosen)
-                print(
-                    f"{problem}, {name}, seed {seed}: {value:.3f} at {described(ranges, chosen)}", flush=True
+    with held():
+        for problem, count in problems:
+            for name, method in methods.items() if count else ():
+                search(method(problem.ranges, 0), problem, 0, args.batch, 2, math.inf)  # compiles
+                found, chosen = [], []
+                for seed in range(args.seed, args.seed + count):
+                    each = method(problem.ranges, seed)
+                    found.append(search(each, problem, seed, args.batch, args.rounds, args.seconds))
+                    chosen.append(problem.true(found[-1].point))
+                    words = described(problem.ranges, found[-1].point)
+                    print(f"{problem.name}, {name}, seed {seed}: {chosen[-1]:.3f} at {words}", flush=True)
+                batches, seconds = ([getattr(each, key) for each in found] for key in ("batches", "seconds"))
+                cells = (f"{np.mean(chosen):.3f}", f"{min(chosen):.3f}", f"{np.mean(batches):.1f}")
+                table.add_row(problem.name, name, str(count), *cells, f"{np.mean(seconds):.1f}")
+                record.append(
+                    {
+                        "problem": problem.name,
+                        "method": name,
+                        "chosen": chosen,
+                        "batches": batches,
+                        "seconds": seconds,
+                    }
                 )
-                found.append(value)
-            if found:
-                seconds = (time.perf_counter() - begin) / count
-                cells = (f"{np.mean(found):.3f}", f"{min(found):.3f}", f"{seconds:.1f}")
-                table.add_row(problem, name, str(count), *cells)
-                record.append({"problem": problem, "method": name, "chosen": found, "seconds": seconds})
     Console().print(table)
     if args.json:
-        names = ("rounds", "batch", "noise", "seed")
-        content = {"settings": {name: getattr(args, name) for name in names}, "results": record}
-        args.json.write_text(json.dumps(content, indent=1) + "\n")
+        names = ("rounds", "batch", "noise", "seed", "cost")
+        settings = {name: getattr(args, name) for name in names}
+        settings["seconds"] = args.seconds if math.isfinite(args.seconds) else None
+        args.json.write_text(json.dumps({"settings": settings, "results": record}, indent=1) + "\n")
     return 0
 
 
