@@ -1,1 +1,1 @@
-"""Acquisition functions of Bayesian optimisation and their maximisation."""
+"""Bayesian optimisation: acquisition functions, their maximisation, and Thompson sampling."""

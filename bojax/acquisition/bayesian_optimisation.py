@@ -312,9 +312,10 @@ def _standardised(model: GaussianProcess) -> GaussianProcess:
 
 
 def highest(model: GaussianProcess) -> Float[Array, ""]:
-    """The highest observed value, over which an acquisition function wants an improvement.
+    """The highest observed value, the `best` of an acquisition function.
 
-    Without observations it is 0: all points are equally good, whatever the finite threshold.
+    It is 0 without observations: the posterior is then the same at all points, so that any finite number
+    ranks them equally.
     """
     return jnp.where(model.count > 0, jnp.max(jnp.where(model.is_held(), model.y, -jnp.inf)), 0.0)
 

@@ -13,7 +13,9 @@ from bojax.numerics.linalg import matmul
 
 
 class ThompsonSampling(eqx.Module):
-    """Draws of the posterior by Matheron's rule (Wilson et al., ICML 2020, equation 13).
+    """Draws of the posterior by Matheron's rule.
+
+    Wilson et al., "Efficiently sampling functions from Gaussian process posteriors" (ICML 2020).
 
     A draw of the prior, on random Fourier features, is conditioned on the observations minus a draw of their
     noise: f(x) + k(x, X) (K + noise)^-1 (y - f(X) - e). The features approximate the prior alone, so that the

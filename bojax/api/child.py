@@ -1,7 +1,7 @@
 """The command line in a process of its own, with its progress and its errors shown here.
 
-A notebook may have started JAX with 64-bit numbers off and a single CPU device, which cannot be changed any
-more. A process of its own starts JAX as the command line does, and nothing changes in the caller's.
+A notebook may have started JAX with 64-bit numbers off and a single CPU device, which can no longer
+be changed. A process of its own starts JAX as the command line does, and nothing changes in the caller's.
 """
 
 import json
@@ -33,7 +33,7 @@ class Output:
         self.lines: list[str] = []
         self._console = Console(stderr=True, highlight=False)
         self._bar: Bar | None = None
-        self._is_told = True
+        self._is_printed = True
 
     def take(self, line: str) -> None:
         """Show a line."""
@@ -43,10 +43,10 @@ class Output:
             self._bar.show(event["done"], event["text"])
             return
         self.lines.append(line)
-        # The exception tells an error, a traceback or how to resume.
+        # An error, a traceback and the command that resumes are part of the exception.
         if line.startswith(("error: ", "interrupted", "Traceback ")):
-            self._is_told = False
-        if self._is_told:
+            self._is_printed = False
+        if self._is_printed:
             (self._bar or Bar("", 0, self._console)).say(line)
 
     def close(self) -> None:
@@ -64,7 +64,7 @@ def run_command(words: Sequence[str], config: str | None) -> Ended:
         words: The words of the command line.
         config: YAML that the process reads from standard input.
     """
-    # The process writes to a pipe, whatever a notebook says of terminals.
+    # The process writes to a pipe, even if a notebook sets variables that promise a terminal.
     inherited = {name: value for name, value in os.environ.items() if name not in _OF_TERMINALS}
     paths = [path for path in sys.path if path]
     output = Output()

@@ -19,7 +19,7 @@ class BojaxError(Exception):
 
 
 class Interrupted(KeyboardInterrupt):
-    """A sweep was stopped by Ctrl-C; the message says how to go on."""
+    """A sweep was stopped by Ctrl-C; the message says how to resume."""
 
 
 @contextmanager

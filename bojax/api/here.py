@@ -15,7 +15,7 @@ from bojax.engine.devices import restored
 
 
 def run_here(sweep: Sweep, out: Path, resume: bool, command: list[str]) -> Ended:
-    """Run a sweep as the command line does; JAX's flags are as before afterwards.
+    """Run a sweep as the command line does; JAX's flags are restored afterwards.
 
     A second Ctrl-C does not end the process, which is the caller's.
 

@@ -168,8 +168,8 @@ class Results:
     def best(self, by: str | None = None) -> dict[str, Any]:
         """The config of the best point of a sweep, with another seed: `bojax.run(results.best(), runs=200)`.
 
-        The best of many points was chosen by its own runs, so its mean over them is optimistic. That of new
-        runs is not.
+        The best of many points is chosen by its own runs, so that its mean over these runs is optimistic. The
+        mean over new runs is not.
 
         Args:
             by: Column of `runs` whose mean decides, with a minus sign if less is better: `"-rmse"`. By

@@ -37,20 +37,20 @@ def run(
     experiment at a checkpoint, a second one at once.
 
     A part may be a class of your own, such as `{"env": Pond}`, also one that is defined in the notebook. The
-    experiment then runs in this process, since another one does not have the class. JAX starts here if it has
-    not, and its flags are as before afterwards.
+    experiment then runs in this process, since the class does not exist in another one. JAX starts here if it
+    has not started yet. Its flags are restored afterwards.
 
     Args:
         config: Name of a config, such as `"parking"`, path of a YAML file, or its content as a mapping.
         runs: Number of runs; as in the config by default.
         seed: Seed of all runs; as in the config by default.
         out: Results folder, new or empty; `results/NAME/TIME` by default.
-        resume: Whether to go on with an unfinished run in `out`, or in the newest unfinished folder.
+        resume: Whether to continue the unfinished run in `out`, or by default the newest unfinished one.
         settings: Settings to change, by dotted path: `run("parking", **{"planner.iterations": 50})`.
 
     Raises:
         BojaxError: The input is wrong, or the experiment failed; the message is one line.
-        Interrupted: It was stopped by Ctrl-C; a `KeyboardInterrupt` whose message says how to go on.
+        Interrupted: It was stopped by Ctrl-C; a `KeyboardInterrupt` whose message says how to resume.
     """
     return _start("run", config, runs, seed, out, resume, settings)
 
@@ -72,7 +72,7 @@ def sweep(
 
     Raises:
         BojaxError: The input is wrong, or the sweep failed; the message is one line.
-        Interrupted: It was stopped by Ctrl-C; a `KeyboardInterrupt` whose message says how to go on.
+        Interrupted: It was stopped by Ctrl-C; a `KeyboardInterrupt` whose message says how to resume.
     """
     return _start("sweep", sweep, runs, seed, out, resume, settings)
 

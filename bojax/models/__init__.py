@@ -1,1 +1,1 @@
-"""Probabilistic models: kernels and Gaussian processes."""
+"""Probabilistic models: Gaussian processes, Bayesian linear regression, their kernels and features."""
