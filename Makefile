@@ -1,6 +1,7 @@
 # make run   the parking study: four planners, 200 runs each, and its report
 # make test  the tests, on the CPU
-# make slow  the tests of a release: claims of the thesis, and equal bits with XLA's default options
+# make slow  the tests of a release: all cases of what `make test` tests by a case a path, claims of the thesis,
+#            and equal bits with XLA's default options
 # make check formatting, lints, types, layers
 # make site  the documentation as a site, in ./site
 # EXTRA=cuda13 (or cuda12) installs JAX for an NVIDIA GPU; PYTHON=python3.12 picks the interpreter.

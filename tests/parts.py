@@ -6,6 +6,7 @@ import pytest
 
 from bojax.config.catalog import kinds
 from bojax.config.component import Component, slots
+from tests.tiers import by_tier
 
 REQUIRED: dict[str, dict[str, Any]] = {
     "grid": {"file": "grid.csv", "extent": (0.0, 0.0, 1.0, 1.0)},
@@ -45,9 +46,23 @@ TINY: dict[str, Any] = {
 """Small values of settings that cost time; a part takes those that it has."""
 
 
-def each_kind(role: str) -> pytest.MarkDecorator:
-    """Parametrise a test by the kinds of a role."""
-    return pytest.mark.parametrize("kind", list(kinds(role)))
+def first_kinds(role: str) -> list[str]:
+    """The kinds of a role without those that are another kind of the same class with other defaults."""
+    first: dict[str, str] = {}
+    for kind, schema in kinds(role).items():
+        first.setdefault(schema.target, kind)
+    return list(first.values())
+
+
+def each_kind(role: str, *, slow: tuple[str, ...] = ()) -> pytest.MarkDecorator:
+    """Parametrise a test by the kinds of a role; the slow tier has all, the normal one one of each class.
+
+    Args:
+        role: The role.
+        slow: Kinds that the normal tier leaves out too, since other tests run all of their code.
+    """
+    normal = set(first_kinds(role)) - set(slow)
+    return pytest.mark.parametrize("kind", by_tier(kinds(role), normal=normal))
 
 
 def tiny(role: str, kind: str, **settings: Any) -> Component:

@@ -339,6 +339,7 @@ def test_every_target_can_be_reached_and_none_is_where_the_arm_starts(jaco, star
         assert np.linalg.norm(away, axis=-1).min() > 0.2
 
 
+@pytest.mark.slow
 def test_an_arm_that_knows_the_angles_of_its_target_gets_there(jaco):
     """PD control in all lanes, and uniformly random actions in the others, from the same states."""
     model, rng = jaco.simulator.mujoco_model, np.random.default_rng(0)

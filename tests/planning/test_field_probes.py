@@ -21,6 +21,7 @@ from tests.planning.samples import (
     random_planner,
     sbo,
 )
+from tests.tiers import by_tier
 
 OPEN = {"walls": None, "target_area": None, "domain": (0.0, 0.0, 4.0, 4.0)}
 PEAK = Bumps(f64([2.0]), f64([[3.0, 3.0]]), f64([0.6]))
@@ -59,6 +60,7 @@ def test_with_the_peak_known_a_value_planner_drives_there(make):
         assert jnp.linalg.norm(end[:2] - PEAK.centres[0]) < 0.5
 
 
+@pytest.mark.slow
 def test_in_an_episode_a_value_planner_comes_to_the_peak():
     problem = monitoring(field=PEAK, start=(0.5, 0.5, 0.0), noise=0.05, max_steps=14, **OPEN)
     nearest = []
@@ -69,6 +71,7 @@ def test_in_an_episode_a_value_planner_comes_to_the_peak():
     assert max(nearest) < 1.0
 
 
+@pytest.mark.slow
 def test_an_explorer_covers_the_domain():
     problem = monitoring(field=STEEP, start=(0.5, 0.5, 0.0), max_steps=25, **OPEN)
     explorer, std = sbo(5, iterations=40, objective=OBJECTIVES["uncertainty"]), []
@@ -82,6 +85,7 @@ def test_an_explorer_covers_the_domain():
     assert explored < 0.9 * wandered
 
 
+@pytest.mark.slow
 def test_a_gradient_planner_samples_the_steep_band_more():
     problem = monitoring(field=STEEP, start=(1.0, 0.5, 1.5), max_steps=25, noise=0.05, **OPEN)
     seeker = sbo(5, iterations=40, objective=GradientObjective(f64(0.1)))
@@ -98,7 +102,7 @@ def test_a_gradient_planner_samples_the_steep_band_more():
     assert slope.mean(axis=1)[0] > 1.2 * slope.mean(axis=1)[1]
 
 
-@pytest.mark.parametrize("after_collision", ["stop", "turn"])
+@pytest.mark.parametrize("after_collision", by_tier(["stop", "turn"], normal=["turn"]))
 def test_what_a_myopic_plan_expects_is_what_it_is_paid(after_collision):
     problem = monitoring("gradient", max_steps=15, after_collision=after_collision)
     *_, planned, paid = episode(problem, myopic(9), jax.random.key(0))

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float, Key
 from bojax.motions.base import Pose
 from bojax.problems.pose import Outcome, PoseProblem
 from tests.planning.samples import f64, gps_abt, kcbts, kernel_trajectories, path_of, plan, sbo
+from tests.tiers import by_tier
 
 
 class Target(PoseProblem):
@@ -59,7 +60,7 @@ PARAMS = {"ahead": (0.0, 0.0, 0.0), "left": (0.5, 0.4, 0.3), "right": (-0.8, -0.
 
 
 @pytest.mark.parametrize("params", PARAMS.values(), ids=PARAMS)
-@pytest.mark.parametrize("acquisition", ["ucb", "log-ei"])
+@pytest.mark.parametrize("acquisition", by_tier(["ucb", "log-ei"], normal=["log-ei"]))
 def test_kcbts_finds_the_one_peak(acquisition, params):
     # 30 actions out of a box of three dimensions; the ends of random paths miss by 0.2 on average.
     target = path_of(kernel_trajectories(), f64(params))[-1, :2]
@@ -88,7 +89,7 @@ def test_gps_abt_finds_the_one_peak():
     assert float(result.reward) > -0.1
 
 
-@pytest.mark.parametrize("make", [sbo, kcbts], ids=["sbo", "kcbts"])
+@pytest.mark.parametrize("make", by_tier([sbo, kcbts], normal=[sbo]), ids=["sbo", "kcbts"])
 def test_two_steps_ahead_the_greedy_action_is_wrong(make):
     problem = Detour(f64(0.0), f64(0.0))
     for seed in range(3):

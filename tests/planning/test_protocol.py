@@ -13,7 +13,7 @@ from bojax.engine.build import build
 from bojax.planning.base import Plan
 from bojax.planning.myopic import MyopicPlanner
 from bojax.planning.search import TreeSearch
-from tests.parts import tiny
+from tests.parts import first_kinds, tiny
 from tests.planning.samples import (
     FIELD_POSES,
     POSES,
@@ -26,6 +26,7 @@ from tests.planning.samples import (
     plans,
 )
 from tests.reference.bridge import reference_belief, reference_problem
+from tests.tiers import by_tier
 
 LANES = 3
 PROBLEMS = ("parking", "monitoring")
@@ -54,9 +55,11 @@ def takes(kind: str, problem: str) -> bool:
 
 CASES = [(kind, problem) for kind in PLANNERS for problem in PROBLEMS if takes(kind, problem)]
 
+FIRST = [next(case for case in CASES if case[0] == kind) for kind in first_kinds("planner")]
+"""One planner of each class, on parking, whose programs compile in half of the time.
 
-FIRST = [(kind, next(problem for of, problem in CASES if of == kind)) for kind in PLANNERS]
-"""Every planner once: on parking, whose programs compile in half of the time, where it can plan there."""
+The other cases are slow: `test_field_reference` compares plans on a field with NumPy.
+"""
 
 
 @functools.cache
@@ -64,7 +67,7 @@ def built(kind):
     return build(PLANNERS[kind], "float64")
 
 
-@pytest.fixture(params=CASES, ids="-".join, scope="module")
+@pytest.fixture(params=by_tier(CASES, normal=FIRST), ids="-".join, scope="module")
 def case(request):
     """A planner, a problem and beliefs, one for each lane."""
     kind, problem = request.param
