@@ -13,7 +13,7 @@ from isolated import run_isolated
 from options import make_parser, positive
 
 INTEGRATORS = ("euler", "rk4", "implicitfast")
-IMPLS = {"jax": "JAX", "warp": "Warp"}
+IMPLS = {"jax": "JAX", "c": "C", "warp": "Warp"}
 """Implementations of MJX, and what they are written in."""
 ROBOTS = ("hopper", "reacher", "jaco", "wheeled-robot", "quadrotor", "lunar-lander")
 

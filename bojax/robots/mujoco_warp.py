@@ -11,7 +11,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from bojax.config.extras import MissingExtra
 from bojax.numerics.third_party import silenced
@@ -92,13 +92,14 @@ class WarpSteps:
         qvel: Float[Array, "L V"],
         qacc_warmstart: Float[Array, "L V"],
         control: Float[Array, "L U"],
-    ) -> tuple[Float[Array, "L Q"], Float[Array, "L V"], Float[Array, "L V"], Bool[Array, " L"]]:
-        """The state of every lane after the steps, and whether contacts or constraints were left out."""
+    ) -> tuple[Float[Array, "L Q"], Float[Array, "L V"], Float[Array, "L V"]]:
+        """The state of every lane after the steps; its positions are NaN if any constraint was left out."""
         lost = sum(int(self._mjw.OverflowType[flag]) for flag in _LOST)
         qpos, qvel, qacc_warmstart, overflow = self._call(
             qpos, qvel, qacc_warmstart, control, output_dims={"overflow": (qpos.shape[0],)}
         )
-        return qpos, qvel, qacc_warmstart, (overflow & jnp.int32(lost)) != 0
+        is_lost = (overflow & jnp.int32(lost)) != 0
+        return jnp.where(is_lost[:, None], jnp.nan, qpos), qvel, qacc_warmstart
 
     def _as_jax_call(self) -> Any:
         wp = self._wp

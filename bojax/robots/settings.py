@@ -15,7 +15,7 @@ class PhysicsSettings(Component, frozen=True):
 
 
 class MJX(PhysicsSettings, frozen=True):
-    """MuJoCo's MJX, in 32 bits; null keeps the value of the robot's model."""
+    """MuJoCo, with a state of 32 bits; null keeps the value of the robot's model."""
 
     target: ClassVar[str] = "bojax.robots.simulator:Physics"
 
@@ -36,8 +36,9 @@ class MJX(PhysicsSettings, frozen=True):
     integrator: Literal["euler", "rk4", "implicitfast"] | None = Field(
         default=None, description="integration scheme"
     )
-    impl: Literal["auto", "jax", "warp"] = Field(
+    impl: Literal["auto", "jax", "c", "warp"] = Field(
         default="auto",
-        description="implementation of MJX; auto is warp on an NVIDIA GPU with the extra robots-cuda, for "
-        "models of bojax without contacts, and otherwise jax",
+        description="implementation of the steps: MJX in JAX, C MuJoCo or MuJoCo Warp; auto is c on a CPU, "
+        "for models with contacts; warp on an NVIDIA GPU with the extra robots-cuda, for models of bojax "
+        "without contacts; and otherwise jax",
     )

@@ -1,4 +1,4 @@
-"""Simulation of one robot by MJX, with a small state between steps."""
+"""Simulation of one robot by MuJoCo, with a small state between steps."""
 
 import abc
 import functools
@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool, Float
 
 from bojax.config.extras import MissingExtra
 from bojax.numerics.third_party import plain_jax, silenced, standard_jax
+from bojax.robots.c_mujoco import CSteps
 from bojax.robots.models import MjModel, RobotModel, mujoco
 from bojax.robots.mujoco_warp import WarpSteps
 from bojax.robots.small_factors import small_factors
@@ -55,11 +56,11 @@ class Physics(eqx.Module):
     iterations: int | None = eqx.field(static=True)
     ls_iterations: int | None = eqx.field(static=True)
     integrator: Literal["euler", "rk4", "implicitfast"] | None = eqx.field(static=True)
-    impl: Literal["auto", "jax", "warp"] = eqx.field(static=True)
+    impl: Literal["auto", "jax", "c", "warp"] = eqx.field(static=True)
 
 
 class Simulator(eqx.Module):
-    """A robot simulated by MJX, in 32 bits whatever the precision of the surrounding program.
+    """A robot simulated by MuJoCo; its state has 32 bits whatever the precision of the surrounding program.
 
     The model is a constant of the compiled program; only the state is carried per lane. A lane that diverges
     does not affect the others.
@@ -89,17 +90,19 @@ class Simulator(eqx.Module):
         return _compiled(*self._key)
 
     @property
-    def impl(self) -> Literal["jax", "warp"]:
-        """The implementation of MJX.
+    def impl(self) -> Literal["jax", "c", "warp"]:
+        """The implementation of the steps.
 
-        `auto` is `warp` on an NVIDIA GPU with warp-lang, for the models of bojax in which nothing can touch.
-        MuJoCo Warp writes contacts in any order, so that two executions differ in their last bits; those of
-        the reacher do not. The tests compare the models of bojax with C MuJoCo.
+        `auto` is `c` on a CPU, for models with contacts: without, `jax` is as fast there. It is `warp` on an
+        NVIDIA GPU with warp-lang, for the models of bojax in which nothing can touch: MuJoCo Warp writes
+        contacts in any order, so that two executions differ in their last bits; those of the reacher do not.
+        The tests compare the models of bojax with C MuJoCo.
         """
         if self.physics.impl != "auto":
             return self.physics.impl
-        is_repeatable = self.model.is_packaged and not _has_contacts(self.mujoco_model)
-        return "warp" if is_repeatable and _has_warp_on_gpu() else "jax"
+        if _has_contacts(self.mujoco_model):
+            return "c" if jax.default_backend() == "cpu" else "jax"
+        return "warp" if self.model.is_packaged and _has_warp_on_gpu() else "jax"
 
     @property
     def time_step(self) -> float:
@@ -166,8 +169,8 @@ class Simulated(eqx.Module):
 
     @property
     def calls_process(self) -> bool:
-        """Whether compiled programs call functions of this process, as those of Warp do."""
-        return self.simulator.impl == "warp"
+        """Whether compiled programs call functions of this process."""
+        return self.simulator.impl != "jax"
 
 
 @functools.cache
@@ -176,14 +179,14 @@ def _stepping(
     iterations: int | None,
     ls_iterations: int | None,
     integrator: str | None,
-    impl: Literal["jax", "warp"],
+    impl: Literal["jax", "c", "warp"],
     substeps: int,
 ) -> Any:
     """Several simulation steps under constant controls, traced once for all programs that call it."""
     key = model, iterations, ls_iterations, integrator
     compiled = _compiled(*key)
-    if impl == "warp":
-        return _in_lanes(WarpSteps(compiled, substeps))
+    if impl != "jax":
+        return _in_lanes({"c": CSteps, "warp": WarpSteps}[impl](compiled, substeps))
     put, data = _in_mjx(*key)
     step = _runge_kutta_step if _has_one_stage_site(compiled) else _step
 
@@ -203,17 +206,12 @@ def _stepping(
     return advance
 
 
-def _in_lanes(steps: WarpSteps) -> Any:
-    """The steps for a single robot; under any number of `vmap`s, all lanes are one call of `steps`.
-
-    A lane in which a contact or a constraint was left out has diverged.
-    """
+def _in_lanes(steps: CSteps | WarpSteps) -> Any:
+    """The steps for a single robot; under any number of `vmap`s, all lanes are one call of `steps`."""
 
     @jax.custom_batching.custom_vmap
     def advance_lanes(state: RobotState, control: jax.Array) -> RobotState:
-        *numbers, is_lost = steps(state.qpos, state.qvel, state.qacc_warmstart, control)
-        after = RobotState(*numbers)
-        return eqx.tree_at(lambda s: s.qpos, after, jnp.where(is_lost[:, None], jnp.nan, after.qpos))
+        return RobotState(*steps(state.qpos, state.qvel, state.qacc_warmstart, control))
 
     @advance_lanes.def_vmap
     def advance_more_lanes(

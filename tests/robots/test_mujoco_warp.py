@@ -1,6 +1,4 @@
-"""MuJoCo Warp under `Simulator`: lanes, loops, sizes of buffers, and independence of successive calls."""
-
-import functools
+"""MuJoCo Warp under `Simulator`: sizes of buffers, and several devices. `test_lanes` has its lanes."""
 
 import jax
 import jax.numpy as jnp
@@ -8,55 +6,15 @@ import numpy as np
 import pytest
 
 from bojax.engine.build import build
-from bojax.numerics.lanes import LANES as AXIS
 from bojax.robots.models import RobotModel
 from bojax.robots.settings import MJX
 from bojax.robots.simulator import Simulator
+from tests.robots.test_lanes import assert_same_bits
 from tests.robots.test_simulator import LANES, driven, simulator
 
 pytest.importorskip("warp")
 
 from bojax.robots import mujoco_warp  # noqa: E402
-
-STEPS = 5
-
-
-@functools.cache
-def start():
-    """States of `LANES` hoppers, most of them in contact with the floor, and their controls."""
-    qpos, qvel, controls = driven("hopper")
-    return qpos, qvel, controls[:, :STEPS]
-
-
-def scanned(qpos, qvel, controls):
-    robot = simulator("hopper", "warp")
-    state = robot.state(qpos, qvel)
-    return jax.lax.scan(lambda state, control: (robot.advance(state, control), None), state, controls)[0]
-
-
-def looped(qpos, qvel, controls):
-    robot = simulator("hopper", "warp")
-
-    def body(carry):
-        number, state = carry
-        return number + 1, robot.advance(state, controls[number])
-
-    return jax.lax.while_loop(lambda carry: carry[0] < STEPS, body, (0, robot.state(qpos, qvel)))[1]
-
-
-@functools.cache
-def expected():
-    return jax.jit(jax.vmap(scanned, axis_name=AXIS))(*start())
-
-
-def assert_same_bits(found, reference):
-    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(reference), strict=True):
-        np.testing.assert_array_equal(one, other)
-
-
-@pytest.mark.bits
-def test_two_executions_give_the_same_bits():
-    assert_same_bits(jax.jit(jax.vmap(scanned))(*start()), expected())
 
 
 @pytest.mark.bits
@@ -76,51 +34,6 @@ def test_without_contacts_long_executions_on_all_devices_give_the_same_bits(name
     for device in [jax.devices()[0], *jax.devices()]:
         assert_same_bits(advance(*jax.device_put(inputs, device)), first)
     assert_same_bits(jax.tree.map(lambda leaf: leaf[copies - 1 :: copies], first), advance(*driven(name)))
-
-
-@pytest.mark.bits
-@pytest.mark.parametrize("width", [1, 2, 5])
-def test_a_lane_does_not_depend_on_their_number(width):
-    found = jax.jit(jax.vmap(scanned))(*(part[:width] for part in start()))
-    assert_same_bits(found, jax.tree.map(lambda leaf: leaf[:width], expected()))
-
-
-@pytest.mark.bits
-def test_vmap_is_a_loop_over_single_robots():
-    one = jax.jit(scanned)
-    found = [one(*lane) for lane in zip(*start(), strict=True)]
-    assert_same_bits(jax.tree.map(lambda *leaves: np.stack(leaves), *found), expected())
-
-
-@pytest.mark.bits
-def test_lanes_of_lanes_are_lanes():
-    halves = [part.reshape(2, LANES // 2, *part.shape[1:]) for part in start()]
-    found = jax.jit(jax.vmap(jax.vmap(scanned)))(*halves)
-    assert_same_bits(jax.tree.map(lambda leaf: leaf.reshape(LANES, -1), found), expected())
-
-
-@pytest.mark.bits
-def test_a_while_loop_is_a_scan():
-    assert_same_bits(jax.jit(jax.vmap(looped))(*start()), expected())
-
-
-@pytest.mark.bits
-def test_lanes_may_share_their_controls():
-    qpos, qvel, controls = start()
-    found = jax.jit(jax.vmap(scanned, in_axes=(0, 0, None)))(qpos, qvel, controls[2])
-    assert_same_bits(
-        jax.tree.map(lambda leaf: leaf[2], found), jax.tree.map(lambda leaf: leaf[2], expected())
-    )
-
-
-@pytest.mark.bits
-def test_nothing_of_a_call_is_left_for_the_next():
-    """The buffers of MuJoCo Warp are shared by all calls with this number of lanes."""
-    qpos, qvel, controls = start()
-    before = expected()
-    advance = jax.jit(jax.vmap(scanned))
-    assert np.isnan(advance(qpos, np.full_like(qvel, np.nan), controls).qpos).all()
-    assert_same_bits(advance(*start()), before)
 
 
 PILE = """
