@@ -194,6 +194,16 @@ def test_no_slurm_on_this_machine(here, capsys, monkeypatch, command):
     assert not (here / "out").exists()
 
 
+def test_an_option_that_sbatch_does_not_know(here, capsys, monkeypatch):
+    script = here / "sbatch"
+    script.write_text("#!/bin/sh\nprintf \"sbatch: unrecognized option '--x'\\nTry more\\n\" >&2; exit 1\n")
+    script.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{here}:{os.environ['PATH']}")
+    assert main(["sweep", "sweep.yaml", "--launcher", "slurm", "--out", "out"]) == 2
+    message = "error: --launcher slurm: sbatch: unrecognized option '--x'\n"
+    assert capsys.readouterr().err == message and not (here / "out").exists()
+
+
 COMMANDS = {
     "sweep": ["sweep", "sweep.yaml"],
     "reproduce": ["reproduce", "fig-4.6"],

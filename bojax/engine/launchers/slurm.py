@@ -139,6 +139,7 @@ def _sbatch(script: str, option: str) -> str:
             "--launcher slurm: no sbatch on this machine; allowed: a login node of a Slurm cluster"
         ) from None
     if done.returncode:
-        reason = (done.stderr.strip() or done.stdout.strip()).splitlines()[-1:]
+        told = (done.stderr.strip() or done.stdout.strip()).splitlines()
+        reason = [line for line in told if not line.startswith("Try ")][-1:]  # the last one may name --help
         raise EngineError(f"--launcher slurm: {' '.join(reason) or f'exit code {done.returncode}'}")
     return done.stdout.strip()
