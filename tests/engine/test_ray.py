@@ -5,9 +5,11 @@ import importlib.util
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
 import time
+import types
 from pathlib import Path
 
 import pytest
@@ -131,6 +133,22 @@ def test_an_actor_tells_why_it_left(tmp_path, monkeypatch):
     monkeypatch.setattr(ray_actors, "IDLE_SECONDS", 1e6)
     error = ray_actors._Actor().work([str(tmp_path / "elsewhere")], 0, 1, 1)
     assert error is not None and "elsewhere: no unfinished sweep in this folder on " in error
+
+
+def test_no_cluster_at_the_address(tmp_path, capsys, monkeypatch):
+    """Ray itself would try for minutes."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(sys.modules, "ray", types.SimpleNamespace(is_initialized=lambda: False))
+    (tmp_path / "sweep.yaml").write_text(SWEEP)
+    with socket.socket() as unused:
+        unused.bind(("127.0.0.1", 0))  # nobody listens there
+        address = f"127.0.0.1:{unused.getsockname()[1]}"
+        (tmp_path / "ray.yaml").write_text(f"address: {address}")
+        words = ["sweep", "sweep.yaml", "--launcher", "ray", "--cluster", "ray.yaml", "--out", "out"]
+        assert main(words) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"error: --launcher ray: no Ray cluster at {address}; start one with `ray start")
+    assert not (tmp_path / "out").exists()
 
 
 def test_without_the_extra(tmp_path, capsys, monkeypatch):

@@ -29,6 +29,9 @@ from bojax.text import error_line
 
 NAMESPACE = "bojax"
 
+REACH_SECONDS = 10.0
+"""Time in which a cluster answers."""
+
 STOP_SECONDS = 600.0
 """Time in which actors have to reach a checkpoint."""
 
@@ -58,6 +61,7 @@ class Ray(Launcher):
             return
         handler = signal.getsignal(signal.SIGTERM) if _is_main() else None
         try:
+            _reach(self._config.address or os.environ.get("RAY_ADDRESS"))
             ray.init(address=self._config.address, namespace=NAMESPACE, logging_level=logging.ERROR)
             self._has_connected = True
         except Exception as error:
@@ -205,6 +209,13 @@ class _Actor:
 
     def _stops(self) -> bool:
         return self._is_stopping
+
+
+def _reach(address: str | None) -> None:
+    """Raise an `OSError` if nothing answers at `host:port`, where Ray would try for minutes."""
+    host, _, port = (address or "").removeprefix("ray://").rpartition(":")
+    if host and port.isdecimal():
+        socket.create_connection((host.strip("[]"), int(port)), REACH_SECONDS).close()
 
 
 def _ray() -> Any:
