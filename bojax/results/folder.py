@@ -130,7 +130,13 @@ class RunFolder:
             with contextlib.suppress(FileExistsError):
                 link(own, self.work / _PLAN)  # of several, one succeeds
             own.unlink()
-        check_plan(self.path, self.plan() or {}, plan, what="this worker does not fit the plan")
+        check_plan(
+            self.path,
+            self.plan() or {},
+            plan,
+            what="this worker does not fit the plan",
+            advice="allowed: the same versions, on a device of the same kind",
+        )
 
     def describe(self, device: Mapping[str, Any]) -> None:
         """Write the description of the devices of the process that makes the plan."""
@@ -267,6 +273,7 @@ def check_plan(
     new: Mapping[str, Any],
     *,
     what: str = "cannot resume, the sweep has changed",
+    advice: str = "undo this, or give another --out",
 ) -> None:
     """Raise a `ResultsError` with the first differences of two plans, if they differ."""
     # A change of the base config is also a change of every point, and reported once.
@@ -277,7 +284,7 @@ def check_plan(
     if changes:
         more = f" and {len(changes) - 3} more" if len(changes) > 3 else ""
         listed = ", ".join(changes[:3]) + more
-        raise ResultsError(f"{folder}: {what}: {listed}; undo this, or give another --out")
+        raise ResultsError(f"{folder}: {what}: {listed}; {advice}")
 
 
 def check_finished(folder: Path, plan: Mapping[str, Any]) -> None:

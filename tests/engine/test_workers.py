@@ -254,6 +254,7 @@ def test_a_worker_that_differs_leaves_in_one_line(planned, capsys, monkeypatch, 
     assert work_on(planned) == 1
     line = one_line(capsys)
     assert "this worker does not fit the plan" in line and named in line
+    assert line.endswith("; allowed: the same versions, on a device of the same kind")
     assert sorted(planned.rglob("*")) == before
 
 
