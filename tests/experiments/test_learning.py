@@ -24,6 +24,7 @@ from bojax.numerics import checkpoint
 from bojax.numerics.lanes import LANES
 from bojax.results.store import ResultsError
 from tests.compiling import REPEATABLY
+from tests.tiers import by_tier
 
 CLIFF = {"kind": "cliff-walking", "max_steps": 60}
 CHAIN = {"kind": "chain", "length": 4, "max_length": 6, "max_steps": 12}
@@ -282,7 +283,10 @@ def test_nothing_is_learned_while_the_schedule_says_so():
 # Tests and targets.
 
 
-@pytest.mark.parametrize("learner", ["exploration-values", "additive", "epsilon-greedy"])
+@pytest.mark.parametrize(
+    "learner",
+    by_tier(["exploration-values", "additive", "epsilon-greedy"], normal=["exploration-values"]),
+)
 def test_tests_leave_the_learner_untouched(learner):
     alone, tested = (History(run_of(env=CHAIN, learner=learner, tests=number)) for number in (0, 3))
     for mine, theirs in zip(alone.carries, tested.carries, strict=True):
@@ -309,6 +313,7 @@ def test_tests_learn_where_they_may_and_explore_in_no_case(learner):
         assert np.all(rows["kappa"][rows["phase"] == 1] == 0.0)
 
 
+@pytest.mark.slow
 def test_tests_exploit():
     # One arm pays after a test of both; a test takes it every time, however large epsilon is.
     env = {"kind": "chain", "length": 3, "max_length": 3, "max_steps": 400}
@@ -409,7 +414,7 @@ def test_lanes_and_episodes_differ():
     assert all(len(set(lane)) > 1 for lane in starts)
 
 
-@pytest.mark.parametrize("dtype", ["float32", "float64"])
+@pytest.mark.parametrize("dtype", by_tier(["float32", "float64"], normal=["float32"]))
 def test_a_run_computes_in_its_precision(dtype):
     run = run_of(env=CHAIN, dtype=dtype, target_return=0.0)
     carry = _start(run, jax.random.split(jax.random.key(0), 1))

@@ -21,6 +21,7 @@ from tests.planning.samples import FIELD, f64, monitoring
 from tests.problems.goal_disc import GoalDisc, goal_disc
 from tests.problems.parking_reference import Settings
 from tests.problems.test_parking import parking
+from tests.tiers import by_tier
 
 NUM_LANES = 64
 
@@ -74,7 +75,9 @@ EXPERIMENTS = {
     "field": PlanningEpisode(monitoring("gradient"), RandomPlanner(cubic())),
     "field-myopic": PlanningEpisode(monitoring(start=(0.6, 0.6, 0.0)), MyopicPlanner(splines(5))),
 }
-each_experiment = pytest.mark.parametrize("name", EXPERIMENTS)
+NORMAL = EXPERIMENTS.keys() - {"field"}  # the other field has all that it has
+
+each_experiment = pytest.mark.parametrize("name", by_tier(EXPERIMENTS, normal=NORMAL))
 
 
 def lanes_of(seed: int = 0):
@@ -318,7 +321,7 @@ def test_a_whole_episode_and_other_numbers_compile_nothing_more():
     assert num_traces == 1
 
 
-@pytest.mark.parametrize("name", ["parking", "parking-on", "disc", "disc-straight"])
+@pytest.mark.parametrize("name", by_tier(["parking", "parking-on", "disc", "disc-straight"], normal=NORMAL))
 def test_the_paths_driven_are_kept(name):
     carries, table, _ = played(name)
     [kept] = snapshot_of(EXPERIMENTS[name], carries[-1]).values()
@@ -351,7 +354,7 @@ def test_the_recorded_pose_is_where_the_placed_path_ends():
     np.testing.assert_allclose(table["heading"][:, 0], np.mod(heading, 2.0 * np.pi), atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["field", "field-myopic"])
+@pytest.mark.parametrize("name", by_tier(["field", "field-myopic"], normal=NORMAL))
 def test_on_a_field_all_samples_are_kept_and_nothing_else(name):
     carries, table, _ = played(name)
     kept = snapshot_of(EXPERIMENTS[name], carries[-1])
@@ -372,7 +375,7 @@ def test_on_a_field_all_samples_are_kept_and_nothing_else(name):
         assert number == 0 or np.abs(noise).max() < 0.1 * 5.5
 
 
-@pytest.mark.parametrize("name", ["field", "field-myopic"])
+@pytest.mark.parametrize("name", by_tier(["field", "field-myopic"], normal=NORMAL))
 def test_on_a_field_the_paid_reward_is_the_planned_one_and_all_is_finite(name):
     carries, table, _ = played(name)
     # Nothing ends an episode but its last step; the row after it is nobody's.

@@ -231,14 +231,14 @@ def test_the_action_chosen_before_the_update_is_taken():
 
 def test_without_learning_nothing_changes():
     learner, state = make()
-    learned, _ = learn(learner, state, transitions(50), exploring())
-    again, _ = learn(learner, learned, transitions(50, seed=1), exploring(is_learning=False))
+    learned, _ = learn(learner, state, transitions(), exploring())
+    again, _ = learn(learner, learned, transitions(seed=1), exploring(is_learning=False))
     assert eqx.tree_equal(*jax.device_get((again, learned)))
 
 
 def test_lanes_do_not_depend_on_each_other():
-    learner, state = make(num_indices=200)
-    lanes = [transitions(100, seed) for seed in range(3)]
+    learner, state = make()
+    lanes = [transitions(seed=seed) for seed in range(3)]
     together = jax.tree.map(lambda *rows: np.stack(rows), *lanes)
     with jax.debug_key_reuse(False):  # the check takes any scan over a batch of keys for a reuse
         found, _ = eqx.filter_vmap(lambda steps: learn(learner, state, steps, exploring()))(together)
@@ -260,6 +260,7 @@ def test_both_policies_are_one_program():
     assert len({jax.tree.structure(build(Settings(**variant))) for variant in variants}) == 1
 
 
+@pytest.mark.slow
 def test_counters_on_a_table_lead_to_the_end_of_a_chain_sooner_than_a_random_walk():
     # A random walk takes 2.1 N^2 = 816 steps to the end of 20 states, on average.
     chain = {"kind": "chain", "length": 20, "max_length": 20, "sparsity": 1.0, "max_steps": 80}

@@ -160,12 +160,12 @@ def test_random_networks_never_change(schema):
 
 
 def test_heads_learn_from_the_transitions_of_their_masks_alone():
-    learner, state = make(BootstrappedQ, num_heads=2, mask_probability=0.3)
+    learner, state = make(BootstrappedQ, mask_probability=0.3)
     index, draw = jnp.arange(4000, dtype=jnp.int32), eqx.filter_jit(learner.masks)
     masks = np.asarray(draw(state, index))
     # The mean of 4,000 draws has a standard deviation of 0.007; independent heads share 9% of their masks.
     assert np.abs(masks.mean(axis=0) - 0.3).max() < 0.03
-    assert abs(masks.all(axis=1).mean() - 0.09) < 0.02
+    assert abs(masks[:, :2].all(axis=1).mean() - 0.09) < 0.02
     np.testing.assert_array_equal(draw(state, index[5:9]), masks[5:9])
 
     (place,) = np.flatnonzero(masks[:, 0] & ~masks[:, 1])[:1]
@@ -231,15 +231,15 @@ def test_values_are_those_of_the_networks():
 @pytest.mark.parametrize("schema", METHODS)
 def test_without_learning_nothing_changes(schema):
     learner, state = make(schema)
-    learned, _ = learn(learner, state, transitions(15))
-    again, _ = learn(learner, learned, transitions(15, seed=1), exploring(is_learning=False))
+    learned, _ = learn(learner, state, transitions())
+    again, _ = learn(learner, learned, transitions(seed=1), exploring(is_learning=False))
     assert eqx.tree_equal(*jax.device_get((again, learned)))
 
 
 @pytest.mark.parametrize("schema", METHODS)
 def test_lanes_do_not_depend_on_each_other(schema):
     learner, state = make(schema)
-    lanes = [transitions(15, seed) for seed in range(3)]
+    lanes = [transitions(seed=seed) for seed in range(3)]
     together = jax.tree.map(lambda *rows: np.stack(rows), *lanes)
     with jax.debug_key_reuse(False):  # the check takes any scan over a batch of keys for a reuse
         found, _ = eqx.filter_vmap(lambda steps: learn(learner, state, steps))(together)
@@ -260,6 +260,7 @@ def test_states_of_a_discrete_space_are_one_hot(schema):
     assert jax.tree.map(jnp.shape, learner.policy_state(state)) == shapes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "settings",
     [{"kind": "bootstrapped-q"}, {"kind": "rnd"}],

@@ -217,6 +217,7 @@ def cliff():
     return domain, value_iteration(probability, to.observation, to.reward, to.terminated, 0.9)
 
 
+@pytest.mark.slow
 def test_q_learning_finds_the_exact_values_of_a_deterministic_domain(cliff):
     domain, exact = cliff
     learner = EpsilonGreedy(epsilon=1.0, discount=0.9, learning_rate=1.0)

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from bojax.engine.build import build
-from bojax.engine.training import train
 from bojax.envs.base import Env, TimeStep
 from bojax.envs.spaces import Box, Discrete
 from bojax.experiments.settings import Learning
@@ -20,6 +19,7 @@ from bojax.learning.settings import VIME
 from bojax.learning.trpo import TRPO, Samples
 from bojax.numerics.lanes import LANES
 from tests.reference import vime as reference
+from tests.tiers import by_tier
 
 OBSERVATIONS = Box(jnp.asarray([-1.0, -2.0]), jnp.asarray([1.0, 4.0]))
 ACTIONS = Box(jnp.asarray([-3.0]), jnp.asarray([1.0]))
@@ -209,7 +209,7 @@ def numbered(number: int, length: int) -> Episode:
     return Episode(transitions, jnp.asarray(length, jnp.int32))
 
 
-@pytest.mark.parametrize("pool_size", [1000, 25, 7])
+@pytest.mark.parametrize("pool_size", by_tier([1000, 25, 7], normal=[25]))
 def test_the_pool_keeps_the_latest_transitions_and_pairs_no_episodes(pool_size):
     learner, state = make(pool_size=pool_size)
     lengths, seen = (4, 7, 9, 9, 1, 9, 3, 8), []
@@ -260,7 +260,7 @@ def test_without_learning_nothing_changes():
         np.testing.assert_array_equal(a, b)
 
 
-@pytest.mark.parametrize("axis_name", [LANES, None])
+@pytest.mark.parametrize("axis_name", by_tier([LANES, None], normal=[LANES]))
 def test_lanes_that_are_due_at_different_times_are_independent(axis_name):
     learner, start = make()
     lengths = np.array([[9, 9, 9, 9], [4, 7, 5, 2], [1, 2, 3, 9]])
@@ -354,6 +354,7 @@ class Line(Env):
         return after, TimeStep(after, is_goal.astype(after.dtype), is_goal, jnp.zeros((), bool), is_goal)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_discrete", [False, True], ids=["continuous", "discrete"])
 def test_it_finds_a_goal_and_returns_to_it(is_discrete):
     learner = {"kind": "vime", "iteration_steps": 300, "longest_episode": 30, "max_kl": 0.02, "damping": 1e-3}
@@ -378,6 +379,7 @@ def test_it_finds_a_goal_and_returns_to_it(is_discrete):
 
 
 def test_the_number_of_iterations_is_a_column_of_the_runs():
-    env = {"kind": "chain", "length": 20, "max_steps": 9}  # no episode ends early
-    training = train(env, {"kind": "vime", **SMALL}, episodes=5, runs=2)
-    assert training.runs["iterations"].to_pylist() == [2, 2]
+    settings = {"env": "chain", "learner": {"kind": "vime", **SMALL}, "episodes": 5}
+    run = build(Learning.model_validate(settings))
+    assert "iterations" in {column.name for column in run.tables["runs"]}
+    assert "iterations" in jax.eval_shape(lambda key: run.summary(run.init(key)), jax.random.key(0))
