@@ -1,4 +1,8 @@
-"""The examples run: the very commands of the pages, with tiny budgets."""
+"""The examples run: the very commands of the pages, with tiny budgets.
+
+The normal tier runs what compiles within three seconds, among it a planner, a learner and a problem by their
+import paths, and `test_pages` validates all commands; the slow tier runs all of them.
+"""
 
 import os
 import re
@@ -16,6 +20,7 @@ import pytest
 from bojax.cli.main import main
 from bojax.results.store import read_manifest, read_table
 from tests.examples.pages import PAGES, ROOT, commands
+from tests.tiers import by_tier
 
 TINY = ("planner.depth=1", "problem.max_steps=2", "record.runs=1", "--runs", "2")
 FILES = [path for path in (ROOT / "examples").iterdir() if path.is_file()]
@@ -66,6 +71,15 @@ WIDE = [
 
 PROGRAMS = [words for words in WITH_EXAMPLES if words[0] != "bojax" and words[1] not in (ALONE, DEEP_RL)]
 
+QUICK = ("gymnasium_loop.py", "linear_models.py", "plot_a_gp.py", "vector_of_envs.py")
+"""Programs of the normal tier."""
+
+
+def _is_quick(words: list[str]) -> bool:
+    """Whether the normal tier runs a command."""
+    is_of_part = any(word.startswith(("planner=my_planner", "learner=my_learner")) for word in words)
+    return is_of_part or {"my_problem.yaml", "planner=sbo"} <= {*words}
+
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch, usual_jax):
@@ -79,7 +93,11 @@ def folder(tmp_path, monkeypatch, usual_jax):
     jax.clear_caches()  # no two examples share a program: a worker would grow to 2 GB
 
 
-@pytest.mark.parametrize("words", PROGRAMS, ids=[" ".join(words) for words in PROGRAMS])
+@pytest.mark.parametrize(
+    "words",
+    by_tier(PROGRAMS, normal=[words for words in PROGRAMS if words[1] in QUICK]),
+    ids=[" ".join(words) for words in PROGRAMS],
+)
 def test_a_program_of_the_pages_runs(words, folder, capsys):
     jax.config.update("jax_enable_x64", words in WIDE)
     runpy.run_path(words[1], run_name="__main__")
@@ -119,7 +137,11 @@ def test_curves_of_deep_rl_are_compared(folder):
     assert "sac (classic)" in (folder / "out" / "comparison.html").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("words", COMMANDS, ids=[" ".join(words) for words in COMMANDS])
+@pytest.mark.parametrize(
+    "words",
+    by_tier(COMMANDS, normal=[words for words in COMMANDS if _is_quick(words)]),
+    ids=[" ".join(words) for words in COMMANDS],
+)
 def test_a_command_of_the_pages_runs(words, folder):
     assert main([*words[1:], *_tiny(words), "--out", "out"]) == 0
     if (folder / "out" / "learners").exists():
