@@ -17,6 +17,7 @@ pytest.importorskip("Box2D")
 from gymnasium.envs.box2d.lunar_lander import heuristic  # noqa: E402
 
 from tests.reference.lunar_lander import GymLander, rotation  # noqa: E402
+from tests.tiers import by_tier
 
 NUM_STEPS, LANES = 120, 200
 OFF = np.array([-1.0, 0.0])
@@ -152,7 +153,7 @@ def test_starts_are_drawn_as_in_gymnasium():
     assert np.abs(np.corrcoef(columns) - np.eye(4)).max() < 0.11
 
 
-@pytest.mark.parametrize("dtype", ["float64", "float32"])
+@pytest.mark.parametrize("dtype", by_tier(["float64", "float32"], normal=["float32"]))
 def test_flights_and_their_rewards_are_gymnasiums(gym, dtype):
     """Random throttles with the same dispersion; both engines are on in some steps, in others none."""
     num = 0
@@ -242,7 +243,7 @@ def episodes_of_gymnasium(gym, policy, num):
     return tuple(np.array(column) for column in zip(*told, strict=True))
 
 
-@pytest.mark.parametrize("kind", ["heuristic", "random"])
+@pytest.mark.parametrize("kind", by_tier(["heuristic", "random"], normal=["heuristic"]))
 def test_episodes_end_and_pay_as_in_gymnasium(gym, kind):
     """Under the controller that Gymnasium ships, which lands nearly always, and under random actions."""
     rng = np.random.default_rng(0)

@@ -22,6 +22,7 @@ from bojax.problems.vehicles.settings import WheeledRobot
 from tests.planning.samples import FIELD, OBJECTIVES, f64, field_belief, monitoring
 from tests.reference.bridge import reference_belief, reference_problem
 from tests.reference.monitoring import segments_touch_boxes
+from tests.tiers import by_tier
 
 NUM, SIZE = 400, 6
 WALLED, TURNED = monitoring(), "turn"
@@ -278,7 +279,10 @@ def pay(problem, objective, belief, keys, poses, paths):
 
 
 # Without an objective of its own, a planner has the task's: the value.
-@pytest.mark.parametrize("name", [*sorted(OBJECTIVES.keys() - {"value"}), "of the task"])
+@pytest.mark.parametrize(
+    "name",
+    by_tier([*sorted(OBJECTIVES.keys() - {"value"}), "of the task"], normal=["gradient", "of the task"]),
+)
 @pytest.mark.parametrize("count", [0, 17])
 def test_the_reward_is_what_the_samples_are_worth_under_the_belief_before_them(name, count):
     objective = OBJECTIVES.get(name)

@@ -211,6 +211,7 @@ def test_a_problem_in_either_precision(dtype):
     assert events.frames.shape == (SETTINGS.readings // FRAME_EVERY, MODEL.nq)
 
 
+@pytest.mark.slow
 def test_it_reaches_the_end_of_every_path_within_its_reach():
     @partial(jax.jit, compiler_options=REPEATABLY)
     def left(robot, length):
