@@ -20,6 +20,7 @@ from bojax.models.kernels import RBF, Matern52
 from bojax.numerics.quasirandom import shifted_kronecker
 from tests.reference import bayesian_optimisation as reference
 from tests.reference.bridge import reference_acquisition, reference_kernel
+from tests.tiers import by_tier
 
 ACQUISITIONS = {
     "ucb": UpperConfidenceBound(jnp.asarray(2.0)),
@@ -27,6 +28,9 @@ ACQUISITIONS = {
     "log-ei": LogExpectedImprovement(jnp.asarray(0.01)),
 }
 each_acquisition = pytest.mark.parametrize("acquisition", ACQUISITIONS.values(), ids=list(ACQUISITIONS))
+each_search = pytest.mark.parametrize("name", by_tier(ACQUISITIONS, normal=["ucb"]))
+"""Long searches by one acquisition function; those by the others are slow."""
+
 NUM_ITERATIONS = 12
 TRACES: Counter[str] = Counter()
 """How often each program below was traced, and so compiled."""
@@ -221,25 +225,26 @@ def random_regrets(function, maximum, low, high, num_iterations):
     return maximum - np.max(values.reshape(LANES, num_iterations), axis=1)
 
 
-@each_acquisition
-def test_one_peak_is_found(acquisition):
-    found = regrets(peak, 1.0, optimisation(acquisition, capacity=LONG), 20)
+@each_search
+def test_one_peak_is_found(name):
+    found = regrets(peak, 1.0, optimisation(ACQUISITIONS[name], capacity=LONG), 20)
     assert np.all(found < 0.02) and np.median(found) < 2e-3
     by_chance = random_regrets(peak, 1.0, (-1, -1), (1, 1), 20)
     assert np.median(found) < 0.05 * np.median(by_chance)
 
 
-@each_acquisition
-def test_the_minimum_of_branin_is_found_by_maximising_its_negative(acquisition):
+@each_search
+def test_the_minimum_of_branin_is_found_by_maximising_its_negative(name):
     low, high = (-5.0, 0.0), (10.0, 15.0)
-    found = regrets(negative_branin, -0.397887, optimisation(acquisition, low, high, capacity=LONG))
+    one = optimisation(ACQUISITIONS[name], low, high, capacity=LONG)
+    found = regrets(negative_branin, -0.397887, one)
     assert np.all(found > -1e-6) and np.all(found < 0.5) and np.median(found) < 0.05
     by_chance = random_regrets(negative_branin, -0.397887, low, high, LONG)
     assert np.median(found) < 0.1 * np.median(by_chance)
 
 
 # The probability of improvement is left out: it prefers a sure gain, however small, to the corner.
-@pytest.mark.parametrize("name", ["ucb", "log-ei"])
+@pytest.mark.parametrize("name", by_tier(["ucb", "log-ei"], normal=["ucb"]))
 def test_a_maximum_in_a_corner_is_found_there(name):
     one = optimisation(ACQUISITIONS[name], low=(-0.1, 3.0), high=(0.7, 3.1), capacity=LONG)
     state, xs, ys = searched(slope, one)
@@ -296,7 +301,7 @@ def test_hyperparameters_are_relearned_when_due_and_kept_between():
         np.testing.assert_allclose(state.model.y[number - 1], jnp.cos(4.0 * x[0]) + 5.0, rtol=1e-14)
 
 
-@pytest.mark.parametrize("spread", [1.5, 0.5])
+@pytest.mark.parametrize("spread", by_tier([1.5, 0.5], normal=[1.5]))
 def test_what_is_relearned_has_the_greatest_posterior_density(spread):
     settings = {"kernel": RBF(jnp.asarray([0.1, 0.1])), "prior_spread": spread}
     one = optimisation(relearn_every=NUM_ITERATIONS, **settings)
@@ -318,6 +323,7 @@ def test_what_is_relearned_has_the_greatest_posterior_density(spread):
         assert log_density(found) > log_density(found + 3.0 * away)
 
 
+@pytest.mark.slow
 def test_relearning_mends_a_wrong_lengthscale():
     kept, relearned = (
         [1.0 - np.max(maximise(one, key)[2]) for key in seeds(8)]
@@ -532,7 +538,7 @@ def test_predictions_are_those_of_a_gaussian_process_in_the_units_of_the_objecti
     )
     random = np.random.default_rng(0)
     xs, ys = random.uniform(low, high, (4, 2)), 100.0 + 7.0 * random.standard_normal(4)
-    state = optimisation.init(jax.random.key(0))
+    state = _jit(optimisation.init)(jax.random.key(0))
     tell, predict = _jit(type(optimisation).tell), _jit(type(optimisation).predict)
     for x, y in zip(xs, ys, strict=True):
         state = tell(optimisation, state, x, y)

@@ -62,6 +62,7 @@ def test_explains_the_data_as_well_as_scikit_learn(name):
     assert np.all((np.asarray(learned) >= BOUNDS[0]) & (np.asarray(learned) <= BOUNDS[1]))
 
 
+@pytest.mark.slow
 def test_recovers_the_hyper_parameters_that_made_the_data():
     # 12 draws of 25 points from one process; their joint evidence, so that chance averages out.
     true = np.array([0.4, 2.0, 0.05])  # lengthscale, variance, noise variance
@@ -178,6 +179,7 @@ def test_a_prior_pulls_and_decides_where_the_data_are_silent():
     assert 0.01 < abs(np.log(learned(25) / 0.7)) < 1.0
 
 
+@pytest.mark.slow
 def test_float32_learns_almost_as_well():
     x, y = data("waves")
     exact = learn(posterior(x, y), jax.random.key(0))[1]

@@ -15,6 +15,7 @@ from bojax.models.bayesian_linear_regression import BayesianLinearRegression
 from bojax.models.features import FourierBasis, Polynomial, RadialBasis, RandomFourier
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import RBF, Kernel, Matern12, Matern32, Matern52, Scaled
+from tests.tiers import by_tier
 
 
 def number(value) -> jax.Array:
@@ -74,7 +75,7 @@ def slope(name: str, sampling: str) -> float:
     return np.polyfit(np.log(SIZES), np.log(errors(name, sampling)), 1)[0]
 
 
-@pytest.mark.parametrize("name", RATES)
+@pytest.mark.parametrize("name", by_tier(RATES, normal=["sum"]))
 def test_the_error_of_monte_carlo_falls_with_the_root_of_the_number_of_features(name):
     # Over other keys the slope has a standard deviation of 0.05.
     assert -0.62 < slope(name, "monte-carlo") < -0.38
@@ -84,7 +85,7 @@ def test_the_error_of_monte_carlo_falls_with_the_root_of_the_number_of_features(
     assert np.all(errors(name, "monte-carlo") < bound)
 
 
-@pytest.mark.parametrize("name", RATES)
+@pytest.mark.parametrize("name", by_tier(RATES, normal=["sum"]))
 def test_quasi_random_frequencies_have_a_smaller_error_that_falls_faster(name):
     # With 512 features the error is 0.70 (Matern 1/2) to 0.23 (squared exponential) times as large.
     assert errors(name, "quasi-random")[1] < 0.8 * errors(name, "monte-carlo")[1]
@@ -93,8 +94,8 @@ def test_quasi_random_frequencies_have_a_smaller_error_that_falls_faster(name):
         assert slope(name, "quasi-random") < -0.8
 
 
-# In single precision, the kernel that is made of all others.
-@pytest.mark.parametrize("name, dtype", [*((name, jnp.float64) for name in KERNELS), ("nested", jnp.float32)])
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+@pytest.mark.parametrize("name", by_tier(KERNELS, normal=["rbf-each", "nested"]))
 def test_the_variance_is_exact_and_of_the_precision_of_the_kernel(name, dtype):
     kernel = jax.tree.map(lambda leaf: leaf.astype(dtype), kernels()[name])
 
@@ -112,7 +113,7 @@ def test_the_variance_is_exact_and_of_the_precision_of_the_kernel(name, dtype):
     np.testing.assert_allclose(squares, variance, rtol=8.0 * float(jnp.finfo(dtype).eps))
 
 
-@pytest.mark.parametrize("name", sorted(set(KERNELS) - set(RATES)))
+@pytest.mark.parametrize("name", by_tier(sorted(set(KERNELS) - set(RATES)), normal=["nested"]))
 @pytest.mark.parametrize("sampling", SAMPLINGS)
 def test_the_features_are_unbiased(name, sampling):
     kernel = kernels()[name]
@@ -180,7 +181,7 @@ def test_lengthscales_and_variances_can_be_differentiated():
     np.testing.assert_allclose(by_variance, correlation, rtol=2e-3)
 
 
-@pytest.mark.parametrize("name", ["matern52", "sum"])
+@pytest.mark.parametrize("name", by_tier(["matern52", "sum"], normal=["matern52"]))
 def test_bayesian_linear_regression_on_the_features_approaches_the_gaussian_process(name):
     rng = np.random.default_rng(4)
     kernel, noise = kernels()[name], number(0.05)

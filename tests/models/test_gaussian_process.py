@@ -12,6 +12,7 @@ from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import RBF, Matern12, Matern32, Matern52, Scaled
 from bojax.models.means import ConstantMean
 from bojax.numerics.linalg import noise_floor
+from tests.tiers import by_tier
 
 KERNELS = {
     "rbf": (RBF, sk.RBF(0.5)),
@@ -19,6 +20,9 @@ KERNELS = {
     "matern32": (Matern32, sk.Matern(0.5, nu=1.5)),
     "matern52": (Matern52, sk.Matern(0.5, nu=2.5)),
 }
+each_kernel = pytest.mark.parametrize("name", by_tier(KERNELS, normal=["rbf", "matern12"]))
+"""The smoothest and the roughest in the normal tier; `EVERY_KERNEL` is compared with scikit-learn there."""
+
 COMPOSITES = {
     "scaled": (Scaled(RBF(jnp.asarray([0.4, 0.9])), jnp.asarray(2.0)), 2.0 * sk.RBF([0.4, 0.9])),
     "sum": (
@@ -69,7 +73,7 @@ def variances_along(gp: GaussianProcess, x, queries):
     return jax.lax.scan(step, gp, x)[1]
 
 
-@pytest.mark.parametrize("name", KERNELS)
+@each_kernel
 @pytest.mark.parametrize("noise_variance", [1e-4, 0.01, 1.0])
 def test_one_observation_at_a_time_gives_the_batch_posterior(name, noise_variance):
     kernel, reference = KERNELS[name]
@@ -109,7 +113,7 @@ def test_the_order_of_observations_does_not_matter():
         np.testing.assert_allclose(one, other, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", KERNELS)
+@each_kernel
 @pytest.mark.parametrize("noise_variance", [0.0, 0.01])
 @pytest.mark.parametrize("lengthscale", [0.5, 30.0])  # the second makes almost singular matrices
 def test_the_variance_is_never_negative_and_never_grows(name, noise_variance, lengthscale):
@@ -202,7 +206,7 @@ def test_a_batch_of_processes_is_a_loop():
             np.testing.assert_allclose(found[lane], expected, atol=1e-13)
 
 
-@pytest.mark.parametrize("name", KERNELS)
+@each_kernel
 def test_gradients_of_a_prediction_are_finite_at_an_observation(name):
     x, y = observations(4)
     gp = condition(prior(0.01, capacity=4, kernel=KERNELS[name][0]), x, y)
@@ -403,7 +407,7 @@ def test_samples_of_one_function_agree_where_points_coincide(dtype):
     np.testing.assert_allclose(samples[:, 0, :5], np.tile(y[None], (50, 1)), atol=exact)
 
 
-@pytest.mark.parametrize("name", KERNELS)
+@each_kernel
 @pytest.mark.parametrize("noise_variance", [0.0, 0.01])
 def test_a_vanishing_lengthscale_makes_every_point_an_island(name, noise_variance):
     x, y = observations(16)
@@ -417,7 +421,7 @@ def test_a_vanishing_lengthscale_makes_every_point_an_island(name, noise_varianc
     np.testing.assert_array_equal(prior_variance, 1.0)
 
 
-@pytest.mark.parametrize("name", KERNELS)
+@each_kernel
 @pytest.mark.parametrize("way", ["at once", "in blocks"])
 def test_an_endless_lengthscale_makes_the_field_constant(name, way):
     # The posterior of one number observed 16 times.
