@@ -21,6 +21,7 @@ from bojax.engine.runner import ChunkRunner
 from bojax.results.leases import Leases
 from bojax.results.store import WORK, ResultsError, read_manifest, read_table
 from tests.engine.drive import contents, run_toy, start_toy
+from tests.tiers import by_tier
 from tests.toy import Toy, toy_sweep
 
 RUNS = 10
@@ -396,7 +397,7 @@ def fail_for_scale(scale):
     return fail
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", by_tier([signal.SIGINT, signal.SIGTERM], normal=[signal.SIGINT]))
 def test_a_signal_during_compilation_is_answered_at_once(tmp_path, number):
     slow = (
         "import time; from bojax.engine import batch; compile = batch._compile; "

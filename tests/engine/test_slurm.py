@@ -103,6 +103,7 @@ def has_checkpoint(out: Path) -> bool:
     return any((out / WORK).glob("chunk-*/checkpoint-*"))
 
 
+@pytest.mark.slow
 @pytest.mark.slurm
 def test_signals_and_a_second_array(cluster, place, alone):
     """Near the time limit, tasks checkpoint and start again; cancelled ones checkpoint and do not."""
