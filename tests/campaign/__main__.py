@@ -31,7 +31,7 @@ QUICK = {
     "damage": (1, 9, 27),
     "disk": (1,),
 }
-"""Seeds of the cases that the tests run as well: one family of inputs each, and the quickest sweep."""
+"""Seeds of the cases that `make slow` runs as well: one family of inputs each, and the quickest sweep."""
 
 _CASES_PER_SEED = 1_000_000
 
@@ -105,7 +105,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--only", choices=KINDS, help="cases of this kind alone")
     parser.add_argument("--count", type=int, metavar="N", help="cases of each kind")
     parser.add_argument("--case", metavar="KIND:SEED", help="one case, as a failure names it")
-    parser.add_argument("--quick", action="store_true", help="the few cases that `make test` runs")
+    parser.add_argument("--quick", action="store_true", help="the few cases that `make slow` runs")
     parser.add_argument("--markdown", action="store_true", help="print the table in Markdown")
     return parser.parse_args()
 
