@@ -20,32 +20,7 @@ from bojax.learning.actions import grid_actions, nearest_action
 from bojax.learning.base import Episode, ExplorationState, Learner, Transition
 from bojax.learning.inputs import as_inputs, input_size
 from bojax.learning.memory import Memory, emptied
-from bojax.numerics.linalg import matmul
-
-
-class Network(eqx.Module):
-    """A multilayer perceptron with rectified linear units: `equinox.nn.MLP` with arrays as its only leaves.
-
-    Attributes:
-        layers: Linear layers.
-    """
-
-    layers: tuple[eqx.nn.Linear, ...]
-
-    @classmethod
-    def random(
-        cls, key: Key[Array, ""], num_inputs: int, num_outputs: int, width: int, depth: int, dtype: jnp.dtype
-    ) -> "Network":
-        """A network of `depth` hidden layers, with the random weights of `equinox.nn.MLP`."""
-        mlp = eqx.nn.MLP(num_inputs, num_outputs, width, depth, dtype=dtype, key=key)
-        return cls(mlp.layers)
-
-    def __call__(self, x: Float[Array, "I"]) -> Float[Array, "O"]:
-        """The outputs for one input."""
-        for number, layer in enumerate(self.layers):
-            assert layer.bias is not None
-            x = matmul(layer.weight, jax.nn.relu(x) if number else x) + layer.bias
-        return x
+from bojax.learning.network import Network
 
 
 class Batch(eqx.Module):
@@ -219,8 +194,10 @@ class QNetworkLearner(Learner):
     # What the methods share.
 
     def network(self, key: Key[Array, ""], num_inputs: int, num_outputs: int) -> Network:
-        """A new network of the size of the settings."""
-        return Network.random(key, num_inputs, num_outputs, self.width, self.depth, self.discount.dtype)
+        """A new network of the size of the settings, with the random weights of `equinox.nn.MLP`."""
+        dtype = self.discount.dtype
+        mlp = eqx.nn.MLP(num_inputs, num_outputs, self.width, self.depth, dtype=dtype, key=key)
+        return Network(mlp.layers, jax.nn.relu)
 
     def inputs(self, state: QNetworkState, observation: Observation) -> Float[Array, "*N I"]:
         """Inputs of the networks: observations with bounds mapped to -1 and 1, or one-hot discrete states."""

@@ -9,8 +9,9 @@ from typing_extensions import override
 from bojax.envs.base import Action, Observation
 from bojax.learning.actions import nearest_action
 from bojax.learning.base import ExplorationState
+from bojax.learning.network import Network
 from bojax.learning.policy import best_action
-from bojax.learning.q_networks import Batch, Network, QNetworkLearner, QNetworkState
+from bojax.learning.q_networks import Batch, QNetworkLearner, QNetworkState
 
 Q, U = 0, 1
 """Rows of the outputs of the value network."""

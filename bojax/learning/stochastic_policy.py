@@ -3,6 +3,7 @@
 import abc
 import math
 from collections.abc import Sequence
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -11,7 +12,7 @@ from jaxtyping import Array, Float, Int, Key
 from typing_extensions import override
 
 from bojax.envs.spaces import Discrete, Space
-from bojax.numerics.linalg import matmul
+from bojax.learning.network import Network
 
 
 class ActionDistribution(eqx.Module):
@@ -96,29 +97,17 @@ class Categorical(ActionDistribution):
         return jnp.sum(jnp.exp(own) * (own - others))
 
 
-class Linear(eqx.Module):
-    """A linear layer.
-
-    Attributes:
-        weights: Weights.
-        biases: Biases.
-    """
-
-    weights: Float[Array, "I O"]
-    biases: Float[Array, "O"]
-
-
 class PolicyNetwork(eqx.Module):
     """Layers of tanh units that give the mean of a Gaussian, or the logits of discrete actions.
 
     Every leaf is a parameter. The deviation of the Gaussian does not depend on the observation.
 
     Attributes:
-        layers: The layers; the last one is linear.
+        network: The network.
         log_deviation: Logarithms of the standard deviations; None for discrete actions.
     """
 
-    layers: tuple[Linear, ...]
+    network: Network
     log_deviation: Float[Array, "A"] | None
 
     @classmethod
@@ -141,22 +130,23 @@ class PolicyNetwork(eqx.Module):
         """
         num_outputs = actions.num if isinstance(actions, Discrete) else actions.num_dims
         sizes = (num_inputs, *hidden, num_outputs)
-        keys, dtype = jax.random.split(key, len(sizes) - 1), deviation.dtype
-        draw = jax.nn.initializers.glorot_uniform()
-        layers = tuple(
-            Linear(draw(key, shape, dtype), jnp.zeros(shape[1:], dtype))
-            for key, shape in zip(keys, zip(sizes[:-1], sizes[1:], strict=True), strict=True)
-        )
+        keys = jax.random.split(key, len(sizes) - 1)
+        draw = partial(_layer, deviation.dtype)
+        network = Network(tuple(map(draw, keys, sizes[:-1], sizes[1:])), jnp.tanh)
         if isinstance(actions, Discrete):
-            return cls(layers, None)
-        return cls(layers, jnp.broadcast_to(jnp.log(deviation), (num_outputs,)))
+            return cls(network, None)
+        return cls(network, jnp.broadcast_to(jnp.log(deviation), (num_outputs,)))
 
     def __call__(self, inputs: Float[Array, "I"]) -> ActionDistribution:
         """The distribution of actions after an observation."""
-        *hidden, last = self.layers
-        for layer in hidden:
-            inputs = jnp.tanh(matmul(inputs, layer.weights) + layer.biases)
-        outputs = matmul(inputs, last.weights) + last.biases
+        outputs = self.network(inputs)
         if self.log_deviation is None:
             return Categorical(outputs)
         return Gaussian(outputs, self.log_deviation)
+
+
+def _layer(dtype: jnp.dtype, key: Key[Array, ""], num_inputs: int, num_outputs: int) -> eqx.nn.Linear:
+    layer = eqx.nn.Linear(num_inputs, num_outputs, dtype=dtype, key=jax.random.key(0))  # replaced below
+    weight = jax.nn.initializers.glorot_uniform()(key, (num_inputs, num_outputs), dtype).T
+    values = weight, jnp.zeros((num_outputs,), dtype)
+    return eqx.tree_at(lambda layer: (layer.weight, layer.bias), layer, values)
