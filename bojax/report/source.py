@@ -17,6 +17,7 @@ from bojax.problems.settings import ProblemSettings
 from bojax.report.columns import Columns, check_runs, read_columns, where
 from bojax.report.manifest import Manifest, PointEntry, Unread, claims_of, experiment_of, read
 from bojax.report.snapshots import Arrays, read_snapshot
+from bojax.report.statistics import carry_forward
 from bojax.results.outline import Outline
 from bojax.results.store import ARRAYS, MANIFEST, WORK, ResultsError, array_file, read_manifest
 
@@ -139,6 +140,14 @@ class Results:
         columns = read_columns(self.folder, name, [point.index for point in self.points])
         check_runs(self.folder, name, columns, self.runs)
         return columns
+
+    def by_step(self, point: Point, column: str) -> NDArray[np.float64]:
+        """A column of `steps.parquet` by run and step, `[runs, num_steps + 1]`; 0 at step 0.
+
+        A run that has ended keeps its last value. The rows are those of `runs_of`.
+        """
+        rows, runs = self.steps_of(point), self.runs_of(point)["run"]
+        return carry_forward(runs, rows["run"], rows["step"], rows[column], self.num_steps)
 
     def by_episode(self, point: Point, column: str, phase: str = "train") -> NDArray[np.float64]:
         """A column of `episodes.parquet` by run and episode, `[runs, episodes]`, the first episode first.

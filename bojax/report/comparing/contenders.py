@@ -10,7 +10,7 @@ import numpy as np
 from bojax.config.component import Component
 from bojax.config.errors import allowed_names
 from bojax.experiments.settings import Learning, Planning
-from bojax.report import ranking, statistics
+from bojax.report import ranking
 from bojax.report.comparing.curve_files import Rows
 from bojax.report.drawing.curves import Curve
 from bojax.report.manifest import Unread
@@ -201,14 +201,12 @@ def curve_of(results: Results, point: Point, measure: Measure) -> Curve | None:
     if not point.is_learning:
         if column != PLANNING_CURVE:
             return None
-        rows, runs, last = results.steps_of(point), results.runs_of(point)["run"], results.num_steps
-        values = statistics.carry_forward(runs, rows["run"], rows["step"], rows[column], last)
-        return Curve(point, np.arange(last + 1.0), values)
+        return Curve.numbered(point, results.by_step(point, column), first=0)
     if column not in results.episodes:
         return None
     values = results.by_episode(point, column, measure.phase)
     if measure.axis == "episode":
-        return Curve(point, np.arange(1.0, values.shape[1] + 1), values)
+        return Curve.numbered(point, values, first=1)
     ends, known = np.nancumsum(results.by_episode(point, "length"), axis=1), np.isfinite(values)
     runs = [(x[there], each[there]) for x, each, there in zip(ends, values, known, strict=True)]
     return Curve(point, *_by_step(runs, ends_with_shortest=True))

@@ -28,6 +28,11 @@ class Curve:
     x: Floats  # `[n]` steps, episodes or swept numbers, in ascending order
     values: Floats  # `[runs, n]` one value per run; NaN where a run has none
 
+    @classmethod
+    def numbered(cls, point: Point, values: Floats, first: int) -> "Curve":
+        """Values of consecutive steps or episodes from a first one on."""
+        return cls(point, first + np.arange(float(values.shape[1])), values)
+
     @property
     def is_partial(self) -> np.ndarray:
         """Where some of the runs have no value."""

@@ -43,8 +43,7 @@ def draw(results: Results) -> Drawing:
     for phase, (label, quantity) in _PANELS.items():
         if (results.episodes["phase"] == phase).any():
             tables = [rolling_mean(results.by_episode(point, "return", phase), rolling) for point in points]
-            x = np.arange(1.0, tables[0].shape[1] + 1)
-            curves = [Curve(point, x, table) for point, table in zip(points, tables, strict=True)]
+            curves = [Curve.numbered(*pair, first=1) for pair in zip(points, tables, strict=True)]
             missing = "A run is left out after its last episode." if phase == "train" else ""
             panels.append(Panel(label, quantity, curves, missing=missing))
     best = results.report.best_return

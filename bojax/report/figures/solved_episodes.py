@@ -18,7 +18,7 @@ def draw(results: Results) -> Drawing:
     for point in points:
         solved = np.nan_to_num(results.by_episode(point, "success")).cumsum(axis=1)
         solved = np.pad(solved, ((0, 0), (1, 0)))  # nothing is solved before the first episode
-        curves.append(Curve(point, np.arange(float(solved.shape[1])), solved))
+        curves.append(Curve.numbered(point, solved, first=0))
     if max(curve.values.max(initial=0.0) for curve in curves) < 2:
         raise Undrawable("no run solved more than one episode: success-episodes shows when")
     panel = Panel("episodes solved", "mean number of training episodes that have reached the goal", curves)

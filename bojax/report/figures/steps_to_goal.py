@@ -17,9 +17,8 @@ def draw(results: Results) -> Drawing:
     lengths, successes = [], []
     for point in points:
         success, length = (results.by_episode(point, column) for column in ("success", "length"))
-        x = np.arange(1.0, success.shape[1] + 1)
-        lengths.append(Curve(point, x, np.where(success > 0, length, np.nan)))
-        successes.append(Curve(point, x, success))
+        lengths.append(Curve.numbered(point, np.where(success > 0, length, np.nan), first=1))
+        successes.append(Curve.numbered(point, success, first=1))
     quantity = "mean steps of the training episodes that reach the goal"
     panels = [
         Panel("steps to the goal", quantity, lengths),
