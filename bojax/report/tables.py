@@ -8,11 +8,12 @@ import numpy as np
 
 from bojax.experiments.settings import Trajectories
 from bojax.report import statistics
-from bojax.report.ranking import measure_of, ranking
+from bojax.report.ranking import Measure, Standing, measure_of, ranking
 from bojax.report.source import Point, Results
 from bojax.report.text import (
     MISSING,
     counted,
+    heading,
     is_number,
     joined,
     number,
@@ -55,19 +56,11 @@ class Table:
 
 
 @dataclass(frozen=True)
-class RankedRow:
-    """A row of the table of ranks."""
-
-    rank: int
-    cells: list[Cell]
-
-
-@dataclass(frozen=True)
 class RankedTable:
-    """Points in the order of a mean: headings, rows with the best point first, and what is said of them."""
+    """Points in the order of a mean: headings, the cells of each point, the best first, and a caption."""
 
     headings: list[str]
-    rows: list[RankedRow]
+    rows: list[list[Cell]]
     caption: str
 
 
@@ -120,20 +113,36 @@ def ranked(results: Results) -> RankedTable | None:
     points = [standing.point for standing in standings]
     keys = [key for key in points[0].swept if len(swept_values(points, key)) > 1]
     rows = []
-    for rank, standing in enumerate(standings, start=1):
-        lag = interval_cell(standing.lag) if rank > 1 else Cell(MISSING, key=0.0)
+    for standing in standings:
         swept = [setting_cell(standing.point.swept.get(key)) for key in keys]
-        rows.append(RankedRow(rank, [interval_cell(standing.mean), lag, *swept, count_cell(standing.runs)]))
+        rows.append([*score_cells(standing, standings[0]), *swept, count_cell(standing.runs)])
     order = "least" if measure.is_least else "greatest"
     caption = (
         f"{counted(len(rows), 'point')} by {measure.words}, the {order} first, 95% intervals in brackets. "
-        "Behind the best: mean difference over equal runs. Where its interval contains 0, these runs do not "
-        "tell the point from the best one. The best point was chosen by these same runs, so its mean is "
-        "optimistic; bojax best --confirm gives the mean of new runs."
+        f"{BEHIND} The best point was chosen by these same runs, so its mean is optimistic; bojax best "
+        "--confirm gives the mean of new runs."
     )
     if left_out := len(results.points) - len(rows):
         caption += f" {counted(left_out, 'point')} left out."
-    return RankedTable([measure.words, "behind the best", *keys, "runs"], rows, caption)
+    return RankedTable([*score_headings(measure), *keys, "runs"], rows, caption)
+
+
+BEHIND = (
+    "Behind the best: mean difference over equal runs. Where its interval contains 0, these runs do not tell "
+    "the two apart."
+)
+"""What the second of `score_cells` means."""
+
+
+def score_headings(measure: Measure) -> list[str]:
+    """Headings of `score_cells`."""
+    return [measure.words, "behind the best"]
+
+
+def score_cells(standing: Standing, best: Standing) -> list[Cell]:
+    """The mean of a point, and how far it is behind the best."""
+    lag = Cell(MISSING, key=0.0) if standing is best else interval_cell(standing.lag)
+    return [interval_cell(standing.mean), lag]
 
 
 def ranking_gaps(results: Results) -> list[str]:
@@ -168,7 +177,7 @@ def ratios(results: Results) -> Table | None:
             cells.append(Cell(*text, "" if thesis is None else number(thesis)))
         if any(cell.thesis for cell in cells):
             rows.append((point.name, cells))
-    return Table([f"{_heading(column)} / {reference.name}" for column in columns], rows)
+    return Table([f"{heading(column)} / {reference.name}" for column in columns], rows)
 
 
 def thesis_gaps(results: Results) -> list[str]:
@@ -256,9 +265,9 @@ def _measures(results: Results) -> list[_Measure]:
     if not is_learning and not all(point.has_success for point in points):
         special = [measure for measure in special if measure.name != "success"]
     others = [
-        _Measure(_heading(column), column, share_cell)
+        _Measure(heading(column), column, share_cell)
         if runs[column].dtype.kind == "b"
-        else _Measure(_heading(column), column, own_cell, (column, *(["nans"] if "nans" in runs else [])))
+        else _Measure(heading(column), column, own_cell, (column, *(["nans"] if "nans" in runs else [])))
         for column in results.measured(runs)
         if column not in known
     ]
@@ -364,13 +373,9 @@ def setting_cell(value: Any) -> Cell:
     return Cell(plain(value), key=value if is_number(value) else plain(value))
 
 
-def _heading(column: str) -> str:
-    return column.replace("_", " ")
-
-
 def _times(column: str, end: str) -> list[_Measure]:
     """When a goal was reached, NaN for never, in runs that ended at `end`."""
-    words = _heading(column)
+    words = heading(column)
     return [
         _Measure(f"{words}, runs that reached it", column, among_cell),
         _Measure(f"{words}, all runs", f"{column}_of_all", censored_cell, (column, end)),

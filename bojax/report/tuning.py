@@ -14,9 +14,18 @@ from bojax.report.page import Plate, provenance
 from bojax.report.ranking import Measure, ranking
 from bojax.report.source import Results, load
 from bojax.report.statistics import BAND, Interval
-from bojax.report.tables import Cell, RankedRow, RankedTable, count_cell, interval_cell, setting_cell
+from bojax.report.tables import (
+    BEHIND,
+    Cell,
+    RankedTable,
+    count_cell,
+    interval_cell,
+    score_cells,
+    score_headings,
+    setting_cell,
+)
 from bojax.report.template import fill
-from bojax.report.text import MISSING, counted, number, plain, with_bounds
+from bojax.report.text import counted, number, plain, with_bounds
 from bojax.results.store import ResultsError, read_json, write_content
 
 TUNING = "tuning.json"
@@ -180,19 +189,18 @@ def _confirmed(tuning: Tuning, fresh: Results) -> RankedTable:
     """The best points and the config as written, on fresh runs."""
     rows = []
     keys = [each.key for each in tuning.ranges]
-    for rank, standing in enumerate(ranking(fresh, tuning.measure), start=1):
+    standings = ranking(fresh, tuning.measure)
+    for standing in standings:
         index, values = standing.point.index, [standing.point.swept[key] for key in keys]
         expected = {tuple(tuning.points[i].values): place for place, i in enumerate(tuning.order, start=1)}
         place = expected.get(tuple(map(float, values)))
         name = f"{place} of {len(tuning.order)}" if place else "as written in the config"
-        lag = interval_cell(standing.lag) if rank > 1 else Cell(MISSING, key=0.0)
-        cells = [Cell(name, key=index), interval_cell(standing.mean), lag]
-        rows.append(RankedRow(rank, [*cells, *map(setting_cell, values)]))
-    headings = ["in the search", tuning.measure.words, "behind the best", *keys]
+        cells = [Cell(name, key=index), *score_cells(standing, standings[0])]
+        rows.append([*cells, *map(setting_cell, values)])
+    headings = ["in the search", *score_headings(tuning.measure), *keys]
     caption = (
         f"{counted(fresh.manifest.runs or 0, 'run')} of each setting with another seed, which the search has "
-        "not seen; 95% intervals in brackets. Behind the best: mean difference over equal runs. Where its "
-        "interval contains 0, these runs do not tell the two apart."
+        f"not seen; 95% intervals in brackets. {BEHIND}"
     )
     return RankedTable(headings, rows, caption)
 
@@ -200,13 +208,13 @@ def _confirmed(tuning: Tuning, fresh: Results) -> RankedTable:
 def _ranked(tuning: Tuning) -> RankedTable:
     """The points of the search by their posterior mean."""
     rows = []
-    for rank, index in enumerate(tuning.order[:MOST_RANKED], start=1):
+    for index in tuning.order[:MOST_RANKED]:
         point = tuning.points[index]
         low, high = point.mean - BAND * point.std, point.mean + BAND * point.std
         expected = interval_cell(Interval(point.mean, low, high))
         score = Cell(number(point.score), key="" if point.score is None else point.score)
         values = map(setting_cell, point.values)
-        rows.append(RankedRow(rank, [expected, score, *values, count_cell(point.round + 1)]))
+        rows.append([expected, score, *values, count_cell(point.round + 1)])
     headings = [f"expected {tuning.measure.words}", "score", *(each.key for each in tuning.ranges), "round"]
     caption = (
         f"The best {counted(len(rows), 'point')} of {len(tuning.points)} by the posterior mean of the model, "

@@ -135,9 +135,9 @@ def test_the_config_of_a_point_runs_with_another_seed(tmp_path):
 def test_the_table_of_ranks_is_sorted_and_has_the_best_point_first():
     table = ranked(grid())
     assert table.headings == ["mean return", "behind the best", "planner.depth", "planner.kappa", "runs"]
-    assert [row.rank for row in table.rows] == list(range(1, 17))
-    assert [cell.text for cell in table.rows[0].cells][2:] == ["3", "1", "30"]
-    keys = [[cell.key for cell in row.cells] for row in table.rows]
+    assert len(table.rows) == 16
+    assert [cell.text for cell in table.rows[0]][2:] == ["3", "1", "30"]
+    keys = [[cell.key for cell in row] for row in table.rows]
     assert [row[0] for row in keys] == sorted((row[0] for row in keys), reverse=True)
     assert [row[1] for row in keys] == sorted(row[1] for row in keys)
 
@@ -146,8 +146,8 @@ def test_without_common_runs_nothing_is_said_of_a_difference():
     results = grid()
     results.runs["run"] = results.runs["run"] + 1000 * (results.runs["point"] % 2)
     table = ranked(results)
-    assert [row.rank for row in table.rows] == list(range(1, 17))
-    assert sum(row.cells[1] == Cell("–") for row in table.rows) == 8
+    assert len(table.rows) == 16
+    assert sum(row[1] == Cell("–") for row in table.rows) == 8
 
 
 def test_few_points_need_no_table():
