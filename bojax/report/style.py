@@ -23,6 +23,7 @@ from matplotlib.transforms import offset_copy
 
 from bojax.logs import quiet
 from bojax.report.source import Point
+from bojax.report.text import minus
 
 BLUE, ORANGE, GREEN, PINK, SKY, YELLOW, BROWN, GREY = PALETTE = (
     "#0072B2",
@@ -252,7 +253,7 @@ def wrapped(name: str, width: int) -> str:
 
 def plain_ticks(axis: Axis) -> None:
     """Tick labels written out in full, with thousands separators and minus signs."""
-    axis.set_major_formatter(lambda value, _: f"{value:,.10g}".replace("-", "\N{MINUS SIGN}"))
+    axis.set_major_formatter(lambda value, _: minus(f"{value:,.10g}"))
 
 
 def quiet_grid(axes: Axes, which: str = "y") -> None:

@@ -65,6 +65,11 @@ def plain(value: Any) -> str:
     return str(value)
 
 
+def minus(text: str) -> str:
+    """The text of a number with a minus sign in place of its hyphen, as numbers are typeset."""
+    return text.replace("-", "\N{MINUS SIGN}")
+
+
 def is_number(value: Any) -> bool:
     """Whether a setting is a number, and not a Boolean."""
     return isinstance(value, int | float) and not isinstance(value, bool)

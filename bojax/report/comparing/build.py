@@ -22,7 +22,7 @@ from bojax.report.comparing.contenders import (
     of_folder,
 )
 from bojax.report.comparing.curve_files import read_curves
-from bojax.report.drawing.base import MAX_POINTS, Drawing, Undrawable, draw_intervals, set_rows
+from bojax.report.drawing.base import MAX_POINTS, Drawing, Undrawable, dot_plot, draw_intervals
 from bojax.report.drawing.curves import Chart, Panel
 from bojax.report.figures.learning_curves import limit
 from bojax.report.page import Plate
@@ -30,7 +30,7 @@ from bojax.report.ranking import ENDS
 from bojax.report.source import Results, load
 from bojax.report.tables import Table
 from bojax.report.template import fill
-from bojax.report.text import counted, file_name, joined, number, percent, ranged
+from bojax.report.text import counted, file_name, heading, joined, minus, number, percent, ranged
 from bojax.results.store import ResultsError, explained, write_content
 
 PAGE = "comparison.html"
@@ -194,7 +194,7 @@ def _draw_curves(
     is_share = measure.column == "success" and all(
         np.isin(each.values[np.isfinite(each.values)], (0.0, 1.0)).all() for each in curves
     )
-    words = measure.column.replace("_", " ")
+    words = heading(measure.column)
     tests = " of the tests after each episode" if measure.phase == "test" else ""
     quantity = f"share of runs with success{tests}" if is_share else f"mean {words}{tests}"
     label = "success (%)" if is_share else words
@@ -230,14 +230,9 @@ def _draw_scores(
     ]
     if not any(np.isfinite(interval.estimate) for interval in (*means, *iqms)):
         raise Undrawable("no contender has scores of all its runs")
-    lines = max(style.wrapped(point.name, 16).count("\n") + 1 for point in points)
-    figure, grid = style.figure(1.0 + max(0.26, 0.06 + 0.17 * lines) * len(points), 1, 3)
-    figure.set_layout_engine("constrained", wspace=0.1)
+    figure, grid = dot_plot(points, 1, 3, ticks=2, spare=1.0, least=0.26)
     titles = ("mean", "IQM", "P(better)")
-    for place, (axes, title, intervals) in enumerate(
-        zip(grid[0], titles, (means, iqms, better), strict=True)
-    ):
-        set_rows(axes, points, bottom=0.5, ticks=2, name_width=0 if place else 16)
+    for axes, title, intervals in zip(grid[0], titles, (means, iqms, better), strict=True):
         draw_intervals(axes, points, intervals)
         axes.xaxis.set_major_formatter(lambda value, _: _tick(value))
         axes.set_title(title)
@@ -261,12 +256,12 @@ def _draw_scores(
 def _tick(value: float) -> str:
     """A number that takes little room: `20k` for 20,000."""
     text = f"{value / 1000:g}k" if abs(value) >= 10_000 else f"{value:,.10g}"
-    return text.replace("-", "\N{MINUS SIGN}")
+    return minus(text)
 
 
 def _score(contenders: Sequence[Contender], measure: Measure) -> str:
     """What the score of a run is, in words."""
-    words = measure.column.replace("_", " ")
+    words = heading(measure.column)
     if contenders[0].curve is None:
         return f"{words}, or to the end of a run" if measure.column in ENDS else words
     unit = "steps" if measure.axis == "step" else "episodes"
@@ -292,7 +287,7 @@ def _page(
     tasks = f" on {joined(filter(None, by_task))}" if any(by_task) else ""
     names = list(dict.fromkeys(each.name for each in contenders))
     listed = f" ({joined(names)})" if len(names) <= MAX_POINTS else ""
-    what = measure.column.replace("_", " ")
+    what = heading(measure.column)
     direction = ", of which less is better" if measure.is_least else ""
     reference = request.reference or first[0].name
     return fill(

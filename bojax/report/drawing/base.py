@@ -106,6 +106,27 @@ def name_panels(panels: Iterable[Axes], points: Sequence[Point], pad: float = 4)
         axes.set_title(style.wrapped(point.name, 24), color=look["color"], pad=pad)
 
 
+NAME_WIDTH = 16
+"""Characters in a line of a name beside the panels of `dot_plot`."""
+
+
+def dot_plot(
+    points: Sequence[Point], rows: int, columns: int, *, ticks: int, spare: float = 0.75, least: float = 0.24
+) -> tuple[Figure, np.ndarray]:
+    """A figure of panels with a row for each point, whose names are beside the first column.
+
+    A row is at least `least` inches high, and a panel has `spare` inches for its title and axis.
+    """
+    lines = max(style.wrapped(point.name, NAME_WIDTH).count("\n") + 1 for point in points)
+    height = spare + max(least, 0.06 + 0.17 * lines) * len(points)
+    figure, grid = style.figure(rows * height + 0.15 * (rows > 1), rows, columns)
+    figure.set_layout_engine("constrained", wspace=0.1)
+    for panels in grid:
+        for place, axes in enumerate(panels):
+            set_rows(axes, points, bottom=0.5, ticks=ticks, name_width=0 if place else NAME_WIDTH)
+    return figure, grid
+
+
 def set_rows(axes: Axes, points: Sequence[Point], *, bottom: float, ticks: int, name_width: int = 0) -> None:
     """Set the limits and ticks of a panel with one row per point, from the top, and `bottom` rows below.
 

@@ -7,6 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Patch, Rectangle
 
 from bojax.report import style
+from bojax.report.text import minus
 from bojax.results.outline import Outline
 
 FLOOR, WALL, EDGE = "#F6F6F4", "#4A4A4A", "#555555"
@@ -55,7 +56,7 @@ def tick_outline(axes: Axes, outline: Outline) -> None:
         x_min, y_min, x_max, y_max = outline.border
         for axis, low, high in ((axes.xaxis, x_min, x_max), (axes.yaxis, y_min, y_max)):
             places = (low, 0.5 * (low + high), high)
-            axis.set_ticks(places, [f"{place:g}".replace("-", "\N{MINUS SIGN}") for place in places])
+            axis.set_ticks(places, [minus(f"{place:g}") for place in places])
 
 
 def is_speck(outline: Outline, shape: Sequence[float]) -> bool:

@@ -8,7 +8,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 from bojax.report import style
 from bojax.report.drawing.base import Drawing, panel_grid
 from bojax.report.statistics import BAND
-from bojax.report.text import counted, number
+from bojax.report.text import counted, heading, number
 
 if TYPE_CHECKING:
     from bojax.report.tuning import Tuning
@@ -79,7 +79,7 @@ def draw_progress(tuning: "Tuning") -> Drawing:
 
 
 def _label(tuning: "Tuning") -> str:
-    return "mean " + tuning.plan_.metric.replace("_", " ")
+    return f"mean {heading(tuning.plan_.metric)}"
 
 
 def _ticks(low: float, high: float) -> tuple[float, ...]:

@@ -5,7 +5,7 @@ from typing import Any
 from matplotlib.lines import Line2D
 
 from bojax.report import style
-from bojax.report.drawing.base import Drawing, Undrawable, draw_intervals, drawn_points, set_rows
+from bojax.report.drawing.base import Drawing, Undrawable, dot_plot, draw_intervals, drawn_points
 from bojax.report.source import Results
 from bojax.report.statistics import mean_interval, ratio_interval
 from bojax.report.text import number, ranged
@@ -19,7 +19,6 @@ MEASURES = {
 }
 """Columns of `runs.parquet` that are drawn if the results have them."""
 
-_NAME_WIDTH = 16
 _THESIS: dict[str, Any] = {"marker": "D", "markersize": 5, "markerfacecolor": "white", "markeredgewidth": 1.2}
 
 
@@ -31,14 +30,7 @@ def draw(results: Results) -> Drawing:
         raise Undrawable(f"runs.parquet has none of {', '.join(MEASURES)}")
     reference = results.reference
     ratios = [column for column in columns if any(results.thesis_ratio(point, column) for point in points)]
-    rows = 2 if ratios else 1
-    lines = max(style.wrapped(point.name, _NAME_WIDTH).count("\n") + 1 for point in points)
-    height = 0.75 + max(0.24, 0.06 + 0.17 * lines) * len(points)
-    figure, grid = style.figure(rows * height + 0.15 * (rows > 1), rows, len(columns))
-    figure.set_layout_engine("constrained", wspace=0.1)
-    for row in grid:
-        for place, axes in enumerate(row):
-            set_rows(axes, points, bottom=0.5, ticks=3, name_width=0 if place else _NAME_WIDTH)
+    figure, grid = dot_plot(points, 2 if ratios else 1, len(columns), ticks=3)
     told = []
     for axes, column in zip(grid[0], columns, strict=True):
         means = [mean_interval(results.runs_of(point)[column]) for point in points]

@@ -17,7 +17,7 @@ from bojax.report.ranking import Measure
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats
 from bojax.report.tables import swept_values
-from bojax.report.text import heading, is_number, number
+from bojax.report.text import heading, is_number, minus, number
 
 RANK = 175
 
@@ -131,5 +131,5 @@ def _write_numbers(axes: Axes, image: AxesImage, values: Floats) -> None:
         if np.isfinite(value):
             red, green, blue, _ = colours[row, column]
             ink = "#111111" if 0.299 * red + 0.587 * green + 0.114 * blue > 0.5 else "#fefefe"
-            text = number(float(value)).replace("-", "\N{MINUS SIGN}")
+            text = minus(number(float(value)))
             axes.text(column, row, text, ha="center", va="center", color=ink, fontsize=8)
