@@ -300,7 +300,7 @@ class _Executor:
         return None
 
     def _look_elsewhere(self) -> bool:
-        """See what has become of the chunks of other processes; False if all these processes are alive."""
+        """Look at the chunks of other processes; False if all that are left are run by living processes."""
         if not self._looking.acquire(blocking=False):
             return True
         try:
@@ -329,7 +329,7 @@ class _Executor:
             self._looking.release()
 
     def _move(self, task: GroupTask, standings: Mapping[Chunk, Standing]) -> None:
-        """Take the chunks of other processes that have ended or are free out of those that wait for them."""
+        """Move chunks of other processes that are free to the tasks, and drop those that have ended."""
         left = []
         for chunk in task.elsewhere:
             standing = standings.get(chunk, Standing.HELD)

@@ -1,4 +1,4 @@
-"""Forecast of the time that is left, from the runs that have ended and the programs still to be compiled."""
+"""Forecast of the remaining time, from the runs that have ended and the programs still to be compiled."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -71,11 +71,11 @@ class GroupProgress:
 
 @dataclass(frozen=True)
 class Forecast:
-    """Seconds that are left.
+    """The remaining time, in seconds.
 
     Attributes:
-        compiling: Wall time of the compilations that are left.
-        running: Wall time of the advances that are left.
+        compiling: Wall time of the remaining compilations.
+        running: Wall time of the remaining advances.
         shares_cores: Whether compilation and advances take turns on the same cores.
     """
 
@@ -94,9 +94,9 @@ class Forecast:
 def forecast(
     groups: Sequence[GroupProgress], *, now: float, workers: int, shares_cores: bool
 ) -> Forecast | None:
-    """The time that is left; None while nothing is known of the duration of an advance.
+    """The remaining time; None before the first advance.
 
-    A group of which nothing is known is taken for an average one.
+    A group without an advance is taken for an average one.
 
     Args:
         groups: All groups with unfinished chunks, and those that are done.

@@ -84,7 +84,7 @@ class Journal:
         self.write_manifest("running")
 
     def _verify(self, *, retry: bool) -> None:
-        """Read what earlier processes have committed, and forget what does not fit it."""
+        """Read the committed files of earlier processes, and delete outcomes that do not fit them."""
         attempts = Attempts(self.folder.work)
         attempts.look()
         for chunk in self.plan.chunks:

@@ -54,7 +54,7 @@ class Launcher(abc.ABC):
 
     @abc.abstractmethod
     def check(self, name: str) -> None:
-        """Refuse, before anything is written, what cannot be started.
+        """Check, before anything is written, that workers can be started.
 
         Raises:
             EngineError: The launcher is missing on this machine, or refuses its settings.
@@ -69,11 +69,11 @@ class Launcher(abc.ABC):
         """
 
     def keep(self) -> bool:
-        """Whether workers are alive; those that were lost are replaced."""
+        """Replace lost workers, and return whether any worker is alive."""
         return False
 
     def close(self) -> None:
-        """Have the workers stop at a checkpoint, and wait for them."""
+        """Make the workers stop at a checkpoint, and wait for them."""
         return
 
     def __enter__(self) -> "Launcher":
@@ -143,13 +143,13 @@ def _open(target: Target) -> Path:
 
 
 def _asked_for(sweep: dict[str, Any]) -> dict[str, Any]:
-    """What must be the same when a sweep is resumed."""
+    """The values that must be equal when a sweep is resumed."""
     kept = {name: sweep[name] for name in ("runs", "seed", "record", "config", "points")}
     return {**kept, "engine.lanes_per_device": sweep["engine"]["lanes_per_device"]}
 
 
 def _described(content: dict[str, Any]) -> dict[str, Any]:
-    """What a sweep and its plan have in common; the plan has the settings of points that workers resolved."""
+    """The values that a sweep shares with its plan, in which workers have resolved the settings of points."""
     kept = {name: content[name] for name in ("runs", "seed", "record", "config")}
     points = [{**point, "config": None} for point in content["points"]]
     return {**kept, "points": points}

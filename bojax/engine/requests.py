@@ -1,4 +1,4 @@
-"""Sweeps that are asked for: where each goes, and which of them have something left to run."""
+"""The requested sweeps: their results folders, and which of them are unfinished."""
 
 import sys
 from collections.abc import Callable, Sequence

@@ -27,7 +27,7 @@ EVALUATION_EPISODES = 20
 
 
 class Sink(abc.ABC):
-    """Receives what a chunk produces.
+    """Receives the rows, snapshots, learners and checkpoints of a chunk.
 
     Attributes:
         state: The progress of the chunk, changed while it runs.

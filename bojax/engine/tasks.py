@@ -1,4 +1,4 @@
-"""What is left of a sweep for a process to run: its groups, each with the chunks that are not done."""
+"""The tasks of a process in a sweep: its static groups, each with the chunks that are not done."""
 
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
@@ -21,8 +21,8 @@ def tasks_of(
         share: The chunks.
         stop: Whether a stop is requested.
         name_sweep: Whether messages name the sweep.
-        start: Share of the chunks, from 0 to 1, that comes last. Workers that start apart seldom want
-            the same chunk, and each compiles few groups.
+        start: Where the process starts, as a fraction of the chunks from 0 to 1; the chunks before it come
+            last. Workers that start apart seldom want the same chunk, and each compiles few groups.
     """
     plan, engine = share.plan, share.plan.sweep.engine
     standings = {chunk: share.standing(chunk) for chunk in plan.chunks}

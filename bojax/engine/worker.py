@@ -1,7 +1,7 @@
 """A worker: a process that runs chunks of planned sweeps, started by hand or by a launcher on any machine.
 
-The results folder is all that workers and driver share. A worker makes the plan of the sweep from the
-settings in the folder, on its own device. The first worker commits its plan; one that differs leaves.
+Workers and driver share only the results folder. A worker makes the plan of the sweep from the settings in
+the folder, for its own device. The first worker commits its plan; a worker whose plan differs ends.
 """
 
 import os
@@ -39,7 +39,7 @@ class WorkerOptions:
         cores: Number of cores of a CPU; None for all that the process may run on.
         number: Number of this worker among those of a launch, from 0.
         count: Number of workers of the launch.
-        waits: Whether it stays while other workers run chunks, to take over those of lost ones.
+        waits: Whether it stays while other workers run chunks, to take over chunks of lost workers.
     """
 
     devices: Sequence[int] | None = None
@@ -50,7 +50,7 @@ class WorkerOptions:
 
 
 def run_worker(folders: Sequence[Path], options: WorkerOptions, stop: Callable[[], bool]) -> int:
-    """Run chunks until none is left that no live process runs; return 0, or 1 if a chunk failed here.
+    """Run chunks until each has ended or is run by a living process; return 0, or 1 if a chunk failed here.
 
     After a requested stop, the chunks that run are paused at a checkpoint, and their leases are given back.
 

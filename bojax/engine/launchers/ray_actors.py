@@ -36,10 +36,10 @@ STOP_SECONDS = 600.0
 """Time in which actors have to reach a checkpoint."""
 
 HEAR_SECONDS = 5.0
-"""Time in which an actor that is alive hears that it has to stop."""
+"""Time in which a living actor answers that it will stop."""
 
 IDLE_SECONDS = 60.0
-"""Time after which an actor without work ends, if the driver that would end it is gone."""
+"""Time after which an actor without work ends by itself, if no driver has ended it."""
 
 
 class Ray(Launcher):
@@ -96,7 +96,7 @@ class Ray(Launcher):
         return f"bojax-{identity}-{number}"
 
     def _call(self, number: int) -> None:
-        """Have an actor work; an earlier driver may have started it."""
+        """Give an actor its work; it is started unless an earlier driver or round has started it."""
         actor = (
             _ray()
             .remote(_Actor)
@@ -174,7 +174,7 @@ class _Actor:
         self._timer = self._wait_for_work()
 
     def work(self, folders: Sequence[str], number: int, count: int, cores: int | None) -> str | None:
-        """Run chunks until none is left; a second call waits for the first.
+        """Run chunks until all have ended; a second call waits for the first.
 
         Returns:
             The error for which the worker left early, in one line; None if there was none.
@@ -204,7 +204,7 @@ class _Actor:
             ray.kill(ray.get_runtime_context().current_actor)
 
     def stop(self) -> None:
-        """Have `work` end at a checkpoint."""
+        """Make `work` stop at a checkpoint."""
         self._is_stopping = True
 
     def _stops(self) -> bool:

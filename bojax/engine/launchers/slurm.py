@@ -21,7 +21,7 @@ NOTICE_SECONDS = 120
 """Time before the limit at which Slurm tells a worker to stop at a checkpoint."""
 
 ASK_SECONDS = 15.0
-"""Time between two questions to Slurm whether an array has ended."""
+"""Interval at which Slurm is asked whether an array has ended."""
 
 STOP_SECONDS = 60.0
 """Time in which the tasks of a cancelled array have to reach a checkpoint."""
@@ -30,8 +30,8 @@ STOP_SECONDS = 60.0
 class Slurm(Launcher):
     """Submits an array and returns, or waits for it.
 
-    Slurm starts a task again that nears its time limit or whose node fails. A cancelled task stops at a
-    checkpoint, and is not started again.
+    A task that nears its time limit, or whose node fails, is started again by Slurm. A cancelled task stops
+    at a checkpoint, and is not started again.
 
     Args:
         config: The settings.
