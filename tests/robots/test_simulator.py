@@ -22,6 +22,7 @@ from bojax.robots.quadrotor import quadrotor_model
 from bojax.robots.settings import MJX
 from bojax.robots.simulator import Simulator
 from tests.compiling import REPEATABLY
+from tests.tiers import by_tier
 
 MODELS = {
     "hopper": packaged("hopper"),
@@ -31,6 +32,10 @@ MODELS = {
     "quadrotor": quadrotor_model(),
 }
 """Every packaged model, by the name that its tests get; one more is one more line."""
+
+# Hopper and reacher are compared with Gymnasium's in `envs/test_robots.py`, and the car with C MuJoCo in
+# `problems/test_wheeled_robot.py`.
+each_model = pytest.mark.parametrize("name", by_tier(MODELS, normal=["jaco", "quadrotor"]))
 
 LANES, STEPS = 8, 20
 
@@ -95,7 +100,7 @@ def driven(name: str, seed: int = 0):
 
 
 @pytest.mark.parametrize("impl", IMPLS)
-@pytest.mark.parametrize("name", MODELS)
+@each_model
 def test_mjx_is_c_mujoco(name, impl):
     qpos, qvel, controls = driven(name)
     found, has_diverged = advanced(name, impl)(qpos, qvel, controls)
@@ -112,7 +117,7 @@ def test_mjx_is_c_mujoco(name, impl):
 @pytest.mark.bits
 @pytest.mark.parametrize("impl", IMPLS)
 @pytest.mark.parametrize("wrong", [np.nan, 1e6], ids=["nan", "fast"])
-@pytest.mark.parametrize("name", MODELS)
+@each_model
 def test_a_lane_that_diverges_leaves_the_others_alone(name, wrong, impl):
     qpos, qvel, controls = driven(name, seed=1)
     alone, _ = advanced(name, impl)(qpos, qvel, controls)
