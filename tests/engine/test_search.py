@@ -5,6 +5,7 @@ import pytest
 
 from bojax.config.tuning import Range
 from bojax.engine.tuning import Search
+from tests.tiers import by_tier
 
 RATE = Range("learner.learning_rate", 1e-3, 1.0, is_log=True, is_integer=False)
 WEIGHT = Range("learner.kappa", -2.0, 2.0, is_log=False, is_integer=False)
@@ -30,7 +31,7 @@ def searched(seed: int, rounds: int, batch: int = 6, noise: float = 0.2):
     return search, points, scores
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", by_tier(range(3), normal=[0]))
 def test_the_best_posterior_mean_is_near_the_maximum_of_a_noisy_function(seed):
     search, points, scores = searched(seed, rounds=8)
     best = points[int(np.argmax(search.predict(points)[0]))]

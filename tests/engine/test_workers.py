@@ -125,7 +125,7 @@ def stopping_after(segments: int):
 def test_a_worker_goes_on_where_others_stopped(often, alone):
     rounds = 0
     while len(attempts_of(often).complete) < 3:
-        assert work_on(often, stop=stopping_after(40), cores=1) == 0
+        assert work_on(often, stop=stopping_after(120), cores=1) == 0
         rounds += 1
     assert rounds > 2
     assert merged(often) == alone

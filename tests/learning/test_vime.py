@@ -209,13 +209,16 @@ def numbered(number: int, length: int) -> Episode:
     return Episode(transitions, jnp.asarray(length, jnp.int32))
 
 
-@pytest.mark.parametrize("pool_size", by_tier([1000, 25, 7], normal=[25]))
+SHORT = {"longest_episode": 4, "iteration_steps": 6}
+
+
+@pytest.mark.parametrize("pool_size", by_tier([1000, 20, 7], normal=[20]))
 def test_the_pool_keeps_the_latest_transitions_and_pairs_no_episodes(pool_size):
-    learner, state = make(pool_size=pool_size)
+    learner, state = make(pool_size=pool_size, **SHORT)
     lengths, seen = (4, 7, 9, 9, 1, 9, 3, 8), []
     for number, length in enumerate(lengths):
         state = end_episode(learner, jax.random.key(number), state, numbered(number, length))
-        seen += [100 * number + step for step in range(length)]
+        seen += [100 * number + step for step in range(min(length, SHORT["longest_episode"]))]
         if not int(state.batch.memory.count):  # an iteration has taken place
             size = int(state.pool.size)
             assert size == min(len(seen), pool_size)
@@ -226,11 +229,11 @@ def test_the_pool_keeps_the_latest_transitions_and_pairs_no_episodes(pool_size):
             assert sorted(before) == seen[-size:]
             np.testing.assert_array_equal(state.pool.actions[:size, 0], before)
             np.testing.assert_array_equal(state.pool.is_filled, np.arange(pool_size) < size)
-    assert int(state.iterations) == 4
+    assert int(state.iterations) == 3
 
 
 def test_a_long_episode_is_cut_and_a_short_batch_waits():
-    learner, state = make(longest_episode=4, iteration_steps=6)
+    learner, state = make(pool_size=20, **SHORT)
     states = learn(learner, state, (9, 1, 2))
     assert [int(s.batch.memory.count) for s in states] == [4, 5, 0]
     np.testing.assert_array_equal(states[1].batch.steps[:5], [0, 1, 2, 3, 0])

@@ -34,8 +34,7 @@ def resampled_iqms(random, strata, count=4000):
 
 def share_of_wins(first, second):
     """Probability of improvement by comparing every pair."""
-    wins = [(x > y) + 0.5 * (x == y) for x in first for y in second]
-    return float(np.mean(wins))
+    return float(np.mean(0.5 + 0.5 * np.sign(np.subtract.outer(first, second))))
 
 
 class TestStatistics:

@@ -358,8 +358,8 @@ class TestGrowth:
 
     def test_between_two_laws_nothing_is_decided(self):
         # x to the 1.5 is as far from a line as from a parabola.
-        verdicts = [judge(self.chains(lambda x: x**1.45, seed=seed), self.TEST).verdict for seed in range(10)]
-        assert verdicts.count("inconclusive") >= 5
+        verdicts = [judge(self.chains(lambda x: x**1.45, seed=seed), self.TEST).verdict for seed in range(4)]
+        assert verdicts.count("inconclusive") >= 2
 
     def test_few_noisy_runs_decide_nothing(self):
         flat = self.chains(lambda x: 100 + 3 * x, runs=MIN_RUNS, spread=0.2, x=(2, 8, 14, 20))
