@@ -3,6 +3,7 @@
 import ctypes
 import gc
 import os
+from collections import Counter
 from pathlib import Path
 
 if os.environ.setdefault("JAX_PLATFORMS", "cpu") == "cuda":
@@ -58,6 +59,42 @@ def usual_jax():
     yield
     for flag, value in strict.items():
         jax.config.update(flag, value)
+
+
+_programs: Counter[str] = Counter()
+"""Programs compiled or read from the cache by each test file: a cost that is the same on every machine."""
+
+_file = ["collection"]
+"""The file whose tests are running."""
+
+
+def _count(event, *_, **__):
+    if event == "/jax/core/compile/backend_compile_duration":
+        _programs[_file[0]] += 1
+
+
+jax.monitoring.register_event_duration_secs_listener(_count)
+
+
+def pytest_runtest_logstart(location):
+    _file[0] = location[0]
+
+
+def pytest_sessionfinish(session):
+    if hasattr(session.config, "workeroutput"):  # of a worker of pytest-xdist, for the next hook
+        session.config.workeroutput["programs"] = dict(_programs)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node):
+    _programs.update(getattr(node, "workeroutput", {}).get("programs", {}))
+
+
+def pytest_terminal_summary(terminalreporter):
+    """Say in continuous integration how many programs were compiled."""
+    if os.environ.get("CI"):
+        most = ", ".join(f"{file} {number}" for file, number in _programs.most_common(5))
+        terminalreporter.write_line(f"programs compiled: {_programs.total()}; most by {most}")
 
 
 _MOST_MEMORY = 1_500_000
