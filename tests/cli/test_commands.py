@@ -7,6 +7,7 @@ import pytest
 from bojax.cli import doctor
 from bojax.cli.main import main
 from bojax.config.component import External
+from tests.tiers import by_tier
 
 FOLDER = Path("results/parking/20260101-000000")
 """The folder chosen by the engine."""
@@ -70,7 +71,7 @@ def test_several_sweeps_get_folders_of_their_own(calls):
     assert [call[2] for call in made if call[0] == "run"] == [Path("both/fig-4.2"), Path("both/fig-4.6")]
 
 
-@pytest.mark.parametrize("code", [1, 130, 143])
+@pytest.mark.parametrize("code", by_tier([1, 130, 143], normal=[143]))
 def test_the_exit_code_is_that_of_the_engine(calls, code):
     made, codes = calls
     codes["fig-4.2"] = code

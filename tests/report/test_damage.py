@@ -176,6 +176,7 @@ def test_snapshots_of_other_shapes_are_refused(tmp_path, capsys, command, name, 
 
 def test_snapshots_of_a_problem_of_ones_own_are_left_alone(tmp_path):
     folder = write_monitoring(tmp_path / "results", runs=2, recorded=1)
+    edit_manifest(folder, lambda manifest: manifest.update(report={"figures": ["paths", "beliefs"]}))
     np.savez(folder / "arrays" / "0-0-belief-end.npz", mean=np.zeros(3), weights=np.zeros((2, 2)))
     build_report(folder)
     assert (folder / "figures" / "paths.png").exists()

@@ -124,7 +124,7 @@ class TestPage:
                 "test": {**printed, "mean": 3.5, "sd": 0.5},
             },
         ]
-        folder = write_learning(tmp_path / "results", claims=claims)
+        folder = write_learning(tmp_path / "results", report={"figures": ["returns"]}, claims=claims)
         build_report(folder)
         text = Page((folder / "report.html").read_text()).text
         assert text.count("✓ reproduced") == 2

@@ -55,6 +55,7 @@ def test_all_that_makes_sense_is_drawn(folder):
     assert names == {"accumulated-reward", "returns", "errors", "paths", "beliefs"}
 
 
+@pytest.mark.slow
 def test_rebuilding_gives_the_same_bytes(folder):
     first = {path: path.read_bytes() for path in sorted((folder / "figures").iterdir())}
     build_report(folder)
