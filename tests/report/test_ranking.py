@@ -156,7 +156,9 @@ def test_few_points_need_no_table():
 
 
 def test_the_page_has_a_sortable_table_and_the_map(tmp_path):
-    folder = write_learning(tmp_path / "a", runs=4, episodes=4, lengths=(5, 10, 15, 20, 25))
+    folder = write_learning(
+        tmp_path / "a", runs=4, episodes=4, lengths=(5, 10, 15, 20, 25), report={"figures": ["settings"]}
+    )
     page = build_report(folder).read_text()
     (table,) = re.findall(r'<table class="sortable".*?</table>', page, re.DOTALL)
     assert table.count('<tr class="best">') == 1 and table.count("<tr") == 1 + 15

@@ -313,6 +313,7 @@ def test_the_page_shows_what_the_report_shows(tmp_path):
     assert "no runs of cbts" in page.text  # why a claim has no verdict
 
 
+@pytest.mark.slow
 def test_a_real_sweep(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mine.yaml").write_text("""
