@@ -38,17 +38,11 @@ def build_report(folder: Path, at: Callable[[str], None] = lambda stage: None) -
     notes = [*notes, *thesis_gaps(results), *ranking_gaps(results), *_gaps(results), *_unknown(results)]
     page = render(results, claims, plates, notes)
 
-    figures = folder / "figures"
-    with explained(figures):
-        figures.mkdir(exist_ok=True)
-    for name in figure_modules():
+    style.write_images(folder, images)
+    for name in figure_modules().keys() - images:  # an earlier report may have drawn them
         for suffix in ("png", "svg"):
-            path = figures / f"{name}.{suffix}"
-            if name in images:
-                write_content(path, images[name][suffix])
-            else:
-                with explained(path):
-                    path.unlink(missing_ok=True)  # an earlier report drew it
+            with explained(path := folder / style.FIGURES / f"{name}.{suffix}"):
+                path.unlink(missing_ok=True)
     text = json.dumps(claims, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     write_content(folder / "claims.json", text)
     write_content(folder / "report.html", page)

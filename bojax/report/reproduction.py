@@ -15,7 +15,7 @@ from bojax.report.source import load
 from bojax.report.template import fill
 from bojax.report.text import counted, joined, seconds
 from bojax.report.verdicts import TestedClaim, in_words, read_claims, tally
-from bojax.results.store import ResultsError, explained, write_content
+from bojax.results.store import ResultsError, make_folder, write_content
 
 CHAPTERS = {
     3: "Bayesian optimisation for sequential planning",
@@ -136,8 +136,7 @@ def reproduction(
         if sweep.manifest.status == "failed":
             errors = dict.fromkeys(chunk.error for chunk in sweep.manifest.chunks if chunk.error)
             gaps.append((sweep.name, f"some runs are missing: {'; '.join(errors) or 'unknown error'}"))
-    with explained(folder):
-        folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     values = _content(sweeps, gaps, command, seconds)
     for name in (TEXT, PAGE):
         write_content(folder / name, fill(f"{name}.j2", **values))

@@ -7,6 +7,7 @@ import textwrap
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import matplotlib
@@ -24,6 +25,7 @@ from matplotlib.transforms import offset_copy
 from bojax.logs import quiet
 from bojax.report.source import Point
 from bojax.report.text import minus
+from bojax.results.store import make_folder, write_content
 
 BLUE, ORANGE, GREEN, PINK, SKY, YELLOW, BROWN, GREY = PALETTE = (
     "#0072B2",
@@ -66,6 +68,9 @@ LINES = ("-", (0, (5, 1.6)), (0, (1.2, 1.4)), (0, (6, 1.5, 1.2, 1.5)), (0, (2.5,
 
 SHADES = (("white", 0.0), ("black", 0.45), ("white", 0.4), ("black", 0.25), ("white", 0.2))
 """The colour that is mixed into that of an identifier for each of its variants, and its share."""
+
+FIGURES = "figures"
+"""Name of the folder of figures."""
 
 WIDTH = 4.7
 """Width of every figure in inches: on a phone of 340 CSS pixels, text is still 10 pixels high."""
@@ -172,6 +177,14 @@ def encode(drawn: Figure) -> Mapping[str, bytes]:
     FigureCanvasAgg(drawn).print_png(png, metadata={"Software": None})
     FigureCanvasSVG(drawn).print_svg(svg, metadata={"Date": None, "Creator": None})
     return {"png": png.getvalue(), "svg": svg.getvalue()}
+
+
+def write_images(folder: Path, images: Mapping[str, Mapping[str, bytes]]) -> None:
+    """Write encoded figures into the subfolder `figures` of a folder, `NAME.png` and `NAME.svg`."""
+    make_folder(folder / FIGURES)
+    for name, files in images.items():
+        for suffix, content in files.items():
+            write_content(folder / FIGURES / f"{name}.{suffix}", content)
 
 
 def colour(label: str, labels: Sequence[str]) -> str:

@@ -18,6 +18,7 @@ from bojax.results.store import (
     explained,
     fingerprint,
     link,
+    make_folder,
     read_checked_json,
     read_table,
     sync,
@@ -92,8 +93,7 @@ class ChunkFolder:
         Raises:
             ResultsError: A committed file is missing or has changed; in this case nothing is deleted.
         """
-        with explained(self.path):
-            self.path.mkdir(parents=True, exist_ok=True)
+        make_folder(self.path)
         self.read()
         self._drop_uncommitted()
 

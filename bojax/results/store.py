@@ -69,6 +69,16 @@ def explained(path: Path, action: str = "written") -> Iterator[None]:
         raise ResultsError(f"{path}: cannot be {action}: {error.strerror or error}", code) from error
 
 
+def make_folder(folder: Path) -> None:
+    """Make a folder, and those above it, unless it is there.
+
+    Raises:
+        ResultsError: It cannot be made; one line.
+    """
+    with explained(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+
+
 def write_atomically(path: Path, write: Callable[[Path], Any], *, durably: bool = True) -> None:
     """Call `write` on a temporary file, sync the file to the disk if `durably`, then rename it to `path`."""
     temporary = path.with_name(f".{path.name}.tmp")

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from bojax.report.style import settings
-from bojax.results.store import ResultsError, explained, write_atomically
+from bojax.results.store import ResultsError, make_folder, write_atomically
 
 MAX_FRAMES = 250
 SLOWEST, FASTEST = 0.1, 0.04
@@ -65,7 +65,7 @@ def render(film: Film, folder: Path, advanced: Callable[[], None] = lambda: None
         for image in film.images():
             images.append(image)
             advanced()
-    _make(folder)
+    make_folder(folder)
     paths = [folder / f"{film.name}.gif"]
     write_atomically(paths[0], lambda path: _write_gif(path, images, film.seconds))
     if FFMpegWriter.isAvailable():
@@ -82,7 +82,7 @@ def write_still(film: Film, path: Path, share: float) -> None:
     """
     with settings():
         image = film.still(share)
-    _make(path.parent)
+    make_folder(path.parent)
     write_atomically(path, lambda path: image.save(path, "PNG", optimize=True))
 
 
@@ -104,11 +104,6 @@ def photograph(figure: Figure) -> Image.Image:
     assert isinstance(canvas, FigureCanvasAgg)
     canvas.draw()
     return Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy())
-
-
-def _make(folder: Path) -> None:
-    with explained(folder):
-        folder.mkdir(parents=True, exist_ok=True)
 
 
 def _write_gif(path: Path, images: Sequence[Image.Image], seconds: float) -> None:

@@ -31,7 +31,7 @@ from bojax.report.source import Results, load
 from bojax.report.tables import Table
 from bojax.report.template import fill
 from bojax.report.text import counted, file_name, heading, joined, minus, number, percent, ranged
-from bojax.results.store import ResultsError, explained, write_content
+from bojax.results.store import ResultsError, write_content
 
 PAGE = "comparison.html"
 
@@ -95,12 +95,7 @@ def compare(request: Request, out: Path) -> Path:
             parts.append(Part(task, plates, tables.scores(members, references[task], measure)))
     page = _page(request, results, contenders, parts, measure)
 
-    figures = out / "figures"
-    with explained(figures):
-        figures.mkdir(parents=True, exist_ok=True)
-    for name, files in images.items():
-        for suffix, content in files.items():
-            write_content(figures / f"{name}.{suffix}", content)
+    style.write_images(out, images)
     write_content(out / PAGE, page)
     return out / PAGE
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from bojax.report.exporting.content import ExportedPoint
-from bojax.results.store import explained, write_content
+from bojax.results.store import make_folder, write_content
 
 
 def write(points: Sequence[ExportedPoint], out: Path) -> None:
@@ -24,8 +24,7 @@ def write(points: Sequence[ExportedPoint], out: Path) -> None:
     ]
     scalars = [(point.name, *item) for point in points for item in point.scalars.items()]
     settings = [(point.name, *item) for point in points for item in point.settings.items()]
-    with explained(out):
-        out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     _write(out / "curves.csv", ("point", "curve", "axis", "x", "mean", "std"), curves)
     _write(out / "scalars.csv", ("point", "scalar", "value"), scalars)
     _write(out / "settings.csv", ("point", "setting", "value"), settings)

@@ -8,7 +8,7 @@ from pathlib import Path
 from bojax.config.extras import MissingExtra
 from bojax.logs import quiet
 from bojax.report.exporting.content import ExportedPoint
-from bojax.results.store import ResultsError, explained
+from bojax.results.store import ResultsError, make_folder
 from bojax.text import error_line
 
 _PARAMS, _METRICS = 100, 1000
@@ -35,8 +35,7 @@ def write(points: Sequence[ExportedPoint], out: Path) -> None:
         from mlflow.exceptions import MlflowException  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise MissingExtra("mlflow", "mlflow") from error
-    with explained(out):
-        out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     folder = out.resolve()
     try:
         with quiet("mlflow.store.db.utils", logging.WARNING):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from bojax.config.extras import MissingExtra
 from bojax.report.exporting.content import ExportedPoint
-from bojax.results.store import explained
+from bojax.results.store import make_folder
 
 
 def write(points: Sequence[ExportedPoint], out: Path) -> None:
@@ -20,8 +20,7 @@ def write(points: Sequence[ExportedPoint], out: Path) -> None:
         import wandb  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise MissingExtra("wandb", "wandb") from error
-    with explained(out):
-        out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     quiet = wandb.Settings(
         silent=True,
         console="off",
