@@ -1,7 +1,6 @@
 """A film: pictures one after the other, written as GIF, and as MP4 where there is ffmpeg; or a still."""
 
 import abc
-import re
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -33,12 +32,12 @@ One entry of the 256 is left for pixels that do not change, which then need no b
 
 
 class Film(abc.ABC):
-    """What is shown of one run.
+    """The pictures of one run.
 
     Attributes:
-        name: Its file, without a suffix.
-        num_images: How many pictures it has.
-        seconds: How long each is shown, a multiple of the 10 ms that a GIF knows.
+        name: Name of the file, without a suffix.
+        num_images: Number of pictures.
+        seconds: Time for which a picture is shown, a multiple of 10 ms, the unit of GIF.
     """
 
     name: str
@@ -51,7 +50,7 @@ class Film(abc.ABC):
 
     @abc.abstractmethod
     def still(self, share: float) -> Image.Image:
-        """Draw what moves, larger and without words, when this share of the film is over, from 0 to 1."""
+        """Draw the scene at a share of the film, from 0 to 1: larger than in the film, and without text."""
 
 
 def render(film: Film, folder: Path, advanced: Callable[[], None] = lambda: None) -> list[Path]:
@@ -86,20 +85,15 @@ def write_still(film: Film, path: Path, share: float) -> None:
     write_atomically(path, lambda path: image.save(path, "PNG", optimize=True))
 
 
-def slug(name: str) -> str:
-    """A name as it can stand in that of a file."""
-    return re.sub(r"[^\w.=-]+", "-", name).strip("-")
-
-
 def blank(width: float, height: float) -> Figure:
-    """An empty figure that can be photographed, of so many inches."""
+    """An empty figure with a canvas for `photograph`; width and height are in inches."""
     figure = Figure(figsize=(width, height), dpi=DPI)
     FigureCanvasAgg(figure)
     return figure
 
 
 def photograph(figure: Figure) -> Image.Image:
-    """A figure as it is now."""
+    """The current state of a figure as a picture."""
     canvas = figure.canvas
     assert isinstance(canvas, FigureCanvasAgg)
     canvas.draw()

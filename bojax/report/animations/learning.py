@@ -14,9 +14,10 @@ from typing_extensions import override
 
 from bojax.config.component import External
 from bojax.report.animations.episode import Episode
-from bojax.report.animations.film import FASTEST, MAX_FRAMES, SLOWEST, STILL, Film, blank, photograph, slug
+from bojax.report.animations.film import FASTEST, MAX_FRAMES, SLOWEST, STILL, Film, blank, photograph
 from bojax.report.animations.scenes import SCENES, Scene
 from bojax.report.style import BLUE, FAINT, INK
+from bojax.report.text import file_name
 from bojax.results.store import ResultsError
 
 _SIZE = (4.0, 4.0)
@@ -33,7 +34,7 @@ class LearningFilm(Film):
         self._episode = episode
         self._kind, self._scene, self._time_step = _drawn(episode, model)
         self._indices = frames_of(len(episode.observations))
-        self.name = f"{slug(episode.point.name)}-run{episode.run}-episode{episode.number}"
+        self.name = f"{file_name(episode.point.name)}-run{episode.run}-episode{episode.number}"
         self.num_images = len(self._indices)
         stride = (self._indices[-1] - self._indices[0]) / max(self.num_images - 1, 1)
         self.seconds = round(float(np.clip(stride * self._time_step, FASTEST, SLOWEST)), 2)

@@ -18,12 +18,13 @@ from typing_extensions import override
 
 from bojax.config.component import External
 from bojax.report.animations.drive import Drive, Leg
-from bojax.report.animations.film import MAX_FRAMES, SLOWEST, STILL, Film, blank, photograph, slug
+from bojax.report.animations.film import MAX_FRAMES, SLOWEST, STILL, Film, blank, photograph
 from bojax.report.drawing.domains import draw_outline
 from bojax.report.drawing.maps import QUIET, draw_map
 from bojax.report.drawing.smooth import smooth
 from bojax.report.statistics import Floats
 from bojax.report.style import BLUE, INK, ORANGE
+from bojax.report.text import file_name
 from bojax.results.store import ResultsError
 
 if TYPE_CHECKING:
@@ -57,7 +58,7 @@ class PlanningFilm(Film):
             (self._model, is_free), longest = _robot_of(drive, model), len(drive.legs[0].frames)
         self._per_step = min(max(1, MAX_FRAMES // len(drive.legs)), longest)
         self._curves = [_poses(leg, is_free) for leg in drive.legs]
-        self.name = f"{slug(drive.point.name)}-run{drive.run}"
+        self.name = f"{file_name(drive.point.name)}-run{drive.run}"
         self.num_images = self._per_step * len(drive.legs) + 1
         self.seconds = SLOWEST
 

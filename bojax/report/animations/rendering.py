@@ -95,10 +95,13 @@ class Renderer:
         self._renderer = mujoco.Renderer(self._model, height, width)
 
     def image(self, frame: NDArray[np.float64]) -> NDArray[np.uint8]:
-        """An image, `[height, width, 3]`, of generalised positions that those of mocap bodies may follow.
+        """An image, `[height, width, 3]`, of a frame.
+
+        Args:
+            frame: Generalised positions, and possibly the positions of mocap bodies after them.
 
         Raises:
-            ValueError: The model has another number of them.
+            ValueError: The frame has another length than the model needs.
         """
         num, moved = self._model.nq, self._data.mocap_pos
         if len(frame) not in (num, num + moved.size):
