@@ -93,7 +93,7 @@ def summary(results: Results) -> str:
 
 
 def _described(experiment: Component | Unread) -> tuple[str, tuple[str, str] | None, tuple[int, str] | None]:
-    """What is compared; where it was run, as phrase and kind; the greatest length of a run, with its unit."""
+    """Noun for a point; phrase and kind of the problem or environment; most steps or episodes of a run."""
     if isinstance(experiment, Planning):
         problem = experiment.problem
         steps = getattr(problem, "max_steps", None)

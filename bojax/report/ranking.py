@@ -31,7 +31,7 @@ class Measure:
 
     @property
     def words(self) -> str:
-        """What is ranked, in words."""
+        """The name of the measure in a sentence."""
         bound = ", or to the end of a run" if self.column in ENDS else ""
         return f"mean {self.column.replace('_', ' ')}{bound}"
 

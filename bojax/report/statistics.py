@@ -188,7 +188,7 @@ def iqm_interval(strata: Sequence[ArrayLike]) -> Interval:
     cut = int(TRIMMED * pooled.size)
     means = []
     for block in _strata_counts([table.size for table in tables], range(len(tables))):
-        # A resample is the sorted values with counts, of which ranks from `cut` to `size - cut` are kept.
+        # A resample repeats each sorted value as often as it was drawn; the middle ranks of it are kept.
         ends = np.cumsum(np.concatenate(block, axis=1)[:, order], axis=1)
         inside = np.clip(ends, cut, pooled.size - cut)
         kept = np.diff(inside, axis=1, prepend=cut)

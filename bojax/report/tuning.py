@@ -98,7 +98,7 @@ class Tuning(Part):
 
     @property
     def measure(self) -> Measure:
-        """What is tuned."""
+        """The measure that the search optimises."""
         return Measure(self.plan_.metric, self.plan_.minimise)
 
     @property

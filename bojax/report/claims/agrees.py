@@ -20,7 +20,7 @@ def agrees(results: Results, test: Agrees) -> Finding:
     reject: for means, Welch's interval then contains 0; for shares, Fisher's exact test decides, because
     Newcombe's interval excludes 0 too often for shares near 0 or 1 of few printed runs. The error of the
     printed number follows from its standard deviation or share and its number of runs. A printed deviation
-    of 0 says that no printed run differed, not that none would: ours stands for it.
+    of 0 is replaced by ours: it says that no printed run differed from the others, not that none could.
 
     Runs without a value are left out if the claim allows it (`missing`): a mean printed over the successful
     runs is comparable with ours only if nearly all of our runs succeed.

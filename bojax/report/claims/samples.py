@@ -32,7 +32,7 @@ class Measure:
     # which the mean is taken.
     place: int | Window | None = None
     since: Window | None = None  # a window whose mean is subtracted
-    missing: float | None = None  # a number that stands for a missing one of `runs.parquet`
+    missing: float | None = None  # replaces a missing number of `runs.parquet`
     statistic: Literal["mean", "sd"] = "mean"  # of the episodes of a window
 
     @classmethod

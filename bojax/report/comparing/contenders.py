@@ -1,4 +1,4 @@
-"""What is compared: points of results folders and labels of CSV files, with their curves and scores."""
+"""The contenders of a comparison: points of results folders and labels of CSV files."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -28,7 +28,7 @@ PHASES: tuple[Phase, ...] = ("train", "test")
 """The phases of learning."""
 
 PLANNING_CURVE = "accumulated_reward"
-"""The column of `steps.parquet` of which planning has curves."""
+"""The column of `steps.parquet` that is drawn as curves for planning."""
 
 GRID = 200
 """Number of places at which curves over the steps of an environment are compared."""

@@ -87,10 +87,14 @@ def panel_grid(
     make: Callable[..., tuple[Figure, np.ndarray]] = style.figure,
     **options: Any,
 ) -> tuple[Figure, np.ndarray]:
-    """A figure with a grid of panels, readable on a phone, of which those beyond `count` are hidden.
+    """A figure with a grid of `count` panels, in at most two columns so that a phone can show it.
 
-    A panel has this height in inches, by the number of columns, and the figure a spare height. `make` is a
-    function of `bojax.report.style`, with its options.
+    Args:
+        count: Number of panels; a place that is left over in the last row stays empty.
+        height: Height of a panel in inches, as a function of the number of columns.
+        spare: Height of the figure besides the panels, in inches.
+        make: The function of `bojax.report.style` that makes the figure.
+        options: Options of `make`.
     """
     columns = min(count, 2)
     rows = -(-count // columns)
@@ -128,10 +132,14 @@ def dot_plot(
 
 
 def set_rows(axes: Axes, points: Sequence[Point], *, bottom: float, ticks: int, name_width: int = 0) -> None:
-    """Set the limits and ticks of a panel with one row per point, from the top, and `bottom` rows below.
+    """Set the limits and ticks of a panel with one row per point, the first at the top.
 
-    The horizontal axis has at most `ticks` intervals.
-    A line of a name has `name_width` characters, 0 for none.
+    Args:
+        axes: The panel.
+        points: The points.
+        bottom: Height of the space below the last row, in rows.
+        ticks: Most intervals of the horizontal axis.
+        name_width: Most characters in a line of a name; 0 leaves the names out.
     """
     names = [style.wrapped(point.name, name_width) for point in points] if name_width else []
     axes.set_yticks(range(len(names)), names)

@@ -78,7 +78,7 @@ class Chart:
     """
 
     def __init__(self, panels: Sequence[Panel], xlabel: str, *, is_swept: bool = False) -> None:
-        """Draw panels, of which the same may be drawn twice, over `step`, `episode` or a swept number.
+        """Draw panels over `step`, `episode` or a swept number; a panel may be drawn twice.
 
         Raises:
             Undrawable: The first panel has no finite value.
@@ -100,7 +100,8 @@ class Chart:
     def drawing(self, title: str, details: str = "", note: str = "") -> Drawing:
         """The figure with the names of its curves, its caption and its alternative text.
 
-        `details` is what the caption says of this figure alone, `note` what `drawn_points` left out.
+        `details` are the sentences of the caption that belong to this figure alone; `note` is that of
+        `drawn_points`.
         """
         self._add_names()
         panels = list(dict.fromkeys(self._panels))
