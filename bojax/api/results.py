@@ -78,7 +78,8 @@ class Picture:
 class Results:
     """The results of a sweep. Tables are Arrow tables: `.to_pandas()`, or `polars.from_arrow(table)`.
 
-    The columns are described in docs/results.md; tables and figures are read when they are asked for.
+    Tables and figures are read when they are asked for. The page "Results" of the documentation describes
+    the columns.
     """
 
     def __init__(self, results: source.Results):
