@@ -1,4 +1,4 @@
-"""`import bojax` is quick, and its functions are there when they are asked for."""
+"""`import bojax` imports nothing heavy, and its functions are there when they are asked for."""
 
 import subprocess
 import sys
@@ -7,19 +7,15 @@ import bojax
 from tests.cli.test_main import HEAVY
 
 CODE = f"""
-import sys, time
-begin = time.perf_counter()
+import sys
 import bojax
-seconds = time.perf_counter() - begin
-print(seconds, *set({(*HEAVY, "pydantic", "yaml")!r}) & set(sys.modules))
+print(*set({(*HEAVY, "pydantic", "yaml")!r}) & set(sys.modules))
 """
 
 
-def test_it_takes_under_a_third_of_a_second_and_imports_nothing_heavy():
+def test_it_imports_nothing_heavy():
     found = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True, check=True)
-    seconds, *heavy = found.stdout.split()
-    assert heavy == []
-    assert float(seconds) < 0.3
+    assert found.stdout.split() == []
 
 
 def test_every_declared_name_is_there_and_no_other():
