@@ -151,6 +151,27 @@ def test_no_cluster_at_the_address(tmp_path, capsys, monkeypatch):
     assert not (tmp_path / "out").exists()
 
 
+def test_more_cores_than_the_cluster_has(tmp_path, capsys, monkeypatch):
+    """Refused before anything is written, and Ray is shut down again."""
+    monkeypatch.chdir(tmp_path)
+    calls = []
+    cluster = {
+        "is_initialized": lambda: False,
+        "cluster_resources": lambda: {"CPU": 2.0},
+        "nodes": lambda: [1],
+    }
+    noted = {name: lambda name=name, **_: calls.append(name) for name in ("init", "shutdown")}
+    monkeypatch.setitem(sys.modules, "ray", types.SimpleNamespace(**cluster, **noted))
+    monkeypatch.delenv("RAY_ADDRESS", raising=False)
+    (tmp_path / "sweep.yaml").write_text(SWEEP)
+    (tmp_path / "ray.yaml").write_text("cpus_per_worker: 64")
+    words = ["sweep", "sweep.yaml", "--launcher", "ray", "--cluster", "ray.yaml", "--out", "out"]
+    assert main(words) == 2
+    message = "error: --launcher ray: cpus_per_worker: got 64; allowed: at most 2\n"
+    assert capsys.readouterr().err == message
+    assert calls == ["init", "shutdown"] and not (tmp_path / "out").exists()
+
+
 def test_without_the_extra(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "sweep.yaml").write_text(SWEEP)

@@ -72,6 +72,7 @@ class Ray(Launcher):
             ) from error
         if handler is not None:  # Ray's own would end this process at once
             signal.signal(signal.SIGTERM, handler)
+        self._shape(ray.cluster_resources(), len(ray.nodes()))  # refuses settings that do not fit the cluster
 
     @override
     def start(self, name: str, folders: Sequence[Path]) -> None:
