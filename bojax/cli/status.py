@@ -35,7 +35,7 @@ def describe(folder: Path) -> tuple[list[str], bool]:
     """
     from bojax.results.folder import is_unfinished
     from bojax.results.status import Held, status_of
-    from bojax.results.store import MANIFEST, read_manifest
+    from bojax.results.store import MANIFEST, OUTPUT, WORK, read_manifest
 
     if not is_unfinished(folder) and os.path.lexists(folder / MANIFEST):
         return [f"{folder}: {read_manifest(folder).get('status')}"], False
@@ -63,6 +63,9 @@ def describe(folder: Path) -> tuple[list[str], bool]:
         found.append("all chunks are done; the command that started the sweep merges them, with --resume")
     elif status.seconds_left is not None and status.running:
         found.append(f"about {duration(status.seconds_left)} left with {len(status.running)} at a time")
+    if status.done < max(1, status.chunks) and not status.running:
+        outputs = sorted((folder / WORK).glob(OUTPUT.format("*")), key=os.path.getmtime)
+        found += [f"output of the last task: {path}" for path in outputs[-1:]]
     return found, bool(failed)
 
 

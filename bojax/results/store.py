@@ -23,6 +23,9 @@ LEARNERS = "learners"
 WORK = ".work"
 """Name of the hidden folder of parts and checkpoints, which only an unfinished results folder has."""
 
+OUTPUT = "slurm-{}.out"
+"""Name of the file in `.work` that holds the output of a task of Slurm."""
+
 CHECKSUM = "sha256"
 """Key of the checksum in a JSON file with a checksum."""
 

@@ -44,6 +44,15 @@ def test_before_anything_is_planned(folder, capsys):
     assert status(folder, capsys) == (0, [f"{folder.path}: parking: waiting for the first worker"])
 
 
+def test_a_task_of_slurm_that_ended_before_its_worker_began(folder, capsys):
+    for number, seconds in ((1, 2000.0), (2, 1000.0)):
+        path = folder.work / f"slurm-{number}_0.out"
+        path.write_text("module: command not found")
+        os.utime(path, (seconds, seconds))
+    code, (_, line) = status(folder, capsys)
+    assert code == 0 and line == f"output of the last task: {folder.work}/slurm-1_0.out"
+
+
 def test_chunks_of_every_kind(folder, capsys):
     folder.join(PLAN, {})
     a, b = worker(folder, "node1-7"), worker(folder, "node2-9")

@@ -12,7 +12,7 @@ from typing_extensions import override
 from bojax.config.launching import SlurmConfig
 from bojax.engine.errors import EngineError
 from bojax.engine.remote import Launcher
-from bojax.results.store import WORK, write_content
+from bojax.results.store import OUTPUT, WORK, write_content
 
 SCRIPT = "slurm.sh"
 """The script of the last submission, in the results folder."""
@@ -99,7 +99,7 @@ class Slurm(Launcher):
             "array": f"0-{config.tasks - 1}",
             "open-mode": "append",
             "signal": f"B:USR2@{NOTICE_SECONDS}",
-            "output": paths[0] / WORK / "slurm-%A_%a.out",
+            "output": paths[0] / WORK / OUTPUT.format("%A_%a"),
             "partition": config.partition,
             "account": config.account,
             "time": config.time,
