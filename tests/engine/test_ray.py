@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 import types
 from pathlib import Path
@@ -133,6 +134,19 @@ def test_an_actor_tells_why_it_left(tmp_path, monkeypatch):
     monkeypatch.setattr(ray_actors, "IDLE_SECONDS", 1e6)
     error = ray_actors._Actor().work([str(tmp_path / "elsewhere")], 0, 1, 1)
     assert error is not None and "elsewhere: no unfinished sweep in this folder on " in error
+
+
+def test_an_actor_ends_by_itself_after_an_unexpected_error(monkeypatch):
+    """The driver that would end it may be gone."""
+    monkeypatch.setattr("bojax.engine.worker.run_worker", lambda *_: 1 // 0)
+    left = threading.Event()
+    monkeypatch.setattr(ray_actors._Actor, "_leave", lambda _: left.set())
+    monkeypatch.setattr(ray_actors, "IDLE_SECONDS", 1e6)
+    actor = ray_actors._Actor()
+    monkeypatch.setattr(ray_actors, "IDLE_SECONDS", 0.0)
+    with pytest.raises(ZeroDivisionError):
+        actor.work([], 0, 1, 1)
+    assert left.wait(60)
 
 
 def test_no_cluster_at_the_address(tmp_path, capsys, monkeypatch):

@@ -190,7 +190,8 @@ class _Actor:
                 run_worker([Path(folder) for folder in folders], options, self._stops)
             except EXPECTED as problem:
                 error = f"{socket.gethostname()}: {problem}"
-            self._timer = self._wait_for_work()
+            finally:
+                self._timer = self._wait_for_work()
         return error
 
     def _wait_for_work(self) -> threading.Timer:
