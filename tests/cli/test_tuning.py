@@ -188,6 +188,9 @@ def test_a_finished_search_is_extended(tmp_path, undisturbed):
 
 def test_a_finished_search_is_not_changed(tmp_path, undisturbed, capsys):
     out = shutil.copytree(undisturbed, tmp_path / "search")
+    assert tune(out, "--resume") == 0
+    assert contents(out) == contents(undisturbed)
+    capsys.readouterr()
     assert tune(out, "--resume", "learner.initial_q=1") == 2
     assert "cannot resume, the sweep has changed: config.learner: additive -> " in capsys.readouterr().err
 
