@@ -1,4 +1,4 @@
-"""Physics of the robots: MJX in a compiled program, compared with C MuJoCo's rollout on the same cores.
+"""Physics of the robots in a compiled program, compared with C MuJoCo's rollout on the same cores.
 
 Controls are random and change with every action. C MuJoCo steps the same model with the same solver settings.
 """
@@ -13,15 +13,15 @@ from isolated import run_isolated
 from options import make_parser, positive
 
 INTEGRATORS = ("euler", "rk4", "implicitfast")
-IMPLS = {"jax": "JAX", "c": "C", "warp": "Warp"}
-"""Implementations of MJX, and what they are written in."""
+IMPLS = {"jax": "MJX in JAX", "c": "C MuJoCo", "warp": "MuJoCo Warp"}
+"""Implementations of the physics, and their names."""
 ROBOTS = ("hopper", "reacher", "jaco", "wheeled-robot", "quadrotor", "lunar-lander")
 
 EXAMPLES = """\
   python benchmarks/bench_robots.py                                   all robots
   python benchmarks/bench_robots.py --robots hopper --lanes 256 2048  lanes at once
   python benchmarks/bench_robots.py --robots hopper --settings 4/8/rk4 3/6/euler
-  python benchmarks/bench_robots.py --robots hopper --impls warp      one implementation of MJX
+  python benchmarks/bench_robots.py --robots hopper --impls warp      one implementation
 """
 
 
@@ -50,7 +50,7 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
         "--impls",
         nargs="+",
         choices=IMPLS,
-        help="implementations of MJX (jax; on a GPU with warp-lang, both)",
+        help="implementations of the physics (jax and c; on a GPU with warp-lang, warp too)",
     )
     parser.add_argument("--steps", type=positive, default=20, help="actions of a run (20)")
     parser.add_argument("--no-peer", action="store_true", help="do not time C MuJoCo")

@@ -39,7 +39,7 @@ def main(argv: list[str]) -> int:
 
 
 def robot_rows(args, robot: str, lanes: list[int]) -> list[Row]:
-    """Time a robot that MJX steps, with each of the settings."""
+    """Time a robot of MuJoCo, with each of the settings."""
     rows = []
     for setting in args.settings:
         simulator = simulator_of(robot, setting)
@@ -61,8 +61,8 @@ def fields(row: Row) -> tuple:
 
 
 def default_impls() -> list[str]:
-    """The implementations of MJX that are fast on this device."""
-    return ["jax", "warp"] if on_gpu() and importlib.util.find_spec("warp") else ["jax"]
+    """The implementations that are fast on this device."""
+    return ["jax", "c", "warp"] if on_gpu() and importlib.util.find_spec("warp") else ["jax", "c"]
 
 
 def simulator_of(robot: str, setting: str, impl: str = "jax") -> Simulator:
@@ -84,7 +84,7 @@ def ranges_of(simulator: Simulator) -> tuple[np.ndarray, np.ndarray]:
 
 
 def mjx_row(args, simulator: Simulator, impl: str, lanes: int) -> Row:
-    """Time an implementation of MJX, compiled, with a number of robots at once."""
+    """Time an implementation, in a compiled program, with a number of robots at once."""
     low, high = (jnp.asarray(side, jnp.float32) for side in ranges_of(simulator))
     start = jnp.asarray(simulator.mujoco_model.qpos0, jnp.float32)
 
@@ -96,7 +96,7 @@ def mjx_row(args, simulator: Simulator, impl: str, lanes: int) -> Row:
         return jax.lax.scan(lambda s, u: (simulator.advance(s, u), None), state, controls)[0].qpos
 
     work = args.steps * simulator.substeps
-    return time_runs(f"bojax, MJX in {IMPLS[impl]}, {lanes} at once", run, lanes, lanes, work, args.repeats)
+    return time_runs(f"bojax, {IMPLS[impl]}, {lanes} at once", run, lanes, lanes, work, args.repeats)
 
 
 def mujoco_row(args, simulator: Simulator, runs: int = 64) -> Row:
