@@ -19,7 +19,7 @@ from bojax.results.tables import count_nans, sort_rows
 RUNS = "runs"
 
 HELD_ROWS = 1 << 20
-"""Number of rows that are collected before those that are complete are written."""
+"""Number of rows that are collected before the complete ones among them are written."""
 
 
 @dataclass(frozen=True)
@@ -37,8 +37,8 @@ def merge(
 ) -> dict[tuple[int, int], int]:
     """Write every table, move snapshots and learners, and return the NaN counts `{(point, run): count}`.
 
-    The tables depend on nothing but the rows of the parts, which are sorted, so that an interrupted and
-    resumed sweep gives the same bytes as an uninterrupted one.
+    The tables depend only on the rows of the parts, which are sorted: an interrupted and resumed sweep gives
+    the same bytes as an uninterrupted one.
 
     Raises:
         ResultsError: A committed file is missing or has changed; in this case nothing is written.
@@ -66,12 +66,12 @@ def merge(
 def sorted_rows(parts: Sequence[Path], most: int = HELD_ROWS) -> Iterator[pa.Table]:
     """The rows of all parts in the order of results, in tables that do not overlap.
 
-    Parts are read in the order of their first rows. The rows before the first row of all parts that are still
-    to be read are complete.
+    Parts are read in the order of their first rows. Rows that precede the first row of every unread part are
+    complete, so that they can be yielded.
 
     Args:
         parts: Files of one table.
-        most: Number of further rows after which those that are complete are given out.
+        most: Number of newly read rows above which the complete ones are yielded.
     """
     schemas: dict[pa.Schema, None] = {}
     order: list[tuple[int, int]] = []

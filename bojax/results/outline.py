@@ -30,7 +30,7 @@ class Outline:
         """The outline as plain numbers.
 
         Raises:
-            ValueError: A shape has another number of values, or a value is not finite.
+            ValueError: A shape has the wrong number of values, or a value is not finite.
         """
         return {
             "border": None if self.border is None else _numbers(self.border, "border", (4,)),

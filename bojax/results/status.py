@@ -1,4 +1,4 @@
-"""What of a sweep is done, running, lost and failed, read from its folder alone."""
+"""The status of a sweep, read from its folder alone: the chunks done, running, lost and failed."""
 
 import itertools
 import math
@@ -54,7 +54,7 @@ class Status:
         running: The chunks that run.
         lost: The chunks whose process was lost; the next worker takes them over.
         failed: The reason of each failed chunk, by index.
-        seconds_left: Forecast of the time left with as many processes as now; None if nothing is known.
+        seconds_left: Forecast of the time left with the present number of processes; None if unknown.
     """
 
     name: str
