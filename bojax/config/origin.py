@@ -10,7 +10,7 @@ from bojax.config.overrides import SOURCE
 
 @dataclass(frozen=True)
 class Origin:
-    """The sources of a sweep's settings, of which the last one to set a location is its origin.
+    """The sources of a sweep's settings; the origin of a setting is the last source that sets it.
 
     The sources are, from first to last: the base, the sweep file, its axes, the command line.
 

@@ -52,7 +52,7 @@ class Settings(Schema, frozen=True):
     seed: int = Field(
         default=0, ge=0, le=2**32 - 1, description="seed from which the keys of all runs are derived"
     )
-    record: Record = Field(default=Record(), description="runs of which arrays are saved")
+    record: Record = Field(default=Record(), description="runs whose arrays are saved")
     engine: EngineConfig = Field(default=EngineConfig(), description="how runs are executed")
 
 
