@@ -20,8 +20,8 @@ _EXAMPLES = """\
 
 _DESCRIPTION = """\
 Print the config of the best point of a finished sweep. The best of many points was chosen by its own runs, so
-its mean over them is optimistic. The config has another seed; --confirm runs it, and prints the mean of new
-runs, which is not.
+their mean is optimistic. The config has another seed: --confirm runs it and prints the mean of these new
+runs, which is unbiased.
 """
 
 

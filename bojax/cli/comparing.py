@@ -51,7 +51,7 @@ def main(name: str, words: Sequence[str]) -> int:
         metavar="PHASE",
         type=one_of(("train", "test")),
         default="train",
-        help="episodes of which curves are drawn: train or test (default: train)",
+        help="phase of the episodes whose curves are drawn: train or test (default: train)",
     )
     parser.add_argument(
         "--last",

@@ -108,7 +108,7 @@ def _group(title: str, members: Members) -> str:
 
 
 def _table(rows: Sequence[Sequence[str]]) -> str:
-    """A table with aligned columns, of which the last is wrapped to the width of the terminal."""
+    """A table with aligned columns; the last column is wrapped to the width of the terminal."""
     rows = [[escaped(cell) for cell in row] for row in rows]
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]) - 1)]
     return "\n".join(_row(row, widths) for row in rows)
