@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Key, Scalar
 from typing_extensions import override
 
+from bojax.models.checks import check_count
 from bojax.models.features import RandomFourier
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.means import Mean
@@ -30,10 +31,23 @@ class ThompsonSampling(eqx.Module):
 
     num_features: int = eqx.field(static=True, default=1024)
 
+    def __check_init__(self):
+        """Check the number of features.
+
+        Raises:
+            ValueError: It is not an even number of at least 2.
+        """
+        check_count("num_features", self.num_features, 2)
+        if self.num_features % 2:
+            raise ValueError(f"num_features: got {self.num_features}; allowed: even, >= 2")
+
     def draw(self, key: Key[Array, ""], posterior: GaussianProcess) -> GaussianProcess:
         """A process whose posterior mean is a draw of the noise-free function; its variance is as before.
 
         All observations have the noise variance of the process.
+
+        Raises:
+            TypeError: The spectral density of a part of the kernel is not known.
         """
         key_features, key_weights, key_noise = jax.random.split(key, 3)
         features = RandomFourier.draw(key_features, posterior.kernel, self.num_features, posterior.x.shape[1])

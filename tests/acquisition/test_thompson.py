@@ -85,3 +85,9 @@ def test_a_search_by_draws_finds_the_peak():
 def test_a_number_is_neither_a_function_nor_thompson_sampling():
     with pytest.raises(ValueError, match="acquisition: got 5; allowed: an instance of Acquisition"):
         BayesianOptimisation("rbf", 5, 0.1, [0.0], [1.0], capacity=3)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("number", [0, 3])
+def test_a_wrong_number_of_features_ends_in_one_line(number):
+    with pytest.raises(ValueError, match=r"^num_features: got .*; allowed: [^\n]*$"):
+        ThompsonSampling(number)
