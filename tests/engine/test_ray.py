@@ -149,19 +149,30 @@ def test_an_actor_ends_by_itself_after_an_unexpected_error(monkeypatch):
     assert left.wait(60)
 
 
-def test_no_cluster_at_the_address(tmp_path, capsys, monkeypatch):
-    """Ray itself would try for minutes."""
+def refuse(**_):
+    raise ConnectionError("Failed to connect to Ray cluster")
+
+
+@pytest.mark.parametrize(
+    ("listens", "advice"),
+    [(False, "start one with `ray start"), (True, "if it asks for a token, set RAY_AUTH")],
+)
+def test_no_cluster_at_the_address(tmp_path, capsys, monkeypatch, listens, advice):
+    """Where nothing answers, Ray itself would try for minutes."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setitem(sys.modules, "ray", types.SimpleNamespace(is_initialized=lambda: False))
+    fake = types.SimpleNamespace(is_initialized=lambda: False, init=refuse)
+    monkeypatch.setitem(sys.modules, "ray", fake)
     (tmp_path / "sweep.yaml").write_text(SWEEP)
     with socket.socket() as unused:
-        unused.bind(("127.0.0.1", 0))  # nobody listens there
+        unused.bind(("127.0.0.1", 0))
+        if listens:
+            unused.listen()
         address = f"127.0.0.1:{unused.getsockname()[1]}"
         (tmp_path / "ray.yaml").write_text(f"address: {address}")
         words = ["sweep", "sweep.yaml", "--launcher", "ray", "--cluster", "ray.yaml", "--out", "out"]
         assert main(words) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f"error: --launcher ray: no Ray cluster at {address}; start one with `ray start")
+    assert line.startswith(f"error: --launcher ray: no Ray cluster at {address}; {advice}")
     assert not (tmp_path / "out").exists()
 
 

@@ -60,16 +60,15 @@ class Ray(Launcher):
         if ray.is_initialized():
             return
         handler = signal.getsignal(signal.SIGTERM) if _is_main() else None
+        where = self._config.address or os.environ.get("RAY_ADDRESS")
+        advice = "start one with `ray start --head`, or leave out the address to use this machine"
         try:
-            _reach(self._config.address or os.environ.get("RAY_ADDRESS"))
+            if _answers(where):
+                advice = "if it asks for a token, set RAY_AUTH_MODE=token"
             ray.init(address=self._config.address, namespace=NAMESPACE, logging_level=logging.ERROR)
             self._has_connected = True
         except Exception as error:
-            where = self._config.address or os.environ.get("RAY_ADDRESS")
-            raise EngineError(
-                f"--launcher ray: no Ray cluster at {where}; start one with `ray start --head`, or leave out "
-                "the address to use this machine"
-            ) from error
+            raise EngineError(f"--launcher ray: no Ray cluster at {where}; {advice}") from error
         if handler is not None:  # Ray's own would end this process at once
             signal.signal(signal.SIGTERM, handler)
         self._shape(ray.cluster_resources(), len(ray.nodes()))  # refuses settings that do not fit the cluster
@@ -213,11 +212,17 @@ class _Actor:
         return self._is_stopping
 
 
-def _reach(address: str | None) -> None:
-    """Raise an `OSError` if nothing answers at `host:port`, where Ray would try for minutes."""
+def _answers(address: str | None) -> bool:
+    """Whether an address is of the form `host:port`, and something answers there.
+
+    Raises:
+        OSError: Nothing answers. Ray would try for minutes.
+    """
     host, _, port = (address or "").removeprefix("ray://").rpartition(":")
-    if host and port.isdecimal():
-        socket.create_connection((host.strip("[]"), int(port)), REACH_SECONDS).close()
+    if not (host and port.isdecimal()):
+        return False
+    socket.create_connection((host.strip("[]"), int(port)), REACH_SECONDS).close()
+    return True
 
 
 def _ray() -> Any:
