@@ -16,6 +16,8 @@ from pathlib import Path
 import pytest
 
 from bojax.cli.main import main
+from bojax.config.launching import RayConfig
+from bojax.engine.errors import EngineError
 from bojax.engine.launchers import ray_actors
 from bojax.results.leases import Attempts
 from bojax.results.store import WORK
@@ -147,6 +149,28 @@ def test_an_actor_ends_by_itself_after_an_unexpected_error(monkeypatch):
     with pytest.raises(ZeroDivisionError):
         actor.work([], 0, 1, 1)
     assert left.wait(60)
+
+
+def test_a_worker_that_cannot_run_tells_why(monkeypatch):
+    """As on a node without bojax: the reason is the last line of what Ray says."""
+
+    class Failure(Exception):
+        actor_init_failed = True
+
+    def fail(_):
+        raise Failure(
+            "The actor died in its creation task, ...\nTraceback ...\nModuleNotFoundError: no bojax"
+        )
+
+    kinds = types.SimpleNamespace(RayError=Failure, RayActorError=Failure)
+    fake = types.SimpleNamespace(wait=lambda calls, **_: (calls, []), get=fail, exceptions=kinds)
+    monkeypatch.setitem(sys.modules, "ray", fake)
+    launcher = ray_actors.Ray(RayConfig())
+    launcher._running["call"] = 0
+    with pytest.raises(
+        EngineError, match="--launcher ray: a worker cannot run: ModuleNotFoundError: no bojax$"
+    ):
+        launcher.keep()
 
 
 def refuse(**_):

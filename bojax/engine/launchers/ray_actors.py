@@ -138,8 +138,10 @@ class Ray(Launcher):
             except ray.exceptions.RayError as error:
                 is_lost = isinstance(error, ray.exceptions.RayActorError) and not error.actor_init_failed
                 if not is_lost:
-                    reason = f"--launcher ray: a worker cannot run: {error_line(error)}"
-                    raise EngineError(reason, FAILURE) from error
+                    *_, reason = str(error).strip().splitlines() or [
+                        error_line(error)
+                    ]  # after Ray's traceback
+                    raise EngineError(f"--launcher ray: a worker cannot run: {reason}", FAILURE) from error
                 self._call(number)  # Ray has started it again, or will
         self.all_refused = set(self._errors) == set(self._actors)
         return bool(self._running)
