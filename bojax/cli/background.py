@@ -9,6 +9,7 @@ from pathlib import Path
 from types import TracebackType
 
 from bojax.config.errors import printable
+from bojax.engine.signals import stop_with_parent
 from bojax.report.verdicts import print_verdicts
 from bojax.text import error_line
 
@@ -34,7 +35,7 @@ class Reports:
         if in_background:
             fresh = multiprocessing.get_context("spawn")  # a fork would lack JAX's threads
             processes = min(PROCESSES, os.cpu_count() or 1)
-            self._pool = ProcessPoolExecutor(processes, mp_context=fresh, initializer=_ignore_signals)
+            self._pool = ProcessPoolExecutor(processes, mp_context=fresh, initializer=_begin)
 
     def __enter__(self) -> "Reports":
         return self
@@ -71,6 +72,10 @@ def _build(folder: Path) -> Path:
     return build_report(folder)
 
 
-def _ignore_signals() -> None:
-    """Leave Ctrl-C, which a terminal sends to every process, to the main process."""
+def _begin() -> None:
+    """Leave Ctrl-C, which a terminal sends to every process, to the main process, and end after it.
+
+    A pool whose process is killed is not told, and would wait for further reports forever.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    stop_with_parent()
