@@ -8,15 +8,19 @@ import jax
 from jaxtyping import PyTree
 
 from bojax.config.component import Component
-from bojax.config.errors import ConfigError
+from bojax.config.errors import ConfigError, dotted
 from bojax.engine.devices import setting
 from bojax.experiments.settings import Learning
 from bojax.numerics.checkpoint import restore
-from bojax.numerics.construct import construct
+from bojax.numerics.construct import Locate, construct
 
 
-def build(component: Component, dtype: Literal["float64", "float32"] = "float64") -> Any:
+def build(
+    component: Component, dtype: Literal["float64", "float32"] = "float64", locate: Locate = dotted
+) -> Any:
     """The module that a component describes, with numbers of `dtype` (see `construct`).
+
+    Messages name a setting as `locate` formats its path.
 
     Raises:
         ConfigError: A constructor rejects its settings, or `dtype` is float64 and JAX has 64-bit numbers
@@ -25,13 +29,13 @@ def build(component: Component, dtype: Literal["float64", "float32"] = "float64"
     """
     if dtype == "float64" and not setting("jax_enable_x64"):
         raise ConfigError(
-            'dtype: got "float64"; JAX runs without 64-bit numbers: '
+            f'{locate(("dtype",))}: got "float64"; JAX runs without 64-bit numbers: '
             'call jax.config.update("jax_enable_x64", True) first, or set dtype to "float32"'
         )
     if isinstance(component, Learning) and component.saved is not None:
-        run = build(component.model_copy(update={"saved": None}), dtype)
+        run = build(component.model_copy(update={"saved": None}), dtype, locate)
         return eqx.tree_at(lambda r: r.saved, run, _load(component.saved, run), is_leaf=lambda x: x is None)
-    return construct(component, dtype)
+    return construct(component, dtype, locate)
 
 
 def _load(folder: str, run: Any) -> PyTree:

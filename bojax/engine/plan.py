@@ -7,8 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING, Any
 
-from bojax.config.errors import ConfigError
-from bojax.config.files import display
 from bojax.config.limits import CHUNKS
 from bojax.engine.build import build
 from bojax.engine.chunks import Chunk, Layout, choose_layout, cut
@@ -98,12 +96,9 @@ def _make_plan(sweep: "Sweep", device: Mapping[str, Any]) -> Plan:
 
 
 def _build(sweep: "Sweep", point: "Point") -> Experiment:
-    """The module of a point; its errors name the file of the sweep."""
-    try:
-        return build(point.config, getattr(point.config, "dtype", "float64"))
-    except ConfigError as error:
-        number = f" (point {point.index})" if len(sweep.points) > 1 else ""
-        raise ConfigError(f"{display(sweep.source)}: {error}{number}") from error
+    """The module of a point; its errors name the file or the command line that gave the setting."""
+    locate = functools.partial(sweep.locate, point.index)
+    return build(point.config, getattr(point.config, "dtype", "float64"), locate)
 
 
 def _cut(

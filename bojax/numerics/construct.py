@@ -2,18 +2,20 @@
 
 import dataclasses
 import inspect
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, get_args
 
 import jax
 import jax.numpy as jnp
 
 from bojax.config.component import IMPORT_PATH, Component, External, import_target
-from bojax.config.errors import ConfigError, dotted, shown
+from bojax.config.errors import ConfigError, Location, dotted, shown
 from bojax.text import error_at_line, one_line
 
+Locate = Callable[[Location], str]
 
-def construct(component: Component, dtype: str, path: tuple[str, ...] = ()) -> Any:
+
+def construct(component: Component, dtype: str, locate: Locate = dotted, path: Location = ()) -> Any:
     """The object that a component describes.
 
     Static fields of a module stay Python values. Every other number or list of numbers becomes an array of
@@ -23,14 +25,15 @@ def construct(component: Component, dtype: str, path: tuple[str, ...] = ()) -> A
     Args:
         component: Validated settings, in which parts given by import path have been resolved.
         dtype: Precision of every number.
-        path: Names of the settings that lead to the component, for messages.
+        locate: Formats the path of a setting for messages.
+        path: Names of the settings that lead to the component.
 
     Raises:
         ConfigError: A constructor rejects its settings.
     """
     if isinstance(component, External):
         raise ConfigError(
-            f"{dotted(path) or component.slot}: got {component.kind}; allowed: a name, or an object of the "
+            f"{locate(path) or component.slot}: got {component.kind}; allowed: a name, or an object of the "
             "class (import paths are resolved in configs alone)"
         )
     cls = import_target(component.target)
@@ -44,21 +47,24 @@ def construct(component: Component, dtype: str, path: tuple[str, ...] = ()) -> A
             continue
         value = getattr(component, name)
         if isinstance(value, Component):
-            arguments[name] = construct(value, dtype, (*path, name))
+            arguments[name] = construct(value, dtype, locate, (*path, name))
         elif name in static:
             arguments[name] = value
         else:
             arguments[name] = _leaf(value, dtype)
-    _check_arguments(arguments, accepted, component, path)
-    _check_shapes(arguments, accepted, component, path)
+    _check_arguments(arguments, accepted, component, lambda name: locate((*path, name)))
+    _check_shapes(arguments, accepted, lambda name: locate((*path, name)))
     try:
         return cls(**arguments)
     except ValueError as error:
-        raise ConfigError(f"{_where(path, component)}: {one_line(error)}") from error
+        name, _, rest = one_line(error).partition(": ")
+        is_setting = name in type(component).model_fields
+        where = locate((*path, name)) if is_setting else locate(path) or component.kind
+        raise ConfigError(f"{where}: {rest if is_setting else one_line(error)}") from error
     except (Exception, SystemExit) as error:  # a user's class may raise anything
         if not IMPORT_PATH.fullmatch(component.kind):
             raise
-        got = f"{_where(path, component)}: got {shown(component.kind)}"
+        got = f"{locate(path) or component.kind}: got {shown(component.kind)}"
         raise ConfigError(f"{got}; its constructor failed: {error_at_line(error)}") from error
 
 
@@ -83,7 +89,7 @@ def _check_arguments(
     arguments: Mapping[str, Any],
     accepted: Mapping[str, inspect.Parameter],
     component: Component,
-    path: tuple[str, ...],
+    locate: Callable[[str], str],
 ) -> None:
     """Refuse arguments that the constructor does not accept, and required arguments that are missing."""
     kinds = inspect.Parameter
@@ -91,7 +97,7 @@ def _check_arguments(
     for name in arguments:
         if name not in accepted and not is_open:
             raise ConfigError(
-                f"{_where((*path, name), component)}: not an argument of the constructor of "
+                f"{locate(name)}: not an argument of the constructor of "
                 f"{component.target}; allowed: {', '.join(accepted) or 'none'}"
             )
     for name, parameter in accepted.items():
@@ -101,7 +107,7 @@ def _check_arguments(
         )
         if is_needed and name not in arguments:
             raise ConfigError(
-                f"{_where((*path, name), component)}: required by the constructor of {component.target}, "
+                f"{locate(name)}: required by the constructor of {component.target}, "
                 f"but not a setting of {type(component).__name__}"
             )
 
@@ -109,8 +115,7 @@ def _check_arguments(
 def _check_shapes(
     arguments: Mapping[str, Any],
     accepted: Mapping[str, inspect.Parameter],
-    component: Component,
-    path: tuple[str, ...],
+    locate: Callable[[str], str],
 ) -> None:
     """Refuse an array whose shape differs from its annotation: JAX does not report out-of-bounds indices."""
     for name, value in arguments.items():
@@ -124,7 +129,7 @@ def _check_shapes(
         if not fits:
             shape = f"{value.size} numbers" if value.ndim == 1 else f"shape {value.shape}"
             wanted = " or ".join(_dimensions(kind) for kind in get_args(expected) or (expected,))
-            raise ConfigError(f"{_where((*path, name), component)}: got {shape}; allowed: {wanted}")
+            raise ConfigError(f"{locate(name)}: got {shape}; allowed: {wanted}")
 
 
 def _dimensions(annotation: Any) -> str:
@@ -133,7 +138,3 @@ def _dimensions(annotation: Any) -> str:
     if dimensions is None:
         return getattr(annotation, "__name__", str(annotation))
     return f"{dimensions.strip()} numbers" if dimensions.strip() else "one number"
-
-
-def _where(path: tuple[str, ...], component: Component) -> str:
-    return dotted(path) or component.kind

@@ -52,6 +52,17 @@ class Raising(eqx.Module):
         raise RuntimeError(f"no\nscale {scale}")
 
 
+class Named(eqx.Module):
+    """A class whose message begins with the name of the setting."""
+
+    def __init__(self, size: int):
+        raise ValueError(f"size: got {size}; allowed: > 0")
+
+
+class Holder(eqx.Module):
+    inner: Named
+
+
 class Plain(eqx.Module):
     """A user's class annotated with plain numbers."""
 
@@ -207,3 +218,19 @@ def test_float64_needs_x64():
         build(RBF())
     with jax.enable_x64(False):
         assert build(RBF(), "float32").lengthscale.dtype == jnp.float32
+
+
+def test_a_refused_setting_is_found_where_it_was_given():
+    class Settings(Component, frozen=True):
+        target: ClassVar[str] = f"{__name__}:Named"
+        kind: str = "named"
+        size: int = -1
+
+    class Around(Component, frozen=True):
+        target: ClassVar[str] = f"{__name__}:Holder"
+        kind: str = "around"
+        inner: Annotated[Component, Slot("test-inner")] = Settings()
+
+    with pytest.raises(ConfigError) as raised:
+        build(Around(), locate=lambda path: f"x.yaml: {'/'.join(map(str, path))}")
+    assert str(raised.value) == "x.yaml: inner/size: got -1; allowed: > 0"

@@ -206,12 +206,12 @@ def test_no_gpu(tmp_path, capsys, monkeypatch):
 
 
 def test_settings_that_a_constructor_refuses(tmp_path, capsys, monkeypatch):
-    def refuse(component, dtype):
-        raise ConfigError("problem.size: got -1; allowed: > 0")
+    def refuse(component, dtype, locate):
+        raise ConfigError(f"{locate(('problem', 'size'))}: got -1; allowed: > 0")
 
     monkeypatch.setattr("bojax.engine.plan.build", refuse)
     assert run_toy(tmp_path / "toy") == 2
-    assert errors(capsys) == ["error: toy.yaml: problem.size: got -1; allowed: > 0 (point 0)"]
+    assert errors(capsys) == ["error: point 0: problem.size: got -1; allowed: > 0"]
     assert not (tmp_path / "toy").exists()
 
 
