@@ -56,7 +56,7 @@ def test_every_setting_says_what_it_means(schema):
 
 @pytest.fixture(scope="module")
 def classes():
-    """All concrete classes of the package."""
+    """All concrete public classes of the package."""
     names = [module.name for module in pkgutil.walk_packages(bojax.__path__, "bojax.")]
     modules = [
         importlib.import_module(name)
@@ -64,7 +64,8 @@ def classes():
         if not name.startswith(WITHOUT_PARTS) and not name.endswith("__main__")
     ]
     found = {part for module in modules for part in vars(module).values() if isinstance(part, type)}
-    return {part for part in found if part.__module__.startswith("bojax.") and not inspect.isabstract(part)}
+    public = {part for part in found if not part.__name__.startswith("_")}
+    return {part for part in public if part.__module__.startswith("bojax.") and not inspect.isabstract(part)}
 
 
 @pytest.mark.parametrize("role", [role for role, base in roles().items() if base.protocol])
