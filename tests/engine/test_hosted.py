@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -76,7 +77,7 @@ def sweep(runs: int = 6, **settings) -> Sweep:
         report={},
         claims=(),
         base={},
-        source="here",
+        source=Path("here"),
     )
 
 

@@ -24,19 +24,19 @@ REFUSED = {
     ),
     "lengthscales of a planner": (
         ["parking", "planner.kernel.lengthscale=[1, 1, 1, 1, 1, 1, 1]"],
-        "planner: kernel: does not accept points of dimension 3 (the parameters of the motions)",
+        "planner.kernel: does not accept points of dimension 3 (the parameters of the motions)",
     ),
     "lengthscales of a single parameter": (
         ["parking", "planner.motions.num_segments=1", "planner.kernel.lengthscale=[1, 2]"],
-        "planner: kernel: does not accept points of dimension 1 (the parameters of the motions)",
+        "planner.kernel: does not accept points of dimension 1 (the parameters of the motions)",
     ),
     "lengthscales deep inside": (
         ["diagonal", f"problem.kernel={KERNEL}"],
-        "problem: kernel: does not accept points of dimension 2 (the coordinates of the plane)",
+        "problem.kernel: does not accept points of dimension 2 (the coordinates of the plane)",
     ),
     "weights of a mean": (
         ["diagonal", "problem.mean={kind: linear, weights: [1, 2, 3]}"],
-        "problem: mean: does not accept points of dimension 2 (the coordinates of the plane)",
+        "problem.mean: does not accept points of dimension 2 (the coordinates of the plane)",
     ),
 }
 
@@ -54,7 +54,7 @@ def test_nothing_is_written(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["run", "mountain-car", "learner=additive", "--out", "out"]) == 2
     out, err = capsys.readouterr()
-    assert out == "" and err.count("\n") == 1 and "mountain-car.yaml: learning: observation_space: " in err
+    assert out == "" and err.count("\n") == 1 and "mountain-car.yaml: experiment: observation_space: " in err
     assert list(tmp_path.iterdir()) == []
 
 

@@ -416,6 +416,6 @@ def test_a_vehicle_that_cannot_turn_on_the_spot_is_not_told_to():
     assert monitoring(vehicle=Wide(), after_collision="stop").turning_radius == 0.5
     with pytest.raises(ValueError, match=r'^after_collision: got "turn"; [^\n]* 0.50 m: set "stop"$'):
         monitoring(vehicle=Wide())
-    with pytest.raises(ConfigError, match="monitoring: after_collision"):
+    with pytest.raises(ConfigError, match="^after_collision"):
         build(Monitoring(vehicle=WheeledRobot()))
     build(Monitoring(vehicle=WheeledRobot(), after_collision="stop"))
