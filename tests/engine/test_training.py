@@ -84,7 +84,7 @@ def test_the_policy_exploits():
 
 
 def test_the_policy_of_a_box_takes_plain_numbers():
-    learner = EMUQ(features=RandomFourierFeatures(num_features=16))
+    learner = EMUQ(features=RandomFourierFeatures(num_features=16), refit="sweeps")
     trained = train(MountainCar(max_steps=20), learner, episodes=1)
     policy, again = trained.policy(), trained.policy()
     actions = [policy([-0.5, 0.0]) for _ in range(3)]

@@ -188,7 +188,7 @@ def test_features_of_later_transitions_are_recomputed(monkeypatch, how):
     np.testing.assert_allclose(recomputed.posterior.mean, stored.posterior.mean, atol=1e-9)
 
 
-@pytest.mark.parametrize("how", ["sweeps", "direct"])
+@pytest.mark.parametrize("how", by_tier(["sweeps", "direct"], normal=["sweeps"]))
 def test_blocks_of_a_refit_do_not_matter(how):
     steps = transitions()
     means = []

@@ -32,7 +32,7 @@ def two_steps(env, key, _):
     return env.observe(state), transitions, env.observation_space
 
 
-@each_kind("env", slow=("hopper", "reacher"))  # `envs/test_robots.py` runs them beside Gymnasium's
+@each_kind("env", slow=("hopper", "jaco", "reacher"))  # `envs/test_robots.py` steps them
 def test_an_environment_is_reset_and_stepped(kind):
     settings = tiny("env", kind)
     env = build(settings, "float32")

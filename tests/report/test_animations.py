@@ -26,6 +26,7 @@ from bojax.report.source import load
 from bojax.report.style import settings
 from bojax.results.store import ResultsError
 from tests.report.synthetic import edit_manifest, write_learning
+from tests.tiers import by_tier
 
 
 def observations(kind, num_steps):
@@ -296,7 +297,7 @@ def test_it_needs_no_jax(folder):
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
 
 
-@pytest.mark.parametrize("part", ["learner", "env"])
+@pytest.mark.parametrize("part", by_tier(["learner", "env"], normal=["env"]))
 def test_a_results_folder_imports_nothing(tmp_path, monkeypatch, part):
     """Its settings may name modules, here one that is there to be found; reports and films read files."""
     (tmp_path / "my_spy.py").write_text("raise SystemExit('imported')")
