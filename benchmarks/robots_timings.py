@@ -1,7 +1,6 @@
 """The timings of bench_robots.py, run in a process with its own cores."""
 
 import importlib.util
-import os
 import sys
 from typing import Any
 
@@ -15,6 +14,7 @@ from timing import Row, median_seconds, on_gpu, print_rows, time_runs, write_rec
 from bojax.engine.build import build
 from bojax.envs.robots.settings import Hopper, Jaco, Reacher
 from bojax.envs.settings import LunarLander
+from bojax.numerics.cores import usable_cores
 from bojax.robots.models import mujoco, packaged
 from bojax.robots.settings import MJX
 from bojax.robots.simulator import Simulator
@@ -107,7 +107,7 @@ def mujoco_row(args, simulator: Simulator, runs: int = 64) -> Row:
     low, high = ranges_of(simulator)
     controls = np.random.default_rng(args.seed).uniform(low, high, (runs, args.steps, low.size))
     controls = np.repeat(controls, simulator.substeps, axis=1)
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = usable_cores()
     data = [mujoco.MjData(model) for _ in range(cores)]
     state = np.zeros(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
     mujoco.mj_getState(model, data[0], state, mujoco.mjtState.mjSTATE_FULLPHYSICS)

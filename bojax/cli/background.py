@@ -1,7 +1,6 @@
 """Reports of finished sweeps, written in other processes while further sweeps run."""
 
 import multiprocessing
-import os
 import signal
 import sys
 from concurrent.futures import Future, ProcessPoolExecutor
@@ -10,6 +9,7 @@ from types import TracebackType
 
 from bojax.config.errors import printable
 from bojax.engine.signals import stop_with_parent
+from bojax.numerics.cores import usable_cores
 from bojax.report.verdicts import print_verdicts
 from bojax.text import error_line
 
@@ -34,7 +34,7 @@ class Reports:
         self._pending: dict[Path, Future[Path]] = {}
         if in_background:
             fresh = multiprocessing.get_context("spawn")  # a fork would lack JAX's threads
-            processes = min(PROCESSES, os.cpu_count() or 1)
+            processes = min(PROCESSES, usable_cores())
             self._pool = ProcessPoolExecutor(processes, mp_context=fresh, initializer=_begin)
 
     def __enter__(self) -> "Reports":

@@ -15,6 +15,7 @@ import jax
 
 from bojax.config.settings import Platform
 from bojax.engine.errors import EngineError
+from bojax.numerics.cores import usable_cores
 
 _FLAGS = (
     "jax_enable_x64",
@@ -122,13 +123,6 @@ def on_cpu() -> Iterator[None]:
         return
     with jax.default_device(device):
         yield
-
-
-def usable_cores() -> int:
-    """CPU cores that this process may run on."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def cache_folder() -> Path:

@@ -12,7 +12,7 @@ from typing import Any
 from bojax.engine.ahead import POLL_SECONDS, Ahead, Stopped
 from bojax.engine.batch import Functions, Programs
 from bojax.engine.chunks import Chunk, Layout
-from bojax.engine.devices import Device, turn_of, usable_cores
+from bojax.engine.devices import Device, turn_of
 from bojax.engine.forecast import ChunkProgress, GroupProgress
 from bojax.engine.groups import StaticGroup
 from bojax.engine.hosted import Hosted
@@ -21,6 +21,7 @@ from bojax.engine.runner import ChunkRunner, Limits, Segment
 from bojax.engine.share import Share
 from bojax.engine.sinks import Sink
 from bojax.experiments.base import Experiment
+from bojax.numerics.cores import usable_cores
 from bojax.results.leases import Standing
 from bojax.results.parts import ChunkState
 from bojax.results.store import ResultsError

@@ -1,8 +1,7 @@
-"""Steps of C MuJoCo, on a processor of the host, as a call within JAX programs."""
+"""Steps of C MuJoCo, on the CPU of the host, called from within JAX programs."""
 
 import copy
 import functools
-import os
 from concurrent.futures import ThreadPoolExecutor
 
 import jax
@@ -10,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from bojax.numerics.cores import usable_cores
 from bojax.robots.models import MjModel, mujoco
 
 _SPEC = sum(
@@ -91,5 +91,5 @@ class CSteps:
 @functools.cache
 def _threads() -> tuple[ThreadPoolExecutor, int]:
     """Threads for all cores that the process may use."""
-    number = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    number = usable_cores()
     return ThreadPoolExecutor(number), number

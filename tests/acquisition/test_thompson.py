@@ -1,5 +1,7 @@
 """Draws of a posterior have its mean and covariance, and a search by them finds a maximum."""
 
+from typing import Any, cast
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -84,7 +86,7 @@ def test_a_search_by_draws_finds_the_peak():
 
 def test_a_number_is_neither_a_function_nor_thompson_sampling():
     with pytest.raises(ValueError, match="acquisition: got 5; allowed: an instance of Acquisition"):
-        BayesianOptimisation("rbf", 5, 0.1, [0.0], [1.0], capacity=3)  # type: ignore[arg-type]
+        BayesianOptimisation("rbf", cast(Any, 5), 0.1, [0.0], [1.0], capacity=3)
 
 
 @pytest.mark.parametrize("number", [0, 3])

@@ -5,7 +5,8 @@ import os
 import subprocess
 import sys
 
-from bojax.engine.devices import cache_folder, usable_cores, workers_of
+from bojax.engine.devices import cache_folder, workers_of
+from bojax.numerics.cores import usable_cores
 
 REPORT = """
 import json
