@@ -9,8 +9,13 @@ from pathlib import Path
 import jax
 import pytest
 
+from tests.compiling import IS_CPU
+
 ROOT = Path(__file__).parents[2]
 COMMAND = ["bojax", "sweep", "toy"]
+
+NEEDS_CPU = pytest.mark.skipif(not IS_CPU, reason="counts the chunks of a CPU")
+"""On a GPU, all runs of a small group are one chunk."""
 
 
 def run_toy(out: Path | None, *points: dict, resume: bool = False, **settings) -> int:

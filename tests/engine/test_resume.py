@@ -165,7 +165,7 @@ def test_resume_twice(interrupted, undisturbed):
         ({"seed": 4}, "seed: 3 -> 4"),
         ({"points": ({"scale": 1.5, "max_length": 400}, *POINTS[1:])}, "config.scale: 1.0 -> 1.5"),
         ({"points": (*POINTS[:2], {"max_length": 31})}, "points.2.config.max_length: 30 -> 31"),
-        ({"lanes_per_device": 5}, "layouts.0.widths.0: 4 -> 5"),
+        ({"lanes_per_device": 3}, "layouts.0.widths.0: 4 -> 3"),
     ],
 )
 def test_changed_config_is_refused(interrupted, capsys, change, named):
@@ -190,7 +190,8 @@ def test_segments_and_reports_may_change(interrupted, undisturbed):
     assert contents(interrupted) == contents(undisturbed)
 
 
-HALFWAY = {"points": ({"scale": 1.0}, {"scale": 2.0}), "runs": 12, "lanes_per_device": 4}
+HALFWAY = {"points": ({"scale": 1.0}, {"scale": 2.0}), "runs": 12, "lanes_per_device": 4, "device": "cpu"}
+"""Several chunks, as only a CPU has them of so few runs."""
 """Three chunks of eight runs."""
 
 

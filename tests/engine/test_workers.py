@@ -21,7 +21,7 @@ from bojax.engine.share import FolderShare
 from bojax.results.folder import RunFolder
 from bojax.results.leases import Attempts, Leases
 from bojax.results.store import WORK, read_manifest, read_table
-from tests.engine.drive import contents, plan_toy, run_toy, start_worker, work_on
+from tests.engine.drive import NEEDS_CPU, contents, plan_toy, run_toy, start_worker, work_on
 from tests.engine.here import Here
 from tests.tiers import by_tier
 from tests.toy import toy_sweep
@@ -94,6 +94,7 @@ def test_a_worker_computes_and_the_driver_merges(planned, alone):
     assert not (planned / WORK).exists()
 
 
+@NEEDS_CPU
 @pytest.mark.bits
 def test_workers_start_with_different_chunks(planned, alone, monkeypatch):
     taken = []
