@@ -218,3 +218,14 @@ def test_the_effect_of_settings_is_of_the_ranked_measure():
     drawing = settings_.draw(reported(grid(), rank_by="-rmse"))
     assert drawing.caption.startswith("Mean rmse for each value")
     assert "selected by these same runs: 3, 1.0," in drawing.caption
+
+
+def test_numbers_ascend_along_an_axis_and_names_keep_their_order():
+    swept = {
+        str(n): {"planner.a": a, "planner.b": b} for n, (a, b) in enumerate([(3, "y"), (1, "x"), (2, "y")])
+    }
+    results = swept_results({name: {"return": np.array([float(name)])} for name in swept}, swept)
+    number, name = settings_.draw(reported(results)).figure.axes
+    assert [tick.get_text() for tick in number.get_xticklabels()] == ["1", "2", "3"]
+    np.testing.assert_array_equal(number.lines[0].get_ydata(), [np.nan, np.nan, 0.0])
+    assert [tick.get_text() for tick in name.get_xticklabels()] == ["y", "x"]

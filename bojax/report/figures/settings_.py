@@ -32,6 +32,7 @@ def draw(results: Results) -> Drawing:
     labels = [point.label for point in points]
     for axes, key in zip(grid.flat, keys, strict=False):
         values = swept_values(points, key)
+        values = sorted(values) if all(map(is_number, values)) else values
         places = np.arange(len(values))
         for curve in curves:
             is_drawn = [name == curve for name in names]
