@@ -1,6 +1,6 @@
 """`bojax reproduce`: the sweeps of a figure, a chapter or the thesis as one plan, and one page over all."""
 
-import shlex
+import sys
 import time
 from argparse import Namespace
 from collections.abc import Sequence
@@ -30,6 +30,10 @@ of the thesis and ours side by side, and the verdict.
 ID is a sweep (fig-4.6), a figure or table with several sweeps (fig-5.5, table-5.3), chapter3, chapter4,
 chapter5, or all: every sweep with claims of the thesis. Studies are run by name. Sweeps whose extra is not
 installed are skipped.
+
+--page runs nothing: it makes the page from results of several commands, of whatever age and machine. DIR is a
+results folder, or a folder above some. The newest results of each sweep count, and are judged by the claims
+and tests of this version.
 """
 
 _EXAMPLES = """\
@@ -37,12 +41,24 @@ _EXAMPLES = """\
   bojax reproduce chapter5 --runs 20                    a quick look at a chapter
   bojax reproduce all --out results/thesis              the whole thesis
   bojax reproduce all --out results/thesis --resume     go on after an interruption
+  bojax reproduce --page results/thesis results/fig-4.6 --out page.md
+                                                        one page from results of several commands
 """
 
 
 def main(name: str, words: Sequence[str]) -> int:
     """Run the command and return its exit code."""
-    args = _parser(name).parse_intermixed_args(list(words))
+    parser = _parser(name)
+    args = parser.parse_intermixed_args(list(words))
+    if args.page:
+        for option, value in vars(args).items():
+            if option not in ("page", "out", "count_in") and value not in (parser.get_default(option), []):
+                parser.error(f"{option}: not allowed with --page, which runs nothing")
+        return _join(args)
+    if not args.ids:
+        parser.error("the following arguments are required: ID")
+    if args.count_in:
+        parser.error("--count-in: needs --page")
     check_launching(args)
     sweeps = [load_sweep(sweep, (), args.runs, args.seed) for sweep in selected(args.ids)]
     if args.dry_run:
@@ -77,9 +93,22 @@ def _run(sweeps: Sequence[Sweep], args: Namespace, command: list[str]) -> int:
     if code not in (0, 1) or not all(_is_merged(out / sweep.name, skipped) for sweep in sweeps):
         return code
     sources = [out / sweep.name for sweep in sweeps if sweep.name not in skipped]
-    page = reproduction(out, sources, shlex.join(command), time.monotonic() - start, skipped)
-    print(page)
+    print(reproduction(out, sources, time.monotonic() - start, skipped))
     return code or reports.exit_code
+
+
+def _join(args: Namespace) -> int:
+    """Make the page from results that are there."""
+    from bojax.report.reproduction import PAGE, TEXT, joined_reproduction
+    from bojax.report.text import counted
+    from bojax.report.verdicts import in_words
+
+    out = args.out or FOLDER / time.strftime("%Y%m%d-%H%M%S")
+    pages = [out] if out.suffix in (".html", ".md") else [out / TEXT, out / PAGE]
+    claims = joined_reproduction(pages, args.page, selected(["all"]), args.count_in)
+    print(f"{counted(len(claims), 'claim')}: {in_words(claims)}", file=sys.stderr)
+    print(pages[-1])
+    return 0
 
 
 def _is_merged(folder: Path, skipped: dict[str, str]) -> bool:
@@ -132,11 +161,12 @@ def _newest(folder: Path) -> Path:
 def _parser(name: str) -> Parser:
     parser = Parser(
         prog=f"bojax {name}",
-        usage=f"bojax {name} ID... [--runs N] [--seed S] [--out DIR] [--resume]{LAUNCHING_USAGE}",
+        usage=f"bojax {name} ID... [--runs N] [--seed S] [--out DIR] [--resume]{LAUNCHING_USAGE}\n"
+        f"       bojax {name} --page DIR... [--out DIR | --out FILE] [--count-in FILE]",
         description=_DESCRIPTION,
         examples=_EXAMPLES,
     )
-    parser.add_argument("ids", nargs="+", metavar="ID", help="sweeps, figures, tables, chapters, or all")
+    parser.add_argument("ids", nargs="*", metavar="ID", help="sweeps, figures, tables, chapters, or all")
     parser.add_argument(
         "--runs", type=integer, metavar="N", help="number of runs of each point (default: as in the sweeps)"
     )
@@ -144,8 +174,29 @@ def _parser(name: str) -> Parser:
         "--seed", type=integer, metavar="S", help="seed of the keys of all runs (default: as in the sweeps)"
     )
     parser.add_argument(
-        "--out", type=Path, metavar="DIR", help=f"folder of the results (default: {FOLDER}/TIME)"
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help=f"folder of the results, or with --page also an .html or .md file (default: {FOLDER}/TIME)",
     )
     parser.add_argument("--resume", action="store_true", help="go on with interrupted or failed sweeps")
+    parser.add_argument(
+        "--page",
+        nargs="+",
+        action="extend",
+        type=Path,
+        metavar="DIR",
+        default=[],
+        help="run nothing, but make the page from these results",
+    )
+    parser.add_argument(
+        "--count-in",
+        nargs="+",
+        type=Path,
+        metavar="FILE",
+        default=[],
+        help="with --page: also update the numbers of claims in a sentence of these files: Of N claims ..., "
+        "N are reproduced, N are not, and N are inconclusive",
+    )
     add_launching(parser)
     return parser

@@ -245,14 +245,34 @@ def load_config(
     return _assemble(path, path.stem, settings, [experiment], experiment, origin, SweepFile())
 
 
+def published_name(name: str) -> str | None:
+    """The name of the sweep of bojax that a name or alias stands for; None if there is none.
+
+    Raises:
+        ConfigError: The file is not readable.
+    """
+    path = shipped("sweeps") / f"{name}.yaml"
+    return _follow_alias(path)[0].stem if path in shipped("sweeps").glob("*.yaml") else None
+
+
+def load_published(name: str) -> Sweep:
+    """A sweep of bojax by name, whatever files the working directory has.
+
+    Raises:
+        ConfigError: The file is not readable.
+    """
+    return load_sweep(str(shipped("sweeps") / f"{name}.yaml"))
+
+
 def published_report(name: str) -> Report | None:
     """The settings of the report of a sweep that is part of bojax; None if none has this name.
 
     Raises:
         ConfigError: The file is not readable.
     """
-    path = {path.stem: path for path in shipped("sweeps").glob("*.yaml")}.get(name)
-    return path and Report.model_validate(_follow_alias(path)[1].get("report", {}))
+    if published_name(name) is None:
+        return None
+    return Report.model_validate(_follow_alias(shipped("sweeps") / f"{name}.yaml")[1].get("report", {}))
 
 
 def validate_experiment(settings: Any, *, is_recorded: bool = False) -> Component:

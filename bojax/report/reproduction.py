@@ -9,13 +9,16 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from bojax.report.collected import collected
 from bojax.report.explanations import Explained, causes_of, explanations_of
 from bojax.report.manifest import Manifest
 from bojax.report.source import load
 from bojax.report.template import fill
-from bojax.report.text import counted, joined, seconds
+from bojax.report.text import counted, joined
+from bojax.report.text import seconds as in_seconds
 from bojax.report.verdicts import TestedClaim, in_words, read_claims, tally
 from bojax.results.store import ResultsError, make_folder, write_content
+from bojax.text import error_line
 
 CHAPTERS = {
     3: "Bayesian optimisation for sequential planning",
@@ -26,6 +29,17 @@ CHAPTERS = {
 
 PAGE = "reproduction.html"
 TEXT = "reproduction.md"
+
+Origin = tuple[tuple[str, str], ...]
+"""Names and texts of what results were made by and on."""
+
+_PLACES = re.compile(r" --(?:resume|(?:out|devices|launcher)[ =](?:'[^']*'|\S+))")
+"""Options of a command that say where it ran: results do not depend on them."""
+
+_COUNTS = re.compile(
+    r"Of \d+( claims.*?)\d+( are reproduced,\s+)\d+( are not,\s+and\s+)\d+(?= are\s+inconclusive)", re.DOTALL
+)
+"""The sentence on claims of another page."""
 
 _KINDS = {"fig": "Fig.", "table": "Table", "section": "Section"}
 _REFERENCE = re.compile(
@@ -44,10 +58,29 @@ class Sweep:
     explanations: Sequence[Explained]  # of the claims that are not reproduced, or inconclusive
     report: str  # address of its report, relative to the page; empty if there is none
 
+    @classmethod
+    def of(cls, source: Path, manifest: Manifest, claims: Sequence[TestedClaim], folder: Path) -> "Sweep":
+        """A sweep whose results are in the folder `source`, on a page in `folder`."""
+        report = source / "report.html"
+        address = quote(_relative(report, folder)) if report.is_file() else ""
+        return cls(manifest, claims, explanations_of(manifest, claims), address)
+
     @property
     def name(self) -> str:
         """Its name."""
         return self.manifest.name or ""
+
+    @property
+    def written(self) -> str:
+        """Date and time of its last result; empty if unknown."""
+        return self.manifest.written or ""
+
+    @property
+    def origin(self) -> Origin:
+        """The command that made it, and what that ran on."""
+        known = self.manifest.provenance
+        command = _PLACES.sub("", self.manifest.command or "")
+        return (("command", command), *((key, known[key]) for key in ("revision", "device", "versions")))
 
 
 @dataclass(frozen=True)
@@ -113,13 +146,13 @@ class Paragraph:
 
 
 def reproduction(
-    folder: Path, sources: Sequence[Path], command: str, seconds: float, skipped: Mapping[str, str] = {}
+    folder: Path, sources: Sequence[Path], seconds: float, skipped: Mapping[str, str] = {}
 ) -> Path:
     """Write `reproduction.html` and `reproduction.md`, which has the same content without links to reports.
 
     The sources are results folders, each with the `claims.json` of its report. A folder that is missing,
     unfinished or damaged becomes one line of the page, as does each skipped sweep, by name with the reason.
-    `command` is the command line that ran the sweeps, `seconds` its wall time. The explanations of the sweeps
+    `seconds` is the wall time of the command that ran them. The explanations of the sweeps
     (`report.explanations`) follow the tables, also if the results were made before they were written.
 
     Raises:
@@ -128,28 +161,82 @@ def reproduction(
     sweeps, gaps = [], list(skipped.items())
     for source in map(Path, sources):
         try:
-            sweep = _read(source, folder)
+            results = load(source)
+            manifest = results.manifest.model_copy(update={"name": results.name, "title": results.title})
+            sweeps.append(Sweep.of(source, manifest, read_claims(source), folder))
         except ResultsError as error:
             gaps.append((_relative(source, folder), str(error).removeprefix(f"{source}: ")))
-            continue
-        sweeps.append(sweep)
-        if sweep.manifest.status == "failed":
-            errors = dict.fromkeys(chunk.error for chunk in sweep.manifest.chunks if chunk.error)
-            gaps.append((sweep.name, f"some runs are missing: {'; '.join(errors) or 'unknown error'}"))
-    make_folder(folder)
-    values = _content(sweeps, gaps, command, seconds)
-    for name in (TEXT, PAGE):
-        write_content(folder / name, fill(f"{name}.j2", **values))
+    _write([folder / TEXT, folder / PAGE], sweeps, gaps, [("time taken", in_seconds(seconds))])
     return folder / PAGE
 
 
-def _read(source: Path, folder: Path) -> Sweep:
-    results = load(source)
-    manifest = results.manifest.model_copy(update={"name": results.name, "title": results.title})
-    report = source / "report.html"
-    claims = read_claims(source)
-    address = quote(_relative(report, folder)) if report.is_file() else ""
-    return Sweep(manifest, claims, explanations_of(manifest, claims), address)
+def joined_reproduction(
+    pages: Sequence[Path],
+    folders: Sequence[Path],
+    expected: Sequence[str] = (),
+    counted_in: Sequence[Path] = (),
+) -> list[TestedClaim]:
+    """Write pages on the newest results of each sweep of bojax in several folders, and return their claims.
+
+    The claims are those of this version, and decided by its tests, see `bojax.report.collected`. Sweeps may
+    have been made by different commands, revisions, devices and versions: the page then says which by which.
+
+    Args:
+        pages: Files to write, `.html` or `.md`.
+        folders: Results folders, or folders above them.
+        expected: Names of sweeps: the page says which of them have no results.
+        counted_in: Other pages, with a sentence "Of N claims ..., N are reproduced, N are not, and N are
+            inconclusive", whose numbers are updated.
+
+    Raises:
+        ResultsError: A folder has no results of a sweep of bojax, or is damaged, or a page cannot be written
+            or has no such sentence; one line.
+    """
+    found = collected(folders)
+    sweeps = [Sweep.of(each.folder, each.manifest, each.claims, pages[0].parent) for each in found]
+    names = [sweep.name for sweep in sweeps]
+    gaps = [(name, "no finished results in these folders") for name in expected if name not in names]
+    claims = [claim for sweep in sweeps for claim in sweep.claims]
+    kept = {each.manifest.name or "": each.kept for each in found if each.kept}
+    whose = f"{counted(len(claims) - sum(kept.values()), 'claim')} decided by the tests of this version"
+    if kept:
+        whose += f", {sum(kept.values())} as in their reports, for want of tables ({joined(kept)})"
+    others = {page: _recounted(page, claims) for page in counted_in}
+    _write(pages, sweeps, gaps, [("verdicts", whose)])
+    for page, text in others.items():
+        write_content(page, text)
+    return claims
+
+
+def _recounted(page: Path, claims: Sequence[TestedClaim]) -> str:
+    """A page with these numbers in its sentence on claims."""
+    try:
+        text = page.read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:
+        raise ResultsError(f"{page}: cannot be read: {error_line(error)}") from error
+    numbers = "Of {}\\g<1>{}\\g<2>{}\\g<3>{}".format(len(claims), *(count for _, _, count in tally(claims)))
+    text, times = _COUNTS.subn(numbers, text)
+    if times != 1:
+        wanted = "Of N claims ..., N are reproduced, N are not, and N are inconclusive"
+        raise ResultsError(f"{page}: got {counted(times, 'sentence')} on claims; allowed: one, {wanted}")
+    return text
+
+
+def _write(
+    pages: Sequence[Path],
+    sweeps: Sequence[Sweep],
+    gaps: Sequence[tuple[str, str]],
+    provenance: Sequence[tuple[str, str]],
+) -> None:
+    """Write pages on sweeps, each in the format of its suffix, with what else is known of the provenance."""
+    for sweep in sweeps:
+        if sweep.manifest.status == "failed":
+            errors = dict.fromkeys(chunk.error for chunk in sweep.manifest.chunks if chunk.error)
+            gaps = [*gaps, (sweep.name, f"some runs are missing: {'; '.join(errors) or 'unknown error'}")]
+    values = _content(sweeps, gaps, [*_provenance(sweeps), *provenance])
+    for page in pages:
+        make_folder(page.parent)
+        write_content(page, fill(f"reproduction{page.suffix}.j2", **values))
 
 
 def _relative(path: Path, folder: Path) -> str:
@@ -157,7 +244,7 @@ def _relative(path: Path, folder: Path) -> str:
 
 
 def _content(
-    sweeps: Sequence[Sweep], gaps: Sequence[tuple[str, str]], command: str, wall_seconds: float
+    sweeps: Sequence[Sweep], gaps: Sequence[tuple[str, str]], provenance: Sequence[tuple[str, str]]
 ) -> dict[str, Any]:
     """What the templates show."""
     claims = [claim for sweep in sweeps for claim in sweep.claims]
@@ -171,9 +258,6 @@ def _content(
         else "",
         f"Incomplete or left out: {counted(len(gaps), 'sweep')}." if gaps else "",
     ]
-    latest = max((manifest.written or "" for manifest in manifests), default="")
-    provenance = [("command", command), ("time taken", seconds(wall_seconds)), ("last sweep written", latest)]
-    provenance += [(key, _said(sweeps, key)) for key in ("revision", "device", "versions", "precision")]
     return {
         "title": "Reproduction of the thesis",
         "summary": " ".join(filter(None, summary)),
@@ -183,7 +267,8 @@ def _content(
         "paragraphs": _paragraphs(sweeps),
         "changes": _changes(manifests),
         "sweeps": sweeps,
-        "seconds": seconds,
+        "origins": _origins(sweeps),
+        "seconds": in_seconds,
         "compile_seconds": sum(manifest.compile_seconds for manifest in manifests),
         "run_seconds": sum(manifest.run_seconds for manifest in manifests),
         "provenance": [(key, value) for key, value in provenance if value],
@@ -220,6 +305,29 @@ def _changes(manifests: Iterable[Manifest]) -> list[tuple[str, str, str, str]]:
         for change in manifest.changes:
             found.setdefault(change, []).append(manifest.name or "")
     return [(*change, joined(names)) for change, names in found.items()]
+
+
+def _origins(sweeps: Sequence[Sweep]) -> list[Origin]:
+    """The distinct origins of sweeps; pages number them from 1."""
+    return list(dict.fromkeys(sweep.origin for sweep in sorted(sweeps, key=lambda sweep: sweep.written)))
+
+
+def _provenance(sweeps: Sequence[Sweep]) -> list[tuple[str, str]]:
+    """What the sweeps were made by and on; what differs is told with the numbers of the commands."""
+    rows = []
+    origins = [dict(origin) for origin in _origins(sweeps)]
+    for key in origins[0] if origins else ():
+        found: dict[str, list[str]] = {}
+        for number, origin in enumerate(origins, 1):
+            found.setdefault(origin[key], []).append(str(number))
+        for text, numbers in found.items():
+            which = f"{'command' if len(numbers) == 1 else 'commands'} {joined(numbers)}"
+            if key == "command":
+                rows.append((key if len(origins) == 1 else which, text))
+            else:
+                rows.append((key if len(found) == 1 else f"{key}, {which}", text))
+    latest = max((sweep.written for sweep in sweeps), default="")
+    return [*rows, ("precision", _said(sweeps, "precision")), ("last sweep written", latest)]
 
 
 def _said(sweeps: Sequence[Sweep], key: str) -> str:

@@ -101,7 +101,7 @@ def test_sweeps_of_a_figure_and_one_page(reproduced, monkeypatch, capfd):
     for name in ("fig-9.1a", "fig-9.1b"):
         assert (folder / "out" / name / "report.html").is_file()
     text = (folder / "out" / "reproduction.md").read_text()
-    assert "bojax reproduce fig-9.1 --out out" in text and "2 claims, tested by 2 sweeps" in text
+    assert "| command | `bojax reproduce fig-9.1` |" in text and "2 claims, tested by 2 sweeps" in text
     monkeypatch.chdir(folder)
     assert main(["reproduce", "fig-9.1", "--out", "out", "--resume"]) == 0
     assert "out/fig-9.1a: already finished" in capfd.readouterr().out

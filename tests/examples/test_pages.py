@@ -98,6 +98,7 @@ def test_a_command_is_understood(page, words, monkeypatch, capsys, tmp_path):
     monkeypatch.setattr("bojax.report.comparing.build.compare", lambda request, out: out)
     monkeypatch.setattr("bojax.report.exporting.build.export", lambda folder, target, out: folder)
     monkeypatch.setattr("bojax.cli.tuning.search", lambda *_: 0)
+    monkeypatch.setattr("bojax.report.reproduction.joined_reproduction", lambda *_: [])
     monkeypatch.chdir(ROOT / "examples" if any("my_" in word for word in words) else ROOT)
     for word in words:
         if word.endswith("/best.yaml"):
@@ -114,7 +115,7 @@ def test_a_command_is_understood(page, words, monkeypatch, capsys, tmp_path):
         slurm, ray = (content for kind, content, _ in blocks(DOCS / "clusters.md") if kind == "yaml")
         Path("cluster.yaml").write_text(slurm if "slurm" in words else ray)
     assert cli.main(words[1:]) == 0, capsys.readouterr().err
-    assert asked or words[1] not in ("run", "sweep", "reproduce") or "--dry-run" in words
+    assert asked or words[1] not in ("run", "sweep", "reproduce") or {"--dry-run", "--page"} & set(words)
 
 
 def test_make_targets_exist():

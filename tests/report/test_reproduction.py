@@ -26,6 +26,7 @@ MANIFEST = {
         {"compile_seconds": 7.25, "run_seconds": 1.5},
         {"compile_seconds": 0.75, "run_seconds": None},
     ],
+    "command": COMMAND,
     "written": "2026-01-02T10:01:35+0000",
     "versions": {"python": "3.12.3", "jax": "0.11.2"},
     "git": {"revision": "97d835b", "has_changes": False},
@@ -55,7 +56,7 @@ def write(folder, claims, **changes):
 
 def pages(folder, sources, **options):
     """The page as a browser finds it, and the text."""
-    path = reproduction(folder, sources, COMMAND, 1533.0, **options)
+    path = reproduction(folder, sources, 1533.0, **options)
     assert path == folder / "reproduction.html"
     return Page(path.read_text(encoding="utf-8")), (folder / "reproduction.md").read_text(encoding="utf-8")
 
@@ -171,16 +172,29 @@ def test_the_machine_the_time_and_the_command_are_said(tmp_path):
         write(tmp_path / "fig-3.3", [claim("b", "Fig. 3.3")], **other),
     ]
     page, text = pages(tmp_path, folders)
-    assert cells(text, "| command") == ["command", f"`{COMMAND}`"]
+    assert cells(text, "| commands") == ["commands 1 and 2", f"`{COMMAND}`"]
     assert cells(text, "time taken")[1] == "25 min 33 s"
     assert cells(text, "last sweep written")[1] == "2026-01-03T00:00:00+0000"
     assert cells(text, "| revision")[1] == "97d835b"
-    assert cells(text, "| device")[1] == (
-        "platform gpu, kind NVIDIA H200, count 1 (fig-3.1); platform cpu, kind cpu, count 2 (fig-3.3)"
-    )
-    assert cells(text, "| `fig-3.1` | 2 ") == ["`fig-3.1`", "2", "200", "1", "8.00 s", "1.50 s"]
-    assert cells(text, "| all |")[3:] == ["2", "16.0 s", "3.00 s"]
+    assert cells(text, "| versions")[1] == "python 3.12.3, jax 0.11.2"
+    assert cells(text, "| device, command 1")[1] == "platform gpu, kind NVIDIA H200, count 1"
+    assert cells(text, "| device, command 2")[1] == "platform cpu, kind cpu, count 2"
+    row = ["`fig-3.1`", "2", "200", "1", "8.00 s", "1.50 s", "2026-01-02 10:01", "1"]
+    assert cells(text, "| `fig-3.1` | 2 ") == row
+    assert cells(text, "| `fig-3.3` | 2 ")[-2:] == ["2026-01-03 00:00", "2"]
+    assert cells(text, "| all |")[3:] == ["2", "16.0 s", "3.00 s", "", ""]
     assert COMMAND in page.text and "25 min 33 s" in page.text
+
+
+def test_one_command_has_no_number(tmp_path):
+    folders = [
+        write(tmp_path / name, [claim(name, "Fig. 3.1")], command=f"{COMMAND} --out /my/own --resume")
+        for name in "ab"
+    ]
+    page, text = pages(tmp_path, folders)
+    assert cells(text, "| command") == ["command", f"`{COMMAND}`"] and "/my/own" not in text + page.text
+    assert cells(text, "| device")[1] == "platform gpu, kind NVIDIA H200, count 1"
+    assert cells(text, "| `a` | 2 ")[-1] == "2026-01-02 10:01"
 
 
 def test_sweeps_that_cannot_be_read_are_one_line_each(tmp_path):
@@ -201,7 +215,7 @@ def test_sweeps_that_cannot_be_read_are_one_line_each(tmp_path):
     failed = write(tmp_path / "failed", [claim("f", "Fig. 3.3")], status="failed", chunks=errors)
     page, text = pages(tmp_path, [*folders, failed, tmp_path / "nowhere"], skipped={"fig-4.8": "needs a GPU"})
     rows = re.findall(r"^\| `(.*?)` \| (.*) \|$", text.split("## Chapter")[0], re.MULTILINE)
-    assert [name for name, _ in rows] == ["fig-4.8", *broken, "failed", "nowhere"]
+    assert [name for name, _ in rows] == ["fig-4.8", *broken, "nowhere", "failed"]
     reasons = dict(rows)
     assert reasons["fig-4.8"] == "needs a GPU" and reasons["nowhere"] == "no such results folder"
     assert reasons["failed"] == "some runs are missing: out \\| of memory"
@@ -214,14 +228,14 @@ def test_sweeps_that_cannot_be_read_are_one_line_each(tmp_path):
 
 def test_nothing_to_read_is_still_a_page(tmp_path):
     page, text = pages(tmp_path / "new", [])
-    assert "0 claims, tested by 0 sweeps" in page.text and COMMAND in text
+    assert "0 claims, tested by 0 sweeps" in page.text and "0 claims" in text
 
 
 def test_equal_input_gives_equal_files(tmp_path):
     folders = [write(tmp_path / name, [claim(name, "Fig. 3.1")]) for name in ("a", "b")]
-    reproduction(tmp_path, folders, COMMAND, 1.0)
+    reproduction(tmp_path, folders, 1.0)
     first = (tmp_path / "reproduction.html").read_bytes(), (tmp_path / "reproduction.md").read_bytes()
-    reproduction(tmp_path, folders, COMMAND, 1.0)
+    reproduction(tmp_path, folders, 1.0)
     assert first == (
         (tmp_path / "reproduction.html").read_bytes(),
         (tmp_path / "reproduction.md").read_bytes(),
@@ -291,7 +305,7 @@ def test_no_section_if_all_is_reproduced(tmp_path):
 def test_a_folder_that_cannot_be_written_is_one_line(tmp_path):
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(ResultsError) as error:
-        reproduction(tmp_path / "file", [], COMMAND, 1.0)
+        reproduction(tmp_path / "file", [], 1.0)
     assert "\n" not in str(error.value)
 
 
@@ -338,7 +352,7 @@ def test_the_page_is_made_without_jax_and_without_matplotlib(tmp_path):
     folder = write(tmp_path / "fig-3.1", [claim("a", "Fig. 3.1")])
     code = (
         "import sys, pathlib; from bojax.report.reproduction import reproduction; "
-        f"reproduction(pathlib.Path({str(tmp_path)!r}), [pathlib.Path({str(folder)!r})], 'c', 1.0); "
+        f"reproduction(pathlib.Path({str(tmp_path)!r}), [pathlib.Path({str(folder)!r})], 1.0); "
         "print([name for name in ('jax', 'equinox', 'matplotlib') if name in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -1,0 +1,146 @@
+"""Results of several commands on one page: the newest of each sweep, judged by today's claims."""
+
+import json
+import re
+
+import pytest
+
+from bojax.cli.main import main
+from bojax.config.sweep import load_published, published_name
+from bojax.report.build import build_report
+from bojax.report.collected import collected
+from bojax.results.store import ResultsError
+from tests.report.synthetic import edit_manifest, write_results
+
+
+def results(folder, name="fig-4.6", **changes):
+    """Made-up results under the name of a sweep of bojax, with a report."""
+    write_results(folder, recorded=0)
+    known = {"name": name, "written": "2026-01-02T10:00:00+0000", "command": f"bojax reproduce {name}"}
+    claims = [claim.model_dump(mode="json") for claim in load_published("fig-4.6").claims]
+    edit_manifest(folder, lambda manifest: manifest.update(known | {"claims": claims} | changes))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def reported(tmp_path_factory):
+    """A results folder with its report."""
+    folder = results(tmp_path_factory.mktemp("reported") / "old")
+    build_report(folder)
+    return folder
+
+
+def verdicts(folder):
+    """The verdict of each claim of the only sweep in a folder."""
+    (found,) = collected([folder])
+    return {claim.id: claim.verdict for claim in found.claims}
+
+
+def test_the_newest_results_of_a_sweep_count(tmp_path, capsys):
+    results(
+        tmp_path / "a" / "x", written="2026-01-03T10:00:00+0000", command="bojax reproduce fig-4.6 --out b"
+    )
+    results(tmp_path / "a" / "y", name="parking")  # another name of fig-4.6
+    results(tmp_path / "b", name="fig-4.8")
+    results(tmp_path / "a" / "unfinished", status="running")
+    readme = tmp_path / "readme.md"
+    readme.write_text("Of 0 claims of it,\n0 are reproduced, 0 are not, and\n0 are inconclusive: so.")
+    page = tmp_path / "page.md"
+    words = [
+        "--page",
+        str(tmp_path / "a"),
+        str(tmp_path / "b"),
+        "--out",
+        str(page),
+        "--count-in",
+        str(readme),
+    ]
+    assert main(["reproduce", *words]) == 0
+    told, text = capsys.readouterr(), page.read_text()
+    assert told.out == f"{page}\n"
+    numbers = re.search(
+        r"^(\d+) claims, tested by 2 sweeps: (\d+) rep.*?, (\d+) not .*? and (\d+) inc", text, re.M
+    )
+    assert numbers and told.err.startswith(f"{numbers[1]} claims: {numbers[2]} reproduced")
+    assert re.findall(r"\d+", readme.read_text()) == list(numbers.groups())
+    assert (
+        "| command 1 | `bojax reproduce fig-4.8` |" in text
+        and "| command 2 | `bojax reproduce fig-4.6` |" in text
+    )
+    assert re.search(r"\| `fig-4.6` \| .* \| 2026-01-03 10:00 \| 2 \|", text)
+    assert (
+        "| `table-5.1` | no finished results in these folders |" in text
+        and "| `fig-4.6` | no fin" not in text
+    )
+
+
+def test_verdicts_are_those_of_todays_tests(reported, tmp_path):
+    decided = verdicts(reported)
+    assert set(decided.values()) == {"reproduced", "not reproduced", "inconclusive"}
+    old = results(tmp_path / "old", claims=[])
+    (old / "claims.json").write_text("[]")
+    assert verdicts(old) == decided, "claims are those of the sweep, not of the results"
+
+
+def test_a_verdict_is_kept_where_its_table_is_missing(reported):
+    before = verdicts(reported)
+    (reported / "steps.parquet").rename(reported / "elsewhere")
+    entries = json.loads((reported / "claims.json").read_text())
+    falls = next(entry for entry in entries if entry["id"] == "fig-4.6/sbo-falls")
+    try:
+        assert verdicts(reported) == before
+        falls["test"]["to"] = 7
+        (reported / "claims.json").write_text(json.dumps(entries))
+        assert verdicts(reported) == {**before, falls["id"]: "inconclusive"}, "of another test"
+    finally:
+        (reported / "elsewhere").rename(reported / "steps.parquet")
+
+
+def test_settings_that_the_sweep_has_no_longer_are_changed(reported):
+    (found,) = collected([reported])
+    assert found.manifest.changed["runs"] == [200, 40]
+    assert all(claim.changed == found.manifest.changed for claim in found.claims)
+
+
+@pytest.mark.parametrize(
+    ("changes", "error"),
+    [
+        ({"name": "mine"}, "got the sweep mine; allowed: sweeps of bojax"),
+        ({"is_published": False}, "got the sweep fig-4.6; allowed: sweeps of bojax"),
+        ({"status": "running"}, "has not finished"),
+    ],
+)
+def test_other_results_are_refused(tmp_path, changes, error):
+    with pytest.raises(ResultsError, match=error) as raised:
+        collected([results(tmp_path / "x", **changes)])
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("words", "error"),
+    [
+        (["--page", "nowhere"], "no such results folder"),
+        (["--page", ".", "--out", "p.md"], "manifest.json"),
+        (["fig-4.6", "--page", "."], "ids: not allowed with --page"),
+        (["--page", ".", "--runs", "3"], "runs: not allowed with --page"),
+        (["--count-in", "README.md", "--", "fig-4.6"], "--count-in: needs --page"),
+        ([], "the following arguments are required: ID"),
+    ],
+)
+def test_misuse_is_one_line(tmp_path, monkeypatch, capsys, words, error):
+    monkeypatch.chdir(tmp_path)
+    assert main(["reproduce", *words]) == 2
+    told = capsys.readouterr().err
+    assert error in told and told.count("\n") == 1 and not list(tmp_path.iterdir())
+
+
+def test_a_page_to_count_in_needs_the_sentence(tmp_path, reported, capsys):
+    (tmp_path / "other.md").write_text("Of claims.")
+    out = ["--out", str(tmp_path / "p.md"), "--count-in", str(tmp_path / "other.md")]
+    assert main(["reproduce", "--page", str(reported), *out]) == 2
+    assert "got 0 sentences on claims" in capsys.readouterr().err and not (tmp_path / "p.md").exists()
+
+
+def test_names_of_published_sweeps():
+    assert published_name("parking") == published_name("fig-4.6") == "fig-4.6"
+    assert published_name("mine") is published_name("../sweeps/fig-4.6") is None
