@@ -107,9 +107,32 @@ def test_trend_follows_the_direction(folder, tmp_path):
     assert entry["ours"] < -500
 
 
+def test_a_trend_may_leave_out_runs_that_have_ended(folder, tmp_path):
+    test = {"kind": "trend", "label": "kcbts", "column": "accumulated_reward", "from": 4, "to": 14}
+    entry = judge(folder, tmp_path, {**test, "direction": "falls", "ended": "left-out"})
+    rows = pq.read_table(folder / "steps.parquet").to_pylist()
+    values = [(row["step"], row["accumulated_reward"]) for row in rows if row["label"] == "kcbts"]
+    later = np.mean([value for step, value in values if 4 < step <= 14])
+    assert entry["ours"] == pytest.approx(later - np.mean([value for step, value in values if step == 4]))
+    low, high = entry["interval"]
+    assert low < entry["ours"] < high and entry["runs"] == 40
+
+
 @pytest.mark.parametrize(
     ("test", "reason"),
     [
+        (
+            {
+                "kind": "trend",
+                "label": "random",
+                "column": "accumulated_reward",
+                "from": 14,
+                "to": 15,
+                "direction": "falls",
+                "ended": "left-out",
+            },
+            "10 active runs: at least 20",
+        ),
         ({"kind": "share", "label": "cbts", "column": "success", "above": 0.5}, "no runs of cbts"),
         ({"kind": "share", "label": "sbo", "column": "parked", "above": 0.5}, "no column parked"),
         ({"kind": "order", "column": "rmse", "greater": ["sbo", "random"]}, "no column rmse"),

@@ -231,9 +231,16 @@ class Trend(OfOneLabel, frozen=True):
     first: _Place = Field(alias="from", description="step or episodes at which the change begins")
     last: _Place = Field(alias="to", description="step or episodes at which the change ends")
     direction: Literal["rises", "falls"] = Field(description="claimed direction of the change")
+    ended: Literal["kept", "left-out"] = Field(
+        default="kept",
+        description="between steps: whether a run that has ended keeps its last value, or is left out; then "
+        "the change is to the mean of all steps after `from`, up to `to`, as few runs may last until `to`",
+    )
 
     @pydantic.model_validator(mode="after")
     def _forward(self) -> Self:
+        if self.ended == "left-out" and isinstance(self.first, Window):
+            raise ValueError("ended: left-out needs two steps")
         if type(self.first) is not type(self.last):
             raise ValueError("from and to: give two steps or two windows")
         if isinstance(self.first, int) and isinstance(self.last, int) and self.first >= self.last:

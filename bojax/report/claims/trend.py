@@ -7,32 +7,58 @@ import numpy as np
 from bojax.config.claims import Window
 from bojax.report import statistics
 from bojax.report.claims.finding import Comparison, Finding, bootstrap
-from bojax.report.claims.samples import Measure, episodes_in, paired, stand_ins
+from bojax.report.claims.samples import Measure, column, enough, episodes_in, finite, paired, stand_ins
 from bojax.report.claims.settings import Trend
-from bojax.report.source import Results
+from bojax.report.source import Point, Results
 
 
 def trend(results: Results, test: Trend) -> Finding:
     """Whether a mean falls, or rises, between two steps or between two windows of episodes.
 
-    Between steps, a run that has ended keeps its last value, as in the figures.
+    Between steps, a run that has ended keeps its last value, as in the figures, or is left out.
     """
     first, last = (Measure(test.column, place) for place in (test.first, test.last))
-    points, chosen = stand_ins(results, test, last)
-    if isinstance(test.first, Window):
-        changes = paired(results, test, points, dataclasses.replace(last, since=test.first))[:, 0]
+    (point,), chosen = stand_ins(results, test, last)
+    if test.ended == "left-out":
+        interval, runs = _change_of_active(results, test, point)
+        between, within = (
+            f"from {_place(test.first)} to the steps after it up to {test.last}",
+            "of the active runs",
+        )
     else:
-        changes = np.subtract(*(paired(results, test, points, end)[:, 0] for end in (last, first)))
-    interval = statistics.mean_interval(changes)
-    between = f"from {_place(test.first)} to {_place(test.last)}"
+        if isinstance(test.first, Window):
+            changes = paired(results, test, [point], dataclasses.replace(last, since=test.first))[:, 0]
+        else:
+            changes = np.subtract(*(paired(results, test, [point], end)[:, 0] for end in (last, first)))
+        interval, runs = statistics.mean_interval(changes), len(changes)
+        between, within = f"from {_place(test.first)} to {_place(test.last)}", "within a run"
     return Finding.between(
         *((0.0, None) if test.direction == "rises" else (None, 0.0)),
         [Comparison(f"change of {test.label} {between}", interval)],
-        runs=len(changes),
-        method=f"mean change of {test.column} {between} within a run, 95% interval "
-        f"against 0 (the claim: it {test.direction}); {bootstrap(len(changes))}",
+        runs=runs,
+        method=f"mean change of {test.column} {between} {within}, 95% interval "
+        f"against 0 (the claim: it {test.direction}); {bootstrap(runs)}",
         chosen=chosen,
     )
+
+
+def _change_of_active(results: Results, test: Trend, point: Point) -> tuple[statistics.Interval, int]:
+    """Change from the mean at the first step to that of the later ones, over runs that have not ended."""
+    rows, runs = results.steps_of(point), results.runs_of(point)["run"]
+    values, step = column(rows, test.column), rows["step"]
+    row = np.searchsorted(runs, rows["run"])
+    sums = []
+    for is_counted in (step == test.first, (test.first < step) & (step <= test.last)):
+        finite(values[is_counted], point.name, test.column)
+        enough(len(np.unique(row[is_counted])), "active run")
+        sums += [np.bincount(row[is_counted], weights, runs.size) for weights in (values[is_counted], None)]
+    table = np.stack(sums, axis=1)  # of each run: value and number at the first step, sum and number after it
+
+    def change(means: statistics.Floats) -> statistics.Floats:
+        return means[..., 2] / means[..., 3] - means[..., 0] / means[..., 1]
+
+    low, high = statistics.central(change(statistics.bootstrap_means(table)))
+    return statistics.Interval(float(change(table.mean(axis=0))), low, high), runs.size
 
 
 def _place(place: int | Window) -> str:
