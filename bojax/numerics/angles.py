@@ -12,12 +12,15 @@ _HALF_PI = Fraction("1.57079632679489661923132169163975144209858469968755")
 
 def wrap_to_pi(angle: Float[Array, "*N"]) -> Float[Array, "*N"]:
     """The equivalent angle in [-pi, pi)."""
-    return jnp.mod(angle + jnp.pi, 2.0 * jnp.pi) - jnp.pi
+    return wrap_to_2pi(angle + jnp.pi) - jnp.pi
 
 
 def wrap_to_2pi(angle: Float[Array, "*N"]) -> Float[Array, "*N"]:
     """The equivalent angle in [0, 2 pi)."""
-    return jnp.mod(angle, 2.0 * jnp.pi)
+    turn = 2.0 * jnp.pi
+    wrapped = jnp.mod(angle, turn)
+    # The remainder of a tiny negative angle rounds to a whole turn.
+    return jnp.where(wrapped >= turn, 0.0, wrapped)
 
 
 def cos_and_sin(angles: Float[Array, "*N"]) -> tuple[Float[Array, "*N"], Float[Array, "*N"]]:

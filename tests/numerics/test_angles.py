@@ -18,6 +18,17 @@ def test_a_wrapped_angle_is_equivalent_and_within_its_interval(wrap, low):
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize(("wrap", "low"), [(wrap_to_pi, -np.pi), (wrap_to_2pi, 0.0)])
+def test_an_angle_just_below_an_interval_is_wrapped_into_it(wrap, low, dtype):
+    tiny = np.array([-1e-20, -1e-9, 0.0, np.nan], dtype)
+    wrapped = np.asarray(wrap(jnp.asarray(low + tiny, dtype)))
+    assert wrapped.dtype == dtype
+    high = dtype(low + 2.0 * np.pi)
+    assert np.all((wrapped[:3] >= dtype(low)) & (wrapped[:3] < high))
+    assert np.isnan(wrapped[3])
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_cosines_and_sines_are_exact_within_rounding_of_their_values_and_angles(dtype):
     rng = np.random.default_rng(0)
     sizes = 10.0 ** rng.uniform(-3.0, 9.0, 4000)
