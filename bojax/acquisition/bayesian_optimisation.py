@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int, Key, Scalar
 
 from bojax.acquisition.functions import Acquisition, UpperConfidenceBound
 from bojax.acquisition.maximise import best_candidate, refine
-from bojax.acquisition.scaling import standardise
+from bojax.acquisition.scaling import centre_and_unit, standardise
 from bojax.acquisition.thompson import ThompsonSampling
 from bojax.models.checks import (
     Numbers,
@@ -213,7 +213,8 @@ class BayesianOptimisation(eqx.Module):
     ) -> tuple[Float[Array, "M"], Float[Array, "M"]]:
         """Posterior mean and standard deviation of the noise-free objective at points of the box.
 
-        Both are in the units of the objective. Without observations, the mean is 0 and the unit is 1.
+        Both are in the units of the objective. The unit of the kernel is the standard deviation of the
+        observed values, or 1 if they are all equal.
         """
         centre, unit = self._scale(state)
         mean, variance = _standardised(state.model).predict(self._units(xs))
@@ -286,11 +287,8 @@ class BayesianOptimisation(eqx.Module):
         return eqx.tree_at(lambda gp: gp.y, learned, model.y)
 
     def _scale(self, state: OptimisationState) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        """Mean and standard deviation of the observed values."""
-        is_held, y = state.model.is_held(), state.model.y
-        mean = jnp.mean(y, where=is_held)
-        is_empty = state.model.count == 0
-        return jnp.where(is_empty, 0.0, mean), jnp.where(is_empty, 1.0, jnp.std(y, where=is_held))
+        """Value and unit of the objective that are 0 and 1 of the standardised values."""
+        return centre_and_unit(state.model.y, state.model.is_held())
 
     def _quasirandom(self, key: Key[Array, ""]) -> Float[Array, "C D"]:
         return shifted_kronecker(key, self.num_candidates, self.low.shape[0], self.low.dtype)

@@ -558,3 +558,23 @@ def test_predictions_are_those_of_a_gaussian_process_in_the_units_of_the_objecti
     np.testing.assert_allclose(mean, expected, rtol=1e-9)
     np.testing.assert_allclose(std, np.sqrt(variance), rtol=1e-9)
     np.testing.assert_allclose(optimisation.noise_std(state), ys.std() * 0.05**0.5, rtol=1e-12)
+
+
+@pytest.mark.parametrize("num", [0, 1, 3])
+def test_equal_values_have_the_unit_1_as_no_value_has(num):
+    optimisation = BayesianOptimisation(
+        kernel=Matern52(jnp.asarray(0.2)),
+        acquisition=LogExpectedImprovement(jnp.asarray(0.0)),
+        noise_variance=jnp.asarray(0.05),
+        low=jnp.asarray([0.0]),
+        high=jnp.asarray([1.0]),
+        capacity=4,
+    )
+    state = _jit(optimisation.init)(jax.random.key(0))
+    for _ in range(num):
+        state = _jit(type(optimisation).tell)(optimisation, state, jnp.asarray([0.1]), jnp.asarray(-300.0))
+    mean, std = _jit(type(optimisation).predict)(optimisation, state, jnp.asarray([[0.1], [0.9]]))
+    np.testing.assert_allclose(mean, -300.0 if num else 0.0, rtol=1e-12)
+    near = (0.05 / (0.05 + num)) ** 0.5  # of a process of variance 1 after `num` observations of the point
+    np.testing.assert_allclose(std, [near, 1.0], rtol=1e-3)
+    np.testing.assert_allclose(optimisation.noise_std(state), 0.05**0.5, rtol=1e-12)
