@@ -18,7 +18,7 @@ Q, E = 0, 1
 """Columns of the weights."""
 
 _NONE = -1
-"""No action has been chosen."""
+"""Index of the next action before one has been chosen."""
 
 
 class DORAState(eqx.Module):
@@ -28,8 +28,8 @@ class DORAState(eqx.Module):
         table: Indices of the tiles seen so far.
         weights: Weights of Q and of the E-values.
         actions: The actions.
-        scale: Factor of each observation, after which a tile has side 1.
-        next_action: Number of the action that was chosen for the next step; -1 before an episode.
+        scale: Factor of each observation, by which a tile has side 1.
+        next_action: Index of the action that was chosen for the next training step; -1 before an episode.
     """
 
     table: TileTable
@@ -47,12 +47,12 @@ class DORA(Learner):
     (LLL), or, with weight `xi`, the reward, as the bonus log(1 - alpha_E) / log E of the updated E; or both.
 
     The details are those of the published code. There are 8 tilings, and a tile is as wide as an eighth of
-    the range of an observation. All rates are divided by the number of tilings. The next action is chosen
-    before the update, and taken after it. E and Q of a terminal state are 0; a truncated episode is
-    bootstrapped. With the policy `epsilon-greedy`, the first of several best actions is taken. With
-    `derivative: at-e`, an error of that code, an update of E before the end of an episode takes the
-    derivative of the sigmoid at E in place of its logit. Differences: a state of a discrete space has tiles
-    of its own, and the table hashes by 32 bits in place of Python's hash.
+    the range of an observation. All rates are divided by the number of tilings. The next action of a training
+    episode is chosen before the update, and taken after it. E and Q of a terminal state are 0; a truncated
+    episode is bootstrapped. With the policy `epsilon-greedy`, the first of several best actions is taken.
+    With `derivative: at-e`, an error of that code, an update of E before the end of an episode takes the
+    derivative of the sigmoid at E instead of its logit. Deviations: a state of a discrete space has tiles of
+    its own, and the table hashes by 32 bits instead of Python's hash.
 
     With `e_values: linear`, E = 1 + w'phi. On a discrete space with one tiling, this is the table of Section
     3 of the paper, and the counter is the number of visits if `e_discount` is 0.
@@ -118,11 +118,15 @@ class DORA(Learner):
         observation: Observation,
         exploration: ExplorationState,
     ) -> tuple[Action, Float[Array, ""]]:
-        """The action that `observe` has chosen; in the first step of an episode, one of the policy."""
+        """The action that `observe` has chosen; in the first step of an episode and in tests, the policy's.
+
+        `observe` has chosen by the exploration state of training, with which a test must not act.
+        """
         _, index = state.table.look_up(self._tiles(state, observation))
         sums = _sums(state.weights, index)
         chosen = self._choose(key, sums, exploration)
-        action = jnp.where(state.next_action == _NONE, chosen, state.next_action)
+        has_chosen = exploration.is_learning & (state.next_action != _NONE)
+        action = jnp.where(has_chosen, state.next_action, chosen)
         return state.actions[action], sums[action, Q]
 
     @override
@@ -135,31 +139,31 @@ class DORA(Learner):
         step_in_block: Int[Array, ""],
     ) -> DORAState:
         del step_in_block
-        learns, goes_on = exploration.is_learning, ~transition.terminated
+        learns, continues = exploration.is_learning, ~transition.terminated
         action = nearest_action(state.actions, transition.action)
         table, index = state.table.look_up(self._tiles(state, transition.observation), learns)
         place = index[action]
         next_tiles = self._tiles(state, transition.next_observation)
-        table, next_index = table.look_up(next_tiles, learns & goes_on)
+        table, next_index = table.look_up(next_tiles, learns & continues)
         q, logit = _sums(state.weights, place)
         next_sums = _sums(state.weights, next_index)
         next_action = self._choose(key, next_sums, exploration)
 
-        # E by SARSA with a reward of 0.
+        # E is learned by SARSA, with a reward of 0.
         e, next_e = self._e(logit), self._e(next_sums[next_action, E])
         rate, counted = self._e_rate, is_first(place)
-        e_error = jnp.where(goes_on, self.e_discount * next_e, 0.0) - e
-        e_step = rate * e_error * self._slope(e, goes_on)
+        e_error = jnp.where(continues, self.e_discount * next_e, 0.0) - e
+        e_step = rate * e_error * self._slope(e, continues)
         logit = logit + e_step * jnp.sum(counted, dtype=e_step.dtype)
 
-        # Q by the maximum.
+        # Q is learned by Q-learning.
         bonus = jnp.log1p(-rate) / self._log_e(logit)
         reward = transition.reward + self.xi * exploration.scale * bonus
-        target = reward + jnp.where(goes_on, self.discount * jnp.max(next_sums[:, Q]), 0.0)
+        target = reward + jnp.where(continues, self.discount * jnp.max(next_sums[:, Q]), 0.0)
         q_step = self.learning_rate / self.num_tilings * (target - q)
 
         steps = jnp.where((learns & counted)[:, None], jnp.stack([q_step, e_step])[None, :], 0.0)
-        next_action = jnp.where(goes_on, next_action, _NONE)
+        next_action = jnp.where(continues, next_action, _NONE)
         return DORAState(
             table=table,
             weights=state.weights.at[place].add(steps),
@@ -172,7 +176,7 @@ class DORA(Learner):
     def end_episode(
         self, key: Key[Array, ""], state: DORAState, episode: Episode, exploration: ExplorationState
     ) -> DORAState:
-        """Forget the action chosen for a step that a time limit has cut off."""
+        """Discard the action chosen for the step after a time limit."""
         del key, episode
         next_action = jnp.where(exploration.is_learning, _NONE, state.next_action)
         return eqx.tree_at(lambda s: s.next_action, state, next_action)
@@ -204,7 +208,7 @@ class DORA(Learner):
     def _choose(
         self, key: Key[Array, ""], sums: Float[Array, "A 2"], exploration: ExplorationState
     ) -> Int[Array, ""]:
-        """The number of an action: of argmax Q - T log(-log E), or epsilon-greedy."""
+        """The index of an action: argmax Q - T log(-log E), or epsilon-greedy."""
         keys = jax.random.split(key, 3)
         q, weight = sums[:, Q], exploration.scale * self.exploration_weight
         lll = best_action(keys[0], q - weight * self._log_negative_log_e(sums[:, E]))
@@ -216,9 +220,9 @@ class DORA(Learner):
     def _e(self, logit: Float[Array, "*N"]) -> Float[Array, "*N"]:
         return jnp.where(self.e_values.is_("sigmoid"), jax.nn.sigmoid(logit), 1.0 + logit)
 
-    def _slope(self, e: Float[Array, ""], goes_on: Bool[Array, ""]) -> Float[Array, ""]:
-        """dE/dw, or what takes its place in the published code."""
-        at = jnp.where(self.derivative.is_("at-e") & goes_on, jax.nn.sigmoid(e), e)
+    def _slope(self, e: Float[Array, ""], continues: Bool[Array, ""]) -> Float[Array, ""]:
+        """dE/dw, or its replacement in the published code."""
+        at = jnp.where(self.derivative.is_("at-e") & continues, jax.nn.sigmoid(e), e)
         return jnp.where(self.e_values.is_("sigmoid"), at * (1.0 - at), 1.0)
 
     def _log_e(self, logit: Float[Array, "*N"]) -> Float[Array, "*N"]:

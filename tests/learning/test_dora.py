@@ -229,6 +229,18 @@ def test_the_action_chosen_before_the_update_is_taken():
     assert int(ended.next_action) == -1
 
 
+def test_a_test_does_not_take_the_action_that_was_chosen_for_training():
+    learner, state = make(policy="epsilon-greedy", epsilon=1.0, initial_weight=0.0)
+    observation = jnp.asarray(walk(1)[0])
+    act = eqx.filter_jit(learner.act)
+    for chosen in range(NUM_ACTIONS):
+        after = eqx.tree_at(lambda s: s.next_action, state, jnp.asarray(chosen, jnp.int32))
+        trained, _ = act(jax.random.key(0), after, observation, exploring())
+        np.testing.assert_array_equal(trained, state.actions[chosen])
+        tested, _ = act(jax.random.key(0), after, observation, exploring(0.0, is_learning=False))
+        np.testing.assert_array_equal(tested, state.actions[0])  # all Q are 0: the first of the best
+
+
 def test_without_learning_nothing_changes():
     learner, state = make()
     learned, _ = learn(learner, state, transitions(), exploring())
