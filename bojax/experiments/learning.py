@@ -23,7 +23,7 @@ from bojax.numerics.lanes import EPISODES
 from bojax.results.schema import Column, Table
 
 _OF_RUN = 2**32 - 1
-"""Counter of the key for what all episodes of a run share; episodes have smaller counters."""
+"""Counter of the key of the properties that all episodes of a run share; episodes have smaller counters."""
 
 
 class RunState(eqx.Module):
@@ -237,14 +237,12 @@ class LearningRun(Experiment):
         exploration = ExplorationState(
             exploration.scale.astype(self._dtype), exploration.is_learning & ~carry.is_done
         )
-        return Phase(
-            self.env, self.learner, exploration, exploration, self._episode_key(carry, 0), learns=True
-        )
+        return Phase(self.env, self.learner, exploration, exploration, self._key(carry, 0), learns=True)
 
     def test(self, carry: RunState, number: Int[Array, ""]) -> Phase:
         """A test episode after the training episode; the first one has number 1."""
         exploration = self.training(carry).exploration if self.tests_learn else self.exploiting
-        key = self._episode_key(carry, number)
+        key = self._key(carry, 2 * number)
         return Phase(self.env, self.learner, self.exploiting, exploration, key, learns=self.tests_learn)
 
     def reset(self, carry: RunState, phase: Phase) -> tuple[EnvState, Observation]:
@@ -254,14 +252,14 @@ class LearningRun(Experiment):
         return state, env.observe(state)
 
     def end_episode(self, carry: RunState, episode: EpisodeState) -> LearnerState:
-        """The learner after the training episode; its key follows those of the tests."""
-        return self.training(carry).end(self._episode_key(carry, self.tests + 1), episode)
+        """The learner after the training episode."""
+        return self.training(carry).end(self._key(carry, 1), episode)
 
     def end_test(self, carry: RunState, number: Int[Array, ""], episode: EpisodeState) -> LearnerState:
         """The learner after a test episode."""
         if not self.tests_learn:
             return episode.learner
-        return self.test(carry, number).end(self._episode_key(carry, self.tests + 1 + number), episode)
+        return self.test(carry, number).end(self._key(carry, 2 * number + 1), episode)
 
     def test_row(self, carry: RunState, number: Int[Array, ""], episode: EpisodeState) -> dict[str, Array]:
         """The row of a test episode in `episodes.parquet`."""
@@ -334,9 +332,13 @@ class LearningRun(Experiment):
         """The exploration state by which a learner acts in a test."""
         return ExplorationState(jnp.zeros((), self._dtype), jnp.zeros((), bool))
 
-    def _episode_key(self, carry: RunState, number: Int[Array, ""] | int) -> Key[Array, ""]:
-        """Key of the next training episode, number 0, or of a test after it. Counter 0 made the learner."""
-        return jax.random.fold_in(jax.random.fold_in(carry.key, carry.episode + 1), number)
+    def _key(self, carry: RunState, counter: Int[Array, ""] | int) -> Key[Array, ""]:
+        """Key of the next training episode (0) or of its end (1), of test n (2 n) or of its end (2 n + 1).
+
+        No key depends on the number of tests, so that tests do not change the training.
+        """
+        # Counter 0 of the run is the learner's.
+        return jax.random.fold_in(jax.random.fold_in(carry.key, carry.episode + 1), counter)
 
     def _map(self, learner: LearnerState) -> Float[Array, "2 *grid"]:
         env = self.env
@@ -344,7 +346,7 @@ class LearningRun(Experiment):
 
     @property
     def _maps_a_plane(self) -> bool:
-        """Whether there are maps of just two observations; of more, a map is a slice that no run visits."""
+        """Whether there are maps over two observations; of more, a map is a slice that no run visits."""
         space = self.env.observation_space
         return bool(self.map_episodes) and isinstance(space, Box) and space.num_dims == 2
 
@@ -369,8 +371,10 @@ _RUN_COLUMNS: Table = (
 
 _TARGET_COLUMNS: Table = (
     Column("reached", "bool", "", "all test episodes after some training episode exceeded the target"),
-    Column("episodes_to_target", "int32", "", "training episodes up to that", nullable=True),
-    Column("return_after_target", "float64", "", "mean return of the test episodes after it", nullable=True),
+    Column("episodes_to_target", "int32", "", "training episodes until this happened", nullable=True),
+    Column(
+        "return_after_target", "float64", "", "mean return of the test episodes after that", nullable=True
+    ),
 )
 
 _MAP_COLUMNS: Table = (
@@ -396,7 +400,7 @@ _EPISODE_COLUMNS: Table = (
     Column("return", "float64", "", "sum of the rewards"),
     Column("length", "int32", "", "steps"),
     Column("success", "bool", "", "the goal was reached"),
-    Column("terminated", "bool", "", "it ended in an absorbing state"),
-    Column("truncated", "bool", "", "it was cut off"),
+    Column("terminated", "bool", "", "the episode ended in a terminal state"),
+    Column("truncated", "bool", "", "the episode was truncated"),
     Column("kappa", "float64", "", "weight of exploration: kappa, xi or epsilon"),
 )

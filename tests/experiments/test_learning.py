@@ -299,6 +299,39 @@ def test_tests_leave_the_learner_untouched(learner):
     assert tested.active_steps[:, 0].sum() == total
 
 
+class Drawing(Learner):
+    """A learner that only draws a number at the end of every episode; its state is their sum."""
+
+    block: int = eqx.field(static=True, default=4)
+
+    @property
+    def exploration_weight(self):
+        return jnp.ones(())
+
+    def init(self, key, observation_space, action_space, capacity):
+        return jnp.zeros(())
+
+    def act(self, key, state, observation, exploration):
+        return jnp.ones((), jnp.int32), state
+
+    def observe(self, key, state, transition, exploration, step_in_block):
+        return state
+
+    def end_episode(self, key, state, episode, exploration):
+        return state + jnp.where(exploration.is_learning, jax.random.uniform(key), 0.0)
+
+    def values(self, state, observation, action):
+        return state, state
+
+
+def test_the_number_of_tests_does_not_change_what_learning_draws():
+    runs = [run_of(env=CHAIN, tests=number) for number in (0, 2)]
+    runs = [eqx.tree_at(lambda run: run.learner, run, Drawing()) for run in runs]
+    alone, tested = (np.asarray(History(run).carry.learner) for run in runs)
+    np.testing.assert_array_equal(alone, tested)
+    assert len(set(alone.tolist())) == 3
+
+
 @pytest.mark.parametrize("learner", ["exploration-values", "additive"])
 def test_tests_learn_where_they_may_and_explore_in_no_case(learner):
     run = run_of(
