@@ -22,7 +22,7 @@ class Greedy(Planner):
     class Config(pydantic.BaseModel):
         """Settings of the planner; without `Config`, they are the annotated arguments of the constructor."""
 
-        motions: Annotated[Component, Slot("motions", only=("splines",))] = Splines()
+        motions: Annotated[Component, Slot("motions", only=Splines)] = Splines()
 
     def plan(self, key: Key[Array, ""], problem: Problem, belief: Belief) -> Plan:
         """The path to drive from `belief`, in the robot's frame."""

@@ -1,6 +1,6 @@
 """Settings of the acquisition functions."""
 
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
@@ -14,6 +14,12 @@ class AcquisitionSettings(Component, frozen=True):
     role: ClassVar[str] = "acquisition"
     plural: ClassVar[str] = "acquisition functions"
     protocol: ClassVar[str] = "bojax.acquisition.functions:Acquisition"
+
+
+_Improvement = Annotated[
+    float,
+    Field(ge=0, le=GREATEST, description="required improvement over the best value, in units of the target"),
+]
 
 
 class UpperConfidenceBound(AcquisitionSettings, frozen=True):
@@ -31,12 +37,7 @@ class ProbabilityOfImprovement(AcquisitionSettings, frozen=True):
     target: ClassVar[str] = "bojax.acquisition.functions:ProbabilityOfImprovement"
 
     kind: Literal["pi"] = "pi"
-    xi: float = Field(
-        default=0.01,
-        ge=0,
-        le=GREATEST,
-        description="required improvement over the best value, in units of the target",
-    )
+    xi: _Improvement = 0.01
 
 
 class ExpectedImprovement(AcquisitionSettings, frozen=True):
@@ -45,12 +46,7 @@ class ExpectedImprovement(AcquisitionSettings, frozen=True):
     target: ClassVar[str] = "bojax.acquisition.functions:ExpectedImprovement"
 
     kind: Literal["ei"] = "ei"
-    xi: float = Field(
-        default=0.01,
-        ge=0,
-        le=GREATEST,
-        description="required improvement over the best value, in units of the target",
-    )
+    xi: _Improvement = 0.01
 
 
 class LogExpectedImprovement(AcquisitionSettings, frozen=True):
@@ -59,9 +55,4 @@ class LogExpectedImprovement(AcquisitionSettings, frozen=True):
     target: ClassVar[str] = "bojax.acquisition.functions:LogExpectedImprovement"
 
     kind: Literal["log-ei"] = "log-ei"
-    xi: float = Field(
-        default=0.01,
-        ge=0,
-        le=GREATEST,
-        description="required improvement over the best value, in units of the target",
-    )
+    xi: _Improvement = 0.01

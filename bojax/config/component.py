@@ -3,7 +3,7 @@
 import importlib
 import inspect
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, ClassVar, Literal, get_args, get_origin
 
 import pydantic
@@ -143,11 +143,11 @@ class Slot:
 
     Attributes:
         role: Role of the component.
-        only: Built-in kinds that are allowed; empty if all kinds of the role are.
+        only: Settings class from which the allowed built-in kinds derive; None allows all kinds of the role.
         optional: Whether null is allowed.
     """
 
-    def __init__(self, role: str, only: Collection[str] = (), *, optional: bool = False):
+    def __init__(self, role: str, only: type[Registered] | None = None, *, optional: bool = False):
         self.role = role
         self.only = only
         self.optional = optional
@@ -186,13 +186,14 @@ class Slot:
                 "allowed: a part of role {role}, not of role {got}",
                 {"role": self.role, "got": role},
             )
-        if self.only and not is_external and component.kind not in self.only:
+        if self.only and not is_external and component.kind not in self._allowed_kinds():
             raise self._unknown_kind(component.kind)
         return component
 
     def _allowed_kinds(self) -> list[str]:
         """The built-in kinds that this slot accepts."""
-        return [kind for kind in registry.get(self.role, {}) if not self.only or kind in self.only]
+        kinds = registry.get(self.role, {})
+        return [kind for kind, schema in kinds.items() if self.only is None or issubclass(schema, self.only)]
 
     def _unknown_kind(self, kind: Any) -> PydanticCustomError:
         is_known = isinstance(kind, str) and kind in registry.get(self.role, {})

@@ -21,12 +21,13 @@ class EnvironmentSettings(Component, frozen=True):
     """What figures call the first two observations, with their units."""
 
 
+MaxSteps = Annotated[int, Field(ge=1, description="number of steps after which an episode is truncated")]
+
+
 class Environment(EnvironmentSettings, frozen=True):
     """An environment that is stepped inside the compiled program."""
 
-    max_steps: int = Field(
-        default=500, ge=1, description="number of steps after which an episode is truncated"
-    )
+    max_steps: MaxSteps = 500
 
 
 class ControlTask(Environment, frozen=True):
@@ -152,9 +153,7 @@ class CliffWalking(Environment, frozen=True):
     target: ClassVar[str] = "bojax.envs.cliff_walking:CliffWalking"
 
     kind: Literal["cliff-walking"] = "cliff-walking"
-    max_steps: int = Field(
-        default=1000, ge=1, description="number of steps after which an episode is truncated"
-    )
+    max_steps: MaxSteps = 1000
     slip: float = Field(
         default=0.01,
         ge=0,
@@ -175,15 +174,13 @@ class Taxi(Environment, frozen=True):
     target: ClassVar[str] = "bojax.envs.taxi:Taxi"
 
     kind: Literal["taxi"] = "taxi"
-    max_steps: int = Field(
-        default=1000, ge=1, description="number of steps after which an episode is truncated"
-    )
+    max_steps: MaxSteps = 1000
     reward_scale: float = Field(default=1.0, gt=0, description="factor of every reward")
     reward: Literal["goal-only", "classic"] = Field(
         default="goal-only",
         description="reward: 1 for the right drop-off, -0.1 for any other drop-off and for a pick-up where "
-        "nobody "
-        "waits, and 0 otherwise; or 20, -10 and -1, but -1 for a drop-off at a wrong place, as in Gymnasium",
+        "nobody waits, and 0 otherwise; or 20, -10 and -1, but -1 for a drop-off at a wrong place, as in "
+        "Gymnasium",
     )
 
 
@@ -193,9 +190,7 @@ class Chain(Environment, frozen=True):
     target: ClassVar[str] = "bojax.envs.chain:Chain"
 
     kind: Literal["chain"] = "chain"
-    max_steps: int = Field(
-        default=1000, ge=1, description="number of steps after which an episode is truncated"
-    )
+    max_steps: MaxSteps = 1000
     length: int = Field(
         default=10,
         ge=2,

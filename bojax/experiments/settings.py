@@ -34,7 +34,7 @@ class Planning(ExperimentSettings, frozen=True):
     )
     planner: Annotated[Component, Slot("planner")] = Field(
         default=KCBTS(),
-        description="planner; it knows the problem's model, and of the world only the observations",
+        description="planner, which knows the model of the problem and receives observations of the world",
     )
 
     @pydantic.model_validator(mode="after")
@@ -42,8 +42,8 @@ class Planning(ExperimentSettings, frozen=True):
         is_known = not isinstance(self.problem, External | FieldProblem)
         if is_known and getattr(self.planner, "objective", None) is not None:
             raise ValueError(
-                f"planner.objective: {self.planner.label} wants to learn a field, and {self.problem.label} "
-                "has none: set planner.objective to null, or choose another planner"
+                f"planner.objective: {self.planner.label} maximises an objective on a field, and "
+                f"{self.problem.label} has no field: set planner.objective to null, or choose another planner"
             )
         return self
 
@@ -80,7 +80,7 @@ class Learning(ExperimentSettings, frozen=True):
     )
     target_return: float | None = Field(
         default=None,
-        description="return that every test episode of a round has to exceed; null for no target",
+        description="return that all test episodes after a training episode have to exceed; null for none",
     )
     map_episodes: tuple[Annotated[int, Field(ge=1)], ...] = Field(
         default=(), strict=False, description="training episodes after which maps of Q and U are saved"
@@ -94,11 +94,15 @@ class Learning(ExperimentSettings, frozen=True):
     def _target_is_tested(self) -> "Learning":
         needs = self.stop == "target" or isinstance(self.schedule, UntilTarget)
         if needs and self.target_return is None:
-            raise ValueError("target_return: a number is needed: something waits until it is reached")
+            raise ValueError(
+                "target_return: got null; allowed: a number, if stop is target or schedule is until-target"
+            )
         if self.target_return is not None and not self.tests:
-            raise ValueError("tests: at least 1 is needed, since target_return is what they have to exceed")
+            raise ValueError("tests: got 0; allowed: >= 1 with a target_return, which tests have to exceed")
         if self.saved is not None and not isinstance(self.schedule, Exploit):
-            raise ValueError("schedule: a saved learner is evaluated, not trained: exploit is what it takes")
+            raise ValueError(
+                f"schedule: got {self.schedule.kind}; allowed: exploit, since a saved learner is not trained"
+            )
         return self
 
     @property

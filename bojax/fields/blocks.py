@@ -22,11 +22,12 @@ class Blocks(Field):
         """Check that there are as many heights as boxes.
 
         Raises:
-            ValueError: There are not.
+            ValueError: Their numbers differ.
         """
         if self.boxes.shape[0] != self.heights.shape[0]:
             raise ValueError(
-                f"boxes and heights: got {self.boxes.shape[0]} and {self.heights.shape[0]} of them"
+                f"boxes, heights: got {self.boxes.shape[0]} and {self.heights.shape[0]} entries; "
+                "allowed: the same number of each"
             )
 
     @override

@@ -20,11 +20,15 @@ class Bumps(Field):
     widths: Float[Array, "K"]
 
     def __check_init__(self):
-        """Check that there are as many heights as centres and widths."""
+        """Check that there are as many heights as centres and widths.
+
+        Raises:
+            ValueError: Their numbers differ.
+        """
         if not self.heights.shape[0] == self.centres.shape[0] == self.widths.shape[0]:
             raise ValueError(
-                f"heights, centres and widths: got {self.heights.shape[0]}, {self.centres.shape[0]} and "
-                f"{self.widths.shape[0]} of them; as many of each are needed"
+                f"heights, centres, widths: got {self.heights.shape[0]}, {self.centres.shape[0]} and "
+                f"{self.widths.shape[0]} entries; allowed: the same number of each"
             )
 
     @override

@@ -1,4 +1,4 @@
-"""Numbers that a user brings in a file."""
+"""Tables of numbers in files of the user."""
 
 import hashlib
 import os
@@ -12,10 +12,10 @@ if TYPE_CHECKING:
 
 
 def read_array(file: str) -> "np.ndarray":
-    """The table in a `.npy` or `.csv` file; a first line of names in a CSV file is passed over.
+    """The table in a `.npy` or `.csv` file; a header line of a CSV file is skipped.
 
     Raises:
-        ValueError: The file cannot be read, or holds no table of finite numbers; one line.
+        ValueError: The file cannot be read, or is not a table of finite numbers. The message is one line.
     """
     import numpy as np  # not at the start of every command
 
@@ -24,8 +24,8 @@ def read_array(file: str) -> "np.ndarray":
         raise ValueError(f"{file}: is not a regular file")
     try:
         if path.suffix == ".npy":
-            # Mapped, not read: a header may claim more numbers than there are in the file, or in the memory.
-            with np.errstate(over="ignore"):  # the size of such an array
+            # Mapped rather than read: a header may claim more numbers than the file or the memory holds.
+            with np.errstate(over="ignore"):  # of the size that the header claims
                 table = np.load(path, allow_pickle=False, mmap_mode="r")
         elif path.suffix == ".csv":
             first, _, rest = path.read_text().partition("\n")
@@ -36,7 +36,7 @@ def read_array(file: str) -> "np.ndarray":
             raise ValueError(f"{file}: the name has to end in .npy or .csv")
     except OSError as error:
         raise ValueError(f"{file}: {error.strerror or error}") from error
-    except Exception as error:  # NumPy's readers raise whatever a damaged file leads them to
+    except Exception as error:  # a damaged file raises many types of exceptions
         message = one_line(error)
         raise ValueError(message if message.startswith(file) else f"{file}: {message}") from error
     if not isinstance(table, np.ndarray):
@@ -46,7 +46,7 @@ def read_array(file: str) -> "np.ndarray":
         raise ValueError(
             f"{file}: holds {table.dtype} of shape {table.shape}; a table of real numbers is expected"
         )
-    with np.errstate(over="ignore"):  # what float64 cannot hold is infinite, and refused below
+    with np.errstate(over="ignore"):  # numbers beyond the range of float64 become infinite
         table = np.array(table, np.float64)
     bad = int((~np.isfinite(table)).sum())
     if bad:

@@ -17,13 +17,13 @@ Box = Annotated[tuple[float, float, float, float], Field(strict=False)]
 
 
 def proper_box(box: tuple[float, ...]) -> tuple[float, ...]:
-    """The box, if its bounds are in order.
+    """`box`, which must have its lower bounds below its upper ones.
 
     Raises:
-        ValueError: They are not.
+        ValueError: A lower bound is not below the upper one.
     """
     if not (box[0] < box[2] and box[1] < box[3]):
-        raise ValueError("[x_min, y_min, x_max, y_max] has to rise from minimum to maximum")
+        raise ValueError("allowed: [x_min, y_min, x_max, y_max] with x_min < x_max and y_min < y_max")
     return box
 
 
@@ -62,7 +62,7 @@ class Bumps(FieldSettings, frozen=True):
         if not len(self.heights) == len(self.centres) == len(self.widths):
             raise ValueError(
                 f"heights, centres, widths: got {len(self.heights)}, {len(self.centres)} and "
-                f"{len(self.widths)} of them; as many of each are needed"
+                f"{len(self.widths)} entries; allowed: the same number of each"
             )
         return self
 
@@ -111,8 +111,8 @@ class Blocks(FieldSettings, frozen=True):
     def _as_many_of_each(self) -> "Blocks":
         if len(self.boxes) != len(self.heights):
             raise ValueError(
-                f"boxes, heights: got {len(self.boxes)} and {len(self.heights)} of them; as many of each "
-                "are needed"
+                f"boxes, heights: got {len(self.boxes)} and {len(self.heights)} entries; allowed: the same "
+                "number of each"
             )
         return self
 
@@ -153,7 +153,7 @@ class _Measured(FieldSettings, frozen=True):
 
     @abc.abstractmethod
     def _check(self, shape: tuple[int, ...]) -> None:
-        """Refuse a table of a shape that does not fit."""
+        """Refuse a table of the wrong shape."""
 
 
 class Grid(_Measured, frozen=True):
@@ -166,7 +166,7 @@ class Grid(_Measured, frozen=True):
     @override
     def _check(self, shape: tuple[int, ...]) -> None:
         if min(shape) < 2:
-            raise ValueError(f"{self.file}: a grid of {shape[0]} x {shape[1]}; at least 2 x 2 are needed")
+            raise ValueError(f"{self.file}: got a grid of {shape[0]} x {shape[1]}; allowed: at least 2 x 2")
 
 
 class Scattered(_Measured, frozen=True):
@@ -184,4 +184,4 @@ class Scattered(_Measured, frozen=True):
     @override
     def _check(self, shape: tuple[int, ...]) -> None:
         if shape[1] != 3:
-            raise ValueError(f"{self.file}: {shape[1]} columns; x, y and value are needed")
+            raise ValueError(f"{self.file}: got {shape[1]} columns; allowed: 3, which are x, y and value")

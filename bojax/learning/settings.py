@@ -13,6 +13,7 @@ class FeatureSettings(Component, frozen=True):
 
     role: ClassVar[str] = "features"
     plural: ClassVar[str] = "features of states and actions"
+    protocol: ClassVar[str] = "bojax.learning.features:FeatureSpec"
 
 
 class RandomFourierFeatures(FeatureSettings, frozen=True):
@@ -74,8 +75,23 @@ class LearnerSettings(Component, frozen=True):
     discount: float = Field(default=0.99, gt=0, le=1, description="discount of rewards per step (gamma)")
 
 
+# Settings that several learners have.
+_Features = Annotated[Component, Slot("features"), Field(description="features of states and actions")]
+_NumCandidates = Annotated[
+    int, Field(ge=1, description="number of candidates of the maximum over a continuous action space")
+]
+_Epsilon = Annotated[float, Field(ge=0, le=1, description="probability of a random action")]
+_ActionsPerDimension = Annotated[
+    int,
+    Field(
+        ge=2, description="number of actions along each dimension of a continuous action space, evenly spaced"
+    ),
+]
+_Block = Annotated[
+    int, Field(ge=1, description="number of steps between two checks of whether the episode has ended")
+]
+
 # Settings in which the two kinds of EMU-Q differ.
-_FeaturesOfEMUQ = Annotated[Component, Slot("features"), Field(description="features of states and actions")]
 _RewardOrder = Annotated[
     Literal["before", "after"],
     Field(
@@ -104,8 +120,6 @@ _MixesTransitions = Annotated[
     bool,
     Field(description="whether the refit averages exploration rewards over the wrong axis (published code)"),
 ]
-
-
 _Refit = Annotated[
     Literal["sweeps", "direct", "none"],
     Field(
@@ -118,14 +132,12 @@ _Refit = Annotated[
 class _EMUQ(LearnerSettings, frozen=True):
     target: ClassVar[str] = "bojax.learning.emu_q:EMUQ"
 
-    features: _FeaturesOfEMUQ = RandomFourierFeatures()
+    features: _Features = RandomFourierFeatures()
     prior_precision: float = Field(default=0.1, gt=0, description="prior precision of every weight (alpha)")
     noise_precision: float = Field(default=1.0, gt=0, description="precision of the targets (beta)")
     discount: float = Field(default=0.99, gt=0, lt=1, description="discount of rewards per step (gamma)")
     kappa: float = Field(default=1.0, ge=0, description="weight of exploration, in units of 1/V_max = alpha")
-    num_actions: int = Field(
-        default=15, ge=1, description="number of candidates of the maximum over a continuous action space"
-    )
+    num_actions: _NumCandidates = 15
     num_samples: int = Field(
         default=10,
         ge=1,
@@ -175,7 +187,7 @@ class EMUQPublished(_EMUQ, frozen=True):
     """EMU-Q with the deviations of the author's published code from the printed algorithm."""
 
     kind: Literal["emu-q-published"] = "emu-q-published"
-    features: _FeaturesOfEMUQ = RandomFourierFeatures(form="phase")
+    features: _Features = RandomFourierFeatures(form="phase")
     reward_order: _RewardOrder = "after"
     terminal_q: _TerminalQ = "bootstrap"
     terminal_u: _TerminalU = "bootstrap"
@@ -197,9 +209,7 @@ class RFFQ(LearnerSettings, frozen=True):
     target: ClassVar[str] = "bojax.learning.rff_q:RFFQ"
 
     kind: Literal["rff-q"] = "rff-q"
-    features: Annotated[Component, Slot("features")] = Field(
-        default=RandomFourierFeatures(), description="features of states and actions"
-    )
+    features: _Features = RandomFourierFeatures()
     learning_rate: float = Field(default=0.5, gt=0, description="learning rate of the gradient descent")
     normalise: bool = Field(
         default=True,
@@ -207,22 +217,10 @@ class RFFQ(LearnerSettings, frozen=True):
         " Fourier features; for a Fourier basis the norm is half the number of features, and the same rate "
         "would diverge",
     )
-    epsilon: float = Field(default=0.1, ge=0, le=1, description="probability of a random action")
+    epsilon: _Epsilon = 0.1
     initial_weight: float = Field(default=0.0, ge=0, description="standard deviation of the initial weights")
-    num_actions: int = Field(
-        default=15, ge=1, description="number of candidates of the maximum over a continuous action space"
-    )
-    block: int = Field(
-        default=16, ge=1, description="number of steps between two checks of whether the episode has ended"
-    )
-
-
-_ActionsPerDimension = Annotated[
-    int,
-    Field(
-        ge=2, description="number of actions along each dimension of a continuous action space, evenly spaced"
-    ),
-]
+    num_actions: _NumCandidates = 15
+    block: _Block = 16
 
 
 class DORA(LearnerSettings, frozen=True):
@@ -275,9 +273,7 @@ class DORA(LearnerSettings, frozen=True):
         default=2048, ge=1, description="number of weights; tiles beyond this number share them, by a hash"
     )
     actions_per_dimension: _ActionsPerDimension = 3
-    block: int = Field(
-        default=16, ge=1, description="number of steps between two checks of whether the episode has ended"
-    )
+    block: _Block = 16
 
 
 class VIME(LearnerSettings, frozen=True):
@@ -352,9 +348,7 @@ class VIME(LearnerSettings, frozen=True):
     num_medians: int = Field(
         default=10, ge=1, description="number of iterations over whose medians the bonus is normalised"
     )
-    block: int = Field(
-        default=16, ge=1, description="number of steps between two checks of whether the episode has ended"
-    )
+    block: _Block = 16
 
 
 class _QNetworks(LearnerSettings, frozen=True):
@@ -399,7 +393,7 @@ class RND(_QNetworks, frozen=True):
 
     kind: Literal["rnd"] = "rnd"
     kappa: float = Field(default=1.0, ge=0, description="weight of U in the policy")
-    epsilon: float = Field(default=0.1, ge=0, le=1, description="probability of a random action")
+    epsilon: _Epsilon = 0.1
     u_discount: float = Field(default=0.99, ge=0, lt=1, description="discount of bonuses per step")
     num_outputs: int = Field(default=16, ge=1, description="number of outputs of the random network")
 
@@ -442,12 +436,12 @@ class _Tabular(LearnerSettings, frozen=True):
         description="how ties between the best actions are broken: uniformly at random, or by the lowest "
         "number",
     )
-    block: int = Field(
-        default=16, ge=1, description="number of steps between two checks of whether the episode has ended"
-    )
+    block: _Block = 16
 
 
-_ExploresBy = Annotated[Component, Slot("exploration-reward")]
+_RewardOfExploration = Annotated[
+    Component, Slot("exploration-reward"), Field(description="exploration reward of a transition")
+]
 
 
 class ExplorationValues(_Tabular, frozen=True):
@@ -460,14 +454,11 @@ class ExplorationValues(_Tabular, frozen=True):
     initial_u: float = Field(
         default=0.0, description="initial U; exploration rewards are at most 0, so 0 is optimistic"
     )
-    exploration_reward: _ExploresBy = Field(
-        default=FirstVisit(), description="exploration reward of a transition"
-    )
+    exploration_reward: _RewardOfExploration = FirstVisit()
     bootstrap: Literal["greedy-q", "policy", "max"] = Field(
         default="greedy-q",
-        description="values of the next state in the TD targets: the maximum of Q and U of argmax Q + kappa"
-        " U, "
-        "so that exploration can stop at any time; Q and U of argmax Q + kappa U (5.7), so that Q is the "
+        description="values of the next state in the TD targets: the maximum of Q and U of argmax Q + kappa "
+        "U, so that exploration can stop at any time; Q and U of argmax Q + kappa U (5.7), so that Q is the "
         "return of the exploring policy; or the maximum of each, which can get stuck",
     )
     terminal_u: Literal["masked", "bootstrap"] = Field(
@@ -484,9 +475,7 @@ class AdditiveRewards(_Tabular, frozen=True):
 
     kind: Literal["additive"] = "additive"
     xi: float = Field(default=1.0, ge=0, description="weight of exploration rewards in the TD target")
-    exploration_reward: _ExploresBy = Field(
-        default=FirstVisit(), description="exploration reward of a transition"
-    )
+    exploration_reward: _RewardOfExploration = FirstVisit()
 
 
 class EpsilonGreedy(_Tabular, frozen=True):
@@ -495,7 +484,7 @@ class EpsilonGreedy(_Tabular, frozen=True):
     target: ClassVar[str] = "bojax.learning.tabular:EpsilonGreedy"
 
     kind: Literal["epsilon-greedy"] = "epsilon-greedy"
-    epsilon: float = Field(default=0.1, ge=0, le=1, description="probability of a random action")
+    epsilon: _Epsilon = 0.1
 
 
 class ScheduleSettings(Component, frozen=True):

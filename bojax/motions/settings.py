@@ -6,12 +6,6 @@ from pydantic import Field
 
 from bojax.config.component import Component
 
-DISCRETE = ("splines",)
-"""Families that are a finite set of trajectories."""
-
-CONTINUOUS = ("cubic", "kernel")
-"""Families with continuous parameters."""
-
 
 class MotionSettings(Component, frozen=True):
     """A family of trajectories."""
@@ -20,7 +14,15 @@ class MotionSettings(Component, frozen=True):
     plural: ClassVar[str] = "families of trajectories"
 
 
-class Splines(MotionSettings, frozen=True):
+class DiscreteMotions(MotionSettings, frozen=True):
+    """A finite set of trajectories."""
+
+
+class ContinuousMotions(MotionSettings, frozen=True):
+    """A family of trajectories with continuous parameters."""
+
+
+class Splines(DiscreteMotions, frozen=True):
     """A discrete set of cubic splines of equal arc length (thesis, Section 3.5, Fig. 4.2a)."""
 
     target: ClassVar[str] = "bojax.motions.splines:SplineSet"
@@ -31,7 +33,7 @@ class Splines(MotionSettings, frozen=True):
     num_samples: int = Field(default=10, ge=2, description="poses per trajectory")
 
 
-class CubicCurves(MotionSettings, frozen=True):
+class CubicCurves(ContinuousMotions, frozen=True):
     """Continuous cubic curves, parametrised by the bearing and the heading of their end."""
 
     target: ClassVar[str] = "bojax.motions.splines:CubicCurves"
@@ -49,7 +51,7 @@ class CubicCurves(MotionSettings, frozen=True):
     num_samples: int = Field(default=10, ge=2, description="poses per trajectory")
 
 
-class KernelTrajectories(MotionSettings, frozen=True):
+class KernelTrajectories(ContinuousMotions, frozen=True):
     """Trajectories by kernel Bayes' rule from anchor points (thesis, Sections 4.5-4.6)."""
 
     target: ClassVar[str] = "bojax.motions.kernel_trajectories:KernelTrajectories"

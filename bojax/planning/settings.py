@@ -1,13 +1,19 @@
 """Settings of the planners."""
 
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
 from bojax.acquisition.settings import UpperConfidenceBound
 from bojax.config.component import Component, Slot
 from bojax.models.settings import RBF
-from bojax.motions.settings import CONTINUOUS, DISCRETE, CubicCurves, KernelTrajectories, Splines
+from bojax.motions.settings import (
+    ContinuousMotions,
+    CubicCurves,
+    DiscreteMotions,
+    KernelTrajectories,
+    Splines,
+)
 from bojax.problems.settings import Gradient, Uncertainty
 
 
@@ -19,7 +25,14 @@ class PlannerSettings(Component, frozen=True):
     protocol: ClassVar[str] = "bojax.planning.base:Planner"
 
 
-_OBJECTIVE: Any = Field(default=None, description="objective to maximise; null for the problem's task")
+_Objective = Annotated[
+    Component | None,
+    Slot("objective", optional=True),
+    Field(description="objective to maximise; null for the problem's task"),
+]
+_Family = Field(description="family of trajectories")
+_Discrete = Annotated[Component, Slot("motions", only=DiscreteMotions), _Family]
+_Continuous = Annotated[Component, Slot("motions", only=ContinuousMotions), _Family]
 
 
 class _TreeSearch(PlannerSettings, frozen=True):
@@ -32,7 +45,7 @@ class _TreeSearch(PlannerSettings, frozen=True):
         "of the return",
     )
     discount: float = Field(default=1.0, gt=0, le=1, description="discount per step")
-    objective: Annotated[Component | None, Slot("objective", optional=True)] = _OBJECTIVE
+    objective: _Objective = None
 
 
 class _ContinuousBeliefTreeSearch(_TreeSearch, frozen=True):
@@ -79,26 +92,20 @@ class KCBTS(_ContinuousBeliefTreeSearch, frozen=True):
     """Continuous belief tree search on kernel trajectories (thesis, Algorithms 3-4, Section 4.6)."""
 
     kind: Literal["kcbts"] = "kcbts"
-    motions: Annotated[Component, Slot("motions", only=CONTINUOUS)] = Field(
-        default=KernelTrajectories(), description="family of trajectories"
-    )
+    motions: _Continuous = KernelTrajectories()
 
 
 class CBTS(_ContinuousBeliefTreeSearch, frozen=True):
     """Continuous belief tree search on cubic curves (thesis, Algorithm 3)."""
 
     kind: Literal["cbts"] = "cbts"
-    motions: Annotated[Component, Slot("motions", only=CONTINUOUS)] = Field(
-        default=CubicCurves(), description="family of trajectories"
-    )
+    motions: _Continuous = CubicCurves()
 
 
 class _DiscreteTreeSearch(_TreeSearch, frozen=True):
     target: ClassVar[str] = "bojax.planning.discrete:DiscreteTreeSearch"
 
-    motions: Annotated[Component, Slot("motions", only=DISCRETE)] = Field(
-        default=Splines(), description="family of trajectories"
-    )
+    motions: _Discrete = Splines()
 
 
 class SBO(_DiscreteTreeSearch, frozen=True):
@@ -111,18 +118,14 @@ class BOPOMDP(_DiscreteTreeSearch, frozen=True):
     """Tree search over a discrete set that samples the steep areas of a field (thesis, Algorithm 2)."""
 
     kind: Literal["bo-pomdp"] = "bo-pomdp"
-    objective: Annotated[Component | None, Slot("objective", optional=True)] = Field(
-        default=Gradient(), description="objective to maximise; null for the problem's task"
-    )
+    objective: _Objective = Gradient()
 
 
 class _MyopicPlanner(PlannerSettings, frozen=True):
     target: ClassVar[str] = "bojax.planning.myopic:MyopicPlanner"
 
-    motions: Annotated[Component, Slot("motions", only=DISCRETE)] = Field(
-        default=Splines(), description="family of trajectories"
-    )
-    objective: Annotated[Component | None, Slot("objective", optional=True)] = _OBJECTIVE
+    motions: _Discrete = Splines()
+    objective: _Objective = None
 
 
 class Myopic(_MyopicPlanner, frozen=True):
@@ -135,9 +138,7 @@ class Explorer(_MyopicPlanner, frozen=True):
     """The next trajectory of a discrete set with the largest uncertainty (thesis, Section 3.5.1)."""
 
     kind: Literal["explorer"] = "explorer"
-    objective: Annotated[Component | None, Slot("objective", optional=True)] = Field(
-        default=Uncertainty(), description="objective to maximise; null for the problem's task"
-    )
+    objective: _Objective = Uncertainty()
 
 
 class GpsAbt(_TreeSearch, frozen=True):
@@ -180,9 +181,7 @@ class GpsAbt(_TreeSearch, frozen=True):
         default="rollout",
         description="value after a new action: that of a random rollout to the horizon, or zero",
     )
-    motions: Annotated[Component, Slot("motions", only=CONTINUOUS)] = Field(
-        default=KernelTrajectories(), description="family of trajectories"
-    )
+    motions: _Continuous = KernelTrajectories()
 
 
 class Random(PlannerSettings, frozen=True):
@@ -191,6 +190,4 @@ class Random(PlannerSettings, frozen=True):
     target: ClassVar[str] = "bojax.planning.random:RandomPlanner"
 
     kind: Literal["random"] = "random"
-    motions: Annotated[Component, Slot("motions")] = Field(
-        default=Splines(), description="family of trajectories"
-    )
+    motions: Annotated[Component, Slot("motions"), _Family] = Splines()

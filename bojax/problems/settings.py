@@ -15,10 +15,10 @@ from bojax.results.outline import Outline
 
 
 class ObjectiveSettings(Component, frozen=True):
-    """Worth of a sample of a field."""
+    """The reward of a sample of a field."""
 
     role: ClassVar[str] = "objective"
-    plural: ClassVar[str] = "worths of a sample of a field"
+    plural: ClassVar[str] = "objectives of field problems"
     protocol: ClassVar[str] = "bojax.problems.objectives:FieldObjective"
 
     uncertainty: Literal["std", "variance"] = Field(
@@ -114,11 +114,47 @@ class ProblemSettings(Component, frozen=True):
         return False
 
 
+# Settings whose defaults differ between problems.
+_MaxSteps = Annotated[int, Field(ge=1, description="number of steps after which an episode ends")]
+_HalfWidth = Annotated[float, Field(gt=0, description="half the side of the square domain, m")]
+_Vehicle = Annotated[
+    Component,
+    Slot("vehicle"),
+    Field(description="vehicle that follows the paths; planners assume that paths are followed exactly"),
+]
+_TrueField = Annotated[Component, Slot("field"), Field(description="true field")]
+_Domain = Annotated[Box, Field(description="border, [x_min, y_min, x_max, y_max], m")]
+_Walls = Annotated[
+    tuple[Box, ...] | None,
+    Field(strict=False, min_length=1, description="walls, a list of [x_min, y_min, x_max, y_max], m"),
+]
+_Pose = Annotated[tuple[float, float, float], Field(strict=False)]
+_Start = Annotated[
+    _Pose | None,
+    Field(description="initial pose, [x, y, heading], m and rad; null: random in the free space"),
+]
+_TargetArea = Annotated[
+    Box | None, Field(description="area to reach for success, [x_min, y_min, x_max, y_max], m")
+]
+_Task = Annotated[Component, Slot("objective"), Field(description="reward of a sample in the task")]
+_NoiseVariance = Annotated[float, Field(ge=0, description="noise variance of an observation in the belief")]
+_Spread = Annotated[float, Field(ge=0)]
+_PoseNoise = Annotated[
+    Annotated[tuple[_Spread, _Spread], Field(strict=False)] | None,
+    Field(description="standard deviations of a pose measurement, [m, rad]; null: exact measurements"),
+]
+_Resolution = Annotated[int, Field(ge=2, description="points per side of the grid of the error measures")]
+_Weighting = Annotated[
+    Literal["gradient", "gradient-norm", "value"],
+    Field(description="weights of wrmse: the gradient as printed in (3.7), its norm, or the value"),
+]
+
+
 class _Parking(ProblemSettings, frozen=True):
     target: ClassVar[str] = "bojax.problems.parking:Parking"
 
-    half_width: float = Field(default=4.0, gt=0, description="half the side of the square domain, m")
-    max_steps: int = Field(default=15, ge=1, description="number of steps after which an episode ends")
+    half_width: _HalfWidth = 4.0
+    max_steps: _MaxSteps = 15
     distance_tolerance: float = Field(
         default=0.1, gt=0, description="largest distance of a parked robot from the goal, m"
     )
@@ -155,10 +191,7 @@ class _Parking(ProblemSettings, frozen=True):
     park_along_path: bool = Field(
         default=True, description="whether any pose of a path can park the robot, not only its end"
     )
-    vehicle: Annotated[Component, Slot("vehicle")] = Field(
-        default=Exact(),
-        description="vehicle that follows the paths; planners assume that paths are followed exactly",
-    )
+    vehicle: _Vehicle = Exact()
 
     @property
     @override
@@ -184,16 +217,8 @@ class RobotParking(_Parking, frozen=True):
     """Parking of a wheeled robot that drives forward only, in 3 x 3 m (thesis, p. 101-102, Fig. 4.8)."""
 
     kind: Literal["robot-parking"] = "robot-parking"
-    half_width: float = Field(default=1.5, gt=0, description="half the side of the square domain, m")
-    vehicle: Annotated[Component, Slot("vehicle")] = Field(
-        default=WheeledRobot(),
-        description="vehicle that follows the paths; planners assume that paths are followed exactly",
-    )
-
-
-Pose = Annotated[tuple[float, float, float], Field(strict=False)]
-_Spread = Annotated[float, Field(ge=0)]
-PoseNoise = Annotated[tuple[_Spread, _Spread], Field(strict=False)]
+    half_width: _HalfWidth = 1.5
+    vehicle: _Vehicle = WheeledRobot()
 
 
 class FieldProblem(ProblemSettings, frozen=True):
@@ -201,58 +226,37 @@ class FieldProblem(ProblemSettings, frozen=True):
 
     target: ClassVar[str] = "bojax.problems.monitoring:FieldMonitoring"
 
-    field: Annotated[Component, Slot("field")] = Field(
-        default=Bumps(centres=((3.0, 3.0),)), description="true field"
-    )
-    domain: Box = Field(default=(0.0, 0.0, 6.0, 6.0), description="border, [x_min, y_min, x_max, y_max], m")
+    field: _TrueField = Bumps(centres=((3.0, 3.0),))
+    domain: _Domain = (0.0, 0.0, 6.0, 6.0)
     margin: float = Field(
         default=0.0,
         ge=0,
         description="distance beyond the domain up to which the robot may drive, m; starts and errors are "
         "those of the domain",
     )
-    walls: tuple[Box, ...] | None = Field(
-        default=None,
-        strict=False,
-        min_length=1,
-        description="walls, a list of [x_min, y_min, x_max, y_max], m",
-    )
-    start: Pose | None = Field(
-        default=None, description="initial pose, [x, y, heading], m and rad; null: random in the free space"
-    )
-    target_area: Box | None = Field(
-        default=None, description="area to reach for success, [x_min, y_min, x_max, y_max], m"
-    )
-    objective: Annotated[Component, Slot("objective")] = Field(
-        default=Value(), description="worth of a sample for the task"
-    )
+    walls: _Walls = None
+    start: _Start = None
+    target_area: _TargetArea = None
+    objective: _Task = Value()
     kernel: Annotated[Component, Slot("kernel")] = Field(
         default=Scaled(kernel=RBF(lengthscale=1.0)), description="prior covariance of the field"
     )
     mean: Annotated[Component, Slot("mean")] = Field(
         default=ZeroMean(), description="prior mean of the field"
     )
-    noise_variance: float = Field(
-        default=0.01, ge=0, description="noise variance of an observation in the belief"
-    )
+    noise_variance: _NoiseVariance = 0.01
     noise: float = Field(
         default=0.1, ge=0, description="standard deviation of the observation noise in the world"
     )
-    pose_noise: PoseNoise | None = Field(
-        default=None,
-        description="standard deviations of a pose measurement, [m, rad]; null: exact measurements",
-    )
-    vehicle: Annotated[Component, Slot("vehicle")] = Field(
-        default=Exact(),
-        description="vehicle that follows the paths; planners assume that paths are followed exactly",
-    )
+    pose_noise: _PoseNoise = None
+    vehicle: _Vehicle = Exact()
     sensor: Annotated[Component, Slot("sensor")] = Field(
         default=Point(), description="sensor that measures the field"
     )
     collision_reward: float = Field(default=-100.0, le=0, description="reward when a wall stops the robot")
     exit_reward: float = Field(default=-100.0, le=0, description="reward when the border stops the robot")
-    max_steps: int = Field(default=25, ge=1, description="number of steps after which an episode ends")
-    resolution: int = Field(default=31, ge=2, description="points per side of the grid of the error measures")
+    max_steps: _MaxSteps = 25
+    resolution: _Resolution = 31
     relearn_every: int = Field(
         default=0,
         ge=0,
@@ -272,10 +276,7 @@ class FieldProblem(ProblemSettings, frozen=True):
         description="whether a robot that was stopped stands still, or turns round on the spot, which a "
         "vehicle with a turning radius cannot; the same in the world and in simulations",
     )
-    weighting: Literal["gradient", "gradient-norm", "value"] = Field(
-        default="value",
-        description="weights of wrmse: the gradient as printed in (3.7), its norm, or the value",
-    )
+    weighting: _Weighting = "value"
 
     @pydantic.field_validator("domain", "target_area")
     @classmethod
@@ -355,79 +356,47 @@ class Monitoring(FieldProblem, frozen=True):
 
 
 class _Gradients(FieldProblem, frozen=True):
-    objective: Annotated[Component, Slot("objective")] = Field(
-        default=Gradient(kappa=5.0), description="worth of a sample for the task"
-    )
+    objective: _Task = Gradient(kappa=5.0)
     exit_reward: float = Field(
         default=0.0, le=0, description="reward when the border stops the robot; Chapter 3 has no such cost"
     )
-    weighting: Literal["gradient", "gradient-norm", "value"] = Field(
-        default="gradient",
-        description="weights of wrmse: the gradient as printed in (3.7), its norm, or the value",
-    )
+    weighting: _Weighting = "gradient"
 
 
 class Diagonal(_Gradients, frozen=True):
     """A field with a steep diagonal (thesis, Section 3.5.1, Fig. 3.1)."""
 
     kind: Literal["diagonal"] = "diagonal"
-    field: Annotated[Component, Slot("field")] = Field(
-        default=Step(point=(3.0, 3.0), direction=pi / 4, height=1.0, width=0.6), description="true field"
-    )
-    start: Pose | None = Field(
-        default=(1.0, 1.0, 0.0),
-        description="initial pose, [x, y, heading], m and rad; null: random in the free space",
-    )
-    max_steps: int = Field(default=35, ge=1, description="number of steps after which an episode ends")
+    field: _TrueField = Step(point=(3.0, 3.0), direction=pi / 4, height=1.0, width=0.6)
+    start: _Start = (1.0, 1.0, 0.0)
+    max_steps: _MaxSteps = 35
 
 
 class TwoPits(_Gradients, frozen=True):
     """Two pits farther apart than one action, one of them steeper (thesis, Section 3.5.1, Fig. 3.2)."""
 
     kind: Literal["two-pits"] = "two-pits"
-    field: Annotated[Component, Slot("field")] = Field(
-        default=Bumps(heights=(-0.8, -1.0), centres=((1.5, 4.5), (4.5, 1.5)), widths=(0.8, 0.4)),
-        description="true field",
-    )
-    max_steps: int = Field(default=50, ge=1, description="number of steps after which an episode ends")
+    field: _TrueField = Bumps(heights=(-0.8, -1.0), centres=((1.5, 4.5), (4.5, 1.5)), widths=(0.8, 0.4))
+    max_steps: _MaxSteps = 50
 
 
 class SpaceModelling(FieldProblem, frozen=True):
     """Two high areas behind a wall with a narrow gap (thesis, Section 4.7.1, Fig. 4.3)."""
 
     kind: Literal["space-modelling"] = "space-modelling"
-    field: Annotated[Component, Slot("field")] = Field(
-        default=Bumps(heights=(1.0, 1.0), centres=((1.2, 4.5), (4.8, 1.5)), widths=(1.0, 1.0)),
-        description="true field",
-    )
-    walls: tuple[Box, ...] | None = Field(
-        default=((2.9, 0.0, 3.1, 2.85), (2.9, 3.15, 3.1, 6.0)),
-        strict=False,
-        min_length=1,
-        description="walls, a list of [x_min, y_min, x_max, y_max], m",
-    )
-    start: Pose | None = Field(
-        default=(1.0, 1.0, pi / 2),
-        description="initial pose, [x, y, heading], m and rad; null: random in the free space",
-    )
-    target_area: Box | None = Field(
-        default=(3.1, 0.0, 6.0, 6.0), description="area to reach for success, [x_min, y_min, x_max, y_max], m"
-    )
+    field: _TrueField = Bumps(heights=(1.0, 1.0), centres=((1.2, 4.5), (4.8, 1.5)), widths=(1.0, 1.0))
+    walls: _Walls = ((2.9, 0.0, 3.1, 2.85), (2.9, 3.15, 3.1, 6.0))
+    start: _Start = (1.0, 1.0, pi / 2)
+    target_area: _TargetArea = (3.1, 0.0, 6.0, 6.0)
 
 
 class _Heights(_Gradients, frozen=True):
-    vehicle: Annotated[Component, Slot("vehicle")] = Field(
-        default=Quadrotor(altitude=2.0),
-        description="vehicle that follows the paths; planners assume that paths are followed exactly",
-    )
+    vehicle: _Vehicle = Quadrotor(altitude=2.0)
     sensor: Annotated[Component, Slot("sensor")] = Field(
         default=Range(), description="sensor that measures the heights"
     )
     noise: float = Field(default=0.04, ge=0, description="standard deviation of a range measurement, m")
-    pose_noise: PoseNoise | None = Field(
-        default=(0.02, 0.02),
-        description="standard deviations of a pose measurement, [m, rad]; null: exact measurements",
-    )
+    pose_noise: _PoseNoise = (0.02, 0.02)
 
 
 class HillyTerrain(_Heights, frozen=True):
@@ -444,19 +413,15 @@ class HillyTerrain(_Heights, frozen=True):
         ),
         description="true heights of the terrain, m",
     )
-    domain: Box = Field(default=(0.0, 0.0, 5.0, 5.0), description="border, [x_min, y_min, x_max, y_max], m")
-    objective: Annotated[Component, Slot("objective")] = Field(
-        default=Gradient(kappa=10.0), description="worth of a sample for the task"
-    )
+    domain: _Domain = (0.0, 0.0, 5.0, 5.0)
+    objective: _Task = Gradient(kappa=10.0)
     mean: Annotated[Component, Slot("mean")] = Field(
         default=ConstantMean(value=0.4), description="prior mean of the terrain, m"
     )
     kernel: Annotated[Component, Slot("kernel")] = Field(
         default=Scaled(kernel=RBF(lengthscale=0.8), variance=0.25), description="prior covariance, m and m^2"
     )
-    noise_variance: float = Field(
-        default=0.005, ge=0, description="noise variance of an observation in the belief"
-    )
+    noise_variance: _NoiseVariance = 0.005
 
 
 class IndoorProps(_Heights, frozen=True):
@@ -465,33 +430,23 @@ class IndoorProps(_Heights, frozen=True):
     target: ClassVar[str] = "bojax.problems.mapping:PropMapping"
 
     kind: Literal["indoor-props"] = "indoor-props"
-    field: Annotated[Component, Slot("field", only=("blocks",))] = Field(
+    field: Annotated[Component, Slot("field", only=Blocks)] = Field(
         default=Blocks(
             boxes=((0.4, 0.5, 1.0, 1.2), (0.4, 1.6, 1.0, 2.4), (1.9, 1.2, 2.5, 1.9)),
             heights=(0.2, 0.25, 0.15),
         ),
         description="true props, m",
     )
-    domain: Box = Field(default=(0.0, 0.0, 3.0, 3.0), description="border, [x_min, y_min, x_max, y_max], m")
-    vehicle: Annotated[Component, Slot("vehicle")] = Field(
-        default=Quadrotor(),
-        description="vehicle that follows the paths; planners assume that paths are followed exactly",
-    )
-    objective: Annotated[Component, Slot("objective")] = Field(
-        default=Gradient(kappa=10.0), description="worth of a sample for the task"
-    )
+    domain: _Domain = (0.0, 0.0, 3.0, 3.0)
+    vehicle: _Vehicle = Quadrotor()
+    objective: _Task = Gradient(kappa=10.0)
     mean: Annotated[Component, Slot("mean")] = Field(
         default=ConstantMean(value=0.05), description="prior mean of the heights, m"
     )
     kernel: Annotated[Component, Slot("kernel")] = Field(
         default=Scaled(kernel=RBF(lengthscale=0.3), variance=0.01), description="prior covariance, m and m^2"
     )
-    noise_variance: float = Field(
-        default=0.0025, ge=0, description="noise variance of an observation in the belief"
-    )
-    max_steps: int = Field(default=15, ge=1, description="number of steps after which an episode ends")
-    resolution: int = Field(default=61, ge=2, description="points per side of the grid of the error measures")
-    weighting: Literal["gradient", "gradient-norm", "value"] = Field(
-        default="value",
-        description="weights of wrmse: the gradient as printed in (3.7), its norm, or the value",
-    )
+    noise_variance: _NoiseVariance = 0.0025
+    max_steps: _MaxSteps = 15
+    resolution: _Resolution = 61
+    weighting: _Weighting = "value"

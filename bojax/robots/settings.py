@@ -1,10 +1,10 @@
 """Settings of the physics engine that simulates robots."""
 
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from bojax.config.component import Component
+from bojax.config.component import Component, Slot
 
 
 class PhysicsSettings(Component, frozen=True):
@@ -42,3 +42,7 @@ class MJX(PhysicsSettings, frozen=True):
         "for models with contacts; warp on an NVIDIA GPU with the extra robots-cuda, for models of bojax "
         "without contacts; and otherwise jax",
     )
+
+
+PhysicsEngine = Annotated[Component, Slot("physics"), Field(description="settings of the simulation")]
+"""The setting `physics` of a part that contains a simulated robot."""

@@ -9,7 +9,7 @@ from bojax.config import catalog
 from bojax.config.component import Component, External, Registered, Schema, Slot, registry
 from bojax.experiments.settings import Planning
 from bojax.models.settings import Matern52
-from bojax.motions.settings import KernelTrajectories, Splines
+from bojax.motions.settings import ContinuousMotions, KernelTrajectories, Splines
 from bojax.planning.settings import KCBTS, SBO
 from bojax.problems.settings import Parking
 
@@ -120,3 +120,12 @@ def test_a_duplicate_kind_is_refused():
                 kind: Literal["once"] = "once"
     finally:
         del registry["test-role"]
+
+
+def test_a_slot_may_name_the_class_from_which_its_parts_derive():
+    slot = Slot("motions", only=ContinuousMotions)
+    assert slot.validate("kernel") == slot.validate(KernelTrajectories()) == KernelTrajectories()
+    for part in ("splines", Splines()):
+        with pytest.raises(ValueError, match="unknown kind"):
+            slot.validate(part)
+    assert slot.validate("mine.motions:Arcs").kind == "mine.motions:Arcs"

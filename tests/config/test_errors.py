@@ -134,12 +134,12 @@ EXPERIMENTS = {
     ),
     "a box the wrong way round": (
         "{problem: {kind: monitoring, domain: [6, 0, 0, 6]}, planner: sbo}",
-        "x.yaml: problem.domain: got [6, 0, 0, 6]; [x_min, y_min, x_max, y_max] has to rise from minimum to "
-        "maximum",
+        "x.yaml: problem.domain: got [6, 0, 0, 6]; allowed: [x_min, y_min, x_max, y_max] with x_min < x_max "
+        "and y_min < y_max",
     ),
     "a wall the wrong way round": (
         "{problem: {kind: monitoring, walls: [[1, 1, 2, 2], [1, 2, 2, 1]]}, planner: sbo}",
-        "x.yaml: problem.walls: got [[1, 1, 2, 2], [1, 2, 2, 1]]; [x_min, y_min, x_max, y_max] has to rise …",
+        "x.yaml: problem.walls: got [[1, 1, 2, 2], [1, 2, 2, 1]]; allowed: [x_min, y_min, x_max, y_max] …",
     ),
     "a wall of three numbers": (
         "{problem: {kind: monitoring, walls: [[1, 1, 2]]}, planner: sbo}",
@@ -151,8 +151,8 @@ EXPERIMENTS = {
     ),
     "a pit without a width": (
         "{problem: {kind: monitoring, field: {kind: bumps, heights: [1, 2]}}, planner: sbo}",
-        "x.yaml: problem.field: got {…; heights, centres, widths: got 2, 1 and 1 of them; as many of each "
-        "are needed",
+        "x.yaml: problem.field: got {…; heights, centres, widths: got 2, 1 and 1 entries; allowed: "
+        "the same number of each",
     ),
     "an unknown objective": (
         "{problem: diagonal, planner: {kind: sbo, objective: gradeint}}",
@@ -170,8 +170,8 @@ EXPERIMENTS = {
     ),
     "an objective where there is no field": (
         "{problem: parking, planner: bo-pomdp}",
-        "x.yaml: experiment: got {…; planner.objective: bo-pomdp wants to learn a field, and parking has "
-        "none: set planner.objective to null, or choose another planner",
+        "x.yaml: experiment: got {…; planner.objective: bo-pomdp maximises an objective on a field, and "
+        "parking has no field: set planner.objective to null, or choose another planner",
     ),
     "a field without a file": (
         "{problem: {kind: monitoring, field: {kind: grid, extent: [0, 0, 1, 1]}}, planner: sbo}",
@@ -187,7 +187,7 @@ EXPERIMENTS = {
     ),
     "an extent the wrong way round": (
         grid("good.csv", extent="[0, 1, 1, 0]"),
-        "x.yaml: problem.field.extent: got [0, 1, 1, 0]; [x_min, y_min, x_max, y_max] has to rise …",
+        "x.yaml: problem.field.extent: got [0, 1, 1, 0]; allowed: [x_min, y_min, x_max, y_max] with …",
     ),
     "a grid with NaN": (
         grid("nan.csv"),
@@ -195,7 +195,7 @@ EXPERIMENTS = {
     ),
     "a grid of one row": (
         grid("row.csv"),
-        "x.yaml: problem.field: got {…; row.csv: a grid of 1 x 3; at least 2 x 2 are needed",
+        "x.yaml: problem.field: got {…; row.csv: got a grid of 1 x 3; allowed: at least 2 x 2",
     ),
     "a grid of words": (
         grid("words.csv"),
@@ -207,7 +207,7 @@ EXPERIMENTS = {
     ),
     "measurements without a value": (
         grid("good.csv", kind="scattered"),
-        "x.yaml: problem.field: got {…; good.csv: 2 columns; x, y and value are needed",
+        "x.yaml: problem.field: got {…; good.csv: got 2 columns; allowed: 3, which are x, y and value",
     ),
     "data that are not those of the results": (
         grid("good.csv, sha256: abc"),

@@ -63,7 +63,7 @@ def test_a_step_rises_along_its_direction_and_only_along_it():
 
 
 def test_as_many_heights_as_centres():
-    with pytest.raises(ValueError, match="got 2, 1 and 1 of them"):
+    with pytest.raises(ValueError, match="got 2, 1 and 1 entries"):
         Bumps(f64([1.0, 2.0]), f64([[0.0, 0.0]]), f64([1.0]))
 
 

@@ -5,17 +5,14 @@ from typing import Annotated, ClassVar, Literal
 import pydantic
 from pydantic import Field
 
-from bojax.config.component import Component, Slot
-from bojax.envs.settings import ClassicReward, ControlTask, classic_reward
-from bojax.robots.settings import MJX
+from bojax.envs.settings import ClassicReward, ControlTask, MaxSteps, classic_reward
+from bojax.robots.settings import MJX, PhysicsEngine
 
 
 class Robot(ControlTask, frozen=True):
     """An environment of a robot that MJX simulates."""
 
-    physics: Annotated[Component, Slot("physics")] = Field(
-        default=MJX(), description="settings of the simulation"
-    )
+    physics: PhysicsEngine = MJX()
     substeps: int = Field(default=1, ge=1, description="simulation steps per action")
 
 
@@ -79,9 +76,7 @@ class Jaco(Robot, frozen=True):
         default=0.1, gt=0, description="distance to the target below which the goal is reached, m"
     )
     substeps: int = Field(default=10, ge=1, description="simulation steps of 4 ms per action")
-    max_steps: int = Field(
-        default=50, ge=1, description="number of steps after which an episode is truncated"
-    )
+    max_steps: MaxSteps = 50
 
     @pydantic.model_validator(mode="after")
     def _distinct(self) -> "Jaco":

@@ -1,11 +1,11 @@
 """Settings of the robots that execute planned paths."""
 
-from typing import Annotated, ClassVar, Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from bojax.config.component import Component, Slot
-from bojax.robots.settings import MJX
+from bojax.config.component import Component
+from bojax.robots.settings import MJX, PhysicsEngine
 
 
 class VehicleSettings(Component, frozen=True):
@@ -37,9 +37,7 @@ class WheeledRobot(VehicleSettings, frozen=True):
         gt=0,
         description="speed per metre to the end of the path, by which the robot slows down, 1/s",
     )
-    physics: Annotated[Component, Slot("physics")] = Field(
-        default=MJX(), description="settings of the simulation"
-    )
+    physics: PhysicsEngine = MJX()
     substeps: int = Field(
         default=5, ge=1, description="simulation steps of 10 ms between two measurements of the pose"
     )
@@ -57,9 +55,7 @@ class Quadrotor(VehicleSettings, frozen=True):
 
     kind: Literal["quadrotor"] = "quadrotor"
     altitude: float = Field(default=1.5, gt=0, description="flight altitude, m")
-    physics: Annotated[Component, Slot("physics")] = Field(
-        default=MJX(), description="settings of the simulation"
-    )
+    physics: PhysicsEngine = MJX()
     path_steps: int = Field(default=400, ge=1, description="simulation steps of 10 ms per path")
     rest_steps: int = Field(
         default=250, ge=1, description="simulation steps of 10 ms after a path, to turn and come to rest"
