@@ -19,10 +19,7 @@ def even_actions(key: Key[Array, ""], number: int, space: Space) -> Action:
 
 
 def grid_actions(per_dimension: int, space: Space) -> Action:
-    """Even points of a box from its lower to its upper bounds, all their combinations over the dimensions.
-
-    All actions of a discrete space.
-    """
+    """A regular grid over a box, bounds included; all actions of a discrete space."""
     if isinstance(space, Discrete):
         return jnp.arange(space.num, dtype=jnp.int32)
     points = jnp.linspace(0.0, 1.0, per_dimension, dtype=space.low.dtype)
@@ -46,7 +43,7 @@ def uniform_actions(key: Key[Array, ""], actions: Action, space: Space) -> Actio
 def refined_action(
     scores: Callable[[Action], Float[Array, "J"]], action: Action, space: Box, spacing: Array, steps: int
 ) -> Action:
-    """Pattern search from an action: each step moves to the best of both neighbours along each dimension.
+    """Pattern search: each step moves to the best of the action and two neighbours along each dimension.
 
     Args:
         scores: Objective at a set of actions, `[J, A] -> [J]`.

@@ -37,12 +37,12 @@ def td_errors(
 ) -> Float[Array, "N"]:
     """The errors r + gamma V(s') - V(s), whose sums discounted by gamma lambda are generalised advantages.
 
-    The value after the last step of an episode is 0, after a time limit as well, as in the published code of
+    The value after the last step of an episode is 0, even after a time limit, as in the published code of
     VIME.
 
     Args:
         rewards: Rewards of successive episodes.
-        values: Values V of the states in which they were paid.
+        values: Values V of the states in which the steps were taken.
         is_last: Whether a step is the last of its episode.
         discount: Discount gamma.
     """
@@ -89,7 +89,7 @@ class LinearBaseline(eqx.Module):
         return cls(matmul(inverse.T, matmul(inverse, products)) / scale)
 
     def predict(self, observations: Float[Array, "N D"], steps: Int[Array, "N"]) -> Float[Array, "N"]:
-        """Expected return of each observation after so many steps of its episode."""
+        """Expected return from each observation, given the number of steps before it in its episode."""
         return matmul(_features(observations, steps), self.weights)
 
 

@@ -74,7 +74,7 @@ class Learner(eqx.Module):
         """Weight of exploration at scale 1: kappa, xi or epsilon."""
 
     def check_spaces(self, observation_space: Space, action_space: Space) -> None:
-        """Refuse an environment on which it cannot learn; here nothing is refused.
+        """Refuse an environment that the learner cannot be used for; by default none is refused.
 
         Raises:
             ValueError: The observations or actions are of a kind that the learner does not take.

@@ -14,7 +14,7 @@ from bojax.learning.q_networks import Batch, QNetworkLearner, QNetworkState
 
 
 class Bootstrap(eqx.Module):
-    """What `BootstrappedQ` keeps besides its networks.
+    """The state of `BootstrappedQ` besides its networks.
 
     Attributes:
         head: Head that acts in this episode.
@@ -33,8 +33,8 @@ class BootstrappedQ(QNetworkLearner):
     slow copy of f_k (Osband, Aslanides and Cassirer, 2018, Section 3). With exploration at scale c, actions
     maximise mean + c (Q_k - mean), where the mean is over the heads: in a test, the mean.
 
-    Differences to the paper of 2016: heads do not share layers, tests use the mean in place of a vote, and
-    targets take the maximum of the slow copy in place of double Q-learning.
+    Deviations from the paper of 2016: heads do not share layers, tests use the mean instead of a vote, and
+    targets take the maximum of the slow copy instead of double Q-learning.
 
     Settings: `bojax.learning.settings.BootstrappedQ`.
     """
@@ -107,10 +107,10 @@ class BootstrappedQ(QNetworkLearner):
     def td_targets(self, state: QNetworkState, batch: Batch) -> Float[Array, "B K"]:
         """The TD target r + gamma max_a' Q_k(s', a') of every head; r alone where s' is terminal."""
         q = jax.vmap(lambda x: self.q(state.target, state.fixed, x))(batch.next_x)
-        return batch.reward[:, None] + self.discount * batch.goes_on[:, None] * jnp.max(q, axis=2)
+        return batch.reward[:, None] + self.discount * batch.continues[:, None] * jnp.max(q, axis=2)
 
     def masks(self, state: QNetworkState, index: Int[Array, "B"]) -> Bool[Array, "B K"]:
-        """Which heads learn from some transitions: the same in every gradient step."""
+        """Which heads learn from the given transitions; the same in every gradient step."""
         key = jax.random.key(state.extra.seed)
         shape, dtype = (self.num_heads,), self.discount.dtype
         draws = jax.vmap(lambda i: jax.random.uniform(jax.random.fold_in(key, i), shape, dtype))(index)

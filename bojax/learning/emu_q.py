@@ -152,7 +152,7 @@ class EMUQ(Learner):
         mean = self.refitter(key, state, kappa, exploration.is_learning)
         return eqx.tree_at(lambda s: s.posterior.mean, state, mean)
 
-    # The rest of the interface of a learner.
+    # The other methods of a learner.
 
     @property
     @override

@@ -53,7 +53,7 @@ class EMUQState(eqx.Module):
 
 
 class EMUQModel(eqx.Module):
-    """What Algorithm 6 computes from the posterior of the weights. The fields are those of `EMUQ`."""
+    """The quantities that Algorithm 6 computes from the posterior of the weights; fields as in `EMUQ`."""
 
     prior_precision: Float[Array, ""]
     noise_precision: Float[Array, ""]
@@ -131,7 +131,7 @@ class EMUQModel(eqx.Module):
     # Exploration rewards.
 
     def exploration_reward(self, variance: Float[Array, "*N"]) -> Float[Array, "*N"]:
-        """The exploration reward (5.12): the mean variance of Q at s', less its maximum V_max = 1/alpha.
+        """The exploration reward (5.12): the mean variance of Q at s' minus its maximum V_max = 1/alpha.
 
         With `has_noise` the variance includes that of the noise, 1/beta.
         """

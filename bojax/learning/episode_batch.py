@@ -34,7 +34,7 @@ class EpisodeBatch(eqx.Module):
 
     @property
     def is_last(self) -> Bool[Array, "C"]:
-        """Which transitions are the last of their episode; rows that are not valid are, too."""
+        """Which transitions are the last of their episode; true for invalid rows."""
         follows = jnp.append(self.steps[1:] > 0, False) & jnp.append(self.is_valid[1:], False)
         return ~follows
 

@@ -2,7 +2,7 @@
 
 A transition is stored when it is observed. After every `train_every` steps, the networks take one step of
 Adam on a uniform sample of all transitions of the run, with values of the next states from a slow copy of the
-networks. `BootstrappedQ` and `RND` add how they explore.
+networks. `BootstrappedQ` and `RND` define the exploration.
 """
 
 import abc
@@ -24,14 +24,14 @@ from bojax.learning.network import Network
 
 
 class Batch(eqx.Module):
-    """Transitions of a gradient step, as the networks see them.
+    """The transitions of a gradient step, as inputs and outputs of the networks.
 
     Attributes:
         x: Inputs of the states.
-        action: Numbers of the actions.
+        action: Indices of the actions.
         reward: Rewards.
         next_x: Inputs of the next states.
-        goes_on: 1, or 0 where the next state is terminal.
+        continues: 1, or 0 where the next state is terminal.
         index: Positions of the transitions in the order in which they were observed.
     """
 
@@ -39,7 +39,7 @@ class Batch(eqx.Module):
     action: Int[Array, "B"]
     reward: Float[Array, "B"]
     next_x: Float[Array, "B I"]
-    goes_on: Float[Array, "B"]
+    continues: Float[Array, "B"]
     index: Int[Array, "B"]
 
 
@@ -53,10 +53,10 @@ class QNetworkState(eqx.Module):
         target: Their slow copies.
         fixed: Random networks that never change.
         optimiser: State of Adam.
-        memory: All transitions of the run; the actions are their numbers.
-        index: Transitions of the next gradient step.
-        is_due: Whether anything was learned since the last gradient step.
-        extra: What else the method keeps.
+        memory: All transitions of the run, with the indices of actions.
+        index: Positions in the memory of the transitions of the next gradient step.
+        is_due: Whether a transition was observed since the last gradient step.
+        extra: Further state of the method.
     """
 
     observations: Space
@@ -74,7 +74,7 @@ class QNetworkState(eqx.Module):
 class QNetworkLearner(Learner):
     """A learner with networks on a grid of actions.
 
-    A method defines its networks, their loss, what it keeps besides, and how it acts.
+    A subclass defines its networks, their loss, its further state, and its policy.
     """
 
     discount: Float[Array, ""]
@@ -88,11 +88,11 @@ class QNetworkLearner(Learner):
 
     @abc.abstractmethod
     def networks(self, key: Key[Array, ""], num_inputs: int, num_actions: int) -> tuple[PyTree, PyTree]:
-        """New networks: those that are trained, and random ones that never change."""
+        """New networks: trained ones, and random ones that never change."""
 
     @abc.abstractmethod
     def initial_extra(self, key: Key[Array, ""]) -> PyTree:
-        """What else the method keeps, at the beginning of a run."""
+        """Further state of the method, at the beginning of a run."""
 
     @abc.abstractmethod
     def loss(self, trained: PyTree, state: QNetworkState, batch: Batch) -> Float[Array, ""]:
@@ -100,14 +100,14 @@ class QNetworkLearner(Learner):
 
     @abc.abstractmethod
     def extra_after(self, state: QNetworkState, next_x: Float[Array, "I"]) -> PyTree:
-        """What else the method keeps, after a step to a state with inputs `next_x`."""
+        """Further state of the method, after a step to a state with inputs `next_x`."""
 
     # The interface of a learner.
 
     @property
     @override
     def block(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """A gradient step is a delayed update."""
+        """Number of steps between two gradient steps, which are the delayed updates."""
         return self.train_every
 
     @property
@@ -151,8 +151,8 @@ class QNetworkLearner(Learner):
         """Store the transition, and draw the sample of the next gradient step."""
         del step_in_block
         learns = exploration.is_learning
-        number = nearest_action(state.actions, transition.action)
-        stored = eqx.tree_at(lambda t: t.action, transition, number)
+        action = nearest_action(state.actions, transition.action)
+        stored = eqx.tree_at(lambda t: t.action, transition, action)
         episode = Episode(jax.tree.map(lambda x: x[None], stored), jnp.ones((), jnp.int32))
         memory = state.memory.add(episode, learns)
         index = jax.random.randint(key, state.index.shape, 0, jnp.maximum(memory.count, 1), jnp.int32)
@@ -172,7 +172,7 @@ class QNetworkLearner(Learner):
 
     @override
     def flush(self, state: QNetworkState) -> QNetworkState:
-        """One gradient step, if anything was learned since the last one."""
+        """One gradient step, if a transition was observed since the last one."""
         gradient = jax.grad(self.loss)(state.trained, state, self.batch(state))
         with jax.numpy_dtype_promotion("standard"):  # optax raises a float to the power of an integer
             steps, optimiser = self._adam.update(gradient, state.optimiser)
@@ -191,7 +191,7 @@ class QNetworkLearner(Learner):
     def policy_state(self, state: QNetworkState) -> QNetworkState:
         return eqx.tree_at(lambda s: s.memory, state, emptied(state.memory))
 
-    # What the methods share.
+    # Common parts of the methods.
 
     def network(self, key: Key[Array, ""], num_inputs: int, num_outputs: int) -> Network:
         """A new network of the size of the settings, with the random weights of `equinox.nn.MLP`."""
@@ -211,7 +211,7 @@ class QNetworkLearner(Learner):
             action=memory.actions[index],
             reward=memory.rewards[index],
             next_x=self.inputs(state, memory.next_observations[index]),
-            goes_on=(~memory.terminated[index]).astype(memory.rewards.dtype),
+            continues=(~memory.terminated[index]).astype(memory.rewards.dtype),
             index=index,
         )
 

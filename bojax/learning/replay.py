@@ -10,13 +10,13 @@ from bojax.learning.memory import Memory
 
 
 class ReplayPool(eqx.Module):
-    """The latest C transitions (s, a, s'). A row holds a whole transition: it never pairs two episodes.
+    """The latest C transitions (s, a, s'). A row is a whole transition, so that no row spans two episodes.
 
     Attributes:
         observations: Observations of s, `[C, ...]`.
         actions: Actions a, `[C, ...]`.
         next_observations: Observations of s', `[C, ...]`.
-        added: Number of transitions that were ever added; a transition takes the row of the oldest one.
+        added: Number of transitions added so far; once the pool is full, a new one replaces the oldest.
     """
 
     observations: Observation
@@ -47,7 +47,7 @@ class ReplayPool(eqx.Module):
         return jnp.arange(self.capacity, dtype=jnp.int32) < self.added
 
     def draw(self, key: Key[Array, ""], number: int) -> Int[Array, "N"]:
-        """Rows of so many transitions, drawn uniformly with replacement; row 0 if the pool is empty."""
+        """Rows of `number` transitions, drawn uniformly with replacement; row 0 if the pool is empty."""
         # `randint` with a bound that is not constant takes seconds to compile.
         draws = jax.random.uniform(key, (number,), jnp.float32)
         rows = (draws * self.size.astype(jnp.float32)).astype(jnp.int32)
@@ -84,12 +84,12 @@ class Standardisation(eqx.Module):
 
     @classmethod
     def of(cls, rows: Float[Array, "N D"], is_valid: Bool[Array, "N"]) -> "Standardisation":
-        """Those of the valid rows; 0 for no row."""
+        """The moments of the valid rows; 0 if there are none."""
         weights = is_valid.astype(rows.dtype)[:, None]
         number = jnp.maximum(jnp.sum(weights), 1.0)
         mean = jnp.sum(weights * rows, axis=0) / number
         return cls(mean, jnp.sqrt(jnp.sum(weights * (rows - mean[None]) ** 2, axis=0) / number))
 
     def __call__(self, rows: Float[Array, "N D"], least: float) -> Float[Array, "N D"]:
-        """Rows less the mean, divided by the deviation plus `least`."""
+        """Rows minus the mean, divided by the deviation plus `least`."""
         return (rows - self.mean[None]) / (self.deviation[None] + least)

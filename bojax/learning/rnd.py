@@ -24,7 +24,7 @@ class Normaliser(eqx.Module):
         total: Discounted sum of all bonuses so far.
         count: Number of sums.
         mean: Mean of the sums.
-        squares: Sum of squared differences to the mean.
+        squares: Sum of squared differences from the mean.
     """
 
     total: Float[Array, ""]
@@ -62,13 +62,13 @@ class RND(QNetworkLearner):
     """Values Q of rewards and U of bonuses; acts by argmax Q + kappa U, or at random (epsilon-greedy).
 
     The bonus of a transition is the squared error with which a network, trained on the same samples as the
-    values, predicts the outputs of a random network at s'. It falls where states are often seen. As in the
-    paper, it is divided by the running standard deviation of its discounted sums, and U does not end with
-    an episode. Bonuses are computed anew in every gradient step. Q takes the maximum of Q at s', U the
-    action of argmax Q + kappa U.
+    values, predicts the outputs of a random network at s'. The bonus falls where states are often seen. As in
+    the paper, it is divided by the running standard deviation of its discounted sums, and U is bootstrapped
+    past the end of an episode. Bonuses are computed anew in every gradient step. The TD target of Q takes the
+    maximum of Q at s', that of U the action argmax Q + kappa U.
 
-    Differences to the paper: Q-learning in place of PPO, and observations scaled by their declared bounds in
-    place of running moments.
+    Deviations from the paper: Q-learning instead of PPO, and observations scaled by their declared bounds
+    instead of running moments.
 
     Settings: `bojax.learning.settings.RND`.
     """
@@ -130,7 +130,7 @@ class RND(QNetworkLearner):
         values = jax.vmap(lambda x: self.q_and_u(state.target, x))(batch.next_x)
         best = jnp.argmax(values[:, Q] + self.kappa * values[:, U], axis=1)
         next_u = jnp.take_along_axis(values[:, U], best[:, None], axis=1)[:, 0]
-        q = batch.reward + self.discount * batch.goes_on * jnp.max(values[:, Q], axis=1)
+        q = batch.reward + self.discount * batch.continues * jnp.max(values[:, Q], axis=1)
         return jnp.stack([q, self.bonus(state, batch.next_x) + self.u_discount * next_u], axis=1)
 
     def bonus(self, state: QNetworkState, next_x: Float[Array, "B I"]) -> Float[Array, "B"]:

@@ -24,7 +24,7 @@ class Schedule(eqx.Module):
 
 
 class Constant(Schedule):
-    """Explore and learn equally in every episode.
+    """Explore and learn at full scale in every episode.
 
     Settings: `bojax.learning.settings.Constant`.
     """

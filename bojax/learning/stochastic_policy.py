@@ -98,7 +98,7 @@ class Categorical(ActionDistribution):
 
 
 class PolicyNetwork(eqx.Module):
-    """Layers of tanh units that give the mean of a Gaussian, or the logits of discrete actions.
+    """Layers of tanh units whose outputs are the mean of a Gaussian, or the logits of discrete actions.
 
     Every leaf is a parameter. The deviation of the Gaussian does not depend on the observation.
 

@@ -100,16 +100,16 @@ class TRPO(eqx.Module):
         longest = jnp.sqrt(2.0 * self.max_kl / (curvature + _SMALL))
 
         def attempt(loop):
-            number, factor, best, is_searching = loop
+            number, factor, best, searches = loop
             theta = start + factor * longest * direction
             new = unravel(theta)
             is_better = self.surrogate(policy, new, samples) > value
-            is_found = is_searching & is_better & (self.mean_kl(policy, new, samples) <= self.max_kl)
+            is_found = searches & is_better & (self.mean_kl(policy, new, samples) <= self.max_kl)
             best = jnp.where(is_found, theta, best)
-            return number + 1, factor * self.backtrack_ratio, best, is_searching & ~is_found
+            return number + 1, factor * self.backtrack_ratio, best, searches & ~is_found
 
-        def goes_on(loop):
+        def is_searching(loop):
             return (loop[0] < self.backtracks) & any_lane(loop[3])
 
         loop = jnp.zeros((), jnp.int32), jnp.ones_like(self.max_kl), start, is_active
-        return unravel(jax.lax.while_loop(goes_on, attempt, loop)[2])
+        return unravel(jax.lax.while_loop(is_searching, attempt, loop)[2])

@@ -70,17 +70,17 @@ class VIME(Learner):
     no bonus in the first iteration, the last step of an episode takes the bonus of the step before it, and
     returns end with an episode, whatever ended it.
 
-    It differs from that code as follows.
+    Deviations from that code:
 
     - Observations and continuous actions are mapped to [-1, 1] by their declared bounds; that code maps
       actions only, and the thesis says that states are normalised. Discrete ones are one-hot.
     - A row of the pool is a transition; in that code, it is a step of a path, and the next row may belong to
       the next path.
-    - Standard deviations by which the model's inputs and outputs are divided are increased by 1e-4, there
-      by 1e-8, with which single precision overflows where a component hardly changes.
-    - An update of the policy that violates the bound is not made; that code makes the last one that it tried.
+    - The standard deviations by which the model's inputs and outputs are divided are increased by 1e-4
+      instead of 1e-8, with which single precision overflows where a component hardly changes.
+    - A policy update that violates the bound is discarded; that code keeps the last one that it tried.
 
-    As long as all rewards are 0, eta has no influence, since advantages are standardised.
+    As long as all rewards are 0, eta has no effect, since advantages are standardised.
 
     A lane keeps min(`pool_size`, capacity) rows of 2 D + A numbers in the pool, with D and A the sizes of
     observations and actions, and min(`iteration_steps` + `longest_episode` - 1, capacity) rows of 2 D + A + 3
@@ -137,7 +137,7 @@ class VIME(Learner):
         # At least one row: an empty array cannot be spread over devices.
         pool_size = max(1, min(self.pool_size, capacity))
         batch_size = max(1, min(self.iteration_steps + self.longest_episode - 1, capacity))
-        if batch_size > _CHUNK:  # whole chunks: a rest would be a program of its own
+        if batch_size > _CHUNK:  # whole chunks: a remainder would be a program of its own
             batch_size = -(-batch_size // _CHUNK) * _CHUNK
         return VIMEState(
             observations=observation_space,
@@ -177,7 +177,7 @@ class VIME(Learner):
         exploration: ExplorationState,
         step_in_block: Int[Array, ""],
     ) -> VIMEState:
-        """No change: it learns from whole episodes."""
+        """No change: VIME learns from whole episodes."""
         del key, transition, exploration, step_in_block
         return state
 
@@ -185,7 +185,7 @@ class VIME(Learner):
     def end_episode(
         self, key: Key[Array, ""], state: VIMEState, episode: Episode, exploration: ExplorationState
     ) -> VIMEState:
-        """Collect the episode; an iteration if there are enough steps."""
+        """Collect the episode, and run an iteration if there are enough steps."""
         batch = state.batch.add(episode, self.longest_episode, exploration.is_learning)
         state = eqx.tree_at(lambda s: s.batch, state, batch)
         is_due = exploration.is_learning & (batch.memory.count >= self.iteration_steps)
@@ -218,7 +218,7 @@ class VIME(Learner):
     def values(
         self, state: VIMEState, observation: Observation, action: Action
     ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        """The return that the baseline expects of the state, at the start of an episode, and 0."""
+        """The return that the baseline predicts for the state at the start of an episode, and 0."""
         del action
         inputs = self._vectors(state.observations, observation[None])
         value = state.baseline.predict(inputs, jnp.zeros((1,), jnp.int32))[0]
@@ -229,7 +229,7 @@ class VIME(Learner):
     def _iterate(
         self, key: Key[Array, ""], state: VIMEState, weight: Float[Array, ""], is_due: Bool[Array, ""]
     ) -> VIMEState:
-        """The state after an iteration if `is_due`, else as it is."""
+        """The state after an iteration if `is_due`, else unchanged."""
         key_bonus, key_model = jax.random.split(key)
         batch, memory = state.batch, state.batch.memory
         is_valid, is_last = batch.is_valid, batch.is_last
@@ -271,7 +271,7 @@ class VIME(Learner):
         )
 
     def _bonus(self, key: Key[Array, ""], state: VIMEState) -> tuple[Float[Array, "C"], Float[Array, "Q"]]:
-        """The normalised bonus of each step of the batch, and the medians with that of this iteration."""
+        """The normalised bonus of each step of the batch, and the medians including this iteration's."""
         batch, memory = state.batch, state.batch.memory
         to_inputs, to_outputs = self._standardisations(state, state.pool)
         inputs, outputs = self._pairs(state, memory.observations, memory.actions, memory.next_observations)
@@ -360,7 +360,7 @@ class VIME(Learner):
     def _standardisations(
         self, state: VIMEState, pool: ReplayPool
     ) -> tuple[Standardisation, Standardisation]:
-        """Those of inputs and of outputs: s and s' have the statistics of s."""
+        """The standardisations of inputs and of outputs; s and s' have the statistics of s."""
         rows, _ = self._pairs(state, pool.observations, pool.actions, pool.next_observations)
         inputs = Standardisation.of(rows, pool.is_filled)
         number = input_size(state.observations)
@@ -375,7 +375,7 @@ def _standardised(samples: Samples) -> Samples:
 
 
 def _median(values: Float[Array, "N"], is_valid: Bool[Array, "N"]) -> Float[Array, ""]:
-    """Median of the valid values, of which there is at least one."""
+    """Median of the valid values; at least one is valid."""
     ordered = jnp.sort(jnp.where(is_valid, values, jnp.inf))
     number = jnp.maximum(jnp.sum(is_valid, dtype=jnp.int32), 1)
     return 0.5 * (ordered[(number - 1) // 2] + ordered[number // 2])
