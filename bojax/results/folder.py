@@ -272,7 +272,7 @@ def check_plan(
     old: Mapping[str, Any],
     new: Mapping[str, Any],
     *,
-    what: str = "cannot resume, the sweep has changed",
+    what: str = "cannot resume, its plan has changed",
     advice: str = "undo this, or give another --out",
 ) -> None:
     """Raise a `ResultsError` with the first differences of two plans, if they differ."""

@@ -192,7 +192,7 @@ def test_a_finished_search_is_not_changed(tmp_path, undisturbed, capsys):
     assert contents(out) == contents(undisturbed)
     capsys.readouterr()
     assert tune(out, "--resume", "learner.initial_q=1") == 2
-    assert "cannot resume, the sweep has changed: config.learner: additive -> " in capsys.readouterr().err
+    assert "cannot resume, its plan has changed: config.learner: additive -> " in capsys.readouterr().err
 
 
 def test_the_report_is_built_again_from_the_files(undisturbed, capsys):
