@@ -1,4 +1,4 @@
-"""The state of an episode of learning, and what a step of its environment does to it."""
+"""The state of an episode of learning, and its change by a step of the environment."""
 
 import equinox as eqx
 import jax
@@ -81,7 +81,7 @@ def apply_transition(
 
 
 _TOLERANCE = 1e-4
-"""Rounding errors beyond its bounds, in units of their range, that do not make an observation outside."""
+"""Rounding error by which an observation may exceed its bounds, in units of their range."""
 
 
 def outside_bounds(space: Space, observation: Observation) -> Bool[Array, ""]:

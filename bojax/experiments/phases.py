@@ -74,7 +74,7 @@ class Phase(eqx.Module):
     def step_keys(self, steps: Int[Array, "B"]) -> UInt32[Array, "B 3 W"]:
         """Data of the keys of some steps: to act, to step the environment, to learn.
 
-        As data, since JAX's check of key reuse takes a batched scan over keys for a reuse.
+        The result is key data because JAX's check of key reuse mistakes a batched scan over keys for a reuse.
         """
         counters = (3 * steps[:, None] + jnp.arange(1, 4, dtype=jnp.int32)[None, :]).ravel()
         keys = jax.vmap(lambda counter: jax.random.fold_in(self.key, counter))(counters)

@@ -73,8 +73,8 @@ class PlanningEpisode(Experiment):
         reach = self.problem.reach
         if isfinite(reach) and (length := float(self.planner.motions.length)) > reach:
             raise ValueError(
-                f"planner.motions.length: got {length:g}; the robot can follow {reach:.2f} m to the end; "
-                "set a shorter length, or more time per path"
+                f"planner.motions.length: got {length:g}; allowed: <= {reach:.2f}, the longest path that the "
+                "robot completes: set a shorter length, or more time per path"
             )
         radius = self.problem.turning_radius
         if radius == 0.0:
@@ -82,8 +82,8 @@ class PlanningEpisode(Experiment):
         tightest = tightest_radius(self.planner.motions)
         if tightest < radius:
             raise ValueError(
-                f"planner.motions: the tightest trajectory has a radius of {tightest:.2f} m; the robot can "
-                f"drive {radius:.2f} m; set longer trajectories or smaller angles"
+                f"planner.motions: the tightest trajectory has a radius of {tightest:.2f} m; allowed: >= "
+                f"{radius:.2f} m, the turning radius of the robot: set longer trajectories or smaller angles"
             )
 
     @property
@@ -108,7 +108,7 @@ class PlanningEpisode(Experiment):
         start = self.problem.pose(world)
         num_samples = self.planner.motions.num_samples
         path = jax.ShapeDtypeStruct((num_samples, 3), start.dtype)
-        # The problem is passed as an argument, since arrays that a closure captures may be tracers.
+        # The problem is an argument, since arrays that a closure captures may be tracers.
         _, _, events = eqx.filter_eval_shape(type(self.problem).execute, self.problem, key, world, path)
         return PlanningState(
             key_world=key_world,

@@ -95,8 +95,9 @@ class StepRows(eqx.Module):
             "action": self.actions.num_dims,
             "qpos": self.frame_size,
         }
+        when = {"observation": " before the step", "action": "", "qpos": " before the step"}
         return _STEP_COLUMNS + tuple(
-            Column(f"{name}_{i}", "float32", "", f"{name}, component {i}, in which the step was taken")
+            Column(f"{name}_{i}", "float32", "", f"component {i} of {name}{when[name]}")
             for name, size in sizes.items()
             for i in range(size)
         )

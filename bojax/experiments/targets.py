@@ -1,4 +1,4 @@
-"""The target return of a learning run: when its test episodes reached it, and what they returned since."""
+"""The target return of a learning run: when the test episodes reached it, and their returns since then."""
 
 import equinox as eqx
 import jax.numpy as jnp

@@ -1,4 +1,4 @@
-"""A gallery of trajectories: what a family of motions looks like (Fig. 4.2)."""
+"""A gallery of the trajectories of a family (Fig. 4.2)."""
 
 from collections.abc import Mapping
 
@@ -15,11 +15,11 @@ from bojax.results.schema import Column, Table
 
 
 class Gallery(eqx.Module):
-    """The state of a gallery: drawn, or not yet.
+    """The state of a run of `TrajectoryGallery`.
 
     Attributes:
         key: Key of the run.
-        is_done: Whether it is drawn.
+        is_done: Whether the run has ended.
     """
 
     key: Key[Array, ""]

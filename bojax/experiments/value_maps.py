@@ -14,8 +14,8 @@ def value_map(
 ) -> Float[Array, "2 *grid"]:
     """Q and U at the middle action.
 
-    Of a discrete space, the values of every observation. Of a box, the values at the centres of
-    `resolution` cells along each of the first two dimensions, with the others at their middle.
+    For a discrete space, the values of every observation. For a box, the values at the centres of
+    `resolution` cells along each of the first two dimensions, with the other dimensions at their middle.
     """
     dtype = learner.exploration_weight.dtype
     if isinstance(actions, Box):
@@ -30,11 +30,11 @@ def value_map(
     unit = jnp.full((resolution, resolution, observations.num_dims), 0.5, dtype)
     unit = unit.at[..., 0].set(first)
     unit = unit.at[..., 1].set(second) if observations.num_dims > 1 else unit
-    return jnp.stack(jax.lax.map(values, observations.from_unit(unit)))  # a row of cells at a time
+    return jnp.stack(jax.lax.map(values, observations.from_unit(unit)))  # one row of cells at a time
 
 
 class Visits(eqx.Module):
-    """The cells of a map of two observations that a run has been in.
+    """The cells of a map over two observations that a run has visited.
 
     Attributes:
         seen: Whether a training step was taken in the cell.
@@ -66,6 +66,6 @@ class Visits(eqx.Module):
         )
 
     def scores(self, u: Float[Array, "R R"]) -> Float[Array, "2"]:
-        """Mean U of the cells without a visit less that of the starting cells, and the latter."""
+        """Mean U of the cells without a visit minus that of the starting cells, and the latter."""
         start = jnp.mean(u, where=self.starts)
         return jnp.stack([jnp.mean(u, where=~self.seen) - start, start])

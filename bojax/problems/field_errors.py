@@ -14,7 +14,7 @@ Weighting = Literal["gradient", "gradient-norm", "value"]
 
 ERROR_COLUMNS: Table = (
     Column("rmse", "float64", "", "root mean square error of the final belief"),
-    Column("wrmse", "float64", "", "the same, weighted towards what matters"),
+    Column("wrmse", "float64", "", "the same, weighted as `problem.weighting` sets"),
     Column("wrmse_gradient", "float64", "", "the same, weighted by the gradient as printed in (3.7)"),
     Column("wrmse_value", "float64", "", "the same, weighted by the value"),
     Column("mnll", "float64", "", "mean negative log likelihood of the field under the final belief"),

@@ -59,10 +59,10 @@ class FieldWorld(eqx.Module):
 class FieldProblem(Problem):
     """Learn a field from noisy samples along trajectories; subclasses define the scores of the final belief.
 
-    The reward of a path is the sum of the worth of its samples under the belief before the path (3.2, 4.11),
-    plus the cost of collisions and of leaving the domain. The planner knows the walls, the border and the
-    pose of the robot, but not the field. A wall or the border stops the robot at the last reachable pose of
-    the path; later samples are neither taken nor rewarded. The robot then keeps its heading
+    The reward of a path is the sum of the rewards of its samples, under the belief before the path (3.2,
+    4.11), plus the cost of collisions and of leaving the domain. The planner knows the walls, the border and
+    the pose of the robot, but not the field. A wall or the border stops the robot at the last reachable pose
+    of the path; later samples are neither taken nor rewarded. The robot then keeps its heading
     (`after_collision: "stop"`) or turns round on the spot (`"turn"`, not available to a vehicle with a
     turning radius). The same rules hold in the world and in the simulations of every planner.
     """
@@ -185,7 +185,7 @@ class FieldProblem(Problem):
             step = belief.step + 1
             is_due = step % self.relearn_every == 0
             key = jax.random.fold_in(belief.key, step)
-            # The lanes of a batch are at the same step: without any due lane the branch is skipped.
+            # Runs that start together stay at the same step, so that in most steps no lane is due.
             learned = jax.lax.cond(
                 any_lane(is_due),
                 lambda key, old: self._relearned(key, old),
@@ -200,14 +200,14 @@ class FieldProblem(Problem):
     def reward(
         self, objective: FieldObjective | None, belief: FieldBelief, path: Path, events: Events
     ) -> Scalar:
-        """Worth of the samples taken under the belief before the path, plus the cost of the path."""
+        """Rewards of the samples taken, under the belief before the path, plus the cost of the path."""
         del path
         objective = self.objective if objective is None else objective
         points = events.driven[:, :2]
         mean, variance = belief.posterior.predict(points)
         gradient = belief.posterior.predict_gradient(points) if objective.needs_gradient else None
-        worth = objective(mean, variance, gradient)
-        return events.reward + jnp.sum(jnp.where(events.is_driven, worth, 0.0))
+        rewards = objective(mean, variance, gradient)
+        return events.reward + jnp.sum(jnp.where(events.is_driven, rewards, 0.0))
 
     @override
     def root(self, belief: FieldBelief, horizon: int) -> tuple[LookaheadRoot, FieldNode]:

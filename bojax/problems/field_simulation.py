@@ -98,7 +98,7 @@ def simulate_paths(
         jnp.column_stack([drive.poses[:, :2], seen, drive.is_driven.astype(seen.dtype)])
         for drive, seen in zip(drives, innovations, strict=True)
     ]
-    # For each possible level of the node: its samples, then the new ones, cut at the horizon.
+    # For each possible level of the node: its samples followed by the new ones, up to the horizon.
     nothing = [jnp.zeros((size, 4), paths.dtype)] * horizon
     by_level = [
         jnp.concatenate([node.samples[: level * size], *new, *nothing])[: horizon * size]
@@ -109,8 +109,8 @@ def simulate_paths(
     ahead = look_ahead(
         root, all_samples.points, is_taken, all_samples.innovations, horizon, objective.needs_gradient
     )
-    worth = jnp.where(is_taken, objective(ahead.mean, ahead.variance, ahead.gradient), 0.0)
-    by_stage = jnp.pad(jnp.sum(worth.reshape(horizon, size), axis=-1), (0, num_paths))
+    gains = jnp.where(is_taken, objective(ahead.mean, ahead.variance, ahead.gradient), 0.0)
+    by_stage = jnp.pad(jnp.sum(gains.reshape(horizon, size), axis=-1), (0, num_paths))
     paid = _choose(node.level, [by_stage[level : level + num_paths] for level in range(horizon)])
     rewards = paid + jnp.stack([arena.cost(drive) for drive in drives])
 

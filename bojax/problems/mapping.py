@@ -23,7 +23,7 @@ EDGE = 0.1
 """Distance from the border of a prop within which a point counts as at an edge, in metres."""
 
 AROUND = 0.2
-"""Distance from a prop within which its reconstruction is looked for, in metres."""
+"""Distance from a prop within which its reconstruction is compared with it, in metres."""
 
 MAP_COLUMNS: Table = (
     Column("offset", "float64", "m", "mean error of the final map; positive where it is too high"),
@@ -121,17 +121,17 @@ class PropMapping(FieldProblem):
 
     @override
     def score(self, world: FieldWorld, belief: FieldBelief) -> dict[str, Scalar]:
-        found = final_map(self, belief)
-        outside = self._outside(found.points)
-        edge = found.is_open & jnp.any(jnp.abs(outside) <= EDGE, axis=1)
-        at_edges = _rms(found.error, edge)
+        final = final_map(self, belief)
+        outside = self._outside(final.points)
+        edge = final.is_open & jnp.any(jnp.abs(outside) <= EDGE, axis=1)
+        at_edges = _rms(final.error, edge)
         return (
             self.field_score(world, belief)
-            | map_score(self, belief, found)
+            | map_score(self, belief, final)
             | {
                 "edge_error": at_edges,
-                "edge_excess": at_edges - _rms(found.error, found.is_open & ~edge),
-                "props_found": jnp.mean(self._is_found(found, outside).astype(at_edges.dtype)),
+                "edge_excess": at_edges - _rms(final.error, final.is_open & ~edge),
+                "props_found": jnp.mean(self._is_found(final, outside).astype(at_edges.dtype)),
             }
         )
 
@@ -142,11 +142,11 @@ class PropMapping(FieldProblem):
         away = jnp.sqrt(jnp.sum(jnp.maximum(beyond, 0.0) ** 2, axis=-1))
         return away + jnp.minimum(jnp.max(beyond, axis=-1), 0.0)
 
-    def _is_found(self, found: Map, outside: Float[Array, "G K"]) -> Bool[Array, "K"]:
+    def _is_found(self, final: Map, outside: Float[Array, "G K"]) -> Bool[Array, "K"]:
         on = outside <= 0.0
         is_other = jnp.any(on, axis=1, keepdims=True) & ~on
-        near = found.is_open[:, None] & (outside <= AROUND) & ~is_other
-        high = near & (found.mean[:, None] > 0.5 * self._blocks.heights[None])
+        near = final.is_open[:, None] & (outside <= AROUND) & ~is_other
+        high = near & (final.mean[:, None] > 0.5 * self._blocks.heights[None])
         on = near & on
         return 2 * jnp.sum(high & on, axis=0) > jnp.sum(high | on, axis=0)
 
@@ -157,22 +157,22 @@ class PropMapping(FieldProblem):
         return self.field
 
 
-def map_score(problem: FieldProblem, belief: FieldBelief, found: Map) -> dict[str, Scalar]:
+def map_score(problem: FieldProblem, belief: FieldBelief, final: Map) -> dict[str, Scalar]:
     """The columns of `MAP_COLUMNS`."""
-    truth = found.mean - found.error - found.offset
-    spread = _rms(found.error, found.is_open)
-    relief = _rms(truth - _mean(truth, found.is_open), found.is_open)
-    corner = found.is_open & _is_corner(found.points, problem.domain)
-    rest = found.is_open & ~corner
-    distance = _distance_to_samples(found.points, belief, problem.resolution)
-    sparse = found.is_open & (distance >= jnp.quantile(distance, 1.0 - SPARSE))
+    truth = final.mean - final.error - final.offset
+    spread = _rms(final.error, final.is_open)
+    relief = _rms(truth - _mean(truth, final.is_open), final.is_open)
+    corner = final.is_open & _is_corner(final.points, problem.domain)
+    rest = final.is_open & ~corner
+    distance = _distance_to_samples(final.points, belief, problem.resolution)
+    sparse = final.is_open & (distance >= jnp.quantile(distance, 1.0 - SPARSE))
     return {
-        "offset": found.offset,
+        "offset": final.offset,
         "spread": spread,
         "explained_variance": 1.0 - (spread / relief) ** 2,
-        "corner_error": _rms(found.error, corner) - _rms(found.error, rest),
-        "corner_std": _mean(found.std, corner) - _mean(found.std, rest),
-        "sparse_error": _rms(found.error, sparse),
+        "corner_error": _rms(final.error, corner) - _rms(final.error, rest),
+        "corner_std": _mean(final.std, corner) - _mean(final.std, rest),
+        "sparse_error": _rms(final.error, sparse),
     }
 
 

@@ -1,4 +1,4 @@
-"""Objectives of field monitoring: the worth of a sample, the acquisition h of (3.1) and (4.10)."""
+"""Objectives of field monitoring: the reward of a sample, h in (3.1) and (4.10)."""
 
 import abc
 from typing import ClassVar, Literal
@@ -10,7 +10,7 @@ from typing_extensions import override
 
 
 class FieldObjective(eqx.Module):
-    """Worth of a sample under the belief before the path along which it is taken.
+    """The reward of a sample under the belief before the path along which it is taken.
 
     Attributes:
         needs_gradient: Whether the gradient of the mean is needed; it is computed only then.
@@ -22,7 +22,7 @@ class FieldObjective(eqx.Module):
     def __call__(
         self, mean: Float[Array, "S"], variance: Float[Array, "S"], gradient: Float[Array, "S 2"] | None
     ) -> Float[Array, "S"]:
-        """Worth of each sample."""
+        """Reward of each sample."""
 
 
 Uncertainty = Literal["std", "variance"]
@@ -34,7 +34,9 @@ def _spread(variance: Float[Array, "S"], uncertainty: Uncertainty) -> Float[Arra
 
 
 class GradientObjective(FieldObjective):
-    """Norm of the mean's gradient plus `kappa` standard deviations (3.2); BO-POMDP, the myopic planner.
+    """Norm of the mean's gradient plus `kappa` standard deviations (3.2).
+
+    BO-POMDP and the myopic planner maximise it.
 
     Settings: `bojax.problems.settings.Gradient`.
     """
@@ -55,7 +57,9 @@ class GradientObjective(FieldObjective):
 
 
 class ValueObjective(FieldObjective):
-    """Mean plus `kappa` standard deviations (4.11); SBO, all planners of Section 4.7.1.
+    """Mean plus `kappa` standard deviations (4.11).
+
+    SBO and all planners of Section 4.7.1 maximise it.
 
     Settings: `bojax.problems.settings.Value`.
     """
@@ -72,7 +76,7 @@ class ValueObjective(FieldObjective):
 
 
 class UncertaintyObjective(FieldObjective):
-    """Standard deviation; the myopic explorer of Section 3.5.1.
+    """The standard deviation alone, which the myopic explorer of Section 3.5.1 maximises.
 
     Settings: `bojax.problems.settings.Uncertainty`.
     """

@@ -35,8 +35,8 @@ class PoseProblem(Problem):
     """A problem defined by its initial pose and the outcome of a path, which subclasses implement.
 
     The planner knows the model, in which paths are followed exactly, and observes the pose with Gaussian
-    noise. Its belief is the last measurement, which it takes for the true pose in simulations. In the world
-    the `vehicle` follows the paths, by default exactly.
+    noise. Its belief is the last measurement, which simulations treat as the true pose. In the world, the
+    `vehicle` follows the paths, by default exactly.
     """
 
     position_noise: eqx.AbstractVar[Float[Array, ""]]

@@ -15,7 +15,7 @@ from bojax.robots.range_sensor import cone, ranges
 
 
 class Sensor(eqx.Module):
-    """A sensor on board of a robot."""
+    """A sensor on board a robot."""
 
     def check(self, field: Field, points: Float[Array, "N 2"], altitude: float | None) -> None:
         """Check that the sensor can measure the field at some points from an altitude; None on the ground.

@@ -424,7 +424,7 @@ def test_trajectories_longer_than_the_robot_can_follow_are_refused(motions):
     problem = eqx.tree_at(lambda problem: problem.vehicle, parking(), Wide(0.0, 1.0))
     PlanningEpisode(problem, RandomPlanner(motions))
     problem = eqx.tree_at(lambda problem: problem.vehicle, parking(), Wide(0.0, 0.9))
-    reason = r"^planner.motions.length: got 1; the robot can follow 0.90 m[^\n]*$"
+    reason = r"^planner.motions.length: got 1; allowed: <= 0.90, [^\n]*$"
     with pytest.raises(ValueError, match=reason):
         PlanningEpisode(problem, RandomPlanner(motions))
 

@@ -234,7 +234,9 @@ def test_paths_that_it_cannot_end_in_time_are_refused_in_one_line(tmp_path, caps
     out = tmp_path / "out"
     assert main(["run", "robot-parking", "planner.motions.length=1.3", "--out", str(out)]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert "planner.motions.length: got 1.3; the robot can follow 1.16 m to the end" in line
+    assert (
+        "planner.motions.length: got 1.3; allowed: <= 1.16, the longest path that the robot completes" in line
+    )
     assert not out.exists()
 
 
