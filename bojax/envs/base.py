@@ -62,7 +62,7 @@ class Env(eqx.Module):
     def of_run(self, key: Key[Array, ""]) -> "Env":
         """The environment of one run, with random properties that all episodes of the run share.
 
-        Only `reset` is called on the returned environment, so that the state must hold these properties.
+        Only `reset` is called on the returned environment, so the state must contain these properties.
         """
         del key
         return self

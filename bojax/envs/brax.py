@@ -58,7 +58,7 @@ class BraxEnv(Env):
             )
         observation, self.action_size = _sizes(self.name, self.backend)
         if not hasattr(observation, "shape") or len(observation.shape) != 1:
-            raise ValueError(f'name: got "{self.name}"; its observations are no vector of numbers')
+            raise ValueError(f'name: got "{self.name}"; its observations are not a vector of numbers')
         (self.observation_size,) = observation.shape
         for name, bound in (("low", self.low), ("high", self.high)):
             if bound.ndim and bound.shape != (self.observation_size,):
@@ -66,7 +66,7 @@ class BraxEnv(Env):
                     f"{name}: got {bound.size} numbers; {self.name} has {self.observation_size} observations"
                 )
         if not np.all(np.asarray(self.low) < np.asarray(self.high)):
-            raise ValueError("low: it has to be below high")
+            raise ValueError("low: allowed: < high in every component")
 
     @property
     @override

@@ -18,15 +18,16 @@ _GRAVITY, _CART, _POLE, _HALF_LENGTH = 9.8, 1.0, 0.1, 0.5
 class CartpoleSwingUp(ControlTask):
     """A pole on a cart on a track; its state is the observation.
 
-    The cart weighs 1 kg, the pole 0.1 kg over a length of 1 m; both move by the equations of Gym's CartPole
-    (Barto, Sutton and Anderson, 1983, without friction) and its explicit Euler step. The angle counts from
-    upright and is not wrapped.
+    The cart weighs 1 kg, and the pole 0.1 kg over a length of 1 m. The equations of motion are those of Gym's
+    CartPole (Barto, Sutton and Anderson, 1983, without friction), with its explicit Euler step. The angle is
+    measured from upright and is not wrapped.
 
-    The goal is a cosine of the angle above `goal_cosine`, at whatever speed; the failure is to leave the
-    track, |x| > `limit`. The classic reward is that of the author's code: cosine - 1 a step, 0 at the goal
-    and -100 at the failure, both of which end it.
+    The goal is a cosine of the angle above `goal_cosine`, at any speed; the failure is to leave the track,
+    |x| > `limit`. The classic reward is that of the author's code: cosine - 1 a step, 0 at the goal and -100
+    at the failure, both of which end the episode.
 
-    It begins hanging: all four numbers uniform in [-0.05, 0.05], around an angle of pi.
+    An episode begins with the pole hanging: all four numbers are uniform in [-0.05, 0.05], around an angle of
+    pi.
 
     Settings: `bojax.envs.settings.CartpoleSwingUp`.
     """

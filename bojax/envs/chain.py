@@ -15,15 +15,15 @@ LEFT, RIGHT = 0, 1
 class Chain(TabularEnv):
     """Walk a chain of N states to its end.
 
-    Action left moves left; action right moves right with probability 1 - 1/N, else left. In the first state
-    a move to the left stays. The last state is the goal: it pays 1, and nothing comes after it. Every other
-    state pays -1 with probability 1 - p whenever a step ends there, drawn anew each time. (The text of the
-    thesis says that p = 0 gives goal-only rewards; its probability says that it is p = 1.)
+    Action left moves left; action right moves right with probability 1 - 1/N, else left. In the first state,
+    a move to the left has no effect. The last state is the goal: it pays 1 and is terminal. A step to any
+    other state pays -1 with probability 1 - p, drawn anew in each step. (The text of the thesis says that
+    p = 0 gives goal-only rewards; by its formula it is p = 1.)
 
-    The length is a number of the run, so that chains of all lengths are one compiled program; only
-    `max_length` is built into it. States are numbered from 0, and those from N on are never seen. So a
-    learner with a table keeps rows that stay as they are, and a learner that scales observations by their
-    declared bounds finds neighbours at the same distance, 1 / (`max_length` - 1), in every chain.
+    The length is an array leaf, so that chains of all lengths share one compiled program; only `max_length`
+    is built into it. States are numbered from 0, and those from N on are never visited: their rows of a table
+    never change. For a learner that scales observations by their declared bounds, neighbours are at the same
+    distance, 1 / (`max_length` - 1), in every chain.
 
     Settings: `bojax.envs.settings.Chain`.
     """

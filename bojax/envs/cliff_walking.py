@@ -22,8 +22,8 @@ class CliffWalking(TabularEnv):
     """Walk along a cliff from the lower left to the lower right corner of a 4 x 12 grid.
 
     States are numbered row by row from the upper left, actions are up, right, down, left, both as in
-    Gymnasium's `CliffWalking-v1`. The cells between start and goal are the cliff: who falls is back at the
-    start, and the episode continues. A step off the grid leaves the agent where it is.
+    Gymnasium's `CliffWalking-v1`. The cells between start and goal are the cliff: an agent that falls returns
+    to the start, and the episode continues. A step off the grid leaves the agent where it is.
 
     Settings: `bojax.envs.settings.CliffWalking`.
     """

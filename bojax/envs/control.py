@@ -103,5 +103,5 @@ def symmetric(*high: Float[Array, ""]) -> Box:
 
 
 def sign(x: Float[Array, ""]) -> Float[Array, ""]:
-    """-1 for negative numbers, otherwise 1: an action that takes two values only."""
+    """-1 for negative numbers, otherwise 1: an action with two values."""
     return jnp.where(x < 0.0, -jnp.ones_like(x), jnp.ones_like(x))

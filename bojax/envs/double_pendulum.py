@@ -19,18 +19,18 @@ _GRAVITY = 9.8
 class DoublePendulum(ControlTask):
     """Two rods on two joints, one of them driven.
 
-    Its state is the angle of the first rod from hanging down, that of the second from the first, in
-    radians, and their velocities. Rods are 1 m long and weigh 1 kg, with the centre of mass in the middle
-    and a moment of inertia of 1 kg m^2 about it; they swing by the equations of Sutton and Barto
-    (Reinforcement Learning, 1st edition, Section 11.3), with a torque at either joint, integrated
-    by one Runge-Kutta step of fourth order per time step.
+    The state is the angle of the first rod from hanging down, that of the second rod from the first, both in
+    radians, and their velocities. A rod is 1 m long and weighs 1 kg, with the centre of mass in the middle
+    and a moment of inertia of 1 kg m^2 about it. The equations of motion are those of Sutton and Barto
+    (Reinforcement Learning, 1st edition, Section 11.3), with a torque at either joint; a time step is one
+    Runge-Kutta step of fourth order.
 
     The goal is to bring the tip near the highest point that it can reach, 2 m above the base: with `goal`
     `"distance"` to a distance below `goal_distance` (p. 107), with `"height"` to a height above
     2 m - `goal_distance` (Gym, and the author's code). The classic reward is -1 a step and 0 at the goal,
-    which ends it.
+    which ends the episode.
 
-    It begins as in Gym: all four numbers uniform in [-0.1, 0.1].
+    As in Gym, all four numbers of the initial state are uniform in [-0.1, 0.1].
 
     Settings: `bojax.envs.settings.DoublePendulum`.
     """

@@ -140,7 +140,9 @@ class HostEnv(Env):
         self.observations = from_gymnasium(spaces[0], "observation", dtype, low, high)
         self.actions = from_gymnasium(spaces[1], "action", dtype)
         if limit is None:
-            raise ValueError(f"max_steps: {id} has no time limit of its own: a number is needed")
+            raise ValueError(
+                f"max_steps: got null; allowed: a number, since {id} has no time limit of its own"
+            )
         self.max_steps = limit
         _probe(made, id)
         made.close()
@@ -180,7 +182,7 @@ class HostEnv(Env):
         Raises:
             TypeError: Always.
         """
-        raise TypeError(f"{self.id} is stepped on the host, not compiled: make_vector makes it")
+        raise TypeError(f"{self.id} is stepped on the host and cannot be compiled: use make_vector")
 
     @override
     def observe(self, state):

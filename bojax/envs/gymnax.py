@@ -99,7 +99,7 @@ class GymnaxEnv:
 
         The information tells how the step ended: `terminated`, `truncated` (by the environment or its
         `max_steps`), `success`, `discount` (0 if terminated, else 1), and `final_observation`, the
-        observation before the reset, which is the same as the first result if the episode goes on.
+        observation before the reset, which equals the first result while the episode continues.
         """
         env = params or self.default_params
         key_step, key_reset = jax.random.split(key)

@@ -16,14 +16,14 @@ class MountainCar(ControlTask):
     """A car in a valley of height sin(3 x); its state is the position x and the velocity per step.
 
     The goal is a position, 0.5 as in Gym; Fig. 5.7 says 0.9 of the way from the left wall to the right,
-    which is 0.42. The classic reward is -1 a step, the one that reaches the goal included, and the goal
-    ends it. A wall at the left stops the car.
+    which is 0.42. The classic reward is -1 a step, including the step that reaches the goal, and the goal
+    ends the episode. A wall at the left stops the car.
 
-    The thesis wants a continuous action, torque and direction. The author's code knows three:
+    The thesis has a continuous action, torque and direction. The author's code has three actions:
     `actions: thresholded` coasts where |action| is below `threshold`, and drives with full force otherwise.
     With `power` 0.0015 and `goal_position` 0.45 the dynamics are those of Gym's MountainCarContinuous.
 
-    It begins at rest, uniformly in [-0.6, -0.4].
+    An episode begins at rest, at a position uniform in [-0.6, -0.4].
 
     Settings: `bojax.envs.settings.MountainCar`.
     """

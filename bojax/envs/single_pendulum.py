@@ -18,11 +18,11 @@ class SinglePendulum(ControlTask):
 
     The goal is to be upright within `goal_angle`, at whatever speed (p. 107: 0.05 rad). The author's runs
     test cos > 0.95 and |sin| < 0.05 instead, which is |angle| < 0.05002: the same goal. The classic reward
-    is Gym's, `-(angle^2 + 0.1 velocity^2 + 0.001 torque^2)` of the state in which the step is taken. It
-    ends at the goal, where it pays 0, as the author's code does; Gym's never ends
+    is Gym's, `-(angle^2 + 0.1 velocity^2 + 0.001 torque^2)` of the state in which the step is taken. As in
+    the author's code, a step to the goal pays 0 and ends the episode; in Gym no step ends it
     (`classic_ends_at_goal: false`).
 
-    It begins as in Gym: at any angle, with a velocity uniform in [-1, 1].
+    As in Gym, an episode begins at any angle, with a velocity uniform in [-1, 1].
 
     Settings: `bojax.envs.settings.SinglePendulum`.
     """

@@ -56,7 +56,7 @@ class TabularEnv(Env):
         if self.num_branches > 1:
             probabilities = self.probabilities(state, action)
             draw = jax.random.uniform(key, (), probabilities.dtype)
-            # The last cumulative probability, which rounding may put below the draw, is left out.
+            # The last cumulative probability is not compared, since rounding may put it below the draw.
             branch = jnp.sum(draw >= jnp.cumsum(probabilities)[:-1], dtype=jnp.int32)
         transition = self.outcome(state, action, branch)
         return transition.observation, transition

@@ -102,8 +102,8 @@ def test_mjx_is_traced_as_a_32_bit_program():
 BAD = {
     "unknown": ({"name": "sprig"}, 'name: got "sprig"; Brax has no such environment; it has: .*, spring, '),
     "size": ({"name": "spring", "low": [1.0, 2.0, 3.0]}, "low: got 3 numbers; spring has 2 observations"),
-    "order": ({"name": "spring", "low": 1.0, "high": [2.0, 1.0]}, "low: it has to be below high"),
-    "mapping": ({"name": "mapping"}, 'got "mapping"; its observations are no vector'),
+    "order": ({"name": "spring", "low": 1.0, "high": [2.0, 1.0]}, "low: allowed: < high"),
+    "mapping": ({"name": "mapping"}, 'got "mapping"; its observations are not a vector'),
 }
 
 

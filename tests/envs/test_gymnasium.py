@@ -249,7 +249,7 @@ BAD = {
     "order": ({"low": 1.0}, r"observation space: low is not below high \(component 0, 1, 2, 3, 4, 5\)"),
     "endless": (
         {"id": "Endless-v0"},
-        "max_steps: Endless-v0 has no time limit of its own: a number is needed",
+        "max_steps: got null; allowed: a number, since Endless-v0 has no time limit of its own",
     ),
     "fails": ({"kwargs": {"fails": True}}, "Toy-v0 fails in its first step: RuntimeError: out of fuel"),
     "exits in a step": ({"kwargs": {"exits": "step"}}, "Toy-v0 fails in its first step: SystemExit: 0"),

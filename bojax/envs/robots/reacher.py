@@ -104,8 +104,8 @@ class Reacher(RobotTask):
         failure: Bool[Array, ""],
         after: RobotState,
     ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
-        del state, success
-        return -self.distance(after) - jnp.sum(action * action), failure
+        del state, failure
+        return -self.distance(after) - jnp.sum(action * action), jnp.zeros_like(success)
 
 
 def fingertip(angles: Float[Array, "2"]) -> Float[Array, "2"]:
