@@ -161,14 +161,14 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, Walk, StencilUpdate, Cont
         key_paths, key_rollout, key_order = jax.random.split(key, 3)
         num_nodes, num_params = self.iterations + 1, self.motions.num_params
         num_points = 2 * num_params + 1
-        nobody = jnp.full((2 * num_nodes, num_points), UNVISITED, jnp.int32)
+        unvisited = jnp.full((2 * num_nodes, num_points), UNVISITED, jnp.int32)
         memory = Stencils(
             paths=jax.vmap(self.motions.sample)(jax.random.split(key_paths, self.num_rollout_paths)),
             params=jnp.zeros((num_nodes, num_params), dtype),
             centre=jnp.zeros((2 * num_nodes, num_params), dtype),
             radius=jnp.broadcast_to(self.initial_radius, (2 * num_nodes,)),
-            member=nobody,
-            finer=nobody,
+            member=unvisited,
+            finer=unvisited,
         )
         shape = (self.iterations, self.depth - 1)
         draws = StencilDraws(
@@ -250,15 +250,15 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, Walk, StencilUpdate, Cont
     def _walk(self, tree: Tree, memory: Stencils, node: Int[Array, ""]) -> Walk:
         dtype = tree.outcome.dtype
         visits_of_node = jnp.maximum(tree.totals[node][0], 1.0)
-        nobody = jnp.asarray(UNVISITED, jnp.int32)
+        no_child = jnp.asarray(UNVISITED, jnp.int32)
         start = _Descent(
             walk=Walk(
                 stencil=node,
                 point=jnp.asarray(CENTRE, jnp.int32),
                 has_unvisited=jnp.asarray(False),
                 may_refine=jnp.asarray(False),
-                best_ucb=nobody,
-                most_visited=nobody,
+                best_ucb=no_child,
+                most_visited=no_child,
             ),
             is_walking=jnp.asarray(True),
             best_bound=jnp.asarray(-jnp.inf, dtype),
@@ -274,7 +274,7 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, Walk, StencilUpdate, Cont
             visits = jnp.where(member == UNVISITED, 0.0, tree.totals[member][:, 0])
             mean = tree.mean_return(member)
             # The descent ends at a stencil with unvisited points.
-            unvisited = is_walking & jnp.any(is_inside & (member == UNVISITED))
+            has_unvisited = is_walking & jnp.any(is_inside & (member == UNVISITED))
 
             bound = mean + self.exploration * jnp.sqrt(jnp.log(visits_of_node) / jnp.maximum(visits, 1.0))
             highest = jnp.argmax(bound)
@@ -288,10 +288,10 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, Walk, StencilUpdate, Cont
             )
 
             finer = memory.finer[stencil, best]
-            goes_on = is_walking & ~unvisited & (finer != UNVISITED)
+            descends = is_walking & ~has_unvisited & (finer != UNVISITED)
             levels = jnp.asarray(level + 1, dtype)
             refines = (
-                (is_walking & ~unvisited & ~goes_on)
+                (is_walking & ~has_unvisited & ~descends)
                 & (fewest_visits >= self.min_visits)
                 & (levels * jnp.log(self.growth) < jnp.log(visits_of_node))
                 & (memory.radius[stencil] > self.min_radius)
@@ -299,14 +299,14 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, Walk, StencilUpdate, Cont
             )
             return _Descent(
                 walk=Walk(
-                    stencil=jnp.where(goes_on, finer, stencil),
+                    stencil=jnp.where(descends, finer, stencil),
                     point=jnp.where(is_walking, best, walk.point),
-                    has_unvisited=walk.has_unvisited | unvisited,
+                    has_unvisited=walk.has_unvisited | has_unvisited,
                     may_refine=walk.may_refine | refines,
                     best_ucb=jnp.where(is_higher, member[highest], walk.best_ucb),
                     most_visited=jnp.where(is_most, member[best], walk.most_visited),
                 ),
-                is_walking=goes_on,
+                is_walking=descends,
                 best_bound=jnp.where(is_higher, bound[highest], descent.best_bound),
                 most_visits=jnp.where(is_most, visits[best], descent.most_visits),
                 fewest_visits=fewest_visits,
