@@ -8,8 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from bojax.numerics.cores import usable_cores
+from bojax.robots.lane_steps import LaneSteps
 from bojax.robots.models import MjModel, mujoco
 
 _SPEC = sum(
@@ -21,15 +23,11 @@ _LANES_PER_THREAD = 8
 """Smallest number of lanes that a thread is worth: their steps take a tenth of a millisecond or more."""
 
 
-class CSteps:
-    """Several steps of many robots of one model, in 64 bits, on all cores of the process.
+class CSteps(LaneSteps):
+    """Steps in 64 bits, on all cores of the process.
 
     A lane depends on its own state and controls alone: its bits do not depend on the other lanes, nor on the
-    number of cores.
-
-    Attributes:
-        model: The compiled model.
-        substeps: Number of simulation steps of a call.
+    number of cores. The state is NaN where MuJoCo warned, see `_advance_in_place`.
     """
 
     def __init__(self, model: MjModel, substeps: int):
@@ -38,6 +36,7 @@ class CSteps:
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         self._unused = []
 
+    @override
     def __call__(
         self,
         qpos: Float[Array, "L Q"],
@@ -45,7 +44,6 @@ class CSteps:
         qacc_warmstart: Float[Array, "L V"],
         control: Float[Array, "L U"],
     ) -> tuple[Float[Array, "L Q"], Float[Array, "L V"], Float[Array, "L V"]]:
-        """The state of every lane after the steps; NaN where MuJoCo warned, see `_advance_in_place`."""
         # In a single matrix: every array of a callback costs 25 us.
         before = jnp.concatenate([qpos, qvel, qacc_warmstart, control], axis=1)
         num_lanes, width = before.shape

@@ -12,9 +12,11 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from typing_extensions import override
 
 from bojax.config.extras import MissingExtra
 from bojax.numerics.third_party import silenced
+from bojax.robots.lane_steps import LaneSteps
 from bojax.robots.models import MjModel, mujoco
 from bojax.text import one_line
 
@@ -44,16 +46,14 @@ def load() -> tuple[Any, Any]:
         raise MissingExtra("warp-lang", "robots-cuda") from error
 
 
-class WarpSteps:
-    """Several steps of many robots of one model; the function is a custom call of the compiled program.
+class WarpSteps(LaneSteps):
+    """Steps as a custom call of the compiled program; positions are NaN if any constraint was left out.
 
     The buffers of MuJoCo Warp hold all contacts and constraints that the model can have at once in every
     lane. They are allocated once for each device and number of lanes. All calls share them, one after the
     other. On a GPU a step is a CUDA graph.
 
     Attributes:
-        model: The compiled model.
-        substeps: Number of simulation steps of a call.
         num_pairs: Pairs of geoms in a lane that may collide.
         num_contacts: Largest number of contacts in a lane.
         num_rows: Largest number of constraint rows in a lane.
@@ -86,6 +86,7 @@ class WarpSteps:
         self._buffers: dict[tuple[str, int], _Buffers] = {}
         self._call = self._as_jax_call()
 
+    @override
     def __call__(
         self,
         qpos: Float[Array, "L Q"],
@@ -93,7 +94,6 @@ class WarpSteps:
         qacc_warmstart: Float[Array, "L V"],
         control: Float[Array, "L U"],
     ) -> tuple[Float[Array, "L Q"], Float[Array, "L V"], Float[Array, "L V"]]:
-        """The state of every lane after the steps; its positions are NaN if any constraint was left out."""
         lost = sum(int(self._mjw.OverflowType[flag]) for flag in _LOST)
         qpos, qvel, qacc_warmstart, overflow = self._call(
             qpos, qvel, qacc_warmstart, control, output_dims={"overflow": (qpos.shape[0],)}

@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool, Float
 from bojax.config.extras import MissingExtra
 from bojax.numerics.third_party import plain_jax, silenced, standard_jax
 from bojax.robots.c_mujoco import CSteps
+from bojax.robots.lane_steps import LaneSteps
 from bojax.robots.models import MjModel, RobotModel, mujoco
 from bojax.robots.mujoco_warp import WarpSteps
 from bojax.robots.small_factors import small_factors
@@ -206,7 +207,7 @@ def _stepping(
     return advance
 
 
-def _in_lanes(steps: CSteps | WarpSteps) -> Any:
+def _in_lanes(steps: LaneSteps) -> Any:
     """The steps for a single robot; under any number of `vmap`s, all lanes are one call of `steps`."""
 
     @jax.custom_batching.custom_vmap
