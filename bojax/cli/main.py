@@ -1,10 +1,12 @@
 """The entry point `bojax`: runs a command, and reports a user's mistake as one line and an exit code."""
 
 import errno
+import faulthandler
 import importlib
 import io
 import os
 import platform
+import signal
 import sys
 import threading
 from collections.abc import Sequence
@@ -74,7 +76,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def entry() -> None:
-    """Run the command of `sys.argv` and exit, with the code 1 after the traceback of an unexpected error."""
+    """Run the command of `sys.argv` and exit, with the code 1 after the traceback of an unexpected error.
+
+    `kill -USR1 PID` prints where each thread is, should a command not go on.
+    """
+    if hasattr(signal, "SIGUSR1"):
+        faulthandler.register(signal.SIGUSR1, file=2)
     try:
         code = main()
     except Exception as error:

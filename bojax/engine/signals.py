@@ -16,7 +16,9 @@ class StopRequest:
     """Notices signals while its `with` block runs.
 
     Python runs signal handlers between bytecodes of the main thread, so during a long compilation a handler
-    would have to wait. Instead, a thread reads signals from a wake-up socket.
+    would have to wait. Instead, a thread reads signals from a wake-up socket. It needs the interpreter, which
+    a library may hold forever; so once the main thread has noticed a signal, the system ends the process at
+    the next.
 
     Attributes:
         signum: The signal that requested the stop; None before any signal.
@@ -52,8 +54,8 @@ class StopRequest:
             self._reader, self._writer = socket.socketpair()
             self._writer.setblocking(False)
             self._wakeup = signal.set_wakeup_fd(self._writer.fileno(), warn_on_full_buffer=False)
-            # Python writes a signal to the socket only if it has a handler; these handlers do nothing.
-            self._handlers = {number: signal.signal(number, lambda *_: None) for number in self._signals}
+            # Python writes a signal to the socket only if it has a handler.
+            self._handlers = {number: signal.signal(number, self._handle) for number in self._signals}
             threading.Thread(target=self._watch, daemon=True).start()
         return self
 
@@ -65,6 +67,10 @@ class StopRequest:
                 signal.signal(number, handler)
             signal.set_wakeup_fd(self._wakeup)
             self._writer.close()  # the thread reads the end of the stream and ends
+
+    def _handle(self, *_: object) -> None:
+        for number in self._signals if self._exits else ():
+            signal.signal(number, signal.SIG_DFL)
 
     def _watch(self) -> None:
         with self._reader:
