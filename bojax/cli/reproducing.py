@@ -13,6 +13,7 @@ from bojax.cli.running import resolved
 from bojax.config.errors import did_you_mean, listed
 from bojax.config.files import available
 from bojax.config.sweep import Sweep, is_alias, load_sweep
+from bojax.text import duration
 
 FOLDER = Path("results/reproduction")
 """Folder of reproductions without `--out`, each named after the time of its start."""
@@ -90,6 +91,8 @@ def _run(sweeps: Sequence[Sweep], args: Namespace, command: list[str]) -> int:
             launcher=launcher,
             indices=devices,
         )
+        ended = time.monotonic()
+    print(f"waited {duration(time.monotonic() - ended)} for reports", file=sys.stderr)
     if code not in (0, 1) or not all(_is_merged(out / sweep.name, skipped) for sweep in sweeps):
         return code
     sources = [out / sweep.name for sweep in sweeps if sweep.name not in skipped]

@@ -41,6 +41,9 @@ class GroupProgress:
         lane_advances: Number of advances of all its runs in this process.
         compiling_since: Time at which its compilation started; None before.
         compile_seconds: Duration of its compilation; None before its end.
+        compiled: Time at which its compilation ended; None before.
+        begun: Time at which its first advance began; None before.
+        ended: Time at which its last segment ended; None before the first.
     """
 
     name: str
@@ -52,6 +55,9 @@ class GroupProgress:
     lane_advances: int = 0
     compiling_since: float | None = None
     compile_seconds: float | None = None
+    compiled: float | None = None
+    begun: float | None = None
+    ended: float | None = None
 
     @property
     def seconds_per_advance(self) -> float | None:
@@ -96,7 +102,9 @@ def forecast(
 ) -> Forecast | None:
     """The remaining time; None before the first advance.
 
-    A group without an advance is taken for an average one.
+    A group without an advance is taken for an average one. While programs are compiled, an accelerator is
+    taken to be idle for the same share of the time as so far: it waits for programs, and for threads that
+    trace.
 
     Args:
         groups: All groups with unfinished chunks, and those that are done.
@@ -117,7 +125,16 @@ def forecast(
             pace = chunk.seconds_per_advance or group.seconds_per_advance or usual_pace
             seconds = _advances_left(chunk, mean) * pace
             running, longest = running + seconds, max(longest, seconds)
-    return Forecast(_compiling(groups, now), max(running / workers, longest), shares_cores)
+    compiling = _compiling(groups, now)
+    busy = _busy(groups, now, workers) if compiling and not shares_cores else 1.0
+    return Forecast(compiling, max(running / workers / busy, longest), shares_cores)
+
+
+def _busy(groups: Sequence[GroupProgress], now: float, workers: int) -> float:
+    """Share of the time since the first advance in which the workers have advanced runs."""
+    passed = now - min((group.begun for group in groups if group.begun is not None), default=now)
+    seconds = sum(group.seconds for group in groups)
+    return min(1.0, seconds / (passed * workers)) if passed > 0.0 < seconds else 1.0
 
 
 def _advances_left(chunk: ChunkProgress, mean: float) -> float:

@@ -1,12 +1,14 @@
 """The journal of a sweep: its results folder while it runs, what is done, and what failed."""
 
 import contextlib
+import time
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
 from bojax.config.saved_sweep import saved
 from bojax.engine.chunks import Chunk
+from bojax.engine.forecast import GroupProgress
 from bojax.engine.groups import StaticGroup
 from bojax.engine.latency import Latency
 from bojax.engine.manifest import describe_chunk, describe_groups, describe_sweep, outline_of, timings
@@ -30,6 +32,7 @@ class Journal:
         folder: The working files in the results folder.
         errors: The error of each failed chunk, once the sweep is merged.
         is_merged: Whether the tables are written.
+        planned: Time at which the journal was created.
         nans: Number of NaNs of each (point, run), once the sweep is merged.
     """
 
@@ -52,6 +55,9 @@ class Journal:
         self._outlines = [outline_of(module) for module in plan.modules]
         self._files: dict[int, ChunkFolder] = {}
         self._latency: dict[int, dict[int, Latency]] = {}
+        self.planned = time.monotonic()
+        self._times: dict[str, float] = {}
+        self._progress: dict[int, GroupProgress] = {}
 
     @property
     def path(self) -> Path:
@@ -106,8 +112,17 @@ class Journal:
         """Note the latency of a single run of points of a group."""
         self._latency[group.index] = dict(seconds)
 
+    def note_seconds(self, stage: str, seconds: float) -> None:
+        """Note the wall time of a stage of the command, for the manifest."""
+        self._times[stage] = round(seconds, 1)
+
+    def note_progress(self, group: StaticGroup, progress: GroupProgress) -> None:
+        """Note when a group is compiled and run, also later than now."""
+        self._progress[group.index] = progress
+
     def merge(self) -> None:
         """Write the tables from the chunks that are done, and close the folder."""
+        start = time.monotonic()
         sweep = self.plan.sweep
         attempts = self.share.leases.attempts
         attempts.look()
@@ -126,6 +141,7 @@ class Journal:
         points = [PointInfo(p.index, p.label, p.variant, p.swept) for p in sweep.points]
         self.nans = merge(self.path, done, names, points, sweep.seed)
         write_table(self.path / "timings.parquet", timings(self._states()))
+        self.note_seconds("merging", time.monotonic() - start)
         self.write_manifest("failed" if self.errors else "finished")
         self.close(finished=not self.errors)
         self.is_merged = True
@@ -149,6 +165,7 @@ class Journal:
         manifest = {
             **describe_sweep(plan.sweep, plan.content, self._outlines, self._command, status),
             "device": plan.device,
+            "times": self._times,
             "groups": describe_groups([self._facts(group, heartbeats) for group in plan.groups], states),
             "chunks": [describe_chunk(*state, self.errors.get(state[0].index)) for state in states],
             "nans": by_point,
@@ -163,9 +180,23 @@ class Journal:
             "points": list(group.points),
             "lanes_per_device": self.plan.layouts[group.index].lanes,
             "compile_seconds": sum(beat.compile_seconds.get(str(group.index), 0.0) for beat in heartbeats),
+            "times": self._times_of(group),
             "latency_seconds": {str(point): each.median for point, each in latency.items()},
             "latency_range": {str(point): [each.least, each.largest] for point, each in latency.items()},
         }
+
+    def _times_of(self, group: StaticGroup) -> dict[str, float]:
+        """Seconds from the end of planning to what this process has done of a group."""
+        progress = self._progress.get(group.index)
+        if progress is None:
+            return {}
+        times = {
+            "compiling": progress.compiling_since,
+            "compiled": progress.compiled,
+            "begun": progress.begun,
+            "ended": progress.ended,
+        }
+        return {name: round(at - self.planned, 1) for name, at in times.items() if at is not None}
 
     def _states(self) -> list[tuple[Chunk, ChunkState]]:
         return [(chunk, self.state(chunk)) for chunk in self.plan.chunks]

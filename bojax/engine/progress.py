@@ -41,6 +41,7 @@ class SweepProgress:
         self._bar = Bar(title, num_runs, console or Console(stderr=True, highlight=False))
         self._num_runs = num_runs
         self._workers, self._shares_cores = workers, shares_cores
+        self._start = time.monotonic()
         self._groups: list[GroupProgress] = []
         self._runs_done = 0
         self._steps = self._issued = 0
@@ -78,7 +79,7 @@ class SweepProgress:
     def compiled(self, group: GroupProgress, seconds: float) -> None:
         """Report that the compilation of a group has ended."""
         with self._lock:
-            group.compile_seconds = seconds
+            group.compile_seconds, group.compiled = seconds, time.monotonic()
             self.say(f"compiled {group.name} in {seconds:.1f} s")
             self._show()
 
@@ -100,7 +101,9 @@ class SweepProgress:
             self._runs_done += segment.finished
             self._steps += segment.active_steps
             self._issued += segment.issued_steps
-            now = time.monotonic()
+            now = group.ended = time.monotonic()
+            if group.begun is None:
+                group.begun = now - segment.seconds
             self._recent.append((now - segment.seconds, now, segment.active_steps))
             self._show()
 
@@ -125,6 +128,15 @@ class SweepProgress:
             shares_cores=self._shares_cores,
         )
         return text if left is None else f"{text}, {duration(left.seconds)} left"
+
+    def describe_times(self) -> str:
+        """In one line, where the time has gone since the first group was added."""
+        with self._lock:
+            passed = max(time.monotonic() - self._start, 1e-9)
+            compiled = max((group.compiled or self._start for group in self._groups), default=self._start)
+            busy = sum(group.seconds for group in self._groups) / (passed * self._workers)
+            until = duration(compiled - self._start)
+            return f"ran for {duration(passed)}, compiled until {until}, advanced runs {busy:.0%} of the time"
 
     def _rate(self) -> float:
         """Steps per second of the last segments."""

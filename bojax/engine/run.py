@@ -2,6 +2,7 @@
 
 import shlex
 import sys
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -77,6 +78,7 @@ def _run(
     skipped: dict[str, str] | None,
     stop: StopRequest,
 ) -> int:
+    start = time.monotonic()
     journals = [
         Journal(
             plan,
@@ -87,6 +89,8 @@ def _run(
         )
         for target, plan in plan_unfinished(targets, devices, finish, skipped)
     ]
+    for journal in journals:
+        journal.note_seconds("planning", journals[0].planned - start)
     return carry_out(journals, devices, command, finish, stop) if journals else 0
 
 
@@ -128,6 +132,8 @@ def _execute(
     by_sweep = {journal: tasks_of(journal.share, stop.__bool__, name_sweep=several) for journal in journals}
     journal_of = {task: journal for journal, tasks in by_sweep.items() for task in tasks}
     tasks = longest_first(by_sweep.values())
+    for task, journal in journal_of.items():
+        journal.note_progress(task.group, task.progress)
     left = {journal: len(tasks) for journal, tasks in by_sweep.items()}
     workers = workers_of(devices)
     ended = [journal for journal in journals if not left[journal]]  # killed before it was merged
@@ -139,6 +145,8 @@ def _execute(
                 ended.append(journal)
             if not left[journal] and several and not journal.plan.sweep.engine.latency:
                 conclude(journal, progress.say, finish)  # while the other sweeps run
+        if several:
+            progress.say(progress.describe_times())
         for journal in ended:
             _measure_latency(journal, devices[0], progress, stop)
     for journal in ended if not stop else ():

@@ -87,6 +87,19 @@ def test_workers_share_chunks_and_a_compilation_hides_behind_an_accelerator():
     assert found.seconds == pytest.approx(25.0)
 
 
+def test_a_device_that_waits_for_programs_is_taken_to_go_on_waiting_until_the_last_one():
+    group = GroupProgress("toy", 10, {0: ChunkProgress(1, 1, 1, 0, 10)}, seconds=5.0, advances=5)
+    group.begun, group.compile_seconds = -20.0, 1.0
+    last = GroupProgress("last", 10, compiling_since=-20.0)
+    usual = {"now": 0.0, "workers": 2, "shares_cores": False}
+    without = forecast([group, last], **usual)
+    last.chunks[1] = ChunkProgress(1, 1, 1, 0, 10)
+    waiting = forecast([group, last], **usual)
+    assert without is not None and waiting is not None
+    assert without.running == pytest.approx(10.0)  # one chunk, of ten advances
+    assert waiting.running == pytest.approx(2 * 10 / 2 / (5 / (20 * 2)))
+
+
 def test_the_last_runs_take_less_time_in_fewer_lanes():
     def left(narrowest):
         chunk = ChunkProgress(4000, narrowest, 100, 0, 1000, seconds_per_advance=1.0)
