@@ -40,15 +40,22 @@ class Ahead(Generic[T]):
 
     def request(self, key: Hashable, compute: Callable[[], T], priority: int = 0) -> None:
         """Compute a result in a thread, unless it was requested before; a low priority comes first."""
-        with self._changed:
-            if key in self._results:
-                return
-            self._results[key] = result = Future()
-        self._queue.put((priority, next(self._order), compute, result))
+        if (result := self._new(key)) is not None:
+            self._queue.put((priority, next(self._order), compute, result))
+
+    def compute(self, key: Hashable, compute: Callable[[], T]) -> None:
+        """Compute a result in the calling thread, unless it was requested before."""
+        if (result := self._new(key)) is not None:
+            self._run(compute, result)
+
+    def is_requested(self, key: Hashable) -> bool:
+        """Whether a result was requested, and not dropped since."""
+        return key in self._results
 
     def is_ready(self, key: Hashable) -> bool:
         """Whether a result, or an error in its place, is there."""
-        return key in self._results and self._results[key].done()
+        result = self._results.get(key)
+        return result is not None and result.done()
 
     def wait(self, key: Hashable) -> T:
         """A requested result; raises the error that its computation raised, or `Stopped`."""
@@ -61,13 +68,23 @@ class Ahead(Generic[T]):
         return result.result()
 
     def drop(self, key: Hashable) -> None:
-        """Forget a result, whose memory is then freed."""
+        """Forget a result, whose memory is then freed, or do not compute it if that has not begun."""
         with self._changed:
-            self._results.pop(key, None)
+            result = self._results.pop(key, None)
+        if result is not None:
+            result.cancel()
 
     def close(self) -> None:
         """End the threads once they are idle."""
         self._queue.put((1 << 30, next(self._order), None, None))
+
+    def _new(self, key: Hashable) -> Future[T] | None:
+        """The place of a result; None if it was requested before."""
+        with self._changed:
+            if key in self._results:
+                return None
+            self._results[key] = result = Future()
+            return result
 
     def _work(self) -> None:
         while True:
@@ -76,9 +93,14 @@ class Ahead(Generic[T]):
             if compute is None or self._stop():
                 self._queue.put(item)  # for the other threads
                 return
-            try:
-                result.set_result(compute())
-            except BaseException as error:  # user's code may call sys.exit
-                result.set_exception(error)
-            with self._changed:
-                self._changed.notify_all()
+            self._run(compute, result)
+
+    def _run(self, compute: Callable[[], T], result: Future[T]) -> None:
+        if not result.set_running_or_notify_cancel():
+            return
+        try:
+            result.set_result(compute())
+        except BaseException as error:  # user's code may call sys.exit
+            result.set_exception(error)
+        with self._changed:
+            self._changed.notify_all()

@@ -125,8 +125,10 @@ class Programs:
         self._unsaved: tuple[str, PyTree] | None = None
         self._saving = threading.Lock()
         start = time.perf_counter()
+        self._is_saved = False
         if found := executables.load(key, device):
             self._programs, carry = found
+            self._is_saved = True
             self.compile_seconds = time.perf_counter() - start
         else:
             with _TRACING:
@@ -142,13 +144,18 @@ class Programs:
         executables.hold(key, device, (self._programs, carry))
         self.carry_structure = self._on_device(carry)
 
-    def keep(self) -> None:
-        """Save the programs for other devices and for later sweeps, if they were compiled."""
+    def keep(self) -> bool:
+        """Save the programs for other devices and for later sweeps, if they were compiled.
+
+        Returns:
+            Whether they can be loaded there.
+        """
         with self._saving:
             unsaved, self._unsaved = self._unsaved, None
             if unsaved is not None:
                 key, carry = unsaved
-                executables.save(key, self._programs, carry)
+                self._is_saved = executables.save(key, self._programs, carry)
+            return self._is_saved
 
     def _prepare(self, run: Experiment) -> None:
         """Prepare what a subclass needs of the first run."""

@@ -101,13 +101,39 @@ def workers_of(devices: Sequence[Device], cores: int | None = None) -> list[Devi
     return [devices[0]] * (cores or usable_cores()) if len(devices) == 1 else list(devices)
 
 
-def turn_of(device: Device) -> AbstractContextManager[Any]:
+class Turn:
     """What a worker holds while it uses a device.
 
     An accelerator runs one chunk at a time, since several at once take as long as one after the other. While
-    one worker writes the last rows of a chunk, the next chunk is advanced by the other.
+    one worker writes the last rows of a chunk, or waits for a program, the other one uses the device. Workers
+    of a CPU need no turns.
+
+    Args:
+        is_exclusive: Whether one worker holds it at a time.
     """
-    return nullcontext() if device.platform == "cpu" else threading.Lock()
+
+    def __init__(self, *, is_exclusive: bool):
+        self._lock: AbstractContextManager[Any] = threading.Lock() if is_exclusive else nullcontext()
+
+    def __enter__(self) -> None:
+        self._lock.__enter__()
+
+    def __exit__(self, *error: object) -> None:
+        self._lock.__exit__(None, None, None)
+
+    @contextmanager
+    def away(self) -> Iterator[None]:
+        """Context of a worker that holds it, in which another one may use the device."""
+        self.__exit__()
+        try:
+            yield
+        finally:
+            self.__enter__()
+
+
+def turn_of(device: Device) -> Turn:
+    """The turn that the workers of a device share."""
+    return Turn(is_exclusive=device.platform != "cpu")
 
 
 @contextmanager

@@ -139,11 +139,11 @@ def load(key: str | None, device: Device) -> Programs | None:
     return loaded, structure
 
 
-def save(key: str, programs: Mapping[str, Compiled], structure: PyTree[jax.ShapeDtypeStruct]) -> None:
-    """Save the programs of a group and the structure of its carry, if that is possible."""
+def save(key: str, programs: Mapping[str, Compiled], structure: PyTree[jax.ShapeDtypeStruct]) -> bool:
+    """Save the programs of a group and the structure of its carry; False if that is not possible."""
     folder = _folder()
     if folder is None:
-        return
+        return False
     try:
         content = pickle.dumps(({name: _serialized(each) for name, each in programs.items()}, structure))
         folder.mkdir(parents=True, exist_ok=True)
@@ -152,7 +152,8 @@ def save(key: str, programs: Mapping[str, Compiled], structure: PyTree[jax.Shape
         os.replace(file.name, folder / key)
         _drop_unused(folder)
     except Exception:  # a program with callbacks, a full disk: the next sweep compiles again
-        return
+        return False
+    return True
 
 
 def _serialized(program: Compiled) -> tuple[bytes, PyTree, PyTree]:

@@ -2,6 +2,7 @@
 
 import contextlib
 import queue
+import sys
 import threading
 import time
 from collections import deque
@@ -26,15 +27,28 @@ from bojax.results.leases import Standing
 from bojax.results.parts import ChunkState
 from bojax.results.store import ResultsError
 
-COMPILE_THREADS = 8
-"""Maximum number of compilations side by side."""
+COMPILE_THREADS = 8, 16
+"""Maximum number of compilations side by side: on all cores of a small machine, on half of those of a large
+one."""
 
-AHEAD = 24
-"""Number of groups that are compiled ahead; their programs take memory."""
+AHEAD_ON_CPU, AHEAD_ON_ACCELERATOR = 24, 192
+"""Number of programs that are compiled ahead; they take memory.
 
+A sweep of many groups is held up by tracing, one group after the other, which must go on while groups run. On
+a CPU both share the cores.
+"""
+
+SWITCH_SECONDS = 5e-4
+"""Time after which a thread that holds the interpreter gives it up, if another one wants it.
+
+With Python's 5 ms, a worker waits so long behind tracing after each call of a program.
+"""
 
 LOOK_EVERY = 10.0
 """Time between two looks at the chunks of other processes, in durations of a look."""
+
+PATIENCE = 10.0
+"""Seconds after a requested stop after which chunks that still run are named."""
 
 LAST = 1 << 20
 """Priority of what nothing waits for: after all compilations."""
@@ -95,7 +109,8 @@ class GroupTask:
 
 def compile_threads() -> int:
     """Number of compilations side by side."""
-    return min(COMPILE_THREADS, usable_cores())
+    few, many = COMPILE_THREADS
+    return min(max(few, min(many, usable_cores() // 2)), usable_cores())
 
 
 def execute(
@@ -121,11 +136,14 @@ def execute(
     Raises:
         ResultsError: A sink cannot be written or read. All other chunks are paused first.
     """
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(min(before, SWITCH_SECONDS))
     executor = _Executor(tasks, workers, progress, stop, waits)
     try:
         yield from executor.ended()
     finally:
         executor.close()
+        sys.setswitchinterval(before)
     if executor.error is not None:
         raise executor.error
 
@@ -155,7 +173,7 @@ class _Executor:
             worker.start()
 
     def ended(self) -> Iterator[GroupTask]:
-        left = len(self._tasks)
+        left, patience = len(self._tasks), PATIENCE
         while left:
             is_alive = any(worker.is_alive() for worker in self._workers)
             try:
@@ -164,11 +182,16 @@ class _Executor:
             except queue.Empty:
                 if not is_alive:
                     return
-
-    def close(self) -> None:
+                if self._stop():
+                    patience -= POLL_SECONDS
+                    if 0.0 >= patience > -POLL_SECONDS:
+                        running = [task.name for task in self._tasks if task.running]
+                        self._progress.say(f"waiting for the end of an advance: {', '.join(running)}")
         for key in list(self._kept):  # Python cannot end while a thread is in XLA
             with contextlib.suppress(Exception):  # a requested stop
                 self._ahead.wait(key)
+
+    def close(self) -> None:
         with self._changed:
             self._is_closed = True
         for worker in self._workers:
@@ -179,35 +202,43 @@ class _Executor:
 
     def _request_ahead(self) -> None:
         """Request the programs of the first unfinished groups, spread over the devices."""
-        unfinished = [(i, task) for i, task in enumerate(self._tasks) if task.chunks or task.running]
-        for i, task in unfinished[:AHEAD]:
-            for width in task.layout.widths:
-                self._request(task, self._devices[i % len(self._devices)], width)
+        most = AHEAD_ON_CPU if self._devices[0].platform == "cpu" else AHEAD_ON_ACCELERATOR
+        for i, task in enumerate(self._tasks):
+            if most > 0 and (task.chunks or task.running):
+                most -= len(task.layout.widths)
+                for width in task.layout.widths:
+                    self._request(task, self._devices[i % len(self._devices)], width)
 
-    def _request(self, task: GroupTask, device: Device, width: int, compiled: Programs | None = None) -> None:
-        later = 0 if width == task.layout.lanes else COMPILE_THREADS  # needed after the first runs have ended
+    def _request(self, task: GroupTask, device: Device, width: int) -> None:
         self._ahead.request(
-            (task, device, width),
-            lambda: self._compile(task, device, width, compiled),
-            self._tasks.index(task) + later,
+            (task, device, width), lambda: self._compile(task, device, width), self._tasks.index(task)
         )
 
-    def _compile(self, task: GroupTask, device: Device, width: int, compiled: Programs | None) -> Programs:
-        """Compile the programs of a group, or load those that another device has compiled.
+    def _load(self, task: GroupTask, device: Device, width: int, other: Device) -> None:
+        """Load programs that another device has compiled or compiles, in this thread."""
+        try:
+            can_load = self._ahead.wait((task, other, width)).keep()
+        except Stopped:
+            raise
+        except BaseException:  # they fail here as well
+            can_load = False
+        if can_load:
+            key = task, device, width
+            self._ahead.compute(key, lambda: self._compile(*key, is_compiled=True))
+        else:
+            self._request(task, device, width)
+
+    def _compile(self, task: GroupTask, device: Device, width: int, *, is_compiled: bool = False) -> Programs:
+        """Compile the programs of a group for a number of lanes on a device, or load them from the cache.
 
         Args:
             task: The group.
             device: The device.
             width: Number of lanes.
-            compiled: The programs of another device; None to look for some.
+            is_compiled: Whether another device has put them into the cache.
         """
         is_first = width == task.layout.lanes
-        for other in self._devices:
-            if compiled is None and self._ahead.is_ready((task, other, width)):
-                compiled = self._programs(task, other, width)
-        if compiled is not None:
-            compiled.keep()
-        elif is_first:
+        if is_first and not is_compiled:
             self._progress.compiling(task.progress)
         kind = Hosted if task.experiment.is_hosted else Programs
         programs = kind(
@@ -218,11 +249,8 @@ class _Executor:
             recorded=task.recorded,
             fills=is_first,
         )
-        if is_first and compiled is None:
+        if is_first and not is_compiled:
             self._progress.compiled(task.progress, programs.compile_seconds)
-        if len(task.chunks) > 1:  # the other devices will run some of them
-            for other in self._devices:
-                self._request(task, other, width, programs)
         key = task, device, width, "kept"
         self._ahead.request(key, programs.keep, LAST)
         self._kept.append(key)
@@ -232,17 +260,23 @@ class _Executor:
         return programs
 
     def _programs(self, task: GroupTask, device: Device, width: int) -> Programs:
-        self._request(task, device, width)
+        """The programs of a group for a number of lanes on a device, once they are there."""
+        if not self._ahead.is_requested((task, device, width)):
+            others = [other for other in self._devices if self._ahead.is_requested((task, other, width))]
+            if others:  # two devices compile nothing twice
+                self._load(task, device, width, others[0])
+            else:
+                self._request(task, device, width)
         return self._ahead.wait((task, device, width))
 
     # Workers
 
     def _work(self, device: Device) -> None:
-        while self._work_on_a_chunk(device):
+        while self._work_on_a_chunk(device) or self._await_chunk(device):
             pass
 
     def _work_on_a_chunk(self, device: Device) -> bool:
-        """Run a chunk on a device; False if none is left."""
+        """Run a chunk on a device; False if there is none whose programs are compiled."""
         with contextlib.ExitStack() as turn:
             turn.enter_context(self._turns[device])
             if (taken := self._take(device)) is None:
@@ -269,36 +303,59 @@ class _Executor:
         return True
 
     def _take(self, device: Device) -> tuple[GroupTask, Chunk] | None:
-        """The next chunk for a device, once its programs are compiled; None if no chunk is left."""
-        while not self._stop():
-            with self._changed:
-                waiting = [task for task in self._tasks if task.chunks]
-                is_elsewhere = any(task.elsewhere for task in self._tasks)
-                if not waiting and not is_elsewhere:
+        """The next chunk of a group whose programs are compiled for a device.
+
+        Groups with the programs for all their numbers of lanes come first: they will not wait for any.
+        """
+        with self._changed:
+            while ready := [task for task in self._free() if self._is_ready(task, device)]:
+                task = next((task for task in ready if self._is_complete(task)), ready[0])
+                if self._stop():
                     return None
-                free = [task for task in waiting if not (task.is_exclusive and task.running)]
-                ready = [task for task in free if self._is_ready(task, device)]
-                if ready:
-                    task = ready[0]
-                    try:
-                        self._ahead.wait((task, device, task.layout.lanes))
-                    except BaseException as error:
-                        self._fail_all(task, error)
-                        continue
-                    task.running += 1
-                    return task, task.chunks.popleft()
-                for task in free:  # compiled for another device: loading its program is quick
-                    if any(self._is_ready(task, other) for other in self._devices):
-                        self._request(task, device, task.layout.lanes)
-                        break
-                if free or not is_elsewhere:
-                    self._changed.wait(POLL_SECONDS)
+                try:
+                    self._ahead.wait((task, device, task.layout.lanes))
+                except BaseException as error:
+                    self._fail_all(task, error)
                     continue
-            if not self._look_elsewhere() and not self._waits:
-                return None
-            with self._changed:
-                self._changed.wait(POLL_SECONDS)
+                task.running += 1
+                return task, task.chunks.popleft()
         return None
+
+    def _await_chunk(self, device: Device) -> bool:
+        """Wait until there may be a chunk for a device; False if none is left, or after a requested stop.
+
+        The device's turn is not held meanwhile: another worker may go on with a chunk that has waited for a
+        program.
+        """
+        with self._changed:
+            free, is_elsewhere = self._free(), any(task.elsewhere for task in self._tasks)
+            is_left = is_elsewhere or any(task.chunks for task in self._tasks)
+            if not is_left or self._stop():
+                return False
+            if any(self._is_ready(task, device) for task in free):
+                return True
+            unknown = [
+                task for task in free if not self._ahead.is_requested((task, device, task.layout.lanes))
+            ]
+            found = [
+                (task, other) for task in unknown for other in self._devices if self._is_ready(task, other)
+            ]
+            if not found and (free or not is_elsewhere):
+                self._changed.wait(POLL_SECONDS)
+                return True
+        if found:
+            task, other = next((each for each in found if self._is_complete(each[0])), found[0])
+            self._load(task, device, task.layout.lanes, other)
+            return True
+        if not self._look_elsewhere() and not self._waits:
+            return False
+        with self._changed:
+            self._changed.wait(POLL_SECONDS)
+        return True
+
+    def _free(self) -> list[GroupTask]:
+        """The groups of which a chunk can be run."""
+        return [task for task in self._tasks if task.chunks and not (task.is_exclusive and task.running)]
 
     def _look_elsewhere(self) -> bool:
         """Look at the chunks of other processes; False if all that are left are run by living processes."""
@@ -349,9 +406,22 @@ class _Executor:
     def _is_ready(self, task: GroupTask, device: Device) -> bool:
         return self._ahead.is_ready((task, device, task.layout.lanes))
 
+    def _is_complete(self, task: GroupTask) -> bool:
+        """Whether the programs for all numbers of lanes of a group are compiled, each for some device."""
+        return all(
+            any(self._ahead.is_ready((task, device, width)) for device in self._devices)
+            for width in task.layout.widths
+        )
+
     def _runner(self, task: GroupTask, chunk: Chunk, sink: Sink, device: Device) -> ChunkRunner:
         def report(segment: Segment) -> None:
             self._progress.segment(task.progress, chunk.index, segment)
+
+        def programs(width: int) -> Programs:
+            if self._ahead.is_ready((task, device, width)):
+                return self._ahead.wait((task, device, width))
+            with self._turns[device].away():
+                return self._programs(task, device, width)
 
         def stop() -> bool:
             return self._stop() or task.share.is_stolen(chunk)
@@ -361,7 +431,7 @@ class _Executor:
         return ChunkRunner(
             chunk,
             task.experiment,
-            lambda width: self._programs(task, device, width),
+            programs,
             sink,
             limits,
             report,

@@ -45,7 +45,7 @@ class Segment:
         advances_left: Upper bound of the advances that the runs in lanes still need.
         active_steps: Number of environment steps.
         issued_steps: Number of steps if all lanes had always been busy.
-        seconds: Wall time.
+        seconds: Wall time, without waiting for a program.
     """
 
     finished: int
@@ -81,7 +81,7 @@ class ChunkRunner:
     Args:
         chunk: The chunk.
         experiment: An experiment of the group.
-        programs: The programs for one of the chunk's numbers of lanes.
+        programs: The programs for one of the chunk's numbers of lanes; may wait for them.
         sink: Receives rows and checkpoints, and holds the state from which the chunk is resumed.
         limits: When the chunk pauses.
         report: Called after every segment.
@@ -160,10 +160,10 @@ class ChunkRunner:
     def _segment(self) -> Segment:
         """Advance the lanes for some seconds."""
         state, repack = self._state, self._chunk.layout.repack
-        start, first_advance = time.perf_counter(), state.advances
+        start, first_advance, self._waited = time.perf_counter(), state.advances, 0.0
         finished = lane_advances = active_steps = issued_steps = num_bytes = 0
         while True:
-            left = self._limits.segment_seconds - (time.perf_counter() - start)
+            left = self._limits.segment_seconds - (time.perf_counter() - start - self._waited)
             most = MOST_ADVANCES - (state.advances - first_advance)
             lanes = self._map
             runs = np.where(lanes == EMPTY, EMPTY, self._chunk.runs[lanes])
@@ -191,11 +191,11 @@ class ChunkRunner:
             self._check_end(is_done)
             finished += self._repack(is_done)
             is_full = num_bytes >= MOST_RECORD_BYTES or state.advances - first_advance >= MOST_ADVANCES
-            is_late = time.perf_counter() - start > self._limits.segment_seconds
+            is_late = time.perf_counter() - start - self._waited > self._limits.segment_seconds
             if is_full or is_late or self._limits.stop() or not self._is_unfinished:
                 break
         jax.block_until_ready(self._carry)
-        seconds = time.perf_counter() - start
+        seconds = time.perf_counter() - start - self._waited
         state.segments.append([len(state.lanes), active_steps, seconds])
         occupied = self._map != EMPTY
         youngest = int(np.max(np.asarray(state.started)[occupied], initial=0))
@@ -261,7 +261,9 @@ class ChunkRunner:
         self._carry = self._programs.select(self._carry, selected)
         state.started = [state.started[lane] for lane in selected.tolist()]
         state.lanes = [state.lanes[lane] for lane in live.tolist()] + [EMPTY] * (width - len(live))
+        start = time.perf_counter()
         self._programs = self._programs_of(width)
+        self._waited += time.perf_counter() - start
         self._place()
 
     def _hand_in(self, lanes: np.ndarray) -> None:

@@ -15,6 +15,7 @@ from bojax.config.errors import ConfigError
 from bojax.config.limits import Limit
 from bojax.engine import batch, execute
 from bojax.engine.chunks import Layout
+from bojax.engine.devices import Turn
 from bojax.engine.requests import Request
 from bojax.engine.run import run_sweeps
 from bojax.engine.runner import ChunkRunner
@@ -139,12 +140,12 @@ def test_any_number_of_workers_gives_the_same_bytes(folder, tmp_path, monkeypatc
 @NEEDS_CPU
 @pytest.mark.bits
 def test_workers_of_an_accelerator_advance_one_chunk_at_a_time(folder, tmp_path, monkeypatch):
-    turn, begun, ended = threading.Lock(), [], []
+    turn, begun, ended = Turn(is_exclusive=True), [], []
     next_begins = [threading.Event() for _ in range(3)]
     original = {name: getattr(ChunkRunner, name) for name in ("advance", "finish")}
 
     def advance(runner):
-        assert turn.locked() and len(begun) == len(ended)
+        assert len(begun) == len(ended)
         begun.append(runner)
         for event in next_begins[: len(begun) - 1]:
             event.set()
@@ -163,6 +164,39 @@ def test_workers_of_an_accelerator_advance_one_chunk_at_a_time(folder, tmp_path,
     assert run_toy(tmp_path / "toy", runs=RUNS) == 0
     assert len(ended) == 3
     assert contents(tmp_path / "toy") == contents(folder)
+
+
+def test_a_chunk_that_waits_for_a_program_lets_the_other_worker_go_on(tmp_path, monkeypatch):
+    waits, has_gone_on = threading.Event(), threading.Event()
+    narrow, finish = ChunkRunner._narrow, ChunkRunner.finish
+
+    class Late(batch.Programs):
+        def __init__(self, functions, device, num_lanes, *others, **options):
+            first_group, lanes = functions.group.index == 0, num_lanes
+            if (first_group, lanes) == (False, 4):
+                assert waits.wait(60.0)
+            if (first_group, lanes) == (True, 2):
+                assert has_gone_on.wait(60.0)
+            super().__init__(functions, device, num_lanes, *others, **options)
+
+    def noted_narrow(runner, *arguments):
+        waits.set()
+        narrow(runner, *arguments)
+
+    def noted_finish(runner):
+        finish(runner)
+        if runner._chunk.group == 1:
+            has_gone_on.set()
+
+    monkeypatch.setattr(execute, "Programs", Late)
+    monkeypatch.setattr(execute, "compile_threads", lambda: 3)
+    monkeypatch.setattr(execute, "turn_of", lambda _: Turn(is_exclusive=True))
+    monkeypatch.setattr("bojax.engine.run.workers_of", lambda devices: [devices[0]] * 2)
+    monkeypatch.setattr("bojax.engine.plan.choose_layout", lambda *_: Layout(4, (4, 2), 1))
+    monkeypatch.setattr(ChunkRunner, "_narrow", noted_narrow)
+    monkeypatch.setattr(ChunkRunner, "finish", noted_finish)
+    assert run_toy(tmp_path / "toy", {"max_length": 20}, {"max_length": 10}, runs=4) == 0
+    assert waits.is_set()
 
 
 def test_nans_are_counted(tmp_path, capsys):
@@ -303,6 +337,24 @@ def test_several_sweeps_are_one_plan_and_give_what_each_gives_alone(tmp_path):
         assert contents(tmp_path / name) == contents(tmp_path / "alone" / name)
 
 
+def test_an_unexpected_error_does_not_wait_for_the_programs_of_the_other_groups(tmp_path, monkeypatch):
+    has_left, late = threading.Event(), []
+
+    class Late(batch.Programs):
+        def __init__(self, *arguments, **options):
+            late.append(None)
+            if len(late) == 2:
+                assert has_left.wait(60.0)
+            super().__init__(*arguments, **options)
+
+    monkeypatch.setattr(execute, "Programs", Late)
+    monkeypatch.setattr(execute, "compile_threads", lambda: 1)
+    with pytest.raises(ZeroDivisionError):
+        run_two(tmp_path, finish=lambda _: 1 // 0)
+    assert not has_left.is_set() and len(late) == 2
+    has_left.set()
+
+
 def test_the_longest_sweep_and_in_it_the_longest_group_are_compiled_first(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(execute, "compile_threads", lambda: 1)
     lengths = {"short": (18,), "long": (4, 16)}
@@ -317,7 +369,7 @@ def test_the_longest_sweep_and_in_it_the_longest_group_are_compiled_first(tmp_pa
     assert started == [f"compiling {name}: max_length={length} ..." for name, length in groups]
 
 
-def test_narrower_programs_are_compiled_after_the_first_of_the_next_groups(tmp_path, monkeypatch):
+def test_the_programs_of_a_group_are_compiled_before_those_of_the_next(tmp_path, monkeypatch):
     compiled = []
 
     class Noted(batch.Programs):
@@ -329,8 +381,8 @@ def test_narrower_programs_are_compiled_after_the_first_of_the_next_groups(tmp_p
     monkeypatch.setattr(execute, "compile_threads", lambda: 1)
     monkeypatch.setattr("bojax.engine.plan.choose_layout", lambda *_: Layout(4, (4, 2, 1), 1))
     assert run_toy(tmp_path / "toy", {"max_length": 20}, {"max_length": 10}, runs=4) == 0
-    assert compiled == [(0, 4), (1, 4), (0, 2), (0, 1), (1, 2), (1, 1)][: len(compiled)]
-    assert len(compiled) >= 3
+    assert compiled == [(0, 4), (0, 2), (0, 1), (1, 4), (1, 2), (1, 1)][: len(compiled)]
+    assert len(compiled) >= 4
 
 
 def test_a_failed_sweep_does_not_stop_the_others_and_is_tried_again(tmp_path, capsys, monkeypatch):
