@@ -3,7 +3,6 @@
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from bojax.config.component import External
 from bojax.config.figures import TABLES, figure_modules
@@ -33,13 +32,13 @@ def build_report(folder: Path, at: Callable[[str], None] = lambda stage: None) -
     results = load(folder)
     at(f"claims of {counted(results.runs['run'].size, 'run')}")
     claims = evaluate(results)
-    images, plates, notes = _figures(results, at)
+    plates, notes = _figures(results, at)
     at("page")
     notes = [*notes, *thesis_gaps(results), *ranking_gaps(results), *_gaps(results), *_unknown(results)]
-    page = render(results, claims, plates, notes)
+    page = render(results, claims, list(plates.values()), notes)
 
-    style.write_images(folder, images)
-    for name in figure_modules().keys() - images:  # an earlier report may have drawn them
+    style.write_images(folder, {name: plate.files for name, plate in plates.items()})
+    for name in figure_modules().keys() - plates:  # an earlier report may have drawn them
         for suffix in ("png", "svg"):
             with explained(path := folder / style.FIGURES / f"{name}.{suffix}"):
                 path.unlink(missing_ok=True)
@@ -49,13 +48,11 @@ def build_report(folder: Path, at: Callable[[str], None] = lambda stage: None) -
     return folder / "report.html"
 
 
-def _figures(results: Results, at: Callable[[str], None]) -> tuple[dict[str, Any], list[Plate], list[str]]:
-    """Image files by figure, the figures of the page, and notes on figures that are missing."""
+def _figures(results: Results, at: Callable[[str], None]) -> tuple[dict[str, Plate], list[str]]:
+    """The figures of the page by name, and notes on figures that are missing."""
     asked = results.report.figures
-    names = list(dict.fromkeys(asked or ranked()))
-    images, plates, notes = {}, [], []
-    missing: list[str] = []
-    for name in names:
+    plates, notes, missing = dict[str, Plate](), list[str](), list[str]()
+    for name in dict.fromkeys(asked or ranked()):
         if name in TABLES:
             continue
         if name not in figure_modules():
@@ -64,25 +61,21 @@ def _figures(results: Results, at: Callable[[str], None]) -> tuple[dict[str, Any
         at(f"figure {name}")
         try:
             with style.settings() as unwritten:
-                drawing = draw(name, results)
-                images[name] = style.encode(drawing.figure)
+                plates[name] = Plate.of(draw(name, results))
             missing += unwritten
         except Undrawable as reason:
             if asked:
                 notes.append(f"The figure {name} is not drawn: {reason}.")
-            continue
         except ResultsError:
             raise
         except Exception as error:  # a failed figure must not cost the page
             notes.append(f"The figure {name} could not be drawn: {error_line(error)}.")
-            continue
-        plates.append(Plate.of(drawing, images[name]["svg"]))
     if missing:
         notes.append(
             "Figures show some characters of names as boxes, because no font on this machine has them. "
             "Install one that does, such as Noto Sans CJK, and run bojax report again."
         )
-    return images, plates, notes
+    return plates, notes
 
 
 def _gaps(results: Results) -> list[str]:

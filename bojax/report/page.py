@@ -7,7 +7,7 @@ from typing import Any
 
 from bojax.config.component import Component
 from bojax.experiments.settings import Learning, Planning
-from bojax.report import statistics, tables
+from bojax.report import statistics, style, tables
 from bojax.report.dark import adapted
 from bojax.report.drawing.base import Drawing
 from bojax.report.explanations import explanations_of
@@ -20,18 +20,23 @@ from bojax.report.verdicts import TestedClaim, tally
 
 @dataclass(frozen=True)
 class Plate:
-    """A figure of the page: its texts, and its SVG as a data URL, so that the page loads no other file."""
+    """A figure of a page: its texts and its files."""
 
     title: str
     caption: str
     alt: str
-    source: str
+    files: Mapping[str, bytes]  # `png` and `svg`
 
     @classmethod
-    def of(cls, drawing: Drawing, svg: bytes) -> "Plate":
-        """A drawing that was written as SVG."""
-        code = base64.b64encode(adapted(svg)).decode("ascii")
-        return cls(drawing.title, drawing.caption, drawing.alt, f"data:image/svg+xml;base64,{code}")
+    def of(cls, drawing: Drawing) -> "Plate":
+        """A drawing, encoded under the settings of `style.settings`."""
+        return cls(drawing.title, drawing.caption, drawing.alt, style.encode(drawing.figure))
+
+    @property
+    def source(self) -> str:
+        """The SVG as a data URL, so that the page loads no other file."""
+        code = base64.b64encode(adapted(self.files["svg"])).decode("ascii")
+        return f"data:image/svg+xml;base64,{code}"
 
 
 def render(

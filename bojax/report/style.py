@@ -180,7 +180,7 @@ def encode(drawn: Figure) -> Mapping[str, bytes]:
 
 
 def write_images(folder: Path, images: Mapping[str, Mapping[str, bytes]]) -> None:
-    """Write encoded figures into the subfolder `figures` of a folder, `NAME.png` and `NAME.svg`."""
+    """Write figures as encoded by `encode` into the subfolder `figures` of a folder."""
     make_folder(folder / FIGURES)
     for name, files in images.items():
         for suffix, content in files.items():

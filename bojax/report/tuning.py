@@ -1,14 +1,18 @@
-"""The report of a search over settings: reads the files of its folder, and writes `report.html`."""
+"""The report of a search over settings: reads the files of its folder, and draws and writes `report.html`."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pydantic
+from matplotlib.axes import Axes
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from bojax.config.errors import dotted, from_validation
 from bojax.config.tuning import Range, described
 from bojax.report import style
-from bojax.report.drawing.search import draw_progress, draw_slices
+from bojax.report.drawing.base import Drawing, panel_grid
 from bojax.report.manifest import Count, Part
 from bojax.report.page import Plate, provenance
 from bojax.report.ranking import Measure, ranking
@@ -25,33 +29,26 @@ from bojax.report.tables import (
     setting_cell,
 )
 from bojax.report.template import fill
-from bojax.report.text import counted, number, plain, with_bounds
+from bojax.report.text import counted, heading, number, plain, with_bounds
 from bojax.results.store import ResultsError, read_json, write_content
 
 TUNING = "tuning.json"
 """The file of a search that is finished: its plan, its points, and the posterior of its model."""
 
-
 MOST_RANKED = 50
 """Number of points in the table."""
 
+_DOTS: Mapping[str, Any] = {"color": style.GREY, "markeredgewidth": 0}
+
 
 class TriedPoint(Part):
-    """A point of a search.
+    """A point of a search."""
 
-    Attributes:
-        round: Its round, from 0.
-        values: Value of each tuned setting.
-        score: Mean of the metric over its runs; None if a run has no finite value.
-        mean: Posterior mean of the metric.
-        std: Posterior standard deviation of the metric without noise.
-    """
-
-    round: Count
-    values: list[float]
-    score: float | None
-    mean: float
-    std: float
+    round: Count  # from 0
+    values: list[float]  # of each tuned setting
+    score: float | None  # mean of the metric over its runs; None if a run has no finite value
+    mean: float  # posterior mean of the metric
+    std: float  # posterior standard deviation of the metric without noise
 
 
 class Slice(Part):
@@ -143,11 +140,8 @@ def build_tuning_report(folder: Path) -> Path:
     tuning = read_tuning(folder)
     last = load(round_folder(folder, tuning.points[-1].round))
     fresh = None if tuning.confirmed is None else load(folder / tuning.confirmed)
-    plates = []
-    for draw in (draw_slices, draw_progress):
-        with style.settings():
-            drawing = draw(tuning)
-            plates.append(Plate.of(drawing, style.encode(drawing.figure)["svg"]))
+    with style.settings():
+        plates = [Plate.of(draw(tuning)) for draw in (_draw_slices, _draw_progress)]
     page = fill(
         "tuning.html.j2",
         title=f"{tuning.title}: tuned",
@@ -228,3 +222,71 @@ def _ranked(tuning: Tuning) -> RankedTable:
 def _range(each: Range) -> str:
     scale = ", by its logarithm" if each.is_log else ""
     return f"{each.low:g} to {each.high:g}{scale}{', an integer' if each.is_integer else ''}"
+
+
+def _draw_slices(tuning: Tuning) -> Drawing:
+    """The posterior mean over each setting, the others as at the best point."""
+    ranges, best = tuning.ranges, tuning.best
+    figure, grid = panel_grid(len(ranges), lambda columns: 2.3, 0.4, sharey=True)
+    tried = [point for point in tuning.points if point.score is not None]
+    for index, (axes, each, curve) in enumerate(zip(grid.flat, ranges, tuning.slices, strict=False)):
+        x, mean, std = (np.asarray(values) for values in (curve.values, curve.mean, curve.std))
+        axes.fill_between(x, mean - BAND * std, mean + BAND * std, color=style.BLUE, alpha=0.18, linewidth=0)
+        axes.plot(x, mean, color=style.BLUE)
+        places, scores = [point.values[index] for point in tried], [point.score for point in tried]
+        axes.plot(places, scores, "o", **_DOTS, markersize=3, alpha=0.5)
+        axes.plot([best.values[index]], [best.mean], "D", color=style.ORANGE, markersize=6)
+        if each.is_log:
+            axes.set_xscale("log")
+            axes.xaxis.set_major_locator(LogLocator(subs=_ticks(each.low, each.high)))
+            axes.xaxis.set_minor_formatter(NullFormatter())
+        else:
+            axes.xaxis.set_major_locator(MaxNLocator(nbins=4))
+        _finish(axes)
+        axes.set_xlabel(style.wrapped(each.key.replace(".", ". "), 22).replace(". ", "."))
+    for row in grid:
+        row[0].set_ylabel(_label(tuning))
+    return Drawing(
+        figure,
+        f"{tuning.measure.words} over each setting".capitalize(),
+        "Line and band: posterior mean and 95% interval of the mean without noise, the other settings as at "
+        "the best point (diamond). Dots: scores of all points, whose other settings differ.",
+        f"The model expects {number(best.mean)} at the best point.",
+    )
+
+
+def _draw_progress(tuning: Tuning) -> Drawing:
+    """The score of every point, and the best score so far, by number of runs."""
+    sign, runs = tuning.measure.sign, tuning.plan_.runs
+    scores = np.asarray([np.nan if point.score is None else point.score for point in tuning.points])
+    spent = runs * np.arange(1, len(scores) + 1)
+    best = sign * np.fmax.accumulate(sign * scores)
+    figure, ((axes,),) = style.figure(2.8)
+    axes.plot(spent, scores, "o", **_DOTS, markersize=3.5, alpha=0.6)
+    axes.step(spent, best, where="post", color=style.BLUE)
+    axes.axhline(tuning.best.mean, color=style.ORANGE, linewidth=1.2, linestyle=(0, (5, 2)))
+    axes.set_xlabel("runs")
+    axes.set_ylabel(_label(tuning))
+    _finish(axes)
+    return Drawing(
+        figure,
+        "Best score by number of runs",
+        f"Dots: score of each point, a mean of {counted(runs, 'run')}. Line: best score so far, optimistic "
+        "because of the noise. Dashed line: posterior mean of the best point.",
+        f"The best score after {spent[-1]} runs is {number(float(best[-1]))}.",
+    )
+
+
+def _finish(axes: Axes) -> None:
+    style.plain_ticks(axes.xaxis)
+    style.plain_ticks(axes.yaxis)
+    style.quiet_grid(axes)
+
+
+def _label(tuning: Tuning) -> str:
+    return f"mean {heading(tuning.plan_.metric)}"
+
+
+def _ticks(low: float, high: float) -> tuple[float, ...]:
+    """Leading digits of the ticks of a logarithmic axis: more of them over a short range."""
+    return (1.0,) if high / low > 100.0 else (1.0, 3.0) if high / low > 10.0 else (1.0, 2.0, 5.0)

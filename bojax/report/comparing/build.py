@@ -88,11 +88,9 @@ def compare(request: Request, out: Path) -> Path:
         for number, (task, members) in enumerate(_by_task(contenders).items(), start=1):
             suffix = f"-{number}-{file_name(task)}" if len(references) > 1 else ""
             drawings = _drawings(members, references[task], measure)
-            plates = []
-            for name, drawing in drawings.items():
-                images[f"{name}{suffix}"] = files = style.encode(drawing.figure)
-                plates.append(Plate.of(drawing, files["svg"]))
-            parts.append(Part(task, plates, tables.scores(members, references[task], measure)))
+            plates = {name: Plate.of(drawing) for name, drawing in drawings.items()}
+            images |= {f"{name}{suffix}": plate.files for name, plate in plates.items()}
+            parts.append(Part(task, [*plates.values()], tables.scores(members, references[task], measure)))
     page = _page(request, results, contenders, parts, measure)
 
     style.write_images(out, images)
