@@ -17,9 +17,9 @@ from bojax.cli.main import main
 from bojax.config.component import registry
 from bojax.envs import settings as envs
 from bojax.report.animations.choose import choose_film
-from bojax.report.animations.episode import choose_episode
 from bojax.report.animations.film import MAX_FRAMES, blank, render
 from bojax.report.animations.learning import frames_of
+from bojax.report.animations.recorded import choose_episode
 from bojax.report.animations.scenes import SCENES, Moment
 from bojax.report.build import build_report
 from bojax.report.source import load

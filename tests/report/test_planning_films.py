@@ -17,9 +17,9 @@ from bojax.cli.main import main
 from bojax.motions.base import place as placed
 from bojax.problems.settings import Parking, TwoPits
 from bojax.report.animations.choose import choose_film
-from bojax.report.animations.drive import choose_drive
 from bojax.report.animations.film import MAX_FRAMES, render
 from bojax.report.animations.planning import MAX_IMAGES_PER_STEP, PlanningFilm, _Map
+from bojax.report.animations.recorded import choose_drive
 from bojax.report.source import load
 from bojax.report.style import settings
 from bojax.results.store import ResultsError

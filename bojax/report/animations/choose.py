@@ -3,11 +3,10 @@
 from pathlib import Path
 
 from bojax.experiments.settings import Planning
-from bojax.report.animations.drive import choose_drive
-from bojax.report.animations.episode import choose_episode
 from bojax.report.animations.film import Film
 from bojax.report.animations.learning import LearningFilm
 from bojax.report.animations.planning import PlanningFilm
+from bojax.report.animations.recorded import choose_drive, choose_episode
 from bojax.report.manifest import Unread
 from bojax.report.source import Results
 from bojax.results.store import ResultsError

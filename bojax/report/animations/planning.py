@@ -1,7 +1,7 @@
 """A film of a run of a planner: the path, the plan of each step, the robot, and its belief about a field."""
 
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import AbstractContextManager, closing, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -17,8 +17,9 @@ from PIL import Image
 from typing_extensions import override
 
 from bojax.config.component import External
-from bojax.report.animations.drive import Drive, Leg
 from bojax.report.animations.film import MAX_FRAMES, SLOWEST, STILL, Film, blank, photograph
+from bojax.report.animations.recorded import Drive, Leg
+from bojax.report.animations.scenes import RobotScene
 from bojax.report.drawing.domains import draw_outline
 from bojax.report.drawing.maps import QUIET, draw_map
 from bojax.report.drawing.smooth import smooth
@@ -28,7 +29,6 @@ from bojax.report.text import file_name
 from bojax.results.store import ResultsError
 
 if TYPE_CHECKING:
-    from bojax.report.animations.robot import RobotScene
     from bojax.robots.models import RobotModel
 
 MAX_IMAGES_PER_STEP = 12
@@ -84,7 +84,7 @@ class PlanningFilm(Film):
             return photograph(figure)
 
     def _pictures(
-        self, figure: Figure, body: "RobotScene | None", views: "list[_Map]"
+        self, figure: Figure, body: RobotScene | None, views: "list[_Map]"
     ) -> Iterator[Image.Image]:
         legs, edge = self._drive.legs, 0.1 / figure.get_figwidth()
         problem = self._drive.point.problem
@@ -104,7 +104,7 @@ class PlanningFilm(Film):
                 self._show(index, share, body, views)
                 yield photograph(figure)
 
-    def _show(self, index: int, share: float, body: "RobotScene | None", views: "list[_Map]") -> None:
+    def _show(self, index: int, share: float, body: RobotScene | None, views: "list[_Map]") -> None:
         """Update all views to the given fraction of a step."""
         leg, curve = self._drive.legs[index], self._curves[index]
         at = round(share * (len(curve) - 1))
@@ -122,15 +122,8 @@ class PlanningFilm(Film):
     def _map(self, axes: Axes) -> "_Map":
         return _Map(axes, self._drive, "truth" if self._has_belief else None)
 
-    @contextmanager
-    def _body(self, axes: Axes) -> "Iterator[RobotScene | None]":
-        if self._model is None:
-            yield None
-            return
-        from bojax.report.animations.robot import RobotScene
-
-        with closing(RobotScene(axes, self._model)) as body:
-            yield body
+    def _body(self, axes: Axes) -> AbstractContextManager[RobotScene | None]:
+        return nullcontext() if self._model is None else closing(RobotScene(axes, self._model))
 
 
 class _Map:
@@ -235,8 +228,7 @@ def _fit(axes: Axes, drive: Drive) -> None:
 
 def _robot_of(drive: Drive, path: Path | None) -> "tuple[RobotModel, bool]":
     """The model of the robot, and whether its body is free."""
-    from bojax.report.animations.robot import compiled, is_free
-    from bojax.report.animations.robot_worlds import VEHICLES
+    from bojax.report.animations.robot_worlds import VEHICLES, compiled, is_free
 
     problem = drive.point.problem
     settings = problem.params if isinstance(problem, External) else vars(problem)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,9 +10,10 @@ from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
 from bojax.results.outline import Outline
+from bojax.results.store import ResultsError
 from bojax.robots.car import car_model
 from bojax.robots.jaco import jaco_model
-from bojax.robots.models import RobotModel, mujoco, packaged
+from bojax.robots.models import RobotModel, from_file, mujoco, packaged
 from bojax.robots.quadrotor import quadrotor_model
 
 Heights = NDArray[np.float64]
@@ -144,3 +146,22 @@ def _add_surroundings(spec: Any, outline: Outline, lowest: float = 0.0, highest:
             spot["name"] += "_heading"
             centre = [x + 1.73 * radius * cos, y + 1.73 * radius * sin, 0.0]
             _add(spec, "BOX", centre, [0.75 * radius, 0.15 * radius, 0.0005], quat=turn, **spot)
+
+
+def compiled(path: Path | None, make: Callable[[], RobotModel]) -> RobotModel:
+    """The model of an MJCF file, or else the one that a function makes; compiled once.
+
+    Raises:
+        ResultsError: The file cannot be read, or MuJoCo refuses the model.
+    """
+    try:
+        model = make() if path is None else from_file(path)
+        model.compiled()
+    except ValueError as error:
+        raise ResultsError(str(error)) from error
+    return model
+
+
+def is_free(model: RobotModel) -> bool:
+    """Whether the first joint is free: generalised positions begin with a position and a quaternion."""
+    return model.compiled().nq >= 7 and model.compiled().jnt_type[0] == mujoco.mjtJoint.mjJNT_FREE

@@ -3,7 +3,7 @@
 import abc
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,7 +14,12 @@ from typing_extensions import override
 
 from bojax.envs import lander_geometry as geometry
 from bojax.envs import settings
+from bojax.report.animations.rendering import Renderer
 from bojax.report.statistics import Floats
+from bojax.results.store import ResultsError
+
+if TYPE_CHECKING:
+    from bojax.robots.models import RobotModel
 
 GROUND, METAL, PALE, GOAL, TRAIL, RED = "#555555", "#4A5A68", "#8296A6", "#CDE8DB", "#B9C6D0", "#D55E00"
 """Colours of fixed parts, two of moving parts, and those of the goal, trails, and flags and ends."""
@@ -32,16 +37,11 @@ class Moment:
 
 
 class Scene(abc.ABC):
-    """A drawing that is created once on its own axes and then updated.
+    """A drawing that is created once on its own axes and then updated."""
 
-    Attributes:
-        has_trail: Whether it shows past positions and so has to be updated at every step, even at
-            steps without an image.
-        time_step: Duration of a step in seconds if the environment has no such setting; 0 if steps have no
-            duration.
-    """
-
+    # Whether it shows past positions and so has to be updated at every step, even at steps without an image
     has_trail: ClassVar[bool] = True
+    # Duration of a step in seconds if the environment has no such setting; 0 if steps have no duration
     time_step: ClassVar[float] = 0.0
 
     @abc.abstractmethod
@@ -210,6 +210,35 @@ class LunarLander(Scene):
             leg.set_xy(origin + geometry.rotated(at_rest * [side, 1.0], angle))
         for flame, shape in zip(self._flames, _flames(*moment.action.tolist()), strict=True):
             flame.set_xy(origin + geometry.rotated(shape, angle))
+
+
+class RobotScene(Scene):
+    """A robot in its world, rendered by MuJoCo: an image that fills the axes and is updated by frames."""
+
+    has_trail = False
+
+    def __init__(self, axes: Axes, env: "RobotModel"):
+        axes.set_axis_off()
+        box = axes.get_window_extent()
+        width, height = round(box.width), round(box.height)
+        self._renderer = Renderer(env, width, height)
+        blank = np.full((height, width, 3), 255, np.uint8)
+        self._picture = axes.imshow(blank, aspect="auto", interpolation="nearest")
+
+    @override
+    def move(self, moment: Moment) -> None:
+        self.show(moment.frame)
+
+    def show(self, frame: Floats) -> None:
+        """Show a frame, as `Renderer.image` takes it."""
+        try:
+            self._picture.set_data(self._renderer.image(frame))
+        except ValueError as error:
+            raise ResultsError(f"the model differs from the one that was simulated: {error}") from error
+
+    @override
+    def close(self) -> None:
+        self._renderer.close()
 
 
 def _flames(main: float, side: float) -> list[Floats]:

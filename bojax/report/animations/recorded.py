@@ -1,12 +1,13 @@
-"""Chooses an episode of a learning run to animate, and reads its recorded data."""
+"""Chooses a run of a planner, or an episode of a learner, to animate, and reads its recorded data."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from bojax.problems.settings import ProblemSettings
 from bojax.report.animations.scenes import Moment
 from bojax.report.columns import Columns, where
 from bojax.report.source import Point, Results
@@ -81,6 +82,81 @@ def _outcomes(results: Results, point: int, run: int) -> dict[int, str]:
         int(number): _SUCCESS if success else "failed" if terminated else "truncated"
         for number, success, terminated in rows
     }
+
+
+@dataclass(frozen=True)
+class Leg:
+    """One step of a planner: the plan and the path driven."""
+
+    before: Floats  # pose before the step, `[3]`, in metres and radians
+    poses: Floats  # poses driven, `[S, 3]`
+    plan: Floats | None  # poses planned, `[S, 3]`, in the world frame; None if they were not recorded
+    # Generalised positions of the robot along the path, `[F, Q]`; None for a robot without a body
+    frames: Floats | None
+    accumulated: float  # sum of the rewards up to the end of the step
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A run of a planner."""
+
+    point: Point
+    run: int
+    legs: tuple[Leg, ...]
+    # Maps of the belief about a field, as `FieldMonitoring.snapshot` records them; may be empty
+    belief: Mapping[str, Floats]
+    outcome: str  # how the run ended, in words; may be empty
+
+
+def choose_drive(results: Results, point: int | None = None, run: int | None = None) -> Drive:
+    """A recorded run of a planner, chosen by the arguments of `choose_film`.
+
+    Raises:
+        ResultsError: The run was not recorded.
+    """
+    kept = {part.index: dict(results.arrays(part, "paths")) for part in results.points}
+    recorded = np.asarray([index for index, runs in kept.items() if runs], np.int64)
+    if not recorded.size:
+        raise ResultsError(f"{results.folder}: no paths were recorded (record.runs in the config: 1 or more)")
+    index = pick(results, "point", point, recorded)
+    chosen = next(part for part in results.points if part.index == index)
+    run = pick(results, "run", run, np.asarray(list(kept[index]), np.int64))
+    legs = tuple(_legs(kept[index][run], where(results.steps_of(chosen), run=run)))
+    if not legs:
+        raise ResultsError(f"{results.folder}: run {run} made no step")
+    belief = dict(results.arrays(chosen, "belief")).get(run, {})
+    return Drive(chosen, run, legs, belief, _outcome(chosen, where(results.runs_of(chosen), run=run)))
+
+
+def _legs(arrays: Mapping[str, Floats], rows: Columns) -> Iterator[Leg]:
+    paths = arrays["paths"].astype(np.float64)
+    plans, frames = arrays.get("plans"), arrays.get("frames")
+    pose = np.asarray(arrays["start"] if "start" in arrays else paths[0, 0], np.float64)
+    for step, (poses, accumulated) in enumerate(zip(paths, rows["accumulated_reward"], strict=False)):
+        if not np.isfinite(poses).all():  # the simulation diverged
+            break
+        plan = None if plans is None else _placed(plans[step].astype(np.float64), pose)
+        shown = None if frames is None else frames[step].astype(np.float64)
+        yield Leg(pose, poses, plan, shown, float(accumulated))
+        # A robot that was stopped may have turned on the spot.
+        pose = np.array([rows[name][step] for name in ("x", "y", "heading")]) if "x" in rows else poses[-1]
+
+
+def _placed(path: Floats, pose: Floats) -> Floats:
+    """A path in the robot's frame at a pose, transformed to the world frame."""
+    cos, sin = np.cos(pose[2]), np.sin(pose[2])
+    x = pose[0] + cos * path[:, 0] - sin * path[:, 1]
+    y = pose[1] + sin * path[:, 0] + cos * path[:, 1]
+    return np.stack([x, y, pose[2] + path[:, 2]], axis=-1)
+
+
+def _outcome(point: Point, row: Columns) -> str:
+    if row["success"][0]:
+        return "goal reached"
+    if row.get("nans", np.zeros(1))[0] > 0:
+        return "failed"
+    is_over = isinstance(point.problem, ProblemSettings) and point.problem.ends_at_exit
+    return "left the domain" if is_over and row["exits"][0] > 0 else ""
 
 
 def pick(results: Results, name: str, asked: int | None, values: NDArray[Any]) -> int:
