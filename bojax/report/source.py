@@ -1,7 +1,7 @@
 """The results folder as a report reads it: settings, tables and arrays."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from pathlib import Path
 from typing import Any
@@ -265,27 +265,38 @@ def _unfinished(folder: Path) -> ResultsError:
 
 
 def _points(entries: Sequence[PointEntry]) -> tuple[Point, ...]:
-    variants = [entry.variant or entry.label for entry in entries]
-    swept = [entry.swept or {} for entry in entries]
     points = []
-    for entry, variant, name, values in zip(entries, variants, _names(variants, swept), swept, strict=True):
-        experiment, config = experiment_of(entry), entry.config or {}
+    for entry in entries:
+        experiment, variant = experiment_of(entry), entry.variant or entry.label
         problem = experiment.problem if isinstance(experiment, Planning) else None
         known = problem.outline if isinstance(problem, ProblemSettings) else Outline()
-        outline = entry.outline or known
-        points.append(Point(entry.index, entry.label, variant, name, values, config, experiment, outline))
-    return tuple(points)
+        settings = entry.swept or {}, entry.config or {}, experiment, entry.outline or known
+        points.append(Point(entry.index, entry.label, variant, variant, *settings))
+    names = distinct_names(points)
+    return tuple(replace(point, name=name) for point, name in zip(points, names, strict=True))
 
 
-def _names(variants: Sequence[str], swept: Sequence[Mapping[str, Any]]) -> list[str]:
+def distinct_names(points: Sequence[Point]) -> list[str]:
     """Variants, told apart by the swept values that differ among points of the same variant."""
     names = []
-    for variant, values in zip(variants, swept, strict=True):
-        twins = [other for name, other in zip(variants, swept, strict=True) if name == variant]
+    for point in points:
+        twins = [other.swept for other in points if other.variant == point.variant]
         differing = [
             f"{key.rsplit('.', 1)[-1]} {value}"
-            for key, value in values.items()
+            for key, value in point.swept.items()
             if not isinstance(value, Mapping) and any(other.get(key) != value for other in twins)
         ]
-        names.append(", ".join([variant, *differing]))
+        names.append(", ".join([point.variant, *differing]))
     return names
+
+
+def swept_keys(points: Sequence[Point]) -> list[str]:
+    """The swept keys with several values, in the order of the sweep."""
+    keys = dict.fromkeys(key for point in points for key in point.swept)
+    return [key for key in keys if len(swept_values(points, key)) > 1]
+
+
+def swept_values(points: Sequence[Point], key: str) -> list[Any]:
+    """The values of a swept key, in the order of the sweep."""
+    values = [point.swept[key] for point in points if key in point.swept]
+    return [value for index, value in enumerate(values) if value not in values[:index]]  # lists have no hash

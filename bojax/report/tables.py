@@ -1,6 +1,6 @@
 """The tables of the page: outcomes of the runs, ratios, speed and settings."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,7 +9,7 @@ import numpy as np
 from bojax.experiments.settings import Trajectories
 from bojax.report import statistics
 from bojax.report.ranking import Measure, Standing, measure_of, ranking
-from bojax.report.source import Point, Results
+from bojax.report.source import Point, Results, swept_keys
 from bojax.report.text import (
     MISSING,
     counted,
@@ -110,8 +110,7 @@ def ranked(results: Results) -> RankedTable | None:
     standings = ranking(results, measure, MAX_RANKED)
     if not standings:
         return None
-    points = [standing.point for standing in standings]
-    keys = [key for key in points[0].swept if len(swept_values(points, key)) > 1]
+    keys = swept_keys([standing.point for standing in standings])
     rows = []
     for standing in standings:
         swept = [setting_cell(standing.point.swept.get(key)) for key in keys]
@@ -337,12 +336,6 @@ def censored_cell(values: np.ndarray, ends: np.ndarray) -> Cell:
 def share_cell(flags: np.ndarray) -> Cell:
     """Share with its Wilson interval."""
     return percent_cell(statistics.share_interval(flags))
-
-
-def swept_values(points: Sequence[Point], key: str) -> list[Any]:
-    """The values of a swept key, in the order of the sweep."""
-    values = [point.swept[key] for point in points if key in point.swept]
-    return [value for index, value in enumerate(values) if value not in values[:index]]  # lists have no hash
 
 
 def interval_cell(interval: statistics.Interval) -> Cell:

@@ -9,10 +9,10 @@ from bojax.report import tables
 from bojax.report.build import build_report
 from bojax.report.drawing.base import Undrawable
 from bojax.report.drawing.curves import Chart, Curve, Panel
-from bojax.report.drawing.swept import curves_over
 from bojax.report.figures import draw
 from bojax.report.figures.growth import nearest_law
 from bojax.report.figures.learning_curves import limit, rolling_mean
+from bojax.report.figures.sweep_curve import curves_over
 from bojax.report.source import load
 from bojax.report.style import settings
 from bojax.report.text import MISSING

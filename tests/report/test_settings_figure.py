@@ -5,7 +5,7 @@ import pytest
 
 from bojax.report.drawing.base import Undrawable
 from bojax.report.figures.settings_ import _curve_names, _short, marginals
-from bojax.report.tables import swept_values
+from bojax.report.source import swept_values
 from tests.report.synthetic import point_of
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from bojax.report import style
 from bojax.report.drawing.base import Drawing, Undrawable
 from bojax.report.drawing.curves import Chart, Curve
-from bojax.report.drawing.swept import swept_panel
+from bojax.report.figures.sweep_curve import swept_panel
 from bojax.report.growth import LAWS, Fit, errors_of, fit
 from bojax.report.source import Results
 

@@ -14,9 +14,8 @@ from bojax.report import style
 from bojax.report.drawing.base import MAX_POINTS, Drawing, Undrawable, panel_grid, ranked_points
 from bojax.report.drawing.maps import draw_scale
 from bojax.report.ranking import Measure
-from bojax.report.source import Point, Results
+from bojax.report.source import Point, Results, swept_keys, swept_values
 from bojax.report.statistics import Floats
-from bojax.report.tables import swept_values
 from bojax.report.text import heading, is_number, minus, number
 
 RANK = 175
@@ -108,11 +107,7 @@ def best_means(
 
 def _keys(results: Results, points: Sequence[Point]) -> tuple[str, str]:
     """The two swept numbers: those of `report.heat_map`, or the first two."""
-    numeric = [
-        key
-        for key in dict.fromkeys(key for point in points for key in point.swept)
-        if len(values := swept_values(points, key)) > 1 and all(map(is_number, values))
-    ]
+    numeric = [key for key in swept_keys(points) if all(map(is_number, swept_values(points, key)))]
     asked = results.report.heat_map or tuple(numeric[:2])
     unknown = [key for key in asked if key not in numeric]
     if unknown:

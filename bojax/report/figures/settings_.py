@@ -7,8 +7,7 @@ import numpy as np
 
 from bojax.report import style
 from bojax.report.drawing.base import Drawing, Undrawable, panel_grid, ranked_points
-from bojax.report.source import Point, Results
-from bojax.report.tables import swept_values
+from bojax.report.source import Point, Results, swept_keys, swept_values
 from bojax.report.text import is_number, number
 
 RANK = 170
@@ -19,8 +18,7 @@ MAX_PANELS = 8
 def draw(results: Results) -> Drawing:
     """One panel for each swept list of values, with two curves per label."""
     measure, points = ranked_points(results)
-    swept = dict.fromkeys(key for point in points for key in point.swept)
-    keys = [key for key in swept if len(swept_values(points, key)) > 1][:MAX_PANELS]
+    keys = swept_keys(points)[:MAX_PANELS]
     if not keys:
         raise Undrawable("the sweep has no list of values")
     names = _curve_names(points, keys)

@@ -1,14 +1,68 @@
-"""The mean of a column of `runs.parquet` over a swept number."""
+"""The mean of a column of `runs.parquet` over a swept number, one curve per setting of everything else."""
 
-from bojax.report.drawing.base import Drawing
-from bojax.report.drawing.curves import Chart
-from bojax.report.drawing.swept import swept_panel
-from bojax.report.source import Results
+from dataclasses import replace
+
+import numpy as np
+
+from bojax.report.drawing.base import Drawing, Undrawable
+from bojax.report.drawing.curves import Chart, Curve, Panel
+from bojax.report.source import Point, Results, distinct_names, swept_keys, swept_values
+from bojax.report.text import heading, is_number, joined
 
 RANK = 90
 
 
 def draw(results: Results) -> Drawing:
-    """The mean of `report.column` over the swept number `report.over`, one curve per setting."""
+    """The mean of `report.column` over the swept number `report.over`."""
     panel, over, column = swept_panel(results)
     return Chart([panel], over, is_swept=True).drawing(f"{column} over {over}".capitalize())
+
+
+def swept_panel(results: Results) -> tuple[Panel, str, str]:
+    """The panel of `report.column` over `report.over`, and the names of both in words.
+
+    Without these settings, the panel is of the steps to the goal, or the return, over the only swept number.
+
+    Raises:
+        Undrawable: There is no such number or column.
+    """
+    over = _swept_number(results)
+    asked = results.report.column
+    column = next((name for name in (asked or "steps_to_goal", "return") if name in results.runs), None)
+    if column is None or asked not in (None, column):
+        raise Undrawable(f"runs.parquet has no {asked or 'return'}")
+    curves = curves_over(results, over, column)
+    if not curves:
+        raise Undrawable(f"no setting was run with several values of {over}")
+    quantity = f"mean {heading(column)}"
+    missing = "Hollow markers: means over only those runs that have a value."
+    return Panel(quantity, quantity, curves, missing=missing), heading(over), heading(column)
+
+
+def curves_over(results: Results, over: str, column: str) -> list[Curve]:
+    """One curve for each setting that was run with several values of a swept number."""
+    groups: dict[tuple[str, str], list[Point]] = {}
+    for point in results.run_points:
+        if is_number(point.swept.get(over)):
+            others = {key: value for key, value in point.swept.items() if key != over}
+            groups.setdefault((point.variant, str(others)), []).append(point)
+    settings = [replace(points[0], swept={**points[0].swept, over: None}) for points in groups.values()]
+    curves = []
+    for points, name in zip(groups.values(), distinct_names(settings), strict=True):
+        points = sorted(points, key=lambda point: point.swept[over])
+        values = results.paired(points, column).astype(np.float64)
+        x = np.array([float(point.swept[over]) for point in points])
+        if len(points) > 1 and len(values) > 1:
+            curves.append(Curve(replace(points[0], name=name), x, values))
+    return curves
+
+
+def _swept_number(results: Results) -> str:
+    points = results.points
+    numeric = [key for key in swept_keys(points) if sum(map(is_number, swept_values(points, key))) > 1]
+    over = results.report.over or (numeric[0] if len(numeric) == 1 else None)
+    if over in numeric:
+        return over
+    if not numeric:
+        raise Undrawable("the sweep has no number to draw over")
+    raise Undrawable(f"report.over must name the number to draw over: one of {joined(numeric)}")
