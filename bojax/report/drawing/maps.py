@@ -1,6 +1,6 @@
 """Maps of values on the grid of a belief, drawn over the domain."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from bojax.report.drawing.base import points_with
 from bojax.report.snapshots import BELIEF
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats
+from bojax.report.text import number
 
 QUIET = LinearSegmentedColormap.from_list("quiet", ["#FBFBFA", "#D9DCDD", "#A9AFB2"])
 """Light greys: a background on which every colour of a planner can be read."""
@@ -30,19 +31,29 @@ def beliefs(results: Results, point: Point) -> dict[int, Belief]:
     return {run: arrays for run, arrays in found if BELIEF <= arrays.keys()}
 
 
-def height_maps(results: Results, most: int) -> tuple[list[tuple[Point, int, Belief]], str]:
-    """The first recorded map of each point that measures heights, and the note of `drawn_points`.
+def first_beliefs(
+    results: Results, most: int, *, of_heights: bool = False
+) -> tuple[list[tuple[Point, int, Belief]], str]:
+    """The first recorded belief of each point, or of those that map heights, and the note of `drawn_points`.
 
     Raises:
-        Undrawable: No such map is recorded.
+        Undrawable: No such belief is recorded.
     """
 
-    def maps(point: Point) -> dict[int, Belief]:
-        is_height = isinstance(point.problem, FieldProblem) and point.problem.maps_heights
-        return beliefs(results, point) if is_height else {}
+    def recorded(point: Point) -> dict[int, Belief]:
+        maps_heights = isinstance(point.problem, FieldProblem) and point.problem.maps_heights
+        return beliefs(results, point) if maps_heights or not of_heights else {}
 
-    found, note = points_with(results, maps, "no recorded map of heights in arrays/", most)
+    missing = f"no recorded {'map of heights' if of_heights else 'belief'} in arrays/"
+    found, note = points_with(results, recorded, missing, most)
     return [(point, *next(iter(kept.items()))) for point, kept in found], note
+
+
+def errors_told(maps: Sequence[tuple[Point, int, Belief]], unit: str = "") -> str:
+    """The root mean square error of the mean of each belief, for alternative texts."""
+    errors = [float(np.sqrt(np.mean((belief["mean"] - belief["truth"]) ** 2))) for _, _, belief in maps]
+    names = [point.name for point, _, _ in maps]
+    return ", ".join(f"{name} {number(error)}{unit}" for name, error in zip(names, errors, strict=True))
 
 
 def draw_map(axes: Axes, belief: Belief, values: Floats, norm: Normalize, cmap: Any) -> AxesImage:

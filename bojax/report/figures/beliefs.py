@@ -8,12 +8,12 @@ from matplotlib.colors import Normalize
 from matplotlib.ticker import MaxNLocator
 
 from bojax.report import style
-from bojax.report.drawing.base import Drawing, points_with
+from bojax.report.drawing.base import Drawing
 from bojax.report.drawing.domains import draw_outline
-from bojax.report.drawing.maps import Belief, beliefs, draw_map, draw_samples, draw_scale
+from bojax.report.drawing.maps import Belief, draw_map, draw_samples, draw_scale, errors_told, first_beliefs
 from bojax.report.source import Results
 from bojax.report.statistics import Floats
-from bojax.report.text import joined, number
+from bojax.report.text import joined
 
 RANK = 130
 
@@ -26,15 +26,12 @@ _PANELS = {"true field": "viridis", "mean": "viridis", "error": "RdBu_r", "std":
 
 def draw(results: Results) -> Drawing:
     """One row per point: true field, mean, error and standard deviation; field and mean share a scale."""
-    found, note = points_with(
-        results, lambda point: beliefs(results, point), "no recorded belief in arrays/", MAX_ROWS
-    )
-    points, chosen = [point for point, _ in found], [next(iter(kept.items())) for _, kept in found]
-    maps = [_maps(belief) for _, belief in chosen]
+    found, note = first_beliefs(results, MAX_ROWS)
+    points, maps = [point for point, _, _ in found], [_maps(belief) for _, _, belief in found]
     norms = _norms(maps)
     figure, grid = style.compressed(1.16 * len(points) + 0.75, len(points), len(_PANELS))
     looks = style.looks(points)
-    for row, point, look, (_, belief), values in zip(grid, points, looks, chosen, maps, strict=True):
+    for row, (point, _, belief), look, values in zip(grid, found, looks, maps, strict=True):
         for axes, (panel, colours) in zip(row, _PANELS.items(), strict=True):
             draw_outline(axes, replace(point.outline, goals=()))
             draw_map(axes, belief, values[panel], norms[panel], colours)
@@ -49,11 +46,7 @@ def draw(results: Results) -> Drawing:
         image = grid[0, columns[0]].images[0]
         bar = draw_scale(figure, image, grid[:, columns].flat, aspect=9 * len(columns))
         bar.ax.xaxis.set_major_locator(MaxNLocator(nbins=2 + len(columns)))
-    errors = [
-        f"{point.name} {number(float(np.sqrt(np.mean(values['error'] ** 2))))}"
-        for point, values in zip(points, maps, strict=True)
-    ]
-    runs = joined(sorted({run for run, _ in chosen}))
+    runs = joined(sorted({run for _, run, _ in found}))
     return Drawing(
         figure=figure,
         title="Final belief",
@@ -61,7 +54,7 @@ def draw(results: Results) -> Drawing:
         f"belief of run {runs}, in the unit of the field. All rows share the "
         f"scales of the columns. Dots: samples.{note}",
         alt="Maps of the true field and of the mean, error and standard deviation of the final belief, one "
-        f"row per setting. Root mean square error on the map: {', '.join(errors)}.",
+        f"row per setting. Root mean square error on the map: {errors_told(found)}.",
     )
 
 

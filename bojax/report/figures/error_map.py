@@ -7,7 +7,7 @@ from matplotlib.patches import Rectangle
 from bojax.report import style
 from bojax.report.drawing.base import Drawing, name_panels, panel_grid
 from bojax.report.drawing.domains import draw_outline, tick_outline
-from bojax.report.drawing.maps import draw_map, draw_samples, draw_scale, height_maps
+from bojax.report.drawing.maps import draw_map, draw_samples, draw_scale, first_beliefs
 from bojax.report.source import Results
 from bojax.report.text import joined, number
 
@@ -19,7 +19,7 @@ MAX_MAPS = 6
 
 def draw(results: Results) -> Drawing:
     """The centred error of the final mean of one run per point, on a common scale, with outlined props."""
-    maps, note = height_maps(results, MAX_MAPS)
+    maps, note = first_beliefs(results, MAX_MAPS, of_heights=True)
     errors = [belief["mean"] - belief["truth"] for _, _, belief in maps]
     offsets = [float(error.mean()) for error in errors]
     errors = [error - offset for error, offset in zip(errors, offsets, strict=True)]

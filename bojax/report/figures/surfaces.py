@@ -8,7 +8,7 @@ from matplotlib import colormaps
 from matplotlib.colors import LightSource, Normalize
 
 from bojax.report.drawing.base import Drawing, name_panels, panel_grid
-from bojax.report.drawing.maps import Belief, height_maps
+from bojax.report.drawing.maps import Belief, errors_told, first_beliefs
 from bojax.report.drawing.smooth import driven
 from bojax.report.source import Results
 from bojax.report.statistics import Floats
@@ -24,7 +24,7 @@ _COLOURS = "YlGn_r"
 
 def draw(results: Results) -> Drawing:
     """The true surface, and the final mean of one run per point with the path of the robot on it."""
-    maps, note = height_maps(results, MAX_MAPS)
+    maps, note = first_beliefs(results, MAX_MAPS, of_heights=True)
     truth = maps[0][2]["truth"]
     maps = [entry for entry in maps if np.array_equal(entry[2]["truth"], truth)]
     heights = np.stack([truth, *(belief["mean"] for _, _, belief in maps)])
@@ -47,10 +47,6 @@ def draw(results: Results) -> Drawing:
             axes.plot(*_path(paths, belief).T, color="black", linewidth=1.0, zorder=3, clip_on=False)
     name_panels(panels[1:], [point for point, _, _ in maps], pad=-2)
     runs = joined(sorted({run for _, run, _ in maps}))
-    errors = [
-        f"{point.name} {number(float(np.sqrt(np.mean((belief['mean'] - truth) ** 2))))} m"
-        for point, _, belief in maps
-    ]
     return Drawing(
         figure=figure,
         title="Surface and reconstruction",
@@ -59,7 +55,7 @@ def draw(results: Results) -> Drawing:
         f"{number(stretch)} times as large. Black: the path of the robot, projected onto "
         f"the surface.{note}",
         alt="Surfaces of the true heights and of their reconstructions with the trajectory in black. Root "
-        f"mean square error: {', '.join(errors)}.",
+        f"mean square error: {errors_told(maps, ' m')}.",
     )
 
 
