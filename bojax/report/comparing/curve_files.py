@@ -1,14 +1,16 @@
 """Curves of other libraries from CSV files: one row per value, checked with one-line errors."""
 
 import csv
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+import pydantic
+from pydantic import Field
 
-from bojax.config.errors import allowed_names, shown
+from bojax.config.errors import allowed_names, dotted, from_validation, shown
 from bojax.report.statistics import Floats
 from bojax.results.store import ResultsError
 
@@ -18,11 +20,13 @@ COLUMNS = ("label", "run", "x", "value")
 TASK = "task"
 """Column that a file may have."""
 
-MAX_RUN = 2**31 - 1
-"""Greatest index of a run."""
 
-Key = tuple[str, str]
-"""A label and a task."""
+class _Row(pydantic.BaseModel):
+    label: Annotated[str, Field(min_length=1)]
+    task: Annotated[str, Field(min_length=1)] = ""
+    run: Annotated[int, Field(ge=0, lt=2**31)]
+    x: Annotated[pydantic.FiniteFloat, Field(ge=0)]
+    value: pydantic.FiniteFloat
 
 
 @dataclass(frozen=True)
@@ -60,24 +64,20 @@ def _parsed(path: Path, lines) -> list[Rows]:
     if not header:
         raise ResultsError(f"{path}: is empty; allowed: the columns {', '.join(COLUMNS)} and rows")
     _check_header(path, header)
-    cells: dict[Key, dict[int, dict[float, float]]] = {}
+    cells: dict[tuple[str, str], dict[int, dict[float, float]]] = {}
     for line in lines:
         if not line:
             continue
         place = f"{path}: line {lines.line_num}"
         if len(line) != len(header):
             raise ResultsError(f"{place}: got {len(line)} cells; allowed: {len(header)}, as in the header")
-        row = dict(zip(header, map(str.strip, line), strict=True))
-        for name in {"label", TASK} & row.keys():
-            if not row[name]:
-                raise ResultsError(f"{place}: {name}: got nothing; allowed: text")
-        run, x, value = _run(place, row["run"]), _x(place, row["x"]), _number(place, "value", row["value"])
-        values = cells.setdefault((row["label"], row.get(TASK, "")), {}).setdefault(run, {})
-        if x in values:
+        row = _row(place, dict(zip(header, map(str.strip, line), strict=True)))
+        values = cells.setdefault((row.label, row.task), {}).setdefault(row.run, {})
+        if row.x in values:
             raise ResultsError(
-                f"{place}: x: got {row['x']} of run {run} of {row['label']} twice; allowed: once"
+                f"{place}: x: got {row.x:g} of run {row.run} of {row.label} twice; allowed: once"
             )
-        values[x] = value
+        values[row.x] = row.value
     if not cells:
         raise ResultsError(f"{path}: has no rows; allowed: at least one below the header")
     return [
@@ -99,28 +99,11 @@ def _check_header(path: Path, header: Sequence[str]) -> None:
             raise ResultsError(f"{path}: no column {name}; allowed: {', '.join(COLUMNS)}, optionally {TASK}")
 
 
-def _run(place: str, text: str) -> int:
-    number = _number(place, "run", text)
-    if not (number.is_integer() and 0 <= number <= MAX_RUN):
-        raise ResultsError(f"{place}: run: got {shown(text)}; allowed: an integer from 0 to {MAX_RUN}")
-    return int(number)
-
-
-def _x(place: str, text: str) -> float:
-    number = _number(place, "x", text)
-    if number < 0:
-        raise ResultsError(f"{place}: x: got {shown(text)}; allowed: >= 0")
-    return number
-
-
-def _number(place: str, column: str, text: str) -> float:
+def _row(place: str, cells: dict[str, str]) -> _Row:
     try:
-        number = float(text)
-    except ValueError:
-        number = math.nan
-    if not math.isfinite(number):
-        raise ResultsError(f"{place}: {column}: got {shown(text)}; allowed: a finite number")
-    return number
+        return _Row.model_validate(cells)
+    except pydantic.ValidationError as error:
+        raise ResultsError(str(from_validation(error, lambda at: f"{place}: {dotted(at)}"))) from error
 
 
 def _ordered(values: dict[float, float]) -> tuple[Floats, Floats]:
