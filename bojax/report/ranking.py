@@ -19,15 +19,10 @@ ENDS = {"steps_to_goal": "steps", "episodes_to_goal": "episodes", "episodes_to_t
 
 @dataclass(frozen=True)
 class Measure:
-    """A column of `runs.parquet`, and whether its least mean is the best.
-
-    Attributes:
-        column: Name of the column.
-        is_least: Whether less is better.
-    """
+    """A column of a table, and whether its least mean is the best."""
 
     column: str
-    is_least: bool
+    is_least: bool  # whether less is better
 
     @property
     def words(self) -> str:
@@ -48,19 +43,13 @@ class Measure:
 
 @dataclass(frozen=True)
 class Standing:
-    """A point in a ranking.
-
-    Attributes:
-        point: The point.
-        runs: Number of its runs.
-        mean: Mean of the measure with its 95% interval.
-        lag: Mean difference from the best point over the runs of both, with its 95% interval; positive where
-            this point is worse.
-    """
+    """A point in a ranking."""
 
     point: Point
-    runs: int
-    mean: Interval
+    runs: int  # number of its runs
+    mean: Interval  # mean of the measure, with its 95% interval
+    # Mean difference from the best point over the runs of both, with its 95% interval; positive where this
+    # point is worse
     lag: Interval
 
 

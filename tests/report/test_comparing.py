@@ -19,8 +19,8 @@ from bojax.results.store import ResultsError
 from tests.report.synthetic import edit_manifest, in_memory, write_learning, write_results
 from tests.report.test_report import Page
 
-EPISODES = Measure("learning", "return", False, "episode", "train", None)
-STEPS = Measure("learning", "return", False, "step", "train", None)
+EPISODES = Measure("return", False, "learning", "episode")
+STEPS = Measure("return", False, "learning", "step")
 
 
 def resampled_iqms(random, strata, count=4000):
@@ -228,7 +228,7 @@ class TestContenders:
         assert np.isnan(scores).tolist() == [False, True, False]
 
     def test_a_run_that_never_reached_the_goal_counts_with_its_end(self, tmp_path):
-        measure = Measure("learning", "episodes_to_goal", True, "episode", "train", None)
+        measure = Measure("episodes_to_goal", True, "learning", "episode")
         _, rff_q, epsilon_greedy = of_folder(load(write_learning(tmp_path / "a", runs=3)), measure)
         assert rff_q.scores.tolist() == [12, 20, 12]
         assert epsilon_greedy.scores.tolist() == [20, 20, 20]
@@ -237,7 +237,7 @@ class TestContenders:
 class TestTables:
     def test_a_difference_of_paired_runs_is_that_of_their_differences(self, tmp_path):
         results = load(write_results(tmp_path / "a", runs=20))
-        measure = Measure("planning", "accumulated_reward", False, "step", "train", None)
+        measure = Measure("accumulated_reward", False, "planning", "step")
         found = of_folder(results, measure)
         returns = results.paired(results.points[:2], "return")
         assert found[0].scores == pytest.approx(returns[:, 0])
@@ -246,7 +246,7 @@ class TestTables:
 
     def test_a_difference_of_other_runs_is_welchs(self, tmp_path):
         folders = [write_learning(tmp_path / name, runs=runs) for name, runs in (("a", 6), ("b", 9))]
-        measure = Measure("learning", "steps_to_goal", True, "episode", "train", None)
+        measure = Measure("steps_to_goal", True, "learning", "episode")
         a, b = (of_folder(load(folder), measure)[0] for folder in folders)
         test = stats.ttest_ind(b.scores, a.scores, equal_var=False).confidence_interval()
         interval = tables.difference(b, a)
@@ -255,11 +255,11 @@ class TestTables:
     def test_less_is_better_with_a_minus_sign(self, tmp_path):
         found = of_folder(
             load(write_learning(tmp_path / "a", runs=6)),
-            Measure("learning", "episodes", True, "episode", "train", None),
+            Measure("episodes", True, "learning", "episode"),
         )
         pair = [(found[0], found[1])]
-        less = tables.improvement(pair, Measure("learning", "x", True, "episode", "train", None))
-        more = tables.improvement(pair, Measure("learning", "x", False, "episode", "train", None))
+        less = tables.improvement(pair, Measure("x", True, "learning", "episode"))
+        more = tables.improvement(pair, Measure("x", False, "learning", "episode"))
         assert less.estimate + more.estimate == pytest.approx(1.0)
 
     def test_only_settings_that_differ_are_listed(self, tmp_path):

@@ -32,17 +32,11 @@ One entry of the 256 is left for pixels that do not change, which then need no b
 
 
 class Film(abc.ABC):
-    """The pictures of one run.
+    """The pictures of one run."""
 
-    Attributes:
-        name: Name of the file, without a suffix.
-        num_images: Number of pictures.
-        seconds: Time for which a picture is shown, a multiple of 10 ms, the unit of GIF.
-    """
-
-    name: str
+    name: str  # of the file, without a suffix
     num_images: int
-    seconds: float
+    seconds: float  # time for which a picture is shown, a multiple of 10 ms, the unit of GIF
 
     @abc.abstractmethod
     def images(self) -> Iterator[Image.Image]:

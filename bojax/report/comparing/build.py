@@ -38,27 +38,16 @@ PAGE = "comparison.html"
 
 @dataclass(frozen=True)
 class Request:
-    """What is compared, and how.
+    """What is compared, and how; None stands for the default."""
 
-    Attributes:
-        folders: Results folders.
-        files: CSV files.
-        metric: Column, with a minus sign if less is better; None for the default.
-        axis: Horizontal axis of curves; None for the default.
-        phase: Phase of the episodes.
-        last: Number of the last values of a curve whose mean is the score of a run; None for the default.
-        reference: Name of the contender that others are compared with; None for the first.
-        command: The command line.
-    """
-
-    folders: Sequence[Path]
-    files: Sequence[Path]
-    metric: str | None = None
-    axis: Axis | None = None
-    phase: Phase = "train"
-    last: int | None = None
-    reference: str | None = None
-    command: str = ""
+    folders: Sequence[Path]  # results folders
+    files: Sequence[Path]  # CSV files
+    metric: str | None = None  # column, with a minus sign if less is better
+    axis: Axis | None = None  # horizontal axis of curves
+    phase: Phase = "train"  # of the episodes
+    last: int | None = None  # number of the last values of a curve whose mean is the score of a run
+    reference: str | None = None  # name of the contender that others are compared with; the first by default
+    command: str = ""  # the command line
 
 
 @dataclass(frozen=True)
@@ -115,7 +104,7 @@ def _measure(request: Request, results: Sequence[Results]) -> Measure:
         for each in results:
             if not each.episodes or not (each.episodes["phase"] == "test").any():
                 raise ResultsError(f"{each.folder}: has no test episodes; allowed: --phase train")
-    return Measure(kind, metric.removeprefix("-"), metric.startswith("-"), axis, request.phase, request.last)
+    return Measure(metric.removeprefix("-"), metric.startswith("-"), kind, axis, request.phase, request.last)
 
 
 def _contenders(request: Request, results: Sequence[Results], measure: Measure) -> list[Contender]:

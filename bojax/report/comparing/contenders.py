@@ -37,30 +37,15 @@ _LAST = 0.1
 
 
 @dataclass(frozen=True)
-class Measure:
-    """What is compared.
+class Measure(ranking.Measure):
+    """A column of `episodes.parquet` or `runs.parquet` that is compared, or `accumulated_reward` of planning."""
 
-    Attributes:
-        kind: Kind of the experiments.
-        column: A column of `episodes.parquet` or `runs.parquet`; `accumulated_reward` of planning.
-        is_least: Whether less is better.
-        axis: The horizontal axis of curves.
-        phase: The phase of the episodes.
-        last: Number of the last values of a run's curve whose mean is its score; None for those of the last
-            tenth of the axis, and the last one in planning.
-    """
-
-    kind: Kind
-    column: str
-    is_least: bool
-    axis: Axis
-    phase: Phase
-    last: int | None
-
-    @property
-    def sign(self) -> float:
-        """The factor with which more is better."""
-        return -1.0 if self.is_least else 1.0
+    kind: Kind  # of the experiments
+    axis: Axis  # horizontal axis of curves
+    phase: Phase = "train"  # of the episodes
+    # Number of the last values of a run's curve whose mean is its score; None for those of the last tenth of
+    # the axis, and the last one in planning
+    last: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +121,7 @@ def of_folder(results: Results, measure: Measure) -> list[Contender]:
         runs = results.runs_of(point)
         curve = curve_of(results, point, measure)
         if curve is None:
-            scores = ranking.Measure(measure.column, measure.is_least).values(runs)
+            scores = measure.values(runs)
             is_share = runs[measure.column].dtype.kind == "b"
         else:
             has_nan = runs.get("nans", np.zeros(runs["run"].size)) > 0

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from bojax.report import statistics, style
@@ -70,12 +71,10 @@ class Panel:
 
 
 class Chart:
-    """A figure of panels of curves, one above the other, and the words that go with it.
+    """A figure of panels of curves, one above the other, and the words that go with it."""
 
-    Attributes:
-        figure: The figure. The names of the curves are added by `drawing`.
-        axes: The axes of each panel, from the top.
-    """
+    figure: Figure  # the names of the curves are added by `drawing`
+    axes: list[Axes]  # of each panel, from the top
 
     def __init__(self, panels: Sequence[Panel], xlabel: str, *, is_swept: bool = False) -> None:
         """Draw panels over `step`, `episode` or a swept number; a panel may be drawn twice.
@@ -92,7 +91,7 @@ class Chart:
         rows_below = len(names) // 2 if self._longest > _MAX_NAME else 0
         height = (3.6 if len(panels) == 1 else 0.5 + 2.4 * len(panels)) + 0.2 * rows_below
         self.figure, grid = style.figure(height, len(panels), sharex=not is_swept)
-        self.axes: list[Axes] = list(grid[:, 0])
+        self.axes = list(grid[:, 0])
         for axes, panel in zip(self.axes, panels, strict=True):
             _draw_panel(axes, panel, is_swept=is_swept)
         self.axes[-1].set_xlabel(xlabel)

@@ -22,21 +22,13 @@ from bojax.report.text import plain
 
 @dataclass(frozen=True, eq=False)
 class MeanCurve:
-    """A curve averaged over runs.
+    """A curve averaged over runs."""
 
-    Attributes:
-        name: Phase and column, such as `train/return`; `accumulated_reward` of planning.
-        axis: What `x` is: `episode` or `step`.
-        x: `[n]` whole numbers in ascending order.
-        mean: `[n]` mean over the runs that have a value there.
-        deviation: `[n]` standard deviation over these runs, of n - 1; 0 for a single run.
-    """
-
-    name: str
-    axis: str
-    x: Floats
-    mean: Floats
-    deviation: Floats
+    name: str  # phase and column, such as `train/return`; `accumulated_reward` of planning
+    axis: str  # what `x` is: `episode` or `step`
+    x: Floats  # `[n]` whole numbers in ascending order
+    mean: Floats  # `[n]` mean over the runs that have a value there
+    deviation: Floats  # `[n]` standard deviation over these runs, of n - 1; 0 for a single run
 
     def rows(self) -> list[tuple[int, float, float]]:
         """Its places as x, mean and standard deviation."""
@@ -46,22 +38,14 @@ class MeanCurve:
 
 @dataclass(frozen=True)
 class ExportedPoint:
-    """A point of a sweep, which becomes one run of another library.
+    """A point of a sweep, which becomes one run of another library."""
 
-    Attributes:
-        sweep: Name of the sweep.
-        name: Name of the point.
-        index: Its index.
-        settings: Its settings by dotted path, as text; the number of runs and the seed among them.
-        scalars: By column of `runs.parquet`, the mean over the runs with a value; with the ending `_std` the
-            standard deviation over them, and `_runs` their number where other runs have none.
-        curves: Its curves.
-    """
-
-    sweep: str
-    name: str
+    sweep: str  # name of the sweep
+    name: str  # name of the point
     index: int
-    settings: Mapping[str, str]
+    settings: Mapping[str, str]  # by dotted path, as text; the number of runs and the seed among them
+    # By column of `runs.parquet`, the mean over the runs with a value; with the ending `_std` the standard
+    # deviation over them, and `_runs` their number where other runs have none
     scalars: Mapping[str, float]
     curves: list[MeanCurve]
 
@@ -97,12 +81,12 @@ def _scalars(results: Results, point: Point) -> dict[str, float]:
 
 def _curves(results: Results, point: Point, is_learning: bool) -> list[MeanCurve]:
     if not is_learning:
-        measures = [Measure("planning", PLANNING_CURVE, False, "step", "train", None)]
+        measures = [Measure(PLANNING_CURVE, False, "planning", "step")]
     else:
         columns = [name for name in columns_of(results) if name in results.episodes]
         phases: list[Phase] = [phase for phase in PHASES if (results.episodes["phase"] == phase).any()]
         measures = [
-            Measure("learning", name, False, "episode", phase, None) for phase in phases for name in columns
+            Measure(name, False, "learning", "episode", phase) for phase in phases for name in columns
         ]
     curves = []
     for measure in measures:
