@@ -12,7 +12,7 @@ from bojax.cli.main import main
 from bojax.report import statistics
 from bojax.report.comparing import tables
 from bojax.report.comparing.build import Request, compare
-from bojax.report.comparing.contenders import Measure, named, of_file, of_folder
+from bojax.report.comparing.contenders import Measure, named, of_file, of_folder, tasks_of
 from bojax.report.comparing.curve_files import Rows, read_curves
 from bojax.report.source import load
 from bojax.results.store import ResultsError
@@ -330,11 +330,8 @@ class TestPage:
         assert "All tasks" in page.text and "P(better than a)" in page.text
         names = {path.stem for path in (tmp_path / "out" / "figures").iterdir()}
         assert names == {"curves-1-easy", "curves-2-very-hard", "scores-1-easy", "scores-2-very-hard"}
-        measure = EPISODES
-        tasks = {}
-        for each in of_file(tmp_path / "x.csv", read_curves(tmp_path / "x.csv"), measure, ""):
-            tasks.setdefault(each.task, []).append(each)
-        overall = dict(tables.overall(list(tasks.values()), "a", measure).rows)
+        found = of_file(tmp_path / "x.csv", read_curves(tmp_path / "x.csv"), EPISODES, "")
+        overall = dict(tables.overall(tasks_of(found, "a"), "a", EPISODES).rows)
         # Runs of b are 1 above those of a in units of the difference of the means.
         assert overall["b"][1].text == "100.0%"
         assert [overall[name][0].text for name in "ab"] == ["0.00", "1.00"]

@@ -1,6 +1,7 @@
 """Builds a comparison: reads folders and CSV files, draws the figures and writes `comparison.html`."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,10 +17,12 @@ from bojax.report.comparing.contenders import (
     Kind,
     Measure,
     Phase,
+    Task,
     kind_of,
     named,
     of_file,
     of_folder,
+    tasks_of,
 )
 from bojax.report.comparing.curve_files import read_curves
 from bojax.report.drawing.base import MAX_POINTS, Drawing, Undrawable, dot_plot, draw_intervals
@@ -71,16 +74,15 @@ def compare(request: Request, out: Path) -> Path:
     results = [load(folder) for folder in request.folders]
     measure = _measure(request, results)
     contenders = _contenders(request, results, measure)
-    references = _references(contenders, request.reference)
+    tasks = tasks_of(contenders, request.reference)
     images, parts = {}, []
     with style.settings():
-        for number, (task, members) in enumerate(_by_task(contenders).items(), start=1):
-            suffix = f"-{number}-{file_name(task)}" if len(references) > 1 else ""
-            drawings = _drawings(members, references[task], measure)
-            plates = {name: Plate.of(drawing) for name, drawing in drawings.items()}
+        for number, task in enumerate(tasks, start=1):
+            suffix = f"-{number}-{file_name(task.name)}" if len(tasks) > 1 else ""
+            plates = {name: Plate.of(drawing) for name, drawing in _drawings(task, measure).items()}
             images |= {f"{name}{suffix}": plate.files for name, plate in plates.items()}
-            parts.append(Part(task, [*plates.values()], tables.scores(members, references[task], measure)))
-    page = _page(request, results, contenders, parts, measure)
+            parts.append(Part(task.name, [*plates.values()], tables.scores(task, measure)))
+    page = _page(request, results, contenders, tasks, parts, measure)
 
     style.write_images(out, images)
     write_content(out / PAGE, page)
@@ -125,46 +127,23 @@ def _contenders(request: Request, results: Sequence[Results], measure: Measure) 
     return named(found)
 
 
-def _by_task(contenders: Sequence[Contender]) -> dict[str, list[Contender]]:
-    found: dict[str, list[Contender]] = {}
-    for each in contenders:
-        found.setdefault(each.task, []).append(each)
-    return found
-
-
-def _references(contenders: Sequence[Contender], name: str | None) -> dict[str, Contender]:
-    """The reference of each task: the one of this name, otherwise the first."""
-    names = [each.name for each in contenders]
-    if name is not None and name not in names:
-        raise ResultsError(f"--reference: got {name}{allowed_names(name, set(names))}")
-    found = {}
-    for task, members in _by_task(contenders).items():
-        found[task] = next((each for each in members if each.name == name), members[0])
-    return found
-
-
-def _drawings(contenders: list[Contender], reference: Contender, measure: Measure) -> dict[str, Drawing]:
+def _drawings(task: Task, measure: Measure) -> dict[str, Drawing]:
     """The figures of a task by name, without those that cannot be drawn."""
-    shown, note = contenders, ""
-    if len(contenders) > MAX_POINTS:
-        order = sorted(contenders, key=lambda each: -measure.sign * np.nan_to_num(each.scores.mean()))
-        shown = [each for each in contenders if each in order[:MAX_POINTS]]
-        note = f" Of {len(contenders)} contenders, the {MAX_POINTS} with the best mean score are drawn."
+    best = sorted(task.contenders, key=lambda each: -measure.sign * np.nan_to_num(each.scores.mean()))
+    best, note = best[:MAX_POINTS], ""
+    if len(task.contenders) > MAX_POINTS:
+        note = f" Of {len(task.contenders)} contenders, the {MAX_POINTS} with the best mean score are drawn."
+    shown = replace(task, contenders=[each for each in task.contenders if each in best])
     drawings = {}
     for name, draw in (("curves", _draw_curves), ("scores", _draw_scores)):
-        try:
-            drawings[name] = draw(shown, reference, measure, note)
-        except Undrawable:
-            continue
+        with suppress(Undrawable):
+            drawings[name] = draw(shown, measure, note)
     return drawings
 
 
-def _draw_curves(
-    contenders: Sequence[Contender], reference: Contender, measure: Measure, note: str
-) -> Drawing:
-    del reference
+def _draw_curves(task: Task, measure: Measure, note: str) -> Drawing:
     curves, left_out = [], 0
-    for each in contenders:
+    for each in task.contenders:
         if each.curve is not None:
             # A NaN of planning is carried forward, so that its run is left out.
             has_score = np.isfinite(each.scores) | (measure.kind == "learning")
@@ -199,10 +178,8 @@ def _draw_curves(
     return chart.drawing("Curves", " ".join(details), note)
 
 
-def _draw_scores(
-    contenders: Sequence[Contender], reference: Contender, measure: Measure, note: str
-) -> Drawing:
-    points = [each.point for each in contenders]
+def _draw_scores(task: Task, measure: Measure, note: str) -> Drawing:
+    contenders, reference = task.contenders, task.reference
     means = [statistics.mean_interval(each.scores) for each in contenders]
     iqms = [statistics.iqm_interval([each.scores]) for each in contenders]
     unknown = statistics.mean_interval([])
@@ -212,6 +189,7 @@ def _draw_scores(
     ]
     if not any(np.isfinite(interval.estimate) for interval in (*means, *iqms)):
         raise Undrawable("no contender has scores of all its runs")
+    points = [each.point for each in contenders]
     figure, grid = dot_plot(points, 1, 3, ticks=2, spare=1.0, least=0.26)
     titles = ("mean", "IQM", "P(better)")
     for axes, title, intervals in zip(grid[0], titles, (means, iqms, better), strict=True):
@@ -259,27 +237,26 @@ def _page(
     request: Request,
     results: Sequence[Results],
     contenders: Sequence[Contender],
+    tasks: Sequence[Task],
     parts: Sequence[Part],
     measure: Measure,
 ) -> str:
-    by_task = _by_task(contenders)
-    first = next(iter(by_task.values()))
     sources = counted(len({each.source for each in contenders}), "source")
     runs = ranged((each.scores.size for each in contenders), "run")
-    tasks = f" on {joined(filter(None, by_task))}" if any(by_task) else ""
+    places = [task.name for task in tasks if task.name]
+    where = f" on {joined(places)}" if places else ""
     names = list(dict.fromkeys(each.name for each in contenders))
     listed = f" ({joined(names)})" if len(names) <= MAX_POINTS else ""
     what = heading(measure.column)
     direction = ", of which less is better" if measure.is_least else ""
-    reference = request.reference or first[0].name
     return fill(
         "comparison.html.j2",
-        title=f"Comparison: {what}{tasks}",
+        title=f"Comparison: {what}{where}",
         summary=f"{counted(len(names), 'contender')}{listed} of {sources}, {runs} each. The score of a run "
         f"is the {_score(contenders, measure)}{direction}.",
         counts=[],
         parts=parts,
-        overall=tables.overall(list(by_task.values()), reference, measure),
+        overall=tables.overall(tasks, request.reference or tasks[0].reference.name, measure),
         settings=tables.settings(contenders),
         sources=tables.sources(results, contenders),
         provenance=[("command", request.command)] if request.command else [],

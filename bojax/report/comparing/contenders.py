@@ -38,7 +38,7 @@ _LAST = 0.1
 
 @dataclass(frozen=True)
 class Measure(ranking.Measure):
-    """A column of `episodes.parquet` or `runs.parquet` that is compared, or `accumulated_reward` of planning."""
+    """A compared column: of `episodes.parquet` or `runs.parquet`, or `accumulated_reward` of planning."""
 
     kind: Kind  # of the experiments
     axis: Axis  # horizontal axis of curves
@@ -71,6 +71,32 @@ class Contender:
         """Whether runs of equal index had the same random numbers, and both have the same runs."""
         is_same = self.seed is not None and self.seed == other.seed and self.settings is not None
         return is_same and other.settings is not None and np.array_equal(self.run, other.run)
+
+
+@dataclass(frozen=True)
+class Task:
+    """The contenders on one problem or environment."""
+
+    name: str  # empty if nothing says which
+    contenders: Sequence[Contender]
+    reference: Contender  # the one that others are compared with
+
+
+def tasks_of(contenders: Sequence[Contender], reference: str | None) -> list[Task]:
+    """Contenders by task; the reference is the one of this name, otherwise the first.
+
+    Raises:
+        ResultsError: No contender has this name.
+    """
+    names = {each.name for each in contenders}
+    if reference is not None and reference not in names:
+        raise ResultsError(f"--reference: got {reference}{allowed_names(reference, names)}")
+    tasks = []
+    for name in dict.fromkeys(each.task for each in contenders):
+        members = [each for each in contenders if each.task == name]
+        chosen = next((each for each in members if each.name == reference), members[0])
+        tasks.append(Task(name, members, chosen))
+    return tasks
 
 
 def kind_of(results: Results) -> Kind:

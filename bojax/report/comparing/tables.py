@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from bojax.report import statistics
-from bojax.report.comparing.contenders import Contender, Measure
+from bojax.report.comparing.contenders import Contender, Measure, Task
 from bojax.report.source import Results
 from bojax.report.statistics import Floats, Interval
 from bojax.report.tables import (
@@ -22,16 +22,15 @@ from bojax.report.tables import (
 from bojax.report.text import MISSING, line, plain
 
 
-def scores(contenders: Sequence[Contender], reference: Contender, measure: Measure) -> Table:
+def scores(task: Task, measure: Measure) -> Table:
     """One row per contender of a task: mean, interquartile mean, and comparison with the reference."""
-    rows = []
-    for each in contenders:
+    rows, reference = [], task.reference
+    for each in task.contenders:
+        middle = statistics.iqm_interval([each.scores])
         cells = [
             count_cell(each.scores.size),
             (share_cell if each.is_share else mean_cell)(each.scores),
-            mean_cell(each.scores)
-            if each.scores.size == 1
-            else interval_cell(statistics.iqm_interval([each.scores])),
+            mean_cell(each.scores) if each.scores.size == 1 else interval_cell(middle),
         ]
         if each is reference:
             cells += [Cell(MISSING)] * 3
@@ -48,25 +47,23 @@ def scores(contenders: Sequence[Contender], reference: Contender, measure: Measu
     )
 
 
-def overall(tasks: Sequence[Sequence[Contender]], reference: str, measure: Measure) -> Table | None:
+def overall(tasks: Sequence[Task], reference: str, measure: Measure) -> Table | None:
     """One row per name that every one of several tasks has; None if there are fewer than two.
 
     Scores of a task are scaled so that the worst mean of a contender is 0 and the best is 1.
     """
-    names = [each.name for each in tasks[0]]
-    shared = [name for name in names if all(name in {each.name for each in task} for task in tasks)]
+    of_task = [{each.name: each for each in task.contenders} for task in tasks]
+    shared = [name for name in of_task[0] if all(name in task for task in of_task)]
     if len(tasks) < 2 or len(shared) < 2:
         return None
-    of_task = [{each.name: each for each in task} for task in tasks]
     scaled = [_scaled([task[name] for name in shared], measure) for task in of_task]
     than = reference if reference in shared else shared[0]
     rows = []
     for place, name in enumerate(shared):
         pairs = [(task[name], task[than]) for task in of_task]
         better = Cell(MISSING) if name == than else percent_cell(improvement(pairs, measure))
-        rows.append(
-            (name, [interval_cell(statistics.iqm_interval([task[place] for task in scaled])), better])
-        )
+        middle = statistics.iqm_interval([task[place] for task in scaled])
+        rows.append((name, [interval_cell(middle), better]))
     return Table(["IQM of scaled scores", f"P(better than {than})"], rows)
 
 
