@@ -6,7 +6,7 @@ from pathlib import Path
 from bojax.cli.parser import Parser, one_of
 
 TARGETS = ("csv", "mlflow", "tensorboard", "wandb")
-"""What results can be exported to; `bojax.report.exporting` has a module `to_TARGET` for each."""
+"""What results can be exported to; `bojax.report.exporting.build` has a function for each."""
 
 _EXAMPLES = """\
   bojax export results/chain/20250101-120000 --to csv              CSV files in its subfolder export/csv

@@ -1,12 +1,27 @@
-"""Exports the results of a folder to one of the targets."""
+"""Exports the results of a folder: as CSV files, or as runs of MLflow, TensorBoard or Weights & Biases."""
 
-import importlib
+import csv
+import io
+import logging
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-from bojax.report.exporting.content import exported
+from bojax.config.extras import MissingExtra
+from bojax.logs import quiet
+from bojax.report.exporting.content import ExportedPoint, exported
 from bojax.report.source import load
+from bojax.report.text import file_name
 from bojax.results.folder import require_empty
-from bojax.results.store import ResultsError
+from bojax.results.store import ResultsError, explained, make_folder, write_content
+from bojax.text import error_line
+
+_PARAMS, _METRICS = 100, 1000
+"""Most parameters and metrics that MLflow takes at once."""
+
+_LONGEST = 500
+"""Longest value of a parameter that every store of MLflow takes, in characters."""
 
 
 def export(folder: Path, target: str, out: Path | None = None) -> Path:
@@ -14,7 +29,7 @@ def export(folder: Path, target: str, out: Path | None = None) -> Path:
 
     Args:
         folder: The results folder, which is not changed apart from its subfolder `export`.
-        target: `csv`, `mlflow`, `tensorboard` or `wandb`: the module `to_TARGET` of this package.
+        target: One of `TARGETS`.
         out: Folder to write, new or empty; None for `export/TARGET` in the results folder.
 
     Raises:
@@ -27,5 +42,156 @@ def export(folder: Path, target: str, out: Path | None = None) -> Path:
     points = exported(load(folder))
     if not points:
         raise ResultsError(f"{folder}: no run has been finished; allowed: at least one")
-    importlib.import_module(f"bojax.report.exporting.to_{target}").write(points, out)
+    TARGETS[target](points, out)
     return out
+
+
+def to_csv(points: Sequence[ExportedPoint], out: Path) -> None:
+    """Write `curves.csv`, `scalars.csv` and `settings.csv` into a folder.
+
+    Raises:
+        ResultsError: The files cannot be written; one line.
+    """
+    curves = [
+        (point.name, curve.name, curve.axis, *row)
+        for point in points
+        for curve in point.curves
+        for row in curve.rows()
+    ]
+    scalars = [(point.name, *item) for point in points for item in point.scalars.items()]
+    settings = [(point.name, *item) for point in points for item in point.settings.items()]
+    make_folder(out)
+    _write_rows(out / "curves.csv", ("point", "curve", "axis", "x", "mean", "std"), curves)
+    _write_rows(out / "scalars.csv", ("point", "scalar", "value"), scalars)
+    _write_rows(out / "settings.csv", ("point", "setting", "value"), settings)
+
+
+def _write_rows(path: Path, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(rows)
+    write_content(path, text.getvalue())
+
+
+def to_mlflow(points: Sequence[ExportedPoint], out: Path) -> None:
+    """Write a run per point into the SQLite database `mlflow.db`, in an experiment named after the sweep.
+
+    Curves are metrics by step, final numbers are metrics without a step, settings are parameters.
+
+    Raises:
+        MissingExtra: MLflow is not installed.
+        ResultsError: MLflow refuses the store; one line.
+    """
+    try:
+        # mlflow-skinny can be imported without it, but has no database then.
+        import sqlalchemy  # noqa: F401 # pyright: ignore[reportMissingImports]
+        from mlflow import MlflowClient  # pyright: ignore[reportMissingImports]
+        from mlflow.entities import Metric, Param  # pyright: ignore[reportMissingImports]
+        from mlflow.exceptions import MlflowException  # pyright: ignore[reportMissingImports]
+    except ImportError as error:
+        raise MissingExtra("mlflow", "mlflow") from error
+    make_folder(out)
+    folder = out.resolve()
+    try:
+        with quiet("mlflow.store.db.utils", logging.WARNING):
+            client = MlflowClient(tracking_uri=f"sqlite:///{folder / 'mlflow.db'}")
+            artifacts = (folder / "artifacts").as_uri()
+            experiment = client.create_experiment(points[0].sweep, artifact_location=artifacts)
+        for point in points:
+            run, now = client.create_run(experiment, run_name=point.name).info.run_id, int(1000 * time.time())
+            params = [Param(key, value[:_LONGEST]) for key, value in point.settings.items()]
+            metrics = [Metric(name, value, now, 0) for name, value in point.finals.items()]
+            for curve in point.curves:
+                for x, values in curve.named_rows():
+                    metrics += [Metric(name, value, now, x) for name, value in values.items()]
+            for start in range(0, len(params), _PARAMS):
+                client.log_batch(run, params=params[start : start + _PARAMS])
+            for start in range(0, len(metrics), _METRICS):
+                client.log_batch(run, metrics=metrics[start : start + _METRICS])
+            client.set_terminated(run)
+    except MlflowException as error:
+        raise ResultsError(f"{out}: MLflow: {error_line(error)}") from error
+
+
+def to_tensorboard(points: Sequence[ExportedPoint], out: Path) -> None:
+    """Write a run of TensorBoard per point, with its curves as scalars and its settings as hyper-parameters.
+
+    Raises:
+        MissingExtra: tensorboardX is not installed.
+    """
+    try:
+        from tensorboardX import SummaryWriter
+        from tensorboardX.summary import hparams
+    except ImportError as error:
+        raise MissingExtra("tensorboardX", "tensorboard") from error
+    for point in points:
+        folder = out / f"{point.index}-{file_name(point.name)}"
+        with explained(folder), SummaryWriter(str(folder)) as writer:
+            for curve in point.curves:
+                for x, values in curve.named_rows():
+                    for name, value in values.items():
+                        writer.add_scalar(name, value, x)
+            for name, value in point.finals.items():
+                writer.add_scalar(name, value)
+            events = writer.file_writer
+            assert events is not None
+            # `add_hparams` would open a second file, whose name may be that of the first.
+            for summary in hparams(dict(point.settings), dict(point.finals)):
+                events.add_summary(summary)
+
+
+def to_wandb(points: Sequence[ExportedPoint], out: Path) -> None:
+    """Write an offline run per point, with its curves, its settings as config, and final numbers as summary.
+
+    Nothing is sent: `wandb sync` uploads the runs.
+
+    Raises:
+        MissingExtra: wandb is not installed.
+    """
+    try:
+        import wandb  # pyright: ignore[reportMissingImports]
+    except ImportError as error:
+        raise MissingExtra("wandb", "wandb") from error
+    make_folder(out)
+    silent = wandb.Settings(
+        silent=True,
+        console="off",
+        save_code=False,
+        x_disable_stats=True,
+        x_disable_meta=True,
+        x_save_requirements=False,
+    )
+    for point in points:
+        run = wandb.init(
+            mode="offline",
+            dir=str(out),
+            project=point.sweep,
+            name=point.name,
+            config=dict(point.settings),
+            settings=silent,
+            reinit="finish_previous",
+        )
+        for axis in dict.fromkeys(curve.axis for curve in point.curves):
+            rows: dict[int, dict[str, float]] = {}
+            run.define_metric(axis)
+            for curve in point.curves:
+                if curve.axis == axis:
+                    run.define_metric(curve.name, step_metric=axis)
+                    run.define_metric(f"{curve.name}_std", step_metric=axis)
+                    for x, values in curve.named_rows():
+                        rows.setdefault(x, {}).update(values)
+            for x in sorted(rows):
+                run.log({axis: x, **rows[x]})
+        run.summary.update(point.finals)
+        run.finish()
+    wandb.teardown()  # the last file is complete only once the process that writes it has ended
+
+
+TARGETS: Mapping[str, Callable[[Sequence[ExportedPoint], Path], None]] = {
+    "csv": to_csv,
+    "mlflow": to_mlflow,
+    "tensorboard": to_tensorboard,
+    "wandb": to_wandb,
+}
+"""The function that writes each target."""

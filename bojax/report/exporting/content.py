@@ -1,6 +1,6 @@
 """What is exported of each point: its settings, curves averaged over runs, and final numbers."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,6 +35,10 @@ class MeanCurve:
         columns = (self.x.astype(np.int64), self.mean, self.deviation)
         return list(zip(*(column.tolist() for column in columns), strict=True))
 
+    def named_rows(self) -> Iterator[tuple[int, dict[str, float]]]:
+        """Its places as x, and the values there by name; the standard deviation has the ending `_std`."""
+        return ((x, {self.name: mean, f"{self.name}_std": deviation}) for x, mean, deviation in self.rows())
+
 
 @dataclass(frozen=True)
 class ExportedPoint:
@@ -48,6 +52,11 @@ class ExportedPoint:
     # deviation over them, and `_runs` their number where other runs have none
     scalars: Mapping[str, float]
     curves: list[MeanCurve]
+
+    @property
+    def finals(self) -> dict[str, float]:
+        """Its scalars, with the prefix `final/` that tells them from curves."""
+        return {f"final/{name}": value for name, value in self.scalars.items()}
 
 
 def exported(results: Results) -> list[ExportedPoint]:
