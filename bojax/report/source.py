@@ -147,7 +147,7 @@ class Results:
         A run that has ended keeps its last value. The rows are those of `runs_of`.
         """
         rows, runs = self.steps_of(point), self.runs_of(point)["run"]
-        return carry_forward(runs, rows["run"], rows["step"], rows[column], self.num_steps)
+        return carry_forward(runs, rows["run"], rows[column], self.num_steps)
 
     def by_episode(self, point: Point, column: str, phase: str = "train") -> NDArray[np.float64]:
         """A column of `episodes.parquet` by run and episode, `[runs, episodes]`, the first episode first.

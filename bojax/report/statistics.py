@@ -347,22 +347,15 @@ def holm_levels(p_values: ArrayLike, alpha: float) -> Floats:
     return levels
 
 
-def carry_forward(
-    runs: ArrayLike, run: ArrayLike, step: ArrayLike, value: ArrayLike, num_steps: int
-) -> Floats:
+def carry_forward(runs: ArrayLike, run: ArrayLike, value: ArrayLike, num_steps: int) -> Floats:
     """Values of `runs` by step, `[R, num_steps + 1]`; the last value of a run is carried forward.
 
-    `run`, `step` (from 1) and `value` are those of the recorded rows, `[rows]`. Values are 0 at step 0. A run
-    with no row at all is NaN.
+    `run` and `value`, `[rows]`, are those of the recorded rows, in the order of runs and, from step 1 on, of
+    steps without a gap. Values are 0 at step 0. A run with no row at all is NaN.
     """
-    wanted, run, step = np.asarray(runs), np.asarray(run), np.asarray(step)
-    table = np.full((wanted.size, num_steps + 1), np.nan)
-    kept = np.isin(run, wanted) & (step >= 1) & (step <= num_steps)
-    order = np.argsort(wanted, kind="stable")
-    row = order[np.searchsorted(wanted, run[kept], sorter=order)]
-    # Index of the last recorded step, so that a recorded NaN is carried forward as NaN.
-    source = np.zeros(table.shape, dtype=np.int64)
-    source[row, step[kept]] = step[kept]
-    table[row, step[kept]] = np.asarray(value, dtype=np.float64)[kept]
-    table[np.isin(wanted, run[kept]), 0] = 0.0
-    return np.take_along_axis(table, np.maximum.accumulate(source, axis=1), axis=1)
+    first, end = (np.searchsorted(run, runs, side=side) for side in ("left", "right"))
+    last = np.minimum(np.arange(num_steps + 1), (end - first)[:, None])  # the last recorded step
+    known = np.append(np.asarray(value, dtype=np.float64), np.nan)
+    table = np.where(last > 0, known[first[:, None] + last - 1], 0.0)
+    table[first == end] = np.nan
+    return table

@@ -61,17 +61,17 @@ class Measure:
 
     def values(self, results: Results, point: Point, runs: NDArray[Any]) -> NDArray[Any]:
         """Its value in the runs of these indices; NaN if a run has none."""
+        table = results.runs_of(point)
+        rows = np.searchsorted(table["run"], runs)
         if self.place is None:
-            table = results.runs_of(point)
-            values = column(table, self.column)[np.searchsorted(table["run"], runs)]
+            values = column(table, self.column)[rows]
             return values if self.missing is None else np.nan_to_num(values, nan=self.missing)
         if isinstance(self.place, int):
-            step, longest = self.place, results.num_steps
-            if longest < step:
-                raise Undecidable(f"no run lasted {counted(step, 'step')}: the longest took {longest}")
-            rows = results.steps_of(point)
-            values = column(rows, self.column)
-            return statistics.carry_forward(runs, rows["run"], rows["step"], values, step)[:, step]
+            if results.num_steps < self.place:
+                lasted = f"no run lasted {counted(self.place, 'step')}"
+                raise Undecidable(f"{lasted}: the longest took {results.num_steps}")
+            column(results.steps, self.column)
+            return results.by_step(point, self.column)[rows, self.place]
         values = self._over(results, point, self.place, runs)
         return values if self.since is None else values - self._over(results, point, self.since, runs)
 
