@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from bojax.config.claims import Test, Window
-from bojax.report import statistics
 from bojax.report.claims.settings import Measured
 from bojax.report.columns import Columns
 from bojax.report.source import Point, Results
+from bojax.report.statistics import Floats
 from bojax.report.text import counted
 
 MIN_RUNS = 20
@@ -31,7 +31,7 @@ class Measure:
     # A step of `steps.parquet`, where a run that has ended keeps its last value, or a window of episodes, of
     # which the mean is taken.
     place: int | Window | None = None
-    since: Window | None = None  # a window whose mean is subtracted
+    since: int | Window | None = None  # a place whose value is subtracted
     missing: float | None = None  # replaces a missing number of `runs.parquet`
     statistic: Literal["mean", "sd"] = "mean"  # of the episodes of a window
 
@@ -55,31 +55,33 @@ class Measure:
             return self.column
         if isinstance(self.place, int):
             return f"{self.column} at step {self.place}"
-        since = "" if self.since is None else f", less that of {episodes_in(self.since)}"
+        since = f", less that of {episodes_in(self.since)}" if isinstance(self.since, Window) else ""
         statistic = "mean" if self.statistic == "mean" else "standard deviation of"
         return f"{statistic} {self.column} of {episodes_in(self.place)}{since}"
 
     def values(self, results: Results, point: Point, runs: NDArray[Any]) -> NDArray[Any]:
         """Its value in the runs of these indices; NaN if a run has none."""
+        values = self._at(self.place, results, point, runs)
+        return values if self.since is None else values - self._at(self.since, results, point, runs)
+
+    def _at(
+        self, place: int | Window | None, results: Results, point: Point, runs: NDArray[Any]
+    ) -> NDArray[Any]:
         table = results.runs_of(point)
         rows = np.searchsorted(table["run"], runs)
-        if self.place is None:
+        if place is None:
             values = column(table, self.column)[rows]
             return values if self.missing is None else np.nan_to_num(values, nan=self.missing)
-        if isinstance(self.place, int):
-            if results.num_steps < self.place:
-                lasted = f"no run lasted {counted(self.place, 'step')}"
+        if isinstance(place, int):
+            if results.num_steps < place:
+                lasted = f"no run lasted {counted(place, 'step')}"
                 raise Undecidable(f"{lasted}: the longest took {results.num_steps}")
             column(results.steps, self.column)
-            return results.by_step(point, self.column)[rows, self.place]
-        values = self._over(results, point, self.place, runs)
-        return values if self.since is None else values - self._over(results, point, self.since, runs)
-
-    def _over(self, results: Results, point: Point, window: Window, runs: NDArray[Any]) -> statistics.Floats:
-        table = by_episode(results, point, self.column, window, runs)
-        if self.statistic == "mean" or table.shape[1] < 2:
-            return table.mean(axis=1)
-        return table.std(axis=1, ddof=1)
+            return results.by_step(point, self.column)[rows, place]
+        episodes = by_episode(results, point, self.column, place, runs)
+        if self.statistic == "mean" or episodes.shape[1] < 2:
+            return episodes.mean(axis=1)
+        return episodes.std(axis=1, ddof=1)
 
 
 def stand_ins(
@@ -132,9 +134,7 @@ def paired(results: Results, test: Test, points: Sequence[Point], measure: Measu
     return table
 
 
-def by_episode(
-    results: Results, point: Point, name: str, window: Window, runs: NDArray[Any]
-) -> statistics.Floats:
+def by_episode(results: Results, point: Point, name: str, window: Window, runs: NDArray[Any]) -> Floats:
     """A column of `episodes.parquet` in a window, `[runs, episodes]`; NaN where a run had no such episode."""
     last, rows = window.last, np.searchsorted(results.runs_of(point)["run"], runs)
     if not results.episodes:

@@ -1,7 +1,5 @@
 """Test of a trend: whether a mean rises or falls between two steps or two windows of episodes."""
 
-import dataclasses
-
 import numpy as np
 
 from bojax.config.claims import Window
@@ -17,8 +15,7 @@ def trend(results: Results, test: Trend) -> Finding:
 
     Between steps, a run that has ended keeps its last value, as in the figures, or is left out.
     """
-    first, last = (Measure(test.column, place) for place in (test.first, test.last))
-    (point,), chosen = stand_ins(results, test, last)
+    (point,), chosen = stand_ins(results, test, Measure(test.column, test.last))
     if test.ended == "left-out":
         interval, runs = _change_of_active(results, test, point)
         between, within = (
@@ -26,10 +23,8 @@ def trend(results: Results, test: Trend) -> Finding:
             "of the active runs",
         )
     else:
-        if isinstance(test.first, Window):
-            changes = paired(results, test, [point], dataclasses.replace(last, since=test.first))[:, 0]
-        else:
-            changes = np.subtract(*(paired(results, test, [point], end)[:, 0] for end in (last, first)))
+        measure = Measure(test.column, test.last, since=test.first)
+        changes = paired(results, test, [point], measure)[:, 0]
         interval, runs = statistics.mean_interval(changes), len(changes)
         between, within = f"from {_place(test.first)} to {_place(test.last)}", "within a run"
     return Finding.between(
