@@ -12,7 +12,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 from bojax.config.errors import dotted, from_validation
 from bojax.config.tuning import Range, described
 from bojax.report import style
-from bojax.report.drawing.base import Drawing, panel_grid
+from bojax.report.drawing.base import Drawing, label_panels, panel_grid
 from bojax.report.manifest import Count, Part
 from bojax.report.page import Plate, provenance
 from bojax.report.ranking import Measure, ranking
@@ -244,8 +244,7 @@ def _draw_slices(tuning: Tuning) -> Drawing:
             axes.xaxis.set_major_locator(MaxNLocator(nbins=4))
         _finish(axes)
         axes.set_xlabel(style.wrapped(each.key.replace(".", ". "), 22).replace(". ", "."))
-    for row in grid:
-        row[0].set_ylabel(_label(tuning))
+    label_panels(grid, None, _label(tuning))
     return Drawing(
         figure,
         f"{tuning.measure.words} over each setting".capitalize(),

@@ -110,6 +110,14 @@ def name_panels(panels: Iterable[Axes], points: Sequence[Point], pad: float = 4)
         axes.set_title(style.wrapped(point.name, 24), color=look["color"], pad=pad)
 
 
+def label_panels(grid: np.ndarray, x: str | None, y: str | None, **options: Any) -> None:
+    """Write the labels that a grid of panels shares, below its last row and beside its first column."""
+    for axes in grid[-1] if x is not None else ():
+        axes.set_xlabel(x, **options)
+    for axes in grid[:, 0] if y is not None else ():
+        axes.set_ylabel(y, **options)
+
+
 NAME_WIDTH = 16
 """Characters in a line of a name beside the panels of `dot_plot`."""
 

@@ -11,7 +11,14 @@ from matplotlib.patches import Rectangle
 
 from bojax.config.errors import allowed_names
 from bojax.report import style
-from bojax.report.drawing.base import MAX_POINTS, Drawing, Undrawable, panel_grid, ranked_points
+from bojax.report.drawing.base import (
+    MAX_POINTS,
+    Drawing,
+    Undrawable,
+    label_panels,
+    panel_grid,
+    ranked_points,
+)
 from bojax.report.drawing.maps import draw_scale
 from bojax.report.ranking import Measure
 from bojax.report.source import Point, Results, swept_keys, swept_values
@@ -65,10 +72,7 @@ def draw(results: Results) -> Drawing:
             _write_numbers(axes, image, values)
         for row, column in np.argwhere(values == best):
             axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, clip_on=False, **BOLD))
-    for row in grid:
-        row[0].set_ylabel(heading(vertical))
-    for axes in grid[-1]:
-        axes.set_xlabel(heading(horizontal))
+    label_panels(grid, heading(horizontal), heading(vertical))
     bar = draw_scale(figure, grid[0, 0].images[0], grid.flat, aspect=36, shrink=0.8)
     bar.set_label(measure.words)
     style.plain_ticks(bar.ax.xaxis)

@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from bojax.report import style
-from bojax.report.drawing.base import Drawing, name_panels, panel_grid, points_with
+from bojax.report.drawing.base import Drawing, label_panels, name_panels, panel_grid, points_with
 from bojax.report.drawing.domains import ARROWS, TARGET, WALL, draw_outline, is_speck, tick_outline
 from bojax.report.drawing.maps import QUIET, beliefs, draw_map
 from bojax.report.drawing.smooth import driven
@@ -50,35 +50,35 @@ def draw(results: Results) -> Drawing:
     fields = {point.index: beliefs(results, point) for point in points}
     truths = [belief["truth"] for found in fields.values() for belief in found.values()]
     norm = Normalize(np.min(truths), np.max(truths)) if truths else None
-    told, is_outcome_shown, stops, outcomes = [], False, 0, set[bool]()
+    told, is_outcome_shown, num_stops, outcomes = [], False, 0, set[bool]()
     for axes, point, runs, look in zip(grid.flat, points, recorded, style.looks(points), strict=False):
         draw_outline(axes, point.outline)
         tick_outline(axes, point.outline)
+        table = results.runs_of(point)
+        succeeded = set(table["run"][table["success"].astype(bool)].tolist() if "success" in table else ())
         if point.ends_at_success:
-            is_outcome_shown = True
-            shown = _outcomes_drawn(axes, results, point, runs, look["color"])
-            outcomes |= {outcome for outcome, count in shown.items() if count}
+            is_outcome_shown, shown = True, {True: 0, False: 0}
+            for run, arrays in runs.items():
+                if shown[is_success := run in succeeded] < EXAMPLES:
+                    shown[is_success] += 1
+                    _draw_run(axes, arrays, look["color"] if is_success else style.FAINT, is_success)
+            outcomes |= {is_success for is_success, count in shown.items() if count}
             told.append(f"{point.name}: {shown[True]} successful and {shown[False]} failed")
-        else:
-            run, arrays = next(iter(runs.items()))
-            if norm is not None and run in fields[point.index]:
-                belief = fields[point.index][run]
-                draw_map(axes, belief, belief["truth"], norm, QUIET)
-            stopped = _run(axes, arrays, look["color"], is_success=True)
-            if len(stopped):
-                axes.scatter(*stopped.T, **_STOP, zorder=6)
-            stops += len(stopped)
-            reached = ""
-            if point.has_success:
-                reached = f", goal {'' if _outcomes(results, point).get(run) else 'not '}reached"
-            told.append(f"{point.name}: run {run}, stopped {counted(len(stopped), 'time')}{reached}")
+            continue
+        run, arrays = next(iter(runs.items()))
+        if norm is not None and run in fields[point.index]:
+            belief = fields[point.index][run]
+            draw_map(axes, belief, belief["truth"], norm, QUIET)
+        stopped = _draw_run(axes, arrays, look["color"])
+        if len(stopped):
+            axes.scatter(*stopped.T, **_STOP, zorder=6)
+        num_stops += len(stopped)
+        reached = f", goal {'' if run in succeeded else 'not '}reached" if point.has_success else ""
+        told.append(f"{point.name}: run {run}, stopped {counted(len(stopped), 'time')}{reached}")
     name_panels(grid.flat, points)
-    for axes in grid[:, 0]:
-        axes.set_ylabel("y (m)", labelpad=1)
-    for axes in grid[-1]:
-        axes.set_xlabel("x (m)", labelpad=1)
+    label_panels(grid, "x (m)", "y (m)", labelpad=1)
     figure.legend(
-        *zip(*_legend(points, outcomes if is_outcome_shown else None, has_stops=stops > 0), strict=True),
+        *zip(*_legend(points, outcomes if is_outcome_shown else None, has_stops=num_stops > 0), strict=True),
         handler_map={tuple: HandlerTuple(ndivide=1)},
         loc="outside lower center",
         ncols=4 if is_outcome_shown else 3,
@@ -90,7 +90,7 @@ def draw(results: Results) -> Drawing:
         f"{EXAMPLES} that failed (grey, dashed)."
         if is_outcome_shown
         else f"The first recorded run.{' Grey: the true field, darker where higher.' if truths else ''}"
-        f"{' Red circles: a wall or the border stopped the robot.' if stops else ''}"
+        f"{' Red circles: a wall or the border stopped the robot.' if num_stops else ''}"
     )
     return Drawing(
         figure=figure,
@@ -100,26 +100,7 @@ def draw(results: Results) -> Drawing:
     )
 
 
-def _outcomes_drawn(
-    axes: Axes, results: Results, point: Point, runs: Mapping[int, Mapping[str, Any]], colour: str
-) -> dict[bool, int]:
-    """Draw the first runs of each outcome, and count them."""
-    outcomes, shown = _outcomes(results, point), {True: 0, False: 0}
-    for run, arrays in runs.items():
-        succeeded = outcomes.get(run, False)
-        if shown[succeeded] < EXAMPLES and "paths" in arrays:
-            shown[succeeded] += 1
-            _run(axes, arrays, colour if succeeded else style.FAINT, is_success=succeeded)
-    return shown
-
-
-def _outcomes(results: Results, point: Point) -> dict[int, bool]:
-    rows = results.runs_of(point)
-    success = rows.get("success", np.zeros(rows["run"].size, dtype=bool))
-    return {int(run): bool(value) for run, value in zip(rows["run"], success, strict=True)}
-
-
-def _run(axes: Axes, arrays: Mapping[str, Any], colour: str, *, is_success: bool) -> Floats:
+def _draw_run(axes: Axes, arrays: Mapping[str, Any], colour: str, is_success: bool = True) -> Floats:
     """Draw a run; the result is the positions `[stops, 2]` at which the robot was stopped."""
     ends, steps, curve = driven(arrays)
     if not ends:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from bojax.report import style
-from bojax.report.drawing.base import Drawing, Undrawable, panel_grid, ranked_points
+from bojax.report.drawing.base import Drawing, Undrawable, label_panels, panel_grid, ranked_points
 from bojax.report.source import Point, Results, swept_keys, swept_values
 from bojax.report.text import is_number, number
 
@@ -44,8 +44,7 @@ def draw(results: Results) -> Drawing:
         axes.set_xticks(places, [_short(value) for value in values], fontsize=8 if len(values) > 6 else 9.5)
         axes.set_title(style.wrapped(key.removeprefix("planner."), 26))
         style.quiet_grid(axes)
-    for row in grid:
-        row[0].set_ylabel(style.wrapped(measure.words, 30))
+    label_panels(grid, None, style.wrapped(measure.words, 30))
     if len(curves) > 1:
         handles, texts = grid.flat[0].get_legend_handles_labels()
         figure.legend(handles, texts, loc="outside lower center", ncols=min(3, len(curves)))

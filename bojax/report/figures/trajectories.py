@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from bojax.report import style
-from bojax.report.drawing.base import Drawing, panel_grid, points_with
+from bojax.report.drawing.base import Drawing, label_panels, panel_grid, points_with
 from bojax.report.drawing.domains import ARROWS
 from bojax.report.drawing.smooth import smooth
 from bojax.report.source import Results
@@ -48,10 +48,7 @@ def draw(results: Results) -> Drawing:
         axes.set_ylim(low[1] - margin, high[1] + margin)
         axes.locator_params(nbins=5)
         style.quiet_grid(axes, "both")
-    for axes in grid[:, 0]:
-        axes.set_ylabel("y (m)")
-    for axes in grid[-1]:
-        axes.set_xlabel("x (m)")
+    label_panels(grid, "x (m)", "y (m)")
     counts = [counted(len(each), "path") for each in paths]
     panels = "; ".join(f"{point.name}, {count}" for point, count in zip(points, counts, strict=True))
     return Drawing(
