@@ -1,6 +1,6 @@
 """The tables of the page: outcomes of the runs, ratios, speed and settings."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -53,15 +53,12 @@ class Table:
 
     headings: list[str]
     rows: list[tuple[str, list[Cell]]]
+    caption: str = ""
 
-
-@dataclass(frozen=True)
-class RankedTable:
-    """Points in the order of a mean: headings, the cells of each point, the best first, and a caption."""
-
-    headings: list[str]
-    rows: list[list[Cell]]
-    caption: str
+    @classmethod
+    def ranked(cls, headings: list[str], rows: Iterable[list[Cell]], caption: str) -> "Table":
+        """A table whose rows are headed by their ranks, from 1 on."""
+        return cls(headings, [(str(rank), cells) for rank, cells in enumerate(rows, start=1)], caption)
 
 
 @dataclass(frozen=True)
@@ -99,7 +96,7 @@ def outcomes(results: Results) -> Table:
     return Table(["runs", *(measure.heading for measure in measures), *last], rows)
 
 
-def ranked(results: Results) -> RankedTable | None:
+def ranked(results: Results) -> Table | None:
     """The points in the order of the measure of `report.rank_by`; None for up to `FEW_POINTS` points."""
     if len(results.points) <= FEW_POINTS:
         return None
@@ -123,7 +120,7 @@ def ranked(results: Results) -> RankedTable | None:
     )
     if left_out := len(results.points) - len(rows):
         caption += f" {counted(left_out, 'point')} left out."
-    return RankedTable([*score_headings(measure), *keys, "runs"], rows, caption)
+    return Table.ranked([*score_headings(measure), *keys, "runs"], rows, caption)
 
 
 BEHIND = (

@@ -21,7 +21,7 @@ from bojax.report.statistics import BAND, Interval
 from bojax.report.tables import (
     BEHIND,
     Cell,
-    RankedTable,
+    Table,
     count_cell,
     interval_cell,
     score_cells,
@@ -179,7 +179,7 @@ def _summary(tuning: Tuning, fresh: Results | None) -> str:
     return f"{found}, and {counted(fresh.manifest.runs or 0, 'fresh run')} have {mean} {bounds}."
 
 
-def _confirmed(tuning: Tuning, fresh: Results) -> RankedTable:
+def _confirmed(tuning: Tuning, fresh: Results) -> Table:
     """The best points and the config as written, on fresh runs."""
     rows = []
     keys = [each.key for each in tuning.ranges]
@@ -196,10 +196,10 @@ def _confirmed(tuning: Tuning, fresh: Results) -> RankedTable:
         f"{counted(fresh.manifest.runs or 0, 'run')} of each setting with another seed, which the search has "
         f"not seen; 95% intervals in brackets. {BEHIND}"
     )
-    return RankedTable(headings, rows, caption)
+    return Table.ranked(headings, rows, caption)
 
 
-def _ranked(tuning: Tuning) -> RankedTable:
+def _ranked(tuning: Tuning) -> Table:
     """The points of the search by their posterior mean."""
     rows = []
     for index in tuning.order[:MOST_RANKED]:
@@ -216,7 +216,7 @@ def _ranked(tuning: Tuning) -> RankedTable:
         f"deviation of the noise of a score is {number(tuning.noise_std)}, as learned by the model. The best "
         "point was chosen by these runs, so its mean is optimistic."
     )
-    return RankedTable(headings, rows, caption)
+    return Table.ranked(headings, rows, caption)
 
 
 def _range(each: Range) -> str:

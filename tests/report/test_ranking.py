@@ -136,8 +136,8 @@ def test_the_table_of_ranks_is_sorted_and_has_the_best_point_first():
     table = ranked(grid())
     assert table.headings == ["mean return", "behind the best", "planner.depth", "planner.kappa", "runs"]
     assert len(table.rows) == 16
-    assert [cell.text for cell in table.rows[0]][2:] == ["3", "1", "30"]
-    keys = [[cell.key for cell in row] for row in table.rows]
+    assert [cell.text for cell in table.rows[0][1]][2:] == ["3", "1", "30"]
+    keys = [[cell.key for cell in cells] for _, cells in table.rows]
     assert [row[0] for row in keys] == sorted((row[0] for row in keys), reverse=True)
     assert [row[1] for row in keys] == sorted(row[1] for row in keys)
 
@@ -147,7 +147,7 @@ def test_without_common_runs_nothing_is_said_of_a_difference():
     results.runs["run"] = results.runs["run"] + 1000 * (results.runs["point"] % 2)
     table = ranked(results)
     assert len(table.rows) == 16
-    assert sum(row[1] == Cell("–") for row in table.rows) == 8
+    assert sum(cells[1] == Cell("–") for _, cells in table.rows) == 8
 
 
 def test_few_points_need_no_table():
