@@ -20,14 +20,21 @@ KEYS: Mapping[str, tuple[str, ...]] = {
 }
 """Columns that identify a row of each table. Steps of a learner also have an `episode`."""
 
-_BOOLEANS = {"success", "reached", "terminated", "truncated", "done"}
-_NUMBERS = {
+_TYPES = {
+    "integers": (pa.types.is_integer,),
+    "text": (pa.types.is_string, pa.types.is_large_string),
+    "true or false": (pa.types.is_boolean,),
+    "numbers": (pa.types.is_integer, pa.types.is_boolean, pa.types.is_floating),
+}
+_BOOLEANS = ("success", "reached", "terminated", "truncated", "done")
+_NUMBERS = (
     *("return", "steps", "exits", "nans", "rmse", "wrmse", "mnll", "collisions", "sampled_gradient"),
     *("wrmse_gradient", "wrmse_value"),
     *("episodes", "outside", "episodes_to_goal", "steps_to_goal", "episodes_to_target"),
     *("return_after_target", "length", "kappa", "trajectories"),
     *("reward", "planned_reward", "accumulated_reward", "x", "y", "heading"),
-}
+)
+_KNOWN = {"phase": "text", **dict.fromkeys(_BOOLEANS, "true or false"), **dict.fromkeys(_NUMBERS, "numbers")}
 _NUMBERED = ("observation_", "action_", "qpos_")
 
 
@@ -86,23 +93,11 @@ def check_runs(folder: Path, name: str, columns: Columns, runs: Columns) -> None
 
 
 def _check_type(path: Path, column: str, values: pa.ChunkedArray, *, is_key: bool) -> None:
-    kind, is_boolean = values.type, pa.types.is_boolean(values.type)
-    is_integer, is_text = (
-        pa.types.is_integer(kind),
-        pa.types.is_string(kind) or pa.types.is_large_string(kind),
-    )
-    wanted = None
-    if is_key:
-        wanted = is_integer, "integers"
-    elif column == "phase":
-        wanted = is_text, "text"
-    elif column in _BOOLEANS:
-        wanted = is_boolean, "true or false"
-    elif column in _NUMBERS or column.startswith(_NUMBERED):
-        wanted = is_integer or is_boolean or pa.types.is_floating(kind), "numbers"
-    if wanted is not None and not wanted[0]:
-        raise ResultsError(f"{path}: {column}: got a column of {kind}; allowed: {wanted[1]}")
-    if values.null_count and (is_key or column == "phase" or column in _BOOLEANS):
+    numbered = "numbers" if column.startswith(_NUMBERED) else None
+    wanted = "integers" if is_key else _KNOWN.get(column, numbered)
+    if wanted and not any(is_type(values.type) for is_type in _TYPES[wanted]):
+        raise ResultsError(f"{path}: {column}: got a column of {values.type}; allowed: {wanted}")
+    if values.null_count and wanted not in (None, "numbers"):
         raise ResultsError(f"{path}: {column}: got {values.null_count} nulls; allowed: none")
 
 
