@@ -10,8 +10,17 @@ from numpy.typing import NDArray
 
 from bojax.results.store import ResultsError, read_table
 
-Columns = dict[str, NDArray[Any]]
-"""A table as one array per column; a null is NaN in a column of numbers and None elsewhere."""
+
+class NoColumn(ResultsError):
+    """A table lacks a column; the message names it."""
+
+
+class Columns(dict[str, NDArray[Any]]):
+    """A table as one array per column; a null is NaN in a column of numbers and None elsewhere."""
+
+    def __missing__(self, name: str) -> NDArray[Any]:
+        raise NoColumn(f"the results have no column {name}")
+
 
 KEYS: Mapping[str, tuple[str, ...]] = {
     "runs": ("point", "run"),
@@ -55,7 +64,7 @@ def read_columns(folder: Path, name: str, points: Sequence[int]) -> Columns:
             raise ResultsError(f"{path}: no column {column}: not a table of bojax")
     if len(set(table.column_names)) < len(table.column_names):
         raise ResultsError(f"{path}: two columns have the same name")
-    columns: Columns = {}
+    columns = Columns()
     for column, values in zip(table.column_names, table.columns, strict=True):
         if pa.types.is_dictionary(values.type):
             values = values.cast(values.type.value_type)
@@ -66,7 +75,7 @@ def read_columns(folder: Path, name: str, points: Sequence[int]) -> Columns:
             raise ResultsError(f"{path}: {column}: a column of {values.type} cannot be read") from error
     order = np.lexsort([columns[key] for key in reversed(keys)])
     if (np.diff(order) != 1).any():  # bojax writes rows in the order of their keys
-        columns = {column: values[order] for column, values in columns.items()}
+        columns = Columns({column: values[order] for column, values in columns.items()})
     unknown = np.setdiff1d(columns["point"], points)
     if unknown.size:
         raise ResultsError(f"{path}: point: got {unknown[0]}, which the manifest does not have")
@@ -80,7 +89,7 @@ def read_columns(folder: Path, name: str, points: Sequence[int]) -> Columns:
 def where(columns: Columns, **values: Any) -> Columns:
     """The rows with these values of columns; an empty table has none."""
     kept = np.logical_and.reduce([columns[name] == value for name, value in values.items() if columns])
-    return {key: column[kept] for key, column in columns.items()}
+    return Columns({key: column[kept] for key, column in columns.items()})
 
 
 def check_runs(folder: Path, name: str, columns: Columns, runs: Columns) -> None:
@@ -106,7 +115,7 @@ def _check_phases(path: Path, columns: Columns, keys: Sequence[str]) -> None:
     is_training = columns["phase"] == "train"
     if not (is_training | (columns["phase"] == "test")).all():
         raise ResultsError(f"{path}: phase: allowed: train, test")
-    _check_rows(path, {key: columns[key][is_training] for key in keys}, keys)
+    _check_rows(path, Columns({key: columns[key][is_training] for key in keys}), keys)
     most = columns["episode"][is_training].max(initial=0)
     if columns["episode"].max(initial=0) > most or columns["episode"].min(initial=1) < 1:
         raise ResultsError(f"{path}: episode: allowed in a test: 1 to {most}, those of training")

@@ -136,7 +136,7 @@ class Results:
 
     def _rows_of_runs(self, name: str) -> Columns:
         if not (self.folder / f"{name}.parquet").exists():
-            return {}
+            return Columns()
         columns = read_columns(self.folder, name, [point.index for point in self.points])
         check_runs(self.folder, name, columns, self.runs)
         return columns
@@ -146,8 +146,9 @@ class Results:
 
         A run that has ended keeps its last value. The rows are those of `runs_of`.
         """
-        rows, runs = self.steps_of(point), self.runs_of(point)["run"]
-        return carry_forward(runs, rows["run"], rows[column], self.num_steps)
+        rows = self.steps_of(point)
+        values, runs = rows[column], self.runs_of(point)["run"]
+        return carry_forward(runs, rows["run"], values, self.num_steps)
 
     def by_episode(self, point: Point, column: str, phase: str = "train") -> NDArray[np.float64]:
         """A column of `episodes.parquet` by run and episode, `[runs, episodes]`, the first episode first.
@@ -157,6 +158,7 @@ class Results:
         """
         key = (point.index, column, phase)
         if key not in self._by_episode:
+            values = self.episodes[column]
             is_phase = self.episodes["phase"] == phase
             last = int(self.episodes["episode"][is_phase].max(initial=0))
             rows = is_phase & (self.episodes["point"] == point.index)
@@ -164,7 +166,7 @@ class Results:
             rows &= np.isin(self.episodes["run"], runs)
             cell = np.searchsorted(runs, self.episodes["run"][rows]) * last
             cell += self.episodes["episode"][rows] - 1
-            values = self.episodes[column][rows].astype(np.float64)
+            values = values[rows].astype(np.float64)
             count = np.bincount(cell, minlength=runs.size * last)
             total = np.bincount(cell, values, minlength=runs.size * last)
             means = np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)

@@ -8,6 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from bojax.experiments.settings import Learning, Planning
+from bojax.report.columns import Columns
 from bojax.report.manifest import ClaimEntry, Manifest
 from bojax.report.source import Point, Results
 from bojax.results.outline import Outline
@@ -392,9 +393,9 @@ def in_memory(
     }
     columns = next(iter(runs.values()))
     table |= {column: np.concatenate([runs[name][column] for name in names]) for column in columns}
-    results.__dict__["runs"] = table
-    results.__dict__["steps"] = {} if steps is None else _long(steps, names)
-    results.__dict__["episodes"] = {}
+    results.__dict__["runs"] = Columns(table)
+    results.__dict__["steps"] = Columns({} if steps is None else _long(steps, names))
+    results.__dict__["episodes"] = Columns()
     if episodes is not None:
         phases = [_episode_rows(episodes, names, "train")]
         if tests is not None:
@@ -402,9 +403,9 @@ def in_memory(
                 _episode_rows({name: values[..., test] for name, values in tests.items()}, names, "test")
                 for test in range(tests[names[0]].shape[-1])
             ]
-        results.__dict__["episodes"] = {
-            key: np.concatenate([phase[key] for phase in phases]) for key in phases[0]
-        }
+        results.__dict__["episodes"] = Columns(
+            {key: np.concatenate([phase[key] for phase in phases]) for key in phases[0]}
+        )
     return results
 
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from bojax.report import statistics
 from bojax.report.claims.finding import Comparison, Finding
-from bojax.report.claims.samples import Measure, column, enough, most_present, stand_ins
+from bojax.report.claims.samples import Measure, enough, most_present, stand_ins
 from bojax.report.claims.settings import Agrees
 from bojax.report.source import Results
 from bojax.report.text import counted, number, percent
@@ -27,7 +27,7 @@ def agrees(results: Results, test: Agrees) -> Finding:
     """
     label, name, runs = test.label, test.column, test.runs
     (point,), chosen = stand_ins(results, test, Measure(name))
-    values = column(results.runs_of(point), name)
+    values = results.runs_of(point)[name]
     enough(values.size, "run")
     if test.share is not None:
         size, hits, printed = values.size, int(np.count_nonzero(values)), round(test.share * runs)

@@ -14,6 +14,7 @@ from bojax.config.claims import Claim, Test
 from bojax.report import statistics
 from bojax.report.claims.finding import Finding
 from bojax.report.claims.samples import Undecidable
+from bojax.report.columns import NoColumn
 from bojax.report.manifest import Unread
 from bojax.report.source import Results
 from bojax.results.store import ResultsError
@@ -32,7 +33,10 @@ def decide(results: Results, test: Test) -> Finding:
         Undecidable: The data do not allow it.
     """
     module, _, name = type(test).target.partition(":")
-    return getattr(importlib.import_module(module), name)(results, test)
+    try:
+        return getattr(importlib.import_module(module), name)(results, test)
+    except NoColumn as error:
+        raise Undecidable(str(error)) from None
 
 
 def _entry(results: Results, claim: Claim | Unread) -> dict[str, Any]:

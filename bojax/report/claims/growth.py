@@ -7,7 +7,7 @@ import numpy as np
 from bojax.report import growth as laws
 from bojax.report import statistics
 from bojax.report.claims.finding import Comparison, Finding, Verdict, bootstrap
-from bojax.report.claims.samples import Undecidable, column, enough, most_present, named
+from bojax.report.claims.samples import Undecidable, enough, most_present, named
 from bojax.report.claims.settings import Growth
 from bojax.report.source import Point, Results
 from bojax.report.text import counted, percent
@@ -90,7 +90,6 @@ def numbers_of(points: list[Point], label: str, over: str) -> list[tuple[float, 
 def _samples(
     results: Results, points: list[tuple[float, Point]], label: str, name: str, missing: float
 ) -> statistics.Floats:
-    column(results.runs, name)
     table = results.paired([point for _, point in points], name).astype(np.float64)
     enough(len(table), "paired run")
     for (number, _), values in zip(points, table.T, strict=True):

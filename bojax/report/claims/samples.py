@@ -10,7 +10,6 @@ from typing_extensions import override
 
 from bojax.config.claims import Test, Window
 from bojax.report.claims.settings import Measured
-from bojax.report.columns import Columns
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats
 from bojax.report.text import counted
@@ -70,13 +69,12 @@ class Measure:
         table = results.runs_of(point)
         rows = np.searchsorted(table["run"], runs)
         if place is None:
-            values = column(table, self.column)[rows]
+            values = table[self.column][rows]
             return values if self.missing is None else np.nan_to_num(values, nan=self.missing)
         if isinstance(place, int):
             if results.num_steps < place:
                 lasted = f"no run lasted {counted(place, 'step')}"
                 raise Undecidable(f"{lasted}: the longest took {results.num_steps}")
-            column(results.steps, self.column)
             return results.by_step(point, self.column)[rows, place]
         episodes = by_episode(results, point, self.column, place, runs)
         if self.statistic == "mean" or episodes.shape[1] < 2:
@@ -139,7 +137,6 @@ def by_episode(results: Results, point: Point, name: str, window: Window, runs: 
     last, rows = window.last, np.searchsorted(results.runs_of(point)["run"], runs)
     if not results.episodes:
         raise Undecidable("the results have no episodes")
-    column(results.episodes, name)
     table = results.by_episode(point, name, window.phase)
     if table.shape[1] < last:
         what = "a test after" if window.phase == "test" else "an"
@@ -164,13 +161,6 @@ def most_present(values: NDArray[Any], name: str, column: str, missing: float) -
         )
         raise Undecidable(f"{lacking} of {counted(is_there.size, 'run')} of {name} have no {column}, {limit}")
     return is_there
-
-
-def column(table: Columns, name: str) -> NDArray[Any]:
-    """A column of a table."""
-    if name not in table:
-        raise Undecidable(f"the results have no column {name}")
-    return table[name]
 
 
 def finite(values: NDArray[Any], name: str, column: str) -> None:

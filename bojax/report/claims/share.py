@@ -10,7 +10,6 @@ from bojax.report.claims.samples import (
     Measure,
     Undecidable,
     by_episode,
-    column,
     enough,
     episodes_in,
     finite,
@@ -30,12 +29,12 @@ def share(results: Results, test: Share) -> Finding:
             f"a run of {label} continues after its success, so its steps do not say when it succeeded"
         )
     if window is None:
-        hits = np.asarray(column(results.runs_of(point), test.column), dtype=bool)
+        hits = results.runs_of(point)[test.column].astype(bool)
     else:
         hits = _in_any(results, point, test.column, window)
     condition = test.column
     if limit is not None:
-        hits = hits & (column(results.runs_of(point), "steps") <= limit)
+        hits = hits & (results.runs_of(point)["steps"] <= limit)
         condition += f" within {counted(limit, 'step')}"
     if window is not None:
         condition += f" in {'' if window.first == window.last else 'any of '}{episodes_in(window)}"

@@ -3,7 +3,7 @@
 The module of a figure defines two names:
 
 - `draw(results)` returns a `bojax.report.drawing.base.Drawing`, or raises `Undrawable` with the reason why
-  these results do not allow the figure.
+  these results do not allow the figure. A column that they lack is such a reason by itself.
 - `RANK` is its position on the page of a sweep that does not list its figures; the lowest comes first.
 """
 
@@ -11,7 +11,8 @@ import importlib
 from types import ModuleType
 
 from bojax.config.figures import figure_modules
-from bojax.report.drawing.base import Drawing
+from bojax.report.columns import NoColumn
+from bojax.report.drawing.base import Drawing, Undrawable
 from bojax.report.source import Results
 
 
@@ -21,7 +22,10 @@ def draw(name: str, results: Results) -> Drawing:
     Raises:
         Undrawable: The results do not allow the figure.
     """
-    return _module(name).draw(results)
+    try:
+        return _module(name).draw(results)
+    except NoColumn as error:
+        raise Undrawable(str(error)) from None
 
 
 def ranked() -> list[str]:

@@ -12,8 +12,6 @@ RANK = 10
 
 def draw(results: Results) -> Drawing:
     """Every planner's mean accumulated reward, from 0 at step 0; a run that has ended keeps its value."""
-    if "accumulated_reward" not in results.steps or not results.num_steps:
-        raise Undrawable("steps.parquet has no accumulated_reward")
     if any(point.is_learning for point in results.points):
         raise Undrawable("a run of a learner has many episodes: learning-curves shows them")
     points, note = drawn_points(results)

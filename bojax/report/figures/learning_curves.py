@@ -33,8 +33,6 @@ def draw(results: Results) -> Drawing:
     `report.rolling` is the number of episodes over which the return of each run is averaged up to each
     episode; `report.best_return` is drawn as a line.
     """
-    if "return" not in results.episodes:
-        raise Undrawable("there is no episodes.parquet with a return")
     if results.num_episodes < 2:
         raise Undrawable("no run had more than one episode")
     points, note = drawn_points(results)

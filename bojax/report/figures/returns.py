@@ -16,8 +16,6 @@ _MAX_DOTS = 400
 
 def draw(results: Results) -> Drawing:
     """A swarm of dots per point; below it, the mean with its 95% interval."""
-    if "return" not in results.runs:
-        raise Undrawable("runs.parquet has no return")
     points, note = drawn_points(results)
     returns = [results.runs_of(point)["return"].astype(np.float64) for point in points]
     samples = [values[np.isfinite(values)] for values in returns]

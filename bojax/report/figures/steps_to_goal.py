@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bojax.report.drawing.base import Drawing, Undrawable, drawn_points
+from bojax.report.drawing.base import Drawing, drawn_points
 from bojax.report.drawing.curves import Chart, Curve, Panel
 from bojax.report.source import Results
 
@@ -11,8 +11,6 @@ RANK = 60
 
 def draw(results: Results) -> Drawing:
     """Mean length of the successful training episodes; below, the share of runs whose episode succeeds."""
-    if not {"length", "success"} <= results.episodes.keys():
-        raise Undrawable("there is no episodes.parquet with length and success")
     points, note = drawn_points(results)
     lengths, successes = [], []
     for point in points:

@@ -11,15 +11,12 @@ RANK = 20
 
 def draw(results: Results) -> Drawing:
     """Success by step, of runs that end at success: each succeeds at its last step or never."""
-    runs = results.runs
-    if "success" not in runs or "steps" not in runs or not runs["steps"].size:
-        raise Undrawable("runs.parquet has no success and steps")
     points, note = drawn_points(results)
     if not all(point.has_success and point.ends_at_success for point in points):
         raise Undrawable(
             "a run of this problem does not end at success, so its steps do not tell when it succeeded"
         )
-    x = np.arange(max(results.num_steps, runs["steps"].max()) + 1.0)
+    x = np.arange(max(results.num_steps, results.runs["steps"].max()) + 1.0)
     curves = []
     for point in points:
         rows = results.runs_of(point)

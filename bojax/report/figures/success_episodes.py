@@ -11,8 +11,8 @@ RANK = 40
 
 def draw(results: Results) -> Drawing:
     """Success by episode; the axis ends soon after the last run that reaches the goal for the first time."""
-    if "episodes_to_goal" not in results.runs or not results.num_episodes:
-        raise Undrawable("runs.parquet has no episodes_to_goal")
+    if not results.num_episodes:
+        raise Undrawable("the results have no episodes")
     points, note = drawn_points(results)
     when = [results.runs_of(point)["episodes_to_goal"].astype(np.float64) for point in points]
     latest = max(first[np.isfinite(first)].max(initial=1) for first in when)
