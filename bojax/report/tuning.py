@@ -9,11 +9,10 @@ import pydantic
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
-from bojax.config.errors import dotted, from_validation
 from bojax.config.tuning import Range, described
 from bojax.report import style
 from bojax.report.drawing.base import Drawing, label_panels, panel_grid
-from bojax.report.manifest import Count, Part
+from bojax.report.manifest import Count, Part, validated
 from bojax.report.page import Plate, provenance
 from bojax.report.ranking import Measure, ranking
 from bojax.report.source import Results, load
@@ -111,11 +110,9 @@ def read_tuning(folder: Path) -> Tuning:
         ResultsError: The file is missing or damaged.
     """
     path = folder / TUNING
+    tuning = validated(Tuning, read_json(path), str(path))
     try:
-        tuning = Tuning.model_validate(read_json(path))
         _ = tuning.ranges, tuning.best
-    except pydantic.ValidationError as error:
-        raise ResultsError(str(from_validation(error, lambda at: f"{path}: {dotted(at)}"))) from error
     except (TypeError, IndexError) as error:
         raise ResultsError(f"{path}: is damaged: delete it, and resume the search") from error
     return tuning
