@@ -7,7 +7,7 @@ import numpy as np
 
 from bojax.config.errors import allowed_names
 from bojax.report import statistics
-from bojax.report.columns import Columns
+from bojax.report.columns import Columns, NoColumn
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats, Interval
 from bojax.report.text import counted, with_bounds
@@ -62,13 +62,13 @@ def measure_of(results: Results, by: str | None = None) -> Measure:
             `-steps_to_goal` if a learner reached a goal, and else `return`.
 
     Raises:
-        ResultsError: There is no such column of numbers.
+        NoColumn: There is no such column of numbers.
     """
     by = by or results.report.rank_by or _usual(results)
     column = by.removeprefix("-")
     known = results.measured(results.runs)
     if column not in known:
-        raise ResultsError(f"runs.parquet: unknown column {column}{allowed_names(column, known)}")
+        raise NoColumn(f"runs.parquet: unknown column {column}{allowed_names(column, known)}")
     return Measure(column, by.startswith("-"))
 
 

@@ -10,10 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from bojax.report import style
-from bojax.report.ranking import Measure, measure_of
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Interval
-from bojax.results.store import ResultsError
 
 T = TypeVar("T")
 
@@ -51,18 +49,6 @@ def drawn_points(results: Results, most: int = MAX_POINTS) -> tuple[tuple[Point,
     best = [max((point for point in points if point.label == label), key=score) for label in labels]
     note = f" Of {len(points)} points, the one with the best mean return of each label is drawn."
     return tuple(best[:most]), note
-
-
-def ranked_points(results: Results) -> tuple[Measure, list[Point]]:
-    """The measure by which points are ranked, and the points that have runs.
-
-    Raises:
-        Undrawable: `report.rank_by` names no column of numbers.
-    """
-    try:
-        return measure_of(results), results.run_points
-    except ResultsError as error:
-        raise Undrawable(str(error)) from None
 
 
 def points_with(

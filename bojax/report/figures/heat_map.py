@@ -11,16 +11,9 @@ from matplotlib.patches import Rectangle
 
 from bojax.config.errors import allowed_names
 from bojax.report import style
-from bojax.report.drawing.base import (
-    MAX_POINTS,
-    Drawing,
-    Undrawable,
-    label_panels,
-    panel_grid,
-    ranked_points,
-)
+from bojax.report.drawing.base import MAX_POINTS, Drawing, Undrawable, label_panels, panel_grid
 from bojax.report.drawing.maps import draw_scale
-from bojax.report.ranking import Measure
+from bojax.report.ranking import Measure, measure_of
 from bojax.report.source import Point, Results, swept_keys, swept_values
 from bojax.report.statistics import Floats
 from bojax.report.text import heading, is_number, minus, number
@@ -41,7 +34,7 @@ BOLD = {"facecolor": "none", "edgecolor": style.ORANGE, "linewidth": 2.2}
 
 def draw(results: Results) -> Drawing:
     """One panel for each variant, on a common scale of colours; the best cell has a frame."""
-    measure, points = ranked_points(results)
+    measure, points = measure_of(results), results.run_points
     horizontal, vertical = _keys(results, points)
     points = [point for point in points if {horizontal, vertical} <= point.swept.keys()]
     x, y = (sorted(swept_values(points, key)) for key in (horizontal, vertical))

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from bojax.report import style
-from bojax.report.drawing.base import Drawing, Undrawable, label_panels, panel_grid, ranked_points
+from bojax.report.drawing.base import Drawing, Undrawable, label_panels, panel_grid
+from bojax.report.ranking import measure_of
 from bojax.report.source import Point, Results, swept_keys, swept_values
 from bojax.report.text import is_number, number
 
@@ -17,7 +18,7 @@ MAX_PANELS = 8
 
 def draw(results: Results) -> Drawing:
     """One panel for each swept list of values, with two curves per label."""
-    measure, points = ranked_points(results)
+    measure, points = measure_of(results), results.run_points
     keys = swept_keys(points)[:MAX_PANELS]
     if not keys:
         raise Undrawable("the sweep has no list of values")
