@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bojax.report.drawing.base import Undrawable
-from bojax.report.figures.settings_ import _curve_names, _short, marginals
+from bojax.report.figures.settings_ import _short, curves_and_panels, marginals
 from bojax.report.source import swept_values
 from tests.report.synthetic import point_of
 
@@ -22,24 +22,22 @@ def grid():
 def test_marginals_are_the_best_and_the_mean_over_all_other_settings():
     points = grid()
     means = np.arange(8.0)  # a: kappa 1 -> 0, 1; kappa 10 -> 2, 3; b: 4..7
-    is_b = [point.variant == "b" for point in points]
-    best, mean = marginals(points, means, "planner.kappa", [1.0, 10.0], is_b)
+    best, mean = marginals(points[4:], means[4:], "planner.kappa", [1.0, 10.0])
     np.testing.assert_array_equal(best, [5.0, 7.0])
     np.testing.assert_array_equal(mean, [4.5, 6.5])
 
 
 def test_named_axes_are_curves_and_lists_are_panels():
     points = grid()
-    keys = ["planner", "planner.kappa", "planner.depth"]
-    assert _curve_names(points, keys) == [point.variant for point in points]
-    assert keys == ["planner.kappa", "planner.depth"]
+    variants = [point.variant for point in points]
+    assert curves_and_panels(points) == (variants, ["planner.kappa", "planner.depth"])
     assert swept_values(points, "planner.depth") == [2, 3]
 
 
 def test_a_sweep_of_names_alone_has_no_such_figure():
     points = [point_of(0, "sbo", "a", {"planner": "a"})]
     with pytest.raises(Undrawable, match="no list"):
-        _curve_names(points, ["planner"])
+        curves_and_panels(points)
 
 
 @pytest.mark.parametrize(("value", "text"), [(0.35, "0.35"), (3000.0, "3k"), (17, "17"), (True, "true")])

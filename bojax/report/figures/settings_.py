@@ -19,10 +19,7 @@ MAX_PANELS = 8
 def draw(results: Results) -> Drawing:
     """One panel for each swept list of values, with two curves per label."""
     measure, points = measure_of(results), results.run_points
-    keys = swept_keys(points)[:MAX_PANELS]
-    if not keys:
-        raise Undrawable("the sweep has no list of values")
-    names = _curve_names(points, keys)
+    names, keys = curves_and_panels(points)
     curves = list(dict.fromkeys(names))
     means = np.array([measure.values(results.runs_of(point)).mean() for point in points])
     if not np.isfinite(means).any():
@@ -34,10 +31,10 @@ def draw(results: Results) -> Drawing:
         values = sorted(values) if all(map(is_number, values)) else values
         places = np.arange(len(values))
         for curve in curves:
-            is_drawn = [name == curve for name in names]
-            found = marginals(points, measure.sign * means, key, values, is_drawn)
+            drawn = [index for index, name in enumerate(names) if name == curve]
+            found = marginals([points[i] for i in drawn], measure.sign * means[drawn], key, values)
             best, mean = (measure.sign * each for each in found)
-            first = points[names.index(curve)]
+            first = points[drawn[0]]
             variants = [name for name in curves if points[names.index(name)].label == first.label]
             look = style.look(first.label, labels, variants.index(curve))
             axes.plot(places, best, **look, marker="o", markersize=3.5, label=curve)
@@ -62,23 +59,24 @@ def draw(results: Results) -> Drawing:
 
 
 def marginals(
-    points: Sequence[Point], means: np.ndarray, key: str, values: Sequence[Any], is_drawn: Sequence[bool]
+    points: Sequence[Point], means: np.ndarray, key: str, values: Sequence[Any]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Best and mean of the mean returns at each value of a key, over the drawn points."""
-    drawn = list(zip(points, is_drawn, strict=True))
-    at = [[means[i] for i, (point, d) in enumerate(drawn) if d and point.swept.get(key) == v] for v in values]
-    best, mean = (np.array([of(each or [np.nan]) for each in at]) for of in (np.max, np.mean))
+    """Best and mean of the means of points at each value of a key."""
+    at = [means[[point.swept.get(key) == value for point in points]] for value in values]
+    best, mean = (np.array([of(each) if each.size else np.nan for each in at]) for of in (np.max, np.mean))
     return best, mean
 
 
-def _curve_names(points: Sequence[Point], keys: list[str]) -> list[str]:
-    """Name of the curve of each point. Named axes, which the curves distinguish, are removed from `keys`."""
-    named = [key for key in keys if all(point.swept.get(key) in point.variant.split("/") for point in points)]
-    for key in named:
-        keys.remove(key)
+def curves_and_panels(points: Sequence[Point]) -> tuple[list[str], list[str]]:
+    """Name of the curve of each point, and the keys of the panels: axes with names are told by the curves."""
+    swept = swept_keys(points)
+    named = [
+        key for key in swept if all(point.swept.get(key) in point.variant.split("/") for point in points)
+    ]
+    keys = [key for key in swept if key not in named][:MAX_PANELS]
     if not keys:
         raise Undrawable("the sweep has no list of values")
-    return ["/".join(str(point.swept[key]) for key in named) or point.label for point in points]
+    return ["/".join(str(point.swept[key]) for key in named) or point.label for point in points], keys
 
 
 def _short(value: Any) -> str:
