@@ -4,18 +4,29 @@ import importlib
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 from bojax.config.errors import ConfigError
 from bojax.config.figures import figure_modules
 from bojax.config.sweep import load_sweep
-from bojax.report.figures import ranked
+from bojax.report.drawing.base import Undrawable
+from bojax.report.figures import draw, ranked
+from tests.report.synthetic import in_memory
 
 
 @pytest.mark.parametrize("name", figure_modules())
 def test_every_file_is_a_figure(name):
     module = importlib.import_module(figure_modules()[name])
     assert callable(module.draw) and isinstance(module.RANK, int) and module.__doc__
+
+
+@pytest.mark.parametrize("episodes", [None, {"a": np.zeros((3, 2))}])
+@pytest.mark.parametrize("name", figure_modules())
+def test_results_that_lack_its_columns_do_not_allow_a_figure(name, episodes):
+    results = in_memory({"a": {"other": np.zeros(3)}}, episodes=episodes)
+    with pytest.raises(Undrawable):
+        draw(name, results)
 
 
 def test_a_name_is_that_of_the_file():
