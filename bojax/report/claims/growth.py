@@ -9,7 +9,8 @@ from bojax.report import statistics
 from bojax.report.claims.finding import Comparison, Finding, Verdict, bootstrap
 from bojax.report.claims.samples import Undecidable, enough, most_present, named
 from bojax.report.claims.settings import Growth
-from bojax.report.source import Point, Results
+from bojax.report.source import Results
+from bojax.report.statistics import Floats
 from bojax.report.text import counted, percent
 
 MIN_NUMBERS = 4
@@ -23,9 +24,7 @@ def growth(results: Results, test: Growth) -> Finding:
     best in 95% of the resamples.
     """
     label, name, over, expected = test.label, test.column, test.over, test.expected
-    points = numbers_of(named(results, test, label), label, over)
-    x = np.array([number for number, _ in points])
-    values = _samples(results, points, label, name, test.missing)
+    x, values = _samples(results, test)
     is_there = np.isfinite(values)
     means = statistics.bootstrap_present(values)
     low, high = statistics.central(means[:, -1] - means[:, 0])
@@ -73,31 +72,27 @@ def growth(results: Results, test: Growth) -> Finding:
     )
 
 
-def numbers_of(points: list[Point], label: str, over: str) -> list[tuple[float, Point]]:
-    """Points by the swept number, from the least on."""
-    swept = [(point.swept.get(over), point) for point in points]
-    if not all(isinstance(number, int | float) for number, _ in swept):
+def _samples(results: Results, test: Growth) -> tuple[Floats, Floats]:
+    """The swept numbers `[n]`, the least first, and the value of each run at each of them, `[runs, n]`."""
+    label, over = test.label, test.over
+    points = named(results, test, label)
+    numbers: list[Any] = [point.swept.get(over) for point in points]
+    if not all(isinstance(number, int | float) for number in numbers):
         raise Undecidable(f"{over} is not a swept number of {label}")
-    numbers = sorted(((float(number), point) for number, point in swept), key=lambda pair: pair[0])  # type: ignore[arg-type]
-    distinct = {number for number, _ in numbers}
-    if len(distinct) < len(numbers):
+    by_number = dict(zip(numbers, points, strict=True))
+    if len(by_number) < len(points):
         raise Undecidable(f"several settings of {label} have the same {over}: test them by variant")
-    if len(distinct) < MIN_NUMBERS:
-        raise Undecidable(f"{counted(len(distinct), 'value')} of {over}: at least {MIN_NUMBERS} are needed")
-    return numbers
-
-
-def _samples(
-    results: Results, points: list[tuple[float, Point]], label: str, name: str, missing: float
-) -> statistics.Floats:
-    table = results.paired([point for _, point in points], name).astype(np.float64)
+    if len(by_number) < MIN_NUMBERS:
+        raise Undecidable(f"{counted(len(by_number), 'value')} of {over}: at least {MIN_NUMBERS} are needed")
+    x = np.array(sorted(by_number), dtype=np.float64)
+    table = results.paired([by_number[number] for number in x], test.column).astype(np.float64)
     enough(len(table), "paired run")
-    for (number, _), values in zip(points, table.T, strict=True):
-        present = most_present(values, f"{label} at {number:g}", name, missing)
+    for number, values in zip(x, table.T, strict=True):
+        present = most_present(values, f"{label} at {number:g}", test.column, test.missing)
         enough(int(present.sum()), "successful run")
     if not (np.nanmean(table, axis=0) > 0).all():
-        raise Undecidable(f"the means of {name} are not positive: no law of growth holds")
-    return table
+        raise Undecidable(f"the means of {test.column} are not positive: no law of growth holds")
+    return x, table
 
 
 def _ratio(above: Any, below: Any, many_above: Any, many_below: Any) -> statistics.Interval:
