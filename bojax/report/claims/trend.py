@@ -5,7 +5,7 @@ import numpy as np
 from bojax.config.claims import Window
 from bojax.report import statistics
 from bojax.report.claims.finding import Comparison, Finding, bootstrap
-from bojax.report.claims.samples import Measure, column, enough, episodes_in, finite, paired, stand_ins
+from bojax.report.claims.samples import Measure, enough, episodes_in, finite, paired, stand_ins
 from bojax.report.claims.settings import Trend
 from bojax.report.source import Point, Results
 
@@ -40,7 +40,7 @@ def trend(results: Results, test: Trend) -> Finding:
 def _change_of_active(results: Results, test: Trend, point: Point) -> tuple[statistics.Interval, int]:
     """Change from the mean at the first step to that of the later ones, over runs that have not ended."""
     rows, runs = results.steps_of(point), results.runs_of(point)["run"]
-    values, step = column(rows, test.column), rows["step"]
+    values, step = rows[test.column], rows["step"]
     row = np.searchsorted(runs, rows["run"])
     sums = []
     for is_counted in (step == test.first, (test.first < step) & (step <= test.last)):
