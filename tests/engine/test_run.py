@@ -87,10 +87,13 @@ def test_manifest(folder):
     manifest = read_manifest(folder)
     assert manifest["status"] == "finished" and manifest["command"] == "bojax sweep toy"
     assert [group["points"] for group in manifest["groups"]] == [[0, 1], [2]]
+    assert all(manifest["times"][stage] >= 0 for stage in ("planning", "merging"))
     total = sum(read_table(folder / "runs.parquet")["steps"].to_pylist())
     assert sum(group["active_steps"] for group in manifest["groups"]) == total
     for group in manifest["groups"]:
         assert group["compile_seconds"] > 0 and group["run_seconds"] > 0
+        times = [group["times"][name] for name in ("compiling", "compiled", "begun", "ended")]
+        assert 0 <= times[0] and times == sorted(times)
         assert list(group["latency_seconds"]) == [str(point) for point in group["points"]]
         assert all(0 < seconds < 1 for seconds in group["latency_seconds"].values())
         for point, (least, largest) in group["latency_range"].items():
