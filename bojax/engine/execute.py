@@ -32,7 +32,7 @@ COMPILE_THREADS = 8, 16
 one."""
 
 AHEAD_ON_CPU, AHEAD_ON_ACCELERATOR = 24, 192
-"""Number of programs that are compiled ahead; they take memory.
+"""Number of programs that are compiled ahead, and on an accelerator also kept afterwards; they take memory.
 
 A sweep of many groups is held up by tracing, one group after the other, which must go on while groups run. On
 a CPU both share the cores.
@@ -161,7 +161,8 @@ class _Executor:
         self._waits, self._looking, self._next_look = waits, threading.Lock(), 0.0
         self._tasks, self._devices, self._progress = list(tasks), list(dict.fromkeys(workers)), progress
         self._turns = {device: turn_of(device) for device in self._devices}
-        self._is_closed = False
+        self._is_closed, self._is_cpu = False, self._devices[0].platform == "cpu"
+        self._unused: deque[Hashable] = deque()
         self._kept: list[Hashable] = []
         self._stop = lambda: self._is_closed or self.error is not None or stop()
         self._changed = threading.Condition(threading.RLock())
@@ -202,7 +203,7 @@ class _Executor:
 
     def _request_ahead(self) -> None:
         """Request the programs of the first unfinished groups, spread over the devices."""
-        most = AHEAD_ON_CPU if self._devices[0].platform == "cpu" else AHEAD_ON_ACCELERATOR
+        most = AHEAD_ON_CPU if self._is_cpu else AHEAD_ON_ACCELERATOR
         for i, task in enumerate(self._tasks):
             if most > 0 and (task.chunks or task.running):
                 most -= len(task.layout.widths)
@@ -456,11 +457,25 @@ class _Executor:
     def _end_if_done(self, task: GroupTask) -> None:
         if task.chunks or task.running or task.elsewhere or self._stop():
             return
-        for device in self._devices:
-            for width in task.layout.widths:
-                self._ahead.drop((task, device, width))
+        self._drop_programs(task)
         self._ended.put(task)
         self._request_ahead()
+
+    def _drop_programs(self, task: GroupTask) -> None:
+        """Do not compile programs of a group that has ended, and free its oldest ones.
+
+        A GPU keeps many: to free one waits for whatever runs or is measured there, which may last until a
+        measurement of XLA's tuning times out, after 0.1 s (openxla/xla#42347).
+        """
+        for device in self._devices:
+            for width in task.layout.widths:
+                key = task, device, width
+                if self._ahead.is_ready(key):
+                    self._unused.append(key)
+                else:
+                    self._ahead.drop(key)
+        while len(self._unused) > (0 if self._is_cpu else AHEAD_ON_ACCELERATOR):
+            self._ahead.drop(self._unused.popleft())
 
     def _fail(self, task: GroupTask, chunks: Sequence[Chunk], error: BaseException) -> None:
         try:
