@@ -218,26 +218,35 @@ def solve_small(a: Float[Array, "N N"], b: Float[Array, "N K"]) -> Float[Array, 
 
 @one_by_one_on_cpu
 def inverse_matrix(a: Float[Array, "N N"]) -> Float[Array, "N N"]:
-    """The inverse of a matrix of any size, by LAPACK's LU factors on a CPU and by halves elsewhere."""
-    return jnp.linalg.inv(a) if jax.default_backend() == "cpu" else inverse_by_halves(a)
+    """The inverse of a matrix of any size, by LAPACK's LU factors on a CPU and by blocks elsewhere."""
+    return jnp.linalg.inv(a) if jax.default_backend() == "cpu" else inverse_by_blocks(a)
 
 
-def inverse_by_halves(a: Float[Array, "N N"]) -> Float[Array, "N N"]:
-    """The inverse of a matrix [[A, B], [C, D]] from those of A and of D - C A^-1 B, down to 64 rows.
+def inverse_by_blocks(a: Float[Array, "N N"], block: int = 64) -> Float[Array, "N N"]:
+    """The inverse of a matrix by Gauss-Jordan elimination of `block` columns at a time, in its own place.
 
-    Most of the work is matrix products, which a GPU computes for a whole batch at once. Rows are exchanged
-    within 64 rows only: if the inverse of a leading block is much larger than that of the matrix, digits are
-    lost in proportion.
+    Most of the work is matrix products, which a GPU computes for a whole batch at once; as a loop, they are
+    two in the program, whatever the size. Rows are exchanged within a block only: if the inverse of a leading
+    part is much larger than that of the matrix, digits are lost in proportion.
     """
-    n = a.shape[0]
-    if n <= 64:
-        return jnp.linalg.inv(a)
-    half, product = n // 2, matmul_on_tensor_cores
-    first = inverse_by_halves(a[:half, :half])
-    right, below = product(first, a[:half, half:]), product(a[half:, :half], first)
-    last = inverse_by_halves(a[half:, half:] - product(a[half:, :half], right))
-    below = -product(last, below)
-    return jnp.block([[first - product(right, below), -product(right, last)], [below, last]])
+    n, product = a.shape[0], matmul_on_tensor_cores
+    block = min(block, n)
+    number = -(-n // block)
+    # Rows and columns of the identity fill the last block.
+    index = jnp.arange(number * block)
+    a = jnp.eye(number * block, dtype=a.dtype).at[:n, :n].set(a)
+
+    def eliminate(k, a):
+        first = k * block
+        is_own = (index // block == k)[None, :]
+        rows, columns = (jax.lax.dynamic_slice_in_dim(a, first, block, axis) for axis in (0, 1))
+        pivot = jnp.linalg.inv(jax.lax.dynamic_slice_in_dim(rows, first, block, 1))
+        rows = product(pivot, jnp.where(is_own, 0.0, rows))
+        rows = jax.lax.dynamic_update_slice_in_dim(rows, pivot, first, 1)
+        a = jnp.where(is_own, 0.0, a) - product(columns, rows)
+        return jax.lax.dynamic_update_slice_in_dim(a, rows, first, 0)
+
+    return jax.lax.fori_loop(0, number, eliminate, a)[:n, :n]
 
 
 def gcr(

@@ -13,7 +13,7 @@ from bojax.numerics.linalg import (
     eigh,
     gcr,
     guarded_cholesky,
-    inverse_by_halves,
+    inverse_by_blocks,
     inverse_cholesky,
     matmul,
     solve_small,
@@ -195,9 +195,9 @@ def test_batches_at_once_do_not_bring_the_threads_to_a_standstill():
 
 
 @pytest.mark.parametrize("n", [1, 64, 65, 300])
-def test_inverses_by_halves_are_those_of_numpy(n):
+def test_inverses_by_blocks_are_those_of_numpy(n):
     matrix = np.eye(n) - 0.9 * np.linalg.qr(np.random.default_rng(n).normal(size=(n, n)))[0]
-    inverse = jax.jit(inverse_by_halves)(jnp.asarray(matrix))
+    inverse = jax.jit(inverse_by_blocks)(jnp.asarray(matrix))
     np.testing.assert_allclose(inverse, np.linalg.inv(matrix), atol=1e-11)
 
 
