@@ -189,9 +189,9 @@ class EMUQModel(eqx.Module):
         u = jnp.where(terminated & ~self.terminal_u.is_("bootstrap"), forever, next_values[U])
         return jnp.stack([reward + self.discount * q, bonus + self.discount * u], axis=-1)
 
-    def q_discount(self, terminated: Bool[Array, "B"], is_valid: Bool[Array, "B"]) -> Float[Array, "B"]:
-        """Factor of Q(s', a') in the TD target of Q; 0 for rows that are not valid."""
-        continues = is_valid & (self.terminal_q.is_("bootstrap") | ~terminated)
+    def q_discount(self, terminated: Bool[Array, "B"]) -> Float[Array, "B"]:
+        """Factor of Q(s', a') in the TD target of Q."""
+        continues = self.terminal_q.is_("bootstrap") | ~terminated
         return self.discount * continues.astype(self.discount.dtype)
 
     def u_terms(

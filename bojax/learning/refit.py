@@ -4,12 +4,18 @@ The covariance S stays the same; the TD targets are those of the current policy 
 either by sweeps, m <- beta S Phi'(r + gamma Phi_next m), or by solving the equations that the sweeps converge
 to, (I - beta gamma S Phi'Phi_next) m = beta S Phi'r.
 
+The direct solution is policy iteration: the equations of a policy are solved, then the policy becomes greedy
+for their solution, until the weights are again those of an earlier policy. With a table as features, that is
+the one before, as the values of no policy are below those of the one before. In general, policies may go
+round in a circle, as those of sweeps may.
+
 The matrices of two policies in succession differ little. The inverse for one policy is therefore kept as the
 preconditioner of the equations of the following policies, which take a few products with the features. If
-these do not converge, every further policy gets an inverse of its own.
+these do not converge, the policy gets an inverse of its own, which is kept in turn.
 """
 
 from collections.abc import Callable
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -18,7 +24,8 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from bojax.envs.base import Action
 from bojax.learning.emu_q_model import EMUQModel, EMUQState, Q, U
-from bojax.learning.memory import Memory
+from bojax.learning.features import StateActionFeatures
+from bojax.learning.memory import Memory, T
 from bojax.numerics.lanes import any_lane
 from bojax.numerics.linalg import gcr, inverse_matrix, matmul, matmul_on_tensor_cores
 
@@ -53,6 +60,22 @@ class _Rows(eqx.Module):
     is_valid: Bool[Array, "B"]
     phi: Float[Array, "B M"]
     x: Float[Array, "B P"]
+
+    def of(self, array: Float[Array, "C"] | Int[Array, "C"]) -> Array:
+        """The entries of these transitions."""
+        return jax.lax.dynamic_slice_in_dim(array, self.index[0], len(self.index))
+
+    def valid(self, entries: Float[Array, "B"]) -> Float[Array, "B"]:
+        """The entries of transitions that count, and 0 for the others."""
+        return jnp.where(self.is_valid, entries, jnp.zeros((), entries.dtype))
+
+    def put(self, arrays: T, entries: T) -> T:
+        """Arrays of one entry for each transition, with those of these transitions replaced."""
+        return jax.tree.map(
+            lambda array, new: jax.lax.dynamic_update_slice_in_dim(array, new, self.index[0], 0),
+            arrays,
+            entries,
+        )
 
 
 class _Transitions(eqx.Module):
@@ -104,48 +127,140 @@ class _Transitions(eqx.Module):
         return memory.fold(recomputed, carry, self.block, first=number)
 
 
+class _Candidates(eqx.Module):
+    """Actions over which a policy maximises Q + kappa U, and what does not depend on the weights.
+
+    Attributes:
+        model: Model of Q and U.
+        features: Feature map phi.
+        kappa: Weight of U.
+        ys: Features y(a) of the candidates.
+        forms: Quadratic forms of x(s') in the variance of every candidate; None if U needs no variance.
+    """
+
+    model: EMUQModel
+    features: StateActionFeatures
+    kappa: Float[Array, ""]
+    ys: Float[Array, "J R"]
+    forms: Float[Array, "J P P"] | None
+
+    @classmethod
+    def of(
+        cls, model: EMUQModel, state: EMUQState, actions: Action, kappa: Float[Array, ""]
+    ) -> "_Candidates":
+        features, forms = state.features, None
+        ys = jax.vmap(features.action)(actions)
+        if model.optimistic_u:
+            forms = jax.vmap(lambda y: features.mean_form(state.posterior.base, y[None]))(ys)
+        return cls(model, features, kappa, ys, forms)
+
+    def split(self, weights: Float[Array, "M"]) -> Float[Array, "J P"]:
+        """Weights of x(s') in the values of every candidate."""
+        return jax.vmap(self.features.split, (None, 0))(weights, self.ys)
+
+    def policy(
+        self, mean: Float[Array, "M 2"]
+    ) -> Callable[[Float[Array, "B P"]], tuple[Int[Array, "B"], Float[Array, "B 2"], Float[Array, "B"]]]:
+        """The policy pi = argmax Q + kappa U, as a function of x(s').
+
+        It gives the index of the chosen candidate, its phi'm_Q and phi'm_U, and its factor of U.
+        """
+        weights = jax.vmap(self.split, 1, 2)(mean)
+        weights = jnp.moveaxis(weights, 0, 1).reshape(weights.shape[1], -1)
+
+        def choose(x):
+            values = matmul_on_tensor_cores(x, weights).reshape(len(x), -1, 2)
+            factors = jnp.ones(values.shape[:2], values.dtype)
+            if self.forms is not None:
+                factors = self.model.u_factor(_quadratic_forms(x, self.forms))
+            scores = values[:, :, Q] + self.kappa * (values[:, :, U] * factors)
+            chosen = jnp.argmax(scores, axis=1).astype(jnp.int32)
+            value = jnp.take_along_axis(values, chosen[:, None, None], axis=1)[:, 0]
+            return chosen, value, jnp.take_along_axis(factors, chosen[:, None], axis=1)[:, 0]
+
+        return choose
+
+
 class _Equations(eqx.Module):
-    """The equations m = beta S Phi'(constant + discount Phi_next m) of a given policy.
+    """The equations m = beta S Phi'(constant + discount Phi_next m) of Q or of U, for a given policy.
 
     Attributes:
         transitions: The transitions.
         gain: beta S.
-        ys: Features y(a') of the candidates.
-        chosen: Index of a' = pi(s') among the candidates.
-        terms: A function of some rows: their constants and discounts, 0 for rows that are not valid.
+        candidates: The actions among which the policy chooses.
+        chosen: Index of a' = pi(s') among them.
+        constant: Constant term of every target.
+        discount: Factor of phi(s', a')'m in every target.
         targets: Phi'(constant + discount Phi_next m) of the weights m that the policy was made for.
     """
 
     transitions: _Transitions
     gain: Float[Array, "M M"]
-    ys: Float[Array, "J R"]
+    candidates: _Candidates
     chosen: Int[Array, "C"]
-    terms: Callable[[_Rows], tuple[Float[Array, "B"], Float[Array, "B"]]]
+    constant: Float[Array, "C"]
+    discount: Float[Array, "C"]
     targets: Float[Array, "M"]
+
+    @classmethod
+    def of(
+        cls,
+        transitions: _Transitions,
+        gain: Float[Array, "M M"],
+        candidates: _Candidates,
+        bonus: Float[Array, "C"],
+        mean: Float[Array, "M 2"],
+        is_u: Bool[Array, ""] | bool,
+    ) -> "_Equations":
+        """The equations of U if `is_u`, or else of Q, for the policy of the given means.
+
+        Args:
+            transitions: The transitions.
+            gain: beta S.
+            candidates: The actions among which the policy chooses.
+            bonus: Exploration reward of every transition.
+            mean: Means of Q and U.
+            is_u: Whether the equations are those of U.
+        """
+        model, policy = candidates.model, candidates.policy(mean)
+
+        def visit(carry, rows):
+            arrays, targets = carry
+            chosen, values, factor = policy(rows.x)
+            terminated = rows.memory.terminated
+            constant, discount = model.u_terms(rows.of(bonus), factor, terminated)
+            constant = jnp.where(is_u, constant, rows.memory.rewards)
+            discount = jnp.where(is_u, discount, model.q_discount(terminated))
+            target = rows.valid(constant + discount * jnp.where(is_u, values[:, U], values[:, Q]))
+            arrays = rows.put(arrays, (chosen, constant, discount))
+            return arrays, targets + matmul(target, rows.phi)
+
+        start = jnp.zeros_like(bonus, jnp.int32), jnp.zeros_like(bonus), jnp.zeros_like(bonus)
+        arrays, targets = transitions.fold(visit, (start, jnp.zeros_like(gain[0])))
+        chosen, constant, discount = arrays
+        return cls(transitions, gain, candidates, chosen, constant, discount, targets)
 
     def image(self, weights: Float[Array, "M"]) -> Float[Array, "M"]:
         """The right-hand side without the constants."""
         # A product with phi(s', a') is one with x(s') alone.
-        split = jax.vmap(self.transitions.state.features.split, (None, 0))(weights, self.ys)
+        split = self.candidates.split(weights)
 
         def visit(total, rows):
-            _, discount = self.terms(rows)
-            value = jnp.sum(rows.x * split[self.chosen[rows.index]], axis=1)
-            return total + matmul(discount * value, rows.phi)
+            value = jnp.sum(rows.x * split[rows.of(self.chosen)], axis=1)
+            return total + matmul(rows.valid(rows.of(self.discount)) * value, rows.phi)
 
         return matmul(self.gain, self.transitions.fold(visit, jnp.zeros_like(weights)))
 
     def matrix_and_constant(self) -> tuple[Float[Array, "M M"], Float[Array, "M"]]:
         """The right-hand side as a function of the weights: F and c of beta S (F m + c)."""
+        join = jax.vmap(self.candidates.features.join)
 
         def visit(total, rows):
             matrix, vector = total
-            constant, discount = self.terms(rows)
-            phi_next = jax.vmap(self.transitions.state.features.join)(
-                rows.x, self.ys[self.chosen[rows.index]]
-            )
-            phi_next = discount[:, None] * phi_next
-            return matrix + matmul_on_tensor_cores(rows.phi.T, phi_next), vector + matmul(constant, rows.phi)
+            phi_next = join(rows.x, self.candidates.ys[rows.of(self.chosen)])
+            phi_next = rows.valid(rows.of(self.discount))[:, None] * phi_next
+            matrix = matrix + matmul_on_tensor_cores(rows.phi.T, phi_next)
+            return matrix, vector + matmul(rows.valid(rows.of(self.constant)), rows.phi)
 
         start = jnp.zeros_like(self.gain), jnp.zeros_like(self.gain[0])
         return self.transitions.fold(visit, start)
@@ -167,62 +282,12 @@ class _Equations(eqx.Module):
         return gcr(lambda m: m - self.image(m), inverse, start, residual, is_active)
 
 
-class _Policy(eqx.Module):
-    """The policy pi = argmax Q + kappa U over candidates that are drawn once.
-
-    Attributes:
-        model: Model of Q and U.
-        kappa: Weight of U.
-        weights: Weights of x(s') in Q and U of every candidate.
-        ys: Features y(a) of the candidates.
-        forms: Quadratic forms of x(s') in the variance of every candidate; None if U needs no variance.
-    """
-
-    model: EMUQModel
-    kappa: Float[Array, ""]
-    weights: Float[Array, "P J 2"]
-    ys: Float[Array, "J R"]
-    forms: Float[Array, "J P P"] | None
-
-    @classmethod
-    def of(
-        cls,
-        model: EMUQModel,
-        state: EMUQState,
-        candidates: Action,
-        mean: Float[Array, "M 2"],
-        kappa: Float[Array, ""],
-    ) -> "_Policy":
-        """The policy for the means of Q and U."""
-        features = state.features
-        ys = jax.vmap(features.action)(candidates)
-        weights = jax.vmap(lambda y: jax.vmap(features.split, (1, None), 1)(mean, y), out_axes=1)(ys)
-        forms = None
-        if model.optimistic_u:
-            forms = jax.vmap(lambda y: features.mean_form(state.posterior.base, y[None]))(ys)
-        return cls(model, kappa, weights, ys, forms)
-
-    def __call__(
-        self, x: Float[Array, "B P"]
-    ) -> tuple[Int[Array, "B"], Float[Array, "B 2"], Float[Array, "B"]]:
-        """Index of the chosen candidate at every x(s'), its phi'm_Q and phi'm_U, and its factor of U."""
-        values = matmul_on_tensor_cores(x, self.weights.reshape(self.weights.shape[0], -1))
-        values = values.reshape(len(x), -1, 2)
-        factors = jnp.ones(values.shape[:2], values.dtype)
-        if self.forms is not None:
-            factors = self.model.u_factor(_quadratic_forms(x, self.forms))
-        scores = values[:, :, Q] + self.kappa * (values[:, :, U] * factors)
-        chosen = jnp.argmax(scores, axis=1).astype(jnp.int32)
-        value = jnp.take_along_axis(values, chosen[:, None, None], axis=1)[:, 0]
-        return chosen, value, jnp.take_along_axis(factors, chosen[:, None], axis=1)[:, 0]
-
-
 class Refit(eqx.Module):
     """The fit of the means of Q and U to all transitions.
 
     Attributes:
         model: Model of Q and U.
-        tolerance: Change of the weights (Euclidean norm) at which sweeps stop.
+        tolerance: Change of the weights (Euclidean norm) at which sweeps, or policies, stop.
         is_direct: Whether the equations are solved instead of swept.
         max_sweeps: Largest number of sweeps, or of policies whose equations are solved.
         block: Number of transitions that are visited at a time.
@@ -241,152 +306,97 @@ class Refit(eqx.Module):
 
         Lines 14 and 15 fit Q, with a' chosen anew by Q + kappa U in every sweep or solution. Lines 16 and 17
         compute the exploration rewards (5.12) and fit U, with a' chosen once.
+
+        The thesis does not say over which actions the policy maximises. Every sweep draws candidates of its
+        own, as the published code does, which has no direct solution. A direct solution draws them once, so
+        that there are finitely many policies, and they usually stay the same after a few.
         """
         key_q, key_u = jax.random.split(key)
         transitions, mean = _Transitions.of(state, self.block), state.posterior.mean
         gain = self.model.noise_precision * state.posterior.base
+        drawn, samples = self.model.actions(key_u, state)
+        bonus = self._exploration_rewards(transitions, samples)
 
-        def policy(key: Key[Array, ""], mean: Float[Array, "M 2"]) -> tuple[_Policy, Action]:
-            candidates, samples = self.model.actions(key, state)
-            return _Policy.of(self.model, state, candidates, mean, kappa), samples
+        def equations(candidates, mean, is_u):
+            return _Equations.of(transitions, gain, candidates, bonus, mean, is_u)
 
-        def policy_of_q(number: Int[Array, ""], q: Float[Array, "M"]) -> _Policy:
-            return policy(jax.random.fold_in(key_q, number), mean.at[:, Q].set(q))[0]
+        candidates = _Candidates.of(self.model, state, drawn, kappa)
+        if self.is_direct:
+            return self._solve(partial(equations, candidates), mean, is_active)
 
-        if not self.is_direct:
+        def sweep(number, q):
+            actions, _ = self.model.actions(jax.random.fold_in(key_q, number), state)
+            anew = _Candidates.of(self.model, state, actions, kappa)
+            return matmul(gain, equations(anew, mean.at[:, Q].set(q), False).targets)
 
-            def sweep(number, q):
-                return matmul(gain, self._q_equations(transitions, gain, policy_of_q(number, q)).targets)
+        mean = mean.at[:, Q].set(self._until_converged(sweep, mean[:, Q], is_active))
+        # With a' fixed, a sweep is an affine map of the weights: one pass over the transitions is enough.
+        # Two products with vectors in every sweep take less time than the product of both matrices.
+        matrix, constant = equations(candidates, mean, True).matrix_and_constant()
 
-            mean = mean.at[:, Q].set(self._until_converged(sweep, mean[:, Q], is_active))
-            # With a' fixed, a sweep is an affine map of the weights: one pass over the transitions is enough.
-            # Two products with vectors in every sweep take less time than the product of both matrices.
-            equations = self._u_equations(transitions, gain, *policy(key_u, mean))
-            matrix, constant = equations.matrix_and_constant()
+        def sweep_u(_, u):
+            return matmul(gain, constant + matmul(matrix, u))
 
-            def sweep_u(_, u):
-                return matmul(gain, constant + matmul(matrix, u))
+        return mean.at[:, U].set(self._until_converged(sweep_u, mean[:, U], is_active))
 
-            return mean.at[:, U].set(self._until_converged(sweep_u, mean[:, U], is_active))
-
-        def q_equations(number: Int[Array, ""], q: Float[Array, "M"]) -> _Equations:
-            return self._q_equations(transitions, gain, policy_of_q(number, q))
-
-        inverse, is_similar = jnp.zeros_like(gain), jnp.zeros((), bool)
-        q, inverse = self._solve(q_equations, mean[:, Q], inverse, is_similar, is_active, self.max_sweeps)
-        mean = mean.at[:, Q].set(q)
-        equations = self._u_equations(transitions, gain, *policy(key_u, mean))
-        u, _ = self._solve(lambda number, u: equations, mean[:, U], inverse, is_active, is_active, 1)
-        return mean.at[:, U].set(u)
-
-    def _q_equations(
-        self, transitions: _Transitions, gain: Float[Array, "M M"], policy: _Policy
-    ) -> _Equations:
-        def visit(arrays, rows):
-            chosen, targets = arrays
-            new, value, _ = policy(rows.x)
-            constant, discount = self._q_terms(rows)
-            chosen = jax.lax.dynamic_update_slice_in_dim(chosen, new, rows.index[0], 0)
-            return chosen, targets + matmul(constant + discount * value[:, Q], rows.phi)
-
-        capacity = len(transitions.state.memory.rewards)
-        start = jnp.zeros((capacity,), jnp.int32), jnp.zeros_like(gain[0])
-        chosen, targets = transitions.fold(visit, start)
-        return _Equations(transitions, gain, policy.ys, chosen, self._q_terms, targets)
-
-    def _q_terms(self, rows: _Rows) -> tuple[Float[Array, "B"], Float[Array, "B"]]:
-        reward = jnp.where(rows.is_valid, rows.memory.rewards, 0.0)
-        return reward, self.model.q_discount(rows.memory.terminated, rows.is_valid)
-
-    def _u_equations(
-        self,
-        transitions: _Transitions,
-        gain: Float[Array, "M M"],
-        policy: _Policy,
-        samples: Action,
-    ) -> _Equations:
-        """The equations of U, with the exploration rewards (5.12) for the actions of `samples`."""
+    def _exploration_rewards(self, transitions: _Transitions, samples: Action) -> Float[Array, "C"]:
+        """The exploration reward (5.12) of every transition, for the actions of `samples`."""
         model, state = self.model, transitions.state
-        features, memory, dtype = state.features, state.memory, gain.dtype
-        samples = jax.vmap(features.action)(samples)
+        features, memory = state.features, state.memory
+        ys = jax.vmap(features.action)(samples)
         # The mean over the samples can be taken first, unless it is the published code's.
-        groups = samples[:, None] if model.mixes_transitions else samples[None]
+        groups = ys[:, None] if model.mixes_transitions else ys[None]
         forms = jax.vmap(lambda ys: features.mean_form(state.posterior.base, ys))(groups)
 
-        def visit(arrays, rows):
-            chosen, value, factor = policy(rows.x)
-            new = chosen, value[:, U], factor, _quadratic_forms(rows.x, forms)
-            return tuple(
-                jax.lax.dynamic_update_slice_in_dim(array, block, rows.index[0], 0)
-                for array, block in zip(arrays, new, strict=True)
-            )
+        def visit(variances, rows):
+            return rows.put(variances, _quadratic_forms(rows.x, forms))
 
-        capacity = len(memory.rewards)
-        start = (
-            jnp.zeros((capacity,), jnp.int32),
-            jnp.zeros((capacity,), dtype),
-            jnp.ones((capacity,), dtype),
-            jnp.zeros((capacity, len(forms)), dtype),
-        )
-        chosen, value, factor, variances = transitions.fold(visit, start)
-        bonus = model.exploration_reward(model.mean_variances(variances, memory.count))
-
-        def terms(rows: _Rows):
-            index, zero = rows.index, jnp.zeros((), dtype)
-            constant, discount = model.u_terms(bonus[index], factor[index], rows.memory.terminated)
-            return jnp.where(rows.is_valid, constant, zero), jnp.where(rows.is_valid, discount, zero)
-
-        def add(targets, rows):
-            constant, discount = terms(rows)
-            return targets + matmul(constant + discount * value[rows.index], rows.phi)
-
-        targets = transitions.fold(add, jnp.zeros_like(gain[0]))
-        return _Equations(transitions, gain, policy.ys, chosen, terms, targets)
+        start = jnp.zeros((len(memory.rewards), len(forms)), forms.dtype)
+        variances = transitions.fold(visit, start)
+        return model.exploration_reward(model.mean_variances(variances, memory.count))
 
     def _solve(
         self,
-        policy: Callable[[Int[Array, ""], Float[Array, "M"]], _Equations],
-        weights: Float[Array, "M"],
-        inverse: Float[Array, "M M"],
-        is_similar: Bool[Array, ""],
+        equations_of: Callable[[Float[Array, "M 2"], Bool[Array, ""]], _Equations],
+        mean: Float[Array, "M 2"],
         is_active: Bool[Array, ""],
-        most: int,
-    ) -> tuple[Float[Array, "M"], Float[Array, "M M"]]:
-        """Solve the equations of `policy(number, weights)` until the weights of every lane have converged.
+    ) -> Float[Array, "M 2"]:
+        """Solve the equations of Q until its weights are those of an earlier policy, and then those of U.
 
         Args:
-            policy: The equations for the policy of the given weights.
-            weights: Weights to start from.
-            inverse: Inverse of the matrix of similar equations.
-            is_similar: Whether there is such an inverse.
-            is_active: Whether the weights may change.
-            most: Largest number of policies.
-
-        Returns:
-            The weights, and the last inverse matrix.
+            equations_of: The equations of U if the second argument is true, or else of Q, for the policy of
+                the given means.
+            mean: Means to start from.
+            is_active: Whether they may change.
         """
 
         def step(loop):
-            number, weights, inverse, is_similar, going = loop
-            equations = policy(number, weights)
+            number, mean, earlier, inverse, is_similar, is_u, going = loop
+            equations = equations_of(mean, is_u)
             inverse = jax.lax.cond(
                 any_lane(going & ~is_similar),
                 lambda: jnp.where(is_similar, inverse, equations.inverse()),
                 lambda: inverse,
             )
-            after, is_solved = equations.solution(inverse, weights, going)
-            # A solution that does not converge is discarded. The same policy and all later ones of this lane
-            # then get their own inverse: to try an earlier one every time would cost more than it saves.
+            before = jnp.where(is_u, mean[:, U], mean[:, Q])
+            after, is_solved = equations.solution(inverse, before, going)
+            # A solution that does not converge is discarded: the same policy then gets its own inverse, which
+            # serves the following policies too.
             is_taken = going & (is_solved | ~is_similar)
-            is_far = jnp.linalg.norm(after - weights) > self.tolerance
+            is_new = is_taken & (jnp.where(is_u, U, Q) == jnp.arange(2))
+            mean = jnp.where(is_new[None, :], after[:, None], mean)
             number = number + is_taken.astype(number.dtype)
-            going_on = going & (~is_taken | (is_far & (number < most)))
-            is_similar = (is_similar & is_solved) | (is_taken & (number == 1)) | ~going
-            return number, jnp.where(is_taken, after, weights), inverse, is_similar, going_on
+            # Brent's search for a circle: the weights are compared with those of policy 1, 2, 4, 8, ...
+            changes = jnp.linalg.norm(jnp.stack([after - before, after - earlier]), axis=1)
+            is_last = is_taken & (is_u | ~jnp.all(changes > self.tolerance) | (number >= self.max_sweeps))
+            earlier = jnp.where(is_taken & (number & (number - 1) == 0), after, earlier)
+            is_u, going = is_u | is_last, going & ~(is_last & is_u)
+            return number, mean, earlier, inverse, is_taken | ~going, is_u, going
 
-        start = jnp.zeros((), jnp.int32), weights, inverse, is_similar, is_active
-        _, weights, inverse, _, _ = jax.lax.while_loop(lambda loop: any_lane(loop[-1]), step, start)
-        return weights, inverse
+        number, no, features = jnp.zeros((), jnp.int32), jnp.zeros((), bool), len(mean)
+        inverse = jnp.zeros((features, features), mean.dtype)
+        loop = number, mean, mean[:, Q], inverse, no, no, is_active
+        return jax.lax.while_loop(lambda loop: any_lane(loop[-1]), step, loop)[1]
 
     def _until_converged(
         self,

@@ -255,7 +255,7 @@ def gcr(
     start: Float[Array, "N"],
     residual: Float[Array, "N"],
     is_active: Bool[Array, ""],
-    most: int = 12,
+    most: int = 24,
 ) -> tuple[Float[Array, "N"], Bool[Array, ""]]:
     """Solution of `a x = b` by the method of generalised conjugate residuals, preconditioned from the left.
 

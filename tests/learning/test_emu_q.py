@@ -1,7 +1,5 @@
 """EMU-Q: Algorithm 6 and the author's code in NumPy, the direct refit, and what the settings mean."""
 
-import functools
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -21,6 +19,7 @@ NUM_STEPS = 40
 OBSERVATIONS = Box(jnp.asarray([-1.0, -2.0]), jnp.asarray([1.0, 2.0]))
 ACTIONS = Box(jnp.asarray([-3.0]), jnp.asarray([3.0]))
 EXPLORING = ExplorationState(jnp.asarray(1.0), jnp.asarray(True))
+REFIT_SEED = 9
 
 
 def transitions(seed: int = 0, num: int = NUM_STEPS) -> Transition:
@@ -65,7 +64,7 @@ def observe_all(learner, state, steps: Transition, exploration):
 def end_episode(learner, state, episode, exploration, patched):
     """The state after the refit; `patched` is static, so that code that a test replaces is traced anew."""
     del patched
-    return learner.end_episode(jax.random.key(9), state, episode, exploration)
+    return learner.end_episode(jax.random.key(REFIT_SEED), state, episode, exploration)
 
 
 def learn(learner, state, steps: Transition, exploration=EXPLORING, patched: int = 0):
@@ -162,21 +161,80 @@ def test_sweeps_converge_to_the_direct_solution(terminal_u):
     np.testing.assert_allclose(means["sweeps"], means["direct"], atol=1e-7 * np.abs(means["direct"]).max())
 
 
-@pytest.mark.parametrize("most", [12, 1])
-def test_direct_solutions_are_those_of_numpy(monkeypatch, most):
-    # With one iteration at most, an earlier inverse is not good enough, and every policy needs its own.
-    monkeypatch.setattr(refit, "gcr", functools.partial(gcr, most=most))
-    settings = {"action_lengthscale": 0.1, "state_lengthscale": 0.3}
-    learner, state = make(refit="direct", tolerance=1e-6, features={"num_features": 30, **settings})
+@pytest.mark.parametrize(("draw_actions", "most", "seed"), [("always", 24, 4), ("once", 1, 3)])
+def test_direct_solutions_are_those_of_numpy_until_an_earlier_one_returns(
+    monkeypatch, draw_actions, most, seed
+):
+    # With one iteration at most, an earlier inverse is not good enough, and every new policy needs its own.
+    solved = []
+
+    def counted(times, inverse, start, residual, is_active):
+        jax.debug.callback(lambda: solved.append(1))
+        return gcr(times, inverse, start, residual, is_active, most)
+
+    monkeypatch.setattr(refit, "gcr", counted)
+    features = {"num_features": 30, "action_lengthscale": 0.1, "state_lengthscale": 0.3}
+    learner, state = make(refit="direct", tolerance=1e-6, features=features, draw_actions=draw_actions)
+    steps, start = transitions(), 3.0 * np.random.default_rng(seed).normal(size=(2, 30))
+    state = observe_all(learner, state, steps, EXPLORING)
+    state = eqx.tree_at(lambda state: state.posterior.mean, state, jnp.asarray(start.T))
+    episode = Episode(steps, jnp.asarray(NUM_STEPS, jnp.int32))
+    after = end_episode(learner, state, episode, EXPLORING, patched=most)
+    jax.effects_barrier()
+
+    candidates, samples = learner.model.actions(jax.random.split(jax.random.key(REFIT_SEED))[1], state)
     reference = reference_of(DirectRefit, learner, state)
-    steps = transitions()
-    follow(reference, steps)
-    _, after = learn(learner, state, steps, patched=most)
-    assert reference.policies > 2
-    np.testing.assert_allclose(after.posterior.mean[:, 0], reference.m_q, atol=1e-9)
+    reference.candidates, reference.samples = lambda: np.asarray(candidates), lambda: np.asarray(samples)
+    reference.s, (reference.m_q, reference.m_u) = np.asarray(state.posterior.base), start
+    reference.end_episode(*(np.asarray(leaf) for leaf in jax.tree.leaves(steps)))
+    assert 10 < reference.policies < learner.max_sweeps
+    # The policies of Q and that of U; those without a solution are tried again.
+    assert len(solved) == reference.policies + 1 if most > 1 else len(solved) > reference.policies + 1
+    np.testing.assert_allclose(after.posterior.mean[:, 0], reference.m_q, atol=1e-8)
     np.testing.assert_allclose(
         after.posterior.mean[:, 1], reference.m_u, atol=1e-9 * np.abs(reference.m_u).max()
     )
+
+
+def test_direct_refits_of_a_table_are_policy_iteration():
+    """Q of no policy is below that of the one before, and ends as the optimal value of a shrunken problem."""
+    rng = np.random.default_rng(0)
+    learner = build(EMUQ(features={"kind": "indicators"}, max_sweeps=1, tolerance=0.0))
+    number, shape = 60, (8, 3)
+    state = learner.init(jax.random.key(1), Discrete(shape[0]), Discrete(shape[1]), number)
+    s, a, s_next = (rng.integers(n, size=number, dtype=np.int32) for n in (*shape, shape[0]))
+    r, is_last = rng.normal(size=number), rng.random(number) < 0.1
+    episode = Episode(
+        Transition(*map(jnp.asarray, (s, a, r, s_next, is_last))), jnp.asarray(number, jnp.int32)
+    )
+    count = np.zeros(shape)
+    np.add.at(count, (s, a), 1)
+    alpha, beta = float(learner.prior_precision), float(learner.noise_precision)
+    state = eqx.tree_at(
+        lambda state: (state.memory, state.posterior.base),
+        state,
+        (state.memory.add(episode, jnp.asarray(True)), jnp.diag(1.0 / (alpha + beta * count.ravel()))),
+    )
+
+    @eqx.filter_jit
+    def next_policy(mean):
+        before = eqx.tree_at(lambda state: state.posterior.mean, state, mean)
+        return learner.refitter(jax.random.key(REFIT_SEED), before, jnp.asarray(0.0), jnp.asarray(True))
+
+    qs, mean = [], state.posterior.mean
+    while len(qs) < 2 or not np.array_equal(qs[-1], qs[-2]):
+        assert len(qs) < 10
+        mean = next_policy(mean)
+        qs.append(np.asarray(mean[:, 0]).reshape(shape))
+    assert len(qs) > 3
+    assert all(np.all(after >= before - 1e-9) for before, after in zip(qs, qs[1:], strict=False))
+
+    optimal = np.zeros(shape)
+    for _ in range(3000):
+        targets = np.zeros(shape)
+        np.add.at(targets, (s, a), r + np.where(is_last, 0.0, 0.99 * optimal.max(axis=1)[s_next]))
+        optimal = beta * targets / (alpha + beta * count)
+    np.testing.assert_allclose(qs[-1], optimal, atol=1e-8)
 
 
 @pytest.mark.parametrize("how", by_tier(["sweeps", "direct"], normal=["sweeps"]))

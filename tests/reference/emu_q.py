@@ -51,8 +51,8 @@ class Algorithm6:
         """Features of every state with every action, state by state."""
         return self.phi(np.repeat(states, len(actions), axis=0), np.tile(actions, (len(states), 1)))
 
-    def policy(self, states: Array) -> Array:
-        actions = self.candidates()
+    def policy(self, states: Array, actions: Array | None = None) -> Array:
+        actions = self.candidates() if actions is None else actions
         phi = self.pairs(states, actions)
         scores = (self.q(phi) + self.kappa * self.u(phi)).reshape(len(states), len(actions))
         return actions[np.argmax(scores, axis=1)]
@@ -103,7 +103,11 @@ class Algorithm6:
 
 
 class DirectRefit(Algorithm6):
-    """Algorithm 6 with the equations of each policy solved at the end of an episode, in place of sweeps."""
+    """Algorithm 6 with the equations of each policy solved at the end of an episode, in place of sweeps.
+
+    All policies of a refit maximise over the same candidates. The last one has the weights of the one before,
+    or of policy 1, 2, 4, 8, ...
+    """
 
     def end_episode(self, s: Array, a: Array, r: Array, s_next: Array, is_absorbing: Array) -> None:
         phi, discount = self.phi(s, a), np.where(is_absorbing, 0.0, self.gamma)
@@ -114,15 +118,17 @@ class DirectRefit(Algorithm6):
                 np.eye(len(self.s)) - gain @ (discount[:, None] * phi_next), gain @ constant
             )
 
-        self.policies = 0
-        for _ in range(self.max_sweeps):
-            before, self.m_q = self.m_q, solution(self.phi(s_next, self.policy(s_next)), r)
-            self.policies += 1
-            if np.linalg.norm(self.m_q - before) <= self.tolerance:
+        actions, weights = self.candidates(), [self.m_q]
+        for number in range(1, self.max_sweeps + 1):
+            self.m_q = solution(self.phi(s_next, self.policy(s_next, actions)), r)
+            earlier = [weights[-1], weights[2 ** int(np.log2(max(number - 1, 1))) if number > 1 else 0]]
+            weights.append(self.m_q)
+            if min(np.linalg.norm(self.m_q - before) for before in earlier) <= self.tolerance:
                 break
+        self.policies = len(weights) - 1
         r_e = self.exploration_reward(s_next)
         forever = np.where(is_absorbing, r_e / (1.0 - self.gamma), r_e)
-        self.m_u = solution(self.phi(s_next, self.policy(s_next)), forever)
+        self.m_u = solution(self.phi(s_next, self.policy(s_next, actions)), forever)
 
 
 class PublishedCode(Algorithm6):
