@@ -4,7 +4,7 @@ Results may be older than the claims of their sweep, and than the tests that dec
 the claims, tests and published settings of this version.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ from typing import Any
 from bojax.config import sweep as config
 from bojax.config.changed import changed_settings
 from bojax.config.claims import Claim
+from bojax.config.errors import listed
 from bojax.report.claims.evaluate import evaluate
 from bojax.report.manifest import ClaimEntry, Manifest, Unread, claims_of, validated
 from bojax.report.source import Results, load
@@ -32,38 +33,40 @@ class Collected:
     kept: int  # how many verdicts are those of its report, because tables are missing
 
 
-def collected(folders: Iterable[Path]) -> list[Collected]:
-    """The newest results of each sweep that is part of bojax, by name.
+def collected(folders: Iterable[Path], names: Collection[str]) -> list[Collected]:
+    """The newest results of each of some sweeps of bojax, by name.
 
     Args:
-        folders: Results folders, or folders above them.
+        folders: Results folders of these sweeps, or folders above results, of which others are passed over.
+        names: The names of the sweeps.
 
     Raises:
-        ResultsError: A folder has no finished results of a sweep of bojax, or is damaged; one line.
+        ResultsError: A folder has no finished results of these sweeps, or is damaged; one line.
     """
     newest: dict[str, Results] = {}
-    for results in map(load, _results_folders(folders)):
-        written, name = results.manifest.written or "", _published(results)
+    for results in (each for folder in folders for each in _results(folder, names)):
+        written, name = results.manifest.written or "", _name_of(results, names)
         if name not in newest or written > (newest[name].manifest.written or ""):
             newest[name] = results
     return [_judged(results, config.load_published(name)) for name, results in sorted(newest.items())]
 
 
-def _results_folders(folders: Iterable[Path]) -> list[Path]:
-    """The results folders among and below others, which may be unfinished only if they are below."""
-    found = []
-    for folder in folders:
-        below = [] if (folder / MANIFEST).exists() else sorted(folder.rglob(MANIFEST))
-        finished = [path.parent for path in below if read_json(path).get("status") in ("finished", "failed")]
-        found += finished or [folder]  # loading explains what is wrong with it
+def _results(folder: Path, names: Collection[str]) -> list[Results]:
+    """The results in a folder, or the finished ones below it that are of these sweeps."""
+    below = [] if (folder / MANIFEST).exists() else sorted(folder.rglob(MANIFEST))
+    finished = [path.parent for path in below if read_json(path).get("status") in ("finished", "failed")]
+    loaded = [load(each) for each in finished or [folder]]
+    found = [results for results in loaded if _name_of(results, names)]
+    if not found:
+        others = listed("", {results.name for results in loaded})
+        raise ResultsError(f"{folder}: got results of {others}; allowed: those of sweeps of the thesis")
     return found
 
 
-def _published(results: Results) -> str:
+def _name_of(results: Results, names: Collection[str]) -> str:
+    """Which of these sweeps results are of, also by an alias; empty for none."""
     name = config.published_name(results.name) if results.manifest.is_published else None
-    if name is None:
-        raise ResultsError(f"{results.folder}: got the sweep {results.name}; allowed: sweeps of bojax")
-    return name
+    return name if name and name in names else ""
 
 
 def _judged(results: Results, sweep: config.Sweep) -> Collected:

@@ -173,10 +173,10 @@ def reproduction(
 def joined_reproduction(
     pages: Sequence[Path],
     folders: Sequence[Path],
-    expected: Sequence[str] = (),
+    names: Sequence[str],
     counted_in: Sequence[Path] = (),
 ) -> list[TestedClaim]:
-    """Write pages on the newest results of each sweep of bojax in several folders, and return their claims.
+    """Write pages on the newest results of each of some sweeps in several folders, and return their claims.
 
     The claims are those of this version, and decided by its tests, see `bojax.report.collected`. Sweeps may
     have been made by different commands, revisions, devices and versions: the page then says which by which.
@@ -184,17 +184,17 @@ def joined_reproduction(
     Args:
         pages: Files to write, `.html` or `.md`.
         folders: Results folders, or folders above them.
-        expected: Names of sweeps: the page says which of them have no results, if most have.
+        names: Names of sweeps of bojax: the page says which of them have no results, if most have.
         counted_in: Other pages, with a sentence "Of N claims ..., N are reproduced, N are not, and N are
             inconclusive", whose numbers are updated.
 
     Raises:
-        ResultsError: A folder has no results of a sweep of bojax, or is damaged, or a page cannot be written
-            or has no such sentence; one line.
+        ResultsError: A folder has no results of these sweeps, or is damaged, or a page cannot be written or
+            has no such sentence; one line.
     """
-    found = collected(folders)
+    found = collected(folders, names)
     sweeps = [Sweep.of(each.folder, each.manifest, each.claims, pages[0].parent) for each in found]
-    missing = [name for name in expected if all(name != sweep.name for sweep in sweeps)]
+    missing = [name for name in names if all(name != sweep.name for sweep in sweeps)]
     is_partial = len(missing) > len(sweeps)  # a page on a few figures need not name all others
     gaps = [] if is_partial else [(name, "no finished results in these folders") for name in missing]
     claims = [claim for sweep in sweeps for claim in sweep.claims]

@@ -13,6 +13,8 @@ from bojax.report.reproduction import joined_reproduction
 from bojax.results.store import ResultsError
 from tests.report.synthetic import edit_manifest, write_results
 
+THESIS = ["fig-4.6", "fig-4.8"]
+
 
 def results(folder, name="fig-4.6", **changes):
     """Made-up results under the name of a sweep of bojax, with a report."""
@@ -33,7 +35,7 @@ def reported(tmp_path_factory):
 
 def verdicts(folder):
     """The verdict of each claim of the only sweep in a folder."""
-    (found,) = collected([folder])
+    (found,) = collected([folder], THESIS)
     return {claim.id: claim.verdict for claim in found.claims}
 
 
@@ -42,8 +44,10 @@ def test_the_newest_results_of_a_sweep_count(tmp_path, capsys):
         tmp_path / "a" / "x", written="2026-01-03T10:00:00+0000", command="bojax reproduce fig-4.6 --out b"
     )
     results(tmp_path / "a" / "y", name="parking")  # another name of fig-4.6
-    results(tmp_path / "b", name="fig-4.8")
+    results(tmp_path / "b" / "fig-4.8", name="fig-4.8")
     results(tmp_path / "a" / "unfinished", status="running")
+    results(tmp_path / "a" / "mine", name="mine")
+    results(tmp_path / "b" / "study-ties", name="study-ties")
     readme = tmp_path / "readme.md"
     readme.write_text("Of 0 claims of it,\n0 are reproduced, 0 are not, and\n0 are inconclusive: so.")
     page = tmp_path / "page.md"
@@ -101,7 +105,7 @@ def test_a_verdict_is_kept_where_its_table_is_missing(reported):
 
 
 def test_settings_that_the_sweep_has_no_longer_are_changed(reported):
-    (found,) = collected([reported])
+    (found,) = collected([reported], THESIS)
     assert found.manifest.changed["runs"] == [200, 40]
     assert all(claim.changed == found.manifest.changed for claim in found.claims)
 
@@ -109,14 +113,15 @@ def test_settings_that_the_sweep_has_no_longer_are_changed(reported):
 @pytest.mark.parametrize(
     ("changes", "error"),
     [
-        ({"name": "mine"}, "got the sweep mine; allowed: sweeps of bojax"),
-        ({"is_published": False}, "got the sweep fig-4.6; allowed: sweeps of bojax"),
+        ({"name": "mine"}, "got results of mine; allowed: those of sweeps of the thesis"),
+        ({"name": "study-ties"}, "got results of study-ties; allowed"),
+        ({"is_published": False}, "got results of fig-4.6; allowed"),
         ({"status": "running"}, "has not finished"),
     ],
 )
 def test_other_results_are_refused(tmp_path, changes, error):
     with pytest.raises(ResultsError, match=error) as raised:
-        collected([results(tmp_path / "x", **changes)])
+        collected([results(tmp_path / "x", **changes)], THESIS)
     assert "\n" not in str(raised.value)
 
 
