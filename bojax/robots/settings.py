@@ -31,7 +31,8 @@ class MJX(PhysicsSettings, frozen=True):
     ls_iterations: int | None = Field(
         default=None,
         ge=1,
-        description="largest number of iterations of the solver's line search; null for the model's",
+        description="largest number of iterations of the solver's line search; null for the model's. That of "
+        "impl: jax is exact and needs none, except with elliptic friction cones or the solver CG",
     )
     integrator: Literal["euler", "rk4", "implicitfast"] | None = Field(
         default=None, description="integration scheme"

@@ -3,6 +3,7 @@
 import abc
 import functools
 import importlib.util
+from collections.abc import Callable
 from typing import Any, Literal
 
 import equinox as eqx
@@ -17,6 +18,7 @@ from bojax.robots.c_mujoco import CSteps
 from bojax.robots.lane_steps import LaneSteps
 from bojax.robots.models import MjModel, RobotModel, mujoco
 from bojax.robots.mujoco_warp import WarpSteps
+from bojax.robots.newton import constrained, has_clipped_forces
 from bojax.robots.small_factors import small_factors
 from bojax.text import one_line
 
@@ -189,7 +191,7 @@ def _stepping(
     if impl != "jax":
         return _in_lanes({"c": CSteps, "warp": WarpSteps}[impl](compiled, substeps))
     put, data = _in_mjx(*key)
-    step = _runge_kutta_step if _has_one_stage_site(compiled) else _step
+    step = _step_of(compiled)
 
     @standard_jax
     @jax.jit
@@ -283,23 +285,42 @@ def _in_mjx(
         raise ValueError(f"MJX refuses the model: {one_line(error)}") from error
 
 
-def _step(model: Any, before: Any) -> RobotState:
-    after = mjx.step(model, before)
-    return RobotState(after.qpos, after.qvel, after.qacc_warmstart)
+def _step_of(compiled: MjModel) -> Callable[[Any, Any], RobotState]:
+    """The step of a model, as `mjx.step` computes it."""
+    forward = _forward if has_clipped_forces(compiled) else mjx.forward
+    integrator = int(compiled.opt.integrator)
+    if integrator == int(mujoco.mjtIntegrator.mjINT_RK4):
+        # The velocities of these joints are the derivatives of their positions.
+        simple = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+        is_simple = bool(np.isin(compiled.jnt_type, simple).all())
+        return functools.partial(_runge_kutta_step, forward) if is_simple else _step(mjx.step)
+    is_euler = integrator == int(mujoco.mjtIntegrator.mjINT_EULER)
+    integrate = mjx.euler if is_euler else mjx.implicit
+    return _step(lambda model, data: integrate(model, forward(model, data)))
 
 
-def _has_one_stage_site(model: MjModel) -> bool:
-    """Whether `_runge_kutta_step` applies: RK4 of a model whose velocities are derivatives of positions."""
-    simple = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
-    is_rk4 = model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4)
-    return is_rk4 and bool(np.isin(model.jnt_type, simple).all())
+def _step(step: Callable[[Any, Any], Any]) -> Callable[[Any, Any], RobotState]:
+    """A step of MJX, which returns a small state."""
+
+    def small(model: Any, before: Any) -> RobotState:
+        after = step(model, before)
+        return RobotState(after.qpos, after.qvel, after.qacc_warmstart)
+
+    return small
+
+
+def _forward(model: Any, data: Any) -> Any:
+    """`mjx.forward` without sensors, and with constraint forces by `constrained`."""
+    for part in (mjx.fwd_position, mjx.fwd_velocity, mjx.fwd_actuation, mjx.fwd_acceleration):
+        data = part(model, data)
+    return constrained(model, data, mjx.full_m(model, data))
 
 
 _STAGES = np.asarray([[0.0, 1.0 / 6.0], [0.5, 1.0 / 3.0], [0.5, 1.0 / 3.0], [1.0, 1.0 / 6.0]], np.float32)
 """The Runge-Kutta method of fourth order: step and weight of every stage."""
 
 
-def _runge_kutta_step(model: Any, before: Any) -> RobotState:
+def _runge_kutta_step(forward: Callable[[Any, Any], Any], model: Any, before: Any) -> RobotState:
     """The step of `mjx.step` by RK4, with a single call site of the dynamics; MJX has one for each stage."""
     h = model.opt.timestep
 
@@ -309,7 +330,7 @@ def _runge_kutta_step(model: Any, before: Any) -> RobotState:
         now = before.replace(
             qpos=before.qpos + h * (size * velocity), qvel=before.qvel + size * acceleration * h
         )
-        slopes = now.qvel, mjx.forward(model, now).qacc
+        slopes = now.qvel, forward(model, now).qacc
         sums = tuple(total + weight * slope for total, slope in zip(sums, slopes, strict=True))
         return (slopes, sums), None
 
