@@ -137,13 +137,7 @@ class Simulator(eqx.Module):
 
     @property
     def _sites(self) -> Any:
-        model, data = _in_mjx(*self._key)
-
-        @standard_jax
-        def sites(state: RobotState) -> jax.Array:
-            return mjx.kinematics(model, data.replace(qpos=state.qpos)).site_xpos
-
-        return sites
+        return _locating(*self._key)
 
     @property
     def _key(self) -> tuple[RobotModel, int | None, int | None, str | None]:
@@ -207,6 +201,21 @@ def _stepping(
         return jax.lax.fori_loop(0, substeps, small_step, state)
 
     return advance
+
+
+@functools.cache
+def _locating(
+    model: RobotModel, iterations: int | None, ls_iterations: int | None, integrator: str | None
+) -> Any:
+    """Positions of the sites, traced once for all programs that call it."""
+    put, data = _in_mjx(model, iterations, ls_iterations, integrator)
+
+    @standard_jax
+    @jax.jit
+    def sites(state: RobotState) -> jax.Array:
+        return mjx.kinematics(put, data.replace(qpos=state.qpos)).site_xpos
+
+    return sites
 
 
 def _in_lanes(steps: LaneSteps) -> Any:
