@@ -7,11 +7,11 @@ from jaxtyping import Array, Float, Int, Key
 from typing_extensions import override
 
 from bojax.envs.base import Action, Observation
-from bojax.envs.spaces import Space
+from bojax.envs.spaces import Discrete, Space
 from bojax.learning.actions import even_actions, uniform_actions
 from bojax.learning.base import ExplorationState, Learner, Transition
 from bojax.learning.features import FeatureSpec, StateActionFeatures
-from bojax.learning.policy import best_action
+from bojax.learning.policy import random_argmax
 from bojax.numerics.linalg import matmul
 
 
@@ -81,13 +81,17 @@ class RFFQ(Learner):
         exploration: ExplorationState,
     ) -> tuple[Action, Float[Array, ""]]:
         """A random candidate with probability epsilon, else the best candidate."""
-        keys = jax.random.split(key, 4)
-        candidates = uniform_actions(keys[0], state.candidates, state.features.actions)
+        space, candidates = state.features.actions, state.candidates
+        is_finite = isinstance(space, Discrete)
+        # All from one call, which is a kernel on a GPU.
+        draws = jax.random.uniform(key, (2 + (0 if is_finite else candidates.size),), self.epsilon.dtype)
+        if not is_finite:
+            candidates = space.from_unit(draws[2:].reshape(candidates.shape))
         q = self._values(state, observation, candidates)
-        best = best_action(keys[1], q)
-        is_random = jax.random.uniform(keys[2], (), q.dtype) < exploration.scale * self.epsilon
-        any_place = jax.random.randint(keys[3], (), 0, len(candidates)).astype(best.dtype)
-        place = jnp.where(is_random, any_place, best)
+        # Fresh draws are in random order: the first of several best ones is as good as any.
+        best = random_argmax(draws[1], q) if is_finite else jnp.argmax(q).astype(jnp.int32)
+        is_random = draws[0] < exploration.scale * self.epsilon
+        place = jnp.where(is_random, (draws[1] * len(candidates)).astype(jnp.int32), best)
         return candidates[place], q[place]
 
     @override
