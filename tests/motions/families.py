@@ -1,4 +1,4 @@
-"""The families of motions under test, and what is asked of all of their paths."""
+"""The families of motions under test: every built-in one, and some with other settings; their paths."""
 
 import dataclasses
 import functools
@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bojax.config.component import Component
-from bojax.motions import settings
+from bojax.config.catalog import kinds
+from bojax.engine.build import build
 from bojax.motions.base import DiscreteMotions, Motions
 from bojax.motions.kernel_trajectories import KernelTrajectories
 from bojax.motions.splines import CubicCurves, SplineSet
@@ -47,17 +47,12 @@ def kernel(start="pose", num_segments: int = 3, **changes: float) -> KernelTraje
     )
 
 
-def defaults(component: Component) -> dict[str, float]:
-    """The numbers that the settings of a family propose."""
-    return {name: value for name, value in component.model_dump().items() if isinstance(value, float)}
-
-
 FAMILIES: dict[str, Motions] = {
-    "splines-5": splines(5),
+    kind: build(schema.model_validate({"num_samples": NUM_SAMPLES}))
+    for kind, schema in kinds("motions").items()
+} | {
     "splines-17": splines(17, length=1.7),
-    "cubic": cubic(),
-    "kernel": kernel(),
-    "kernel-default": kernel(**defaults(settings.KernelTrajectories())),
+    "kernel-other": kernel(),
     "kernel-4-segments": kernel(num_segments=4, length=0.6, first_angle=0.3, turn_angle=0.7),
     "kernel-relaxed": kernel(start="relaxed"),
 }
@@ -70,7 +65,7 @@ def resampled(motions: Motions, num_samples: int) -> Motions:
 
 def grid(motions: Motions, levels: int | None = None) -> jax.Array:
     """A grid over the box of parameters, its corners and its centre included."""
-    levels = levels or {2: 7, 3: 5, 4: 3}[motions.num_params]
+    levels = levels or {1: 9, 2: 7, 3: 5}.get(motions.num_params, 3)
     axis = np.linspace(-1.0, 1.0, levels)
     return jnp.asarray(list(itertools.product(*[axis] * motions.num_params)))
 
