@@ -62,7 +62,8 @@ class Env(eqx.Module):
     def of_run(self, key: Key[Array, ""]) -> "Env":
         """The environment of one run, with random properties that all episodes of the run share.
 
-        Only `reset` is called on the returned environment, so the state must contain these properties.
+        Properties that have been drawn stay as they are. A learning run calls only `reset` on the returned
+        environment, so the state must contain these properties.
         """
         del key
         return self

@@ -109,7 +109,8 @@ class BojaxEnv(brax_envs.Env):
     Actions range from -1 to 1, which are mapped to the bounds. Brax has a single flag `done`, set if a step
     terminates or truncates the episode; Brax applies the time limit (`episode_length`). The metric `success`
     is 1 in the first step of an episode that reaches the goal, so that its sum over an episode, which Brax
-    reports, is 0 or 1 even if the episode goes on at the goal.
+    reports, is 0 or 1 even if the episode continues at the goal. All episodes share the properties that
+    `Env.of_run` draws from key 0; pass `env.of_run(key)` to draw them from another key.
 
     Attributes:
         env: The environment; its observations and actions must be vectors.
@@ -124,7 +125,7 @@ class BojaxEnv(brax_envs.Env):
         observations, actions = env.observation_space, env.action_space
         if not (isinstance(observations, Box) and isinstance(actions, Box)):
             raise ValueError(f"{type(env).__name__}: Brax takes vectors as observations and actions")
-        self.env = env
+        self.env = env.of_run(jax.random.key(0))
         self._num_observations, self._actions = observations.num_dims, actions
 
     @override

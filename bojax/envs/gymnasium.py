@@ -34,7 +34,8 @@ class GymnasiumEnv(gymnasium.Env):
     """An environment of bojax, compiled, with the interface of Gymnasium.
 
     An episode is truncated after the environment's `max_steps`. All random numbers follow from the seed of
-    `reset`. Observations are 32-bit numbers.
+    `reset`. Observations are 32-bit numbers. Random properties that all episodes of a run share, such as a
+    hidden target, are drawn once, from key 0; pass `env.of_run(key)` to draw them from another key.
 
     Attributes:
         env: The environment.
@@ -43,7 +44,7 @@ class GymnasiumEnv(gymnasium.Env):
     metadata = {"render_modes": []}
 
     def __init__(self, env: Env):
-        self.env = env
+        self.env = env.of_run(jax.random.key(0))
         self.observation_space = to_gymnasium(env.observation_space)
         self.action_space = to_gymnasium(env.action_space)
         self._episode = self._state = None

@@ -33,7 +33,8 @@ class GymnasiumVectorEnv(VectorEnv):
     `max_steps`. `info["success"]` says which lanes have reached the goal in this step.
 
     Lane i of `reset(seed=s)` is the same for every number of lanes; with a list of seeds, each lane follows
-    from its own. Observations are 32-bit numbers.
+    from its own. Observations are 32-bit numbers. All lanes share the properties that `Env.of_run` draws, see
+    `GymnasiumEnv`.
 
     Attributes:
         env: The environment of one lane.
@@ -44,7 +45,7 @@ class GymnasiumVectorEnv(VectorEnv):
     def __init__(self, env: Env, num_envs: int):
         if num_envs < 1:
             raise ValueError(f"num_envs: got {num_envs}; allowed: >= 1")
-        self.env = env
+        self.env = env.of_run(jax.random.key(0))
         self.num_envs = num_envs
         self.single_observation_space = to_gymnasium(env.observation_space)
         self.single_action_space = to_gymnasium(env.action_space)

@@ -56,7 +56,8 @@ class GymnaxEnv:
 
     The parameters of gymnax, which can be batched and swept, are the environment itself: every number of a
     `bojax.envs.base.Env` is an array leaf. After the last step of an episode, `step` returns the first
-    observation and state of the next one. The function is not compiled; the caller compiles the loop.
+    observation and state of the next one. The function is not compiled; the caller compiles the loop. The
+    default parameters have the properties that `Env.of_run` draws from key 0.
 
     Attributes:
         default_params: The environment.
@@ -65,7 +66,7 @@ class GymnaxEnv:
     def __init__(self, env: Env):
         if env.is_hosted:
             raise ValueError(f"{type(env).__name__}: is stepped on the host; allowed: a compiled environment")
-        self.default_params = env
+        self.default_params = env.of_run(jax.random.key(0))
 
     @property
     def name(self) -> str:

@@ -9,11 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
+from jaxtyping import Array, Float
 
 from bojax.engine.build import build
 from bojax.envs import settings as envs
+from bojax.envs.base import Env, TimeStep
+from bojax.envs.gymnasium import GymnasiumEnv
 from bojax.envs.gymnasium_vector import GymnasiumVectorEnv
 from bojax.envs.gymnax import GymnaxEnv
+from bojax.envs.spaces import Box
 
 LIMIT = 5
 
@@ -26,6 +30,44 @@ def pendulum():
 @functools.cache
 def chain():
     return build(envs.Chain(length=3, max_length=3, max_steps=LIMIT), "float32")
+
+
+class Hidden(Env):
+    """Episodes that begin in a state which all episodes of a run share."""
+
+    start: Float[Array, ""] | None
+    max_steps: int = eqx.field(static=True, default=LIMIT)
+
+    @property
+    def observation_space(self):
+        return Box(jnp.zeros(1), jnp.ones(1))
+
+    @property
+    def action_space(self):
+        return Box(jnp.zeros(1), jnp.ones(1))
+
+    def of_run(self, key):
+        return Hidden(jax.random.uniform(key)) if self.start is None else self
+
+    def reset(self, key):
+        return jax.random.uniform(key) if self.start is None else self.start
+
+    def observe(self, state):
+        return state[None]
+
+    def step(self, key, state, action):
+        done = jnp.ones((), bool)
+        return state, TimeStep(self.observe(state), state, done, ~done, done)
+
+
+@pytest.mark.parametrize("key", [None, 1])
+def test_all_episodes_of_a_view_share_what_the_episodes_of_a_run_share(key):
+    env = Hidden(None) if key is None else Hidden(None).of_run(jax.random.key(key))
+    start = np.float32(jax.random.uniform(jax.random.key(key or 0)))
+    single, vector, view = GymnasiumEnv(env), GymnasiumVectorEnv(env, 2), GymnaxEnv(env)
+    seen = [single.reset(seed=1)[0], single.reset()[0], *vector.reset(seed=2)[0]]
+    seen += [*vector.step(np.zeros((2, 1), np.float32))[0], view.reset(jax.random.key(3))[0]]
+    np.testing.assert_array_equal(np.stack(seen).astype(np.float32), start)
 
 
 def expected(env, keys, actions):

@@ -117,7 +117,9 @@ class Jaco(RobotTask):
     @override
     def of_run(self, key: Key[Array, ""]) -> "Jaco":
         """The environment with the target of the run, if targets are drawn per run."""
-        return dataclasses.replace(self, target=self.draw_target(key)) if self.targets == "per-run" else self
+        if self.targets == "per-episode" or self.target is not None:
+            return self
+        return dataclasses.replace(self, target=self.draw_target(key))
 
     @override
     def reset(self, key: Key[Array, ""]) -> JacoState:
