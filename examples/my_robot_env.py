@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float, Key
 
 from bojax.engine.build import build
 from bojax.engine.training import train
+from bojax.envs.control import ControlStep
 from bojax.envs.robots.base import RobotTask
 from bojax.envs.robots.settings import Robot
 from bojax.envs.spaces import Box
@@ -64,9 +65,9 @@ class AirTable(RobotTask):
         away = state.qpos.astype(self.dtype) - jnp.asarray(POCKET, self.dtype)
         return jnp.sqrt(jnp.sum(away**2))
 
-    def classic(self, state, action, success, failure, after):
+    def classic(self, step: ControlStep):
         """Reward of a step, and whether the step ends the episode, if `reward` is "classic"."""
-        return -self.distance(after), success
+        return -self.distance(step.after), step.success
 
 
 if __name__ == "__main__":

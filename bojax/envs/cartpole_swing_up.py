@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 from typing_extensions import override
 
-from bojax.envs.control import ControlTask, sign, symmetric
+from bojax.envs.control import ControlStep, ControlTask, sign, symmetric
 from bojax.envs.spaces import Box
 from bojax.numerics.choices import Choice, one_of
 
@@ -88,14 +88,6 @@ class CartpoleSwingUp(ControlTask):
         return jnp.abs(state[0]) > self.limit
 
     @override
-    def classic(
-        self,
-        state: Float[Array, "4"],
-        action: Float[Array, "1"],
-        success: Bool[Array, ""],
-        failure: Bool[Array, ""],
-        after: Float[Array, "4"],
-    ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
-        del state, action
-        paid = jnp.where(success, jnp.zeros_like(after[2]), jnp.cos(after[2]) - 1.0)
-        return jnp.where(failure, jnp.full_like(paid, -100.0), paid), success | failure
+    def classic(self, step: ControlStep) -> tuple[Float[Array, ""], Bool[Array, ""]]:
+        paid = jnp.where(step.success, jnp.zeros_like(step.after[2]), jnp.cos(step.after[2]) - 1.0)
+        return jnp.where(step.failure, jnp.full_like(paid, -100.0), paid), step.success | step.failure

@@ -12,6 +12,24 @@ from bojax.envs.base import Env, EnvState, TimeStep
 from bojax.envs.spaces import Box
 
 
+class ControlStep(eqx.Module):
+    """A step of a `ControlTask`.
+
+    Attributes:
+        state: State in which the step was taken.
+        action: Action, within its bounds.
+        after: State after the step.
+        success: Whether the step reached the goal.
+        failure: Whether the state after the step is a failure.
+    """
+
+    state: EnvState
+    action: Float[Array, "A"]
+    after: EnvState
+    success: Bool[Array, ""]
+    failure: Bool[Array, ""]
+
+
 class ControlTask(Env):
     """A system to be controlled to a goal.
 
@@ -56,15 +74,8 @@ class ControlTask(Env):
         return jnp.zeros((), bool)
 
     @abc.abstractmethod
-    def classic(
-        self,
-        state: EnvState,
-        action: Float[Array, "A"],
-        success: Bool[Array, ""],
-        failure: Bool[Array, ""],
-        after: EnvState,
-    ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
-        """Classic reward of a step from `state` to `after`, and whether it ends the episode."""
+    def classic(self, step: ControlStep) -> tuple[Float[Array, ""], Bool[Array, ""]]:
+        """Classic reward of a step, and whether the step ends the episode."""
 
     @override
     def step(
@@ -80,21 +91,21 @@ class ControlTask(Env):
             reward = success.astype(dtype) - failure.astype(dtype)
             terminated = success | failure
         else:
-            reward, terminated = self.classic(state, clipped, success, failure, after)
+            reward, terminated = self.classic(ControlStep(state, clipped, after, success, failure))
         reward = jnp.where(self.has_diverged(after), jnp.nan, reward)
         never = jnp.zeros_like(terminated)
         return after, TimeStep(self.observe(after), reward, terminated, never, success)
 
 
 def penalties(
-    success: Bool[Array, ""], failure: Bool[Array, ""], failure_reward: float, dtype: jnp.dtype
+    step: ControlStep, failure_reward: float, dtype: jnp.dtype
 ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
     """The classic reward of the author's code in domains with failures, and whether it ends the episode.
 
     -1 a step, 0 at the goal and `failure_reward` at a failure; both end the episode.
     """
-    paid = jnp.where(success, 0.0, -1.0).astype(dtype)
-    return jnp.where(failure, jnp.asarray(failure_reward, dtype), paid), success | failure
+    paid = jnp.where(step.success, 0.0, -1.0).astype(dtype)
+    return jnp.where(step.failure, jnp.asarray(failure_reward, dtype), paid), step.success | step.failure
 
 
 def symmetric(*high: Float[Array, ""]) -> Box:

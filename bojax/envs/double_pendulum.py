@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 from typing_extensions import override
 
-from bojax.envs.control import ControlTask, sign, symmetric
+from bojax.envs.control import ControlStep, ControlTask, sign, symmetric
 from bojax.envs.spaces import Box
 from bojax.numerics.angles import wrap_to_pi
 from bojax.numerics.choices import Choice, one_of
@@ -113,13 +113,6 @@ class DoublePendulum(ControlTask):
         return x**2 + below**2 < self.goal_distance**2
 
     @override
-    def classic(
-        self,
-        state: Float[Array, "4"],
-        action: Float[Array, "1"],
-        success: Bool[Array, ""],
-        failure: Bool[Array, ""],
-        after: Float[Array, "4"],
-    ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
-        del state, action, failure
-        return jnp.where(success, jnp.zeros_like(after[0]), -jnp.ones_like(after[0])), success
+    def classic(self, step: ControlStep) -> tuple[Float[Array, ""], Bool[Array, ""]]:
+        one = jnp.ones_like(step.after[0])
+        return jnp.where(step.success, jnp.zeros_like(one), -one), step.success

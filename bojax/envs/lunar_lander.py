@@ -10,7 +10,7 @@ from typing_extensions import override
 
 from bojax.envs import lander_dynamics as dynamics
 from bojax.envs import lander_geometry as geometry
-from bojax.envs.control import ControlTask, penalties
+from bojax.envs.control import ControlStep, ControlTask, penalties
 from bojax.envs.lander_dynamics import LanderState
 from bojax.envs.spaces import Box
 from bojax.numerics.choices import Choice, one_of
@@ -120,23 +120,16 @@ class LunarLander(ControlTask):
         return ~jnp.all(jnp.isfinite(self.observe(state))) | (fastest > self.max_speed)
 
     @override
-    def classic(
-        self,
-        state: LanderState,
-        action: Float[Array, "2"],
-        success: Bool[Array, ""],
-        failure: Bool[Array, ""],
-        after: LanderState,
-    ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
-        main, side = _powers(action)
+    def classic(self, step: ControlStep) -> tuple[Float[Array, ""], Bool[Array, ""]]:
+        main, side = _powers(step.action)
         fuel = 0.3 * main + 0.03 * jnp.abs(side)
-        paid = self._shaping(after) - self._shaping(state) - fuel
-        is_still = after.num_still >= _REST_STEPS
-        paid = jnp.where(failure, jnp.full_like(paid, -100.0), paid)
+        paid = self._shaping(step.after) - self._shaping(step.state) - fuel
+        is_still = step.after.num_still >= _REST_STEPS
+        paid = jnp.where(step.failure, jnp.full_like(paid, -100.0), paid)
         paid = jnp.where(is_still, jnp.full_like(paid, 100.0), paid)
-        published, ends = penalties(success, failure, -100.0, paid.dtype)
+        published, ends = penalties(step, -100.0, paid.dtype)
         is_gym = self.classic_reward.is_("gym")
-        return jnp.where(is_gym, paid, published), jnp.where(is_gym, failure | is_still, ends)
+        return jnp.where(is_gym, paid, published), jnp.where(is_gym, step.failure | is_still, ends)
 
     @override
     def frame(self, state: LanderState) -> Float[Array, "13"]:

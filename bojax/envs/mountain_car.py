@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 from typing_extensions import override
 
-from bojax.envs.control import ControlTask
+from bojax.envs.control import ControlStep, ControlTask
 from bojax.envs.spaces import Box
 
 
@@ -80,13 +80,5 @@ class MountainCar(ControlTask):
         return state[0] >= self.goal_position
 
     @override
-    def classic(
-        self,
-        state: Float[Array, "2"],
-        action: Float[Array, "1"],
-        success: Bool[Array, ""],
-        failure: Bool[Array, ""],
-        after: Float[Array, "2"],
-    ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
-        del action, failure, after
-        return -jnp.ones_like(state[0]), success
+    def classic(self, step: ControlStep) -> tuple[Float[Array, ""], Bool[Array, ""]]:
+        return -jnp.ones_like(step.state[0]), step.success

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 from typing_extensions import override
 
-from bojax.envs.control import ControlTask, symmetric
+from bojax.envs.control import ControlStep, ControlTask, symmetric
 from bojax.envs.spaces import Box
 from bojax.numerics.angles import wrap_to_pi
 
@@ -78,15 +78,7 @@ class SinglePendulum(ControlTask):
         return jnp.abs(wrap_to_pi(state[0])) < self.goal_angle
 
     @override
-    def classic(
-        self,
-        state: Float[Array, "2"],
-        action: Float[Array, "1"],
-        success: Bool[Array, ""],
-        failure: Bool[Array, ""],
-        after: Float[Array, "2"],
-    ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
-        del failure, after
-        cost = wrap_to_pi(state[0]) ** 2 + 0.1 * state[1] ** 2 + 0.001 * action[0] ** 2
-        ends = success & self.classic_ends_at_goal
+    def classic(self, step: ControlStep) -> tuple[Float[Array, ""], Bool[Array, ""]]:
+        cost = wrap_to_pi(step.state[0]) ** 2 + 0.1 * step.state[1] ** 2 + 0.001 * step.action[0] ** 2
+        ends = step.success & self.classic_ends_at_goal
         return jnp.where(ends, jnp.zeros_like(cost), -cost), ends

@@ -16,6 +16,7 @@ from scipy import stats
 
 from bojax.config.errors import ConfigError
 from bojax.engine.build import build
+from bojax.envs.control import ControlStep
 from bojax.envs.robots import settings as envs
 from bojax.envs.robots.reacher import Reacher, fingertip
 from bojax.robots.jaco import jaco_model
@@ -125,7 +126,7 @@ def test_hopper_succeeds_and_fails_where_the_thesis_says():
     assert at(1.29, 0.19) == (False, False)
     assert at(1.31, 0.19) == (True, False)
     assert at(1.29, 0.21) == at(1.29, -0.21) == (False, True)
-    assert at(1.31, -0.21) == (True, True)  # which `ControlTask` takes for a failure
+    assert at(1.31, -0.21) == (True, True)  # which `ControlTask` counts as a failure
     assert at(0.69, 0.0) == (False, False)
     assert at(0.69, 0.0, failure_height=0.7) == (False, True)
     assert at(1.31, 0.0, goal_height=1.4) == (False, False)
@@ -136,8 +137,10 @@ def test_hopper_pays_the_published_reward():
     state = env.simulator.state(jnp.asarray([0.0, 1.0, 0.3, 0.0, 0.0, 0.0]), jnp.zeros(6))
 
     def paid(success, failure):
-        action = jnp.zeros(3, jnp.float32)
-        reward, ends = env.classic(state, action, jnp.asarray(success), jnp.asarray(failure), state)
+        step = ControlStep(
+            state, jnp.zeros(3, jnp.float32), state, jnp.asarray(success), jnp.asarray(failure)
+        )
+        reward, ends = env.classic(step)
         return reward.item(), ends.item()
 
     assert paid(False, False) == (-1.0, False)  # although Gym's ends at this angle

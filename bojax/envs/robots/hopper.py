@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 from typing_extensions import override
 
-from bojax.envs.control import penalties
+from bojax.envs.control import ControlStep, penalties
 from bojax.envs.robots.base import RobotTask
 from bojax.envs.spaces import Box
 from bojax.numerics.choices import Choice, one_of
@@ -79,19 +79,12 @@ class Hopper(RobotTask):
         return (jnp.abs(angle) > self.failure_angle) | (height < self.failure_height)
 
     @override
-    def classic(
-        self,
-        state: RobotState,
-        action: Float[Array, "3"],
-        success: Bool[Array, ""],
-        failure: Bool[Array, ""],
-        after: RobotState,
-    ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
-        rest = jnp.concatenate([after.qpos[2:], after.qvel])
+    def classic(self, step: ControlStep) -> tuple[Float[Array, ""], Bool[Array, ""]]:
+        rest = jnp.concatenate([step.after.qpos[2:], step.after.qvel])
         is_healthy = jnp.all(jnp.abs(rest) < _UNHEALTHY)
-        is_healthy = is_healthy & (after.qpos[1] > 0.7) & (jnp.abs(after.qpos[2]) < 0.2)
-        forward = ((after.qpos[0] - state.qpos[0]) / self.simulator.time_step).astype(self.dtype)
-        paid = forward + is_healthy.astype(self.dtype) - 1e-3 * jnp.sum(action * action)
-        published, ends = penalties(success, failure, -1000.0, self.dtype)
+        is_healthy = is_healthy & (step.after.qpos[1] > 0.7) & (jnp.abs(step.after.qpos[2]) < 0.2)
+        forward = ((step.after.qpos[0] - step.state.qpos[0]) / self.simulator.time_step).astype(self.dtype)
+        paid = forward + is_healthy.astype(self.dtype) - 1e-3 * jnp.sum(step.action * step.action)
+        published, ends = penalties(step, -1000.0, self.dtype)
         is_gym = self.classic_reward.is_("gym")
         return jnp.where(is_gym, paid, published), jnp.where(is_gym, ~is_healthy, ends)

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Key
 from typing_extensions import override
 
+from bojax.envs.control import ControlStep
 from bojax.envs.robots.base import RobotTask
 from bojax.envs.spaces import Box
 from bojax.robots.jaco import jaco_model
@@ -172,16 +173,8 @@ class Jaco(RobotTask):
         return jnp.sqrt(jnp.sum(gap * gap))
 
     @override
-    def classic(
-        self,
-        state: JacoState,
-        action: Float[Array, "J"],
-        success: Bool[Array, ""],
-        failure: Bool[Array, ""],
-        after: JacoState,
-    ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
-        del state, action, failure
-        return -self.distance(after), success
+    def classic(self, step: ControlStep) -> tuple[Float[Array, ""], Bool[Array, ""]]:
+        return -self.distance(step.after), step.success
 
     @property
     def _rest(self) -> Float[Array, "J"]:

@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float, Key
 from typing_extensions import override
 
 from bojax.envs.base import TimeStep
+from bojax.envs.control import ControlStep
 from bojax.envs.robots.base import RobotTask
 from bojax.envs.spaces import Box
 from bojax.numerics.choices import Choice, one_of
@@ -96,16 +97,8 @@ class Reacher(RobotTask):
         return jnp.sqrt(jnp.sum(gap * gap)).astype(self.dtype)
 
     @override
-    def classic(
-        self,
-        state: RobotState,
-        action: Float[Array, "2"],
-        success: Bool[Array, ""],
-        failure: Bool[Array, ""],
-        after: RobotState,
-    ) -> tuple[Float[Array, ""], Bool[Array, ""]]:
-        del state, failure
-        return -self.distance(after) - jnp.sum(action * action), jnp.zeros_like(success)
+    def classic(self, step: ControlStep) -> tuple[Float[Array, ""], Bool[Array, ""]]:
+        return -self.distance(step.after) - jnp.sum(step.action * step.action), jnp.zeros_like(step.success)
 
 
 def fingertip(angles: Float[Array, "2"]) -> Float[Array, "2"]:
