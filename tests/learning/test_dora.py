@@ -72,7 +72,7 @@ def test_tiles_have_the_indices_of_a_dictionary_even_when_it_is_full(num_dims, s
     points = np.cumsum(rng.normal(size=(3000, num_dims)) * 0.2, axis=0)
     coder = reference.TileCoder(8, size)
     expected = np.array([[coder(x, a) for a in range(NUM_ACTIONS)] for x in points])
-    table = TileTable.empty(size, 8, num_dims, NUM_ACTIONS)
+    table = jax.jit(lambda: TileTable.empty(size, 8, num_dims, NUM_ACTIONS))()
     look_up = jax.jit(lambda table, points: jax.lax.scan(lambda t, x: t.look_up(tiles(x, 8)), table, points))
     table, found = look_up(table, jnp.asarray(points))
     np.testing.assert_array_equal(found, expected)
@@ -83,7 +83,7 @@ def test_tiles_have_the_indices_of_a_dictionary_even_when_it_is_full(num_dims, s
 def test_the_hash_is_that_of_python_integers_and_even():
     rng = np.random.default_rng(0)
     columns = rng.integers(-50, 50, size=(4, 20_000)).astype(np.int32)
-    found = np.asarray(tuple_hash([jnp.asarray(column) for column in columns]))
+    found = np.asarray(jax.jit(tuple_hash)(list(columns)))
     assert found[:500].tolist() == [reference.tuple_hash(row) for row in columns.T[:500].tolist()]
     different = {tuple(row) for row in columns.T.tolist()}
     counts = np.bincount(np.unique(found) % 64, minlength=64)
@@ -105,7 +105,7 @@ def test_a_look_up_that_keeps_nothing_finds_the_same_indices():
 def test_tiles_that_share_an_index_count_once():
     index = jnp.asarray([[3, 5, 3, 3, 5], [1, 2, 3, 4, 5]])
     expected = [[True, True, False, False, False], [True] * 5]
-    np.testing.assert_array_equal(is_first(index), expected)
+    np.testing.assert_array_equal(jax.jit(is_first)(index), expected)
 
 
 @pytest.mark.parametrize(
@@ -175,7 +175,7 @@ def test_counters_on_a_table_are_visit_counts_if_nothing_is_discounted(e_discoun
 def test_log_of_minus_log_e_is_stable():
     for dtype, smallest in ((jnp.float32, 1e-7), (jnp.float64, 1e-14)):
         logits = jnp.asarray([-500.0, -30.0, -1.0, 0.0, 1.0, 19.9, 20.1, 60.0, 500.0], dtype)
-        found = log_softplus(-logits)
+        found = jax.jit(lambda logits: log_softplus(-logits))(logits)
         with np.errstate(over="ignore"):
             exact = [np.log(np.log1p(np.exp(-np.longdouble(z)))) if z > -100 else np.log(-z) for z in logits]
         np.testing.assert_allclose(found, np.asarray(exact, float), rtol=10 * smallest)
@@ -185,9 +185,15 @@ def policies_of(state, **settings):
     """The actions that 400 calls choose in a state with Q = (1, 0, 1) and logits (1, 0, 1) of E."""
     learner = build(Settings(**settings))
     observation = jnp.asarray([0.1, 0.01])
-    table, index = state.table.look_up(tiles(state.scale * observation, learner.num_tilings))
-    weights = jnp.zeros_like(state.weights).at[index[0]].set(1 / 8).at[index[2]].set(1 / 8)
-    state = eqx.tree_at(lambda s: (s.table, s.weights), state, (table, weights))
+
+    @jax.jit
+    def look_up(state):
+        return state.table.look_up(tiles(state.scale * observation, learner.num_tilings))
+
+    table, index = look_up(state)
+    weights = np.zeros_like(state.weights)
+    weights[np.asarray(index)[[0, 2]]] = 1 / 8
+    state = eqx.tree_at(lambda s: (s.table, s.weights), state, (table, jnp.asarray(weights)))
 
     def act(key, scale):
         action, _ = learner.act(key, state, observation, exploring(scale))
@@ -253,7 +259,7 @@ def test_lanes_do_not_depend_on_each_other():
     lanes = [transitions(seed=seed) for seed in range(3)]
     together = jax.tree.map(lambda *rows: np.stack(rows), *lanes)
     with jax.debug_key_reuse(False):  # the check takes any scan over a batch of keys for a reuse
-        found, _ = eqx.filter_vmap(lambda steps: learn(learner, state, steps, exploring()))(together)
+        found, _ = jax.jit(jax.vmap(lambda steps: learn(learner, state, steps, exploring())))(together)
     found = jax.device_get(found)
     for lane, steps in enumerate(lanes):
         alone, _ = learn(learner, state, steps, exploring())

@@ -29,6 +29,11 @@ def fresh(learner, num_states=NUM_STATES, num_actions=NUM_ACTIONS):
     return learner.init(jax.random.key(0), Discrete(num_states), Discrete(num_actions), 0)
 
 
+@eqx.filter_jit
+def act(learner, key, state, observation, exploration):
+    return learner.act(key, state, observation, exploration)
+
+
 def random_steps(num=400, seed=0):
     rng = np.random.default_rng(seed)
     return {
@@ -98,8 +103,8 @@ def test_the_update_is_the_one_of_plain_numpy(settings):
     np.testing.assert_allclose(state.u, expected.u, rtol=0, atol=1e-12)
     np.testing.assert_array_equal(state.visits, expected.counts)
     for s, a in ((0, 0), (5, 2)):
-        q, u = learner.values(state, jnp.int32(s), jnp.int32(a))
-        assert (float(q), float(u)) == (float(state.q[s, a]), float(state.u[s, a]))
+        q, u = eqx.filter_jit(learner.values)(state, jnp.int32(s), jnp.int32(a))
+        assert (float(q), float(u)) == (np.asarray(state.q)[s, a], np.asarray(state.u)[s, a])
 
 
 def test_values_of_the_policy_sum_to_what_additive_rewards_learn():
@@ -129,8 +134,8 @@ def test_a_learner_computes_in_its_precision(schema, dtype):
         for name, values in random_steps(20).items()
     }
     assert learn(learner, fresh(learner), steps).columns.dtype == dtype
-    action, expected = learner.act(
-        jax.random.key(0), fresh(learner), jnp.int32(0), exploring(dtype=jnp.dtype(dtype))
+    action, expected = eqx.filter_eval_shape(
+        learner.act, jax.random.key(0), fresh(learner), jnp.int32(0), exploring(dtype=jnp.dtype(dtype))
     )
     assert (action.dtype, expected.dtype) == (jnp.int32, dtype)
 
@@ -139,11 +144,13 @@ def test_a_learner_computes_in_its_precision(schema, dtype):
 def test_a_test_acts_greedily(schema):
     learner = part(schema())
     state = learn(learner, fresh(learner), random_steps())
-    act = jax.vmap(lambda key, s: learner.act(key, state, s, exploring(0.0, False)), in_axes=(0, None))
-    for s in range(NUM_STATES):
-        actions, expected = act(jax.random.split(jax.random.key(s), 50), jnp.int32(s))
-        assert set(np.asarray(actions).tolist()) == {int(np.argmax(state.q[s]))}
-        assert np.all(np.asarray(expected) == float(state.q[s].max()))
+    best = jax.jit(
+        jax.vmap(lambda key, s: learner.act(key, state, s, exploring(0.0, False)), in_axes=(0, None))
+    )
+    for s, q in enumerate(np.asarray(state.q)):
+        actions, expected = best(jax.random.split(jax.random.key(s), 50), jnp.int32(s))
+        assert set(np.asarray(actions).tolist()) == {int(np.argmax(q))}
+        assert np.all(np.asarray(expected) == q.max())
 
 
 def test_exploration_values_weigh_u_by_kappa_and_balance():
@@ -153,11 +160,9 @@ def test_exploration_values_weigh_u_by_kappa_and_balance():
         fresh(learner, 1, 2),
         jnp.asarray([[[1.0, -1.0, 3.0], [0.0, -0.4, 1.0]]]),  # Q, U and visits of two actions
     )
-    act = lambda exploration: int(  # noqa: E731
-        learner.act(jax.random.key(0), state, jnp.int32(0), exploring(exploration))[0]
-    )
-    assert act(1.0) == 1  # 1 - 2 < 0 - 0.8
-    assert act(0.5) == 0  # 1 - 1 > 0 - 0.4
+    for exploration, best in ((1.0, 1), (0.5, 0)):  # 1 - 2 < 0 - 0.8, and 1 - 1 > 0 - 0.4
+        action, _ = act(learner, jax.random.key(0), state, jnp.int32(0), exploring(exploration))
+        assert int(action) == best
 
 
 @pytest.mark.parametrize("ties", ["random", "first"])
@@ -165,8 +170,8 @@ def test_epsilon_greedy_draws_any_action_with_probability_epsilon(ties):
     learner = part(EpsilonGreedy(epsilon=0.4, ties=ties))
     state = eqx.tree_at(lambda t: t.columns, fresh(learner, 1, 4), jnp.zeros((1, 4, 2)).at[0, 2, 0].set(1.0))
     keys = jax.random.split(jax.random.key(0), 10_000)
-    actions, _ = jax.vmap(lambda key: learner.act(key, state, jnp.int32(0), exploring(0.5)))(keys)
-    shares = np.bincount(np.asarray(actions), minlength=4) / 10_000
+    draw = jax.jit(jax.vmap(lambda key: learner.act(key, state, jnp.int32(0), exploring(0.5))[0]))
+    shares = np.bincount(np.asarray(draw(keys)), minlength=4) / 10_000
     assert shares == pytest.approx([0.05, 0.05, 0.85, 0.05], abs=0.015)
 
 
@@ -265,4 +270,4 @@ def test_observations_outside_the_table_are_no_error(env):
         "observation": np.asarray([num + 3])
     }
     np.testing.assert_array_equal(learn(learner, state, steps).columns, state.columns)
-    assert int(learner.act(jax.random.key(0), state, jnp.int32(num + 3), exploring())[0]) >= 0
+    assert int(act(learner, jax.random.key(0), state, jnp.int32(num + 3), exploring())[0]) >= 0
