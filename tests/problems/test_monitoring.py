@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -32,6 +33,12 @@ PROBLEMS = {
     "no walls": monitoring(walls=None, target_area=None),
 }
 each_problem = pytest.mark.parametrize("name", PROBLEMS)
+
+values_of = eqx.filter_jit(lambda field, points: field.values(points))
+gradients_of = eqx.filter_jit(lambda field, points: field.gradients(points))
+grid_of = eqx.filter_jit(lambda problem: problem.grid())
+weigh = jax.jit(error_weights, static_argnums=2)
+predict = eqx.filter_jit(lambda posterior, points: posterior.predict(points))
 
 
 def keys_of(seed, num=NUM):
@@ -103,9 +110,9 @@ def test_a_margin_widens_the_border_and_nothing_else():
     np.testing.assert_array_equal(found.driven, expected.driven)
     np.testing.assert_array_equal(found.exited, expected.exited)
     assert 0 < np.sum(found.exited) < np.sum(events.exited)
-    np.testing.assert_array_equal(margin.grid(), inner.grid())
-    poses = [jax.vmap(problem.arena.random_pose)(keys_of(2)) for problem in (margin, inner)]
-    np.testing.assert_array_equal(*poses)
+    np.testing.assert_array_equal(grid_of(margin), grid_of(inner))
+    draw = jax.jit(lambda problem, keys: jax.vmap(problem.arena.random_pose)(keys))
+    np.testing.assert_array_equal(*(draw(problem, keys_of(2)) for problem in (margin, inner)))
 
 
 @each_problem
@@ -124,15 +131,15 @@ def test_samples_are_the_field_with_noise_where_the_robot_came():
     np.testing.assert_array_equal(samples.points, events.driven[..., :2])
     np.testing.assert_array_equal(samples.is_taken, events.is_driven)
     points = f64(samples.points.reshape(-1, 2))
-    noise = (samples.values.ravel() - FIELD.values(points))[samples.is_taken.ravel()] / 0.1
+    noise = (samples.values.ravel() - values_of(FIELD, points))[samples.is_taken.ravel()] / 0.1
     assert len(noise) > 1000 and stats.kstest(noise, "norm").pvalue > 1e-3
-    slope = np.linalg.norm(FIELD.gradients(points), axis=-1).reshape(NUM, SIZE)
+    slope = np.linalg.norm(gradients_of(FIELD, points), axis=-1).reshape(NUM, SIZE)
     np.testing.assert_allclose(after.gradient, 0.5 + np.sum(slope * samples.is_taken, axis=1), atol=1e-12)
 
 
 def test_without_noise_a_sample_is_the_field():
     _, _, (_, samples, _) = executed(monitoring(noise=0.0))
-    np.testing.assert_allclose(samples.values.ravel(), FIELD.values(f64(samples.points.reshape(-1, 2))))
+    np.testing.assert_allclose(samples.values.ravel(), values_of(FIELD, f64(samples.points.reshape(-1, 2))))
 
 
 def test_reaching_the_target_area_is_success_and_passing_through_counts():
@@ -213,7 +220,7 @@ def test_the_belief_is_the_prior_conditioned_on_the_samples_taken():
         assert (belief.step, belief.posterior.count) == (step + 1, len(x))
         expected = reference_belief(belief).refit(x, y)
         mean, covariance = expected.predict(queries)
-        found = jax.jit(type(belief.posterior).predict)(belief.posterior, f64(queries))
+        found = predict(belief.posterior, f64(queries))
         np.testing.assert_allclose(found[0], mean, atol=1e-9)
         np.testing.assert_allclose(found[1], np.diag(covariance), atol=1e-9)
     np.testing.assert_array_equal(belief.pose, world.vehicle)
@@ -288,7 +295,9 @@ def test_the_reward_is_what_the_samples_are_worth_under_the_belief_before_them(n
     objective = OBJECTIVES.get(name)
     belief = field_belief(WALLED, (0.0, 0.0, 0.0), count)
     poses, paths = drives(100)
-    paid, simulated, alone = pay(WALLED, objective, belief, keys_of(0, 100), f64(poses), f64(paths))
+    paid, simulated, alone = map(
+        np.asarray, pay(WALLED, objective, belief, keys_of(0, 100), f64(poses), f64(paths))
+    )
     reference = reference_problem(WALLED, type("Planner", (), {"objective": objective}))
     start = reference_belief(belief)
     for index, (pose, path) in enumerate(zip(poses, paths, strict=True)):
@@ -305,7 +314,7 @@ def test_what_is_imagined_differs_from_key_to_key_unless_it_is_the_mean():
     poses, paths = (f64(np.repeat(part[3:4], 5, axis=0)) for part in drives(20))
     for imagined, number in (("sample", 5), ("mean", 1)):
         problem = monitoring(imagined=imagined, walls=None)
-        _, simulated, _ = pay(problem, None, belief, keys_of(0, 5), poses, paths)
+        simulated = np.asarray(pay(problem, None, belief, keys_of(0, 5), poses, paths)[1])
         assert len(np.unique(np.round(simulated[:, 0], 10))) == 1
         assert len(np.unique(np.round(simulated[:, 2], 10))) == number
 
@@ -315,9 +324,8 @@ FIELDS = {"bumps": FIELD, "step": Step(f64([1.5, 1.2]), f64(0.6), f64(1.0), f64(
 
 @pytest.mark.parametrize("field", FIELDS.values(), ids=FIELDS)
 def test_the_weights_are_their_definitions(field):
-    grid = np.asarray(monitoring().grid())
-    weigh = jax.jit(error_weights, static_argnums=2)
-    values, gradients = np.asarray(field.values(f64(grid))), np.asarray(field.gradients(f64(grid)))
+    grid = np.asarray(grid_of(WALLED))
+    values, gradients = (np.asarray(of(field, f64(grid))) for of in (values_of, gradients_of))
     norm = np.linalg.norm(gradients, axis=1)
     scaled = (gradients - gradients.min(axis=0)) / (gradients.max(axis=0) - gradients.min(axis=0))
     expected = {
@@ -332,8 +340,8 @@ def test_the_weights_are_their_definitions(field):
 def test_as_printed_a_flat_area_weighs_about_07():
     # One bump far from the border: slopes up and down are equally steep, flat is in the middle of both.
     bump = Bumps(f64([1.0]), f64([[1.5, 1.2]]), f64([0.2]))
-    corner = f64([[0.0, 0.0]])
-    weights = error_weights(bump, jnp.concatenate([corner, monitoring(resolution=61).grid()]), "gradient")
+    grid = grid_of(monitoring(resolution=61))
+    weights = np.asarray(weigh(bump, f64(np.concatenate([[[0.0, 0.0]], grid])), "gradient"))
     np.testing.assert_allclose(weights[0], 0.5**0.5, atol=0.01)
     assert 0.6 < np.median(weights) < 0.8 and weights.max() <= 2.0**0.5
 
@@ -341,7 +349,12 @@ def test_as_printed_a_flat_area_weighs_about_07():
 def test_of_a_constant_field_all_weights_are_equal():
     flat = Bumps(f64([0.0]), f64([[1.5, 1.2]]), f64([0.2]))
     for weighting, expected in (("value", 1.0), ("gradient-norm", 1.0), ("gradient", 2.0**0.5)):
-        np.testing.assert_allclose(error_weights(flat, monitoring().grid(), weighting), expected)
+        np.testing.assert_allclose(weigh(flat, grid_of(WALLED), weighting), expected)
+
+
+@jax.jit
+def score(problem, world, belief):
+    return problem.score(world, belief)
 
 
 @each_problem
@@ -351,11 +364,11 @@ def test_the_scores_are_errors_over_the_open_cells_of_the_grid(name, count):
     belief = field_belief(problem, (0.5, 0.5, 0.0), count)
     world = problem.reset(jax.random.key(0))
     world = type(world)(world.vehicle, world.collisions + 3, world.gradient + 6.0)
-    found = jax.jit(lambda problem, world, belief: problem.score(world, belief))(problem, world, belief)
+    found = score(problem, world, belief)
 
     grid = np.stack(np.meshgrid(np.linspace(0.0, 3.0, 12), np.linspace(0.0, 2.4, 12)), axis=-1).reshape(-1, 2)
-    np.testing.assert_allclose(problem.grid(), grid, atol=1e-15)
-    truth = np.asarray(problem.field.values(f64(grid)))
+    np.testing.assert_allclose(grid_of(problem), grid, atol=1e-15)
+    truth = np.asarray(values_of(problem.field, f64(grid)))
     mean, covariance = reference_belief(belief).gp.predict(grid)
     variance = np.diag(covariance)
     is_open = np.ones(len(grid), bool)
@@ -368,7 +381,7 @@ def test_the_scores_are_errors_over_the_open_cells_of_the_grid(name, count):
     np.testing.assert_allclose(found["rmse"], np.sqrt(squared.mean()), rtol=1e-9)
     np.testing.assert_allclose(found["wrmse"], np.sqrt((weights * squared).mean()), rtol=1e-9)
     np.testing.assert_allclose(found["wrmse_value"], found["wrmse"], rtol=1e-12)
-    printed = np.asarray(error_weights(problem.field, f64(grid), "gradient"))[is_open]
+    printed = np.asarray(weigh(problem.field, f64(grid), "gradient"))[is_open]
     np.testing.assert_allclose(found["wrmse_gradient"], np.sqrt((printed * squared).mean()), rtol=1e-9)
     np.testing.assert_allclose(found["mnll"], nll.mean(), rtol=1e-9)
     assert found["collisions"] == 3
@@ -378,11 +391,11 @@ def test_the_scores_are_errors_over_the_open_cells_of_the_grid(name, count):
 def test_a_belief_without_uncertainty_has_a_finite_score():
     problem = monitoring(noise_variance=0.0, noise=0.0, resolution=2)
     belief = field_belief(problem, (0.5, 0.5, 0.0), 0)
-    corners = problem.grid()
+    corners = grid_of(problem)
     extend = jax.jit(lambda posterior, y: posterior.extend(corners, y, jnp.ones(4, bool)))
-    posterior = extend(belief.posterior, problem.field.values(corners))
+    posterior = extend(belief.posterior, values_of(problem.field, corners))
     belief = dataclasses.replace(belief, posterior=posterior)
-    found = jax.jit(lambda belief: problem.score(problem.reset(jax.random.key(0)), belief))(belief)
+    found = score(problem, problem.reset(jax.random.key(0)), belief)
     assert all(np.isfinite(value) for value in found.values())
     np.testing.assert_allclose(found["rmse"], 0.0, atol=1e-9)
 
@@ -390,13 +403,14 @@ def test_a_belief_without_uncertainty_has_a_finite_score():
 def test_the_snapshot_has_field_belief_and_samples_on_the_grid():
     problem = PROBLEMS["walls"]
     belief = field_belief(problem, (0.5, 0.5, 0.0), 10)
-    kept = problem.snapshot(problem.reset(jax.random.key(0)), belief)["belief"]
+    snapshot = jax.jit(lambda world, belief: problem.snapshot(world, belief))
+    kept = snapshot(problem.reset(jax.random.key(0)), belief)["belief"]
     kept = {name: np.asarray(values) for name, values in kept.items()}
     x, y = np.meshgrid(kept["x"], kept["y"])  # the first axis is y
     points = f64(np.stack([x.ravel(), y.ravel()], axis=-1))
     assert kept["x"][-1] == 3.0 and kept["y"][-1] == 2.4
-    mean, variance = belief.posterior.predict(points)
-    np.testing.assert_allclose(kept["truth"].ravel(), FIELD.values(points), atol=1e-14)
+    mean, variance = predict(belief.posterior, points)
+    np.testing.assert_allclose(kept["truth"].ravel(), values_of(FIELD, points), atol=1e-14)
     np.testing.assert_allclose(kept["mean"].ravel(), mean, atol=1e-12)
     np.testing.assert_allclose(kept["std"].ravel(), np.sqrt(variance), atol=1e-12)
     np.testing.assert_array_equal(kept["samples"][:10, :2], belief.posterior.x[:10])
