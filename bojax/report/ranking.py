@@ -10,7 +10,7 @@ from bojax.report import statistics
 from bojax.report.columns import Columns, NoColumn
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats, Interval
-from bojax.report.text import counted, with_bounds
+from bojax.report.text import counted
 from bojax.results.store import ResultsError
 
 ENDS = {"steps_to_goal": "steps", "episodes_to_goal": "episodes", "episodes_to_target": "episodes"}
@@ -110,7 +110,7 @@ def best_of(results: Results, measure: Measure) -> Standing:
 
 def scored(measure: Measure, standing: Standing) -> str:
     """The score of a point in one line."""
-    mean, bounds = with_bounds(standing.mean.estimate, standing.mean.low, standing.mean.high)
+    mean, bounds = standing.mean.in_words()
     return f"{measure.words}: {mean}, 95% interval {bounds}, {counted(standing.runs, 'run')}"
 
 

@@ -15,6 +15,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bojax.report.text import percent, with_bounds
+
 Floats = NDArray[np.float64]
 
 Band: TypeAlias = tuple[Floats, Floats, Floats]
@@ -51,6 +53,12 @@ class Interval:
     estimate: float
     low: float
     high: float
+
+    def in_words(self, *, as_percent: bool = False) -> tuple[str, str]:
+        """The estimate and `[low, high]` as texts; a share as percentages."""
+        if as_percent:
+            return percent(self.estimate), f"[{percent(self.low)}, {percent(self.high)}]"
+        return with_bounds(self.estimate, self.low, self.high)
 
 
 _UNKNOWN = Interval(float("nan"), float("nan"), float("nan"))

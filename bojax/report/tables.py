@@ -17,10 +17,8 @@ from bojax.report.text import (
     is_number,
     joined,
     number,
-    percent,
     plain,
     seconds,
-    with_bounds,
 )
 from bojax.results.store import ResultsError
 
@@ -169,7 +167,7 @@ def ratios(results: Results) -> Table | None:
             ratio = statistics.ratio_interval(table[:, 0], table[:, 1])
             text = number(ratio.estimate), ""
             if np.isfinite(ratio.low) and point is not reference:
-                text = with_bounds(ratio.estimate, ratio.low, ratio.high)
+                text = ratio.in_words()
             cells.append(Cell(*text, "" if thesis is None else number(thesis)))
         if any(cell.thesis for cell in cells):
             rows.append((point.name, cells))
@@ -314,8 +312,7 @@ def among_cell(values: np.ndarray) -> Cell:
     among = "" if there.size == values.size else f"{there.size:,} of {values.size:,}"
     if not there.size:
         return Cell("never", among)
-    interval = statistics.mean_interval(there)
-    text, bounds = with_bounds(interval.estimate, interval.low, interval.high)
+    text, bounds = statistics.mean_interval(there).in_words()
     if there.size == 1:
         return Cell(text, among)
     spread = number(float(there.std(ddof=1)))
@@ -325,30 +322,20 @@ def among_cell(values: np.ndarray) -> Cell:
 def censored_cell(values: np.ndarray, ends: np.ndarray) -> Cell:
     """Lower bound of the mean over all runs: a run that never reached the goal counts with its end."""
     is_there = np.isfinite(values)
-    interval = statistics.mean_interval(np.where(is_there, values, ends))
-    text, bounds = with_bounds(interval.estimate, interval.low, interval.high)
+    text, bounds = statistics.mean_interval(np.where(is_there, values, ends)).in_words()
     return Cell(text if is_there.all() else f"\N{GREATER-THAN OR EQUAL TO} {text}", bounds)
 
 
 def share_cell(flags: np.ndarray) -> Cell:
     """Share with its Wilson interval."""
-    return percent_cell(statistics.share_interval(flags))
+    return interval_cell(statistics.share_interval(flags), as_percent=True)
 
 
-def interval_cell(interval: statistics.Interval) -> Cell:
-    """An estimate with its interval; nothing if the estimate is NaN."""
+def interval_cell(interval: statistics.Interval, *, as_percent: bool = False) -> Cell:
+    """An estimate with its interval, a share in per cent; nothing if the estimate is NaN."""
     if not np.isfinite(interval.estimate):
         return Cell(MISSING)
-    text, bounds = with_bounds(interval.estimate, interval.low, interval.high)
-    return Cell(text, bounds, key=interval.estimate)
-
-
-def percent_cell(interval: statistics.Interval) -> Cell:
-    """A share with its interval, in per cent; nothing if the share is NaN."""
-    if not np.isfinite(interval.estimate):
-        return Cell(MISSING)
-    bounds = f"[{percent(interval.low)}, {percent(interval.high)}]"
-    return Cell(percent(interval.estimate), bounds, key=interval.estimate)
+    return Cell(*interval.in_words(as_percent=as_percent), key=interval.estimate)
 
 
 def count_cell(number: int) -> Cell:

@@ -28,7 +28,7 @@ from bojax.report.tables import (
     setting_cell,
 )
 from bojax.report.template import fill
-from bojax.report.text import counted, heading, number, plain, with_bounds
+from bojax.report.text import counted, heading, number, plain
 from bojax.results.store import ResultsError, read_json, write_content
 
 TUNING = "tuning.json"
@@ -172,7 +172,7 @@ def _summary(tuning: Tuning, fresh: Results | None) -> str:
     standings = {standing.point.index: standing.mean for standing in ranking(fresh, tuning.measure)}
     if 0 not in standings:
         return f"{found}; some fresh runs have no finite value."
-    mean, bounds = with_bounds(standings[0].estimate, standings[0].low, standings[0].high)
+    mean, bounds = standings[0].in_words()
     return f"{found}, and {counted(fresh.manifest.runs or 0, 'fresh run')} have {mean} {bounds}."
 
 

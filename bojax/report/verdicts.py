@@ -10,7 +10,8 @@ from pydantic import Field
 from bojax.config.errors import printable
 from bojax.report.claims.finding import Verdict
 from bojax.report.manifest import Count, Part, validated
-from bojax.report.text import MISSING, counted, joined, percent, plain, with_bounds
+from bojax.report.statistics import Interval
+from bojax.report.text import MISSING, counted, joined, plain
 from bojax.results.store import read_json
 
 CLAIMS = "claims.json"
@@ -109,10 +110,8 @@ class TestedClaim(Part):
 
     def _formatted(self, estimate: float, interval: Sequence[float]) -> tuple[str, str]:
         """An estimate and its interval; as percentages if the test is of a share."""
-        low, high = interval
-        if self.test.kind == "share" or self.test.share is not None:
-            return percent(estimate), f"[{percent(low)}, {percent(high)}]"
-        return with_bounds(estimate, low, high)
+        is_share = self.test.kind == "share" or self.test.share is not None
+        return Interval(estimate, *interval).in_words(as_percent=is_share)
 
 
 def read_claims(folder: Path) -> list[TestedClaim]:

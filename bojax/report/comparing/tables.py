@@ -15,7 +15,6 @@ from bojax.report.tables import (
     flatten,
     interval_cell,
     mean_cell,
-    percent_cell,
     setting_cell,
     share_cell,
 )
@@ -37,7 +36,7 @@ def scores(task: Task, measure: Measure) -> Table:
         else:
             cells += [
                 interval_cell(difference(each, reference)),
-                percent_cell(improvement([(each, reference)], measure)),
+                interval_cell(improvement([(each, reference)], measure), as_percent=True),
                 setting_cell("paired" if each.is_paired_with(reference) else "unpaired"),
             ]
         rows.append((each.name, cells))
@@ -61,9 +60,9 @@ def overall(tasks: Sequence[Task], reference: str, measure: Measure) -> Table | 
     rows = []
     for place, name in enumerate(shared):
         pairs = [(task[name], task[than]) for task in of_task]
-        better = Cell(MISSING) if name == than else percent_cell(improvement(pairs, measure))
+        better = interval_cell(improvement(pairs, measure), as_percent=True)
         middle = statistics.iqm_interval([task[place] for task in scaled])
-        rows.append((name, [interval_cell(middle), better]))
+        rows.append((name, [interval_cell(middle), Cell(MISSING) if name == than else better]))
     return Table(["IQM of scaled scores", f"P(better than {than})"], rows)
 
 
