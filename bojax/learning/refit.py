@@ -5,9 +5,10 @@ either by sweeps, m <- beta S Phi'(r + gamma Phi_next m), or by solving the equa
 to, (I - beta gamma S Phi'Phi_next) m = beta S Phi'r.
 
 The direct solution is policy iteration: the equations of a policy are solved, then the policy becomes greedy
-for their solution, until the weights are again those of an earlier policy. With a table as features, that is
-the one before, as the values of no policy are below those of the one before. In general, policies may go
-round in a circle, as those of sweeps may.
+for their solution, until the weights stay the same. With a table as features it always gets there, as the
+values of no policy are below those of the one before. In general, policies may go round in a circle or jump
+about, as those of sweeps may; the iteration therefore also ends when the weights change no less than with the
+policy before for the second time. One of both happens, as there are finitely many policies.
 
 The matrices of two policies in succession differ little. The inverse for one policy is therefore kept as the
 preconditioner of the equations of the following policies, which take a few products with the features. If
@@ -96,8 +97,6 @@ class _Transitions(eqx.Module):
     @classmethod
     def of(cls, state: EMUQState, block: int) -> "_Transitions":
         """The transitions in memory, in blocks of at most `block`."""
-        if jax.default_backend() == "cpu":
-            block = min(block, MOST_ON_CPU)
         number = min(NUM_STORED, len(state.memory.rewards))
 
         def visit(arrays, rows, index, is_valid):
@@ -312,10 +311,11 @@ class Refit(eqx.Module):
         that there are finitely many policies, and they usually stay the same after a few.
         """
         key_q, key_u = jax.random.split(key)
-        transitions, mean = _Transitions.of(state, self.block), state.posterior.mean
+        transitions = _Transitions.of(state, _largest_block(self.block))
+        mean = state.posterior.mean
         gain = self.model.noise_precision * state.posterior.base
         drawn, samples = self.model.actions(key_u, state)
-        bonus = self._exploration_rewards(transitions, samples)
+        bonus = self._exploration_rewards(state, samples)
 
         def equations(candidates, mean, is_u):
             return _Equations.of(transitions, gain, candidates, bonus, mean, is_u)
@@ -339,20 +339,21 @@ class Refit(eqx.Module):
 
         return mean.at[:, U].set(self._until_converged(sweep_u, mean[:, U], is_active))
 
-    def _exploration_rewards(self, transitions: _Transitions, samples: Action) -> Float[Array, "C"]:
+    def _exploration_rewards(self, state: EMUQState, samples: Action) -> Float[Array, "C"]:
         """The exploration reward (5.12) of every transition, for the actions of `samples`."""
-        model, state = self.model, transitions.state
-        features, memory = state.features, state.memory
+        model, features, memory = self.model, state.features, state.memory
         ys = jax.vmap(features.action)(samples)
         # The mean over the samples can be taken first, unless it is the published code's.
         groups = ys[:, None] if model.mixes_transitions else ys[None]
         forms = jax.vmap(lambda ys: features.mean_form(state.posterior.base, ys))(groups)
 
-        def visit(variances, rows):
-            return rows.put(variances, _quadratic_forms(rows.x, forms))
+        # Once a refit, x(s') is recomputed: to read what is stored would be a second loop in the program.
+        def visit(variances, rows, index, _):
+            x = jax.vmap(features.state)(rows.next_observations)
+            return jax.lax.dynamic_update_slice_in_dim(variances, _quadratic_forms(x, forms), index[0], 0)
 
         start = jnp.zeros((len(memory.rewards), len(forms)), forms.dtype)
-        variances = transitions.fold(visit, start)
+        variances = memory.fold(visit, start, _largest_block(self.block))
         return model.exploration_reward(model.mean_variances(variances, memory.count))
 
     def _solve(
@@ -361,7 +362,7 @@ class Refit(eqx.Module):
         mean: Float[Array, "M 2"],
         is_active: Bool[Array, ""],
     ) -> Float[Array, "M 2"]:
-        """Solve the equations of Q until its weights are those of an earlier policy, and then those of U.
+        """Solve the equations of Q for one policy after the other, and then those of U for one policy.
 
         Args:
             equations_of: The equations of U if the second argument is true, or else of Q, for the policy of
@@ -371,7 +372,7 @@ class Refit(eqx.Module):
         """
 
         def step(loop):
-            number, mean, earlier, inverse, is_similar, is_u, going = loop
+            number, mean, change, growths, inverse, is_similar, is_u, going = loop
             equations = equations_of(mean, is_u)
             inverse = jax.lax.cond(
                 any_lane(going & ~is_similar),
@@ -386,16 +387,16 @@ class Refit(eqx.Module):
             is_new = is_taken & (jnp.where(is_u, U, Q) == jnp.arange(2))
             mean = jnp.where(is_new[None, :], after[:, None], mean)
             number = number + is_taken.astype(number.dtype)
-            # Brent's search for a circle: the weights are compared with those of policy 1, 2, 4, 8, ...
-            changes = jnp.linalg.norm(jnp.stack([after - before, after - earlier]), axis=1)
-            is_last = is_taken & (is_u | ~jnp.all(changes > self.tolerance) | (number >= self.max_sweeps))
-            earlier = jnp.where(is_taken & (number & (number - 1) == 0), after, earlier)
+            last_change, change = change, jnp.where(is_taken, jnp.linalg.norm(after - before), change)
+            growths = growths + (is_taken & (change >= last_change)).astype(growths.dtype)
+            is_end = ~(change > self.tolerance) | (growths == 2) | (number >= self.max_sweeps)
+            is_last = is_taken & (is_u | is_end)
             is_u, going = is_u | is_last, going & ~(is_last & is_u)
-            return number, mean, earlier, inverse, is_taken | ~going, is_u, going
+            return number, mean, change, growths, inverse, is_taken | ~going, is_u, going
 
-        number, no, features = jnp.zeros((), jnp.int32), jnp.zeros((), bool), len(mean)
-        inverse = jnp.zeros((features, features), mean.dtype)
-        loop = number, mean, mean[:, Q], inverse, no, no, is_active
+        zero, no = jnp.zeros((), jnp.int32), jnp.zeros((), bool)
+        infinite, inverse = jnp.full((), jnp.inf, mean.dtype), jnp.zeros((len(mean), len(mean)), mean.dtype)
+        loop = zero, mean, infinite, zero, inverse, no, no, is_active
         return jax.lax.while_loop(lambda loop: any_lane(loop[-1]), step, loop)[1]
 
     def _until_converged(
@@ -421,6 +422,11 @@ class Refit(eqx.Module):
 def _quadratic_forms(x: Float[Array, "B P"], forms: Float[Array, "J P P"]) -> Float[Array, "B J"]:
     """The quadratic form x'F x of every row x and every matrix F."""
     return jax.vmap(lambda form: jnp.sum(matmul_on_tensor_cores(x, form) * x, axis=1), out_axes=1)(forms)
+
+
+def _largest_block(block: int) -> int:
+    """Number of transitions in a block on this machine."""
+    return min(block, MOST_ON_CPU) if jax.default_backend() == "cpu" else block
 
 
 def _features(state: EMUQState, memory: Memory) -> tuple[Float[Array, "B M"], Float[Array, "B P"]]:

@@ -105,8 +105,8 @@ class Algorithm6:
 class DirectRefit(Algorithm6):
     """Algorithm 6 with the equations of each policy solved at the end of an episode, in place of sweeps.
 
-    All policies of a refit maximise over the same candidates. The last one has the weights of the one before,
-    or of policy 1, 2, 4, 8, ...
+    All policies of a refit maximise over the same candidates. They end when the weights stay the same, or
+    change no less than with the policy before for the second time.
     """
 
     def end_episode(self, s: Array, a: Array, r: Array, s_next: Array, is_absorbing: Array) -> None:
@@ -118,14 +118,14 @@ class DirectRefit(Algorithm6):
                 np.eye(len(self.s)) - gain @ (discount[:, None] * phi_next), gain @ constant
             )
 
-        actions, weights = self.candidates(), [self.m_q]
-        for number in range(1, self.max_sweeps + 1):
-            self.m_q = solution(self.phi(s_next, self.policy(s_next, actions)), r)
-            earlier = [weights[-1], weights[2 ** int(np.log2(max(number - 1, 1))) if number > 1 else 0]]
-            weights.append(self.m_q)
-            if min(np.linalg.norm(self.m_q - before) for before in earlier) <= self.tolerance:
+        actions, changes = self.candidates(), []
+        for _ in range(self.max_sweeps):
+            before, self.m_q = self.m_q, solution(self.phi(s_next, self.policy(s_next, actions)), r)
+            changes.append(np.linalg.norm(self.m_q - before))
+            growths = np.sum(np.diff(changes) >= 0.0)
+            if changes[-1] <= self.tolerance or growths == 2:
                 break
-        self.policies = len(weights) - 1
+        self.policies, self.growths = len(changes), growths
         r_e = self.exploration_reward(s_next)
         forever = np.where(is_absorbing, r_e / (1.0 - self.gamma), r_e)
         self.m_u = solution(self.phi(s_next, self.policy(s_next, actions)), forever)
