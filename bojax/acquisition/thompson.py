@@ -20,7 +20,7 @@ class ThompsonSampling(eqx.Module):
 
     A draw of the prior, on random Fourier features, is conditioned on the observations minus a draw of their
     noise: f(x) + k(x, X) (K + noise)^-1 (y - f(X) - e). The features approximate the prior alone, so that the
-    draw follows the observations whatever their number.
+    draw follows the observations however many there are.
 
     Unlike an acquisition function, a draw is not a function of the posterior mean and standard deviation of a
     point. `BayesianOptimisation` takes it in the place of one; planners do not.

@@ -66,6 +66,6 @@ class Visits(eqx.Module):
         )
 
     def scores(self, u: Float[Array, "R R"]) -> Float[Array, "2"]:
-        """Mean U of the cells without a visit minus that of the starting cells, and the latter."""
+        """Mean U of the unvisited cells minus that of the starting cells; mean U of the starting cells."""
         start = jnp.mean(u, where=self.starts)
         return jnp.stack([jnp.mean(u, where=~self.seen) - start, start])

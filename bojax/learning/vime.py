@@ -40,7 +40,7 @@ class VIMEState(eqx.Module):
         optimiser: State of Adam for the model.
         pool: Transitions of the finished iterations.
         batch: Episodes of the current iteration.
-        medians: Medians of the bonuses of the latest iterations; 0 before there were so many.
+        medians: Medians of the bonuses of the last Q iterations; 0 where fewer have finished.
         iterations: Number of finished iterations.
     """
 

@@ -48,7 +48,7 @@ class Features(eqx.Module):
         """The features of one input."""
 
     def design(self, xs: Float[Array, "N D"] | Numbers) -> Float[Array, "N M"]:
-        """The design matrix: a row of features for each input; the inputs may be lists, too."""
+        """The design matrix: a row of features for each input; inputs may also be lists."""
         return jax.vmap(self)(to_points("xs", xs, precision(self, xs)))
 
 
