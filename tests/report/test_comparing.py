@@ -127,7 +127,7 @@ MISTAKES = {
     "a duplicate": (GOOD + "b,0,2.0,1\n", "line 6: x: got 2 of run 0 of b twice; allowed: once"),
     "runs of other lengths": (
         GOOD + "b,1,1,5\n",
-        "x: run 1 of b has 1 rows, run 0 has 2, and only one of them has x = 2; allowed: equal x in all runs",
+        "x: run 1 of b has 1 row, run 0 has 2, and only one of them has x = 2; allowed: equal x in all runs",
     ),
     "one label": ("label,run,x,value\na,0,1,0.5\n", None),
     "an open quote": (

@@ -16,6 +16,7 @@ from bojax.report.drawing.curves import Curve
 from bojax.report.manifest import Unread
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats
+from bojax.report.text import counted
 from bojax.results.outline import Outline
 from bojax.results.store import ResultsError
 
@@ -233,8 +234,8 @@ def _common(path: Path, rows: Rows, measure: Measure) -> tuple[Floats, Floats]:
         if not np.array_equal(x, other):
             differing = sorted({*other.tolist()} ^ {*x.tolist()})[0]
             raise ResultsError(
-                f"{path}: x: run {run} of {rows.label} has {other.size} rows, run {first} has {x.size}, and "
-                f"only one of them has x = {differing:g}; allowed: equal x in all runs of a label "
+                f"{path}: x: run {run} of {rows.label} has {counted(other.size, 'row')}, run {first} has "
+                f"{x.size}, and only one of them has x = {differing:g}; allowed: equal x in all runs of a label "
                 "(runs of any length: --x step)"
             )
     return x, np.stack([values for _, values in runs])
