@@ -235,8 +235,8 @@ def _common(path: Path, rows: Rows, measure: Measure) -> tuple[Floats, Floats]:
             differing = sorted({*other.tolist()} ^ {*x.tolist()})[0]
             raise ResultsError(
                 f"{path}: x: run {run} of {rows.label} has {counted(other.size, 'row')}, run {first} has "
-                f"{x.size}, and only one of them has x = {differing:g}; allowed: equal x in all runs of a label "
-                "(runs of any length: --x step)"
+                f"{x.size}, and only one of them has x = {differing:g}; allowed: equal x in all runs of a "
+                "label (runs of any length: --x step)"
             )
     return x, np.stack([values for _, values in runs])
 
