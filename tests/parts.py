@@ -2,11 +2,8 @@
 
 from typing import Any
 
-import pytest
-
 from bojax.config.catalog import kinds
 from bojax.config.component import Component, slots
-from tests.tiers import by_tier
 
 REQUIRED: dict[str, dict[str, Any]] = {
     "grid": {"file": "grid.csv", "extent": (0.0, 0.0, 1.0, 1.0)},
@@ -23,6 +20,7 @@ FILES = {"grid.csv": "1,2\n3,4", "rows.csv": "x,y,value\n0,0,1\n1,0,2\n0,1,3"}
 TINY: dict[str, Any] = {
     "batch_size": 4,
     "depth": 2,
+    "impl": "c",  # compiles in no time; `robots/test_simulator.py` compares MJX in JAX
     "integrator": "euler",  # the packaged models' RK4 evaluates the dynamics four times
     "iteration_steps": 4,
     "iterations": 6,
@@ -52,17 +50,6 @@ def first_kinds(role: str) -> list[str]:
     for kind, schema in kinds(role).items():
         first.setdefault(schema.target, kind)
     return list(first.values())
-
-
-def each_kind(role: str, *, slow: tuple[str, ...] = ()) -> pytest.MarkDecorator:
-    """Parametrise a test by the kinds of a role; the slow tier has all, the normal one one of each class.
-
-    Args:
-        role: The role.
-        slow: Kinds that the normal tier leaves out too, since other tests run all of their code.
-    """
-    normal = set(first_kinds(role)) - set(slow)
-    return pytest.mark.parametrize("kind", by_tier(kinds(role), normal=normal))
 
 
 def tiny(role: str, kind: str, **settings: Any) -> Component:

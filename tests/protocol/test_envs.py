@@ -7,8 +7,8 @@ import numpy as np
 from bojax.engine.build import build
 from bojax.engine.training import train
 from bojax.envs.spaces import Discrete
-from tests.parts import each_kind, tiny
-from tests.protocol.lanes import check
+from tests.parts import tiny
+from tests.protocol.lanes import each_kind, of_one
 
 
 def uniform(key, space):
@@ -32,12 +32,12 @@ def two_steps(env, key, _):
     return env.observe(state), transitions, env.observation_space
 
 
-@each_kind("env", slow=("hopper", "jaco", "reacher"))  # `envs/test_robots.py` steps them
-def test_an_environment_is_reset_and_stepped(kind):
+@each_kind("env")
+def test_an_environment_is_reset_and_stepped(kind, check):
     settings = tiny("env", kind)
     env = build(settings, "float32")
     if not env.is_hosted:
-        check(env, two_steps)
+        check(env, of_one(two_steps))
         return
     # An environment on the host is stepped by the engine.
     training = train(settings.model_dump(), {"kind": "rff-q", "epsilon": 1.0}, episodes=2, runs=2)

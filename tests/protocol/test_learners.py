@@ -1,23 +1,20 @@
 """Every learner: it learns and is tested in two episodes of a chain."""
 
-import equinox as eqx
-
 from bojax.engine.build import build
 from bojax.experiments.settings import Learning
-from tests.parts import each_kind, tiny
-from tests.protocol.lanes import advance_twice, check
+from tests.parts import tiny
+from tests.protocol.lanes import each_kind, of_experiment
 
 CHAIN = {"kind": "chain", "length": 3, "max_length": 3, "sparsity": 0.5, "max_steps": 4}
 
 
 @each_kind("learner")
-def test_a_learner_learns_and_is_tested(kind):
+def test_a_learner_learns_and_is_tested(kind, check):
     settings = {"env": CHAIN, "learner": tiny("learner", kind).model_dump(), "episodes": 2, "tests": 1}
     run = build(Learning.model_validate(settings))
 
-    def learn(learner, key, run):
-        run = eqx.tree_at(lambda run: run.learner, run, learner)
-        carry, tables = advance_twice(run, key)
-        return run.summary(carry)["return"], tables["episodes"], learner.policy_state(carry.learner)
+    check(run.learner, of_experiment(lambda run: run.learner, learned), run)
 
-    check(run.learner, learn, inputs=run)
+
+def learned(run, carry):
+    return run.summary(carry)["return"], run.learner.policy_state(carry.learner)
