@@ -270,15 +270,21 @@ def test_without_learning_nothing_changes(schema):
 def test_the_exploration_reward_is_never_positive_and_highest_where_nothing_was_seen():
     learner, state = make()
     _, after = learn(learner, state, transitions())
-    seen, unseen = (
-        OBSERVATIONS.from_unit(jnp.asarray([0.5, 0.5])),
-        OBSERVATIONS.from_unit(jnp.asarray([3.0, -3.0])),
-    )
-    rows = {}
-    for name, where in (("seen", seen), ("unseen", unseen)):
-        phi = jax.vmap(lambda a, where=where: after.features(where, a))(after.samples)
-        rows[name] = learner.model.exploration_reward(jnp.mean(after.posterior.predict(phi)[1]))
-    assert rows["seen"] < rows["unseen"] <= 0.0
+
+    @jax.jit
+    def reward(unit):
+        where = OBSERVATIONS.from_unit(unit)
+        phi = jax.vmap(lambda a: after.features(where, a))(after.samples)
+        return learner.model.exploration_reward(jnp.mean(after.posterior.predict(phi)[1]))
+
+    seen, unseen = (float(reward(jnp.asarray(unit))) for unit in ([0.5, 0.5], [3.0, -3.0]))
+    assert seen < unseen <= 0.0
+
+
+@eqx.filter_jit
+def drawn(spec, seed):
+    """Features of the two boxes."""
+    return spec.draw(jax.random.key(seed), OBSERVATIONS, ACTIONS, jnp.dtype(jnp.float64))
 
 
 @eqx.filter_jit
@@ -297,9 +303,9 @@ def test_features_are_bilinear():
         FourierBasisFeatures(order=2),
     )
     s, a, actions = jnp.asarray([0.3, -1.1]), jnp.asarray([1.7]), jnp.asarray([[1.7], [-0.4], [2.9]])
-    unit = np.concatenate([OBSERVATIONS.to_unit(s), ACTIONS.to_unit(a)])
+    unit = np.concatenate(jax.jit(lambda s, a: (OBSERVATIONS.to_unit(s), ACTIONS.to_unit(a)))(s, a))
     for schema in specs:
-        features = build(schema).draw(jax.random.key(3), OBSERVATIONS, ACTIONS, jnp.dtype(jnp.float64))
+        features = drawn(build(schema), 3)
         frequencies = np.concatenate([features.state_frequencies, features.action_frequencies], axis=1)
         angles = frequencies @ unit + np.asarray(features.phases)
         half = angles[: len(angles) // 2]
@@ -317,9 +323,9 @@ def test_features_are_bilinear():
 def test_random_fourier_features_have_unit_norm_and_the_slip_about_half():
     norms = {}
     for form in ("cos-sin", "phase"):
-        spec = build(RandomFourierFeatures(num_features=200, form=form))
-        features = spec.draw(jax.random.key(0), OBSERVATIONS, ACTIONS, jnp.dtype(jnp.float64))
-        norms[form] = float(jnp.sum(features(jnp.asarray([0.1, 0.2]), jnp.asarray([0.5])) ** 2))
+        features = drawn(build(RandomFourierFeatures(num_features=200, form=form)), 0)
+        phi = eqx.filter_jit(features)(jnp.asarray([0.1, 0.2]), jnp.asarray([0.5]))
+        norms[form] = np.sum(np.asarray(phi) ** 2)
     assert norms["cos-sin"] == pytest.approx(1.0, abs=1e-12)
     assert norms["phase"] == pytest.approx(0.5, abs=0.1)
 
@@ -346,16 +352,16 @@ def test_refinement_never_makes_the_action_worse():
     )
 
     @eqx.filter_jit
-    def act(learner, key, where):
+    def act(learner, key):
+        where = OBSERVATIONS.from_unit(jax.random.uniform(jax.random.clone(key), (2,)))
         action, _ = learner.act(key, after, where, EXPLORING)
         q, u = learner.values(after, where, action)
         return action, q + learner.exploration_weight * u
 
     for seed in range(5):
-        where = OBSERVATIONS.from_unit(jax.random.uniform(jax.random.key(seed), (2,)))
         scores = []
         for one in (learner, refined):
-            action, score = act(one, jax.random.key(seed), where)
+            action, score = act(one, jax.random.key(seed))
             assert -3.0 <= float(action[0]) <= 3.0
             scores.append(float(score))
         assert scores[1] >= scores[0] - 1e-12
