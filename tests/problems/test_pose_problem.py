@@ -16,9 +16,17 @@ PROBLEMS = {"parking": parking(), "parking-on": parking(Settings(exit_terminates
 each_problem = pytest.mark.parametrize("name", PROBLEMS)
 
 NUM = 3000
-execute = jax.jit(lambda problem, keys, worlds, paths: jax.vmap(problem.execute)(keys, worlds, paths))
-outcomes = jax.jit(lambda problem, starts, paths: jax.vmap(problem.outcome)(starts, paths))
-placed = jax.jit(jax.vmap(place))
+
+
+def on_host(function):
+    """The function, compiled, with results in NumPy."""
+    compiled = jax.jit(function)
+    return lambda *args: jax.device_get(compiled(*args))
+
+
+execute = on_host(lambda problem, keys, worlds, paths: jax.vmap(problem.execute)(keys, worlds, paths))
+outcomes = on_host(lambda problem, starts, paths: jax.vmap(problem.outcome)(starts, paths))
+placed = on_host(jax.vmap(place))
 
 
 def keys_of(seed: int):
@@ -31,8 +39,8 @@ def drives(horizon: int = 1):
     worlds = rng.uniform([-4.0, -4.0, 0.0], [4.0, 4.0, 2.0 * np.pi], (NUM, 3))
     worlds[::2] *= [0.2, 0.2, 1.0]  # many of them near the goal
     library = all_paths(FAMILIES["kernel"])
-    paths = jnp.asarray(library[rng.integers(len(library), size=(NUM, horizon))])
-    return jnp.asarray(worlds), paths[:, 0] if horizon == 1 else paths
+    paths = library[rng.integers(len(library), size=(NUM, horizon))]
+    return worlds, paths[:, 0] if horizon == 1 else paths
 
 
 @each_problem
@@ -88,7 +96,7 @@ def test_the_belief_is_the_last_reading(name):
     np.testing.assert_array_equal(node, reading)
 
 
-@jax.jit
+@on_host
 def simulate(problem, keys, nodes, plans):
     """Each plan played on its node."""
     return jax.vmap(lambda *each: problem.simulate(each[0], None, *each[1:], None))(keys, nodes, plans)
