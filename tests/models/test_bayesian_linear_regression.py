@@ -22,6 +22,7 @@ from tests.reference import bayesian_linear_regression as reference
 PRIOR, NOISE = jnp.asarray(0.5), jnp.asarray(4.0)
 BLOCKS = (0, 4)
 fit = jax.jit(BayesianLinearRegression.fit)
+prior_of = jax.jit(BayesianLinearRegression.prior, static_argnums=0, static_argnames=("num_targets", "block"))
 evidence = jax.jit(log_marginal_likelihood)
 best_precisions = jax.jit(maximise_evidence)
 predict = eqx.filter_jit(BayesianLinearRegression.predict)
@@ -73,7 +74,7 @@ def condition(model: BayesianLinearRegression, features, targets, sample_weight=
 
 
 def prior(num_features: int = 6, block: int = 0, num_targets: int | None = None) -> BayesianLinearRegression:
-    return BayesianLinearRegression.prior(num_features, PRIOR, NOISE, num_targets=num_targets, block=block)
+    return prior_of(num_features, PRIOR, NOISE, num_targets=num_targets, block=block)
 
 
 def assert_same_posterior(one: BayesianLinearRegression, mean, covariance, rtol: float = 1e-12):
@@ -261,7 +262,7 @@ def test_what_is_updated_more_often_than_the_block_is_long_forgets_the_oldest_ro
 @pytest.mark.parametrize("repeated", [False, True])
 def test_the_variance_is_never_negative_and_never_grows(block, dtype, repeated):
     features, targets = clustered(60, 20, 0.0 if repeated else 0.3, dtype)
-    model = BayesianLinearRegression.prior(20, jnp.asarray(0.1, dtype), jnp.asarray(10.0, dtype), block=block)
+    model = prior_of(20, jnp.asarray(0.1, dtype), jnp.asarray(10.0, dtype), block=block)
     variance = predict(model, features)[1]
     for i in range(60):
         model = update(model, features[i], targets[i])
@@ -285,10 +286,8 @@ def test_extreme_precisions_keep_the_posterior(block, prior_precision, noise_pre
     mean, covariance = reference.posterior(features, targets, prior_precision, seen)
     models = {
         "fit": fit(features, targets, alpha, beta),
-        "rows": condition(BayesianLinearRegression.prior(10, alpha, beta, block=block), features, targets),
-        "batch": update_batch(
-            BayesianLinearRegression.prior(10, alpha, beta, block=block), features, targets
-        ),
+        "rows": condition(prior_of(10, alpha, beta, block=block), features, targets),
+        "batch": update_batch(prior_of(10, alpha, beta, block=block), features, targets),
     }
     for model in models.values():
         found_mean, variance = predict(model, features)
@@ -312,7 +311,7 @@ def test_observations_given_together_share_the_floor_of_the_noise(dtype, way):
     if way == "fit":
         model = fit(features, targets, alpha, beta, sample_weight=weights)
     else:
-        model = BayesianLinearRegression.prior(4, alpha, beta)
+        model = prior_of(4, alpha, beta)
         model = update_batch(model, features, targets, sample_weight=weights)
     exact = [np.asarray(values, np.float64) for values in (features, targets, weights)]
     longest = np.max(exact[2] * np.sum(exact[0] ** 2, axis=1))
@@ -359,7 +358,7 @@ def test_a_block_keeps_more_digits_in_single_precision(prior_precision, bounds):
     exact = np.sum(seen @ covariance * seen, axis=1)
     worst = []
     for block in (0, 16):
-        model = condition(BayesianLinearRegression.prior(40, alpha, beta, block=block), features, targets)
+        model = condition(prior_of(40, alpha, beta, block=block), features, targets)
         variance = np.asarray(predict(model, features)[1])
         worst.append(np.abs(variance / exact - 1.0).max())
     assert worst[0] < bounds[0] and worst[1] < bounds[1]
