@@ -225,7 +225,7 @@ class GaussianProcessRegressor(_Regressor):
         self.posterior_ = posterior
         self.kernel_ = posterior.kernel
         self.noise_variance_ = float(posterior.noise_variance)
-        self.log_marginal_likelihood_ = float(posterior.log_marginal_likelihood())
+        self.log_marginal_likelihood_ = float(_evidence(posterior))
         return self
 
     @override
@@ -291,12 +291,12 @@ class BayesianLinearRegressor(_Regressor):
         self.features_ = features
         self.posterior_ = _fit_linear(design, y, *precisions)
         self.prior_precision_, self.noise_precision_ = map(float, precisions)
-        self.log_marginal_likelihood_ = float(log_marginal_likelihood(design, y, *precisions))
+        self.log_marginal_likelihood_ = float(_evidence_linear(design, y, *precisions))
         return self
 
     @override
     def _moments(self, X: np.ndarray) -> tuple[jax.Array, jax.Array]:
-        return self.posterior_.predict(_design(self.features_, X, self._fitted_dtype()))
+        return _predict(self.posterior_, _design(self.features_, X, self._fitted_dtype()))
 
     @override
     def _fitted_dtype(self) -> str:
@@ -304,10 +304,13 @@ class BayesianLinearRegressor(_Regressor):
 
 
 _fit = eqx.filter_jit(GaussianProcess.fit)
+_evidence = eqx.filter_jit(GaussianProcess.log_marginal_likelihood)
 _fit_linear = jax.jit(BayesianLinearRegression.fit)
+_evidence_linear = jax.jit(log_marginal_likelihood)
 _maximise_evidence = jax.jit(maximise_evidence)
 _relearn = eqx.filter_jit(relearn)
 _predict = eqx.filter_jit(lambda posterior, xs: posterior.predict(xs))
+_features = eqx.filter_jit(lambda features, xs: features.design(xs))
 
 
 def _matrix(name: str, values: Any, dtype: str) -> np.ndarray:
@@ -322,7 +325,7 @@ def _vector(name: str, values: Any, length: int, dtype: str) -> np.ndarray:
 
 
 def _design(features: Features, X: np.ndarray, dtype: str) -> jax.Array:
-    design = features.design(jnp.asarray(X, dtype))
+    design = _features(features, jnp.asarray(X, dtype))
     check_array("features of X", design, 2, "[rows, features]", dtype)
     return design
 
