@@ -210,10 +210,13 @@ def searched(function, one):
     return maximise_lanes(stacked([one] * LANES), seeds(LANES), function, LONG)
 
 
+best_of = _jit(lambda one, state: jax.vmap(one.best)(state))
+
+
 def regrets(function, maximum, one, num_iterations=LONG):
     """How far the best of the first values is below the maximum, in each lane."""
     state, _, ys = searched(function, one)
-    _, best = jax.vmap(one.best)(state)
+    _, best = best_of(one, state)
     np.testing.assert_allclose(best, np.max(ys, axis=1), rtol=1e-12)  # XLA may compute a value twice
     return maximum - np.max(ys[:, :num_iterations], axis=1)
 
@@ -249,7 +252,7 @@ def test_a_maximum_in_a_corner_is_found_there(name):
     one = optimisation(ACQUISITIONS[name], low=(-0.1, 3.0), high=(0.7, 3.1), capacity=LONG)
     state, xs, ys = searched(slope, one)
     assert np.all(np.asarray(xs) >= np.asarray(one.low)) and np.all(np.asarray(xs) <= np.asarray(one.high))
-    best, value = jax.vmap(one.best)(state)
+    best, value = best_of(one, state)
     np.testing.assert_allclose(best, np.broadcast_to([0.7, 3.0], (LANES, 2)), atol=1e-3)
     np.testing.assert_allclose(value, 0.7 - 6.0, atol=3e-3)
 
