@@ -60,15 +60,16 @@ def test_a_brax_environment_takes_the_steps_that_it_takes_in_brax(spring, dtype)
         return env.observe(state), jax.lax.scan(go_on, state, actions)[1]
 
     keys = jax.random.split(jax.random.key(0), 2)
-    first, found = jax.jit(jax.vmap(rollout))(keys)
+    first, found = jax.device_get(jax.jit(jax.vmap(rollout))(keys))
     assert first.dtype == found.observation.dtype == found.reward.dtype == dtype
     for lane in range(2):
         with plain_jax():
             theirs = Spring()
-            state = theirs.reset(jax.random.key_data(keys[lane]))
+            step = jax.jit(theirs.step)
+            state = jax.jit(theirs.reset)(jax.random.key_data(keys[lane]))
             np.testing.assert_allclose(first[lane], state.obs, rtol=1e-6)
             for i, action in enumerate(np.clip(np.asarray(actions, np.float32), -1.0, 1.0)):
-                state = theirs.step(state, action)
+                state = step(state, action)
                 np.testing.assert_allclose(found.observation[lane, i], state.obs, rtol=1e-4, atol=1e-5)
                 np.testing.assert_allclose(found.reward[lane, i], state.reward, rtol=1e-4, atol=1e-5)
                 assert found.terminated[lane, i] == bool(state.done)
@@ -79,8 +80,8 @@ def test_a_brax_environment_takes_the_steps_that_it_takes_in_brax(spring, dtype)
 def test_a_lane_can_be_held(spring):
     """What the engine does with a lane that has ended: the old state and the new one are of one type."""
     env = build(envs.Brax(name="spring"), "float32")
-    state = env.reset(jax.random.key(0))
-    after, _ = env.step(jax.random.key(1), state, jnp.ones(1, jnp.float32))
+    state = jax.eval_shape(env.reset, jax.random.key(0))
+    after, _ = jax.eval_shape(env.step, jax.random.key(1), state, jnp.ones(1, jnp.float32))
     old, new = (jax.tree.map(lambda x: (x.dtype, x.shape, x.weak_type), tree) for tree in (state, after))
     assert old == new
 
@@ -130,15 +131,13 @@ def test_ours_rolls_under_the_wrappers_of_brax_training():
         assert (env.observation_size, env.action_size, env.backend) == (3, 1, "bojax")
         state = jax.jit(env.reset)(jax.random.split(jax.random.PRNGKey(0), 3))
         step, dones = jax.jit(env.step), []
+        reward = jax.jit(jax.vmap(lambda s, a: own.step(jax.random.key(0), s, 2.0 * a)[1].reward))
         for i in range(41):
             before, _ = state.pipeline_state
             action = jnp.full((3, 1), 0.5 * (-1) ** i)
             state = step(state, action)
             dones.append(np.asarray(state.done))
-            expected = jax.vmap(lambda s, a: own.step(jax.random.key(0), s, 2.0 * a)[1].reward)(
-                before, action
-            )
-            np.testing.assert_allclose(state.reward, expected, rtol=1e-5)
+            np.testing.assert_allclose(state.reward, reward(before, action), rtol=1e-5)
         np.testing.assert_array_equal(np.flatnonzero(np.all(dones, axis=1)) + 1, [20, 40])
         assert np.sum(dones) == 6
         assert np.all(state.info["truncation"] == 0) and state.metrics["success"].shape == (3,)
@@ -147,9 +146,9 @@ def test_ours_rolls_under_the_wrappers_of_brax_training():
 def test_brax_sees_our_goals():
     own = build(envs.SinglePendulum(), "float32")
     env = BojaxEnv(own)
-    state = env.reset(jax.random.key(0))
+    state = jax.jit(env.reset)(jax.random.key(0))
     state = state.replace(pipeline_state=(jnp.asarray([0.01, 0.0], jnp.float32), state.reward))
-    state = env.step(state, jnp.zeros(1, jnp.float32))
+    state = jax.jit(env.step)(state, jnp.zeros(1, jnp.float32))
     assert (state.reward, state.done, state.metrics["success"]) == (1.0, 1.0, 1.0)
 
 
@@ -158,7 +157,7 @@ def test_a_success_counts_once_in_each_episode():
     own = build(envs.SinglePendulum(reward="classic", classic_ends_at_goal=False), "float32")
     with plain_jax():
         env = training.wrap(BojaxEnv(own), episode_length=5)
-        state = env.reset(jax.random.split(jax.random.PRNGKey(0), 1))
+        state = jax.jit(env.reset)(jax.random.split(jax.random.PRNGKey(0), 1))
         upright = jnp.zeros((1, 2), jnp.float32), jnp.zeros(1, jnp.float32)
         state = state.replace(pipeline_state=upright, info={**state.info, "first_pipeline_state": upright})
         step, found = jax.jit(env.step), []
@@ -169,10 +168,10 @@ def test_a_success_counts_once_in_each_episode():
 
 
 def test_a_typed_key_begins_the_same_episode_as_a_raw_one():
-    env = BojaxEnv(build(envs.SinglePendulum(), "float32"))
-    typed, raw = env.reset(jax.random.key(3)), env.reset(jax.random.key_data(jax.random.key(3)))
+    reset = jax.jit(BojaxEnv(build(envs.SinglePendulum(), "float32")).reset)
+    typed, raw = reset(jax.random.key(3)), reset(jax.random.key_data(jax.random.key(3)))
     np.testing.assert_array_equal(typed.obs, raw.obs)
-    assert np.any(raw.obs != env.reset(jax.random.key(4)).obs)
+    assert np.any(np.asarray(raw.obs) != np.asarray(reset(jax.random.key(4)).obs))
 
 
 def test_brax_takes_vectors_only():

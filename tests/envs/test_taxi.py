@@ -56,7 +56,7 @@ def test_the_reward_scale_multiplies_every_reward(goal_only):
 
 def test_episodes_begin_in_gymnasiums_300_states_alike(published):
     env = part(Taxi())
-    starts = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 30_000))
+    starts = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 30_000))
     counts = np.bincount(np.asarray(starts), minlength=500)
     possible = published.initial_state_distrib > 0
     assert possible.sum() == 300

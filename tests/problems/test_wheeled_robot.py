@@ -27,6 +27,7 @@ SETTINGS = WheeledRobot()
 ROBOT = build(SETTINGS)
 MODEL = mujoco.MjModel.from_xml_string(car_model().xml)
 MOTIONS = build(KernelTrajectories(first_angle=0.785, turn_angle=1.257))
+reset, estimate, pose_of = (jax.jit(jax.vmap(of)) for of in (ROBOT.reset, ROBOT.estimate, ROBOT.pose))
 NUM_LANES, QUIET = 16, 8
 """Lanes from `QUIET` on have noise in their readings."""
 
@@ -49,9 +50,10 @@ def drives(follow):
     params = jnp.asarray(rng.uniform(-1.0, 1.0, (2, NUM_LANES, 3)))
     paths = jax.jit(jax.vmap(jax.vmap(MOTIONS.path)))(params)
     noise = jnp.where(jnp.arange(NUM_LANES)[:, None] < QUIET, 0.0, jnp.asarray([[0.02, 0.02, 0.02]]))
-    body, done = jax.vmap(ROBOT.reset)(starts), []
+    body, done = reset(starts), []
+    place_all = jax.jit(jax.vmap(place))
     for number, path in enumerate(paths):
-        placed = jax.vmap(place)(path, jax.vmap(ROBOT.estimate)(body))
+        placed = place_all(path, estimate(body))
         lanes = (jax.random.split(jax.random.key(number), NUM_LANES), body, placed, placed[:, -1], noise)
         done.append((lanes, follow(*lanes)))
         body = done[-1][1].state
@@ -131,8 +133,7 @@ def test_it_drives_forward_and_comes_to_rest(drives):
 def test_a_ride_begins_where_the_one_before_ended(drives):
     (_, first), (lanes, second) = drives
     np.testing.assert_array_equal(lanes[1].robot.qpos, first.state.robot.qpos)
-    poses = jax.vmap(ROBOT.pose)(second.state)
-    np.testing.assert_allclose(poses, second.poses[:, -1], atol=1e-12)
+    np.testing.assert_allclose(pose_of(second.state), second.poses[:, -1], atol=1e-12)
     np.testing.assert_allclose(second.frames[:, -1], second.state.robot.qpos, atol=1e-12)
 
 
@@ -140,7 +141,7 @@ def test_readings_are_poses_with_noise(drives):
     for lanes, ride in drives:
         quiet = wrapped(ride.estimates - ride.poses)[:QUIET]
         np.testing.assert_allclose(quiet, 0.0, atol=1e-6)
-        np.testing.assert_array_equal(jax.vmap(ROBOT.estimate)(ride.state), ride.estimates[:, -1])
+        np.testing.assert_array_equal(estimate(ride.state), ride.estimates[:, -1])
         off = np.asarray(ride.estimates - ride.poses)[QUIET:]
         errors = errors_of(lanes)[QUIET:]
         np.testing.assert_allclose(off[:, -1], errors[:, -1], atol=1e-6)
@@ -149,9 +150,9 @@ def test_readings_are_poses_with_noise(drives):
 
 def test_it_stands_where_it_is_placed():
     poses = jnp.asarray([[0.3, -1.2, 0.0], [-1.0, 0.5, 2.5], [0.0, 0.0, 6.0]])
-    bodies = jax.vmap(ROBOT.reset)(poses)
-    np.testing.assert_allclose(jax.vmap(ROBOT.pose)(bodies), poses, atol=1e-6)
-    np.testing.assert_array_equal(jax.vmap(ROBOT.estimate)(bodies), poses)
+    bodies = reset(poses)
+    np.testing.assert_allclose(pose_of(bodies), poses, atol=1e-6)
+    np.testing.assert_array_equal(estimate(bodies), poses)
     data = mujoco.MjData(MODEL)
     data.qpos = bodies.robot.qpos[1]
     before = data.qpos.copy()
