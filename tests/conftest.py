@@ -3,6 +3,7 @@
 import ctypes
 import gc
 import os
+import resource
 from collections import Counter
 from pathlib import Path
 
@@ -64,6 +65,9 @@ def usual_jax():
 _programs: Counter[str] = Counter()
 """Programs compiled or read from the cache by each test file: a cost that is the same on every machine."""
 
+_memory: list[int] = []
+"""Most memory of each worker, in KiB."""
+
 _file = ["collection"]
 """The file whose tests are running."""
 
@@ -76,25 +80,36 @@ def _count(event, *_, **__):
 jax.monitoring.register_event_duration_secs_listener(_count)
 
 
+def pytest_collection_finish():
+    """Leave what has been imported, millions of objects that stay, out of later collections of garbage."""
+    gc.collect()
+    gc.freeze()
+
+
 def pytest_runtest_logstart(location):
     _file[0] = location[0]
 
 
 def pytest_sessionfinish(session):
     if hasattr(session.config, "workeroutput"):  # of a worker of pytest-xdist, for the next hook
-        session.config.workeroutput["programs"] = dict(_programs)
+        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+        session.config.workeroutput.update(programs=dict(_programs), memory=memory)
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_testnodedown(node):
-    _programs.update(getattr(node, "workeroutput", {}).get("programs", {}))
+    output = getattr(node, "workeroutput", {})
+    _programs.update(output.get("programs", {}))
+    _memory.append(output.get("memory", 0))
 
 
 def pytest_terminal_summary(terminalreporter):
-    """Say in continuous integration how many programs were compiled."""
+    """Say in continuous integration how many programs were compiled, and how much memory workers took."""
     if os.environ.get("CI"):
         most = ", ".join(f"{file} {number}" for file, number in _programs.most_common(5))
         terminalreporter.write_line(f"programs compiled: {_programs.total()}; most by {most}")
+        sizes = ", ".join(f"{size / 1024**2:.2f}" for size in sorted(_memory))
+        terminalreporter.write_line(f"most memory of the workers, GiB: {sizes}")
 
 
 _MOST_MEMORY = 1_500_000
