@@ -200,7 +200,7 @@ def test_the_double_pendulum_obeys_lagranges_equations(joint, force):
         return jnp.linalg.solve(jax.jacfwd(momentum, 1)(q, v), right)
 
     expected = jax.jit(jax.vmap(acceleration))(jnp.asarray(states), jnp.asarray(actions))
-    found = jax.vmap(env.velocity)(jnp.asarray(states), jnp.asarray(actions)[:, 0])
+    found = jax.jit(jax.vmap(env.velocity))(jnp.asarray(states), jnp.asarray(actions)[:, 0])
     np.testing.assert_allclose(found[:, :2], states[:, 2:])
     np.testing.assert_allclose(found[:, 2:], expected, rtol=1e-10, atol=1e-10)
 

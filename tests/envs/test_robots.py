@@ -76,7 +76,7 @@ def beside_gymnasium(kind):
             observation, reward, ends, _, _ = theirs.step(action.astype(float))
             rows.append((theirs.data.qpos.copy(), theirs.data.qvel.copy(), observation, reward, ends))
     gym = [np.array(column).reshape(LANES, STEPS, -1) for column in zip(*rows, strict=True)]
-    states = jax.vmap(env.simulator.state)(jnp.asarray(qpos), jnp.asarray(qvel))
+    states = jax.jit(jax.vmap(env.simulator.state))(jnp.asarray(qpos), jnp.asarray(qvel))
     return env, actions, rollout(env, states, jnp.asarray(actions)), gym, model
 
 
@@ -152,7 +152,7 @@ def test_the_second_action_of_the_reacher_can_be_fixed():
     env, actions, *_ = beside_gymnasium("reacher")  # whose program serves here too
     fixed = built(envs.Reacher(reward="classic", second_action="fixed"))
     still = jnp.zeros((LANES, env.simulator.mujoco_model.nq), jnp.float32)
-    states, told = jax.vmap(env.simulator.state)(still, still), jnp.asarray(actions)
+    states, told = jax.jit(jax.vmap(env.simulator.state))(still, still), jnp.asarray(actions)
     expected = rollout(env, states, told.at[..., 1].set(1.0))
     found = rollout(fixed, states, told)
     for ours, theirs in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
