@@ -11,7 +11,7 @@ from typing_extensions import override
 
 from bojax.motions.base import Path
 from bojax.planning.base import M, Plan, Planner
-from bojax.planning.tree import ROOT, UNVISITED, Tree, write_row
+from bojax.planning.tree import ROOT, UNVISITED, Growth, Tree
 from bojax.problems.base import Belief, Objective, Problem, Root
 
 Memory = TypeVar("Memory", bound=eqx.Module)
@@ -53,6 +53,9 @@ class TreeSearch(Planner[M], Generic[Memory, Draws, View, Update, M]):
     The `view` of a node changes only when a simulation passes through it. Views are therefore stored, and an
     iteration first renews those of the nodes that the last one visited, as one batch. The descent then only
     reads them. On a GPU this takes half the kernels of a descent that computes the views level by level.
+
+    An iteration writes to the tree what the last one has found, before it reads anything: XLA then writes in
+    place. It would copy an array that is also read by instructions on which the new values do not depend.
     """
 
     discount: eqx.AbstractVar[Float[Array, ""]]
@@ -128,14 +131,14 @@ class TreeSearch(Planner[M], Generic[Memory, Draws, View, Update, M]):
         keys = jax.random.split(key_simulate, self.iterations)
 
         def iterate(carry, xs):
-            tree, memory, views, visited = carry
+            tree, memory, views, growth = carry
             child, draws, key = xs
-            return self._iterate(problem, root, tree, memory, views, visited, child, draws, key), None
+            return self._iterate(problem, root, tree, memory, views, growth, child, draws, key), None
 
         children = jnp.arange(1, self.iterations + 1, dtype=jnp.int32)
-        visited = jnp.full((self.depth,), ROOT, jnp.int32)
-        carry, _ = jax.lax.scan(iterate, (tree, memory, views, visited), (children, draws, keys))
-        return carry[:2]
+        carry = tree, memory, views, Growth.nothing(tree, self.depth + 1)
+        (tree, memory, _, growth), _ = jax.lax.scan(iterate, carry, (children, draws, keys))
+        return tree.grown(growth), memory
 
     def _iterate(
         self,
@@ -144,13 +147,16 @@ class TreeSearch(Planner[M], Generic[Memory, Draws, View, Update, M]):
         tree: Tree,
         memory: Memory,
         views: View,
-        last_visited: Int[Array, "L"],
+        growth: Growth,
         child,
         draws: Draws,
         key,
-    ) -> tuple[Tree, Memory, View, Int[Array, "L"]]:
-        renewed = jax.vmap(self.view, in_axes=(None, None, 0))(tree, memory, last_visited)
-        views = jax.tree.map(lambda all, new: all.at[last_visited].set(new, mode="drop"), views, renewed)
+    ) -> tuple[Tree, Memory, View, Growth]:
+        tree = tree.grown(growth)
+        # Nodes at the horizon have no actions and need no view.
+        visited = growth.nodes[1:]
+        renewed = jax.vmap(self.view, in_axes=(None, None, 0))(tree, memory, visited)
+        views = jax.tree.map(lambda all, new: all.at[visited].set(new, mode="drop"), views, renewed)
 
         # Descend. The depth is small and static: the loop is unrolled and masked.
         node = jnp.asarray(ROOT, jnp.int32)
@@ -188,21 +194,17 @@ class TreeSearch(Planner[M], Generic[Memory, Draws, View, Update, M]):
             gains.append(gain)
         nodes.append(jnp.asarray(ROOT, jnp.int32))
         gains.append(gain)
-        indices = jnp.stack(nodes)
-
         gained = jnp.stack(gains)
-        totals = jnp.stack([jnp.ones_like(gained), gained], axis=-1)
-        outcome = jnp.stack([simulation.rewards[0], simulation.terminated[0].astype(future.dtype)])
-
-        index = jnp.where(is_new, proposal.index, tree.children.shape[1])
-        tree = Tree(
-            belief=jax.tree.map(lambda all, one: write_row(all, child, one), tree.belief, simulation.node),
-            outcome=write_row(tree.outcome, child, outcome),
-            totals=tree.totals.at[indices].add(totals, mode="drop"),
-            children=tree.children.at[node, index].set(child, mode="drop"),
+        growth = Growth(
+            child=child,
+            belief=simulation.node,
+            outcome=jnp.stack([simulation.rewards[0], simulation.terminated[0].astype(future.dtype)]),
+            nodes=jnp.stack(nodes),
+            totals=jnp.stack([jnp.ones_like(gained), gained], axis=-1),
+            parent=node,
+            index=jnp.where(is_new, proposal.index, tree.children.shape[1]),
         )
-        # Nodes at the horizon have no actions and need no view.
-        return tree, self.learn(memory, child, proposal, is_new), views, indices[1:]
+        return tree, self.learn(memory, child, proposal, is_new), views, growth
 
 
 def _at(rows: View, node: Int[Array, ""]) -> View:

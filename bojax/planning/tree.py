@@ -69,6 +69,16 @@ class Tree(eqx.Module):
         """Sum of the returns of these simulations, from the action that leads to the node on."""
         return self.totals[..., 1]
 
+    def grown(self, growth: "Growth") -> "Tree":
+        """The tree after a simulation."""
+        child = growth.child
+        return Tree(
+            belief=jax.tree.map(lambda all, one: write_row(all, child, one), self.belief, growth.belief),
+            outcome=write_row(self.outcome, child, growth.outcome),
+            totals=self.totals.at[growth.nodes].add(growth.totals, mode="drop"),
+            children=self.children.at[growth.parent, growth.index].set(child, mode="drop"),
+        )
+
     def num_children(self, node: Int[Array, ""]) -> Int[Array, ""]:
         """Number of actions that have been simulated from `node`."""
         return jnp.sum(self.children[node] != UNVISITED, dtype=jnp.int32)
@@ -78,6 +88,43 @@ class Tree(eqx.Module):
         totals = self.totals[nodes]
         mean = totals[..., 1] / jnp.maximum(totals[..., 0], 1.0)
         return jnp.where(nodes == UNVISITED, -jnp.inf, mean)
+
+
+class Growth(eqx.Module):
+    """What a simulation adds to a tree of N nodes with A actions.
+
+    Attributes:
+        child: Node to which `belief` and `outcome` belong, whether or not it is new.
+        belief: Belief of that node.
+        outcome: `Tree.outcome` of that node.
+        nodes: Nodes visited, the deepest first; N instead of nodes that do not exist.
+        totals: What is added to `Tree.totals` of these.
+        parent: Parent of the node.
+        index: Index of the node among the parent's actions; A if the node is discarded.
+    """
+
+    child: Int[Array, ""]
+    belief: Node
+    outcome: Float[Array, "2"]
+    nodes: Int[Array, "V"]
+    totals: Float[Array, "V 2"]
+    parent: Int[Array, ""]
+    index: Int[Array, ""]
+
+    @classmethod
+    def nothing(cls, tree: Tree, num_visited: int) -> "Growth":
+        """What leaves a tree with a root alone as it is: zeros for a node that does not exist yet."""
+        num_nodes, num_actions = tree.children.shape
+        zero = jnp.zeros((), jnp.int32)
+        return cls(
+            child=zero + 1,
+            belief=jax.tree.map(lambda all: jnp.zeros_like(all[ROOT]), tree.belief),
+            outcome=jnp.zeros_like(tree.outcome[ROOT]),
+            nodes=jnp.full((num_visited,), num_nodes, jnp.int32),
+            totals=jnp.zeros((num_visited, 2), tree.totals.dtype),
+            parent=zero,
+            index=zero + num_actions,
+        )
 
 
 @jax.custom_batching.custom_vmap
