@@ -17,4 +17,4 @@ def jaco_model(joints: Collection[int]) -> RobotModel:
         if number not in joints:
             for part in (spec.actuator(f"joint_{number}"), spec.joint(f"joint_{number}")):
                 spec.delete(part)
-    return RobotModel(spec.to_xml(), is_packaged=True)
+    return RobotModel(spec.to_xml())

@@ -2,7 +2,7 @@
 
 import functools
 import importlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -26,12 +26,10 @@ class RobotModel:
     Attributes:
         xml: The MJCF.
         path: File that the MJCF was read from; included files and meshes are resolved relative to it.
-        is_packaged: Whether the model comes with bojax, whose tests compare it with C MuJoCo.
     """
 
     xml: str
     path: str | None = None
-    is_packaged: bool = field(default=False, compare=False)
 
     def spec(self) -> Any:
         """The editable specification of the model.
@@ -58,7 +56,7 @@ class RobotModel:
 def packaged(name: str) -> RobotModel:
     """A model shipped with bojax, such as `hopper`."""
     xml = resources.files("bojax.robots").joinpath("mjcf", f"{name}.xml").read_text("utf-8")
-    return RobotModel(xml, is_packaged=True)
+    return RobotModel(xml)
 
 
 def from_file(path: str | Path) -> RobotModel:

@@ -40,8 +40,7 @@ class MJX(PhysicsSettings, frozen=True):
     impl: Literal["auto", "jax", "c", "warp"] = Field(
         default="auto",
         description="implementation of the steps: MJX in JAX, C MuJoCo or MuJoCo Warp; auto is c on a CPU, "
-        "for models with contacts; warp on an NVIDIA GPU with the extra robots-cuda, for models of bojax "
-        "without contacts; and otherwise jax",
+        "for models with contacts, and otherwise jax",
     )
 
 
