@@ -271,4 +271,5 @@ class TestFiles:
             "from": 1,
             "to": 5,
             "direction": "falls",
+            "ended": "kept",
         }
