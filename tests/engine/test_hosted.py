@@ -22,6 +22,7 @@ from bojax.envs.settings import Gymnasium
 from bojax.experiments.settings import Learning
 from bojax.learning.settings import EpsilonGreedy
 from tests.engine.drive import ROOT, run_sweep
+from tests.tiers import by_tier
 
 GRID = Gymnasium(id="tests.engine.test_hosted:Corridor-v0", success="terminated", max_steps=12)
 
@@ -160,7 +161,7 @@ def test_a_sweep_goes_on_after_an_environment_crashed(finished, tmp_path):
 
 
 @pytest.mark.bits
-@pytest.mark.parametrize("tests_learn", [False, True])
+@pytest.mark.parametrize("tests_learn", by_tier([False, True], normal=[True]))
 def test_is_what_the_compiled_run_does(tests_learn):
     """One of our environments, stepped on the host, ends in the tables of its compiled run."""
     from bojax.envs.settings import Chain

@@ -14,18 +14,18 @@ def content(name: str, *changes: str):
 
 @pytest.mark.parametrize(
     ("name", "path"),
-    [("reacher", ("env",)), ("hilly-terrain", ("problem", "vehicle"))],
+    [("hopper", ("env",)), ("robot-parking", ("problem", "vehicle"))],
 )
-def test_the_implementation_of_mjx_is_part_of_the_plan(monkeypatch, name, path):
+def test_the_implementation_of_the_physics_is_part_of_the_plan(monkeypatch, name, path):
     plans = {}
-    for impl in ("jax", "warp"):
-        monkeypatch.setattr(bojax.robots.simulator, "_has_warp_on_gpu", lambda impl=impl: impl == "warp")
-        monkeypatch.setattr(bojax.robots.simulator, "_stepping", lambda *_: None)
+    monkeypatch.setattr(bojax.robots.simulator, "_stepping", lambda *_: None)
+    for impl, platform in (("jax", "gpu"), ("c", "cpu")):
+        monkeypatch.setattr(jax, "default_backend", lambda platform=platform: platform)
         plans[impl] = config = content(name)["points"][0]["config"]
         for part in path:
             config = config[part]
         assert config["physics"]["impl"] == impl
-    assert plans["jax"] != plans["warp"]
+    assert plans["jax"] != plans["c"]
     explicit = content(name, f"{'.'.join(path)}.physics.impl=jax")
     assert explicit["points"][0]["config"] == plans["jax"]
 

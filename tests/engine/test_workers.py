@@ -193,6 +193,7 @@ def shared(out: Path, clock) -> FolderShare:
 
 
 @pytest.mark.bits
+@pytest.mark.slow
 def test_a_zombie_that_commits_late(often, alone):
     """A scripted clock: a process is paused in the middle of every chunk, and ends it after the thief."""
     now = 0.0

@@ -149,7 +149,7 @@ def test_readings_of_terminal_states_are_one_program():
     assert len({jax.tree.structure(build(EMUQ(**reading))) for reading in readings}) == 1
 
 
-@pytest.mark.parametrize("terminal_u", ["absorbing", "bootstrap", "zero"])
+@pytest.mark.parametrize("terminal_u", by_tier(["absorbing", "bootstrap", "zero"], normal=["bootstrap"]))
 def test_sweeps_converge_to_the_direct_solution(terminal_u):
     # One candidate: the policy is given. With several, sweeps may go back and forth between policies.
     settings = {"terminal_u": terminal_u, "num_actions": 1, "discount": 0.9, "tolerance": 1e-10}
@@ -344,6 +344,7 @@ def test_indicators_are_a_table():
         spec.draw(jax.random.key(0), OBSERVATIONS, Discrete(3), jnp.dtype(jnp.float64))
 
 
+@pytest.mark.slow
 def test_refinement_never_makes_the_action_worse():
     learner, state = make(num_actions=3)
     _, after = learn(learner, state, transitions())

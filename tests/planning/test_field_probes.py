@@ -61,6 +61,7 @@ def test_with_the_peak_known_a_value_planner_drives_there(make):
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 def test_in_an_episode_a_value_planner_comes_to_the_peak():
     problem = monitoring(field=PEAK, start=(0.5, 0.5, 0.0), noise=0.05, max_steps=14, **OPEN)
     nearest = []
@@ -110,6 +111,7 @@ def test_what_a_myopic_plan_expects_is_what_it_is_paid(after_collision):
     assert np.all(np.isfinite(paid))
 
 
+@pytest.mark.slow
 def test_who_turns_round_gets_away_from_a_wall_and_who_stays_does_not():
     # All five splines lead ahead: a robot that faces a corner has nowhere to go.
     taken = {}

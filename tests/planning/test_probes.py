@@ -70,6 +70,7 @@ def test_kcbts_finds_the_one_peak(acquisition, params):
     assert max(misses) < 0.1
 
 
+@pytest.mark.slow
 def test_refinement_comes_closer_to_the_peak():
     target = path_of(kernel_trajectories(), f64(PARAMS["left"]))[-1, :2]
     problem = Target(f64(0.0), f64(0.0), target)

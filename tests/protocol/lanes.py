@@ -1,6 +1,6 @@
 """What every part must do: batch over its hyper-parameters, give finite numbers, and compile once."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 import equinox as eqx
@@ -17,12 +17,16 @@ from tests.parts import first_kinds
 LANES = 3
 
 
-def each_kind(role: str) -> pytest.MarkDecorator:
+def each_kind(role: str, *, traced: Collection[str] = ()) -> pytest.MarkDecorator:
     """Parametrise a test by the kinds of a role, and by how to check them.
 
     The normal tier runs one kind of each class and traces the others; the slow tier runs these as well.
+
+    Args:
+        role: The role.
+        traced: Kinds that the normal tier only traces, since other tests run them.
     """
-    cases, run = [], first_kinds(role)
+    cases, run = [], set(first_kinds(role)) - set(traced)
     for kind in kinds(role):
         if kind not in run:
             cases.append(pytest.param(kind, check_traced, id=f"{kind}-traced"))

@@ -8,7 +8,9 @@ from tests.protocol.lanes import each_kind, of_experiment
 CHAIN = {"kind": "chain", "length": 3, "max_length": 3, "sparsity": 0.5, "max_steps": 4}
 
 
-@each_kind("learner")
+@each_kind(
+    "learner", traced=["bootstrapped-q", "dora", "rnd", "vime"]
+)  # compared with NumPy in tests/learning
 def test_a_learner_learns_and_is_tested(kind, check):
     settings = {"env": CHAIN, "learner": tiny("learner", kind).model_dump(), "episodes": 2, "tests": 1}
     run = build(Learning.model_validate(settings))
