@@ -26,11 +26,13 @@ class Plate:
     caption: str
     alt: str
     files: Mapping[str, bytes]  # `png` and `svg`
+    curves: Sequence[str]  # as those of `Drawing`
 
     @classmethod
     def of(cls, drawing: Drawing) -> "Plate":
         """A drawing, encoded under the settings of `style.settings`."""
-        return cls(drawing.title, drawing.caption, drawing.alt, style.encode(drawing.figure))
+        files = style.encode(drawing.figure)
+        return cls(drawing.title, drawing.caption, drawing.alt, files, drawing.curves)
 
     @property
     def source(self) -> str:

@@ -225,7 +225,10 @@ def looks(points: Sequence[Point]) -> list[dict[str, Any]]:
 def direct_labels(
     axes: Axes, x: float, heights: Sequence[float], names: Sequence[str], colours: Sequence[str]
 ) -> None:
-    """Write names beside the right ends of curves, apart from each other; a line leads to a moved name."""
+    """Write names beside the right ends of curves, apart from each other; a line leads to a moved name.
+
+    Their ids in the SVG are those of `Chart.mark` of `bojax.report.drawing.curves`.
+    """
     figure = axes.figure
     assert isinstance(figure, Figure)
     low, high = axes.get_ylim()
@@ -234,11 +237,14 @@ def direct_labels(
     gap = 13.0 / (0.8 * figure.get_figheight() / rows * 72) * (high - low)
     places = spread(heights, gap, low + gap / 2, high - gap / 2)
     span = axes.get_xlim()[1] - axes.get_xlim()[0]
-    for height, place, name, ink in zip(heights, places, names, colours, strict=True):
+    entries = zip(heights, places, names, colours, strict=True)
+    for number, (height, place, name, ink) in enumerate(entries):
         if abs(place - height) > gap / 4:
-            axes.plot([x, x + 0.022 * span], [height, place], color=ink, linewidth=0.8, clip_on=False)
+            moved: dict[str, Any] = {"linewidth": 0.8, "clip_on": False, "gid": f"curve-{number}-lead"}
+            axes.plot([x, x + 0.022 * span], [height, place], color=ink, **moved)
         shifted = offset_copy(axes.transData, fig=figure, x=9, units="points")
-        axes.text(x, place, name, color=ink, transform=shifted, va="center", ha="left", fontsize=9.5)
+        text = axes.text(x, place, name, color=ink, transform=shifted, va="center", ha="left", fontsize=9.5)
+        text.set_gid(f"name-{number}-text")
 
 
 def spread(heights: Sequence[float], gap: float, low: float, high: float) -> list[float]:

@@ -1,5 +1,8 @@
 """The drawer of curves: missing data, names and words, whatever the figure."""
 
+from collections import Counter
+from xml.etree import ElementTree
+
 import numpy as np
 import pytest
 
@@ -107,3 +110,43 @@ def test_many_or_long_names_are_listed_below():
     many = [curve(f"name {index}", [[0, index], [0, index]]) for index in range(10)]
     drawn = drawing(Panel("reward", "mean reward", many))
     assert len(drawn.figure.legends[0].get_texts()) == 10 and not drawn.figure.axes[0].texts
+
+
+def ids_of(drawn):
+    """Ids of the SVG, and the number of parts of each curve and of each name among them."""
+    with style.settings():
+        svg = ElementTree.fromstring(style.encode(drawn.figure)["svg"])
+    ids = [element.attrib["id"] for element in svg.iter() if "id" in element.attrib]
+    marked = [each.rpartition("-")[0] for each in ids if each.startswith(("curve-", "name-"))]
+    return ids, Counter(marked)
+
+
+@pytest.mark.parametrize("is_swept", [False, True])
+@pytest.mark.parametrize("suffix", ["", " with a name too long to stand beside its curve"])
+def test_a_curve_and_its_name_are_found_in_the_svg(suffix, is_swept):
+    # Names are spread apart, so that lines lead to the first and the last.
+    curves = [curve(f"{name}{suffix}", [[0, 10, 5], [0, 10, 5]]) for name in "abc"]
+    other = Panel("steps", "mean steps", [EMPTY, *curves[::-1]])
+    drawn = drawing(Panel("reward", "mean reward", curves), other, is_swept=is_swept)
+    ids, parts = ids_of(drawn)
+    assert drawn.curves == [each.point.name for each in curves]
+    assert len(set(ids)) == len(ids)
+    each = 2 * (3 if is_swept else 2)  # panels; band, line and markers
+    lead, key = (0, 1) if suffix else (1, 0)
+    assert parts == {
+        **{"curve-0": each + lead, "curve-1": each, "curve-2": each + lead},
+        **dict.fromkeys(("name-0", "name-1", "name-2"), 1 + key),
+    }
+
+
+def test_a_curve_alone_cannot_be_hidden():
+    assert not drawing(Panel("reward", "mean reward", [EMPTY, RISING])).curves
+
+
+def test_what_a_figure_adds_to_a_curve_is_hidden_with_it():
+    with style.settings():
+        both = Chart([Panel("reward", "mean reward", [RISING, curve("c", [[0, 9, 9]])])], "episode")
+        both.mark(RISING, *both.axes[0].plot([1, 2], [0, 1]))
+        both.mark(EMPTY, *both.axes[0].plot([1, 2], [0, 2]))
+        _, parts = ids_of(both.drawing("Title"))
+    assert parts["curve-0"] == parts["curve-1"] + 1

@@ -85,12 +85,24 @@ def test_page_shows_the_numbers_of_the_tables(page):
     assert "8,230" in page.text  # 12,345 steps in 1.5 s
 
 
-def test_page_loads_nothing_and_runs_nothing(page, folder):
+def test_page_loads_nothing(page, folder):
     loaded = [address for address in page.loaded if not address.startswith("#")]  # places of the page
     assert loaded and all(address.startswith("data:image/svg+xml;base64,") for address in loaded)
-    assert not page.all("script") and not page.all("link")
+    assert page.all("script") == [{}] and not page.all("link")
     text = (folder / "report.html").read_text()
     assert not re.search(r"url\(|@import|https?://", text)
+
+
+def test_the_page_knows_the_names_of_curves_that_can_be_hidden(page, folder):
+    listed = [json.loads(image["data-curves"]) for image in page.all("img") if "data-curves" in image]
+    assert len(listed) == 2  # accumulated reward and success
+    assert all(names == ["kcbts", "sbo-5", "sbo-9", "gps-abt", "random"] for names in listed)
+    assert (folder / "report.html").read_text().count("img[data-curves]") == 1
+
+
+def test_a_page_without_curves_runs_nothing(tmp_path):
+    folder = write_results(tmp_path / "results", runs=2, recorded=0, report={"figures": ["returns"]})
+    assert "<script" not in build_report(folder).read_text()
 
 
 def test_page_is_accessible(page):

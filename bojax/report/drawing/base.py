@@ -31,6 +31,7 @@ class Drawing:
     title: str
     caption: str  # content of the figure, and how it was computed
     alt: str  # alternative text for screen readers
+    curves: Sequence[str] = ()  # names of the curves that a reader of the page can hide, see `Chart.mark`
 
 
 def drawn_points(results: Results, most: int = MAX_POINTS) -> tuple[tuple[Point, ...], str]:

@@ -3,9 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import count
 from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
@@ -86,15 +88,26 @@ class Chart:
             raise Undrawable(f"no run has a finite value: {panels[0].quantity}")
         self._panels, self._xlabel = panels, xlabel
         self._named = max(panels, key=lambda panel: len(panel.drawn))
-        names = [curve.point.name for curve, _, _ in self._named.drawn]
-        self._longest = max(map(len, names))
-        rows_below = len(names) // 2 if self._longest > _MAX_NAME else 0
+        self._names = [curve.point.name for curve, _, _ in self._named.drawn]
+        self._parts = count()
+        self._longest = max(map(len, self._names))
+        rows_below = len(self._names) // 2 if self._longest > _MAX_NAME else 0
         height = (3.6 if len(panels) == 1 else 0.5 + 2.4 * len(panels)) + 0.2 * rows_below
         self.figure, grid = style.figure(height, len(panels), sharex=not is_swept)
         self.axes = list(grid[:, 0])
         for axes, panel in zip(self.axes, panels, strict=True):
-            _draw_panel(axes, panel, is_swept=is_swept)
+            self._draw_curves(axes, panel, is_swept=is_swept)
+            _set_axes(axes, panel, is_swept=is_swept)
         self.axes[-1].set_xlabel(xlabel)
+
+    def mark(self, curve: Curve, *artists: Artist) -> None:
+        """Make artists part of a curve, so that a reader of the page hides them with it.
+
+        In the SVG, their ids begin with `curve-N-`, those of the curve's name with `name-N-`.
+        """
+        if curve.point.name in self._names:
+            for artist in artists:
+                artist.set_gid(f"curve-{self._names.index(curve.point.name)}-{next(self._parts)}")
 
     def drawing(self, title: str, details: str = "", note: str = "") -> Drawing:
         """The figure with the names of its curves, its caption and its alternative text.
@@ -124,6 +137,7 @@ class Chart:
             title=title,
             caption=" ".join(filter(None, caption)) + note,
             alt=" ".join(map(self._described, panels)),
+            curves=self._names if len(self._names) > 1 else (),
         )
 
     def _described(self, panel: Panel) -> str:
@@ -140,16 +154,29 @@ class Chart:
     def _add_names(self) -> None:
         """Names beside the right ends of the curves, or below the figure where they are many or long."""
         axes, entries = self.axes[self._panels.index(self._named)], self._named.drawn
-        names = [curve.point.name for curve, _, _ in entries]
-        if len(names) > _MAX_DIRECT or self._longest > _MAX_NAME:
+        if len(self._names) > _MAX_DIRECT or self._longest > _MAX_NAME:
             columns = 1 if self._longest > 24 else 2
-            self.figure.legend(
-                axes.get_legend_handles_labels()[0], names, loc="outside lower center", ncols=columns
-            )
+            lines = axes.get_legend_handles_labels()[0]
+            legend = self.figure.legend(lines, self._names, loc="outside lower center", ncols=columns)
+            for number, entry in enumerate(zip(legend.legend_handles, legend.get_texts(), strict=True)):
+                for kind, part in zip(("line", "text"), entry, strict=True):
+                    if part is not None:
+                        part.set_gid(f"name-{number}-{kind}")
             return
         ends = [float(mean[np.isfinite(mean)][-1]) for _, (mean, _, _), _ in entries]
         last = max(float(curve.x[-1]) for curve, _, _ in entries)
-        style.direct_labels(axes, last, ends, names, [look["color"] for _, _, look in entries])
+        style.direct_labels(axes, last, ends, self._names, [look["color"] for _, _, look in entries])
+
+    def _draw_curves(self, axes: Axes, panel: Panel, *, is_swept: bool) -> None:
+        for curve, (mean, low, high), look in panel.drawn:
+            band = axes.fill_between(curve.x, low, high, color=look["color"], alpha=0.16, linewidth=0)
+            # One or two values make no line that can be seen.
+            dots: dict[str, Any] = {"marker": "o", "markersize": 3} if len(mean) < 3 and not is_swept else {}
+            self.mark(curve, band, *axes.plot(curve.x, mean, label=curve.point.name, **look, **dots))
+            if is_swept:
+                faces = np.where(curve.is_partial, "white", look["color"])
+                edges = {"facecolors": faces, "edgecolors": look["color"]}
+                self.mark(curve, axes.scatter(curve.x, mean, s=16, zorder=3, **edges))
 
 
 def step_ticks(last: int, most: int = 9) -> list[int]:
@@ -160,15 +187,7 @@ def step_ticks(last: int, most: int = 9) -> list[int]:
     return list(range(0, last + 1, spacing))
 
 
-def _draw_panel(axes: Axes, panel: Panel, *, is_swept: bool) -> None:
-    for curve, (mean, low, high), look in panel.drawn:
-        axes.fill_between(curve.x, low, high, color=look["color"], alpha=0.16, linewidth=0)
-        # One or two values make no line that can be seen.
-        dots: dict[str, Any] = {"marker": "o", "markersize": 3} if len(mean) < 3 and not is_swept else {}
-        axes.plot(curve.x, mean, label=curve.point.name, **look, **dots)
-        if is_swept:
-            faces = np.where(curve.is_partial, "white", look["color"])
-            axes.scatter(curve.x, mean, s=16, facecolors=faces, edgecolors=look["color"], zorder=3)
+def _set_axes(axes: Axes, panel: Panel, *, is_swept: bool) -> None:
     numbers = np.unique(np.concatenate([curve.x for curve in panel.curves]))
     if is_swept and len(numbers) <= 10 and np.ptp(numbers) <= 20 * np.diff(numbers).min():
         axes.set_xticks(numbers, [f"{value:g}" for value in numbers])

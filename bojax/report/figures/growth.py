@@ -32,7 +32,7 @@ def draw(results: Results) -> Drawing:
     for curve, law in laws:
         x = np.linspace(curve.x[0], curve.x[-1], 200)
         for axes in chart.axes:
-            axes.plot(x, np.where(law(x) > 0, law(x), np.nan), **_FITTED)
+            chart.mark(curve, *axes.plot(x, np.where(law(x) > 0, law(x), np.nan), **_FITTED))
     linear.set_ylim(bottom=0)
     logarithmic.set_xscale("log")
     logarithmic.set_yscale("log")
