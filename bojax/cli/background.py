@@ -1,4 +1,4 @@
-"""Reports of finished sweeps, written in other processes while further sweeps run."""
+"""Reports of finished sweeps, written in other processes while further sweeps run, or after the only one."""
 
 import multiprocessing
 import signal
@@ -21,16 +21,18 @@ class Reports:
     """Writes reports. On leaving its `with` block, it waits for all and prints verdicts and paths.
 
     Attributes:
-        exit_code: 1 if a report could not be written in the background, 0 otherwise.
+        exit_code: 1 if a report could not be written in the background, 130 after Ctrl-C, 0 otherwise.
 
     Args:
-        in_background: Whether other processes write them: drawing holds the interpreter, so that in this
-            process it would delay the devices.
+        in_background: Whether other processes write them, at once: drawing holds the interpreter, so that in
+            this process it would delay the devices. Otherwise this process writes them on leaving the block,
+            where a signal ends it: results are complete by then, and a report has no checkpoint to wait for.
     """
 
     def __init__(self, *, in_background: bool):
         self.exit_code = 0
         self._pool: ProcessPoolExecutor | None = None
+        self._folders: list[Path] = []
         self._pending: dict[Path, Future[Path]] = {}
         if in_background:
             fresh = multiprocessing.get_context("spawn")  # a fork would lack JAX's threads
@@ -43,15 +45,15 @@ class Reports:
     def write(self, folder: Path) -> None:
         """Write the report of a results folder."""
         if self._pool is None:
-            from bojax.report.progress import report  # imports matplotlib
-
-            print(report(folder))
+            self._folders.append(folder)
         else:
             self._pending[folder] = self._pool.submit(_build, folder)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        for folder in self._folders if error is None else ():
+            self._write_here(folder)
         for folder, pending in self._pending.items():
             try:
                 page = pending.result()
@@ -64,6 +66,16 @@ class Reports:
                 print(printable(f"error: {reason}; {advice}"), file=sys.stderr)
         if self._pool is not None:
             self._pool.shutdown()
+
+    def _write_here(self, folder: Path) -> None:
+        try:
+            from bojax.report.progress import report  # imports matplotlib
+
+            print(report(folder))
+        except KeyboardInterrupt:
+            self.exit_code = 128 + signal.SIGINT
+            advice = f"the runs are finished; to write the report: bojax report {folder}"
+            print(printable(f"interrupted; {advice}"), file=sys.stderr)
 
 
 def _build(folder: Path) -> Path:

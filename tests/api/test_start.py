@@ -126,6 +126,24 @@ def test_a_failure_in_this_process_is_one_line(caller):
     assert "\n" not in str(caught.value)
 
 
+def test_a_signal_during_the_report_ends_it_at_once(here, caller, monkeypatch, capsys):
+    """There is no checkpoint to wait for. The process gets SIGTERM when its caller is gone."""
+    handlers = []
+
+    def report(folder):
+        handlers.append(signal.getsignal(signal.SIGTERM))
+        signal.raise_signal(signal.SIGINT)
+        (here / "report.html").touch()
+
+    monkeypatch.setattr("bojax.report.progress.report", report)
+    env = {"kind": Bandit, "rewards": (-1.0, 2.0)}
+    with pytest.raises(bojax.Interrupted, match="the runs are finished; .* bojax report arms$"):
+        bojax.run({"experiment": "learning", "env": env, "learner": "additive"}, out="arms", episodes=2)
+    assert handlers == [signal.SIG_DFL] and not (here / "report.html").exists()
+    assert read_manifest(here / "arms")["status"] == "finished"
+    assert "stopping after" not in capsys.readouterr().err
+
+
 @pytest.fixture
 def interrupt(monkeypatch):
     """Sends this process a SIGINT at the first line of the command that contains each text, in turn."""

@@ -3,7 +3,10 @@
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
+
+import pytest
 
 from bojax.cli.background import Reports
 
@@ -25,16 +28,56 @@ def is_running(pid: int) -> bool:
     return stat.rpartition(")")[2].split()[0] != "Z"  # a zombie has ended too, but nobody has waited for it
 
 
+def wait_until(holds: Callable[[], bool], seconds: float) -> None:
+    deadline = time.monotonic() + seconds
+    while not holds() and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert holds()
+
+
 def test_the_processes_end_if_the_main_process_is_killed(tmp_path):
     script = tmp_path / "killed.py"
     script.write_text(KILLED)
     killed = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=120)
     assert killed.returncode == -9
     writer = int(killed.stdout)
-    deadline = time.monotonic() + 15
-    while is_running(writer) and time.monotonic() < deadline:
-        time.sleep(0.1)
-    assert not is_running(writer)
+    wait_until(lambda: not is_running(writer), seconds=15)
+
+
+CALLER = """
+import bojax
+env = {"kind": "patient:Patient", "length": 4, "sparsity": 1, "start": 0, "max_length": 4, "max_steps": 40}
+bojax.run({"experiment": "learning", "env": env, "learner": "additive", "episodes": 2}, out="cut")
+"""
+
+PATIENT = """
+import os, time
+from pathlib import Path
+from bojax.envs.chain import Chain
+from bojax.report import progress
+
+class Patient(Chain):
+    pass
+
+def report(folder):
+    Path("writer.tmp").write_text(str(os.getpid()))
+    Path("writer.tmp").rename("writer")
+    time.sleep(600)
+
+progress.report = report
+"""
+
+
+@pytest.mark.slow
+def test_a_sweep_from_python_ends_if_the_caller_is_killed_while_the_report_is_written(tmp_path):
+    (tmp_path / "patient.py").write_text(PATIENT)
+    writer = tmp_path / "writer"
+    with subprocess.Popen([sys.executable, "-c", CALLER], cwd=tmp_path) as caller:
+        try:
+            wait_until(lambda: writer.exists() or caller.poll() is not None, seconds=120)
+        finally:
+            caller.kill()
+    wait_until(lambda: not is_running(int(writer.read_text())), seconds=15)
 
 
 def test_a_report_that_cannot_be_written_is_told_in_one_line(tmp_path, capsys):
