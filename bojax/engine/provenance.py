@@ -16,7 +16,7 @@ import bojax
 from bojax.engine.devices import Device
 
 PACKAGE = Path(bojax.__file__).parent
-PACKAGES = ("bojax", "jax", "jaxlib", "equinox", "optax", "numpy", "pyarrow")
+PACKAGES = ("jax", "jaxlib", "equinox", "optax", "numpy", "pyarrow")
 UNHASHED = ("api", "cli", "report")
 """Subpackages that no result depends on; they may change while a sweep is paused."""
 
@@ -38,7 +38,7 @@ def code_hashes(modules: Iterable[Any]) -> dict[str, str]:
 
 def versions() -> dict[str, str]:
     """Versions of Python and of the packages that results depend on."""
-    return {"python": sys.version.split()[0], **installed(PACKAGES)}
+    return {"python": sys.version.split()[0], "bojax": bojax.__version__, **installed(PACKAGES)}
 
 
 def installed(packages: Iterable[str]) -> dict[str, str]:
