@@ -203,7 +203,7 @@ def _settings(validate: Callable[[Any], T], mapping: Mapping[str, Any]) -> T | U
     try:
         return validate(mapping)
     except pydantic.ValidationError as error:
-        return Unread(mapping, str(from_validation(error, dotted)))
+        return Unread(mapping, str(from_validation(error, lambda place: dotted(place) or "settings")))
 
 
 def _encodable(value: Any, depth: int, path: str) -> Any:

@@ -115,7 +115,12 @@ def scored(measure: Measure, standing: Standing) -> str:
 
 
 def config_of(results: Results, point: Point) -> dict[str, Any]:
-    """The experiment of a point as the content of a config file. Its seed is the next one, for new runs."""
+    """The experiment of a point as the content of a config file. Its seed is the next one, for new runs.
+
+    Raises:
+        ResultsError: This version cannot read its settings; one line.
+    """
+    results.require_settings(point)
     settings = dict(point.config)
     kind = settings.pop("kind")
     seed = ((results.manifest.seed or 0) + 1) % 2**32

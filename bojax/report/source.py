@@ -1,5 +1,6 @@
 """The results folder as a report reads it: settings, tables and arrays."""
 
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
@@ -9,8 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bojax import __version__
 from bojax.config.claims import Claim
 from bojax.config.component import Component
+from bojax.config.errors import printable
 from bojax.config.sweep import Report
 from bojax.experiments.settings import Learning, Planning
 from bojax.problems.settings import ProblemSettings
@@ -118,6 +121,18 @@ class Results:
         pair = [self.thesis(each, column) for each in (point, self.reference) if each is not None]
         is_positive = all(isinstance(value, int | float) and value > 0 for value in pair)
         return float(pair[0] / pair[1]) if len(pair) == 2 and is_positive else None
+
+    def require_settings(self, point: Point) -> None:
+        """Refuse a point whose settings this version cannot read.
+
+        Raises:
+            ResultsError: Another version wrote them, or they were edited; one line.
+        """
+        if isinstance(point.experiment, Unread):
+            raise ResultsError(
+                f"{self.folder}: this version of bojax cannot read the settings of {point.name} "
+                f"({point.experiment.reason}); allowed: results of this version"
+            )
 
     @cached_property
     def runs(self) -> Columns:
@@ -230,6 +245,8 @@ class Results:
 def load(folder: Path) -> Results:
     """A results folder; its tables are read when they are asked for.
 
+    A line on standard error says if another version of bojax wrote it.
+
     Raises:
         ResultsError: The folder is missing or holds no results, its manifest is damaged, or its sweep has not
             finished. Damaged tables and snapshots raise it when they are read.
@@ -247,6 +264,11 @@ def load(folder: Path) -> Results:
     manifest = read(read_manifest(folder), str(folder / MANIFEST))
     if manifest.status not in ("finished", "failed"):
         raise _unfinished(folder)
+    writer = (manifest.versions or {}).get("bojax", __version__)  # earlier versions did not always record it
+    if writer != __version__:
+        print(
+            printable(f"note: {folder} was written by bojax {writer}; this is {__version__}"), file=sys.stderr
+        )
     return Results(folder, manifest, _points(manifest.points))
 
 

@@ -4,6 +4,8 @@ import json
 
 import pytest
 
+from bojax import __version__
+from bojax.cli.main import main
 from bojax.config.files import available
 from bojax.config.sweep import load_config, load_sweep, validate_experiment
 from bojax.engine.manifest import plain
@@ -39,6 +41,36 @@ def test_settings_of_another_version_leave_a_page_that_says_so(tmp_path):
     assert isinstance(results.points[0].experiment, Unread) and results.points[0].outline.border is None
     page = build_report(folder).read_text()
     assert "This version of bojax cannot read the settings of kcbts (planner.cleverness: unknown" in page
+
+
+WORDS = (["report"], ["compare"], ["best"], ["export", "--to", "csv"])
+
+
+@pytest.mark.parametrize("words", WORDS, ids=[words[0] for words in WORDS])
+def test_results_that_another_version_wrote_are_read_and_a_line_says_so(tmp_path, monkeypatch, capsys, words):
+    monkeypatch.chdir(tmp_path)
+    folder = write_results(tmp_path / "results", runs=3, recorded=0, report={"figures": []})
+    edit_manifest(folder, lambda m: m["versions"].update(bojax="99.1"))
+    assert main([*words, "results"]) == 0
+    assert capsys.readouterr().err.startswith(
+        f"note: results was written by bojax 99.1; this is {__version__}\n"
+    )
+
+
+@pytest.mark.parametrize("words", WORDS[1:], ids=[words[0] for words in WORDS[1:]])
+@pytest.mark.parametrize(
+    "edit",
+    [lambda point: point.pop("config"), lambda point: point["config"].pop("kind")],
+    ids=["config", "kind"],
+)
+def test_settings_that_are_missing_are_one_line(tmp_path, monkeypatch, capsys, words, edit):
+    monkeypatch.chdir(tmp_path)
+    folder = write_results(tmp_path / "results", runs=3, recorded=0)
+    edit_manifest(folder, lambda m: edit(m["points"][0]))
+    assert main([*words, "results"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    expected = "error: results: this version of bojax cannot read the settings of kcbts (settings: got {"
+    assert line.startswith(expected)
 
 
 def test_parts_by_import_path_are_named(tmp_path):

@@ -107,16 +107,10 @@ def kind_of(results: Results) -> Kind:
         ResultsError: Another kind, or settings that this version cannot read.
     """
     for point in results.points:
-        experiment = point.experiment
-        if isinstance(experiment, Unread):
-            raise ResultsError(
-                f"{results.folder}: this version of bojax cannot read the settings of {point.name} "
-                f"({experiment.reason}); allowed: results of this version"
-            )
-        if not isinstance(experiment, Learning | Planning):
-            raise ResultsError(
-                f"{results.folder}: got the experiment {experiment.kind}; allowed: learning, planning"
-            )
+        results.require_settings(point)
+        if not isinstance(point.experiment, Learning | Planning):
+            kind = point.config["kind"]
+            raise ResultsError(f"{results.folder}: got the experiment {kind}; allowed: learning, planning")
     return "learning" if results.points[0].is_learning else "planning"
 
 
