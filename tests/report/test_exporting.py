@@ -4,6 +4,7 @@ import csv
 import json
 import struct
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -129,7 +130,16 @@ def stored_records(content):
             parts = []
 
 
-def test_wandb_writes_offline_runs(car, points, tmp_path):
+@pytest.fixture
+def unreachable(monkeypatch):
+    """Variables of the environment that name servers which cannot be reached."""
+    monkeypatch.setenv("WANDB_MODE", "online")
+    monkeypatch.setenv("WANDB_BASE_URL", "http://localhost:9")
+    monkeypatch.setenv("WANDB_RUN_ID", "one-for-all")
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", "http://localhost:9")
+
+
+def test_wandb_writes_offline_runs_without_a_network(car, points, tmp_path, unreachable):
     pytest.importorskip("wandb")
     records = pytest.importorskip("wandb.proto.wandb_internal_pb2")
     out = export(car, "wandb", tmp_path / "out")
@@ -159,7 +169,7 @@ def test_wandb_writes_offline_runs(car, points, tmp_path):
         assert summary["final/return"] == pytest.approx(point.scalars["return"])
 
 
-def test_mlflow_reads_its_database(car, points, tmp_path):
+def test_mlflow_reads_its_database_written_without_a_network(car, points, tmp_path, unreachable):
     mlflow = pytest.importorskip("mlflow")
     pytest.importorskip("sqlalchemy")
     out = export(car, "mlflow", tmp_path / "out")
@@ -225,6 +235,18 @@ class TestMistakes:
             f"error: {package} is not installed; install it in a clone of bojax: pip install -e '.[{target}]'"
         )
         assert capsys.readouterr().err == f"{expected}\n"
+        assert sorted(here.rglob("*")) == before
+
+    def test_an_error_of_a_library_is_one_line_and_writes_nothing(self, here, monkeypatch, capsys):
+        def refuse(**settings):
+            raise ValueError("base_url\n  should be a valid URL")
+
+        monkeypatch.setitem(sys.modules, "wandb", SimpleNamespace(Settings=refuse))
+        before = sorted(here.rglob("*"))
+        assert main(["export", "car", "--to", "wandb"]) == 1
+        reason = "wandb cannot write it (ValueError: base_url should be a valid URL)"
+        expected = f"error: car/export/wandb: {reason}; the results are unchanged; try --to csv\n"
+        assert capsys.readouterr().err == expected
         assert sorted(here.rglob("*")) == before
 
     def test_a_good_command_names_its_folder_and_does_not_overwrite_it(self, here, capsys):

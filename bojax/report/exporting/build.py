@@ -3,8 +3,10 @@
 import csv
 import io
 import logging
+import secrets
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -88,12 +90,11 @@ def to_mlflow(points: Sequence[ExportedPoint], out: Path) -> None:
         import sqlalchemy  # noqa: F401 # pyright: ignore[reportMissingImports]
         from mlflow import MlflowClient  # pyright: ignore[reportMissingImports]
         from mlflow.entities import Metric, Param  # pyright: ignore[reportMissingImports]
-        from mlflow.exceptions import MlflowException  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise MissingExtra("mlflow", "mlflow") from error
     make_folder(out)
     folder = out.resolve()
-    try:
+    with _refused(out, "MLflow"):
         with quiet("mlflow.store.db.utils", logging.WARNING):
             client = MlflowClient(tracking_uri=f"sqlite:///{folder / 'mlflow.db'}")
             artifacts = (folder / "artifacts").as_uri()
@@ -110,8 +111,6 @@ def to_mlflow(points: Sequence[ExportedPoint], out: Path) -> None:
             for start in range(0, len(metrics), _METRICS):
                 client.log_batch(run, metrics=metrics[start : start + _METRICS])
             client.set_terminated(run)
-    except MlflowException as error:
-        raise ResultsError(f"{out}: MLflow: {error_line(error)}") from error
 
 
 def to_tensorboard(points: Sequence[ExportedPoint], out: Path) -> None:
@@ -148,44 +147,67 @@ def to_wandb(points: Sequence[ExportedPoint], out: Path) -> None:
 
     Raises:
         MissingExtra: wandb is not installed.
+        ResultsError: wandb refuses a variable of the environment such as WANDB_BASE_URL, or cannot write; one
+            line.
     """
     try:
         import wandb  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise MissingExtra("wandb", "wandb") from error
-    make_folder(out)
-    silent = wandb.Settings(
-        silent=True,
-        console="off",
-        save_code=False,
-        x_disable_stats=True,
-        x_disable_meta=True,
-        x_save_requirements=False,
-    )
-    for point in points:
-        run = wandb.init(
-            mode="offline",
-            dir=str(out),
-            project=point.sweep,
-            name=point.name,
-            config=dict(point.settings),
-            settings=silent,
-            reinit="finish_previous",
+    with _refused(out, "wandb"):
+        silent = wandb.Settings(
+            silent=True,
+            console="off",
+            save_code=False,
+            x_disable_stats=True,
+            x_disable_meta=True,
+            x_save_requirements=False,
         )
-        for axis in dict.fromkeys(curve.axis for curve in point.curves):
-            rows: dict[int, dict[str, float]] = {}
-            run.define_metric(axis)
-            for curve in point.curves:
-                if curve.axis == axis:
-                    run.define_metric(curve.name, step_metric=axis)
-                    run.define_metric(f"{curve.name}_std", step_metric=axis)
-                    for x, values in curve.named_rows():
-                        rows.setdefault(x, {}).update(values)
-            for x in sorted(rows):
-                run.log({axis: x, **rows[x]})
-        run.summary.update(point.finals)
-        run.finish()
-    wandb.teardown()  # the last file is complete only once the process that writes it has ended
+        make_folder(out)
+        for point in points:
+            run = wandb.init(
+                mode="offline",  # takes precedence over WANDB_MODE
+                id=secrets.token_hex(4),  # over WANDB_RUN_ID, which would be that of all points
+                dir=str(out),
+                project=file_name(point.sweep),
+                name=point.name,
+                config=dict(point.settings),
+                settings=silent,
+                reinit="finish_previous",
+            )
+            _log(run, point)
+            run.finish()
+        wandb.teardown()  # the last file is complete only once the process that writes it has ended
+
+
+def _log(run: Any, point: ExportedPoint) -> None:
+    """Log the curves and the final numbers of a point to a run of wandb."""
+    for axis in dict.fromkeys(curve.axis for curve in point.curves):
+        rows: dict[int, dict[str, float]] = {}
+        run.define_metric(axis)
+        for curve in point.curves:
+            if curve.axis == axis:
+                run.define_metric(curve.name, step_metric=axis)
+                run.define_metric(f"{curve.name}_std", step_metric=axis)
+                for x, values in curve.named_rows():
+                    rows.setdefault(x, {}).update(values)
+        for x in sorted(rows):
+            run.log({axis: x, **rows[x]})
+    run.summary.update(point.finals)
+
+
+@contextmanager
+def _refused(out: Path, library: str) -> Iterator[None]:
+    """Turn the errors of another library, which raises many types of exceptions, into a `ResultsError`."""
+    try:
+        yield
+    except ResultsError:
+        raise
+    except Exception as error:
+        reason = f"{library} cannot write it ({error_line(error)})"
+        raise ResultsError(
+            f"{out}: {reason}; the results are unchanged; try --to csv", exit_code=1
+        ) from error
 
 
 TARGETS: Mapping[str, Callable[[Sequence[ExportedPoint], Path], None]] = {
