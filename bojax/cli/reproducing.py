@@ -93,7 +93,8 @@ def _run(sweeps: Sequence[Sweep], args: Namespace, command: list[str]) -> int:
         )
         ended = time.monotonic()
     code = code or reports.exit_code
-    print(f"waited {duration(time.monotonic() - ended)} for reports", file=sys.stderr)
+    if (waited := time.monotonic() - ended) >= 1.0:
+        print(f"waited {duration(waited)} for reports", file=sys.stderr)
     if code not in (0, 1) or not all(_is_merged(out / sweep.name, skipped) for sweep in sweeps):
         return code
     sources = [out / sweep.name for sweep in sweeps if sweep.name not in skipped]

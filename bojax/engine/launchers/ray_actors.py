@@ -138,8 +138,8 @@ class Ray(Launcher):
             except ray.exceptions.RayError as error:
                 is_lost = isinstance(error, ray.exceptions.RayActorError) and not error.actor_init_failed
                 if not is_lost:
-                    told = str(error).strip().splitlines() or [error_line(error)]
-                    reason = f"--launcher ray: a worker cannot run: {told[-1]}"  # the end of Ray's traceback
+                    lines = str(error).strip().splitlines() or [error_line(error)]
+                    reason = f"--launcher ray: a worker cannot run: {lines[-1]}"  # the end of Ray's traceback
                     raise EngineError(reason, FAILURE) from error
                 self._call(number)  # Ray has started it again, or will
         self.all_refused = set(self._errors) == set(self._actors)
