@@ -37,7 +37,8 @@ _PLACES = re.compile(r" --(?:resume|(?:out|devices|launcher)[ =](?:'[^']*'|\S+))
 """Options of a command that say where it ran: results do not depend on them."""
 
 _COUNTS = re.compile(
-    r"Of \d+( claims.*?)\d+( are reproduced,\s+)\d+( are not,\s+and\s+)\d+(?= are\s+inconclusive)", re.DOTALL
+    r"Of\s+\d+(\s+claims.*?)\d+(\s+are\s+reproduced,\s+)\d+(\s+are\s+not,\s+and\s+)\d+(?=\s+are\s+inconclusive)",
+    re.DOTALL,
 )
 """The sentence on claims of another page."""
 

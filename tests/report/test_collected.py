@@ -49,7 +49,7 @@ def test_the_newest_results_of_a_sweep_count(tmp_path, capsys):
     results(tmp_path / "a" / "mine", name="mine")
     results(tmp_path / "b" / "study-ties", name="study-ties")
     readme = tmp_path / "readme.md"
-    readme.write_text("Of 0 claims of it,\n0 are reproduced, 0 are not, and\n0 are inconclusive: so.")
+    readme.write_text("Of 0 claims of it,\n0 are reproduced, 0 are not, and 0\nare inconclusive: so.")
     page = tmp_path / "page.md"
     words = [
         "--page",
