@@ -61,7 +61,6 @@ def test_with_the_peak_known_a_value_planner_drives_there(make):
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_in_an_episode_a_value_planner_comes_to_the_peak():
     problem = monitoring(field=PEAK, start=(0.5, 0.5, 0.0), noise=0.05, max_steps=14, **OPEN)
     nearest = []
