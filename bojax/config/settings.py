@@ -20,13 +20,16 @@ class Record(Schema, frozen=True):
 
 
 Platform: TypeAlias = Literal["auto", "cpu", "gpu"]
-"""A kind of device; `auto` is a GPU if there is one."""
+"""A kind of device; `auto` is a GPU if there is one and the CPU is not quicker."""
 
 
 class EngineConfig(Schema, frozen=True):
     """How runs are executed. These settings change the results by rounding at most."""
 
-    device: Platform = Field(default="auto", description="device to run on")
+    device: Platform = Field(
+        default="auto",
+        description="device to run on; auto for the GPUs, if there are any, but the CPU for tabular learners",
+    )
     lanes_per_device: int | None = Field(
         default=None,
         ge=1,

@@ -6,10 +6,10 @@
 import os
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 import jax
 
@@ -56,7 +56,7 @@ def restored() -> Iterator[None]:
 
 
 def find_devices(device: Platform) -> list[Device]:
-    """The devices of the requested platform; `auto` prefers GPUs. A CPU is one device.
+    """The devices of the requested platform. A CPU is one device; `auto` are all GPUs and, last, the CPU.
 
     Raises:
         EngineError: There is no device of this platform.
@@ -68,37 +68,74 @@ def find_devices(device: Platform) -> list[Device]:
             f"engine.device: got {device}; JAX finds only {jax.default_backend()} devices: "
             "use engine.device=auto, or run `bojax doctor`"
         ) from None
-    return found[:1] if found[0].platform == "cpu" else found
+    if found[0].platform == "cpu":
+        return found[:1]
+    cpu = _cpu() if device == "auto" else None
+    return found if cpu is None else [*found, cpu]
+
+
+@runtime_checkable
+class _Placed(Protocol):
+    @property
+    def platform(self) -> str: ...
+
+
+P = TypeVar("P", bound=_Placed)
+
+
+def of_platform(found: Iterable[P], platform: str) -> list[P]:
+    """The devices of a platform, or what runs on devices of a platform."""
+    return [each for each in found if each.platform == platform]
+
+
+def suited(devices: Sequence[Device], *, prefers_cpu: bool) -> list[Device]:
+    """The devices on which a sweep runs, all of one platform.
+
+    Args:
+        devices: The devices of this process.
+        prefers_cpu: Whether the CPU is taken if there are GPUs too, since it is quicker for all experiments.
+    """
+    cpus = of_platform(devices, "cpu")
+    others = [device for device in devices if device not in cpus]
+    return (cpus or others) if prefers_cpu else (others or cpus)
 
 
 def choose(devices: Sequence[Device], indices: Sequence[int] | None) -> list[Device]:
-    """The devices of the given indices; all if `indices` is None.
+    """The GPUs of the given indices, all if `indices` is None, and the CPU beside them.
 
     Raises:
         EngineError: There is no device of an index.
     """
+    counted = of_platform(devices, devices[0].platform)
     for index in indices or ():
-        if index >= len(devices):
-            found = f"{len(devices)} x {devices[0].platform} ({devices[0].device_kind})"
+        if index >= len(counted):
+            found = f"{len(counted)} x {counted[0].platform} ({counted[0].device_kind})"
             raise EngineError(
-                f"--devices: got {index}; allowed: 0 to {len(devices) - 1}, this machine has {found}"
+                f"--devices: got {index}; allowed: 0 to {len(counted) - 1}, this machine has {found}"
             )
-    return [devices[index] for index in indices] if indices is not None else list(devices)
+    others = [device for device in devices if device not in counted]
+    return [*(counted if indices is None else [counted[index] for index in indices]), *others]
 
 
 def workers_of(devices: Sequence[Device], cores: int | None = None) -> list[Device]:
     """The device of each worker: two workers for each accelerator, and one for each core of a CPU.
 
+    Beside accelerators, the workers of the CPU are half as many: the threads that drive the accelerators, and
+    those that compile, need cores too.
+
     Args:
-        devices: The devices.
-        cores: Number of cores of a CPU to use; all that this process may run on by default.
+        devices: The devices that are used.
+        cores: Number of cores of the CPU; all that this process may run on by default.
 
     XLA runs a vmapped loop on the core of the thread that called the program. Workers of a CPU share the one
     device, and with it the compiled programs. Those of an accelerator take turns (`turn_of`).
     """
-    if devices[0].platform != "cpu":
-        return [device for device in devices for _ in range(2)]
-    return [devices[0]] * (cores or usable_cores()) if len(devices) == 1 else list(devices)
+    cpus = of_platform(devices, "cpu")
+    workers = [device for device in devices if device not in cpus for _ in range(2)]
+    if len(cpus) == 1:
+        cores = cores or usable_cores()
+        cpus *= max(1, cores // 2) if workers else cores
+    return workers + cpus
 
 
 class Turn:
@@ -142,13 +179,17 @@ def on_cpu() -> Iterator[None]:
 
     For many small operations one after the other, each of which a GPU would compile and be called for.
     """
+    device = _cpu()
+    with nullcontext() if device is None else jax.default_device(device):
+        yield
+
+
+def _cpu() -> Device | None:
+    """The CPU; None if `JAX_PLATFORMS` leaves it out."""
     try:
-        device = jax.devices("cpu")[0]
-    except RuntimeError:  # JAX_PLATFORMS leaves the CPU out
-        yield
-        return
-    with jax.default_device(device):
-        yield
+        return jax.devices("cpu")[0]
+    except RuntimeError:
+        return None
 
 
 def cache_folder() -> Path:

@@ -66,7 +66,8 @@ def key_of(group: StaticGroup, device: Device, *details: object) -> str | None:
         device: The device. All devices of its kind have the same programs.
         details: What else the programs depend on, such as the number of lanes.
     """
-    parts = (_environment(), _flags(), device.device_kind, device.client.platform_version)
+    kind = device.device_kind, device.client.platform_version
+    parts = (_environment(), _flags(), jax.default_backend(), *kind)  # short loops depend on the backend
     return _digest_of(group, parts, details) if _folder() is not None else None
 
 

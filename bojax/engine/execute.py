@@ -13,7 +13,7 @@ from typing import Any
 from bojax.engine.ahead import POLL_SECONDS, Ahead, Stopped
 from bojax.engine.batch import Functions, Programs
 from bojax.engine.chunks import Chunk, Layout
-from bojax.engine.devices import Device, turn_of
+from bojax.engine.devices import Device, of_platform, turn_of
 from bojax.engine.forecast import ChunkProgress, GroupProgress
 from bojax.engine.groups import StaticGroup
 from bojax.engine.hosted import Hosted
@@ -64,6 +64,7 @@ class GroupTask:
         name: Name for messages.
         seed: Seed of the sweep.
         layout: How the runs are advanced.
+        platform: Platform of the devices that they are planned for.
         chunks: Chunks that may be free.
         limits: When a chunk pauses.
         share: Where the chunks come from, and where their rows go.
@@ -78,6 +79,7 @@ class GroupTask:
     name: str
     seed: int
     layout: Layout
+    platform: str
     chunks: deque[Chunk]
     limits: Limits
     share: Share
@@ -91,7 +93,7 @@ class GroupTask:
             (int((chunk.runs < self.recorded_runs).sum()) for chunk in (*self.chunks, *self.elsewhere)),
             default=0,
         )
-        self.progress = GroupProgress(self.name, self.experiment.max_advances)
+        self.progress = GroupProgress(self.name, self.experiment.max_advances, platform=self.platform)
         for chunk in (*self.chunks, *self.elsewhere):
             self.progress.chunks[chunk.index] = _progress_of(chunk, ChunkState(), self.experiment)
 
@@ -111,6 +113,11 @@ def compile_threads() -> int:
     """Number of compilations side by side."""
     few, many = COMPILE_THREADS
     return min(max(few, min(many, usable_cores() // 2)), usable_cores())
+
+
+def most_ahead(device: Device) -> int:
+    """Number of programs that are compiled ahead for devices of a platform."""
+    return AHEAD_ON_CPU if device.platform == "cpu" else AHEAD_ON_ACCELERATOR
 
 
 def execute(
@@ -161,7 +168,9 @@ class _Executor:
         self._waits, self._looking, self._next_look = waits, threading.Lock(), 0.0
         self._tasks, self._devices, self._progress = list(tasks), list(dict.fromkeys(workers)), progress
         self._turns = {device: turn_of(device) for device in self._devices}
-        self._is_closed, self._is_cpu = False, self._devices[0].platform == "cpu"
+        self._is_closed = False
+        of_each = {device.platform: of_platform(self._tasks, device.platform) for device in self._devices}
+        self._ranks = {task: rank for tasks in of_each.values() for rank, task in enumerate(tasks)}
         self._unused: deque[Hashable] = deque()
         self._kept: list[Hashable] = []
         self._stop = lambda: self._is_closed or self.error is not None or stop()
@@ -202,17 +211,22 @@ class _Executor:
     # Compilation
 
     def _request_ahead(self) -> None:
-        """Request the programs of the first unfinished groups, spread over the devices."""
-        most = AHEAD_ON_CPU if self._is_cpu else AHEAD_ON_ACCELERATOR
-        for i, task in enumerate(self._tasks):
-            if most > 0 and (task.chunks or task.running):
-                most -= len(task.layout.widths)
+        """Request the programs of the first unfinished groups, spread over the devices of each platform."""
+        left = {device.platform: most_ahead(device) for device in self._devices}
+        for task in self._tasks:
+            if left[task.platform] > 0 and (task.chunks or task.running):
+                left[task.platform] -= len(task.layout.widths)
+                devices = self._devices_of(task)
                 for width in task.layout.widths:
-                    self._request(task, self._devices[i % len(self._devices)], width)
+                    self._request(task, devices[self._ranks[task] % len(devices)], width)
+
+    def _devices_of(self, task: GroupTask) -> list[Device]:
+        """The devices on which a group may run."""
+        return of_platform(self._devices, task.platform)
 
     def _request(self, task: GroupTask, device: Device, width: int) -> None:
         self._ahead.request(
-            (task, device, width), lambda: self._compile(task, device, width), self._tasks.index(task)
+            (task, device, width), lambda: self._compile(task, device, width), self._ranks[task]
         )
 
     def _load(self, task: GroupTask, device: Device, width: int, other: Device) -> None:
@@ -263,7 +277,9 @@ class _Executor:
     def _programs(self, task: GroupTask, device: Device, width: int) -> Programs:
         """The programs of a group for a number of lanes on a device, once they are there."""
         if not self._ahead.is_requested((task, device, width)):
-            others = [other for other in self._devices if self._ahead.is_requested((task, other, width))]
+            others = [
+                other for other in self._devices_of(task) if self._ahead.is_requested((task, other, width))
+            ]
             if others:  # two devices compile nothing twice
                 self._load(task, device, width, others[0])
             else:
@@ -309,7 +325,7 @@ class _Executor:
         Groups with the programs for all their numbers of lanes come first: they will not wait for any.
         """
         with self._changed:
-            while ready := [task for task in self._free() if self._is_ready(task, device)]:
+            while ready := [task for task in self._free(device) if self._is_ready(task, device)]:
                 task = next((task for task in ready if self._is_complete(task)), ready[0])
                 if self._stop():
                     return None
@@ -329,8 +345,9 @@ class _Executor:
         program.
         """
         with self._changed:
-            free, is_elsewhere = self._free(), any(task.elsewhere for task in self._tasks)
-            is_left = is_elsewhere or any(task.chunks for task in self._tasks)
+            tasks = of_platform(self._tasks, device.platform)
+            free, is_elsewhere = self._free(device), any(task.elsewhere for task in tasks)
+            is_left = is_elsewhere or any(task.chunks for task in tasks)
             if not is_left or self._stop():
                 return False
             if any(self._is_ready(task, device) for task in free):
@@ -339,7 +356,10 @@ class _Executor:
                 task for task in free if not self._ahead.is_requested((task, device, task.layout.lanes))
             ]
             found = [
-                (task, other) for task in unknown for other in self._devices if self._is_ready(task, other)
+                (task, other)
+                for task in unknown
+                for other in self._devices_of(task)
+                if self._is_ready(task, other)
             ]
             if not found and (free or not is_elsewhere):
                 self._changed.wait(POLL_SECONDS)
@@ -354,9 +374,10 @@ class _Executor:
             self._changed.wait(POLL_SECONDS)
         return True
 
-    def _free(self) -> list[GroupTask]:
-        """The groups of which a chunk can be run."""
-        return [task for task in self._tasks if task.chunks and not (task.is_exclusive and task.running)]
+    def _free(self, device: Device) -> list[GroupTask]:
+        """The groups of which a chunk can be run on a device."""
+        tasks = of_platform(self._tasks, device.platform)
+        return [task for task in tasks if task.chunks and not (task.is_exclusive and task.running)]
 
     def _look_elsewhere(self) -> bool:
         """Look at the chunks of other processes; False if all that are left are run by living processes."""
@@ -410,7 +431,7 @@ class _Executor:
     def _is_complete(self, task: GroupTask) -> bool:
         """Whether the programs for all numbers of lanes of a group are compiled, each for some device."""
         return all(
-            any(self._ahead.is_ready((task, device, width)) for device in self._devices)
+            any(self._ahead.is_ready((task, device, width)) for device in self._devices_of(task))
             for width in task.layout.widths
         )
 
@@ -467,14 +488,14 @@ class _Executor:
         A GPU keeps many: to free one waits for whatever runs or is measured there, which may last until a
         measurement of XLA's tuning times out, after 0.1 s (openxla/xla#42347).
         """
-        for device in self._devices:
+        for device in self._devices_of(task):
             for width in task.layout.widths:
                 key = task, device, width
-                if self._ahead.is_ready(key):
+                if self._ahead.is_ready(key) and device.platform != "cpu":
                     self._unused.append(key)
                 else:
                     self._ahead.drop(key)
-        while len(self._unused) > (0 if self._is_cpu else AHEAD_ON_ACCELERATOR):
+        while len(self._unused) > AHEAD_ON_ACCELERATOR:
             self._ahead.drop(self._unused.popleft())
 
     def _fail(self, task: GroupTask, chunks: Sequence[Chunk], error: BaseException) -> None:

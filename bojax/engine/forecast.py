@@ -1,9 +1,11 @@
 """Forecast of the remaining time, from the runs that have ended and the programs still to be compiled."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+
+from bojax.engine.devices import of_platform
 
 
 @dataclass
@@ -34,6 +36,7 @@ class GroupProgress:
     Attributes:
         name: Name of the group.
         max_advances: Number of advances after which a run is done.
+        platform: Platform of the devices on which it runs.
         chunks: The unfinished chunks, by index.
         seconds: Wall time of all its advances in this process.
         advances: Number of its advances in this process.
@@ -49,6 +52,7 @@ class GroupProgress:
     name: str
     max_advances: int
     chunks: dict[int, ChunkProgress] = field(default_factory=dict)
+    platform: str = field(default="cpu", kw_only=True)
     seconds: float = 0.0
     advances: int = 0
     finished: int = 0
@@ -97,37 +101,53 @@ class Forecast:
         return max(self.compiling, self.running)
 
 
-def forecast(
-    groups: Sequence[GroupProgress], *, now: float, workers: int, shares_cores: bool
-) -> Forecast | None:
+def forecast(groups: Sequence[GroupProgress], *, now: float, workers: Mapping[str, int]) -> Forecast | None:
     """The remaining time; None before the first advance.
 
-    A group without an advance is taken for an average one. While programs are compiled, an accelerator is
-    taken to be idle for the same share of the time as so far: it waits for programs, and for threads that
-    trace.
+    The time of the advances is that of the platform that takes longest. If there is only the CPU, it also
+    compiles. Otherwise, while programs are compiled, devices are taken to be idle for the same share of the
+    time as so far: they wait for programs, and for threads that trace.
 
     Args:
         groups: All groups with unfinished chunks, and those that are done.
         now: The time.
+        workers: Number of chunks that run side by side on each platform.
+    """
+    if not any(group.advances for group in groups):
+        return None
+    compiling, shares_cores = _compiling(groups, now), set(workers) <= {"cpu"}
+    running = 0.0
+    for platform, number in workers.items():
+        own = of_platform(groups, platform)
+        busy = _busy(own, now, number) if compiling and not shares_cores else 1.0
+        running = max(running, _running(own, number, busy))
+    return Forecast(compiling, running, shares_cores)
+
+
+def _running(groups: Sequence[GroupProgress], workers: int, busy: float) -> float:
+    """Wall time of the remaining advances on one platform; 0 before the first advance there.
+
+    A group without an advance is taken for an average one.
+
+    Args:
+        groups: The groups that run there.
         workers: Number of chunks that run side by side.
-        shares_cores: Whether compilation and advances take turns on the same cores.
+        busy: Share of the time in which the workers advance runs.
     """
     paces = [group.seconds_per_advance for group in groups if group.seconds_per_advance is not None]
     if not paces:
-        return None
+        return 0.0
     shares = [group.mean_advances / group.max_advances for group in groups if group.mean_advances is not None]
     usual_pace, usual_share = float(np.mean(paces)), float(np.mean(shares)) if shares else 1.0
-    running, longest = 0.0, 0.0
+    total, longest = 0.0, 0.0
     for group in groups:
         mean = group.mean_advances
         mean = usual_share * group.max_advances if mean is None else mean
         for chunk in group.chunks.values():
             pace = chunk.seconds_per_advance or group.seconds_per_advance or usual_pace
             seconds = _advances_left(chunk, mean) * pace
-            running, longest = running + seconds, max(longest, seconds)
-    compiling = _compiling(groups, now)
-    busy = _busy(groups, now, workers) if compiling and not shares_cores else 1.0
-    return Forecast(compiling, max(running / workers / busy, longest), shares_cores)
+            total, longest = total + seconds, max(longest, seconds)
+    return max(total / workers / busy, longest)
 
 
 def _busy(groups: Sequence[GroupProgress], now: float, workers: int) -> float:

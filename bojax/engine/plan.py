@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from bojax.config.limits import CHUNKS
 from bojax.engine.build import build
 from bojax.engine.chunks import Chunk, Layout, choose_layout, cut
-from bojax.engine.devices import Device, on_cpu
+from bojax.engine.devices import Device, on_cpu, suited
 from bojax.engine.groups import StaticGroup, nodes_with, static_groups
 from bojax.engine.provenance import code_hashes, device_description, versions
 from bojax.experiments.base import Experiment
@@ -55,11 +55,17 @@ class Plan:
 def make_plan(sweep: "Sweep", devices: Sequence[Device]) -> Plan:
     """Build, group and divide the points of a sweep.
 
+    Args:
+        sweep: The sweep.
+        devices: The devices of this process, of which the sweep uses those that are `suited`.
+
     Raises:
         ConfigError: A point cannot be built, or there are too many chunks.
         ResultsError: A saved learner cannot be read.
     """
-    return _make_plan(sweep, device_description(devices))
+    modules = _modules(sweep)
+    used = suited(devices, prefers_cpu=all(module.prefers_cpu for module in modules))
+    return _make_plan(sweep, modules, device_description(used))
 
 
 def plan_made_elsewhere(sweep: "Sweep", content: Mapping[str, Any], device: Mapping[str, Any]) -> Plan:
@@ -75,12 +81,18 @@ def plan_made_elsewhere(sweep: "Sweep", content: Mapping[str, Any], device: Mapp
         replace(point, config=type(point.config).model_validate(config))
         for point, config in zip(sweep.points, configs, strict=True)
     ]
-    return replace(_make_plan(replace(sweep, points=tuple(points)), device), sweep=sweep)
+    of_worker = replace(sweep, points=tuple(points))
+    return replace(_make_plan(of_worker, _modules(of_worker), device), sweep=sweep)
 
 
-def _make_plan(sweep: "Sweep", device: Mapping[str, Any]) -> Plan:
+def _modules(sweep: "Sweep") -> list[Experiment]:
+    """The experiment of each point."""
+    with on_cpu():
+        return [_build(sweep, point) for point in sweep.points]
+
+
+def _make_plan(sweep: "Sweep", modules: Sequence[Experiment], device: Mapping[str, Any]) -> Plan:
     with on_cpu():  # the numbers of a point become NumPy arrays, which go to the device group by group
-        modules = [_build(sweep, point) for point in sweep.points]
         groups = static_groups(modules)
     layouts = [
         choose_layout(

@@ -2,12 +2,13 @@
 
 import threading
 import time
-from collections.abc import Sequence
-from types import TracebackType
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType, TracebackType
 
 from rich.console import Console
 
 from bojax.engine.bar import Bar
+from bojax.engine.devices import of_platform
 from bojax.engine.forecast import GroupProgress, forecast
 from bojax.engine.runner import Segment
 from bojax.text import duration
@@ -24,8 +25,7 @@ class SweepProgress:
     Args:
         title: Name of the sweep.
         num_runs: Number of runs of the whole sweep.
-        workers: Number of chunks that run side by side.
-        shares_cores: Whether compilation and runs take turns on the same cores.
+        workers: Number of chunks that run side by side on each platform.
         console: Console to write to; standard error by default.
     """
 
@@ -34,13 +34,12 @@ class SweepProgress:
         title: str,
         num_runs: int,
         *,
-        workers: int = 1,
-        shares_cores: bool = True,
+        workers: Mapping[str, int] = MappingProxyType({"cpu": 1}),
         console: Console | None = None,
     ):
         self._bar = Bar(title, num_runs, console or Console(stderr=True, highlight=False))
         self._num_runs = num_runs
-        self._workers, self._shares_cores = workers, shares_cores
+        self._workers = workers
         self._start = time.monotonic()
         self._groups: list[GroupProgress] = []
         self._runs_done = 0
@@ -121,12 +120,7 @@ class SweepProgress:
         compiling = sum(1 for group in self._groups if group.chunks and group.compile_seconds is None)
         if compiling:
             text += f", {compiling} of {len(self._groups)} programs to compile"
-        left = forecast(
-            self._groups,
-            now=time.monotonic(),
-            workers=self._workers,
-            shares_cores=self._shares_cores,
-        )
+        left = forecast(self._groups, now=time.monotonic(), workers=self._workers)
         return text if left is None else f"{text}, {duration(left.seconds)} left"
 
     def describe_times(self) -> str:
@@ -134,9 +128,12 @@ class SweepProgress:
         with self._lock:
             passed = max(time.monotonic() - self._start, 1e-9)
             compiled = max((group.compiled or self._start for group in self._groups), default=self._start)
-            busy = sum(group.seconds for group in self._groups) / (passed * self._workers)
-            until = duration(compiled - self._start)
-            return f"ran for {duration(passed)}, compiled until {until}, advanced runs {busy:.0%} of the time"
+            until, busy = duration(compiled - self._start), []
+            for platform, number in self._workers.items():
+                seconds = sum(group.seconds for group in of_platform(self._groups, platform))
+                where = f"on the {platform} " if len(self._workers) > 1 else ""
+                busy.append(f"{where}{seconds / (passed * number):.0%} of the time")
+            return f"ran for {duration(passed)}, compiled until {until}, advanced runs {', '.join(busy)}"
 
     def _rate(self) -> float:
         """Steps per second of the last segments."""

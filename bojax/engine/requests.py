@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 from bojax.config.errors import printable
 from bojax.config.extras import MissingExtra
-from bojax.engine.devices import Device
+from bojax.engine.devices import Device, of_platform
 from bojax.engine.plan import Plan, make_plan
 from bojax.results.folder import (
     NothingToResume,
+    RunFolder,
     check_finished,
     choose_folder,
     drop_leftovers,
@@ -84,7 +85,7 @@ def plan_unfinished(
 
     Args:
         targets: The sweeps with their folders.
-        devices: The devices to plan for.
+        devices: The devices of this process.
         finish: Called with the results folder of each sweep that is finished already.
         skipped: Receives the names of sweeps whose extra is not installed, and the reasons. If None, such a
             sweep is an error.
@@ -97,7 +98,7 @@ def plan_unfinished(
     unfinished = []
     for target in targets:
         try:
-            plan = make_plan(target.sweep, devices)
+            plan = make_plan(target.sweep, _devices_of(target, devices))
         except MissingExtra as error:
             if skipped is None:
                 raise
@@ -112,3 +113,11 @@ def plan_unfinished(
         else:
             unfinished.append((target, plan))
     return unfinished
+
+
+def _devices_of(target: Target, devices: Sequence[Device]) -> Sequence[Device]:
+    """The devices to plan a sweep for: those of the platform that it began on, if there are any."""
+    if not target.is_resumed or not is_unfinished(target.path):
+        return devices
+    begun = RunFolder(target.path).plan()
+    return devices if begun is None else of_platform(devices, begun["device"]["platform"]) or devices

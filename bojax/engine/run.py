@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from bojax.config.errors import ConfigError, printable
 from bojax.config.settings import Platform
 from bojax.engine.conclude import conclude, interrupt
-from bojax.engine.devices import Device, choose, find_devices, prepare, workers_of
+from bojax.engine.devices import Device, choose, find_devices, of_platform, prepare
 from bojax.engine.errors import FAILURE, EngineError
 from bojax.engine.execute import execute
 from bojax.engine.journal import Journal
@@ -19,7 +19,7 @@ from bojax.engine.progress import SweepProgress
 from bojax.engine.remote import Launcher, run_remotely
 from bojax.engine.requests import Request, Target, choose_targets, plan_unfinished
 from bojax.engine.signals import StopRequest
-from bojax.engine.tasks import longest_first, progress_of, tasks_of
+from bojax.engine.tasks import longest_first, progress_of, tasks_of, workers_for
 from bojax.results.store import ResultsError
 from bojax.text import error_line
 
@@ -135,7 +135,7 @@ def _execute(
     for task, journal in journal_of.items():
         journal.note_progress(task.group, task.progress)
     left = {journal: len(tasks) for journal, tasks in by_sweep.items()}
-    workers = workers_of(devices)
+    workers = workers_for(tasks, devices)
     ended = [journal for journal in journals if not left[journal]]  # killed before it was merged
     with progress_of([journal.share for journal in journals], tasks, workers) as progress:
         for task in execute(tasks, workers, progress, stop.__bool__):
@@ -145,10 +145,11 @@ def _execute(
                 ended.append(journal)
             if not left[journal] and several and not journal.plan.sweep.engine.latency:
                 conclude(journal, progress.say, finish)  # while the other sweeps run
-        if several:
+        if several and tasks:
             progress.say(progress.describe_times())
         for journal in ended:
-            _measure_latency(journal, devices[0], progress, stop)
+            (device, *_) = of_platform(devices, journal.plan.device["platform"])
+            _measure_latency(journal, device, progress, stop)
     for journal in ended if not stop else ():
         if not journal.is_merged:
             conclude(journal, lambda text: print(text, file=sys.stderr), finish)

@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 
 from bojax.engine.chunks import Chunk
-from bojax.engine.devices import Device
+from bojax.engine.devices import Device, of_platform, workers_of
 from bojax.engine.execute import GroupTask
 from bojax.engine.progress import SweepProgress
 from bojax.engine.runner import Limits
@@ -41,6 +41,7 @@ def tasks_of(
                 name=f"{plan.sweep.name}: {plan.name(group)}" if name_sweep else plan.name(group),
                 seed=plan.sweep.seed,
                 layout=chunks[0].layout,
+                platform=plan.device["platform"],
                 chunks=deque(chunk for chunk in chunks if standings[chunk] is Standing.FREE),
                 elsewhere=[chunk for chunk in chunks if standings[chunk] is Standing.HELD],
                 limits=Limits(engine.segment_seconds, engine.checkpoint_seconds, stop),
@@ -72,12 +73,21 @@ def progress_of(
     """The progress of sweeps, with the runs that are done."""
     num_runs = sum(chunk.num_runs for share in shares for chunk in share.plan.chunks)
     waiting = sum(chunk.num_runs for task in tasks for chunk in (*task.chunks, *task.elsewhere))
-    is_cpu = workers[0].platform == "cpu"
+    side_by_side = {device.platform: len(of_platform(set(workers), device.platform)) for device in workers}
+    if "cpu" in side_by_side:  # workers of an accelerator take turns
+        side_by_side["cpu"] = len(of_platform(workers, "cpu"))
     progress = SweepProgress(
         f"{len(shares)} sweeps" if len(shares) > 1 else shares[0].plan.sweep.name,
         num_runs,
-        workers=len(workers) if is_cpu else len(set(workers)),  # those of an accelerator take turns
-        shares_cores=is_cpu,
+        workers=side_by_side,
     )
     progress.add([task.progress for task in tasks], runs_done=num_runs - waiting)
     return progress
+
+
+def workers_for(
+    tasks: Iterable[GroupTask], devices: Iterable[Device], cores: int | None = None
+) -> list[Device]:
+    """The device of each worker, on those platforms that groups are planned for."""
+    platforms = {task.platform for task in tasks}
+    return workers_of([device for device in devices if device.platform in platforms], cores)

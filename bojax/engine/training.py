@@ -22,7 +22,7 @@ from bojax.config.catalog import named, roles
 from bojax.config.component import Component, import_target
 from bojax.engine.build import build
 from bojax.engine.chunks import choose_layout, cut
-from bojax.engine.devices import find_devices, workers_of
+from bojax.engine.devices import find_devices, suited, workers_of
 from bojax.engine.execute import GroupTask, execute
 from bojax.engine.groups import static_groups
 from bojax.engine.progress import SweepProgress
@@ -94,7 +94,7 @@ def train(
     dtype: Literal["float64", "float32"] = "float32",
     callback: Callback | None = None,
 ) -> Training:
-    """Train a learner in an environment, in several independent runs on all devices of JAX.
+    """Train a learner in an environment, in several independent runs on all GPUs, or on the CPU.
 
     Each run draws the same random numbers as the run of the same index of `bojax run` with the same seed.
 
@@ -162,8 +162,8 @@ class _Sink(MemorySink):
 
 
 def _run(experiment: LearningRun, runs: int, seed: int, callback: Callback | None) -> list[MemorySink]:
-    """Run an experiment on all devices of JAX, and return what its chunks produced."""
-    devices = find_devices("auto")
+    """Run an experiment on the devices that suit it, and return what its chunks produced."""
+    devices = suited(find_devices("auto"), prefers_cpu=experiment.prefers_cpu)
     (group,) = static_groups([experiment])
     layout = choose_layout(experiment, runs, devices[0].platform, None)
     lock = threading.Lock()
@@ -179,6 +179,7 @@ def _run(experiment: LearningRun, runs: int, seed: int, callback: Callback | Non
         name="train",
         seed=seed,
         layout=layout,
+        platform=devices[0].platform,
         chunks=deque(chunks),
         limits=Limits(float("inf") if callback is None else 0.0, float("inf"), lambda: bool(share.errors)),
         share=share,

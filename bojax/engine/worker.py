@@ -16,12 +16,12 @@ from bojax.config.errors import ConfigError, printable
 from bojax.config.external import resolve
 from bojax.config.saved_sweep import loaded
 from bojax.config.sweep import Sweep
-from bojax.engine.devices import choose, find_devices, prepare, workers_of
+from bojax.engine.devices import choose, find_devices, prepare
 from bojax.engine.errors import FAILURE, EngineError
 from bojax.engine.execute import execute
 from bojax.engine.plan import make_plan
 from bojax.engine.share import FolderShare
-from bojax.engine.tasks import progress_of, tasks_of
+from bojax.engine.tasks import progress_of, tasks_of, workers_for
 from bojax.results.folder import Launch, RunFolder
 from bojax.results.store import ResultsError
 from bojax.text import error_line
@@ -65,7 +65,6 @@ def run_worker(folders: Sequence[Path], options: WorkerOptions, stop: Callable[[
     sweeps = [_sweep_of(folder, launch) for folder, launch in zip(opened, launches, strict=True)]
     prepare(sweeps[0].engine.device)
     devices = choose(find_devices(sweeps[0].engine.device), options.devices)
-    workers = workers_of(devices, options.cores)
     shares: list[FolderShare] = []
     try:
         for folder, launch, sweep in zip(opened, launches, sweeps, strict=True):
@@ -76,6 +75,7 @@ def run_worker(folders: Sequence[Path], options: WorkerOptions, stop: Callable[[
         start = options.number / options.count
         several = len(shares) > 1
         tasks = [task for share in shares for task in tasks_of(share, stop, name_sweep=several, start=start)]
+        workers = workers_for(tasks, devices, options.cores)
         with progress_of(shares, tasks, workers) as progress:
             for _ in execute(tasks, workers, progress, stop, waits=options.waits):
                 pass

@@ -56,6 +56,11 @@ class Experiment(eqx.Module):
         return 16
 
     @property
+    def prefers_cpu(self) -> bool:
+        """Whether `engine.device: auto` is the CPU, whose cores advance runs more quickly than a GPU."""
+        return False
+
+    @property
     def has_stragglers(self) -> bool:
         """Whether a few runs may take many more advances than the others."""
         return False

@@ -117,6 +117,11 @@ class LearningRun(Experiment):
 
     @property
     @override
+    def prefers_cpu(self) -> bool:
+        return self.learner.prefers_cpu
+
+    @property
+    @override
     def has_stragglers(self) -> bool:
         return self.stop != "never"
 

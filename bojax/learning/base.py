@@ -156,6 +156,11 @@ class Learner(eqx.Module):
         """Largest number of lanes per CPU device at which a batch is still fast."""
         return 64
 
+    @property
+    def prefers_cpu(self) -> bool:
+        """Whether a few cores of a CPU learn more quickly than a GPU, as its steps are a few numbers each."""
+        return False
+
     @abc.abstractmethod
     def values(
         self, state: LearnerState, observation: Observation, action: Action

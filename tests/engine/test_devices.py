@@ -5,7 +5,11 @@ import os
 import subprocess
 import sys
 
-from bojax.engine.devices import cache_folder, workers_of
+import jax
+import pytest
+
+from bojax.engine.devices import cache_folder, choose, find_devices, suited, workers_of
+from bojax.engine.errors import EngineError
 from bojax.numerics.cores import usable_cores
 
 REPORT = """
@@ -37,12 +41,38 @@ def test_a_cpu_is_one_device_of_a_worker_for_each_core(tmp_path):
     assert cache == str(tmp_path / "bojax" / "jax") and least == 0.0
 
 
-def test_every_accelerator_has_two_workers():
-    class Accelerator:
-        platform = "gpu"
+class Named:
+    """A device, as far as the choice of devices is concerned."""
 
-    devices = [Accelerator(), Accelerator()]
-    assert workers_of(devices) == [devices[0], devices[0], devices[1], devices[1]]
+    device_kind = "H200"
+
+    def __init__(self, platform):
+        self.platform = platform
+
+
+GPUS, CPU = [Named("gpu"), Named("gpu")], Named("cpu")
+
+
+def test_every_accelerator_has_two_workers_and_leaves_cores_to_the_cpu():
+    assert workers_of(GPUS) == [GPUS[0], GPUS[0], GPUS[1], GPUS[1]]
+    assert workers_of([CPU], 5) == [CPU] * 5
+    assert workers_of([GPUS[0], CPU], 5) == [GPUS[0]] * 2 + [CPU] * 2
+    assert workers_of([GPUS[0], CPU], 1) == [GPUS[0]] * 2 + [CPU]
+
+
+def test_the_cpu_stands_beside_the_gpus(monkeypatch):
+    monkeypatch.setattr(jax, "devices", lambda platform=None: [CPU] if platform == "cpu" else GPUS)
+    assert find_devices("auto") == [*GPUS, CPU]
+    assert find_devices("gpu") == GPUS and find_devices("cpu") == [CPU]
+    assert choose([*GPUS, CPU], None) == [*GPUS, CPU] and choose([*GPUS, CPU], [1]) == [GPUS[1], CPU]
+    with pytest.raises(EngineError, match="--devices: got 2; allowed: 0 to 1, this machine has 2 x gpu"):
+        choose([*GPUS, CPU], [2])
+
+
+def test_a_sweep_uses_devices_of_one_platform():
+    assert suited([*GPUS, CPU], prefers_cpu=True) == [CPU]
+    assert suited([*GPUS, CPU], prefers_cpu=False) == GPUS
+    assert suited(GPUS, prefers_cpu=True) == GPUS and suited([CPU], prefers_cpu=False) == [CPU]
 
 
 def test_what_the_user_has_set_is_left_alone():

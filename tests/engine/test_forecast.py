@@ -8,7 +8,7 @@ from bojax.engine.forecast import ChunkProgress, GroupProgress, forecast
 PACE = 0.5
 """Seconds of an advance."""
 
-USUAL = {"now": 0.0, "workers": 1, "shares_cores": True}
+USUAL = {"now": 0.0, "workers": {"cpu": 1}}
 
 
 def simulate(lengths: np.ndarray, lanes: int, most: int):
@@ -77,10 +77,11 @@ def test_an_unknown_group_is_taken_for_an_average_one():
 
 def test_workers_share_chunks_and_a_compilation_hides_behind_an_accelerator():
     chunks = {i: ChunkProgress(1, 1, 1, 0, 10, seconds_per_advance=1.0) for i in range(4)}
-    group = GroupProgress("toy", 10, chunks, seconds=1.0, advances=1, compile_seconds=2.0)
+    group = GroupProgress("toy", 10, chunks, seconds=1.0, advances=1, compile_seconds=2.0, platform="gpu")
     group.compiling_since = -4.0
-    other = GroupProgress("other", 10, {9: ChunkProgress(1, 1, 1, 0, 10)}, compiling_since=-1.0)
-    found = forecast([group, other], now=0.0, workers=2, shares_cores=False)
+    left = {9: ChunkProgress(1, 1, 1, 0, 10)}
+    other = GroupProgress("other", 10, left, compiling_since=-1.0, platform="gpu")
+    found = forecast([group, other], now=0.0, workers={"gpu": 2})
     assert found is not None
     assert found.running == pytest.approx(25.0)  # five chunks of ten advances on two workers
     assert found.compiling == pytest.approx(4.0)  # one program was compiled in the 4 s so far
@@ -88,16 +89,30 @@ def test_workers_share_chunks_and_a_compilation_hides_behind_an_accelerator():
 
 
 def test_a_device_that_waits_for_programs_is_taken_to_go_on_waiting_until_the_last_one():
-    group = GroupProgress("toy", 10, {0: ChunkProgress(1, 1, 1, 0, 10)}, seconds=5.0, advances=5)
+    left = {0: ChunkProgress(1, 1, 1, 0, 10)}
+    group = GroupProgress("toy", 10, left, seconds=5.0, advances=5, platform="gpu")
     group.begun, group.compile_seconds = -20.0, 1.0
-    last = GroupProgress("last", 10, compiling_since=-20.0)
-    usual = {"now": 0.0, "workers": 2, "shares_cores": False}
+    last = GroupProgress("last", 10, compiling_since=-20.0, platform="gpu")
+    usual = {"now": 0.0, "workers": {"gpu": 2}}
     without = forecast([group, last], **usual)
     last.chunks[1] = ChunkProgress(1, 1, 1, 0, 10)
     waiting = forecast([group, last], **usual)
     assert without is not None and waiting is not None
     assert without.running == pytest.approx(10.0)  # one chunk, of ten advances
     assert waiting.running == pytest.approx(2 * 10 / 2 / (5 / (20 * 2)))
+
+
+def test_platforms_run_side_by_side():
+    def group(platform, seconds):
+        left = {0: ChunkProgress(1, 1, 1, 0, 10)}
+        return GroupProgress("toy", 10, left, seconds=seconds, advances=1, platform=platform)
+
+    groups = [group("gpu", 3.0), group("cpu", 2.0), group("cpu", 4.0)]
+    for groups[0].seconds, expected in ((3.0, 40.0), (5.0, 50.0)):  # of the CPU, then of the GPU
+        found = forecast(groups, now=0.0, workers={"gpu": 1, "cpu": 8})
+        assert found is not None
+        assert found.running == pytest.approx(expected)
+        assert not found.shares_cores
 
 
 def test_the_last_runs_take_less_time_in_fewer_lanes():

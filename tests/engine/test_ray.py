@@ -230,3 +230,9 @@ def test_without_the_extra(tmp_path, capsys, monkeypatch):
         "error: ray is not installed; install it in a clone of bojax: pip install -e '.[ray]'\n"
     )
     assert not (tmp_path / "out").exists()
+
+
+def test_actors_of_gpus_share_the_cores():
+    found = {"GPU": 8.0, "CPU": 64.0}
+    count, options, cores = ray_actors.Ray(RayConfig())._shape(found, 1)
+    assert (count, options["num_gpus"], cores) == (8, 1, 8)

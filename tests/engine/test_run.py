@@ -133,6 +133,51 @@ def test_any_number_of_devices_gives_the_same_bytes(folder, tmp_path, monkeypatc
     assert contents(tmp_path / "toy") == contents(folder)
 
 
+class Accelerator:
+    """A device that is taken for a GPU."""
+
+    platform = device_kind = "gpu"
+
+    def __init__(self, real):
+        self.real, self.client = real, real.client
+
+
+@NEEDS_CPU
+def test_what_is_quicker_on_the_cpu_runs_there_beside_a_gpu(folder, tmp_path, monkeypatch, capfd):
+    """One sweep on each, in one go; a sweep that was begun on the GPU stays there."""
+    used = []
+
+    class OnReal(batch.Programs):
+        def __init__(self, functions, device, *others, **options):
+            used.append((functions.group.shared.max_length, device.platform))
+            super().__init__(functions, getattr(device, "real", device), *others, **options)
+
+    cpu, other = jax.devices("cpu")
+    gpu = Accelerator(other)
+    monkeypatch.setattr("bojax.engine.run.find_devices", lambda _: [gpu, cpu])
+    monkeypatch.setattr(execute, "Programs", OnReal)
+    monkeypatch.setattr(Toy, "prefers_cpu", property(lambda self: self.max_length == 15))
+    quick, usual = toy_sweep({"max_length": 15}, runs=RUNS), toy_sweep(runs=RUNS)
+    requests = [Request(quick, tmp_path / "quick"), Request(usual, tmp_path / "usual")]
+    assert run_sweeps(requests, False, ["bojax"]) == 0
+    devices = {name: read_manifest(tmp_path / name)["device"] for name in ("quick", "usual")}
+    assert {name: (each["platform"], each["count"]) for name, each in devices.items()} == {
+        "quick": ("cpu", 1),
+        "usual": ("gpu", 1),
+    }
+    assert set(used) == {(15, "cpu"), (15, "gpu"), (12, "gpu")}
+    assert contents(tmp_path / "usual") == contents(folder)
+    line = capfd.readouterr().err.splitlines()[-1]
+    assert "advanced runs on the gpu " in line and " of the time, on the cpu " in line
+    with monkeypatch.context() as patch:  # it stops before its first chunk
+        patch.setattr("bojax.engine.run.find_devices", lambda _: [gpu])
+        patch.setattr("bojax.engine.run.execute", lambda *_: iter(()))
+        run_sweeps([Request(quick, tmp_path / "begun")], False, ["bojax"])
+    assert run_sweeps([Request(quick, tmp_path / "begun")], True, ["bojax"]) == 0
+    assert read_manifest(tmp_path / "begun")["device"]["platform"] == "gpu"
+    assert contents(tmp_path / "begun") == contents(tmp_path / "quick")
+
+
 @pytest.mark.bits
 def test_any_number_of_workers_gives_the_same_bytes(folder, tmp_path, monkeypatch):
     monkeypatch.setattr("bojax.engine.devices.usable_cores", lambda: 5)
@@ -161,7 +206,7 @@ def test_workers_of_an_accelerator_advance_one_chunk_at_a_time(folder, tmp_path,
         original["finish"](runner)
 
     monkeypatch.setattr("bojax.engine.execute.turn_of", lambda _: turn)
-    monkeypatch.setattr("bojax.engine.run.workers_of", lambda devices: [devices[0]] * 2)
+    monkeypatch.setattr("bojax.engine.tasks.workers_of", lambda devices, _: [devices[0]] * 2)
     monkeypatch.setattr(ChunkRunner, "advance", advance)
     monkeypatch.setattr(ChunkRunner, "finish", finish)
     assert run_toy(tmp_path / "toy", runs=RUNS) == 0
@@ -194,7 +239,7 @@ def test_a_chunk_that_waits_for_a_program_lets_the_other_worker_go_on(tmp_path, 
     monkeypatch.setattr(execute, "Programs", Late)
     monkeypatch.setattr(execute, "compile_threads", lambda: 3)
     monkeypatch.setattr(execute, "turn_of", lambda _: Turn(is_exclusive=True))
-    monkeypatch.setattr("bojax.engine.run.workers_of", lambda devices: [devices[0]] * 2)
+    monkeypatch.setattr("bojax.engine.tasks.workers_of", lambda devices, _: [devices[0]] * 2)
     monkeypatch.setattr("bojax.engine.plan.choose_layout", lambda *_: Layout(4, (4, 2), 1))
     monkeypatch.setattr(ChunkRunner, "_narrow", noted_narrow)
     monkeypatch.setattr(ChunkRunner, "finish", noted_finish)

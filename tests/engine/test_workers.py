@@ -176,7 +176,7 @@ def test_a_driver_and_a_worker_side_by_side(tmp_path, alone, monkeypatch):
     plan_here(out, **OFTEN)
     worker = start_worker(out, "--cores", "1")
     wait_until(lambda: has_checkpoint(out), worker)
-    monkeypatch.setattr("bojax.engine.run.workers_of", lambda devices: list(devices))
+    monkeypatch.setattr("bojax.engine.tasks.workers_of", lambda devices, _: list(devices))
     assert run_here(out, resume=True, **OFTEN) == 0
     assert worker.wait(60) == 0
     assert contents(out) == alone
@@ -339,7 +339,7 @@ def test_the_sweep_ends_while_a_worker_runs(planned, capsys, monkeypatch):
 
     original = ChunkFolder.commit
     monkeypatch.setattr(ChunkFolder, "commit", gone)
-    monkeypatch.setattr("bojax.engine.worker.workers_of", lambda devices, _: list(devices)[:1])
+    monkeypatch.setattr("bojax.engine.tasks.workers_of", lambda devices, _: list(devices)[:1])
     assert work_on(planned) == 0
     assert capsys.readouterr().err.splitlines()[-1] == "the sweep has ended"
     assert not (planned / WORK).exists()

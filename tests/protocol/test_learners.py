@@ -2,6 +2,7 @@
 
 from bojax.engine.build import build
 from bojax.experiments.settings import Learning
+from bojax.learning.tabular import TabularLearner
 from tests.parts import tiny
 from tests.protocol.lanes import each_kind, of_experiment
 
@@ -14,7 +15,7 @@ CHAIN = {"kind": "chain", "length": 3, "max_length": 3, "sparsity": 0.5, "max_st
 def test_a_learner_learns_and_is_tested(kind, check):
     settings = {"env": CHAIN, "learner": tiny("learner", kind).model_dump(), "episodes": 2, "tests": 1}
     run = build(Learning.model_validate(settings))
-
+    assert run.prefers_cpu == isinstance(run.learner, TabularLearner)
     check(run.learner, of_experiment(lambda run: run.learner, learned), run)
 
 

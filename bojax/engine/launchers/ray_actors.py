@@ -117,7 +117,8 @@ class Ray(Launcher):
         """Number of actors, what each needs, and its number of cores."""
         config, gpus, cpus = self._config, int(resources.get("GPU", 0)), int(resources.get("CPU", 0))
         if gpus and config.cpus_per_worker is None:
-            return config.workers or gpus, {"num_gpus": 1, "num_cpus": 0}, None
+            # The actors of a machine share its cores.
+            return config.workers or gpus, {"num_gpus": 1, "num_cpus": 0}, max(1, cpus // gpus)
         cores = config.cpus_per_worker or max(1, cpus // num_nodes)
         if cores > cpus:
             raise EngineError(f"--launcher ray: cpus_per_worker: got {cores}; allowed: at most {cpus}")
