@@ -79,14 +79,21 @@ def main(name: str, words: Sequence[str]) -> int:
     if duplicates := [source for source in sources if sources.count(source) > 1]:
         raise UsageError(f"bojax {name}: got {duplicates[0]} twice; allowed: distinct sources")
 
-    from bojax.report.comparing.build import Request, compare
+    from bojax.report.comparing.build import compare
     from bojax.results.folder import dated_folder, require_empty
 
     out = args.out or dated_folder(name)
     require_empty(out)
-    command = shlex.join(["bojax", name, *words])
-    request = Request(
-        args.folders, args.csv, args.metric, args.x, args.phase, args.last, args.reference, command
+    page = compare(
+        args.folders,
+        args.csv,
+        out,
+        metric=args.metric,
+        axis=args.x,
+        phase=args.phase,
+        last=args.last,
+        reference=args.reference,
+        command=shlex.join(["bojax", name, *words]),
     )
-    print(compare(request, out))
+    print(page)
     return 0

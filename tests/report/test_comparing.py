@@ -11,7 +11,7 @@ from scipy import stats
 from bojax.cli.main import main
 from bojax.report import statistics
 from bojax.report.comparing import tables
-from bojax.report.comparing.build import Request, compare
+from bojax.report.comparing.build import compare
 from bojax.report.comparing.contenders import Measure, named, of_file, of_folder, tasks_of
 from bojax.report.comparing.curve_files import Rows, read_curves
 from bojax.report.source import load
@@ -278,8 +278,8 @@ def out(tmp_path_factory):
     (folder / "x.csv").write_text(
         "label,run,x,value\n" + "".join(f"dqn,{r},{x},{x / 20 - r}\n" for r in range(4) for x in range(1, 21))
     )
-    request = Request([folder / "a"], [folder / "x.csv"], command="bojax compare a --csv x.csv")
-    assert compare(request, folder / "out") == folder / "out" / "comparison.html"
+    out, command = folder / "out", "bojax compare a --csv x.csv"
+    assert compare([folder / "a"], [folder / "x.csv"], out, command=command) == out / "comparison.html"
     return folder / "out"
 
 
@@ -315,8 +315,8 @@ class TestPage:
         assert files == {f"{name}.{suffix}" for name in ("curves", "scores") for suffix in ("png", "svg")}
 
     def test_equal_input_gives_equal_files(self, out, tmp_path):
-        request = Request([out.parent / "a"], [out.parent / "x.csv"], command="bojax compare a --csv x.csv")
-        compare(request, tmp_path / "out")
+        command = "bojax compare a --csv x.csv"
+        compare([out.parent / "a"], [out.parent / "x.csv"], tmp_path / "out", command=command)
         for path in sorted(out.rglob("*.*")):
             assert path.read_bytes() == (tmp_path / "out" / path.relative_to(out)).read_bytes()
 
@@ -326,7 +326,7 @@ class TestPage:
             for label, score in (("a", 1), ("b", 2)):
                 lines += [f"{label},{task},{run},1,{scale * (score + 0.1 * run)}" for run in range(5)]
         (tmp_path / "x.csv").write_text("\n".join(lines))
-        page = Page(compare(Request([], [tmp_path / "x.csv"]), tmp_path / "out").read_text(encoding="utf-8"))
+        page = Page(compare([], [tmp_path / "x.csv"], tmp_path / "out").read_text(encoding="utf-8"))
         assert "All tasks" in page.text and "P(better than a)" in page.text
         names = {path.stem for path in (tmp_path / "out" / "figures").iterdir()}
         assert names == {"curves-1-easy", "curves-2-very-hard", "scores-1-easy", "scores-2-very-hard"}
@@ -340,7 +340,7 @@ class TestPage:
     def test_shares_of_episodes_are_no_successes_of_runs(self, tmp_path, values, band):
         rows = [f"{label},{run},1,{values[run]}" for label in "ab" for run in (0, 1)]
         (tmp_path / "x.csv").write_text("\n".join(["label,run,x,value", *rows]))
-        page = compare(Request([], [tmp_path / "x.csv"], metric="success"), tmp_path / "out")
+        page = compare([], [tmp_path / "x.csv"], tmp_path / "out", metric="success")
         (caption, *_) = re.findall(
             r"<figcaption>(.*?)</figcaption>", page.read_text(encoding="utf-8"), re.DOTALL
         )
@@ -349,7 +349,7 @@ class TestPage:
     def test_curves_of_planning_may_begin_at_step_1(self, tmp_path):
         write_results(tmp_path / "parking", runs=4, recorded=1)
         (tmp_path / "x.csv").write_text("label,run,x,value\nother,0,1,5\nother,0,9,6\nother,1,1,5\n")
-        page = compare(Request([tmp_path / "parking"], [tmp_path / "x.csv"]), tmp_path / "out")
+        page = compare([tmp_path / "parking"], [tmp_path / "x.csv"], tmp_path / "out")
         curves, _ = Page(page.read_text(encoding="utf-8")).all("img")
         assert "other 5.00 and 5.50" in curves["alt"]  # run 1 keeps its last value
 
@@ -360,7 +360,7 @@ class TestPage:
         pq.write_table(
             table.set_column(table.column_names.index("nans"), "nans", nans), folder / "runs.parquet"
         )
-        page = Page(compare(Request([folder], []), tmp_path / "out").read_text(encoding="utf-8"))
+        page = Page(compare([folder], [], tmp_path / "out").read_text(encoding="utf-8"))
         assert "Left out: 1 run with a non-finite value." in page.text and "in 1 run" in page.text
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +31,6 @@ from bojax.report.figures.learning_curves import limit
 from bojax.report.page import Plate
 from bojax.report.ranking import ENDS
 from bojax.report.source import Results, load
-from bojax.report.tables import Table
 from bojax.report.template import fill
 from bojax.report.text import counted, file_name, heading, joined, minus, number, percent, ranged
 from bojax.results.store import ResultsError, write_content
@@ -39,57 +38,76 @@ from bojax.results.store import ResultsError, write_content
 PAGE = "comparison.html"
 
 
-@dataclass(frozen=True)
-class Request:
-    """What is compared, and how; None stands for the default."""
-
-    folders: Sequence[Path]  # results folders
-    files: Sequence[Path]  # CSV files
-    metric: str | None = None  # column, with a minus sign if less is better
-    axis: Axis | None = None  # horizontal axis of curves
-    phase: Phase = "train"  # of the episodes
-    last: int | None = None  # number of the last values of a curve whose mean is the score of a run
-    reference: str | None = None  # name of the contender that others are compared with; the first by default
-    command: str = ""  # the command line
-
-
-@dataclass(frozen=True)
-class Part:
-    """The contenders of a task, as the page shows them."""
-
-    title: str
-    plates: list[Plate]
-    scores: Table
-
-
-def compare(request: Request, out: Path) -> Path:
-    """Write a comparison into a folder, which is made, and return `comparison.html`.
+def compare(
+    folders: Sequence[Path],
+    files: Sequence[Path],
+    out: Path,
+    *,
+    metric: str | None = None,
+    axis: Axis | None = None,
+    phase: Phase = "train",
+    last: int | None = None,
+    reference: str | None = None,
+    command: str = "",
+) -> Path:
+    """Write a comparison into the folder `out`, which is made, and return `comparison.html`.
 
     Nothing is written before everything is ready.
+
+    Args:
+        folders: Results folders.
+        files: CSV files.
+        out: The folder.
+        metric: Column, with a minus sign if less is better.
+        axis: Horizontal axis of curves.
+        phase: Phase of the episodes.
+        last: Number of the last values of a curve whose mean is the score of a run.
+        reference: Name of the contender that others are compared with; by default the first.
+        command: The command line.
 
     Raises:
         ResultsError: A folder or file is missing or damaged, has no such metric or cannot be compared with
             the others; one line.
     """
-    results = [load(folder) for folder in request.folders]
-    measure = _measure(request, results)
-    contenders = _contenders(request, results, measure)
-    tasks = tasks_of(contenders, request.reference)
+    results = [load(folder) for folder in folders]
+    measure = _measure(results, metric, axis, phase, last)
+    contenders = _contenders(results, files, measure)
+    tasks = tasks_of(contenders, reference)
     images, parts = {}, []
     with style.settings():
         for number, task in enumerate(tasks, start=1):
             suffix = f"-{number}-{file_name(task.name)}" if len(tasks) > 1 else ""
             plates = {name: Plate.of(drawing) for name, drawing in _drawings(task, measure).items()}
             images |= {f"{name}{suffix}": plate.files for name, plate in plates.items()}
-            parts.append(Part(task.name, [*plates.values()], tables.scores(task, measure)))
-    page = _page(request, results, contenders, tasks, parts, measure)
+            parts.append((task.name, [*plates.values()], tables.scores(task, measure)))
+    names = list(dict.fromkeys(each.name for each in contenders))
+    listed = f" ({joined(names)})" if len(names) <= MAX_POINTS else ""
+    places = [task.name for task in tasks if task.name]
+    where = f" on {joined(places)}" if places else ""
+    runs = ranged((each.scores.size for each in contenders), "run")
+    page = fill(
+        "comparison.html.j2",
+        title=f"Comparison: {heading(measure.column)}{where}",
+        summary=f"{counted(len(names), 'contender')}{listed} of "
+        f"{counted(len({each.source for each in contenders}), 'source')}, {runs} each. The score of a run is "
+        f"the {_score(contenders, measure)}{', of which less is better' if measure.is_least else ''}.",
+        counts=[],
+        parts=parts,
+        overall=tables.overall(tasks, reference or tasks[0].reference.name, measure),
+        settings=tables.settings(contenders),
+        sources=tables.sources(results, contenders),
+        provenance=[("command", command)] if command else [],
+        footer="Written by bojax from the tables of these results.",
+    )
 
     style.write_images(out, images)
     write_content(out / PAGE, page)
     return out / PAGE
 
 
-def _measure(request: Request, results: Sequence[Results]) -> Measure:
+def _measure(
+    results: Sequence[Results], metric: str | None, axis: Axis | None, phase: Phase, last: int | None
+) -> Measure:
     kinds: list[Kind] = [kind_of(each) for each in results]
     for each, kind in zip(results, kinds, strict=True):
         if kind != kinds[0]:
@@ -98,21 +116,21 @@ def _measure(request: Request, results: Sequence[Results]) -> Measure:
                 "allowed: one of both"
             )
     kind: Kind = kinds[0] if kinds else "learning"
-    axis: Axis = request.axis or ("step" if kind == "planning" else "episode")
-    if kind == "planning" and axis != "step":
+    if kind == "planning" and axis not in (None, "step"):
         raise ResultsError(f"--x: got {axis}; allowed of planning: step")
-    metric = request.metric or (PLANNING_CURVE if kind == "planning" else "return")
-    if request.phase == "test":
+    axis = axis or ("step" if kind == "planning" else "episode")
+    metric = metric or (PLANNING_CURVE if kind == "planning" else "return")
+    if phase == "test":
         for each in results:
             if not each.episodes or not (each.episodes["phase"] == "test").any():
                 raise ResultsError(f"{each.folder}: has no test episodes; allowed: --phase train")
-    return Measure(metric.removeprefix("-"), metric.startswith("-"), kind, axis, request.phase, request.last)
+    return Measure(metric.removeprefix("-"), metric.startswith("-"), kind, axis, phase, last)
 
 
-def _contenders(request: Request, results: Sequence[Results], measure: Measure) -> list[Contender]:
+def _contenders(results: Sequence[Results], files: Sequence[Path], measure: Measure) -> list[Contender]:
     found = [contender for each in results for contender in of_folder(each, measure)]
     known = list(dict.fromkeys(contender.task for contender in found))
-    for path in request.files:
+    for path in files:
         rows = read_curves(path)
         if found and results and found[0].curve is None:
             raise ResultsError(f"{path}: has curves, but {measure.column} has none; allowed: results folders")
@@ -231,34 +249,3 @@ def _score(contenders: Sequence[Contender], measure: Measure) -> str:
         return f"mean {words} of the last tenth of the {unit}"
     places = "values on the axis" if measure.axis == "step" else unit
     return f"mean {words} of the last {measure.last} {places}"
-
-
-def _page(
-    request: Request,
-    results: Sequence[Results],
-    contenders: Sequence[Contender],
-    tasks: Sequence[Task],
-    parts: Sequence[Part],
-    measure: Measure,
-) -> str:
-    sources = counted(len({each.source for each in contenders}), "source")
-    runs = ranged((each.scores.size for each in contenders), "run")
-    places = [task.name for task in tasks if task.name]
-    where = f" on {joined(places)}" if places else ""
-    names = list(dict.fromkeys(each.name for each in contenders))
-    listed = f" ({joined(names)})" if len(names) <= MAX_POINTS else ""
-    what = heading(measure.column)
-    direction = ", of which less is better" if measure.is_least else ""
-    return fill(
-        "comparison.html.j2",
-        title=f"Comparison: {what}{where}",
-        summary=f"{counted(len(names), 'contender')}{listed} of {sources}, {runs} each. The score of a run "
-        f"is the {_score(contenders, measure)}{direction}.",
-        counts=[],
-        parts=parts,
-        overall=tables.overall(tasks, request.reference or tasks[0].reference.name, measure),
-        settings=tables.settings(contenders),
-        sources=tables.sources(results, contenders),
-        provenance=[("command", request.command)] if request.command else [],
-        footer="Written by bojax from the tables of these results.",
-    )

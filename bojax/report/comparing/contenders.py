@@ -1,13 +1,12 @@
 """The contenders of a comparison: points of results folders and labels of CSV files."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Literal, TypeAlias
 
 import numpy as np
 
-from bojax.config.component import Component
 from bojax.config.errors import allowed_names
 from bojax.experiments.settings import Learning, Planning
 from bojax.report import ranking
@@ -59,8 +58,7 @@ class Contender:
     run: Floats  # `[runs]` indices
     scores: Floats  # `[runs]`
     curve: Curve | None  # None where only scores are known
-    settings: Mapping[str, Any] | None  # None of a CSV file
-    seed: int | None = None
+    seed: int | None = None  # None of a CSV file, whose point has no settings
     is_share: bool = False  # whether scores are 0 or 1
 
     @property
@@ -70,8 +68,7 @@ class Contender:
 
     def is_paired_with(self, other: "Contender") -> bool:
         """Whether runs of equal index had the same random numbers, and both have the same runs."""
-        is_same = self.seed is not None and self.seed == other.seed and self.settings is not None
-        return is_same and other.settings is not None and np.array_equal(self.run, other.run)
+        return self.seed is not None and self.seed == other.seed and np.array_equal(self.run, other.run)
 
 
 @dataclass(frozen=True)
@@ -114,12 +111,6 @@ def kind_of(results: Results) -> Kind:
     return "learning" if results.points[0].is_learning else "planning"
 
 
-def task_of(point: Point) -> str:
-    """The kind of the problem or environment of a point."""
-    part: Component | None = point.env if point.is_learning else point.problem
-    return "" if part is None else part.kind
-
-
 def columns_of(results: Results) -> list[str]:
     """The columns that can be compared, those with curves first."""
     found = [PLANNING_CURVE] if kind_of(results) == "planning" and PLANNING_CURVE in results.steps else []
@@ -147,19 +138,9 @@ def of_folder(results: Results, measure: Measure) -> list[Contender]:
         else:
             has_nan = runs.get("nans", np.zeros(runs["run"].size)) > 0
             scores, is_share = np.where(has_nan, np.nan, _last(curve, measure)), False
-        contenders.append(
-            Contender(
-                point=point,
-                source=results.folder,
-                task=task_of(point),
-                run=runs["run"],
-                scores=scores,
-                curve=curve,
-                settings=point.config,
-                seed=results.manifest.seed,
-                is_share=is_share,
-            )
-        )
+        part, seed = point.env or point.problem, results.manifest.seed
+        task = "" if part is None else part.kind
+        contenders.append(Contender(point, results.folder, task, runs["run"], scores, curve, seed, is_share))
     if not contenders:
         raise ResultsError(f"{results.folder}: no run has been finished; allowed: at least one")
     return contenders
@@ -176,9 +157,8 @@ def of_file(path: Path, rows: Sequence[Rows], measure: Measure, task: str) -> li
         point = Point(number, each.label, each.label, each.label, {}, {}, Unread({}, str(path)), Outline())
         x, values = _common(path, each, measure)
         curve = Curve(point, x, values)
-        run = np.asarray(list(each.runs))
-        scores = _last(curve, measure)
-        contenders.append(Contender(point, path, each.task or task, run, scores, curve, None))
+        run, scores = np.asarray(list(each.runs)), _last(curve, measure)
+        contenders.append(Contender(point, path, each.task or task, run, scores, curve))
     return contenders
 
 

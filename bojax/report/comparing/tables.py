@@ -94,8 +94,8 @@ def improvement(pairs: Sequence[tuple[Contender, Contender]], measure: Measure) 
 
 def settings(contenders: Sequence[Contender]) -> Table | None:
     """One row per setting that differs among the results folders; None if none does."""
-    known = [each for each in contenders if each.settings is not None]
-    flat = [dict(flatten(each.settings or {})) | {"seed": plain(each.seed)} for each in known]
+    known = [each for each in contenders if each.point.config]
+    flat = [dict(flatten(each.point.config)) | {"seed": plain(each.seed)} for each in known]
     keys = dict.fromkeys(key for each in flat for key in each)
     several_tasks = len({each.task for each in contenders}) > 1
     names = [f"{each.name}, {each.task}" if several_tasks else each.name for each in known]
