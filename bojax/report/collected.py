@@ -39,9 +39,6 @@ def collected(folders: Iterable[Path], names: Collection[str]) -> list[Collected
     Args:
         folders: Results folders of these sweeps, or folders above results, of which others are passed over.
         names: The names of the sweeps.
-
-    Raises:
-        ResultsError: A folder has no finished results of these sweeps, or is damaged; one line.
     """
     newest: dict[str, Results] = {}
     for results in (each for folder in folders for each in _results(folder, names)):

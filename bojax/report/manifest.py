@@ -163,9 +163,6 @@ def read(manifest: Any, path: str) -> Manifest:
     Args:
         manifest: The content of the file.
         path: The file, for messages.
-
-    Raises:
-        ResultsError: A key has another type or shape; one line that names the key.
     """
     if not manifest.get("points"):
         raise ResultsError(f"{path}: points: missing or empty: not a results folder of bojax")
@@ -178,11 +175,7 @@ def read(manifest: Any, path: str) -> Manifest:
 
 
 def validated(schema: type[T], content: Any, path: str) -> T:
-    """The content of a JSON file as a schema describes it, its text encodable.
-
-    Raises:
-        ResultsError: A key has another type or shape; one line that names the key.
-    """
+    """The content of a JSON file as a schema describes it, its text encodable."""
     try:
         return pydantic.TypeAdapter(schema).validate_python(_encodable(content, MAX_DEPTH, path))
     except pydantic.ValidationError as error:

@@ -60,9 +60,6 @@ def measure_of(results: Results, by: str | None = None) -> Measure:
         results: The results.
         by: A column, with a minus sign if less is better: `-rmse`. By default `report.rank_by`; without it
             `-steps_to_goal` if a learner reached a goal, and else `return`.
-
-    Raises:
-        NoColumn: There is no such column of numbers.
     """
     by = by or results.report.rank_by or _usual(results)
     column = by.removeprefix("-")
@@ -97,11 +94,7 @@ def ranking(results: Results, measure: Measure, most: int | None = None) -> list
 
 
 def best_of(results: Results, measure: Measure) -> Standing:
-    """The best point.
-
-    Raises:
-        ResultsError: Every point has a run without a finite value.
-    """
+    """The best point."""
     standings = ranking(results, measure, most=1)
     if not standings:
         raise ResultsError(f"{results.folder}: {measure.column} is not finite in some run of every point")
@@ -115,11 +108,7 @@ def scored(measure: Measure, standing: Standing) -> str:
 
 
 def config_of(results: Results, point: Point) -> dict[str, Any]:
-    """The experiment of a point as the content of a config file. Its seed is the next one, for new runs.
-
-    Raises:
-        ResultsError: This version cannot read its settings; one line.
-    """
+    """The experiment of a point as the content of a config file. Its seed is the next one, for new runs."""
     results.require_settings(point)
     settings = dict(point.config)
     kind = settings.pop("kind")

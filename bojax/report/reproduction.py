@@ -155,9 +155,6 @@ def reproduction(
     unfinished or damaged becomes one line of the page, as does each skipped sweep, by name with the reason.
     `seconds` is the wall time of the command that ran them. The explanations of the sweeps
     (`report.explanations`) follow the tables, also if the results were made before they were written.
-
-    Raises:
-        ResultsError: The files cannot be written; one line.
     """
     sweeps, gaps = [], list(skipped.items())
     for source in map(Path, sources):
@@ -188,10 +185,6 @@ def joined_reproduction(
         names: Names of sweeps of bojax: the page says which of them have no results, if most have.
         counted_in: Other pages, with a sentence "Of N claims ..., N are reproduced, N are not, and N are
             inconclusive", whose numbers are updated.
-
-    Raises:
-        ResultsError: A folder has no results of these sweeps, or is damaged, or a page cannot be written or
-            has no such sentence; one line.
     """
     found = collected(folders, names)
     sweeps = [Sweep.of(each.folder, each.manifest, each.claims, pages[0].parent) for each in found]

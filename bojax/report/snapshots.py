@@ -28,11 +28,7 @@ BELIEF = {"x", "y", "truth", "mean", "std"}
 
 
 def read_snapshot(path: Path, name: str) -> Arrays:
-    """The arrays of a snapshot.
-
-    Raises:
-        ResultsError: The file cannot be read, or an array has the wrong type or shape.
-    """
+    """The arrays of a snapshot."""
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {key: file[key] for key in file.files}

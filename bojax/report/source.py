@@ -123,11 +123,7 @@ class Results:
         return float(pair[0] / pair[1]) if len(pair) == 2 and is_positive else None
 
     def require_settings(self, point: Point) -> None:
-        """Refuse a point whose settings this version cannot read.
-
-        Raises:
-            ResultsError: Another version wrote them, or they were edited; one line.
-        """
+        """Refuse a point whose settings this version cannot read."""
         if isinstance(point.experiment, Unread):
             raise ResultsError(
                 f"{self.folder}: this version of bojax cannot read the settings of {point.name} "

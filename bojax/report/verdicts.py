@@ -115,11 +115,7 @@ class TestedClaim(Part):
 
 
 def read_claims(folder: Path) -> list[TestedClaim]:
-    """The claims in the `claims.json` that a report wrote into a results folder.
-
-    Raises:
-        ResultsError: The file is missing or damaged; one line.
-    """
+    """The claims in the `claims.json` that a report wrote into a results folder."""
     path = folder / CLAIMS
     return validated(list[TestedClaim], read_json(path), str(path))
 

@@ -23,9 +23,6 @@ def choose_film(
 
     The point and the run are given by index; by default they are the first recorded ones. The default episode
     of a learning run is its first success, else its last episode.
-
-    Raises:
-        ResultsError: The run was not recorded, or there is no drawing of it.
     """
     if results.points[0].is_learning:
         return LearningFilm(choose_episode(results, point, run, episode), model)

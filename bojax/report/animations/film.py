@@ -48,11 +48,7 @@ class Film(abc.ABC):
 
 
 def render(film: Film, folder: Path, advanced: Callable[[], None] = lambda: None) -> list[Path]:
-    """Write `NAME.gif` into a folder, and `NAME.mp4` where there is ffmpeg; `advanced` is called per picture.
-
-    Raises:
-        ResultsError: It cannot be drawn or written.
-    """
+    """Write `NAME.gif` into a folder, and `NAME.mp4` if there is ffmpeg; `advanced` is called per picture."""
     images = []
     with settings():
         for image in film.images():
@@ -68,11 +64,7 @@ def render(film: Film, folder: Path, advanced: Callable[[], None] = lambda: None
 
 
 def write_still(film: Film, path: Path, share: float) -> None:
-    """Write the picture at a share of the film, from 0 to 1, as PNG.
-
-    Raises:
-        ResultsError: It cannot be drawn or written.
-    """
+    """Write the picture at a share of the film, from 0 to 1, as PNG."""
     with settings():
         image = film.still(share)
     make_folder(path.parent)

@@ -24,11 +24,7 @@ _SIZE = (4.0, 4.0)
 
 
 class LearningFilm(Film):
-    """The steps of an episode, one after the other; a robot may be drawn from another MJCF file.
-
-    Raises:
-        ResultsError: There is no drawing of this environment.
-    """
+    """The steps of an episode, one after the other; a robot may be drawn from another MJCF file."""
 
     def __init__(self, episode: Episode, model: Path | None = None):
         self._episode = episode

@@ -46,9 +46,6 @@ class PlanningFilm(Film):
     the map if the main image shows the robot.
 
     A robot may be drawn from another MJCF file.
-
-    Raises:
-        ResultsError: The robot cannot be drawn.
     """
 
     def __init__(self, drive: Drive, model: Path | None = None):

@@ -36,11 +36,7 @@ class Episode:
 def choose_episode(
     results: Results, point: int | None = None, run: int | None = None, episode: int | None = None
 ) -> Episode:
-    """A recorded episode, chosen by the arguments of `choose_film`.
-
-    Raises:
-        ResultsError: The episode was not recorded.
-    """
+    """A recorded episode, chosen by the arguments of `choose_film`."""
     steps = results.steps
     if not steps or not steps["step"].size:
         raise ResultsError(f"{results.folder}: no steps were recorded (record.runs in the config: 1 or more)")
@@ -109,11 +105,7 @@ class Drive:
 
 
 def choose_drive(results: Results, point: int | None = None, run: int | None = None) -> Drive:
-    """A recorded run of a planner, chosen by the arguments of `choose_film`.
-
-    Raises:
-        ResultsError: The run was not recorded.
-    """
+    """A recorded run of a planner, chosen by the arguments of `choose_film`."""
     kept = {part.index: dict(results.arrays(part, "paths")) for part in results.points}
     recorded = np.asarray([index for index, runs in kept.items() if runs], np.int64)
     if not recorded.size:
@@ -160,11 +152,7 @@ def _outcome(point: Point, row: Columns) -> str:
 
 
 def pick(results: Results, name: str, asked: int | None, values: NDArray[Any]) -> int:
-    """The requested value, or by default the first recorded one.
-
-    Raises:
-        ResultsError: The value was not recorded.
-    """
+    """The requested value, or by default the first recorded one."""
     recorded = np.unique(values).tolist()
     if asked is None:
         return recorded[0]

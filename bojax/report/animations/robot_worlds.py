@@ -149,11 +149,7 @@ def _add_surroundings(spec: Any, outline: Outline, lowest: float = 0.0, highest:
 
 
 def compiled(path: Path | None, make: Callable[[], RobotModel]) -> RobotModel:
-    """The model of an MJCF file, or else the one that a function makes; compiled once.
-
-    Raises:
-        ResultsError: The file cannot be read, or MuJoCo refuses the model.
-    """
+    """The model of an MJCF file, or else the one that a function makes; compiled once."""
     try:
         model = make() if path is None else from_file(path)
         model.compiled()

@@ -81,11 +81,7 @@ class Task:
 
 
 def tasks_of(contenders: Sequence[Contender], reference: str | None) -> list[Task]:
-    """Contenders by task; the reference is the one of this name, otherwise the first.
-
-    Raises:
-        ResultsError: No contender has this name.
-    """
+    """Contenders by task; the reference is the one of this name, otherwise the first."""
     names = {each.name for each in contenders}
     if reference is not None and reference not in names:
         raise ResultsError(f"--reference: got {reference}{allowed_names(reference, names)}")
@@ -98,11 +94,7 @@ def tasks_of(contenders: Sequence[Contender], reference: str | None) -> list[Tas
 
 
 def kind_of(results: Results) -> Kind:
-    """The kind of the experiments of a folder.
-
-    Raises:
-        ResultsError: Another kind, or settings that this version cannot read.
-    """
+    """The kind of the experiments of a folder, whose settings this version has to be able to read."""
     for point in results.points:
         results.require_settings(point)
         if not isinstance(point.experiment, Learning | Planning):
@@ -118,11 +110,7 @@ def columns_of(results: Results) -> list[str]:
 
 
 def of_folder(results: Results, measure: Measure) -> list[Contender]:
-    """The points of a results folder that have runs.
-
-    Raises:
-        ResultsError: There is no such column of numbers, or no run.
-    """
+    """The points of a results folder that have runs."""
     known = columns_of(results)
     if measure.column not in known:
         raise ResultsError(

@@ -79,11 +79,7 @@ class Chart:
     axes: list[Axes]  # of each panel, from the top
 
     def __init__(self, panels: Sequence[Panel], xlabel: str, *, is_swept: bool = False) -> None:
-        """Draw panels over `step`, `episode` or a swept number; a panel may be drawn twice.
-
-        Raises:
-            Undrawable: The first panel has no finite value.
-        """
+        """Draw panels over `step`, `episode` or a swept number; a panel may be drawn twice."""
         if not panels[0].drawn:
             raise Undrawable(f"no run has a finite value: {panels[0].quantity}")
         self._panels, self._xlabel = panels, xlabel

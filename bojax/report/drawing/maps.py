@@ -34,11 +34,7 @@ def beliefs(results: Results, point: Point) -> dict[int, Belief]:
 def first_beliefs(
     results: Results, most: int, *, of_heights: bool = False
 ) -> tuple[list[tuple[Point, int, Belief]], str]:
-    """The first recorded belief of each point, or of those that map heights, and the note of `drawn_points`.
-
-    Raises:
-        Undrawable: No such belief is recorded.
-    """
+    """The first recorded belief of each point, or each that maps heights, and the note of `drawn_points`."""
 
     def recorded(point: Point) -> dict[int, Belief]:
         maps_heights = isinstance(point.problem, FieldProblem) and point.problem.maps_heights

@@ -35,8 +35,6 @@ def export(folder: Path, target: str, out: Path | None = None) -> Path:
         out: Folder to write, new or empty; None for `export/TARGET` in the results folder.
 
     Raises:
-        ResultsError: The results are missing, unfinished or damaged, no run was finished, or the folder is
-            not empty; one line.
         MissingExtra: The library is not installed.
     """
     out = out or folder / "export" / target
@@ -49,11 +47,7 @@ def export(folder: Path, target: str, out: Path | None = None) -> Path:
 
 
 def to_csv(points: Sequence[ExportedPoint], out: Path) -> None:
-    """Write `curves.csv`, `scalars.csv` and `settings.csv` into a folder.
-
-    Raises:
-        ResultsError: The files cannot be written; one line.
-    """
+    """Write `curves.csv`, `scalars.csv` and `settings.csv` into a folder."""
     curves = [
         (point.name, curve.name, curve.axis, *row)
         for point in points
@@ -83,7 +77,6 @@ def to_mlflow(points: Sequence[ExportedPoint], out: Path) -> None:
 
     Raises:
         MissingExtra: MLflow is not installed.
-        ResultsError: MLflow refuses the store; one line.
     """
     try:
         # mlflow-skinny can be imported without it, but has no database then.

@@ -60,11 +60,7 @@ class ExportedPoint:
 
 
 def exported(results: Results) -> list[ExportedPoint]:
-    """The points that have runs.
-
-    Raises:
-        ResultsError: The results are of another version, or of another experiment than learning or planning.
-    """
+    """The points that have runs."""
     kind = kind_of(results)
     points = []
     for point in results.run_points:

@@ -17,11 +17,7 @@ from bojax.report.source import Results
 
 
 def draw(name: str, results: Results) -> Drawing:
-    """Draw a figure; its module is imported only now.
-
-    Raises:
-        Undrawable: The results do not allow the figure.
-    """
+    """Draw a figure; its module is imported only now."""
     try:
         return _module(name).draw(results)
     except NoColumn as error:

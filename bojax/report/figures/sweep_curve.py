@@ -22,9 +22,6 @@ def swept_panel(results: Results) -> tuple[Panel, str, str]:
     """The panel of `report.column` over `report.over`, and the names of both in words.
 
     Without these settings, the panel is of the steps to the goal, or the return, over the only swept number.
-
-    Raises:
-        Undrawable: There is no such number or column.
     """
     over = _swept_number(results)
     asked = results.report.column
