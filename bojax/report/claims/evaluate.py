@@ -6,12 +6,12 @@ test fails.
 """
 
 import importlib
+from dataclasses import astuple
 from typing import Any
 
 import numpy as np
 
 from bojax.config.claims import Claim, Test
-from bojax.report import statistics
 from bojax.report.claims.finding import Finding
 from bojax.report.claims.samples import Undecidable
 from bojax.report.columns import NoColumn
@@ -27,11 +27,7 @@ def evaluate(results: Results) -> list[dict[str, Any]]:
 
 
 def decide(results: Results, test: Test) -> Finding:
-    """Make a test.
-
-    Raises:
-        Undecidable: The data do not allow it.
-    """
+    """Make a test."""
     module, _, name = type(test).target.partition(":")
     try:
         return getattr(importlib.import_module(module), name)(results, test)
@@ -57,32 +53,29 @@ def _entry(results: Results, claim: Claim | Unread) -> dict[str, Any]:
     except Exception as error:  # a failed test must not cost the other verdicts
         reason = str(error) if isinstance(error, Undecidable) else f"the test failed: {error_line(error)}"
         return {**entry, "test": {**test, "reason": reason}}
+    comparisons = [
+        {"of": each.of, "estimate": _rounded(estimate), "interval": [_rounded(low), _rounded(high)]}
+        for each in finding.comparisons
+        for estimate, low, high in [astuple(each.interval)]
+    ]
     return {
         **entry,
         "ours": finding.ours if isinstance(finding.ours, str) else _rounded(finding.ours),
-        "interval": _bounds(finding.decisive.interval),
+        "interval": comparisons[finding.comparisons.index(finding.decisive)]["interval"],
         "runs": finding.runs,
         "verdict": finding.verdict,
         "test": {
             **test,
             "method": finding.method,
-            "comparisons": [
-                {"of": c.of, "estimate": _rounded(c.interval.estimate), "interval": _bounds(c.interval)}
-                for c in finding.comparisons
-            ],
+            "comparisons": comparisons,
             "chosen": dict(finding.chosen),
         },
     }
 
 
 def _is_finite(finding: Finding) -> bool:
-    intervals = [each.interval for each in (finding.decisive, *finding.comparisons)]
-    numbers = [number for each in intervals for number in (each.estimate, each.low, each.high)]
+    numbers = [number for each in finding.comparisons for number in astuple(each.interval)]
     return bool(np.isfinite([*numbers, 0.0 if isinstance(finding.ours, str) else finding.ours]).all())
-
-
-def _bounds(interval: statistics.Interval) -> list[float]:
-    return [_rounded(interval.low), _rounded(interval.high)]
 
 
 def _rounded(value: float) -> float:

@@ -47,6 +47,17 @@ class Measured(Test, frozen=True):
         return self
 
 
+_Missing = Annotated[
+    float,
+    Field(
+        ge=0,
+        lt=1,
+        description="largest share of the runs of a point that may lack a value (the goal was never reached) "
+        "and are left out",
+    ),
+]
+
+
 class OfOneLabel(Test, frozen=True):
     """A test of the runs of one label or variant."""
 
@@ -269,13 +280,7 @@ class Agrees(OfOneLabel, frozen=True):
         description="largest absolute value in the interval of the difference; null for the printed standard "
         "deviation, or 0.25 for a share",
     )
-    missing: float = Field(
-        default=0.0,
-        ge=0,
-        lt=1,
-        description="largest share of our runs that may lack a value (the goal was never reached) and "
-        "are left out",
-    )
+    missing: _Missing = 0.0
 
     @pydantic.model_validator(mode="after")
     def _one_number(self) -> Self:
@@ -328,10 +333,4 @@ class Growth(OfOneLabel, frozen=True):
     expected: Literal["linear", "quadratic", "exponential"] = Field(
         description="law: a + b x, a + b x^2 or a exp(b x)"
     )
-    missing: float = Field(
-        default=0.05,
-        ge=0,
-        lt=1,
-        description="largest share of the runs of a point that may lack a value (the goal was never reached) "
-        "and are left out",
-    )
+    missing: _Missing = 0.05
