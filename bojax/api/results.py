@@ -160,7 +160,7 @@ class Results:
             try:
                 with in_one_line(), style.settings():
                     drawing = draw(each, self._results)
-                    png = style.encode(drawing.figure)["png"]
+                    png = drawing.files["png"]
                 return Picture(drawing.figure, drawing.title, drawing.caption, drawing.alt, png)
             except Undrawable as problem:
                 reason = f"the figure {each} is not drawn: {problem}"

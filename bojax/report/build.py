@@ -8,10 +8,10 @@ from bojax.config.component import External
 from bojax.config.figures import TABLES, figure_modules
 from bojax.report import style
 from bojax.report.claims.evaluate import evaluate
-from bojax.report.drawing.base import Undrawable
+from bojax.report.drawing.base import Drawing, Undrawable
 from bojax.report.figures import draw, ranked
 from bojax.report.manifest import Unread
-from bojax.report.page import Plate, render
+from bojax.report.page import render
 from bojax.report.source import Results, load
 from bojax.report.tables import count_nan_runs, ranking_gaps, thesis_gaps
 from bojax.report.text import counted, joined
@@ -24,21 +24,18 @@ def build_report(folder: Path, at: Callable[[str], None] = lambda stage: None) -
 
     Figures, claims and page depend on the tables and the manifest alone, and equal input gives equal files.
     Nothing is written before everything is ready. `at` is called with the name of each stage as it begins.
-
-    Raises:
-        ResultsError: If the folder is missing, unfinished, damaged or cannot be written; one line.
     """
     at("tables")
     results = load(folder)
     at(f"claims of {counted(results.runs['run'].size, 'run')}")
     claims = evaluate(results)
-    plates, notes = _figures(results, at)
+    drawings, notes = _figures(results, at)
     at("page")
     notes = [*notes, *thesis_gaps(results), *ranking_gaps(results), *_gaps(results), *_unknown(results)]
-    page = render(results, claims, list(plates.values()), notes)
+    page = render(results, claims, list(drawings.values()), notes)
 
-    style.write_images(folder, {name: plate.files for name, plate in plates.items()})
-    for name in figure_modules().keys() - plates:  # an earlier report may have drawn them
+    style.write_images(folder, {name: drawing.files for name, drawing in drawings.items()})
+    for name in figure_modules().keys() - drawings:  # an earlier report may have drawn them
         for suffix in ("png", "svg"):
             with explained(path := folder / style.FIGURES / f"{name}.{suffix}"):
                 path.unlink(missing_ok=True)
@@ -48,10 +45,10 @@ def build_report(folder: Path, at: Callable[[str], None] = lambda stage: None) -
     return folder / "report.html"
 
 
-def _figures(results: Results, at: Callable[[str], None]) -> tuple[dict[str, Plate], list[str]]:
+def _figures(results: Results, at: Callable[[str], None]) -> tuple[dict[str, Drawing], list[str]]:
     """The figures of the page by name, and notes on figures that are missing."""
     asked = results.report.figures
-    plates, notes, missing = dict[str, Plate](), list[str](), list[str]()
+    drawings, notes, missing = dict[str, Drawing](), list[str](), list[str]()
     for name in dict.fromkeys(asked or ranked()):
         if name in TABLES:
             continue
@@ -61,7 +58,7 @@ def _figures(results: Results, at: Callable[[str], None]) -> tuple[dict[str, Pla
         at(f"figure {name}")
         try:
             with style.settings() as unwritten:
-                plates[name] = Plate.of(draw(name, results))
+                drawings[name] = draw(name, results).encoded()
             missing += unwritten
         except Undrawable as reason:
             if asked:
@@ -75,7 +72,7 @@ def _figures(results: Results, at: Callable[[str], None]) -> tuple[dict[str, Pla
             "Figures show some characters of names as boxes, because no font on this machine has them. "
             "Install one that does, such as Noto Sans CJK, and run bojax report again."
         )
-    return plates, notes
+    return drawings, notes
 
 
 def _gaps(results: Results) -> list[str]:

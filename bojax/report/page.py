@@ -1,14 +1,11 @@
 """The page: fills the template with the texts, tables and figures of a report."""
 
-import base64
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from bojax.config.component import Component
 from bojax.experiments.settings import Learning, Planning
-from bojax.report import statistics, style, tables
-from bojax.report.dark import adapted
+from bojax.report import statistics, tables
 from bojax.report.drawing.base import Drawing
 from bojax.report.explanations import explanations_of
 from bojax.report.manifest import Unread
@@ -18,40 +15,18 @@ from bojax.report.text import counted, joined, line, plain, ranged, seconds
 from bojax.report.verdicts import TestedClaim, tally
 
 
-@dataclass(frozen=True)
-class Plate:
-    """A figure of a page: its texts and its files."""
-
-    title: str
-    caption: str
-    alt: str
-    files: Mapping[str, bytes]  # `png` and `svg`
-    curves: Sequence[str]  # as those of `Drawing`
-
-    @classmethod
-    def of(cls, drawing: Drawing) -> "Plate":
-        """A drawing, encoded under the settings of `style.settings`."""
-        files = style.encode(drawing.figure)
-        return cls(drawing.title, drawing.caption, drawing.alt, files, drawing.curves)
-
-    @property
-    def source(self) -> str:
-        """The SVG as a data URL, so that the page loads no other file."""
-        code = base64.b64encode(adapted(self.files["svg"])).decode("ascii")
-        return f"data:image/svg+xml;base64,{code}"
-
-
 def render(
-    results: Results, claims: Sequence[Mapping[str, Any]], plates: Sequence[Plate], notes: Sequence[str]
+    results: Results, claims: Sequence[Mapping[str, Any]], drawings: Sequence[Drawing], notes: Sequence[str]
 ) -> str:
     """The whole page, with the entries of `claims.json` and with notes on what is missing.
 
-    The first of the plates is the reproduced figure.
+    The first of the drawings is the reproduced figure.
     """
     tested = [TestedClaim.model_validate(claim) for claim in claims]
     is_learning = any(point.is_learning for point in results.points)
     most = max(results.runs_of(point)["run"].size for point in results.points)
     groups = f" The bootstrap resamples {statistics.resampled(most)}." if most > statistics.GROUPS else ""
+    common, own = tables.settings(results)
     return fill(
         "report.html.j2",
         title=results.title,
@@ -61,7 +36,7 @@ def render(
         changed=results.manifest.changes,
         claims=tested,
         explanations=explanations_of(results.manifest, tested),
-        plates=plates,
+        plates=drawings,
         ranked=tables.ranked(results),
         outcomes=tables.outcomes(results),
         ratios=tables.ratios(results),
@@ -69,8 +44,8 @@ def render(
         speeds=tables.speeds(results),
         is_learning=is_learning,
         resampling=groups,
-        common=tables.common_settings(results),
-        own=tables.own_settings(results),
+        common=common,
+        own=own,
         notes=[*filter(None, map(str.strip, results.report.notes.split("\n\n"))), *notes],
         provenance=provenance(results),
         footer="Written by bojax from the tables of this folder, which hold every number shown here.",

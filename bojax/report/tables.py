@@ -8,7 +8,7 @@ import numpy as np
 
 from bojax.experiments.settings import Trajectories
 from bojax.report import statistics
-from bojax.report.ranking import Measure, Standing, measure_of, ranking
+from bojax.report.ranking import Standing, measure_of, ranking
 from bojax.report.source import Point, Results, swept_keys
 from bojax.report.text import (
     MISSING,
@@ -118,7 +118,7 @@ def ranked(results: Results) -> Table | None:
     )
     if left_out := len(results.points) - len(rows):
         caption += f" {counted(left_out, 'point')} left out."
-    return Table.ranked([*score_headings(measure), *keys, "runs"], rows, caption)
+    return Table.ranked([measure.words, LAG, *keys, "runs"], rows, caption)
 
 
 BEHIND = (
@@ -127,10 +127,8 @@ BEHIND = (
 )
 """What the second of `score_cells` means."""
 
-
-def score_headings(measure: Measure) -> list[str]:
-    """Headings of `score_cells`."""
-    return [measure.words, "behind the best"]
+LAG = "behind the best"
+"""Its heading."""
 
 
 def score_cells(standing: Standing, best: Standing) -> list[Cell]:
@@ -224,19 +222,12 @@ def speeds(results: Results) -> Table | None:
     return Table(headings, rows) if rows else None
 
 
-def common_settings(results: Results) -> list[tuple[str, str]]:
-    """Settings that all points share, by dotted path."""
-    flat = [dict(flatten(point.config)) for point in results.points]
-    return [(key, value) for key, value in flat[0].items() if all(other.get(key) == value for other in flat)]
-
-
-def own_settings(results: Results) -> list[tuple[str, list[tuple[str, str]]]]:
-    """Per point, the settings that not all points share."""
-    shared = {key for key, _ in common_settings(results)}
-    return [
-        (point.name, [(key, value) for key, value in flatten(point.config) if key not in shared])
-        for point in results.points
-    ]
+def settings(results: Results) -> tuple[list[tuple[str, str]], list[tuple[str, list[tuple[str, str]]]]]:
+    """Settings that all points share, by dotted path, and per point those that they do not."""
+    flat = [flatten(point.config) for point in results.points]
+    common = [each for each in flat[0] if all(each in other for other in flat)]
+    own = [[each for each in rows if each not in common] for rows in flat]
+    return common, [(point.name, rows) for point, rows in zip(results.points, own, strict=True)]
 
 
 def flatten(config: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:

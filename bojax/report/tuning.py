@@ -13,18 +13,18 @@ from bojax.config.tuning import Range, described
 from bojax.report import style
 from bojax.report.drawing.base import Drawing, label_panels, panel_grid
 from bojax.report.manifest import Count, Part, validated
-from bojax.report.page import Plate, provenance
+from bojax.report.page import provenance
 from bojax.report.ranking import Measure, ranking
 from bojax.report.source import Results, load
 from bojax.report.statistics import BAND, Interval
 from bojax.report.tables import (
     BEHIND,
+    LAG,
     Cell,
     Table,
     count_cell,
     interval_cell,
     score_cells,
-    score_headings,
     setting_cell,
 )
 from bojax.report.template import fill
@@ -104,11 +104,7 @@ class Tuning(Part):
 
 
 def read_tuning(folder: Path) -> Tuning:
-    """The search in a folder.
-
-    Raises:
-        ResultsError: The file is missing or damaged.
-    """
+    """The search in a folder."""
     path = folder / TUNING
     tuning = validated(Tuning, read_json(path), str(path))
     try:
@@ -129,16 +125,12 @@ def round_folder(search: Path, number: int) -> Path:
 
 
 def build_tuning_report(folder: Path) -> Path:
-    """Write `report.html` of a finished search, and return its path.
-
-    Raises:
-        ResultsError: A file of the folder is missing or damaged.
-    """
+    """Write `report.html` of a finished search, and return its path."""
     tuning = read_tuning(folder)
     last = load(round_folder(folder, tuning.points[-1].round))
     fresh = None if tuning.confirmed is None else load(folder / tuning.confirmed)
     with style.settings():
-        plates = [Plate.of(draw(tuning)) for draw in (_draw_slices, _draw_progress)]
+        plates = [draw(tuning).encoded() for draw in (_draw_slices, _draw_progress)]
     page = fill(
         "tuning.html.j2",
         title=f"{tuning.title}: tuned",
@@ -188,7 +180,7 @@ def _confirmed(tuning: Tuning, fresh: Results) -> Table:
         name = f"{place} of {len(tuning.order)}" if place else "as written in the config"
         cells = [Cell(name, key=index), *score_cells(standing, standings[0])]
         rows.append([*cells, *map(setting_cell, values)])
-    headings = ["in the search", *score_headings(tuning.measure), *keys]
+    headings = ["in the search", tuning.measure.words, LAG, *keys]
     caption = (
         f"{counted(fresh.manifest.runs or 0, 'run')} of each setting with another seed, which the search has "
         f"not seen; 95% intervals in brackets. {BEHIND}"

@@ -28,7 +28,6 @@ from bojax.report.comparing.curve_files import read_curves
 from bojax.report.drawing.base import MAX_POINTS, Drawing, Undrawable, dot_plot, draw_intervals
 from bojax.report.drawing.curves import Chart, Panel
 from bojax.report.figures.learning_curves import limit
-from bojax.report.page import Plate
 from bojax.report.ranking import ENDS
 from bojax.report.source import Results, load
 from bojax.report.template import fill
@@ -64,10 +63,6 @@ def compare(
         last: Number of the last values of a curve whose mean is the score of a run.
         reference: Name of the contender that others are compared with; by default the first.
         command: The command line.
-
-    Raises:
-        ResultsError: A folder or file is missing or damaged, has no such metric or cannot be compared with
-            the others; one line.
     """
     results = [load(folder) for folder in folders]
     measure = _measure(results, metric, axis, phase, last)
@@ -77,9 +72,9 @@ def compare(
     with style.settings():
         for number, task in enumerate(tasks, start=1):
             suffix = f"-{number}-{file_name(task.name)}" if len(tasks) > 1 else ""
-            plates = {name: Plate.of(drawing) for name, drawing in _drawings(task, measure).items()}
-            images |= {f"{name}{suffix}": plate.files for name, plate in plates.items()}
-            parts.append((task.name, [*plates.values()], tables.scores(task, measure)))
+            drawings = _drawings(task, measure)
+            images |= {f"{name}{suffix}": drawing.files for name, drawing in drawings.items()}
+            parts.append((task.name, [*drawings.values()], tables.scores(task, measure)))
     names = list(dict.fromkeys(each.name for each in contenders))
     listed = f" ({joined(names)})" if len(names) <= MAX_POINTS else ""
     places = [task.name for task in tasks if task.name]

@@ -1,7 +1,9 @@
 """Drawings, which figures make from results, and the points that they show."""
 
-from collections.abc import Callable, Iterable, Sequence
+import base64
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
@@ -10,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from bojax.report import style
+from bojax.report.dark import adapted
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Interval
 
@@ -25,13 +28,29 @@ class Undrawable(Exception):
 
 @dataclass(frozen=True)
 class Drawing:
-    """A figure with its title and texts."""
+    """A figure with its title and texts, and its files."""
 
     figure: Figure
     title: str
     caption: str  # content of the figure, and how it was computed
     alt: str  # alternative text for screen readers
     curves: Sequence[str] = ()  # names of the curves that a reader of the page can hide, see `Chart.mark`
+
+    @cached_property
+    def files(self) -> Mapping[str, bytes]:
+        """`png` and `svg`, see `encoded`."""
+        return style.encode(self.figure)
+
+    def encoded(self) -> "Drawing":
+        """The same, with its files made now: under `style.settings`."""
+        _ = self.files
+        return self
+
+    @property
+    def source(self) -> str:
+        """The SVG as a data URL, so that a page loads no other file."""
+        code = base64.b64encode(adapted(self.files["svg"])).decode("ascii")
+        return f"data:image/svg+xml;base64,{code}"
 
 
 def drawn_points(results: Results, most: int = MAX_POINTS) -> tuple[tuple[Point, ...], str]:
@@ -55,11 +74,7 @@ def drawn_points(results: Results, most: int = MAX_POINTS) -> tuple[tuple[Point,
 def points_with(
     results: Results, recorded: Callable[[Point], dict[int, T]], missing: str, most: int = MAX_POINTS
 ) -> tuple[list[tuple[Point, dict[int, T]]], str]:
-    """The drawn points with what was recorded of them, by run, and the note of `drawn_points`.
-
-    Raises:
-        Undrawable: Nothing was recorded; the message is `missing`.
-    """
+    """The drawn points with what was recorded of them, by run, and the note of `drawn_points`."""
     points, note = drawn_points(results, most)
     found = [(point, kept) for point in points if (kept := recorded(point))]
     if not found:
