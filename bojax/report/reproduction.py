@@ -91,7 +91,7 @@ class Row:
     sweep: Sweep
     claim: TestedClaim
     chapter: int  # its chapter; 0 if nothing says which
-    place: tuple[Any, ...]  # what rows are sorted by: figures before tables before sections, each by number
+    order: tuple[Any, ...]  # chapters, and in each figures before tables before sections, all by number
     reference: str  # the figure, table or section
     page: str  # the page of the PDF; empty if the source names none
     other_source: str  # the source, if it is not in the thesis
@@ -109,41 +109,8 @@ class Row:
             reference = f"{_KINDS[kind.lower()]} {chapter}.{number}{letter}{f' ({part})' if part else ''}"
         page = _PAGE.search(source)
         other = "" if matches[0] else source
-        return cls(sweep, claim, int(chapter), place, reference, page[1] if page else "", other)
-
-
-@dataclass(frozen=True)
-class Chapter:
-    """The claims of a chapter, in the order of its figures, tables and sections."""
-
-    title: str
-    rows: Sequence[Row]
-
-    @property
-    def summary(self) -> str:
-        """The numbers of its verdicts in words."""
-        return f"{in_words([row.claim for row in self.rows])}."
-
-    @property
-    def groups(self) -> list[tuple[str, Sweep, list[Row]]]:
-        """Its rows by figure, table or section, and sweep."""
-        found: dict[tuple[str, int], list[Row]] = {}
-        for row in self.rows:
-            found.setdefault((row.reference, id(row.sweep)), []).append(row)
-        return [(reference, rows[0].sweep, rows) for (reference, _), rows in found.items()]
-
-
-@dataclass(frozen=True)
-class Paragraph:
-    """An explanation, with the rows of its claims in the order of the thesis."""
-
-    explained: Explained
-    rows: Sequence[Row]
-
-    @property
-    def title(self) -> str:
-        """The figures, tables and sections of its claims."""
-        return joined(dict.fromkeys(row.reference or row.sweep.name for row in self.rows))
+        order = int(chapter) or float("inf"), place
+        return cls(sweep, claim, int(chapter), order, reference, page[1] if page else "", other)
 
 
 def reproduction(
@@ -228,22 +195,12 @@ def _write(
         if sweep.manifest.status == "failed":
             errors = dict.fromkeys(chunk.error for chunk in sweep.manifest.chunks if chunk.error)
             gaps = [*gaps, (sweep.name, f"some runs are missing: {'; '.join(errors) or 'unknown error'}")]
-    values = _content(sweeps, gaps, [*_provenance(sweeps), *provenance])
-    for page in pages:
-        make_folder(page.parent)
-        write_content(page, fill(f"reproduction{page.suffix}.j2", **values))
-
-
-def _relative(path: Path, folder: Path) -> str:
-    return Path(os.path.relpath(path, folder)).as_posix()
-
-
-def _content(
-    sweeps: Sequence[Sweep], gaps: Sequence[tuple[str, str]], provenance: Sequence[tuple[str, str]]
-) -> dict[str, Any]:
-    """What the templates show."""
     claims = [claim for sweep in sweeps for claim in sweep.claims]
+    rows = sorted(
+        (Row.of(sweep, claim) for sweep in sweeps for claim in sweep.claims), key=lambda row: row.order
+    )
     manifests = [sweep.manifest for sweep in sweeps]
+    origins = list(dict.fromkeys(each.origin for each in sorted(sweeps, key=lambda sweep: sweep.written)))
     changed = sum(bool(claim.changed) for claim in claims)
     summary = [
         f"{counted(len(claims), 'claim')}, tested by {counted(len(sweeps), 'sweep')}: {in_words(claims)}.",
@@ -253,44 +210,48 @@ def _content(
         else "",
         f"Incomplete or left out: {counted(len(gaps), 'sweep')}." if gaps else "",
     ]
-    return {
+    values = {
         "title": "Reproduction of the thesis",
         "summary": " ".join(filter(None, summary)),
         "counts": tally(claims),
         "gaps": gaps,
-        "chapters": _chapters(sweeps),
-        "paragraphs": _paragraphs(sweeps),
+        "chapters": [_chapter(*each) for each in groupby(rows, key=lambda row: row.chapter)],
+        "paragraphs": _paragraphs(sweeps, rows),
         "changes": _changes(manifests),
         "sweeps": sweeps,
-        "origins": _origins(sweeps),
+        "origins": origins,
         "seconds": in_seconds,
         "compile_seconds": sum(manifest.compile_seconds for manifest in manifests),
         "run_seconds": sum(manifest.run_seconds for manifest in manifests),
-        "provenance": [(key, value) for key, value in provenance if value],
+        "provenance": [pair for pair in [*_provenance(sweeps, origins), *provenance] if pair[1]],
         "footer": "Written by bojax from the results folders, whose reports have the figures and the tests.",
     }
+    for page in pages:
+        make_folder(page.parent)
+        write_content(page, fill(f"reproduction{page.suffix}.j2", **values))
 
 
-def _chapters(sweeps: Sequence[Sweep]) -> list[Chapter]:
-    rows = sorted((Row.of(sweep, claim) for sweep in sweeps for claim in sweep.claims), key=_order)
-    chapters = []
-    for number, members in groupby(rows, key=lambda row: row.chapter):
-        title = f"Chapter {number}{f': {CHAPTERS[number]}' if number in CHAPTERS else ''}"
-        chapters.append(Chapter(title if number else "Other claims", list(members)))
-    return chapters
+def _relative(path: Path, folder: Path) -> str:
+    return Path(os.path.relpath(path, folder)).as_posix()
 
 
-def _paragraphs(sweeps: Sequence[Sweep]) -> list[Paragraph]:
-    paragraphs = [
-        Paragraph(each, sorted((Row.of(sweep, claim) for claim in each.claims), key=_order))
-        for sweep in sweeps
-        for each in sweep.explanations
-    ]
-    return sorted(paragraphs, key=lambda paragraph: _order(paragraph.rows[0]))
+def _chapter(number: int, rows: Iterable[Row]) -> tuple[str, str, list[list[Row]]]:
+    """Title, verdicts in words, and rows by figure, table or section, and sweep."""
+    title = f"Chapter {number}{f': {CHAPTERS[number]}' if number in CHAPTERS else ''}"
+    groups = [list(group) for _, group in groupby(rows, key=lambda row: (row.reference, id(row.sweep)))]
+    verdicts = in_words([row.claim for group in groups for row in group])
+    return title if number else "Other claims", f"{verdicts}.", groups
 
 
-def _order(row: Row) -> tuple[Any, ...]:
-    return row.chapter or float("inf"), row.place
+def _paragraphs(sweeps: Sequence[Sweep], rows: Sequence[Row]) -> list[tuple[str, Explained, list[Row]]]:
+    """Each explanation with the rows of its claims, and their figures, tables and sections as its title."""
+    found = []
+    for sweep in sweeps:
+        for each in sweep.explanations:
+            members = [row for row in rows if row.sweep is sweep and row.claim in each.claims]
+            title = joined(dict.fromkeys(row.reference or sweep.name for row in members))
+            found.append((title, each, members))
+    return sorted(found, key=lambda paragraph: paragraph[2][0].order)
 
 
 def _changes(manifests: Iterable[Manifest]) -> list[tuple[str, str, str, str]]:
@@ -302,19 +263,13 @@ def _changes(manifests: Iterable[Manifest]) -> list[tuple[str, str, str, str]]:
     return [(*change, joined(names)) for change, names in found.items()]
 
 
-def _origins(sweeps: Sequence[Sweep]) -> list[Origin]:
-    """The distinct origins of sweeps; pages number them from 1."""
-    return list(dict.fromkeys(sweep.origin for sweep in sorted(sweeps, key=lambda sweep: sweep.written)))
-
-
-def _provenance(sweeps: Sequence[Sweep]) -> list[tuple[str, str]]:
-    """What the sweeps were made by and on; what differs is told with the numbers of the commands."""
+def _provenance(sweeps: Sequence[Sweep], origins: Sequence[Origin]) -> list[tuple[str, str]]:
+    """What the sweeps were made by and on; what differs is told with the numbers of the commands, from 1."""
     rows = []
-    origins = [dict(origin) for origin in _origins(sweeps)]
-    for key in origins[0] if origins else ():
+    for key in dict(origins[0]) if origins else ():
         found: dict[str, list[str]] = {}
         for number, origin in enumerate(origins, 1):
-            found.setdefault(origin[key], []).append(str(number))
+            found.setdefault(dict(origin)[key], []).append(str(number))
         for text, numbers in found.items():
             which = f"{'command' if len(numbers) == 1 else 'commands'} {joined(numbers)}"
             if key == "command":
