@@ -145,9 +145,14 @@ def settings() -> Iterator[list[str]]:
             warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)
 
 
-def figure(height: float, rows: int = 1, columns: int = 1, **options: Any) -> tuple[Figure, np.ndarray]:
-    """A figure of the common width, and its grid of axes `[rows, columns]` in a constrained layout."""
-    drawn = Figure(figsize=(WIDTH, height), layout="constrained")
+def figure(
+    height: float, rows: int = 1, columns: int = 1, *, is_compressed: bool = False, **options: Any
+) -> tuple[Figure, np.ndarray]:
+    """A figure of the common width, and its grid of axes `[rows, columns]`.
+
+    Panels of equal aspect and a common scale may be compressed: put side by side without gaps.
+    """
+    drawn = Figure(figsize=(WIDTH, height), layout=_Compressed() if is_compressed else "constrained")
     return drawn, drawn.subplots(rows, columns, squeeze=False, **options)
 
 
@@ -156,13 +161,6 @@ class _Compressed(ConstrainedLayoutEngine):
 
     def __init__(self):
         super().__init__(compress=True)
-
-
-def compressed(height: float, rows: int, columns: int) -> tuple[Figure, np.ndarray]:
-    """A figure of panels of equal aspect and a common scale, without the gaps of other layouts."""
-    drawn, grid = figure(height, rows, columns, sharex=True, sharey=True)
-    drawn.set_layout_engine(_Compressed())
-    return drawn, grid
 
 
 def encode(drawn: Figure) -> Mapping[str, bytes]:

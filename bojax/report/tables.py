@@ -10,16 +10,7 @@ from bojax.experiments.settings import Trajectories
 from bojax.report import statistics
 from bojax.report.ranking import Standing, measure_of, ranking
 from bojax.report.source import Point, Results, swept_keys
-from bojax.report.text import (
-    MISSING,
-    counted,
-    heading,
-    is_number,
-    joined,
-    number,
-    plain,
-    seconds,
-)
+from bojax.report.text import MISSING, counted, heading, is_number, joined, number, plain, seconds
 from bojax.results.store import ResultsError
 
 FEW_POINTS = 12

@@ -17,16 +17,7 @@ from bojax.report.page import provenance
 from bojax.report.ranking import Measure, ranking
 from bojax.report.source import Results, load
 from bojax.report.statistics import BAND, Interval
-from bojax.report.tables import (
-    BEHIND,
-    LAG,
-    Cell,
-    Table,
-    count_cell,
-    interval_cell,
-    score_cells,
-    setting_cell,
-)
+from bojax.report.tables import BEHIND, LAG, Cell, Table, count_cell, interval_cell, score_cells, setting_cell
 from bojax.report.template import fill
 from bojax.report.text import counted, heading, number, plain
 from bojax.results.store import ResultsError, read_json, write_content

@@ -20,7 +20,7 @@ from bojax.report.animations.choose import choose_film
 from bojax.report.animations.film import MAX_FRAMES, blank, render
 from bojax.report.animations.learning import frames_of
 from bojax.report.animations.recorded import choose_episode
-from bojax.report.animations.scenes import SCENES, Moment
+from bojax.report.animations.scenes import SCENES
 from bojax.report.build import build_report
 from bojax.report.source import load
 from bojax.report.style import settings
@@ -153,7 +153,7 @@ def scene(kind, observation, **env):
     schema = registry["env"][kind]
     axes = Figure().add_subplot()
     drawn = SCENES[kind](axes, schema(**env))
-    drawn.move(Moment(np.asarray(observation), np.zeros(1), np.zeros(0)))
+    drawn.move(np.asarray(observation), np.zeros(1), np.zeros(0))
     return axes
 
 

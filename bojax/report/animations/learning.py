@@ -50,8 +50,9 @@ class LearningFilm(Film):
 
     def _move(self, scene: Scene, first: int, last: int) -> None:
         """Show the last of some steps, and before it those that leave a trail."""
+        episode = self._episode
         for step in range(first if scene.has_trail else last, last + 1):
-            scene.move(self._episode.moment(step))
+            scene.move(episode.observations[step], episode.actions[step], episode.frames[step])
 
     def _pictures(self, figure: Figure, scene: Scene) -> Iterator[Image.Image]:
         episode = self._episode

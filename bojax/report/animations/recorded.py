@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bojax.problems.settings import ProblemSettings
-from bojax.report.animations.scenes import Moment
 from bojax.report.columns import Columns, where
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats
@@ -27,10 +26,6 @@ class Episode:
     frames: Floats  # further data for animations, `[T, Q]`; Q may be 0
     accumulated: Floats  # sum of the rewards up to and including each step, `[T]`
     outcome: str  # how the episode ended, in words; empty if it was not recorded
-
-    def moment(self, step: int) -> Moment:
-        """The recorded data of a step, counted from 0."""
-        return Moment(self.observations[step], self.actions[step], self.frames[step])
 
 
 def choose_episode(

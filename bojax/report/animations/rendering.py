@@ -24,23 +24,16 @@ _PATIENCE = 60.0
 
 
 class CannotDraw(RuntimeError):
-    """Robots cannot be rendered on this machine; the message says why in one line.
+    """Robots cannot be rendered on this machine; the message says why in one line."""
 
-    Attributes:
-        exit_code: Exit code of the command line.
-    """
-
-    exit_code = 2
+    exit_code = 2  # of the command line
 
 
 def backend() -> str:
-    """The value of `MUJOCO_GL` that works on this machine; empty for MuJoCo's default.
+    """The value of `MUJOCO_GL` that works on this machine, or `CannotDraw`; empty for MuJoCo's default.
 
     A value set by the user is the only one tried. Each value is tried in a separate process, since OpenGL can
     be bound only once in a process and a broken driver may end the process.
-
-    Raises:
-        CannotDraw: No value works.
     """
     return _working(os.environ.get("MUJOCO_GL", "").strip().lower())
 
@@ -95,10 +88,7 @@ class Renderer:
         self._renderer = mujoco.Renderer(self._model, height, width)
 
     def image(self, frame: NDArray[np.float64]) -> NDArray[np.uint8]:
-        """An image, `[height, width, 3]`, of a frame.
-
-        Args:
-            frame: Generalised positions, and possibly the positions of mocap bodies after them.
+        """An image `[height, width, 3]` of generalised positions, and possibly those of mocap bodies.
 
         Raises:
             ValueError: The frame has another length than the model needs.

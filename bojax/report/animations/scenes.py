@@ -2,7 +2,6 @@
 
 import abc
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -27,15 +26,6 @@ GROUND, METAL, PALE, GOAL, TRAIL, RED = "#555555", "#4A5A68", "#8296A6", "#CDE8D
 TRAIL_STEPS = 60
 
 
-@dataclass(frozen=True)
-class Moment:
-    """The recorded data of one step."""
-
-    observation: Floats  # before the step, `[D]`
-    action: Floats  # `[A]`
-    frame: Floats  # further data for animations, `[Q]`, recorded by `Env.frame`; Q may be 0
-
-
 class Scene(abc.ABC):
     """A drawing that is created once on its own axes and then updated."""
 
@@ -48,8 +38,8 @@ class Scene(abc.ABC):
     def __init__(self, axes: Axes, env: Any): ...
 
     @abc.abstractmethod
-    def move(self, moment: Moment) -> None:
-        """Show a step."""
+    def move(self, observation: Floats, action: Floats, frame: Floats) -> None:
+        """Show a step: the observation `[D]` before it, the action `[A]`, and what `Env.frame` recorded."""
 
     def close(self) -> None:  # noqa: B027
         """Release the resources of the drawing."""
@@ -68,8 +58,8 @@ class SinglePendulum(Scene):
         _joint(axes)
 
     @override
-    def move(self, moment: Moment) -> None:
-        x, y = -self._length * moment.observation[1], self._length * moment.observation[0]
+    def move(self, observation: Floats, action: Floats, frame: Floats) -> None:
+        x, y = -self._length * observation[1], self._length * observation[0]
         self._trail.add(x, y)
         self._rod.set_data([0.0, x], [0.0, y])
 
@@ -95,8 +85,8 @@ class DoublePendulum(Scene):
         self._elbow = _joint(axes)
 
     @override
-    def move(self, moment: Moment) -> None:
-        cos1, sin1, cos2, sin2 = moment.observation[:4]
+    def move(self, observation: Floats, action: Floats, frame: Floats) -> None:
+        cos1, sin1, cos2, sin2 = observation[:4]
         x, y = sin1, -cos1
         tip_x, tip_y = x + sin1 * cos2 + cos1 * sin2, y - (cos1 * cos2 - sin1 * sin2)
         self._trail.add(tip_x, tip_y)
@@ -127,8 +117,8 @@ class CartpoleSwingUp(Scene):
         self._trail, self._pole, self._hinge = _Trail(axes), _rod(axes, METAL, 7.0), _joint(axes, 5.0)
 
     @override
-    def move(self, moment: Moment) -> None:
-        x, angle = float(moment.observation[0]), float(moment.observation[2])
+    def move(self, observation: Floats, action: Floats, frame: Floats) -> None:
+        x, angle = float(observation[0]), float(observation[2])
         tip_x, tip_y = x + np.sin(angle), np.cos(angle)
         self._trail.add(tip_x, tip_y)
         self._goal.set_center((x, 0.0))
@@ -163,8 +153,8 @@ class MountainCar(Scene):
             axes.add_patch(part)
 
     @override
-    def move(self, moment: Moment) -> None:
-        x = float(moment.observation[0])
+    def move(self, observation: Floats, action: Floats, frame: Floats) -> None:
+        x = float(observation[0])
         slope = np.arctan(1.35 * np.cos(3.0 * x))
         at = Affine2D().rotate(slope).translate(x, self._height(x)) + self._axes.transData
         for part in self._parts:
@@ -197,10 +187,10 @@ class LunarLander(Scene):
         self._hull = _polygon(axes, PALE, METAL, zorder=5)
 
     @override
-    def move(self, moment: Moment) -> None:
-        origin = np.asarray(geometry.ORIGIN) + moment.observation[:2] * geometry.UNITS
-        angle = float(moment.observation[4])
-        legs, terrain = moment.frame[:2], moment.frame[2:]
+    def move(self, observation: Floats, action: Floats, frame: Floats) -> None:
+        origin = np.asarray(geometry.ORIGIN) + observation[:2] * geometry.UNITS
+        angle = float(observation[4])
+        legs, terrain = frame[:2], frame[2:]
         self._trail.add(*origin.tolist())
         ground = np.stack([self._across, terrain], axis=1)
         self._moon.set_xy(np.concatenate([ground, [[geometry.WIDTH, -1.0], [0.0, -1.0]]]))
@@ -208,7 +198,7 @@ class LunarLander(Scene):
         for leg, side, opened in zip(self._legs, (1.0, -1.0), legs, strict=True):
             at_rest = geometry.rotated(geometry.LEG_CENTRE + geometry.LEG, opened + geometry.LEG_FOLDED)
             leg.set_xy(origin + geometry.rotated(at_rest * [side, 1.0], angle))
-        for flame, shape in zip(self._flames, _flames(*moment.action.tolist()), strict=True):
+        for flame, shape in zip(self._flames, _flames(*action.tolist()), strict=True):
             flame.set_xy(origin + geometry.rotated(shape, angle))
 
 
@@ -226,8 +216,8 @@ class RobotScene(Scene):
         self._picture = axes.imshow(blank, aspect="auto", interpolation="nearest")
 
     @override
-    def move(self, moment: Moment) -> None:
-        self.show(moment.frame)
+    def move(self, observation: Floats, action: Floats, frame: Floats) -> None:
+        self.show(frame)
 
     def show(self, frame: Floats) -> None:
         """Show a frame, as `Renderer.image` takes it."""

@@ -83,24 +83,16 @@ def points_with(
 
 
 def panel_grid(
-    count: int,
-    height: Callable[[int], float],
-    spare: float,
-    make: Callable[..., tuple[Figure, np.ndarray]] = style.figure,
-    **options: Any,
+    count: int, height: Callable[[int], float], spare: float, **options: Any
 ) -> tuple[Figure, np.ndarray]:
     """A figure with a grid of `count` panels, in at most two columns so that a phone can show it.
 
-    Args:
-        count: Number of panels; a place that is left over in the last row stays empty.
-        height: Height of a panel in inches, as a function of the number of columns.
-        spare: Height of the figure besides the panels, in inches.
-        make: The function of `bojax.report.style` that makes the figure.
-        options: Options of `make`.
+    The height of a panel is a function of the number of columns; the figure is higher than its panels by
+    `spare`, in inches. The options are those of `style.figure`.
     """
     columns = min(count, 2)
     rows = -(-count // columns)
-    figure, grid = make(rows * height(columns) + spare, rows, columns, **options)
+    figure, grid = style.figure(rows * height(columns) + spare, rows, columns, **options)
     for axes in grid.flat[count:]:
         axes.set_visible(False)
     return figure, grid
@@ -144,12 +136,8 @@ def dot_plot(
 def set_rows(axes: Axes, points: Sequence[Point], *, bottom: float, ticks: int, name_width: int = 0) -> None:
     """Set the limits and ticks of a panel with one row per point, the first at the top.
 
-    Args:
-        axes: The panel.
-        points: The points.
-        bottom: Height of the space below the last row, in rows.
-        ticks: Most intervals of the horizontal axis.
-        name_width: Most characters in a line of a name; 0 leaves the names out.
+    The space below the last row is `bottom` rows high, and the horizontal axis has at most `ticks` intervals.
+    Lines of names have at most `name_width` characters; 0 leaves the names out.
     """
     names = [style.wrapped(point.name, name_width) for point in points] if name_width else []
     axes.set_yticks(range(len(names)), names)

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from matplotlib.colors import Normalize
@@ -29,7 +30,8 @@ def draw(results: Results) -> Drawing:
     found, note = first_beliefs(results, MAX_ROWS)
     points, maps = [point for point, _, _ in found], [_maps(belief) for _, _, belief in found]
     norms = _norms(maps)
-    figure, grid = style.compressed(1.16 * len(points) + 0.75, len(points), len(_PANELS))
+    options: dict[str, Any] = {"is_compressed": True, "sharex": True, "sharey": True}
+    figure, grid = style.figure(1.16 * len(points) + 0.75, len(points), len(_PANELS), **options)
     looks = style.looks(points)
     for row, (point, _, belief), look, values in zip(grid, found, looks, maps, strict=True):
         for axes, (panel, colours) in zip(row, _PANELS.items(), strict=True):

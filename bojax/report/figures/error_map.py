@@ -1,5 +1,7 @@
 """Error of a map of heights, centred at zero (Fig. 3.8 of the thesis)."""
 
+from typing import Any
+
 import numpy as np
 from matplotlib.colors import Normalize
 from matplotlib.patches import Rectangle
@@ -24,7 +26,8 @@ def draw(results: Results) -> Drawing:
     offsets = [float(error.mean()) for error in errors]
     errors = [error - offset for error, offset in zip(errors, offsets, strict=True)]
     most = max(float(np.abs(error).max()) for error in errors)
-    figure, grid = panel_grid(len(maps), lambda columns: 4.68 / columns, 0.75, style.compressed)
+    options: dict[str, Any] = {"is_compressed": True, "sharex": True, "sharey": True}
+    figure, grid = panel_grid(len(maps), lambda columns: 4.68 / columns, 0.75, **options)
     norm = Normalize(-most, most)
     for axes, (point, _, belief), error in zip(grid.flat, maps, errors, strict=False):
         draw_outline(axes, point.outline)

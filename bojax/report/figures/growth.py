@@ -13,12 +13,7 @@ from bojax.report.source import Results
 
 RANK = 80
 
-_FITTED: dict[str, Any] = {
-    "color": style.INK,
-    "linewidth": 1.1,
-    "linestyle": (0, (2, 2)),
-    "zorder": 1.8,
-}
+_FITTED: dict[str, Any] = {"color": style.INK, "linewidth": 1.1, "linestyle": (0, (2, 2)), "zorder": 1.8}
 
 
 def draw(results: Results) -> Drawing:
