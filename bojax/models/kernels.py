@@ -158,11 +158,13 @@ def _squared_distance(x, y, lengthscale) -> Scalar:
         raise ValueError(
             f"lengthscale: got {lengthscale.size} numbers; allowed: 1, or one for each dimension: {x.size}"
         )
-    scaled = (x - y) / lengthscale
-    # A sum over a short last axis is slow on a CPU; unrolled, it is elementwise arithmetic over all pairs.
-    if scaled.shape[0] <= 8:
-        squares = [scaled[i] ** 2 for i in range(scaled.shape[0])]
+    # A sum over a short last axis is slow on a CPU; unrolled, it is elementwise arithmetic over all pairs. Each
+    # coordinate has arithmetic of its own: XLA does not vectorise the exponential if all share one array.
+    if x.size <= 8:
+        scale = jnp.broadcast_to(lengthscale, x.shape)
+        squares = [((x[i] - y[i]) / scale[i]) ** 2 for i in range(x.size)]
         return functools.reduce(operator.add, squares)
+    scaled = (x - y) / lengthscale
     return jnp.sum(scaled * scaled)
 
 
