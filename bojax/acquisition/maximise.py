@@ -11,6 +11,9 @@ from jaxtyping import Array, Float, Int
 from bojax.acquisition.functions import Acquisition
 from bojax.models.gaussian_process import GaussianProcess
 
+COLUMNS = 16
+"""Number of columns of `first_maximum`: four AVX2 registers of float64."""
+
 
 def best_candidate(
     acquisition: Acquisition,
@@ -29,7 +32,24 @@ def best_candidate(
         whitened: `posterior.whiten(candidates)`, which `posterior.next_whitened` can extend.
     """
     mean, variance = posterior.moments(candidates, whitened)
-    return jnp.argmax(acquisition(mean, jnp.sqrt(variance), best))
+    return first_maximum(acquisition(mean, jnp.sqrt(variance), best))
+
+
+def first_maximum(scores: Float[Array, "C"]) -> Int[Array, ""]:
+    """The result of `jnp.argmax`: the index of the first maximum, or of the first NaN.
+
+    On a CPU, the maxima of `COLUMNS` columns are found first, in vectorised arithmetic. `argmax` compares one
+    score after the other, and so computes the scores one after the other too: for 128 candidates of 20
+    observations, it takes three times as long.
+    """
+    number = scores.shape[0]
+    if number % COLUMNS or jax.default_backend() != "cpu":
+        return jnp.argmax(scores)
+    columns = scores.reshape(-1, COLUMNS)
+    largest, row = jnp.max(columns, axis=0), jnp.argmax(columns, axis=0)
+    index = COLUMNS * row + jnp.arange(COLUMNS, dtype=row.dtype)
+    is_first = (largest == jnp.max(largest)) | jnp.isnan(largest)
+    return jnp.min(jnp.where(is_first, index, number))
 
 
 def refine(

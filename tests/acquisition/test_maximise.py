@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bojax.acquisition.functions import LogExpectedImprovement, ProbabilityOfImprovement, UpperConfidenceBound
-from bojax.acquisition.maximise import best_candidate, refine
+from bojax.acquisition.maximise import best_candidate, first_maximum, refine
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import RBF, Matern12
 
@@ -27,6 +27,17 @@ NUM_STEPS = 40
 @jax.jit
 def condition(gp, x, y):
     return gp.update(x, y)
+
+
+def test_the_first_maximum_is_that_of_numpy():
+    scores = np.random.default_rng(0).integers(0, 5, (40, 48)).astype(float)  # maxima are tied
+    scores[::4, 30] = np.nan
+    scores[::8, 17] = np.nan
+    scores[1::4, 20:40] = np.inf
+    scores[2] = -np.inf
+    for number in (48, 45):  # with columns, and without
+        found = jax.jit(jax.vmap(first_maximum))(jnp.asarray(scores[:, :number]))
+        np.testing.assert_array_equal(found, np.argmax(scores[:, :number], axis=1))
 
 
 def posterior(x, y, kernel=None, noise_variance=0.01) -> GaussianProcess:
