@@ -158,8 +158,8 @@ def _squared_distance(x, y, lengthscale) -> Scalar:
         raise ValueError(
             f"lengthscale: got {lengthscale.size} numbers; allowed: 1, or one for each dimension: {x.size}"
         )
-    # A sum over a short last axis is slow on a CPU; unrolled, it is elementwise arithmetic over all pairs. Each
-    # coordinate has arithmetic of its own: XLA does not vectorise the exponential if all share one array.
+    # A sum over a short last axis is slow on a CPU; unrolled, it is elementwise arithmetic over all pairs.
+    # Coordinates are subtracted apart, since XLA does not vectorise an exponential of slices of one array.
     if x.size <= 8:
         scale = jnp.broadcast_to(lengthscale, x.shape)
         squares = [((x[i] - y[i]) / scale[i]) ** 2 for i in range(x.size)]
