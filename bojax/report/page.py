@@ -1,18 +1,19 @@
 """The page: fills the template with the texts, tables and figures of a report."""
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from bojax.config.component import Component
 from bojax.experiments.settings import Learning, Planning
 from bojax.report import statistics, tables
 from bojax.report.drawing.base import Drawing
-from bojax.report.explanations import explanations_of
 from bojax.report.manifest import Unread
 from bojax.report.source import Results
-from bojax.report.template import fill
 from bojax.report.text import counted, joined, line, plain, ranged, seconds
-from bojax.report.verdicts import TestedClaim, tally
+from bojax.report.verdicts import TestedClaim, explanations_of, tally
 
 
 def render(
@@ -98,3 +99,26 @@ def provenance(results: Results) -> list[tuple[str, str]]:
         "hash of settings": line(manifest.config_hash),
     }
     return [(key, value) for key, value in rows.items() if value]
+
+
+def fill(template: str, /, **values: Any) -> str:
+    """The text of a template of this package; HTML templates escape what is filled in."""
+    environment = Environment(
+        loader=PackageLoader("bojax.report"),
+        autoescape=template.endswith(".html.j2"),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+    )
+    environment.filters.update(minus=_minus, markdown=_markdown)
+    return environment.get_template(template).render(**values)
+
+
+def _minus(text: Any) -> str:
+    """A text in which a hyphen before a digit is a minus sign, as numbers are typeset."""
+    return re.sub(r"(?<![\w.])-(?=\d)", "\N{MINUS SIGN}", str(text))
+
+
+def _markdown(text: Any) -> str:
+    """A text on one line of Markdown or in a cell of its tables, its special characters escaped."""
+    plain = " ".join(str(text).split()).replace("&", "&amp;").replace("<", "&lt;")
+    return re.sub(r"([\\`*_|])", r"\\\1", plain)

@@ -10,13 +10,20 @@ from typing import Any
 from urllib.parse import quote
 
 from bojax.report.collected import collected
-from bojax.report.explanations import Explained, causes_of, explanations_of
 from bojax.report.manifest import Manifest
+from bojax.report.page import fill
 from bojax.report.source import load
-from bojax.report.template import fill
 from bojax.report.text import counted, joined
 from bojax.report.text import seconds as in_seconds
-from bojax.report.verdicts import TestedClaim, in_words, read_claims, tally
+from bojax.report.verdicts import (
+    Explained,
+    TestedClaim,
+    causes_of,
+    explanations_of,
+    in_words,
+    read_claims,
+    tally,
+)
 from bojax.results.store import ResultsError, make_folder, write_content
 from bojax.text import error_line
 

@@ -17,9 +17,8 @@ from bojax.config.errors import printable
 from bojax.config.sweep import Report
 from bojax.experiments.settings import Learning, Planning
 from bojax.problems.settings import ProblemSettings
-from bojax.report.columns import Columns, check_runs, read_columns, where
+from bojax.report.columns import Arrays, Columns, check_runs, read_columns, read_snapshot, where
 from bojax.report.manifest import Manifest, PointEntry, Unread, claims_of, experiment_of, read
-from bojax.report.snapshots import Arrays, read_snapshot
 from bojax.report.statistics import carry_forward
 from bojax.results.outline import Outline
 from bojax.results.store import ARRAYS, MANIFEST, WORK, ResultsError, array_file, read_manifest

@@ -13,12 +13,11 @@ from bojax.config.tuning import Range, described
 from bojax.report import style
 from bojax.report.drawing.base import Drawing, label_panels, panel_grid
 from bojax.report.manifest import Count, Part, validated
-from bojax.report.page import provenance
+from bojax.report.page import fill, provenance
 from bojax.report.ranking import Measure, ranking
 from bojax.report.source import Results, load
 from bojax.report.statistics import BAND, Interval
 from bojax.report.tables import BEHIND, LAG, Cell, Table, count_cell, interval_cell, score_cells, setting_cell
-from bojax.report.template import fill
 from bojax.report.text import counted, heading, number, plain
 from bojax.results.store import ResultsError, read_json, write_content
 

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from bojax.cli.main import main
-from bojax.report import dark, progress, statistics, style
+from bojax.report import progress, statistics, style
 from bojax.report.build import build_report
 from bojax.report.drawing.base import Drawing
 from bojax.report.figures import draw
@@ -184,7 +184,7 @@ def test_lines_on_maps_keep_their_colours():
     figure, grid = style.figure(1.0)
     grid[0, 0].imshow(np.eye(3))
     with style.settings():
-        drawn = dark.adapted(style.encode(figure)["svg"]).decode()
+        drawn = style.adapted(style.encode(figure)["svg"]).decode()
     assert f'[style*="stroke: {style.INK}"]' not in drawn.replace("[id^=text_] [style", "")
 
 

@@ -12,7 +12,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from bojax.report import style
-from bojax.report.dark import adapted
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Interval
 
@@ -49,7 +48,7 @@ class Drawing:
     @property
     def source(self) -> str:
         """The SVG as a data URL, so that a page loads no other file."""
-        code = base64.b64encode(adapted(self.files["svg"])).decode("ascii")
+        code = base64.b64encode(style.adapted(self.files["svg"])).decode("ascii")
         return f"data:image/svg+xml;base64,{code}"
 
 

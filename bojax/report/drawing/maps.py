@@ -13,8 +13,8 @@ from matplotlib.patches import Rectangle
 
 from bojax.problems.settings import FieldProblem
 from bojax.report import style
+from bojax.report.columns import BELIEF
 from bojax.report.drawing.base import points_with
-from bojax.report.snapshots import BELIEF
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats
 from bojax.report.text import number
