@@ -19,8 +19,7 @@ from bojax.report.source import Results, load
 from bojax.report.verdicts import CLAIMS, TestedClaim
 from bojax.results.store import MANIFEST, ResultsError, read_json
 
-_FOUND = ("method", "comparisons", "chosen", "reason")
-"""Keys of a test in `claims.json` that are no settings."""
+_FOUND = ("method", "comparisons", "chosen", "reason")  # keys of a test in `claims.json` that are no settings
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,7 @@ from bojax.report.build import build_report
 from bojax.report.tuning import TUNING, build_tuning_report
 from bojax.report.verdicts import print_verdicts
 
-PATIENCE = 1.0
-"""Seconds before progress is shown."""
+PATIENCE = 1.0  # seconds before progress is shown
 
 
 def report(folder: Path, *, is_brief: bool = False) -> Path:

@@ -37,8 +37,7 @@ CHAPTERS = {
 PAGE = "reproduction.html"
 TEXT = "reproduction.md"
 
-Origin = tuple[tuple[str, str], ...]
-"""Names and texts of what results were made by and on."""
+Origin = tuple[tuple[str, str], ...]  # names and texts of what results were made by and on
 
 _PLACES = re.compile(r" --(?:resume|(?:out|devices|launcher)[ =](?:'[^']*'|\S+))")
 """Options of a command that say where it ran: results do not depend on them."""

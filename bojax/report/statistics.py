@@ -19,18 +19,13 @@ from bojax.report.text import percent, with_bounds
 
 Floats = NDArray[np.float64]
 
-Band: TypeAlias = tuple[Floats, Floats, Floats]
-"""Mean, lower and upper bound of every column of a table."""
-
-BAND = 1.96
-"""Half the width of a band of 95% of a normal distribution, in standard deviations."""
+Band: TypeAlias = tuple[Floats, Floats, Floats]  # mean, lower and upper bound of every column of a table
+BAND = 1.96  # half the width of a band of 95% of a normal distribution, in standard deviations
 
 RESAMPLES = 10_000
 """Number of bootstrap resamples; it fixes the bounds of a 95% interval to about 1% of its width."""
-LEVEL = 0.95
-"""Coverage of every interval in a report."""
-TAIL = (1 - LEVEL) / 2
-"""Probability outside such an interval on either side."""
+LEVEL = 0.95  # coverage of every interval in a report
+TAIL = (1 - LEVEL) / 2  # probability outside such an interval on either side
 SEED = 0
 GROUPS = 5_000
 """Largest number of rows that are resampled one by one; more rows are resampled in this many groups of
@@ -39,8 +34,7 @@ bounds."""
 FEW_RESAMPLES = 1_000
 """Number of resamples of a statistic that is no mean, so that its rows cannot be grouped, of more than
 `GROUPS` rows: it fixes the bounds of an interval to about 3% of its width."""
-TRIMMED = 0.25
-"""Share of the values that an interquartile mean leaves out on either side."""
+TRIMMED = 0.25  # share of the values that an interquartile mean leaves out on either side
 
 # Resamples are counted in blocks of at most this many cells, 16 MB.
 _BLOCK_CELLS = 2_000_000

@@ -69,11 +69,8 @@ LINES = ("-", (0, (5, 1.6)), (0, (1.2, 1.4)), (0, (6, 1.5, 1.2, 1.5)), (0, (2.5,
 SHADES = (("white", 0.0), ("black", 0.45), ("white", 0.4), ("black", 0.25), ("white", 0.2))
 """The colour that is mixed into that of an identifier for each of its variants, and its share."""
 
-FIGURES = "figures"
-"""Name of the folder of figures."""
-
-WIDTH = 4.7
-"""Width of every figure in inches: on a phone of 340 CSS pixels, text is still 10 pixels high."""
+FIGURES = "figures"  # name of the folder of figures
+WIDTH = 4.7  # width of every figure in inches: on a phone of 340 CSS pixels, text is still 10 pixels high
 
 INK, FAINT = "#222222", "#8A8A8A"
 

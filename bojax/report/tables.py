@@ -13,11 +13,8 @@ from bojax.report.source import Point, Results, swept_keys
 from bojax.report.text import MISSING, counted, heading, is_number, joined, number, plain, seconds
 from bojax.results.store import ResultsError
 
-FEW_POINTS = 12
-"""Most points of a sweep that need no table of ranks."""
-
-MAX_RANKED = 500
-"""Most points in the table of ranks."""
+FEW_POINTS = 12  # most points of a sweep that need no table of ranks
+MAX_RANKED = 500  # most points in the table of ranks
 
 BY_STEP = 6
 """Step by which early success is counted unless `report.by_step` is given (thesis, p. 100)."""
@@ -118,8 +115,7 @@ BEHIND = (
 )
 """What the second of `score_cells` means."""
 
-LAG = "behind the best"
-"""Its heading."""
+LAG = "behind the best"  # its heading
 
 
 def score_cells(standing: Standing, best: Standing) -> list[Cell]:

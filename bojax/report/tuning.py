@@ -24,8 +24,7 @@ from bojax.results.store import ResultsError, read_json, write_content
 TUNING = "tuning.json"
 """The file of a search that is finished: its plan, its points, and the posterior of its model."""
 
-MOST_RANKED = 50
-"""Number of points in the table."""
+MOST_RANKED = 50  # number of points in the table
 
 _DOTS: Mapping[str, Any] = {"color": style.GREY, "markeredgewidth": 0}
 

@@ -21,8 +21,7 @@ SLOWEST, FASTEST = 0.1, 0.04
 
 LAST_SECONDS = 2.0
 DPI = 100
-STILL = (4.8, 3.6)
-"""Inches of a still."""
+STILL = (4.8, 3.6)  # inches of a still
 
 _FREQUENT, _REST = 40, 215
 """Number of colours of a GIF that are the most frequent ones exactly, and number chosen among all others.

@@ -31,8 +31,7 @@ from bojax.results.store import ResultsError
 if TYPE_CHECKING:
     from bojax.robots.models import RobotModel
 
-MAX_IMAGES_PER_STEP = 12
-"""Images per step of a robot without a body, whose path is interpolated."""
+MAX_IMAGES_PER_STEP = 12  # images per step of a robot without a body, whose path is interpolated
 
 _BOTTOM, _TOP = 0.03, 0.84
 _ARROW = Outline([(1.0, 0.0), (-0.9, 0.75), (-0.45, 0.0), (-0.9, -0.75), (1.0, 0.0)])

@@ -19,8 +19,7 @@ from bojax.robots.quadrotor import quadrotor_model
 Heights = NDArray[np.float64]
 """Heights in metres on a regular grid over the domain; the first axis is y, the second x, both increasing."""
 
-WALL_HEIGHT = 0.1
-"""Height of walls above the highest ground, in metres; no problem has a setting for it."""
+WALL_HEIGHT = 0.1  # height of walls above the highest ground, in metres; no problem has a setting for it
 
 _DEFAULT_DOMAIN = (-5.0, -5.0, 5.0, 5.0)
 _GROUND_POINTS = 81  # least number of points a side, so that hills look smooth

@@ -13,8 +13,7 @@ from bojax.report.source import Results
 from bojax.report.statistics import Floats
 from bojax.report.text import counted, percent
 
-MIN_NUMBERS = 4
-"""Smallest number of means: two coefficients fit two means exactly and three nearly."""
+MIN_NUMBERS = 4  # smallest number of means: two coefficients fit two means exactly and three nearly
 
 
 def growth(results: Results, test: Growth) -> Finding:

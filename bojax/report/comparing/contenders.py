@@ -20,18 +20,12 @@ from bojax.results.outline import Outline
 from bojax.results.store import ResultsError
 
 Kind: TypeAlias = Literal["planning", "learning"]
-Axis: TypeAlias = Literal["episode", "step"]
-"""A training episode, or a step of the environment or plan."""
+Axis: TypeAlias = Literal["episode", "step"]  # a training episode, or a step of the environment or plan
 Phase: TypeAlias = Literal["train", "test"]
 
-PHASES: tuple[Phase, ...] = ("train", "test")
-"""The phases of learning."""
-
-PLANNING_CURVE = "accumulated_reward"
-"""The column of `steps.parquet` that is drawn as curves for planning."""
-
-GRID = 200
-"""Number of places at which curves over the steps of an environment are compared."""
+PHASES: tuple[Phase, ...] = ("train", "test")  # the phases of learning
+PLANNING_CURVE = "accumulated_reward"  # the column of `steps.parquet` that is drawn as curves for planning
+GRID = 200  # number of places at which curves over the steps of an environment are compared
 
 _LAST = 0.1
 

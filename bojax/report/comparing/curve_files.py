@@ -14,11 +14,8 @@ from bojax.config.errors import allowed_names, dotted, from_validation, shown
 from bojax.report.statistics import Floats
 from bojax.results.store import ResultsError
 
-COLUMNS = ("label", "run", "x", "value")
-"""Columns that a file must have."""
-
-TASK = "task"
-"""Column that a file may have."""
+COLUMNS = ("label", "run", "x", "value")  # columns that a file must have
+TASK = "task"  # column that a file may have
 
 
 class _Row(pydantic.BaseModel):

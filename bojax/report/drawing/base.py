@@ -111,8 +111,7 @@ def label_panels(grid: np.ndarray, x: str | None, y: str | None, **options: Any)
         axes.set_ylabel(y, **options)
 
 
-NAME_WIDTH = 16
-"""Characters in a line of a name beside the panels of `dot_plot`."""
+NAME_WIDTH = 16  # characters in a line of a name beside the panels of `dot_plot`
 
 
 def dot_plot(

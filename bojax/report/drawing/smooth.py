@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from bojax.report.statistics import Floats
 
-_POINTS = 8
-"""Number of points of a curve from one pose to the next."""
+_POINTS = 8  # number of points of a curve from one pose to the next
 
 
 def smooth(start: Floats, poses: Floats) -> Floats:

@@ -19,11 +19,8 @@ from bojax.results.folder import require_empty
 from bojax.results.store import ResultsError, explained, make_folder, write_content
 from bojax.text import error_line
 
-_PARAMS, _METRICS = 100, 1000
-"""Most parameters and metrics that MLflow takes at once."""
-
-_LONGEST = 500
-"""Longest value of a parameter that every store of MLflow takes, in characters."""
+_PARAMS, _METRICS = 100, 1000  # most parameters and metrics that MLflow takes at once
+_LONGEST = 500  # longest value of a parameter that every store of MLflow takes, in characters
 
 
 def export(folder: Path, target: str, out: Path | None = None) -> Path:

@@ -18,8 +18,7 @@ from bojax.report.text import joined
 
 RANK = 130
 
-MAX_ROWS = 6
-"""Most rows that fit a screen; of more points, the best of each label is drawn."""
+MAX_ROWS = 6  # most rows that fit a screen; of more points, the best of each label is drawn
 
 _PANELS = {"true field": "viridis", "mean": "viridis", "error": "RdBu_r", "std": "PuBu"}
 """Colour map of each column of the figure."""

@@ -15,8 +15,7 @@ from bojax.report.text import joined, number
 
 RANK = 150
 
-MAX_MAPS = 6
-"""Most maps that fit a screen; of more points, the best of each label is drawn."""
+MAX_MAPS = 6  # most maps that fit a screen; of more points, the best of each label is drawn
 
 
 def draw(results: Results) -> Drawing:

@@ -20,14 +20,9 @@ from bojax.report.text import heading, is_number, minus, number
 
 RANK = 175
 
-COLOURS = "cividis"
-"""A colour map that is read equally with all kinds of colour vision."""
-
-MOST_NUMBERS = 60
-"""Most cells of a map in which the number is written."""
-
-MOST_TICKS = 8
-"""Most values that are written beside a panel."""
+COLOURS = "cividis"  # a colour map that is read equally with all kinds of colour vision
+MOST_NUMBERS = 60  # most cells of a map in which the number is written
+MOST_TICKS = 8  # most values that are written beside a panel
 
 BOLD = {"facecolor": "none", "edgecolor": style.ORANGE, "linewidth": 2.2}
 

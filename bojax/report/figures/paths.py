@@ -21,8 +21,7 @@ from bojax.report.text import counted
 
 RANK = 120
 
-EXAMPLES = 2
-"""Runs of each outcome in a panel; the paths of more runs would cross too often."""
+EXAMPLES = 2  # runs of each outcome in a panel; the paths of more runs would cross too often
 
 _DASHES = (0, (4, 1.5))
 _RED = "#C8102E"

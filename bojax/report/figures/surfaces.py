@@ -16,8 +16,7 @@ from bojax.report.text import joined, number
 
 RANK = 140
 
-MAX_MAPS = 5
-"""Most maps that fit a screen; of more points, the best of each label is drawn."""
+MAX_MAPS = 5  # most maps that fit a screen; of more points, the best of each label is drawn
 
 _COLOURS = "YlGn_r"
 
