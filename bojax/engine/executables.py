@@ -173,9 +173,20 @@ def _tree(structure: Any) -> PyTree:
 def _loaded(saved: tuple[bytes, PyTree, PyTree], device: Device) -> Compiled:
     """As `serialize_executable.deserialize_and_load`, but for any device of the kind."""
     content, inputs, outputs = saved
+    if device.platform == "cpu":
+        _initialize_lapack()
     unloaded, arguments, no_kwargs = _Unpickler(content, device).load()
     described = jax.tree.unflatten(jax.tree.structure(inputs), arguments)
     return Compiled(unloaded.load(), [], described, jax.tree.structure(outputs), no_kwargs=no_kwargs)
+
+
+@functools.cache
+def _initialize_lapack() -> None:
+    """Look up the functions of LAPACK, as tracing does: a loaded program would call a null pointer."""
+    # Imported here, since it may move: then nothing is loaded, and programs are compiled.
+    from jaxlib import lapack
+
+    lapack.prepare_lapack_call("potrf", np.dtype(np.float32))
 
 
 class _Unpickler(pickle.Unpickler):

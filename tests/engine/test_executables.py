@@ -3,6 +3,8 @@
 import contextlib
 import os
 import shutil
+import subprocess
+import sys
 import threading
 import time
 
@@ -69,9 +71,7 @@ def group_of(**changes):
 
 
 def programs_of(group, lanes: int = 3, device=DEVICE) -> Programs:
-    programs = Programs(Functions(group), device, lanes, 0, recorded=0, fills=True)
-    programs.keep()
-    return programs
+    return Programs(Functions(group), device, lanes, 0, recorded=0, fills=True)
 
 
 def advanced(programs: Programs):
@@ -151,6 +151,27 @@ def test_groups_with_a_program_in_common_are_both_saved(cache):
     for episodes in (2, 3):
         programs_of(group_of(episodes=episodes))
     assert len(files(cache)) == 2
+
+
+IN_ANOTHER_PROCESS = """
+import sys
+import jax
+import numpy as np
+from bojax.engine import executables
+
+jax.config.update("jax_compilation_cache_dir", sys.argv[1])
+programs, _ = executables.load("key", jax.devices("cpu")[0])
+print(*programs["factor"](np.asarray([[4, 2], [2, 5]], np.float32)).tolist())
+"""
+
+
+def test_a_factorisation_is_loaded_by_a_process_that_has_traced_none(cache):
+    matrix = jax.ShapeDtypeStruct((2, 2), np.float32)
+    factor = jax.jit(jax.numpy.linalg.cholesky).lower(matrix).compile()
+    assert executables.save("key", {"factor": factor}, matrix)
+    command = [sys.executable, "-c", IN_ANOTHER_PROCESS, str(cache.parent)]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, "[2.0, 0.0] [1.0, 2.0]\n")
 
 
 def test_another_number_takes_the_same_programs(cache):
