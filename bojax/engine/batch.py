@@ -93,6 +93,7 @@ class Programs:
         device: The device.
         max_advances: Number of advances after which a run is done.
         compile_seconds: Seconds spent on tracing and compiling, or on loading.
+        is_saved: Whether other devices and later sweeps can load the programs.
     """
 
     _is_compiled: ClassVar[bool] = True
@@ -122,13 +123,11 @@ class Programs:
         self._recorded_tables, self._num_recorded = run.recorded_tables, min(recorded, num_lanes)
         self._prepare(run)
         key = executables.key_of(self._group, device, type(self), num_lanes, self._num_recorded, fills)
-        self._unsaved: tuple[str, PyTree] | None = None
-        self._saving = threading.Lock()
         start = time.perf_counter()
-        self._is_saved = False
+        self.is_saved = False
         if found := executables.load(key, device):
             self._programs, carry = found
-            self._is_saved = True
+            self.is_saved = True
             self.compile_seconds = time.perf_counter() - start
         else:
             with _TRACING:
@@ -139,23 +138,11 @@ class Programs:
             with executables.compiled_anew() as compiled:
                 self._programs = {name: _compile(name, program) for name, program in lowered.items()}
             self.compile_seconds = traced + time.perf_counter() - start
+            # Now, since after its first call XLA no longer serialises a program with a sort for the CPU.
             if key is not None and len(compiled) == len(self._programs):
-                self._unsaved = key, carry
+                self.is_saved = executables.save(key, self._programs, carry)
         executables.hold(key, device, (self._programs, carry))
         self.carry_structure = self._on_device(carry)
-
-    def keep(self) -> bool:
-        """Save the programs for other devices and for later sweeps, if they were compiled.
-
-        Returns:
-            Whether they can be loaded there.
-        """
-        with self._saving:
-            unsaved, self._unsaved = self._unsaved, None
-            if unsaved is not None:
-                key, carry = unsaved
-                self._is_saved = executables.save(key, self._programs, carry)
-            return self._is_saved
 
     def _prepare(self, run: Experiment) -> None:
         """Prepare what a subclass needs of the first run."""

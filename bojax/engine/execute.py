@@ -50,9 +50,6 @@ LOOK_EVERY = 10.0
 PATIENCE = 10.0
 """Seconds after a requested stop after which chunks that still run are named."""
 
-LAST = 1 << 20
-"""Priority of what nothing waits for: after all compilations."""
-
 
 @dataclass(eq=False)
 class GroupTask:
@@ -172,7 +169,6 @@ class _Executor:
         of_each = {device.platform: of_platform(self._tasks, device.platform) for device in self._devices}
         self._ranks = {task: rank for tasks in of_each.values() for rank, task in enumerate(tasks)}
         self._unused: deque[Hashable] = deque()
-        self._kept: list[Hashable] = []
         self._stop = lambda: self._is_closed or self.error is not None or stop()
         self._changed = threading.Condition(threading.RLock())
         self._ahead: Ahead[Any] = Ahead(compile_threads(), self._changed, self._stop)
@@ -197,9 +193,6 @@ class _Executor:
                     if 0.0 >= patience > -POLL_SECONDS:
                         running = [task.name for task in self._tasks if task.running]
                         self._progress.say(f"waiting for the end of an advance: {', '.join(running)}")
-        for key in list(self._kept):  # Python cannot end while a thread is in XLA
-            with contextlib.suppress(Exception):  # a requested stop
-                self._ahead.wait(key)
 
     def close(self) -> None:
         with self._changed:
@@ -232,7 +225,7 @@ class _Executor:
     def _load(self, task: GroupTask, device: Device, width: int, other: Device) -> None:
         """Load programs that another device has compiled or compiles, in this thread."""
         try:
-            can_load = self._ahead.wait((task, other, width)).keep()
+            can_load = self._ahead.wait((task, other, width)).is_saved
         except Stopped:
             raise
         except BaseException:  # they fail here as well
@@ -266,9 +259,6 @@ class _Executor:
         )
         if is_first and not is_compiled:
             self._progress.compiled(task.progress, programs.compile_seconds)
-        key = task, device, width, "kept"
-        self._ahead.request(key, programs.keep, LAST)
-        self._kept.append(key)
         with self._changed:  # a compilation may end after the sweep has ended
             if not self._is_closed:
                 task.share.note_compiled(task.group, programs.compile_seconds)
