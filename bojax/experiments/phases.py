@@ -23,7 +23,7 @@ from bojax.envs.base import Action, Env, EnvState, Observation, TimeStep
 from bojax.experiments.episode import EpisodeState, apply_transition
 from bojax.experiments.step_rows import StepRows
 from bojax.learning.base import Episode, ExplorationState, Learner, LearnerState, Transition
-from bojax.numerics.lanes import any_lane
+from bojax.numerics.lanes import any_lane, batched_together
 
 PHASES = ("train", "test")
 """Values of the column `phase`, which holds the index into this list until it is stored."""
@@ -192,5 +192,7 @@ def run_episode(phase: Phase, episode: EpisodeState) -> EpisodeState:
         episode, _ = jax.lax.scan(run_step, episode, (phase.step_keys(start + block), start + block))
         return start + phase.learner.block, phase.flush(episode)
 
-    loop = jnp.zeros((), jnp.int32), episode
+    # The tests of a run share its learner, which is therefore left as it is.
+    batched = batched_together(eqx.tree_at(lambda e: e.learner, episode, None))
+    loop = jnp.zeros((), jnp.int32), eqx.combine(batched, episode)
     return jax.lax.while_loop(lambda loop: any_lane(loop[1].is_active), run_block, loop)[1]

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from bojax.envs.base import Action, Observation
 from bojax.learning.base import Episode
-from bojax.numerics.lanes import largest_in_lanes
+from bojax.numerics.lanes import batched_together, largest_in_lanes
 
 T = TypeVar("T")
 """A tree of arrays with one row for each transition, and of counts."""
@@ -100,6 +100,7 @@ class Memory(eqx.Module):
             return function(carry, rows, index, is_valid)
 
         number = jnp.clip(largest_in_lanes(self.count), first, end) - first
+        start, _ = batched_together((start, self.count))
         return jax.lax.fori_loop(0, (number + block - 1) // block, visit, start)
 
 

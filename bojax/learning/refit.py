@@ -27,7 +27,7 @@ from bojax.envs.base import Action
 from bojax.learning.emu_q_model import EMUQModel, EMUQState, Q, U
 from bojax.learning.features import StateActionFeatures
 from bojax.learning.memory import Memory, T
-from bojax.numerics.lanes import any_lane
+from bojax.numerics.lanes import any_lane, batched_together
 from bojax.numerics.linalg import gcr, inverse_matrix, matmul, matmul_on_tensor_cores
 
 NUM_STORED = 2048
@@ -397,6 +397,7 @@ class Refit(eqx.Module):
         zero, no = jnp.zeros((), jnp.int32), jnp.zeros((), bool)
         infinite, inverse = jnp.full((), jnp.inf, mean.dtype), jnp.zeros((len(mean), len(mean)), mean.dtype)
         loop = zero, mean, infinite, zero, inverse, no, no, is_active
+        loop = batched_together(loop)
         return jax.lax.while_loop(lambda loop: any_lane(loop[-1]), step, loop)[1]
 
     def _until_converged(

@@ -9,7 +9,7 @@ from jax.lax import DotAlgorithmPreset, Precision
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Bool, Float, Int
 
-from bojax.numerics.lanes import any_lane
+from bojax.numerics.lanes import any_lane, batched_together
 from bojax.numerics.loops import is_unrolled, short_loop
 
 HIGHEST = Precision.HIGHEST
@@ -298,6 +298,6 @@ def gcr(
 
     error, none = matmul(inverse, residual), jnp.zeros((most, len(start)), start.dtype)
     going = is_active & ~is_solution(start, error)
-    loop = jnp.zeros((), jnp.int32), start, error, none, none, going
+    loop = jnp.zeros((), jnp.int32), *batched_together((start, error, none, none, going))
     _, x, error, _, _, _ = jax.lax.while_loop(lambda loop: any_lane(loop[-1]), step, loop)
     return x, is_solution(x, error)

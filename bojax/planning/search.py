@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from typing_extensions import override
 
 from bojax.motions.base import Path
+from bojax.numerics.lanes import batched_together
 from bojax.planning.base import M, Plan, Planner
 from bojax.planning.tree import ROOT, UNVISITED, Growth, Tree
 from bojax.problems.base import Belief, Objective, Problem, Root
@@ -136,7 +137,10 @@ class TreeSearch(Planner[M], Generic[Memory, Draws, View, Update, M]):
             return self._iterate(problem, root, tree, memory, views, growth, child, draws, key), None
 
         children = jnp.arange(1, self.iterations + 1, dtype=jnp.int32)
-        carry = tree, memory, views, Growth.nothing(tree, self.depth + 1)
+        growth = Growth.nothing(tree, self.depth + 1)
+        without_child = eqx.tree_at(lambda growth: growth.child, growth, None)
+        tree, views, batched = batched_together((tree, views, without_child))
+        carry = tree, memory, views, eqx.combine(batched, growth)  # `child` is the same in all lanes
         (tree, memory, _, growth), _ = jax.lax.scan(iterate, carry, (children, draws, keys))
         return tree.grown(growth), memory
 

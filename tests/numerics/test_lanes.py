@@ -1,11 +1,13 @@
-"""`any_lane` inside the engine's batch and outside."""
+"""Functions of the engine's batch axis, inside the batch and outside."""
+
+from collections import Counter
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bojax.numerics.lanes import LANES, any_lane
+from bojax.numerics.lanes import LANES, any_lane, batched_together
 
 FLAGS = [[False, False, False], [False, True, False], [True, True, True]]
 
@@ -60,3 +62,49 @@ def test_the_predicate_of_a_loop_is_not_batched():
     np.testing.assert_array_equal(batched(limits), limits)
     (loop,) = [eqn for eqn in jax.make_jaxpr(batched)(limits).eqns if eqn.primitive.name == "while"]
     assert loop.params["cond_jaxpr"].out_avals[0].shape == ()
+
+
+def test_initial_values_are_batched_together():
+    together = jax.vmap(lambda x: batched_together((x, {"zero": jnp.zeros(2)})), axis_name=LANES)
+    x, rest = together(jnp.arange(3.0))
+    np.testing.assert_array_equal(x, [0.0, 1.0, 2.0])
+    np.testing.assert_array_equal(rest["zero"], np.zeros((3, 2)))
+    # `out_axes=None` refuses what is batched.
+    with pytest.raises(ValueError, match="out_axes"):
+        jax.vmap(lambda x: batched_together((x, jnp.zeros(2)))[1], out_axes=None)(jnp.arange(3.0))
+    alone = jax.vmap(lambda x: batched_together((jnp.ones(()), jnp.zeros(2))), out_axes=None)(jnp.arange(3.0))
+    np.testing.assert_array_equal(alone[0], 1.0)
+
+
+def test_the_body_of_a_loop_is_batched_fewer_times():
+    batchings = Counter()
+
+    def batched(start, name):
+        @jax.custom_batching.custom_vmap
+        def noted(x):
+            return x
+
+        @noted.def_vmap
+        def _(_, is_batched, x):
+            batchings[name] += 1
+            return x, is_batched[0]
+
+        def chain(x):  # x is passed on from one value to the next: a batching reveals one more of them
+            def step(values, _):
+                a, b, c = values
+                return (noted(x), a, b), None
+
+            return jax.lax.scan(step, start((0.0 * jnp.ones(()), jnp.zeros(()), jnp.zeros(()), x)), length=5)[
+                0
+            ]
+
+        return jax.jit(jax.vmap(chain)).lower(jnp.arange(3.0))
+
+    apart = batched(lambda values: values[:3], "apart")
+    together = batched(lambda values: batched_together(values)[:3], "together")
+    assert batchings == {"apart": 4, "together": 1}
+    assert sorted(_operations(apart)) == sorted(_operations(together))
+
+
+def _operations(lowered):
+    return [line.split(" = ")[1].split()[0] for line in lowered.as_text().splitlines() if " = " in line]
