@@ -91,6 +91,7 @@ class TileTable(eqx.Module):
         )
         return table, index
 
+    @eqx.filter_jit  # traced and lowered once for all look-ups of a program
     def _hashed(self, tiles: Int[Array, "T C"], action: Int[Array, "A 1"]) -> Int[Array, "A T"]:
         shape = (self.num_actions, len(tiles))
         columns = [jnp.broadcast_to(column[None, :], shape) for column in tiles.T]

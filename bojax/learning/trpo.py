@@ -88,6 +88,7 @@ class TRPO(eqx.Module):
         """
         start, unravel = ravel_pytree(policy)
 
+        @jax.jit  # traced and lowered once: `cg` calls it six times
         def product(vector):
             return ravel_pytree(self.fisher_product(policy, samples, unravel(vector)))[0] + (
                 self.damping * vector

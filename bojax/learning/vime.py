@@ -190,10 +190,10 @@ class VIME(Learner):
         state = eqx.tree_at(lambda s: s.batch, state, batch)
         is_due = exploration.is_learning & (batch.memory.count >= self.iteration_steps)
         weight = exploration.scale * self.eta
+        # `vmap` batches the branches of a condition twice, but a function that is jitted there once.
+        iterate = jax.jit(lambda: self._iterate(key, state, weight, is_due))
         # An iteration costs as much as many episodes: none is computed if no lane of the device needs it.
-        return jax.lax.cond(
-            any_lane(is_due), lambda: self._iterate(key, state, weight, is_due), lambda: state
-        )
+        return jax.lax.cond(any_lane(is_due), iterate, lambda: state)
 
     @property
     @override

@@ -17,6 +17,7 @@ Pose = Float[Array, "3"]
 """x and y in metres, heading in radians."""
 
 
+@eqx.filter_jit  # traced and lowered once where a program drives several times
 def place(path: Float[Array, "*S 3"], pose: Pose) -> Float[Array, "*S 3"]:
     """A path in the frame of a robot at `pose`, transformed to the world frame; headings are not wrapped."""
     cos, sin = jnp.cos(pose[2]), jnp.sin(pose[2])

@@ -76,6 +76,7 @@ class KernelTrajectories(ContinuousMotions):
         return jnp.concatenate([jnp.zeros((1, 2), params.dtype), jnp.cumsum(steps, axis=0)])
 
     @override
+    @eqx.filter_jit  # traced and lowered once for all the places of a planner that need a path
     def path(self, params: Float[Array, "D"]) -> Path:
         anchors = self.anchors(params)
         times = jnp.linspace(0.0, 1.0, self.num_segments + 1, dtype=params.dtype)

@@ -23,6 +23,7 @@ def wrap_to_2pi(angle: Float[Array, "*N"]) -> Float[Array, "*N"]:
     return jnp.where(wrapped >= turn, 0.0, wrapped)
 
 
+@jax.jit  # traced and lowered once in a program, which calls it 20 times
 def cos_and_sin(angles: Float[Array, "*N"]) -> tuple[Float[Array, "*N"], Float[Array, "*N"]]:
     """Cosines and sines of many angles.
 

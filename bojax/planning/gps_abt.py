@@ -247,6 +247,7 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, Walk, StencilUpdate, Cont
     def path_of(self, memory: Stencils, child: Int[Array, ""]) -> Path:
         return self.motions.path(memory.params[child])
 
+    @eqx.filter_jit  # traced and lowered once for the views of the root, of other nodes and for the plan
     def _walk(self, tree: Tree, memory: Stencils, node: Int[Array, ""]) -> Walk:
         dtype = tree.outcome.dtype
         visits_of_node = jnp.maximum(tree.totals[node][0], 1.0)

@@ -52,6 +52,7 @@ class Arena(eqx.Module):
         trajectory = place(jnp.pad(path, ((1, 0), (0, 0))), pose)
         return drive_until_blocked(trajectory, self.border, self.walls)
 
+    @eqx.filter_jit  # traced and lowered once where a program drives several times
     def end(self, driven: Drive) -> Pose:
         """Pose after a drive: its last pose, turned round if the robot was stopped and turns on the spot."""
         end = driven.poses[-1]

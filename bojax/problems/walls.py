@@ -26,6 +26,7 @@ class Drive(eqx.Module):
     exited: Bool[Array, ""]
 
 
+@eqx.filter_jit  # traced and lowered once where a program drives several times
 def drive_until_blocked(
     trajectory: Float[Array, "T 3"], domain: Float[Array, "4"], walls: Boxes | None
 ) -> Drive:
@@ -76,21 +77,28 @@ def _touches_any(
     `across` is twice an area, which avoids a division. With `may_leave`, the first segment may leave a wall.
     """
     touches = jnp.zeros(begin.shape[:-1], bool)
+    for wall in () if walls is None else walls:
+        touches = touches | _touches(begin, end, wall, may_leave)
+    return touches
+
+
+@eqx.filter_jit  # traced and lowered once for all walls
+def _touches(
+    begin: Float[Array, "*N _"], end: Float[Array, "*N _"], wall: Float[Array, "4"], may_leave: bool
+) -> Bool[Array, "*N"]:
     low_x, high_x = jnp.minimum(begin[..., 0], end[..., 0]), jnp.maximum(begin[..., 0], end[..., 0])
     low_y, high_y = jnp.minimum(begin[..., 1], end[..., 1]), jnp.maximum(begin[..., 1], end[..., 1])
     step_x, step_y = end[..., 0] - begin[..., 0], end[..., 1] - begin[..., 1]
-    for wall in () if walls is None else walls:
-        x_min, y_min, x_max, y_max = wall
-        is_apart = (high_x < x_min) | (low_x > x_max) | (high_y < y_min) | (low_y > y_max)
-        x, y = begin[..., 0] - 0.5 * (x_min + x_max), begin[..., 1] - 0.5 * (y_min + y_max)
-        across = jnp.abs(step_x * y - step_y * x)
-        widest = 0.5 * ((x_max - x_min) * jnp.abs(step_y) + (y_max - y_min) * jnp.abs(step_x))
-        is_apart = is_apart | (across > widest)
-        if may_leave:
-            is_first = jnp.arange(begin.shape[0]) == 0
-            is_apart = is_apart | (is_first & _leaves(begin[0], end[0], wall))
-        touches = touches | ~is_apart
-    return touches
+    x_min, y_min, x_max, y_max = wall
+    is_apart = (high_x < x_min) | (low_x > x_max) | (high_y < y_min) | (low_y > y_max)
+    x, y = begin[..., 0] - 0.5 * (x_min + x_max), begin[..., 1] - 0.5 * (y_min + y_max)
+    across = jnp.abs(step_x * y - step_y * x)
+    widest = 0.5 * ((x_max - x_min) * jnp.abs(step_y) + (y_max - y_min) * jnp.abs(step_x))
+    is_apart = is_apart | (across > widest)
+    if may_leave:
+        is_first = jnp.arange(begin.shape[0]) == 0
+        is_apart = is_apart | (is_first & _leaves(begin[0], end[0], wall))
+    return ~is_apart
 
 
 def _leaves(
