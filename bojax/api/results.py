@@ -185,11 +185,11 @@ class Results:
     @override
     def __repr__(self) -> str:
         with in_one_line():
-            return f"{self._results.title}: {summary(self._results)} ({self.folder})"
+            return f"{self._results.manifest.title}: {summary(self._results)} ({self.folder})"
 
     def _repr_html_(self) -> str:
         with in_one_line():
-            title, text = html.escape(self._results.title), html.escape(summary(self._results))
+            title, text = html.escape(self._results.manifest.title), html.escape(summary(self._results))
         return f"<div><b>{title}</b><br>{text}<br><code>{html.escape(str(self.folder))}</code></div>"
 
     def _table(self, name: str) -> pa.Table:

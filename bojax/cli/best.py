@@ -67,7 +67,7 @@ def main(name: str, words: Sequence[str]) -> int:
     place = f"{args.folder / MANIFEST}: points.{best.point.index}.config"
     chosen = dataclasses.replace(
         chosen,
-        name=f"{results.name}-best",
+        name=f"{results.manifest.name}-best",
         locate=lambda _, location: f"{place}.{dotted(location)}",  # the module that it names is announced
     )
     folder, is_resumed = reserve_folder(chosen.name, args.out, resume=args.resume)

@@ -41,8 +41,8 @@ def collected(folders: Iterable[Path], names: Collection[str]) -> list[Collected
     """
     newest: dict[str, Results] = {}
     for results in (each for folder in folders for each in _results(folder, names)):
-        written, name = results.manifest.written or "", _name_of(results, names)
-        if name not in newest or written > (newest[name].manifest.written or ""):
+        name = _name_of(results, names)
+        if name not in newest or results.manifest.written > newest[name].manifest.written:
             newest[name] = results
     return [_judged(results, config.load_published(name)) for name, results in sorted(newest.items())]
 
@@ -54,14 +54,14 @@ def _results(folder: Path, names: Collection[str]) -> list[Results]:
     loaded = [load(each) for each in finished or [folder]]
     found = [results for results in loaded if _name_of(results, names)]
     if not found:
-        others = listed("", {results.name for results in loaded})
+        others = listed("", {results.manifest.name for results in loaded})
         raise ResultsError(f"{folder}: got results of {others}; allowed: those of sweeps of the thesis")
     return found
 
 
 def _name_of(results: Results, names: Collection[str]) -> str:
     """Which of these sweeps results are of, also by an alias; empty for none."""
-    name = config.published_name(results.name) if results.manifest.is_published else None
+    name = config.published_name(results.manifest.name) if results.manifest.is_published else None
     return name if name and name in names else ""
 
 

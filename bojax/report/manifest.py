@@ -28,6 +28,8 @@ Count = Annotated[int, Field(ge=0, lt=2**53)]
 T = TypeVar("T")
 Listed = Annotated[list[T], BeforeValidator(lambda value: [] if value is None else value)]
 """A list, or null for an empty one."""
+Text = Annotated[str, BeforeValidator(lambda value: "" if value is None else value)]
+"""A text, or null for an empty one."""
 
 
 @dataclass(frozen=True)
@@ -107,8 +109,8 @@ class Manifest(Part):
 
     points: Annotated[list[PointEntry], Field(min_length=1)]
     status: Literal["running", "interrupted", "finished", "failed"]
-    name: str | None = None
-    title: str | None = None
+    name: Text = ""  # of a loaded folder, never empty
+    title: Text = ""  # of a loaded folder, never empty
     runs: Count | None = None
     seed: int | None = None
     changed: Annotated[
@@ -120,8 +122,8 @@ class Manifest(Part):
     claims: Listed[ClaimEntry] = []
     groups: Listed[Group] = []
     chunks: Listed[Chunk] = []
-    command: str | None = None
-    written: str | None = None
+    command: Text = ""
+    written: Text = ""
     config_hash: str | None = None
     versions: dict[str, Any] | None = None
     git: dict[str, Any] | None = None

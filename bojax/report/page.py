@@ -1,10 +1,7 @@
 """The page: fills the template with the texts, tables and figures of a report."""
 
-import re
 from collections.abc import Mapping, Sequence
 from typing import Any
-
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from bojax.config.component import Component
 from bojax.experiments.settings import Learning, Planning
@@ -12,6 +9,7 @@ from bojax.report import statistics, tables
 from bojax.report.drawing.base import Drawing
 from bojax.report.manifest import Unread
 from bojax.report.source import Results
+from bojax.report.template import fill
 from bojax.report.text import counted, joined, line, plain, ranged, seconds
 from bojax.report.verdicts import TestedClaim, explanations_of, tally
 
@@ -30,8 +28,7 @@ def render(
     common, own = tables.settings(results)
     return fill(
         "report.html.j2",
-        title=results.title,
-        name=results.name,
+        title=results.manifest.title,
         summary=summary(results),
         counts=tally(tested),
         changed=results.manifest.changes,
@@ -91,34 +88,11 @@ def provenance(results: Results) -> list[tuple[str, str]]:
     manifest = results.manifest
     run, build = seconds(manifest.run_seconds), seconds(manifest.compile_seconds)
     rows = {
-        "command": line(manifest.command),
-        "written": line(manifest.written),
+        "command": manifest.command,
+        "written": manifest.written,
         "time taken": f"{run} of run time, {build} of compilation" if manifest.groups else "",
         "runs, seed": f"{plain(manifest.runs)}, {plain(manifest.seed)}",
         **manifest.provenance,
         "hash of settings": line(manifest.config_hash),
     }
     return [(key, value) for key, value in rows.items() if value]
-
-
-def fill(template: str, /, **values: Any) -> str:
-    """The text of a template of this package; HTML templates escape what is filled in."""
-    environment = Environment(
-        loader=PackageLoader("bojax.report"),
-        autoescape=template.endswith(".html.j2"),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-    )
-    environment.filters.update(minus=_minus, markdown=_markdown)
-    return environment.get_template(template).render(**values)
-
-
-def _minus(text: Any) -> str:
-    """A text in which a hyphen before a digit is a minus sign, as numbers are typeset."""
-    return re.sub(r"(?<![\w.])-(?=\d)", "\N{MINUS SIGN}", str(text))
-
-
-def _markdown(text: Any) -> str:
-    """A text on one line of Markdown or in a cell of its tables, its special characters escaped."""
-    plain = " ".join(str(text).split()).replace("&", "&amp;").replace("<", "&lt;")
-    return re.sub(r"([\\`*_|])", r"\\\1", plain)

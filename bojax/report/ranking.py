@@ -114,7 +114,7 @@ def config_of(results: Results, point: Point) -> dict[str, Any]:
     kind = settings.pop("kind")
     seed = ((results.manifest.seed or 0) + 1) % 2**32
     runs = int(results.runs_of(point)["run"].size)
-    title = f"{results.title}: {point.name}"
+    title = f"{results.manifest.title}: {point.name}"
     return {"title": title, "experiment": kind, **settings, "runs": runs, "seed": seed}
 
 

@@ -11,8 +11,8 @@ from urllib.parse import quote
 
 from bojax.report.collected import collected
 from bojax.report.manifest import Manifest
-from bojax.report.page import fill
 from bojax.report.source import load
+from bojax.report.template import fill
 from bojax.report.text import counted, joined
 from bojax.report.text import seconds as in_seconds
 from bojax.report.verdicts import (
@@ -73,20 +73,10 @@ class Sweep:
         return cls(manifest, claims, explanations_of(manifest, claims), address)
 
     @property
-    def name(self) -> str:
-        """Its name."""
-        return self.manifest.name or ""
-
-    @property
-    def written(self) -> str:
-        """Date and time of its last result; empty if unknown."""
-        return self.manifest.written or ""
-
-    @property
     def origin(self) -> Origin:
         """The command that made it, and what that ran on."""
         known = self.manifest.provenance
-        command = _PLACES.sub("", self.manifest.command or "")
+        command = _PLACES.sub("", self.manifest.command)
         return (("command", command), *((key, known[key]) for key in ("revision", "device", "versions")))
 
 
@@ -106,7 +96,7 @@ class Row:
     def of(cls, sweep: Sweep, claim: TestedClaim) -> "Row":
         """The row of a claim, read off its source, or else its id or the name of the sweep."""
         source = claim.source or ""
-        matches = [_REFERENCE.search(text) for text in (source, claim.id, sweep.name)]
+        matches = [_REFERENCE.search(text) for text in (source, claim.id, sweep.manifest.name)]
         chapter, place, reference = "0", (), ""
         if match := next(filter(None, matches), None):
             kind, chapter, number, letter, part = match.groups(default="")
@@ -133,8 +123,7 @@ def reproduction(
     for source in map(Path, sources):
         try:
             results = load(source)
-            manifest = results.manifest.model_copy(update={"name": results.name, "title": results.title})
-            sweeps.append(Sweep.of(source, manifest, read_claims(source), folder))
+            sweeps.append(Sweep.of(source, results.manifest, read_claims(source), folder))
         except ResultsError as error:
             gaps.append((_relative(source, folder), str(error).removeprefix(f"{source}: ")))
     _write([folder / TEXT, folder / PAGE], sweeps, gaps, [("time taken", in_seconds(seconds))])
@@ -161,11 +150,11 @@ def joined_reproduction(
     """
     found = collected(folders, names)
     sweeps = [Sweep.of(each.folder, each.manifest, each.claims, pages[0].parent) for each in found]
-    missing = [name for name in names if all(name != sweep.name for sweep in sweeps)]
+    missing = [name for name in names if all(name != sweep.manifest.name for sweep in sweeps)]
     is_partial = len(missing) > len(sweeps)  # a page on a few figures need not name all others
     gaps = [] if is_partial else [(name, "no finished results in these folders") for name in missing]
     claims = [claim for sweep in sweeps for claim in sweep.claims]
-    kept = {each.manifest.name or "": each.kept for each in found if each.kept}
+    kept = {each.manifest.name: each.kept for each in found if each.kept}
     whose = f"{counted(len(claims) - sum(kept.values()), 'claim')} decided by the tests of this version"
     if kept:
         whose += f", {sum(kept.values())} as in their reports, for want of tables ({joined(kept)})"
@@ -200,13 +189,18 @@ def _write(
     for sweep in sweeps:
         if sweep.manifest.status == "failed":
             errors = dict.fromkeys(chunk.error for chunk in sweep.manifest.chunks if chunk.error)
-            gaps = [*gaps, (sweep.name, f"some runs are missing: {'; '.join(errors) or 'unknown error'}")]
+            gaps = [
+                *gaps,
+                (sweep.manifest.name, f"some runs are missing: {'; '.join(errors) or 'unknown error'}"),
+            ]
     claims = [claim for sweep in sweeps for claim in sweep.claims]
     rows = sorted(
         (Row.of(sweep, claim) for sweep in sweeps for claim in sweep.claims), key=lambda row: row.order
     )
     manifests = [sweep.manifest for sweep in sweeps]
-    origins = list(dict.fromkeys(each.origin for each in sorted(sweeps, key=lambda sweep: sweep.written)))
+    origins = list(
+        dict.fromkeys(each.origin for each in sorted(sweeps, key=lambda sweep: sweep.manifest.written))
+    )
     changed = sum(bool(claim.changed) for claim in claims)
     summary = [
         f"{counted(len(claims), 'claim')}, tested by {counted(len(sweeps), 'sweep')}: {in_words(claims)}.",
@@ -255,7 +249,7 @@ def _paragraphs(sweeps: Sequence[Sweep], rows: Sequence[Row]) -> list[tuple[str,
     for sweep in sweeps:
         for each in sweep.explanations:
             members = [row for row in rows if row.sweep is sweep and row.claim in each.claims]
-            title = joined(dict.fromkeys(row.reference or sweep.name for row in members))
+            title = joined(dict.fromkeys(row.reference or sweep.manifest.name for row in members))
             found.append((title, each, members))
     return sorted(found, key=lambda paragraph: paragraph[2][0].order)
 
@@ -265,7 +259,7 @@ def _changes(manifests: Iterable[Manifest]) -> list[tuple[str, str, str, str]]:
     found: dict[tuple[str, str, str], list[str]] = {}
     for manifest in manifests:
         for change in manifest.changes:
-            found.setdefault(change, []).append(manifest.name or "")
+            found.setdefault(change, []).append(manifest.name)
     return [(*change, joined(names)) for change, names in found.items()]
 
 
@@ -282,7 +276,7 @@ def _provenance(sweeps: Sequence[Sweep], origins: Sequence[Origin]) -> list[tupl
                 rows.append((key if len(origins) == 1 else which, text))
             else:
                 rows.append((key if len(found) == 1 else f"{key}, {which}", text))
-    latest = max((sweep.written for sweep in sweeps), default="")
+    latest = max((sweep.manifest.written for sweep in sweeps), default="")
     return [*rows, ("precision", _said(sweeps, "precision")), ("last sweep written", latest)]
 
 
@@ -291,7 +285,7 @@ def _said(sweeps: Sequence[Sweep], key: str) -> str:
     found: dict[str, list[str]] = {}
     for sweep in sweeps:
         if text := sweep.manifest.provenance[key]:
-            found.setdefault(text, []).append(sweep.name)
+            found.setdefault(text, []).append(sweep.manifest.name)
     if len(found) == 1:
         return next(iter(found))
     return "; ".join(f"{text} ({joined(names)})" for text, names in found.items())

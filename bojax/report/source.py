@@ -88,16 +88,6 @@ class Results:
         return claims_of(self.manifest)
 
     @property
-    def name(self) -> str:
-        """The sweep's name."""
-        return self.manifest.name or self.folder.name
-
-    @property
-    def title(self) -> str:
-        """The sweep's title."""
-        return self.manifest.title or self.name
-
-    @property
     def reference(self) -> Point | None:
         """The point that `report.relative_to` names, if it is one."""
         name = self.report.relative_to
@@ -171,9 +161,7 @@ class Results:
             values = self.episodes[column]
             is_phase = self.episodes["phase"] == phase
             last = int(self.episodes["episode"][is_phase].max(initial=0))
-            rows = is_phase & (self.episodes["point"] == point.index)
-            runs = self.runs_of(point)["run"]
-            rows &= np.isin(self.episodes["run"], runs)
+            rows, runs = is_phase & (self.episodes["point"] == point.index), self.runs_of(point)["run"]
             cell = np.searchsorted(runs, self.episodes["run"][rows]) * last
             cell += self.episodes["episode"][rows] - 1
             values = values[rows].astype(np.float64)
@@ -264,7 +252,9 @@ def load(folder: Path) -> Results:
         print(
             printable(f"note: {folder} was written by bojax {writer}; this is {__version__}"), file=sys.stderr
         )
-    return Results(folder, manifest, _points(manifest.points))
+    name = manifest.name or folder.name
+    named = manifest.model_copy(update={"name": name, "title": manifest.title or name})
+    return Results(folder, named, _points(manifest.points))
 
 
 def _newest_below(folder: Path) -> Path | None:

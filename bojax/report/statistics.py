@@ -6,9 +6,9 @@ Learning at the Edge of the Statistical Precipice (NeurIPS), recommend for a few
 Random numbers come from one fixed seed, so that the same table gives the same report.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, wraps
 from statistics import NormalDist
 from typing import Any, TypeAlias
 
@@ -134,51 +134,39 @@ def central(samples: Floats) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def mean_interval(values: ArrayLike) -> Interval:
+def _once(interval: Callable[..., Interval]) -> Callable[..., Interval]:
+    """Claims, figures and tables ask for the same intervals: each is made once, and known by its values."""
+    known = lru_cache(maxsize=256)(lambda *columns: interval(*map(np.frombuffer, columns)))
+    return wraps(interval)(
+        lambda *columns: known(*(np.asarray(x, dtype=np.float64).tobytes() for x in columns))
+    )
+
+
+@_once
+def mean_interval(values: Floats) -> Interval:
     """Mean of `[n]` values with its percentile bootstrap interval; NaN for no value or a NaN among them."""
-    return _mean_interval(np.asarray(values, dtype=np.float64).tobytes())
+    if values.size == 0 or not np.isfinite(values).all():
+        return _UNKNOWN
+    return Interval(float(values.mean()), *central(bootstrap_means(values)))
 
 
-def ratio_interval(numerator: ArrayLike, denominator: ArrayLike) -> Interval:
+@_once
+def ratio_interval(numerator: Floats, denominator: Floats) -> Interval:
     """Ratio of the means of two columns of equal runs, `[n]` each, with its percentile bootstrap interval.
 
     NaN if a mean, or that of any resample, is not positive, since the ratio is then meaningless.
     """
-    columns = [np.asarray(values, dtype=np.float64) for values in (numerator, denominator)]
-    return _ratio_interval(np.stack(columns, axis=1).tobytes())
-
-
-# Claims, figures and tables ask for the same intervals: each is resampled once, and known by its values.
-@lru_cache(maxsize=256)
-def _mean_interval(values: bytes) -> Interval:
-    table = np.frombuffer(values)
-    if table.size == 0 or not np.isfinite(table).all():
-        return _UNKNOWN
-    return Interval(float(table.mean()), *central(bootstrap_means(table)))
-
-
-@lru_cache(maxsize=256)
-def _ratio_interval(values: bytes) -> Interval:
-    table = np.frombuffer(values).reshape(-1, 2)
+    table = np.stack([numerator, denominator], axis=1)
     if table.size == 0 or not np.isfinite(table).all() or not (means := bootstrap_means(table)).min() > 0:
         return _UNKNOWN
     ratio = float(table[:, 0].mean() / table[:, 1].mean())
     return Interval(ratio, *central(means[:, 0] / means[:, 1]))
 
 
-def iqm(values: ArrayLike) -> float:
-    """Interquartile mean of `[n]` values: their mean without the lowest and the highest quarter.
-
-    A quarter is rounded down to whole values, so that all of up to three values count.
-    """
-    kept = np.sort(np.asarray(values, dtype=np.float64))
-    cut = int(TRIMMED * kept.size)
-    return float(kept[cut : kept.size - cut].mean()) if kept.size else float("nan")
-
-
 def iqm_interval(strata: Sequence[ArrayLike]) -> Interval:
     """Interquartile mean of the values of all strata, with its stratified percentile bootstrap interval.
 
+    It leaves out the lowest and the highest quarter, rounded down, so that all of up to three values count.
     Every resample draws from each stratum, such as the runs of a task, as many values as it has (Agarwal et
     al. 2021, section 4.1). NaN for no value or a NaN among them.
     """
@@ -189,13 +177,14 @@ def iqm_interval(strata: Sequence[ArrayLike]) -> Interval:
     order = np.argsort(pooled)
     cut = int(TRIMMED * pooled.size)
     means = []
-    for block in _strata_counts([table.size for table in tables], range(len(tables))):
+    ones = [np.ones((1, table.size)) for table in tables]
+    for block in (ones, *_strata_counts([table.size for table in tables], range(len(tables)))):
         # A resample repeats each sorted value as often as it was drawn; the middle ranks of it are kept.
         ends = np.cumsum(np.concatenate(block, axis=1)[:, order], axis=1)
         inside = np.clip(ends, cut, pooled.size - cut)
         kept = np.diff(inside, axis=1, prepend=cut)
         means.append(kept @ pooled[order] / (pooled.size - 2 * cut))
-    return Interval(iqm(pooled), *central(np.concatenate(means)))
+    return Interval(float(means[0][0]), *central(np.concatenate(means[1:])))
 
 
 def improvement_interval(strata: Sequence[tuple[ArrayLike, ArrayLike]], *, is_paired: bool) -> Interval:

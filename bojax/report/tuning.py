@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pydantic
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
@@ -13,11 +12,12 @@ from bojax.config.tuning import Range, described
 from bojax.report import style
 from bojax.report.drawing.base import Drawing, label_panels, panel_grid
 from bojax.report.manifest import Count, Part, validated
-from bojax.report.page import fill, provenance
+from bojax.report.page import provenance
 from bojax.report.ranking import Measure, ranking
 from bojax.report.source import Results, load
 from bojax.report.statistics import BAND, Interval
 from bojax.report.tables import BEHIND, LAG, Cell, Table, count_cell, interval_cell, score_cells, setting_cell
+from bojax.report.template import fill
 from bojax.report.text import counted, heading, number, plain
 from bojax.results.store import ResultsError, read_json, write_content
 
@@ -62,7 +62,7 @@ class SearchPlan(Part):
 class Tuning(Part):
     """A finished search."""
 
-    plan_: SearchPlan = pydantic.Field(alias="plan")
+    plan: SearchPlan
     name: str
     title: str
     points: list[TriedPoint]
@@ -72,19 +72,14 @@ class Tuning(Part):
     confirmed: str | None
 
     @property
-    def plan(self) -> dict[str, Any]:
-        """The plan as plain values."""
-        return self.plan_.model_dump()
-
-    @property
     def ranges(self) -> list[Range]:
         """The tuned settings."""
-        return [Range(**each) for each in self.plan_.settings.values()]
+        return [Range(**each) for each in self.plan.settings.values()]
 
     @property
     def measure(self) -> Measure:
         """The measure that the search optimises."""
-        return Measure(self.plan_.metric, self.plan_.minimise)
+        return Measure(self.plan.metric, self.plan.minimise)
 
     @property
     def best(self) -> TriedPoint:
@@ -141,7 +136,7 @@ def build_tuning_report(folder: Path) -> Path:
 
 
 def _summary(tuning: Tuning, fresh: Results | None) -> str:
-    plan, best = tuning.plan_, tuning.best
+    plan, best = tuning.plan, tuning.best
     runs = len(tuning.points) * plan.runs
     found = (
         f"{counted(len(tuning.points), 'point')} with {counted(plan.runs, 'run')} each, "
@@ -190,7 +185,7 @@ def _ranked(tuning: Tuning) -> Table:
     headings = [f"expected {tuning.measure.words}", "score", *(each.key for each in tuning.ranges), "round"]
     caption = (
         f"The best {counted(len(rows), 'point')} of {len(tuning.points)} by the posterior mean of the model, "
-        f"its 95% interval in brackets. Score: the mean of {counted(tuning.plan_.runs, 'run')}. The standard "
+        f"its 95% interval in brackets. Score: the mean of {counted(tuning.plan.runs, 'run')}. The standard "
         f"deviation of the noise of a score is {number(tuning.noise_std)}, as learned by the model. The best "
         "point was chosen by these runs, so its mean is optimistic."
     )
@@ -234,7 +229,7 @@ def _draw_slices(tuning: Tuning) -> Drawing:
 
 def _draw_progress(tuning: Tuning) -> Drawing:
     """The score of every point, and the best score so far, by number of runs."""
-    sign, runs = tuning.measure.sign, tuning.plan_.runs
+    sign, runs = tuning.measure.sign, tuning.plan.runs
     scores = np.asarray([np.nan if point.score is None else point.score for point in tuning.points])
     spent = runs * np.arange(1, len(scores) + 1)
     best = sign * np.fmax.accumulate(sign * scores)
@@ -261,7 +256,7 @@ def _finish(axes: Axes) -> None:
 
 
 def _label(tuning: Tuning) -> str:
-    return f"mean {heading(tuning.plan_.metric)}"
+    return f"mean {heading(tuning.plan.metric)}"
 
 
 def _ticks(low: float, high: float) -> tuple[float, ...]:

@@ -179,7 +179,7 @@ def explanations_of(manifest: Manifest, claims: Sequence[TestedClaim]) -> list[E
     Any other sweep, also one of the same name, has those of its manifest. Claims without an explanation are
     unexplained, and come last.
     """
-    published = published_report(manifest.name or "") if manifest.is_published else None
+    published = published_report(manifest.name) if manifest.is_published else None
     report = published or manifest.report
     left = [claim for claim in claims if claim.verdict != "reproduced"]
     found = []

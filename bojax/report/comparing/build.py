@@ -28,9 +28,9 @@ from bojax.report.comparing.curve_files import read_curves
 from bojax.report.drawing.base import MAX_POINTS, Drawing, Undrawable, dot_plot, draw_intervals
 from bojax.report.drawing.curves import Chart, Panel
 from bojax.report.figures.learning_curves import limit
-from bojax.report.page import fill
 from bojax.report.ranking import ENDS
 from bojax.report.source import Results, load
+from bojax.report.template import fill
 from bojax.report.text import counted, file_name, heading, joined, minus, number, percent, ranged
 from bojax.results.store import ResultsError, write_content
 

@@ -113,7 +113,7 @@ def sources(results: Sequence[Results], contenders: Sequence[Contender]) -> list
     for each in results:
         manifest = each.manifest
         parts = {
-            "sweep": each.name,
+            "sweep": manifest.name,
             "runs": plain(manifest.runs),
             "seed": plain(manifest.seed),
             "written": manifest.written,

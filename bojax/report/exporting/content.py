@@ -67,7 +67,9 @@ def exported(results: Results) -> list[ExportedPoint]:
         about = {"runs": str(results.runs_of(point)["run"].size), "seed": plain(results.manifest.seed)}
         settings = dict(flatten(point.config)) | about
         scalars, curves = _scalars(results, point), _curves(results, point, kind == "learning")
-        points.append(ExportedPoint(results.name, point.name, point.index, settings, scalars, curves))
+        points.append(
+            ExportedPoint(results.manifest.name, point.name, point.index, settings, scalars, curves)
+        )
     return points
 
 
