@@ -6,7 +6,7 @@ from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Int
+from jaxtyping import Array, ArrayLike, Bool, Int
 
 T = TypeVar("T")
 """A tree of arrays."""
@@ -57,14 +57,14 @@ def batched_together(tree: T) -> T:
 
 
 @jax.custom_batching.custom_vmap
-def _together(*arrays: Array) -> tuple[Array, ...]:
+def _together(*arrays: ArrayLike) -> tuple[ArrayLike, ...]:
     return arrays
 
 
 @_together.def_vmap
-def _together_in_lanes(num_lanes: int, is_batched: Sequence[bool], *arrays: Array):
+def _together_in_lanes(num_lanes: int, is_batched: Sequence[bool], *arrays: ArrayLike):
     together = tuple(
-        array if batched else jnp.broadcast_to(array, (num_lanes, *array.shape))
+        array if batched else jnp.broadcast_to(array, (num_lanes, *jnp.shape(array)))
         for array, batched in zip(arrays, is_batched, strict=True)
     )
     return together, (True,) * len(arrays)
