@@ -69,7 +69,7 @@ class Functions:
         self.snapshot = jax.jit(self._named(_snapshot, group))
         self.exported_state = jax.jit(self._named(_exported_state, group))
         self.recorded = jax.jit(self._named(_recorded, group))
-        self.select = jax.jit(_select)
+        self.select = jax.jit(self._named(_select, group))
 
     def empty(self, carry: PyTree[jax.ShapeDtypeStruct], device: Device):
         """A jitted function that makes a carry without values on a device."""
@@ -100,7 +100,14 @@ class Programs:
     """Whether an advance is one compiled program."""
 
     def __init__(
-        self, functions: Functions, device: Device, num_lanes: int, seed: int, *, recorded: int, fills: bool
+        self,
+        functions: Functions,
+        device: Device,
+        num_lanes: int,
+        seed: int,
+        *,
+        recorded: int,
+        wider: int | None = None,
     ):
         """Compile the programs.
 
@@ -110,7 +117,7 @@ class Programs:
             num_lanes: Number of lanes.
             seed: Seed of the sweep.
             recorded: Largest number of lanes whose run is recorded.
-            fills: Whether runs start in these lanes; otherwise they come from a larger number of lanes.
+            wider: The larger number of lanes that the runs come from; None if they start in these lanes.
         """
         self.num_lanes, self.device = num_lanes, device
         self._functions, self._group = functions, functions.group
@@ -122,7 +129,7 @@ class Programs:
         self.max_advances = run.max_advances
         self._recorded_tables, self._num_recorded = run.recorded_tables, min(recorded, num_lanes)
         self._prepare(run)
-        key = executables.key_of(self._group, device, type(self), num_lanes, self._num_recorded, fills)
+        key = executables.key_of(self._group, device, type(self), num_lanes, self._num_recorded, wider)
         start = time.perf_counter()
         self.is_saved = False
         if found := executables.load(key, device):
@@ -132,7 +139,7 @@ class Programs:
         else:
             with _TRACING:
                 start = time.perf_counter()
-                lowered, carry = self._lower(fills)
+                lowered, carry = self._lower(wider)
                 traced = time.perf_counter() - start
             start = time.perf_counter()
             with executables.compiled_anew() as compiled:
@@ -152,7 +159,7 @@ class Programs:
             lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=self._sharding), structure
         )
 
-    def _lower(self, fills: bool) -> tuple[dict[str, Lowered], PyTree[jax.ShapeDtypeStruct]]:
+    def _lower(self, wider: int | None) -> tuple[dict[str, Lowered], PyTree[jax.ShapeDtypeStruct]]:
         """The programs, traced for inputs of exactly these shapes on this device, and their carry."""
         functions, one_point = self._functions, np.zeros(self.num_lanes, dtype=np.int32)
         lanes = self.place(one_point, one_point)
@@ -168,7 +175,10 @@ class Programs:
                 self._on_device({name: tables[name] for name in self._recorded_tables}),
                 jax.device_put(np.zeros(self._num_recorded, np.int32), self._sharding),
             )
-        if fills:
+        if wider is not None:
+            of_wider = jax.tree.map(lambda leaf: leaf.update(shape=(wider, *leaf.shape[1:])), carry)
+            lowered["select"] = functions.select.lower(self._on_device(of_wider), lanes.runs)
+        else:
             everywhere = jax.device_put(np.ones(self.num_lanes, dtype=bool), self._sharding)
             lowered["empty"] = functions.empty(carry, self.device).lower()
             lowered["fill"] = functions.fill.lower(self._key, inputs[0], lanes, everywhere, self._shared)
@@ -231,8 +241,8 @@ class Programs:
         return self._functions.exported_state(carry, lanes, self._shared)
 
     def select(self, carry: Carry, lanes: np.ndarray) -> Carry:
-        """The carry of some of the lanes."""
-        return self._functions.select(carry, jax.device_put(lanes, self._sharding))
+        """The carry of some of the lanes of `wider`."""
+        return self._programs["select"](carry, jax.device_put(lanes.astype(np.int32), self._sharding))
 
 
 def _compile(name: str, lowered: Lowered) -> Compiled:
@@ -308,7 +318,8 @@ def _recorded(group: StaticGroup, tables: PyTree, lanes: Int[Array, " recorded"]
     return jax.tree.map(lambda column: column[lanes], tables)
 
 
-def _select(carry: Carry, lanes: Int[Array, " selected"]) -> Carry:
+def _select(group: StaticGroup, carry: Carry, lanes: Int[Array, " selected"]) -> Carry:
+    del group
     return jax.tree.map(lambda leaf: leaf[lanes], carry)
 
 

@@ -249,14 +249,8 @@ class _Executor:
         if is_first and not is_compiled:
             self._progress.compiling(task.progress)
         kind = Hosted if task.experiment.is_hosted else Programs
-        programs = kind(
-            task.functions,
-            device,
-            width,
-            task.seed,
-            recorded=task.recorded,
-            fills=is_first,
-        )
+        wider = min((each for each in task.layout.widths if each > width), default=None)
+        programs = kind(task.functions, device, width, task.seed, recorded=task.recorded, wider=wider)
         if is_first and not is_compiled:
             self._progress.compiled(task.progress, programs.compile_seconds)
         with self._changed:  # a compilation may end after the sweep has ended

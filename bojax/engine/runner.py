@@ -243,7 +243,10 @@ class ChunkRunner:
         if not fitting:
             return 0
         self._hand_in(done)
-        self._narrow(live, min(fitting))
+        for width in layout.widths:  # each number of lanes has a program that selects from the next larger
+            if min(fitting) <= width < len(state.lanes):
+                self._narrow(np.nonzero(self._map != EMPTY)[0], width)
+        self._place()
         return len(done)
 
     def _refill(self, free: np.ndarray) -> None:
@@ -257,14 +260,13 @@ class ChunkRunner:
 
     def _narrow(self, live: np.ndarray, width: int) -> None:
         state = self._state
+        start = time.perf_counter()
+        self._programs = self._programs_of(width)
+        self._waited += time.perf_counter() - start
         selected = np.resize(live, width)
         self._carry = self._programs.select(self._carry, selected)
         state.started = [state.started[lane] for lane in selected.tolist()]
         state.lanes = [state.lanes[lane] for lane in live.tolist()] + [EMPTY] * (width - len(live))
-        start = time.perf_counter()
-        self._programs = self._programs_of(width)
-        self._waited += time.perf_counter() - start
-        self._place()
 
     def _hand_in(self, lanes: np.ndarray) -> None:
         """Keep the summaries, snapshots and learners of finished runs, and empty their lanes."""

@@ -17,7 +17,7 @@ MODULES = [toy(scale=1.0), toy(scale=2.0)]
 
 def compile_toys(num_lanes=8, modules=MODULES, device=0, **options) -> Programs:
     (group,) = static_groups(modules)
-    given = {"recorded": num_lanes, "fills": True} | options
+    given = {"recorded": num_lanes} | options
     return Programs(Functions(group), jax.devices("cpu")[device], num_lanes, SEED, **given)
 
 
@@ -105,11 +105,11 @@ def test_filling_starts_the_new_runs_and_leaves_the_others_alone():
 
 def test_a_selection_of_lanes_goes_on_in_fewer():
     wide = compile_toys(8)
-    narrow = Programs(wide._functions, wide.device, 2, SEED, recorded=6, fills=False)
+    narrow = Programs(wide._functions, wide.device, 2, SEED, recorded=6, wider=wide.num_lanes)
     lanes = place(wide, [0, 1] * 4, list(range(8)))
     carry, _, _ = wide.advance(wide.init(lanes), lanes)
     chosen = np.array([6, 1])
-    fewer, few = wide.select(carry, chosen), place(narrow, [0, 1], [6, 1])
+    fewer, few = narrow.select(carry, chosen), place(narrow, [0, 1], [6, 1])
     carry, records, _ = wide.advance(carry, lanes)
     fewer, selected, _ = narrow.advance(fewer, few)
     np.testing.assert_allclose(fewer.position, np.asarray(carry.position)[chosen], rtol=1e-12)

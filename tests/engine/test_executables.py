@@ -71,7 +71,7 @@ def group_of(**changes):
 
 
 def programs_of(group, lanes: int = 3, device=DEVICE) -> Programs:
-    return Programs(Functions(group), device, lanes, 0, recorded=0, fills=True)
+    return Programs(Functions(group), device, lanes, 0, recorded=0)
 
 
 def advanced(programs: Programs):
@@ -283,7 +283,7 @@ def test_several_devices_compile_a_program_once(cache, monkeypatch, tmp_path):
 
 
 def test_only_rows_of_recorded_lanes_leave_the_device():
-    programs = Programs(Functions(group_of()), DEVICE, 3, 0, recorded=2, fills=True)
+    programs = Programs(Functions(group_of()), DEVICE, 3, 0, recorded=2)
     given = programs.place(np.zeros(3, int), np.arange(3))
     _, tables, _ = programs.advance(programs.init(given), given)
     for lanes in ([], [1], [0, 2]):

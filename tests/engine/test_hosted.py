@@ -177,7 +177,7 @@ def test_is_what_the_compiled_run_does(tests_learn):
         "float32",
     )
     given = Functions(static_groups([compiled_run])[0]), jax.devices("cpu")[0], 3, 0
-    programs = [kind(*given, recorded=0, fills=True) for kind in (Programs, OurHosted)]
+    programs = [kind(*given, recorded=0) for kind in (Programs, OurHosted)]
     ends = []
     for program in programs:
         lanes = program.place(np.zeros(3, np.int32), np.arange(3, dtype=np.int32))

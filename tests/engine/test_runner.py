@@ -32,15 +32,15 @@ LAYOUTS = {
     "refilled and narrowed": Layout(24, (8, 3), 2),
     "two queues": Layout(13, (4, 1), 1),
 }
-programs: dict[tuple[int, bool], Programs] = {}
+programs: dict[tuple[int, int | None], Programs] = {}
 
 
 def programs_of(layout: Layout):
     def compiled(width):
-        key = width, width == layout.lanes
+        key = width, min((each for each in layout.widths if each > width), default=None)
         if key not in programs:
             device = jax.devices("cpu")[0]
-            programs[key] = Programs(FUNCTIONS, device, width, SEED, recorded=6, fills=key[1])
+            programs[key] = Programs(FUNCTIONS, device, width, SEED, recorded=6, wider=key[1])
         return programs[key]
 
     return compiled

@@ -205,7 +205,7 @@ def test_a_zombie_that_commits_late(often, alone):
             if (chunk.group, width) not in programs:
                 functions = Functions(plan.groups[chunk.group])
                 device = jax.devices()[0]
-                programs[chunk.group, width] = Programs(functions, device, width, 3, recorded=4, fills=True)
+                programs[chunk.group, width] = Programs(functions, device, width, 3, recorded=4)
             return programs[chunk.group, width]
 
         segments = []

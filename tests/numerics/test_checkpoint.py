@@ -17,7 +17,7 @@ from tests.toy import toy
 @pytest.fixture(scope="module")
 def program():
     (group,) = static_groups([toy(), toy(scale=2.0)])
-    return Programs(Functions(group), jax.devices("cpu")[1], 6, 0, recorded=0, fills=True)
+    return Programs(Functions(group), jax.devices("cpu")[1], 6, 0, recorded=0)
 
 
 @pytest.fixture
