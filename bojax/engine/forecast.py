@@ -7,6 +7,9 @@ import numpy as np
 
 from bojax.engine.devices import of_platform
 
+NEARLY = 0.9
+"""Largest share for which a compilation counts before its end."""
+
 
 @dataclass
 class ChunkProgress:
@@ -171,12 +174,20 @@ def _advances_left(chunk: ChunkProgress, mean: float) -> float:
 
 
 def _compiling(groups: Sequence[GroupProgress], now: float) -> float:
-    """Seconds until all groups are compiled, at the pace at which compilations have ended so far."""
-    starts = [group.compiling_since for group in groups if group.compiling_since is not None]
-    left = sum(1 for group in groups if group.compile_seconds is None and group.chunks)
-    if not starts or not left:
+    """Seconds until all groups are compiled, at the pace of the compilations so far.
+
+    One that has begun counts by its share of the usual duration, but never as done.
+    """
+    left = [group for group in groups if group.compile_seconds is None and group.chunks]
+    begun = [group.compiling_since for group in groups if group.compiling_since is not None]
+    if not begun or not left:
         return 0.0
-    done = sum(
-        1 for group in groups if group.compile_seconds is not None and group.compiling_since is not None
-    )
-    return (now - min(starts)) / max(1, done) * left
+    ended = [
+        group.compiled - group.compiling_since
+        for group in groups
+        if group.compiled is not None and group.compiling_since is not None
+    ]
+    usual = max(float(np.mean(ended)), 1e-9) if ended else np.inf
+    ages = [now - group.compiling_since for group in left if group.compiling_since is not None]
+    parts = sum(min(age / usual, NEARLY) for age in ages)
+    return (now - min(begun)) / max(1.0, len(ended) + parts) * (len(left) - parts)

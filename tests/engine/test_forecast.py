@@ -66,6 +66,7 @@ def test_an_unknown_group_is_taken_for_an_average_one():
         lane_advances=5,
         compile_seconds=3.0,
         compiling_since=-3.0,
+        compiled=0.0,
     )
     unknown = GroupProgress("unknown", 100, {0: ChunkProgress(1, 1, 1, 0, 100)})
     found = forecast([known, unknown], **USUAL)
@@ -78,14 +79,26 @@ def test_an_unknown_group_is_taken_for_an_average_one():
 def test_workers_share_chunks_and_a_compilation_hides_behind_an_accelerator():
     chunks = {i: ChunkProgress(1, 1, 1, 0, 10, seconds_per_advance=1.0) for i in range(4)}
     group = GroupProgress("toy", 10, chunks, seconds=1.0, advances=1, compile_seconds=2.0, platform="gpu")
-    group.compiling_since = -4.0
+    group.compiling_since, group.compiled = -4.0, -2.0
     left = {9: ChunkProgress(1, 1, 1, 0, 10)}
     other = GroupProgress("other", 10, left, compiling_since=-1.0, platform="gpu")
     found = forecast([group, other], now=0.0, workers={"gpu": 2})
     assert found is not None
     assert found.running == pytest.approx(25.0)  # five chunks of ten advances on two workers
-    assert found.compiling == pytest.approx(4.0)  # one program was compiled in the 4 s so far
+    assert found.compiling == pytest.approx(4.0 / 1.5 * 0.5)  # one and a half programs took 4 s
     assert found.seconds == pytest.approx(25.0)
+
+
+def test_compilations_side_by_side_are_forecast_by_how_far_they_have_come():
+    def compiling(since, until=None):
+        ended = {} if until is None else {"compiled": until, "compile_seconds": until - since}
+        left = {0: ChunkProgress(1, 1, 1, 0, 1)}
+        return GroupProgress("toy", 1, left, compiling_since=since, advances=1, seconds=0.0, **ended)
+
+    first, second, late = compiling(0.0, 10.0), compiling(0.0), compiling(None)
+    for now, expected in ((10.0, 10.0 / 1.9 * 1.1), (30.0, 30.0 / 1.9 * 1.1)):  # never taken as done
+        found = forecast([first, second, late], now=now, workers={"cpu": 2})
+        assert found is not None and found.compiling == pytest.approx(expected)
 
 
 def test_a_device_that_waits_for_programs_is_taken_to_go_on_waiting_until_the_last_one():
