@@ -9,12 +9,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import pydantic
+
 from bojax.config import sweep as config
 from bojax.config.changed import changed_settings
-from bojax.config.claims import Claim
+from bojax.config.claims import Claim, Test
 from bojax.config.errors import listed
 from bojax.report.claims.evaluate import evaluate
-from bojax.report.manifest import ClaimEntry, Manifest, Unread, claims_of, validated
+from bojax.report.manifest import ClaimEntry, Manifest, Unread, validated
 from bojax.report.source import Results, load
 from bojax.report.verdicts import CLAIMS, TestedClaim
 from bojax.results.store import MANIFEST, ResultsError, read_json
@@ -69,41 +71,28 @@ def _judged(results: Results, sweep: config.Sweep) -> Collected:
     claims = [ClaimEntry.model_validate(claim.model_dump(mode="json")) for claim in sweep.claims]
     now = {"name": sweep.name, "title": sweep.title, "claims": claims, "changed": _changed(results, sweep)}
     results = replace(results, manifest=results.manifest.model_copy(update=now))
-    entries, known = evaluate(results), _recorded(results)
-    kept = [_is_kept(entry, claim, known) for entry, claim in zip(entries, sweep.claims, strict=True)]
-    for entry, is_kept in zip(entries, kept, strict=True):
-        if is_kept:
-            found = known[entry["id"]][0]
+    path, kept = results.folder / CLAIMS, 0
+    written = read_json(path) if path.is_file() else []
+    validated(list[TestedClaim], written, str(path))
+    entries, known = evaluate(results), {entry["id"]: entry for entry in written}
+    for entry, claim in zip(entries, sweep.claims, strict=True):
+        # What cannot be decided from these results, their report may have decided, by the same test.
+        found = known.get(claim.id) if "reason" in entry["test"] else None
+        if found and "reason" not in found["test"] and _test_of(found) == claim.test:
             entry |= {key: found[key] for key in ("ours", "interval", "runs", "verdict", "test")}
-    tested = validated(list[TestedClaim], entries, str(results.folder / CLAIMS))
-    return Collected(results.folder, results.manifest, tested, sum(kept))
+            kept += 1
+    tested = validated(list[TestedClaim], entries, str(path))
+    return Collected(results.folder, results.manifest, tested, kept)
 
 
-def _is_kept(entry: dict[str, Any], claim: Claim, known: dict[str, tuple[dict[str, Any], Any]]) -> bool:
-    """Whether a claim cannot be decided from these results, but their report has, by the same test."""
-    if "reason" not in entry["test"] or claim.id not in known:
-        return False
-    found, test = known[claim.id]
-    return "reason" not in found["test"] and test == claim.test
-
-
-def _recorded(results: Results) -> dict[str, tuple[dict[str, Any], Any]]:
-    """The entries of the report of the results, each with the settings of its test, by id."""
-    path = results.folder / CLAIMS
-    entries = read_json(path) if path.is_file() else []
-    validated(list[TestedClaim], entries, str(path))
-    written = [
-        ClaimEntry.model_validate(
-            {key: entry[key] for key in ("id", "source", "claim", "thesis")}
-            | {"test": {key: value for key, value in entry["test"].items() if key not in _FOUND}}
-        )
-        for entry in entries
-    ]
-    claims = claims_of(results.manifest.model_copy(update={"claims": written}))
-    return {
-        entry["id"]: (entry, getattr(claim, "test", None))
-        for entry, claim in zip(entries, claims, strict=True)
-    }
+def _test_of(entry: dict[str, Any]) -> Test | None:
+    """The settings of the test of an entry of `claims.json`; None of a test that this version refuses."""
+    settings = {key: value for key, value in entry["test"].items() if key not in _FOUND}
+    known = {key: entry[key] for key in ("id", "source", "claim", "thesis")}
+    try:
+        return Claim.model_validate({**known, "test": settings}).test
+    except pydantic.ValidationError:
+        return None
 
 
 def _changed(results: Results, sweep: config.Sweep) -> dict[str, list[Any]]:

@@ -22,7 +22,6 @@ def render(
     The first of the drawings is the reproduced figure.
     """
     tested = [TestedClaim.model_validate(claim) for claim in claims]
-    is_learning = any(point.is_learning for point in results.points)
     most = max(results.runs_of(point)["run"].size for point in results.points)
     groups = f" The bootstrap resamples {statistics.resampled(most)}." if most > statistics.GROUPS else ""
     common, own = tables.settings(results)
@@ -40,7 +39,7 @@ def render(
         ratios=tables.ratios(results),
         has_thesis=bool(results.report.thesis),
         speeds=tables.speeds(results),
-        is_learning=is_learning,
+        is_learning=any(point.is_learning for point in results.points),
         resampling=groups,
         common=common,
         own=own,

@@ -217,7 +217,7 @@ def _draw_slices(tuning: Tuning) -> Drawing:
             axes.xaxis.set_major_locator(MaxNLocator(nbins=4))
         _finish(axes)
         axes.set_xlabel(style.wrapped(each.key.replace(".", ". "), 22).replace(". ", "."))
-    label_panels(grid, None, _label(tuning))
+    label_panels(grid, None, f"mean {heading(tuning.plan.metric)}")
     return Drawing(
         figure,
         f"{tuning.measure.words} over each setting".capitalize(),
@@ -238,7 +238,7 @@ def _draw_progress(tuning: Tuning) -> Drawing:
     axes.step(spent, best, where="post", color=style.BLUE)
     axes.axhline(tuning.best.mean, color=style.ORANGE, linewidth=1.2, linestyle=(0, (5, 2)))
     axes.set_xlabel("runs")
-    axes.set_ylabel(_label(tuning))
+    axes.set_ylabel(f"mean {heading(tuning.plan.metric)}")
     _finish(axes)
     return Drawing(
         figure,
@@ -250,13 +250,9 @@ def _draw_progress(tuning: Tuning) -> Drawing:
 
 
 def _finish(axes: Axes) -> None:
-    style.plain_ticks(axes.xaxis)
-    style.plain_ticks(axes.yaxis)
+    for axis in (axes.xaxis, axes.yaxis):
+        style.plain_ticks(axis)
     style.quiet_grid(axes)
-
-
-def _label(tuning: Tuning) -> str:
-    return f"mean {heading(tuning.plan.metric)}"
 
 
 def _ticks(low: float, high: float) -> tuple[float, ...]:

@@ -68,7 +68,12 @@ def _parsed(path: Path, lines) -> list[Rows]:
         place = f"{path}: line {lines.line_num}"
         if len(line) != len(header):
             raise ResultsError(f"{place}: got {len(line)} cells; allowed: {len(header)}, as in the header")
-        row = _row(place, dict(zip(header, map(str.strip, line), strict=True)))
+        try:
+            row = _Row.model_validate(dict(zip(header, map(str.strip, line), strict=True)))
+        except pydantic.ValidationError as error:
+            raise ResultsError(
+                str(from_validation(error, lambda at, place=place: f"{place}: {dotted(at)}"))
+            ) from error
         values = cells.setdefault((row.label, row.task), {}).setdefault(row.run, {})
         if row.x in values:
             raise ResultsError(
@@ -78,7 +83,7 @@ def _parsed(path: Path, lines) -> list[Rows]:
     if not cells:
         raise ResultsError(f"{path}: has no rows; allowed: at least one below the header")
     return [
-        Rows(label, task, {run: _ordered(values) for run, values in sorted(runs.items())})
+        Rows(label, task, {run: tuple(np.array(sorted(runs[run].items())).T) for run in sorted(runs)})
         for (label, task), runs in cells.items()
     ]
 
@@ -94,15 +99,3 @@ def _check_header(path: Path, header: Sequence[str]) -> None:
     for name in COLUMNS:
         if name not in header:
             raise ResultsError(f"{path}: no column {name}; allowed: {', '.join(COLUMNS)}, optionally {TASK}")
-
-
-def _row(place: str, cells: dict[str, str]) -> _Row:
-    try:
-        return _Row.model_validate(cells)
-    except pydantic.ValidationError as error:
-        raise ResultsError(str(from_validation(error, lambda at: f"{place}: {dotted(at)}"))) from error
-
-
-def _ordered(values: dict[float, float]) -> tuple[Floats, Floats]:
-    x = np.array(sorted(values))
-    return x, np.array([values[each] for each in x.tolist()])

@@ -75,10 +75,9 @@ def points_with(
 ) -> tuple[list[tuple[Point, dict[int, T]]], str]:
     """The drawn points with what was recorded of them, by run, and the note of `drawn_points`."""
     points, note = drawn_points(results, most)
-    found = [(point, kept) for point in points if (kept := recorded(point))]
-    if not found:
-        raise Undrawable(missing)
-    return found, note
+    if found := [(point, kept) for point in points if (kept := recorded(point))]:
+        return found, note
+    raise Undrawable(missing)
 
 
 def panel_grid(
