@@ -35,11 +35,9 @@ class Collected:
 
 
 def collected(folders: Iterable[Path], names: Collection[str]) -> list[Collected]:
-    """The newest results of each of some sweeps of bojax, by name.
+    """The newest results of each of the sweeps of bojax with these names.
 
-    Args:
-        folders: Results folders of these sweeps, or folders above results, of which others are passed over.
-        names: The names of the sweeps.
+    The folders hold results of these sweeps, or are above results, of which others are passed over.
     """
     newest: dict[str, Results] = {}
     for results in (each for folder in folders for each in _results(folder, names)):

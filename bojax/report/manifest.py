@@ -160,12 +160,7 @@ class Manifest(Part):
 
 
 def read(manifest: Any, path: str) -> Manifest:
-    """The manifest, of the types and shapes that a report relies on, its text encodable.
-
-    Args:
-        manifest: The content of the file.
-        path: The file, for messages.
-    """
+    """The content of the file `path`, of the types and shapes that a report relies on, its text encodable."""
     if not manifest.get("points"):
         raise ResultsError(f"{path}: points: missing or empty: not a results folder of bojax")
     checked = validated(Manifest, manifest, path)

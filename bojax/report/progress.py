@@ -15,13 +15,10 @@ PATIENCE = 1.0  # seconds before progress is shown
 
 
 def report(folder: Path, *, is_brief: bool = False) -> Path:
-    """Write the report of a folder, and print its verdicts; return the path of the page.
+    """Write the report of a sweep or of a search over settings, and return the path of the page.
 
-    Meanwhile a terminal shows the stage, and a log file gets one line.
-
-    Args:
-        folder: The folder of a sweep or of a search over settings.
-        is_brief: Whether the verdicts are only counted.
+    Meanwhile a terminal shows the stage, and a log file gets one line. The verdicts are printed at the end,
+    or only counted if `is_brief`.
     """
     console, begin = Console(stderr=True), time.monotonic()
     status, has_spoken = Status("", console=console), False

@@ -54,12 +54,10 @@ class Standing:
 
 
 def measure_of(results: Results, by: str | None = None) -> Measure:
-    """The measure by which points are ranked.
+    """The measure by which points are ranked: a column, with a minus sign if less is better, as `-rmse`.
 
-    Args:
-        results: The results.
-        by: A column, with a minus sign if less is better: `-rmse`. By default `report.rank_by`; without it
-            `-steps_to_goal` if a learner reached a goal, and else `return`.
+    By default it is `report.rank_by`; without it `-steps_to_goal` if a learner reached a goal, and else
+    `return`.
     """
     by = by or results.report.rank_by or _usual(results)
     column = by.removeprefix("-")
@@ -70,13 +68,7 @@ def measure_of(results: Results, by: str | None = None) -> Measure:
 
 
 def ranking(results: Results, measure: Measure, most: int | None = None) -> list[Standing]:
-    """The points with runs, the best first; those with a run without a finite value are left out.
-
-    Args:
-        results: The results.
-        measure: What is compared.
-        most: Largest number of points to return; None for all.
-    """
+    """The points with runs, at most `most` and the best first; those with a non-finite value are left out."""
     runs = {point.index: results.runs_of(point) for point in results.points}
     values = {index: measure.values(table) for index, table in runs.items()}
     points = [point for point in results.points if values[point.index].size]

@@ -141,12 +141,9 @@ def joined_reproduction(
     The claims are those of this version, and decided by its tests, see `bojax.report.collected`. Sweeps may
     have been made by different commands, revisions, devices and versions: the page then says which by which.
 
-    Args:
-        pages: Files to write, `.html` or `.md`.
-        folders: Results folders, or folders above them.
-        names: Names of sweeps of bojax: the page says which of them have no results, if most have.
-        counted_in: Other pages, with a sentence "Of N claims ..., N are reproduced, N are not, and N are
-            inconclusive", whose numbers are updated.
+    Pages are `.html` or `.md`, and say which of the named sweeps have no results, if most have. Other pages,
+    `counted_in`, have a sentence "Of N claims ..., N are reproduced, N are not, and N are inconclusive",
+    whose numbers are updated.
     """
     found = collected(folders, names)
     sweeps = [Sweep.of(each.folder, each.manifest, each.claims, pages[0].parent) for each in found]

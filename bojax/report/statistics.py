@@ -192,15 +192,11 @@ def improvement_interval(strata: Sequence[tuple[ArrayLike, ArrayLike]], *, is_pa
 
     The estimate is the mean over strata, such as tasks, of the Mann-Whitney statistic over the product of
     the numbers of runs: the share of pairs of runs, one of each kind, with the greater first value; a tie
-    counts half (Agarwal et al. 2021, section 4.3). The interval is a stratified percentile bootstrap.
+    counts half (Agarwal et al. 2021, section 4.3). The interval is a stratified percentile bootstrap; it is
+    NaN for a kind without values or a NaN among them.
 
-    Args:
-        strata: The values of both kinds in each stratum, `[n]` and `[m]`.
-        is_paired: Whether the values of a stratum belong to the same runs, `n = m`, which are then resampled
-            together. Otherwise both kinds are resampled on their own.
-
-    Returns:
-        The interval; NaN for a kind without values or a NaN among them.
+    The strata hold the values of both kinds, `[n]` and `[m]`. If they are paired, they belong to the same
+    runs, `n = m`, which are resampled together. Otherwise both kinds are resampled on their own.
     """
     tables = [tuple(np.asarray(each, dtype=np.float64) for each in pair) for pair in strata]
     values = [each for pair in tables for each in pair]

@@ -1,7 +1,7 @@
 """The tables of the page: outcomes of the runs, ratios, speed and settings."""
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -71,15 +71,15 @@ def outcomes(results: Results) -> Table:
         runs = results.runs_of(point)
         cells = [Cell(f"{runs['run'].size:,}")]
         for measure in measures:
-            is_empty = not runs["run"].size
-            cell = Cell(MISSING) if is_empty else measure.cell(*(runs[column] for column in measure.needs))
+            known = [runs[column] for column in measure.needs]
+            cell = measure.cell(*known) if runs["run"].size else Cell(MISSING)
             value = results.thesis(point, measure.name)
-            cells.append(Cell(cell.text, cell.interval, "" if value is None else plain(value)))
+            cells.append(replace(cell, thesis="" if value is None else plain(value)))
         if has_numbers:
             cells.append(Cell(f"{count_nan_runs(results, point):,}"))
         rows.append((point.name, cells))
-    last = ["runs with NaN"] if has_numbers else []
-    return Table(["runs", *(measure.heading for measure in measures), *last], rows)
+    headings = ["runs", *(measure.heading for measure in measures), "runs with NaN"]
+    return Table(headings if has_numbers else headings[:-1], rows)
 
 
 def ranked(results: Results) -> Table | None:
@@ -148,11 +148,9 @@ def ratios(results: Results) -> Table | None:
         cells = []
         for column in columns:
             thesis = results.thesis_ratio(point, column)
-            table = results.paired([point, reference], column)
-            ratio = statistics.ratio_interval(table[:, 0], table[:, 1])
-            text = number(ratio.estimate), ""
-            if np.isfinite(ratio.low) and point is not reference:
-                text = ratio.in_words()
+            ratio = statistics.ratio_interval(*results.paired([point, reference], column).T)
+            is_known = np.isfinite(ratio.low) and point is not reference
+            text = ratio.in_words() if is_known else (number(ratio.estimate), "")
             cells.append(Cell(*text, "" if thesis is None else number(thesis)))
         if any(cell.thesis for cell in cells):
             rows.append((point.name, cells))
@@ -181,10 +179,9 @@ def speeds(results: Results) -> Table | None:
     The latency of a group is that of its points at batch 1.
     """
     points = {point.index: point for point in results.points}
-    is_learning = any(point.is_learning for point in results.points)
-    unit = ["environment steps per second"]
-    if not is_learning:
-        unit = ["steps (plans) per second", "search iterations per second"]
+    unit = ["steps (plans) per second", "search iterations per second"]
+    if any(point.is_learning for point in results.points):
+        unit = ["environment steps per second"]
     rows = []
     for group in results.manifest.groups:
         members = [points[index] for index in group.points or [] if index in points]

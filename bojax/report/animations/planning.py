@@ -1,7 +1,7 @@
 """A film of a run of a planner: the path, the plan of each step, the robot, and its belief about a field."""
 
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, closing, nullcontext
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -57,48 +57,42 @@ class PlanningFilm(Film):
         self.name = f"{file_name(drive.point.name)}-run{drive.run}"
         self.num_images = self._per_step * len(drive.legs) + 1
         self.seconds = SLOWEST
+        self._maps = ("truth", *_BELIEF) if "truth" in drive.belief else (None,)
 
     @override
     def images(self) -> Iterator[Image.Image]:
-        num_beside = 2 if self._has_belief else int(self._model is not None)
+        num_beside = len(self._maps) - 1 or int(self._model is not None)
         figure = blank(4.2 + (0.0, 3.0, 2.0)[num_beside], 4.6)
         main, *beside = _panels(figure, num_beside)
-        names = _BELIEF if self._has_belief else (None,)
-        with self._body(main) as body:
-            views = [] if body is not None else [self._map(main)]
-            views += [_Map(axes, self._drive, name) for axes, name in zip(beside, names, strict=False)]
-            yield from self._pictures(figure, body, views)
+        with self._drawn(main) as (body, views):
+            shown = zip(beside, self._maps[-num_beside:], strict=False)
+            views += [_Map(each, self._drive, name) for each, name in shown]
+            legs, edge = self._drive.legs, 0.1 / figure.get_figwidth()
+            problem = self._drive.point.problem
+            title = f"{problem.kind if problem else ''}: {self._drive.point.name}, run {self._drive.run}"
+            figure.text(edge, 0.945, title, color=INK, fontsize=10)
+            status = figure.text(edge, 0.89, "", color=INK, fontsize=10)
+            outcome = figure.text(1.0 - edge, 0.945, "", color=BLUE, fontsize=10, ha="right", weight="bold")
+            if any(leg.plan is not None for leg in legs) and any(view.shows_plan for view in views):
+                planned = {"color": ORANGE, "fontsize": 10, "ha": "right"}
+                figure.text(1.0 - edge, 0.89, "dashed: planned path", **planned)
+            for index in range(len(legs)):
+                is_last = index == len(legs) - 1
+                for share in (np.arange(self._per_step + is_last) / self._per_step).tolist():
+                    paid = [0.0, *(leg.accumulated for leg in legs)][index + (share == 1.0)]
+                    status.set_text(f"step {index + 1} of {len(legs)}, reward {paid:.4g}")
+                    outcome.set_text(self._drive.outcome if share == 1.0 else "")
+                    self._show(index, share, body, views)
+                    yield photograph(figure)
 
     @override
     def still(self, share: float) -> Image.Image:
         figure = blank(*STILL)
-        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
         at = share * len(self._drive.legs)
         index = min(int(at), len(self._drive.legs) - 1)
-        with self._body(axes) as body:
-            self._show(index, at - index, body, [] if body is not None else [self._map(axes)])
+        with self._drawn(figure.add_axes((0.0, 0.0, 1.0, 1.0))) as (body, views):
+            self._show(index, at - index, body, views)
             return photograph(figure)
-
-    def _pictures(
-        self, figure: Figure, body: RobotScene | None, views: "list[_Map]"
-    ) -> Iterator[Image.Image]:
-        legs, edge = self._drive.legs, 0.1 / figure.get_figwidth()
-        problem = self._drive.point.problem
-        title = f"{problem.kind if problem else ''}: {self._drive.point.name}, run {self._drive.run}"
-        figure.text(edge, 0.945, title, color=INK, fontsize=10)
-        status = figure.text(edge, 0.89, "", color=INK, fontsize=10)
-        outcome = figure.text(1.0 - edge, 0.945, "", color=BLUE, fontsize=10, ha="right", weight="bold")
-        if any(leg.plan is not None for leg in legs) and any(view.shows_plan for view in views):
-            planned = {"color": ORANGE, "fontsize": 10, "ha": "right"}
-            figure.text(1.0 - edge, 0.89, "dashed: planned path", **planned)
-        for index in range(len(legs)):
-            is_last = index == len(legs) - 1
-            for share in (np.arange(self._per_step + is_last) / self._per_step).tolist():
-                paid = [0.0, *(leg.accumulated for leg in legs)][index + (share == 1.0)]
-                status.set_text(f"step {index + 1} of {len(legs)}, reward {paid:.4g}")
-                outcome.set_text(self._drive.outcome if share == 1.0 else "")
-                self._show(index, share, body, views)
-                yield photograph(figure)
 
     def _show(self, index: int, share: float, body: RobotScene | None, views: "list[_Map]") -> None:
         """Update all views to the given fraction of a step."""
@@ -111,15 +105,14 @@ class PlanningFilm(Film):
             view.believe(index + (share == 1.0))
             view.move(path, curve[at], leg if share < 1.0 else None)
 
-    @property
-    def _has_belief(self) -> bool:
-        return "truth" in self._drive.belief
-
-    def _map(self, axes: Axes) -> "_Map":
-        return _Map(axes, self._drive, "truth" if self._has_belief else None)
-
-    def _body(self, axes: Axes) -> AbstractContextManager[RobotScene | None]:
-        return nullcontext() if self._model is None else closing(RobotScene(axes, self._model))
+    @contextmanager
+    def _drawn(self, axes: Axes) -> "Iterator[tuple[RobotScene | None, list[_Map]]]":
+        """The main image: the robot in its world, or a map."""
+        if self._model is None:
+            yield None, [_Map(axes, self._drive, self._maps[0])]
+            return
+        with closing(RobotScene(axes, self._model)) as body:
+            yield body, []
 
 
 class _Map:
@@ -127,6 +120,7 @@ class _Map:
 
     def __init__(self, axes: Axes, drive: Drive, name: Literal["truth", "mean", "std"] | None = None):
         self.name = name
+        self.shows_plan = name != "std"  # there, path and plan would hide the values
         self._drive = drive
         draw_outline(axes, drive.point.outline)
         if drive.point.outline.border is None:
@@ -150,11 +144,6 @@ class _Map:
         start = drive.legs[0].before
         axes.plot(*start[:2], "o", ms=5 * scale, mfc="white", mec=line, mew=1.2 * scale, zorder=4.8)
         (self._robot,) = axes.plot([], [], color=spot, markersize=13 * scale, mec=INK, mew=0.8, zorder=7)
-
-    @property
-    def shows_plan(self) -> bool:
-        """Whether path and plan are drawn; on the standard deviation they would hide the values."""
-        return self.name != "std"
 
     def believe(self, step: int) -> None:
         """Show the belief after the given number of steps."""

@@ -51,18 +51,9 @@ def compare(
 ) -> Path:
     """Write a comparison into the folder `out`, which is made, and return `comparison.html`.
 
-    Nothing is written before everything is ready.
-
-    Args:
-        folders: Results folders.
-        files: CSV files.
-        out: The folder.
-        metric: Column, with a minus sign if less is better.
-        axis: Horizontal axis of curves.
-        phase: Phase of the episodes.
-        last: Number of the last values of a curve whose mean is the score of a run.
-        reference: Name of the contender that others are compared with; by default the first.
-        command: The command line.
+    Nothing is written before everything is ready. The files are CSV; the options are those of the command:
+    `metric` is a column, with a minus sign if less is better, and `last` the number of the last values of a
+    curve whose mean is the score of a run.
     """
     results = [load(folder) for folder in folders]
     measure = _measure(results, metric, axis, phase, last)

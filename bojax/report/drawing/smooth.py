@@ -12,15 +12,11 @@ _POINTS = 8  # number of points of a curve from one pose to the next
 
 
 def smooth(start: Floats, poses: Floats) -> Floats:
-    """A cubic Hermite curve from a start through poses, along the heading of each.
+    """A cubic Hermite curve from a start through poses `[S, 3]`, along the heading of each.
 
-    Args:
-        start: `[2 or more]` position before the first pose. Its heading is not used, because a trajectory
-            need not begin along it: the first segment is the parabola that ends along the first heading.
-        poses: `[S, 3]` x, y, heading.
-
-    Returns:
-        `[8 S + 1, 2]` points that include the start and every pose.
+    The heading of the start, `[2 or more]`, is not used, because a trajectory need not begin along it: the
+    first segment is the parabola that ends along the first heading. The result, `[8 S + 1, 2]`, includes the
+    start and every pose.
     """
     ends = np.concatenate([np.asarray(start)[None, :2], poses[:, :2]])
     chords = np.diff(ends, axis=0)

@@ -26,13 +26,8 @@ _LONGEST = 500  # longest value of a parameter that every store of MLflow takes,
 def export(folder: Path, target: str, out: Path | None = None) -> Path:
     """Write the points of a results folder as runs of another library, and return the folder written.
 
-    Args:
-        folder: The results folder, which is not changed apart from its subfolder `export`.
-        target: One of `TARGETS`.
-        out: Folder to write, new or empty; None for `export/TARGET` in the results folder.
-
-    Raises:
-        MissingExtra: The library is not installed.
+    It is new or empty, and by default `export/TARGET` in the results folder, which is not changed otherwise.
+    The target is one of `TARGETS`; `MissingExtra` says which extra has the library of a target.
     """
     out = out or folder / "export" / target
     require_empty(out)
@@ -71,9 +66,6 @@ def to_mlflow(points: Sequence[ExportedPoint], out: Path) -> None:
     """Write a run per point into the SQLite database `mlflow.db`, in an experiment named after the sweep.
 
     Curves are metrics by step, final numbers are metrics without a step, settings are parameters.
-
-    Raises:
-        MissingExtra: MLflow is not installed.
     """
     try:
         # mlflow-skinny can be imported without it, but has no database then.
@@ -104,11 +96,7 @@ def to_mlflow(points: Sequence[ExportedPoint], out: Path) -> None:
 
 
 def to_tensorboard(points: Sequence[ExportedPoint], out: Path) -> None:
-    """Write a run of TensorBoard per point, with its curves as scalars and its settings as hyper-parameters.
-
-    Raises:
-        MissingExtra: tensorboardX is not installed.
-    """
+    """Write a run of TensorBoard per point: its curves are scalars, its settings are hyper-parameters."""
     try:
         from tensorboardX import SummaryWriter
         from tensorboardX.summary import hparams
@@ -133,12 +121,8 @@ def to_tensorboard(points: Sequence[ExportedPoint], out: Path) -> None:
 def to_wandb(points: Sequence[ExportedPoint], out: Path) -> None:
     """Write an offline run per point, with its curves, its settings as config, and final numbers as summary.
 
-    Nothing is sent: `wandb sync` uploads the runs.
-
-    Raises:
-        MissingExtra: wandb is not installed.
-        ResultsError: wandb refuses a variable of the environment such as WANDB_BASE_URL, or cannot write; one
-            line.
+    Nothing is sent: `wandb sync` uploads the runs. wandb may refuse a variable of the environment such as
+    WANDB_BASE_URL, which is a `ResultsError`.
     """
     try:
         import wandb  # pyright: ignore[reportMissingImports]

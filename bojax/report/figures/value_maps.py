@@ -1,8 +1,7 @@
 """The exploration value U over the first two observations after some episodes: Fig. 5.7 of the thesis."""
 
-from dataclasses import dataclass
 from itertools import zip_longest
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -24,8 +23,7 @@ MAX_ROWS = 3
 MAX_COLUMNS = 4
 
 
-@dataclass(frozen=True)
-class _Row:
+class _Row(NamedTuple):
     """The maps of one recorded run: U `[K, R, R]`, the first observation along the first axis of a map."""
 
     point: Point
@@ -97,10 +95,8 @@ def _rows(results: Results) -> list[_Row]:
             maps, episodes = np.asarray(arrays["maps"], dtype=np.float64), np.asarray(arrays["episodes"])
             kept = np.isfinite(maps).reshape(len(maps), -1).all(axis=1)
             if maps.ndim == 4 and kept.any():
-                known = [int(episode) for episode in episodes[kept]][:MAX_COLUMNS]
-                rows.append(
-                    _Row(point, run, known, maps[kept, 1][:MAX_COLUMNS], arrays["low"], arrays["high"])
-                )
+                known, values = episodes[kept][:MAX_COLUMNS].tolist(), maps[kept, 1][:MAX_COLUMNS]
+                rows.append(_Row(point, run, known, values, arrays["low"], arrays["high"]))
     if not rows:
         raise Undrawable("no maps over two observations in arrays/; map_episodes records them")
     points = list(dict.fromkeys(row.point.index for row in rows))
