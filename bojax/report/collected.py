@@ -4,8 +4,8 @@ Results may be older than the claims of their sweep, and than the tests that dec
 the claims, tests and published settings of this version.
 """
 
-from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from bojax.config.changed import changed_settings
 from bojax.config.claims import Claim, Test
 from bojax.config.errors import listed
 from bojax.report.claims.evaluate import evaluate
-from bojax.report.manifest import ClaimEntry, Manifest, Unread, validated
+from bojax.report.manifest import ClaimEntry, Unread, validated
 from bojax.report.source import Results, load
 from bojax.report.verdicts import CLAIMS, TestedClaim
 from bojax.results.store import MANIFEST, ResultsError, read_json
@@ -24,20 +24,14 @@ from bojax.results.store import MANIFEST, ResultsError, read_json
 _FOUND = ("method", "comparisons", "chosen", "reason")  # keys of a test in `claims.json` that are no settings
 
 
-@dataclass(frozen=True)
-class Collected:
-    """The results of a sweep."""
+def collected(
+    folders: Iterable[Path], names: Collection[str]
+) -> list[tuple[Results, list[TestedClaim], int]]:
+    """The newest results of each of the sweeps of bojax with these names, and its claims.
 
-    folder: Path
-    manifest: Manifest  # with the name and title of the sweep, and the settings that differ from its own
-    claims: Sequence[TestedClaim]
-    kept: int  # how many verdicts are those of its report, because tables are missing
-
-
-def collected(folders: Iterable[Path], names: Collection[str]) -> list[Collected]:
-    """The newest results of each of the sweeps of bojax with these names.
-
-    The folders hold results of these sweeps, or are above results, of which others are passed over.
+    The folders hold results of these sweeps, or are above results, of which others are passed over. Manifests
+    have the name and title of the sweep, and the settings that differ from its own. The number is how many
+    verdicts are those of the results' own report, because tables are missing.
     """
     newest: dict[str, Results] = {}
     for results in (each for folder in folders for each in _results(folder, names)):
@@ -65,7 +59,7 @@ def _name_of(results: Results, names: Collection[str]) -> str:
     return name if name and name in names else ""
 
 
-def _judged(results: Results, sweep: config.Sweep) -> Collected:
+def _judged(results: Results, sweep: config.Sweep) -> tuple[Results, list[TestedClaim], int]:
     claims = [ClaimEntry.model_validate(claim.model_dump(mode="json")) for claim in sweep.claims]
     now = {"name": sweep.name, "title": sweep.title, "claims": claims, "changed": _changed(results, sweep)}
     results = replace(results, manifest=results.manifest.model_copy(update=now))
@@ -79,8 +73,7 @@ def _judged(results: Results, sweep: config.Sweep) -> Collected:
         if found and "reason" not in found["test"] and _test_of(found) == claim.test:
             entry |= {key: found[key] for key in ("ours", "interval", "runs", "verdict", "test")}
             kept += 1
-    tested = validated(list[TestedClaim], entries, str(path))
-    return Collected(results.folder, results.manifest, tested, kept)
+    return results, validated(list[TestedClaim], entries, str(path)), kept
 
 
 def _test_of(entry: dict[str, Any]) -> Test | None:

@@ -63,14 +63,6 @@ def fit(law: Law, x: Floats, means: Floats, errors: Floats) -> Fit:
     return Fit(law, a.reshape(shape), b.reshape(shape), misfit.reshape(shape))
 
 
-def exponents(x: Floats, means: Floats, errors: Floats) -> Floats:
-    """Exponent k of the power law c x^k, fitted to the logarithms of means with relative errors.
-
-    Shapes are those of `fit`; numbers and means are positive.
-    """
-    return fit("linear", np.log(x), np.log(means), errors).b
-
-
 def _polynomial(law: Law, x: Floats, means: Floats, weights: Floats) -> tuple[Floats, Floats, Floats]:
     powers = x if law == "linear" else x**2
     total = weights.sum()

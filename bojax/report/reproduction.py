@@ -11,7 +11,7 @@ from urllib.parse import quote
 
 from bojax.report.collected import collected
 from bojax.report.manifest import Manifest
-from bojax.report.source import load
+from bojax.report.source import Results, load
 from bojax.report.template import fill
 from bojax.report.text import counted, joined
 from bojax.report.text import seconds as in_seconds
@@ -66,9 +66,9 @@ class Sweep:
     report: str  # address of its report, relative to the page; empty if there is none
 
     @classmethod
-    def of(cls, source: Path, manifest: Manifest, claims: Sequence[TestedClaim], folder: Path) -> "Sweep":
-        """A sweep whose results are in the folder `source`, on a page in `folder`."""
-        report = source / "report.html"
+    def of(cls, results: Results, claims: Sequence[TestedClaim], folder: Path) -> "Sweep":
+        """The sweep of some results, on a page in a folder."""
+        report, manifest = results.folder / "report.html", results.manifest
         address = quote(_relative(report, folder)) if report.is_file() else ""
         return cls(manifest, claims, explanations_of(manifest, claims), address)
 
@@ -123,7 +123,7 @@ def reproduction(
     for source in map(Path, sources):
         try:
             results = load(source)
-            sweeps.append(Sweep.of(source, results.manifest, read_claims(source), folder))
+            sweeps.append(Sweep.of(results, read_claims(source), folder))
         except ResultsError as error:
             gaps.append((_relative(source, folder), str(error).removeprefix(f"{source}: ")))
     _write([folder / TEXT, folder / PAGE], sweeps, gaps, [("time taken", in_seconds(seconds))])
@@ -146,12 +146,12 @@ def joined_reproduction(
     whose numbers are updated.
     """
     found = collected(folders, names)
-    sweeps = [Sweep.of(each.folder, each.manifest, each.claims, pages[0].parent) for each in found]
+    sweeps = [Sweep.of(results, claims, pages[0].parent) for results, claims, _ in found]
     missing = [name for name in names if all(name != sweep.manifest.name for sweep in sweeps)]
     is_partial = len(missing) > len(sweeps)  # a page on a few figures need not name all others
     gaps = [] if is_partial else [(name, "no finished results in these folders") for name in missing]
     claims = [claim for sweep in sweeps for claim in sweep.claims]
-    kept = {each.manifest.name: each.kept for each in found if each.kept}
+    kept = {results.manifest.name: number for results, _, number in found if number}
     whose = f"{counted(len(claims) - sum(kept.values()), 'claim')} decided by the tests of this version"
     if kept:
         whose += f", {sum(kept.values())} as in their reports, for want of tables ({joined(kept)})"

@@ -176,15 +176,14 @@ def iqm_interval(strata: Sequence[ArrayLike]) -> Interval:
         return _UNKNOWN
     order = np.argsort(pooled)
     cut = int(TRIMMED * pooled.size)
-    means = []
-    ones = [np.ones((1, table.size)) for table in tables]
-    for block in (ones, *_strata_counts([table.size for table in tables], range(len(tables)))):
+    ranked, means = pooled[order], []
+    for block in _strata_counts([table.size for table in tables], range(len(tables))):
         # A resample repeats each sorted value as often as it was drawn; the middle ranks of it are kept.
         ends = np.cumsum(np.concatenate(block, axis=1)[:, order], axis=1)
         inside = np.clip(ends, cut, pooled.size - cut)
         kept = np.diff(inside, axis=1, prepend=cut)
-        means.append(kept @ pooled[order] / (pooled.size - 2 * cut))
-    return Interval(float(means[0][0]), *central(np.concatenate(means[1:])))
+        means.append(kept @ ranked / (pooled.size - 2 * cut))
+    return Interval(float(ranked[cut : pooled.size - cut].mean()), *central(np.concatenate(means)))
 
 
 def improvement_interval(strata: Sequence[tuple[ArrayLike, ArrayLike]], *, is_paired: bool) -> Interval:

@@ -35,8 +35,8 @@ def reported(tmp_path_factory):
 
 def verdicts(folder):
     """The verdict of each claim of the only sweep in a folder."""
-    (found,) = collected([folder], THESIS)
-    return {claim.id: claim.verdict for claim in found.claims}
+    ((_, claims, _),) = collected([folder], THESIS)
+    return {claim.id: claim.verdict for claim in claims}
 
 
 def test_the_newest_results_of_a_sweep_count(tmp_path, capsys):
@@ -105,9 +105,9 @@ def test_a_verdict_is_kept_where_its_table_is_missing(reported):
 
 
 def test_settings_that_the_sweep_has_no_longer_are_changed(reported):
-    (found,) = collected([reported], THESIS)
+    ((found, claims, _),) = collected([reported], THESIS)
     assert found.manifest.changed["runs"] == [200, 40]
-    assert all(claim.changed == found.manifest.changed for claim in found.claims)
+    assert all(claim.changed == found.manifest.changed for claim in claims)
 
 
 @pytest.mark.parametrize(

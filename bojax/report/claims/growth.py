@@ -54,7 +54,8 @@ def growth(results: Results, test: Growth) -> Finding:
     lacking = int((~is_there).sum())
     power = ""
     if x[0] > 0 and means.min() > 0:
-        exponent, *many = laws.exponents(x, np.vstack([ours, means]), errors / ours)
+        # Logarithms of the means of a power law are linear in those of x; their errors are relative ones.
+        exponent, *many = laws.fit("linear", np.log(x), np.log(np.vstack([ours, means])), errors / ours).b
         low, high = statistics.central(np.asarray(many))
         power = f"; exponent of a power law: {exponent:.2f} [{low:.2f}, {high:.2f}]"
     left_out = f"; {counted(lacking, 'run')} without a value left out" if lacking else ""
