@@ -131,10 +131,7 @@ def reproduction(
 
 
 def joined_reproduction(
-    pages: Sequence[Path],
-    folders: Sequence[Path],
-    names: Sequence[str],
-    counted_in: Sequence[Path] = (),
+    pages: Sequence[Path], folders: Sequence[Path], names: Sequence[str], counted_in: Sequence[Path] = ()
 ) -> list[TestedClaim]:
     """Write pages on the newest results of each of some sweeps in several folders, and return their claims.
 

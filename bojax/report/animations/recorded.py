@@ -68,11 +68,8 @@ def _outcomes(results: Results, point: int, run: int) -> dict[int, str]:
     if not results.episodes:
         return {}
     episodes = where(results.episodes, point=point, run=run, phase="train")
-    rows = zip(episodes["episode"], episodes["success"], episodes["terminated"], strict=True)
-    return {
-        int(number): _SUCCESS if success else "failed" if terminated else "truncated"
-        for number, success, terminated in rows
-    }
+    how = np.select([episodes["success"], episodes["terminated"]], [_SUCCESS, "failed"], "truncated")
+    return dict(zip(episodes["episode"].tolist(), how.tolist(), strict=True))
 
 
 @dataclass(frozen=True)

@@ -170,8 +170,7 @@ class Similar(Measured, frozen=True):
     )
     margin: float = Field(gt=0, description="largest difference between two means")
     spread_at: _Place | None = Field(
-        default=None,
-        description="step or episodes; margin is then a share of the range of the means there",
+        default=None, description="step or episodes; margin is then a share of the range of the means there"
     )
 
     @pydantic.model_validator(mode="after")

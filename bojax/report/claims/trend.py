@@ -18,10 +18,8 @@ def trend(results: Results, test: Trend) -> Finding:
     (point,), chosen = stand_ins(results, test, Measure(test.column, test.last))
     if test.ended == "left-out":
         interval, runs = _change_of_active(results, test, point)
-        between, within = (
-            f"from {_place(test.first)} to the steps after it up to {test.last}",
-            "of the active runs",
-        )
+        between = f"from {_place(test.first)} to the steps after it up to {test.last}"
+        within = "of the active runs"
     else:
         measure = Measure(test.column, test.last, since=test.first)
         changes = paired(results, test, [point], measure)[:, 0]

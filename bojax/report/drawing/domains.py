@@ -24,6 +24,7 @@ _SPECK = 0.05
 
 def draw_outline(axes: Axes, outline: Outline) -> None:
     """Draw the world of a problem at equal scale, without a box around the axes."""
+    border = None
     if outline.border is not None:
         x_min, y_min, x_max, y_max = outline.border
         margin = 0.04 * max(x_max - x_min, y_max - y_min)
@@ -33,8 +34,6 @@ def draw_outline(axes: Axes, outline: Outline) -> None:
         # The border covers the ends of maps and walls.
         border = _shape(outline.border, facecolor="none", edgecolor=EDGE, linewidth=1.1, zorder=2.6)
         axes.add_patch(border)
-    else:
-        border = None
     for shape in outline.obstacles:
         patch = axes.add_patch(_shape(shape, facecolor=WALL, edgecolor="none", zorder=2.5))
         if border is not None:

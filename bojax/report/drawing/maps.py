@@ -54,8 +54,9 @@ def errors_told(maps: Sequence[tuple[Point, int, Belief]], unit: str = "") -> st
 
 def draw_map(axes: Axes, belief: Belief, values: Floats, norm: Normalize, cmap: Any) -> AxesImage:
     """Draw values `[y, x]` as colours, interpolated within the grid and not extrapolated beyond it."""
-    (x_min, x_step), (y_min, y_step) = (_spacing(belief[name]) for name in ("x", "y"))
-    x_max, y_max = float(belief["x"][-1]), float(belief["y"][-1])
+    places = [belief[name] for name in ("x", "y")]
+    (x_min, x_max), (y_min, y_max) = ((float(each[0]), float(each[-1])) for each in places)
+    x_step, y_step = (float(np.ptp(each) / max(1, len(each) - 1)) for each in places)
     limits = axes.get_xlim(), axes.get_ylim()
     image = axes.imshow(
         values,
@@ -85,7 +86,3 @@ def draw_scale(figure: Figure, image: AxesImage, panels: Iterable[Axes], **optio
     bar.ax.spines["outline"].set_visible(False)
     bar.ax.tick_params(length=2, labelsize=8.5)
     return bar
-
-
-def _spacing(places: Floats) -> tuple[float, float]:
-    return float(places[0]), float(np.ptp(places) / max(1, len(places) - 1))

@@ -16,10 +16,7 @@ RANK = 30
 
 _PANELS = {
     "train": ("return", "mean return in training"),
-    "test": (
-        "return of tests",
-        "mean return of the tests after each episode, which do not explore",
-    ),
+    "test": ("return of tests", "mean return of the tests after each episode, which do not explore"),
 }
 """Label and quantity of the panel of each phase."""
 

@@ -25,13 +25,7 @@ EXAMPLES = 2  # runs of each outcome in a panel; the paths of more runs would cr
 
 _DASHES = (0, (4, 1.5))
 _RED = "#C8102E"
-_STOP: dict[str, Any] = {
-    "s": 80,
-    "facecolors": "none",
-    "edgecolors": _RED,
-    "linewidths": 1.5,
-    "clip_on": False,
-}
+_STOP: dict[str, Any] = {"facecolors": "none", "edgecolors": _RED, "linewidths": 1.5, "clip_on": False}
 _RING: dict[str, Any] = {"color": style.INK, "linestyle": "", "marker": "o"}
 
 
@@ -70,7 +64,7 @@ def draw(results: Results) -> Drawing:
             draw_map(axes, belief, belief["truth"], norm, QUIET)
         stopped = _draw_run(axes, arrays, look["color"])
         if len(stopped):
-            axes.scatter(*stopped.T, **_STOP, zorder=6)
+            axes.scatter(*stopped.T, s=80, **_STOP, zorder=6)
         num_stops += len(stopped)
         reached = f", goal {'' if run in succeeded else 'not '}reached" if point.has_success else ""
         told.append(f"{point.name}: run {run}, stopped {counted(len(stopped), 'time')}{reached}")
