@@ -151,6 +151,17 @@ def by_episode(results: Results, point: Point, name: str, window: Window, runs: 
     return np.take_along_axis(padded, np.minimum(wanted, table.shape[1]), axis=1)
 
 
+def in_any(results: Results, point: Point, name: str, window: Window) -> NDArray[np.bool_]:
+    """Runs in which a column is true or not zero in some episode of a window.
+
+    A run that ended within the window counts if it had such an episode before.
+    """
+    table = by_episode(results, point, name, window, results.runs_of(point)["run"])
+    hits = (np.nan_to_num(table) != 0).any(axis=1)
+    finite(np.where(hits, 0.0, table.mean(axis=1)), point.name, f"{name} in {episodes_in(window)}")
+    return hits
+
+
 def most_present(values: NDArray[Any], name: str, column: str, missing: float) -> NDArray[np.bool_]:
     """Mask of the finite values, which at most a share `missing` of the runs may lack."""
     is_there = np.isfinite(np.asarray(values, dtype=np.float64))

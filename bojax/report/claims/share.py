@@ -1,22 +1,10 @@
 """Test of a share: whether enough runs have a property, or few enough."""
 
-import numpy as np
-from numpy.typing import NDArray
-
-from bojax.config.claims import Window
 from bojax.report import statistics
 from bojax.report.claims.finding import Comparison, Finding
-from bojax.report.claims.samples import (
-    Measure,
-    Undecidable,
-    by_episode,
-    enough,
-    episodes_in,
-    finite,
-    stand_ins,
-)
+from bojax.report.claims.samples import Measure, Undecidable, enough, episodes_in, in_any, stand_ins
 from bojax.report.claims.settings import Share
-from bojax.report.source import Point, Results
+from bojax.report.source import Results
 from bojax.report.text import counted
 
 
@@ -31,7 +19,7 @@ def share(results: Results, test: Share) -> Finding:
     if window is None:
         hits = results.runs_of(point)[test.column].astype(bool)
     else:
-        hits = _in_any(results, point, test.column, window)
+        hits = in_any(results, point, test.column, window)
     condition = test.column
     if limit is not None:
         hits = hits & (results.runs_of(point)["steps"] <= limit)
@@ -49,14 +37,3 @@ def share(results: Results, test: Share) -> Finding:
         method=f"Wilson 95% interval of the share of runs with {condition}, against {threshold}",
         chosen=chosen,
     )
-
-
-def _in_any(results: Results, point: Point, name: str, window: Window) -> NDArray[np.bool_]:
-    """Runs in which a column is true or not zero in some episode of a window.
-
-    A run that ended within the window counts if it had such an episode before.
-    """
-    table = by_episode(results, point, name, window, results.runs_of(point)["run"])
-    hits = (np.nan_to_num(table) != 0).any(axis=1)
-    finite(np.where(hits, 0.0, table.mean(axis=1)), point.name, f"{name} in {episodes_in(window)}")
-    return hits

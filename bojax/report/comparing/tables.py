@@ -4,49 +4,39 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bojax.report import statistics
+from bojax.report import statistics, tables
 from bojax.report.comparing.contenders import Contender, Measure, Task
 from bojax.report.source import Results
 from bojax.report.statistics import Floats, Interval
-from bojax.report.tables import (
-    Cell,
-    Table,
-    count_cell,
-    flatten,
-    interval_cell,
-    mean_cell,
-    setting_cell,
-    share_cell,
-)
 from bojax.report.text import MISSING, line, plain
 
 
-def scores(task: Task, measure: Measure) -> Table:
+def scores(task: Task, measure: Measure) -> tables.Table:
     """One row per contender of a task: mean, interquartile mean, and comparison with the reference."""
     rows, reference = [], task.reference
     for each in task.contenders:
         middle = statistics.iqm_interval([each.scores])
         cells = [
-            count_cell(each.scores.size),
-            (share_cell if each.is_share else mean_cell)(each.scores),
-            mean_cell(each.scores) if each.scores.size == 1 else interval_cell(middle),
+            tables.count_cell(each.scores.size),
+            (tables.share_cell if each.is_share else tables.mean_cell)(each.scores),
+            tables.mean_cell(each.scores) if each.scores.size == 1 else tables.interval_cell(middle),
         ]
         if each is reference:
-            cells += [Cell(MISSING)] * 3
+            cells += [tables.Cell(MISSING)] * 3
         else:
             cells += [
-                interval_cell(difference(each, reference)),
-                interval_cell(improvement([(each, reference)], measure), as_percent=True),
-                setting_cell("paired" if each.is_paired_with(reference) else "unpaired"),
+                tables.interval_cell(difference(each, reference)),
+                tables.interval_cell(improvement([(each, reference)], measure), as_percent=True),
+                tables.setting_cell("paired" if each.is_paired_with(reference) else "unpaired"),
             ]
         rows.append((each.name, cells))
     than = reference.name
-    return Table(
+    return tables.Table(
         ["runs", "mean", "IQM", f"difference from {than}", f"P(better than {than})", "runs are"], rows
     )
 
 
-def overall(tasks: Sequence[Task], reference: str, measure: Measure) -> Table | None:
+def overall(tasks: Sequence[Task], reference: str, measure: Measure) -> tables.Table | None:
     """One row per name that every one of several tasks has; None if there are fewer than two.
 
     Scores of a task are scaled so that the worst mean of a contender is 0 and the best is 1.
@@ -60,10 +50,10 @@ def overall(tasks: Sequence[Task], reference: str, measure: Measure) -> Table | 
     rows = []
     for place, name in enumerate(shared):
         pairs = [(task[name], task[than]) for task in of_task]
-        better = interval_cell(improvement(pairs, measure), as_percent=True)
+        better = tables.interval_cell(improvement(pairs, measure), as_percent=True)
         middle = statistics.iqm_interval([task[place] for task in scaled])
-        rows.append((name, [interval_cell(middle), Cell(MISSING) if name == than else better]))
-    return Table(["IQM of scaled scores", f"P(better than {than})"], rows)
+        rows.append((name, [tables.interval_cell(middle), tables.Cell(MISSING) if name == than else better]))
+    return tables.Table(["IQM of scaled scores", f"P(better than {than})"], rows)
 
 
 def difference(contender: Contender, reference: Contender) -> Interval:
@@ -92,10 +82,10 @@ def improvement(pairs: Sequence[tuple[Contender, Contender]], measure: Measure) 
     )
 
 
-def settings(contenders: Sequence[Contender]) -> Table | None:
+def settings(contenders: Sequence[Contender]) -> tables.Table | None:
     """One row per setting that differs among the results folders; None if none does."""
     known = [each for each in contenders if each.point.config]
-    flat = [dict(flatten(each.point.config)) | {"seed": plain(each.seed)} for each in known]
+    flat = [dict(tables.flatten(each.point.config)) | {"seed": plain(each.seed)} for each in known]
     keys = dict.fromkeys(key for each in flat for key in each)
     several_tasks = len({each.task for each in contenders}) > 1
     names = [f"{each.name}, {each.task}" if several_tasks else each.name for each in known]
@@ -103,8 +93,8 @@ def settings(contenders: Sequence[Contender]) -> Table | None:
     for key in keys:
         values = [each.get(key, MISSING) for each in flat]
         if len(set(values)) > 1:
-            rows.append((key, [Cell(value) for value in values]))
-    return Table(names, rows) if rows else None
+            rows.append((key, [tables.Cell(value) for value in values]))
+    return tables.Table(names, rows) if rows else None
 
 
 def sources(results: Sequence[Results], contenders: Sequence[Contender]) -> list[tuple[str, str]]:

@@ -5,15 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bojax.report.comparing.contenders import (
-    PHASES,
-    PLANNING_CURVE,
-    Measure,
-    Phase,
-    columns_of,
-    curve_of,
-    kind_of,
-)
+from bojax.report.comparing import contenders
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats
 from bojax.report.tables import flatten
@@ -61,7 +53,7 @@ class ExportedPoint:
 
 def exported(results: Results) -> list[ExportedPoint]:
     """The points that have runs."""
-    kind = kind_of(results)
+    kind = contenders.kind_of(results)
     points = []
     for point in results.run_points:
         about = {"runs": str(results.runs_of(point)["run"].size), "seed": plain(results.manifest.seed)}
@@ -75,7 +67,7 @@ def exported(results: Results) -> list[ExportedPoint]:
 
 def _scalars(results: Results, point: Point) -> dict[str, float]:
     runs, scalars = results.runs_of(point), {}
-    for name in columns_of(results):
+    for name in contenders.columns_of(results):
         values = runs.get(name, np.empty(0)).astype(np.float64)
         there = values[np.isfinite(values)]
         if there.size:
@@ -88,16 +80,20 @@ def _scalars(results: Results, point: Point) -> dict[str, float]:
 
 def _curves(results: Results, point: Point, is_learning: bool) -> list[MeanCurve]:
     if not is_learning:
-        measures = [Measure(PLANNING_CURVE, False, "planning", "step")]
+        measures = [contenders.Measure(contenders.PLANNING_CURVE, False, "planning", "step")]
     else:
-        columns = [name for name in columns_of(results) if name in results.episodes]
-        phases: list[Phase] = [phase for phase in PHASES if (results.episodes["phase"] == phase).any()]
+        columns = [name for name in contenders.columns_of(results) if name in results.episodes]
+        phases: list[contenders.Phase] = [
+            phase for phase in contenders.PHASES if (results.episodes["phase"] == phase).any()
+        ]
         measures = [
-            Measure(name, False, "learning", "episode", phase) for phase in phases for name in columns
+            contenders.Measure(name, False, "learning", "episode", phase)
+            for phase in phases
+            for name in columns
         ]
     curves = []
     for measure in measures:
-        curve = curve_of(results, point, measure)
+        curve = contenders.curve_of(results, point, measure)
         if curve is None:
             continue
         is_there = np.isfinite(curve.values)
