@@ -7,32 +7,26 @@ from pathlib import Path
 
 import numpy as np
 
-from bojax.config.errors import allowed_names
 from bojax.report import statistics, style
 from bojax.report.comparing import tables
 from bojax.report.comparing.contenders import (
-    PLANNING_CURVE,
     Axis,
     Contender,
-    Kind,
     Measure,
     Phase,
     Task,
-    kind_of,
-    named,
-    of_file,
-    of_folder,
+    contenders_of,
+    measured_by,
     tasks_of,
 )
-from bojax.report.comparing.curve_files import read_curves
 from bojax.report.drawing.base import MAX_POINTS, Drawing, Undrawable, dot_plot, draw_intervals
 from bojax.report.drawing.curves import Chart, Panel
 from bojax.report.figures.learning_curves import limit
 from bojax.report.ranking import ENDS
-from bojax.report.source import Results, load
+from bojax.report.source import load
 from bojax.report.template import fill
 from bojax.report.text import counted, file_name, heading, joined, minus, number, percent, ranged
-from bojax.results.store import ResultsError, write_content
+from bojax.results.store import write_content
 
 PAGE = "comparison.html"
 
@@ -56,8 +50,8 @@ def compare(
     curve whose mean is the score of a run.
     """
     results = [load(folder) for folder in folders]
-    measure = _measure(results, metric, axis, phase, last)
-    contenders = _contenders(results, files, measure)
+    measure = measured_by(results, metric, axis, phase, last)
+    contenders = contenders_of(results, files, measure)
     tasks = tasks_of(contenders, reference)
     images, parts = {}, []
     with style.settings():
@@ -89,46 +83,6 @@ def compare(
     style.write_images(out, images)
     write_content(out / PAGE, page)
     return out / PAGE
-
-
-def _measure(
-    results: Sequence[Results], metric: str | None, axis: Axis | None, phase: Phase, last: int | None
-) -> Measure:
-    kinds: list[Kind] = [kind_of(each) for each in results]
-    for each, kind in zip(results, kinds, strict=True):
-        if kind != kinds[0]:
-            raise ResultsError(
-                f"{each.folder}: got results of {kind}, {results[0].folder} has results of {kinds[0]}; "
-                "allowed: one of both"
-            )
-    kind: Kind = kinds[0] if kinds else "learning"
-    if kind == "planning" and axis not in (None, "step"):
-        raise ResultsError(f"--x: got {axis}; allowed of planning: step")
-    axis = axis or ("step" if kind == "planning" else "episode")
-    metric = metric or (PLANNING_CURVE if kind == "planning" else "return")
-    if phase == "test":
-        for each in results:
-            if not each.episodes or not (each.episodes["phase"] == "test").any():
-                raise ResultsError(f"{each.folder}: has no test episodes; allowed: --phase train")
-    return Measure(metric.removeprefix("-"), metric.startswith("-"), kind, axis, phase, last)
-
-
-def _contenders(results: Sequence[Results], files: Sequence[Path], measure: Measure) -> list[Contender]:
-    found = [contender for each in results for contender in of_folder(each, measure)]
-    known = list(dict.fromkeys(contender.task for contender in found))
-    for path in files:
-        rows = read_curves(path)
-        if found and results and found[0].curve is None:
-            raise ResultsError(f"{path}: has curves, but {measure.column} has none; allowed: results folders")
-        for task in {each.task for each in rows}:
-            if len(known) > 1 and not task:
-                raise ResultsError(f"{path}: no column task; allowed: a task among {', '.join(known)}")
-            if known and task and task not in known:
-                raise ResultsError(f"{path}: task: got {task}{allowed_names(task, known)}")
-        found += of_file(path, rows, measure, known[0] if known else "")
-    if len(found) < 2:
-        raise ResultsError(f"got one curve, {found[0].name}; allowed: two or more")
-    return named(found)
 
 
 def _drawings(task: Task, measure: Measure) -> dict[str, Drawing]:

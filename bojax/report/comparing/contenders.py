@@ -10,7 +10,7 @@ import numpy as np
 from bojax.config.errors import allowed_names
 from bojax.experiments.settings import Learning, Planning
 from bojax.report import ranking
-from bojax.report.comparing.curve_files import Rows
+from bojax.report.comparing.curve_files import Rows, read_curves
 from bojax.report.drawing.curves import Curve
 from bojax.report.manifest import Unread
 from bojax.report.source import Point, Results
@@ -85,6 +85,48 @@ def tasks_of(contenders: Sequence[Contender], reference: str | None) -> list[Tas
         chosen = next((each for each in members if each.name == reference), members[0])
         tasks.append(Task(name, members, chosen))
     return tasks
+
+
+def measured_by(
+    results: Sequence[Results], metric: str | None, axis: Axis | None, phase: Phase, last: int | None
+) -> Measure:
+    """What is compared, by the options of `compare`; all folders have to be of one kind of experiment."""
+    kinds: list[Kind] = [kind_of(each) for each in results]
+    for each, kind in zip(results, kinds, strict=True):
+        if kind != kinds[0]:
+            raise ResultsError(
+                f"{each.folder}: got results of {kind}, {results[0].folder} has results of {kinds[0]}; "
+                "allowed: one of both"
+            )
+    kind: Kind = kinds[0] if kinds else "learning"
+    if kind == "planning" and axis not in (None, "step"):
+        raise ResultsError(f"--x: got {axis}; allowed of planning: step")
+    axis = axis or ("step" if kind == "planning" else "episode")
+    metric = metric or (PLANNING_CURVE if kind == "planning" else "return")
+    if phase == "test":
+        for each in results:
+            if not each.episodes or not (each.episodes["phase"] == "test").any():
+                raise ResultsError(f"{each.folder}: has no test episodes; allowed: --phase train")
+    return Measure(metric.removeprefix("-"), metric.startswith("-"), kind, axis, phase, last)
+
+
+def contenders_of(results: Sequence[Results], files: Sequence[Path], measure: Measure) -> list[Contender]:
+    """The contenders of all folders and CSV files, whose tasks have to be among those of the folders."""
+    found = [contender for each in results for contender in of_folder(each, measure)]
+    known = list(dict.fromkeys(contender.task for contender in found))
+    for path in files:
+        rows = read_curves(path)
+        if found and results and found[0].curve is None:
+            raise ResultsError(f"{path}: has curves, but {measure.column} has none; allowed: results folders")
+        for task in {each.task for each in rows}:
+            if len(known) > 1 and not task:
+                raise ResultsError(f"{path}: no column task; allowed: a task among {', '.join(known)}")
+            if known and task and task not in known:
+                raise ResultsError(f"{path}: task: got {task}{allowed_names(task, known)}")
+        found += of_file(path, rows, measure, known[0] if known else "")
+    if len(found) < 2:
+        raise ResultsError(f"got one curve, {found[0].name}; allowed: two or more")
+    return named(found)
 
 
 def kind_of(results: Results) -> Kind:
