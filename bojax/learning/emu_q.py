@@ -125,9 +125,9 @@ class EMUQ(Learner):
         # Line 8, the exploration reward. One product with the covariance serves lines 8 and 9.
         phi = features(transition.observation, transition.action)
         phi_samples = jnp.concatenate([phi[None], state.phi(transition.next_observation, samples)])
-        products = posterior.covariance_times(phi_samples)
+        variances, product = posterior.variances_and_product(phi_samples)
         bonus = model.exploration_reward(
-            jnp.mean(model.sample_variances(posterior, phi_samples, products, weight))
+            jnp.mean(model.sample_variances(posterior, phi_samples, variances, product, weight))
         )
 
         # The TD targets of lines 10 and 11, with a' = pi(s').
@@ -136,7 +136,7 @@ class EMUQ(Learner):
 
         # Lines 9 to 12, the covariance and both means, in gain form.
         posterior = posterior.update(
-            phi, target, sample_weight=weight, product=products[0], step_in_block=step_in_block
+            phi, target, sample_weight=weight, product=product, step_in_block=step_in_block
         )
         return eqx.tree_at(lambda s: s.posterior, state, posterior)
 

@@ -142,7 +142,8 @@ class EMUQModel(eqx.Module):
         self,
         posterior: BayesianLinearRegression,
         phi: Float[Array, "N M"],
-        products: Float[Array, "N M"],
+        variances: Float[Array, "N"],
+        product: Float[Array, "M"],
         weight: Float[Array, ""],
     ) -> Float[Array, "K"]:
         """Variances of Q at s' with every sampled action, before the covariance is updated.
@@ -152,12 +153,12 @@ class EMUQModel(eqx.Module):
         Args:
             posterior: Posterior before the transition.
             phi: Features of (s, a), followed by those of s' with every sampled action.
-            products: Covariance times each of them.
+            variances: Variance at each of them.
+            product: Covariance times the first of them.
             weight: 1, or 0 if the covariance is not going to be updated.
         """
-        variances = jnp.sum(phi * products, axis=1)
         if self.reward_order == "after":
-            row = posterior.row(phi[0], sample_weight=weight, product=products[0])
+            row = posterior.row(phi[0], sample_weight=weight, product=product)
             variances = variances - matmul(phi, row) ** 2
         return variances[1:]
 
