@@ -126,6 +126,7 @@ def train(
         schedule=_part("schedule", schedule, dtype),
         target_return=None,
         episodes=episodes,
+        starts="per-episode",
         stop=stop,
         tests=tests,
         tests_learn=False,

@@ -25,6 +25,9 @@ from bojax.results.schema import Column, Table
 _OF_RUN = 2**32 - 1
 """Counter of the key of the properties that all episodes of a run share; episodes have smaller counters."""
 
+_START = 2**32 - 2
+"""Counter of the key of the initial state that all episodes of a run share."""
+
 
 class RunState(eqx.Module):
     """The state of a run.
@@ -73,6 +76,7 @@ class LearningRun(Experiment):
     target_return: Float[Array, ""] | None
     saved: LearnerState
     episodes: int = eqx.field(static=True)
+    starts: Literal["per-episode", "per-run"] = eqx.field(static=True)
     stop: Literal["never", "first-success", "target"] = eqx.field(static=True)
     tests: int = eqx.field(static=True)
     tests_learn: bool = eqx.field(static=True)
@@ -242,13 +246,12 @@ class LearningRun(Experiment):
         exploration = ExplorationState(
             exploration.scale.astype(self._dtype), exploration.is_learning & ~carry.is_done
         )
-        return Phase(self.env, self.learner, exploration, exploration, self._key(carry, 0), learns=True)
+        return self._phase(carry, 0, exploration, exploration, learns=True)
 
     def test(self, carry: RunState, number: Int[Array, ""]) -> Phase:
         """A test episode after the training episode; the first one has number 1."""
         exploration = self.training(carry).exploration if self.tests_learn else self.exploiting
-        key = self._key(carry, 2 * number)
-        return Phase(self.env, self.learner, self.exploiting, exploration, key, learns=self.tests_learn)
+        return self._phase(carry, 2 * number, self.exploiting, exploration, learns=self.tests_learn)
 
     def reset(self, carry: RunState, phase: Phase) -> tuple[EnvState, Observation]:
         """Initial state and observation of an episode of a compiled environment."""
@@ -336,6 +339,22 @@ class LearningRun(Experiment):
     def exploiting(self) -> ExplorationState:
         """The exploration state by which a learner acts in a test."""
         return ExplorationState(jnp.zeros((), self._dtype), jnp.zeros((), bool))
+
+    def _phase(
+        self,
+        carry: RunState,
+        counter: Int[Array, ""] | int,
+        acting: ExplorationState,
+        exploration: ExplorationState,
+        *,
+        learns: bool,
+    ) -> Phase:
+        """The episode with this counter of `_key`."""
+        key = self._key(carry, counter)
+        start = (key, 0) if self.starts == "per-episode" else (carry.key, _START)
+        return Phase(
+            self.env, self.learner, acting, exploration, key, jax.random.fold_in(*start), learns=learns
+        )
 
     def _key(self, carry: RunState, counter: Int[Array, ""] | int) -> Key[Array, ""]:
         """Key of the next training episode (0) or of its end (1), of test n (2 n) or of its end (2 n + 1).

@@ -45,6 +45,7 @@ class Phase(eqx.Module):
         acting: Exploration state by which the learner acts.
         exploration: Exploration state by which it learns.
         key: Key of the episode.
+        reset_key: Key of the initial state of the environment.
         learns: Whether the learner learns, from every step and from the whole episode at its end.
     """
 
@@ -53,6 +54,7 @@ class Phase(eqx.Module):
     acting: ExplorationState
     exploration: ExplorationState
     key: Key[Array, ""]
+    reset_key: Key[Array, ""]
     learns: bool = eqx.field(static=True)
 
     @property
@@ -65,11 +67,6 @@ class Phase(eqx.Module):
     def rows(self) -> StepRows:
         """The layout of the steps that are kept."""
         return StepRows.of(self.env, self.learner.exploration_weight.dtype)
-
-    @property
-    def reset_key(self) -> Key[Array, ""]:
-        """Key of the initial state of the environment."""
-        return jax.random.fold_in(self.key, 0)
 
     def step_keys(self, steps: Int[Array, "B"]) -> UInt32[Array, "B 3 W"]:
         """Data of the keys of some steps: to act, to step the environment, to learn.

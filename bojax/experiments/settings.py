@@ -66,6 +66,10 @@ class Learning(ExperimentSettings, frozen=True):
         default=Constant(), description="schedule of exploration over the training episodes"
     )
     episodes: int = Field(default=100, ge=1, description="number of training episodes")
+    starts: Literal["per-episode", "per-run"] = Field(
+        default="per-episode",
+        description="whether every episode draws its initial state, or all those of a run share one",
+    )
     stop: Literal["never", "first-success", "target"] = Field(
         default="never",
         description="whether a run ends early: at its first success, or once target_return is exceeded",

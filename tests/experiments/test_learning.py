@@ -332,6 +332,28 @@ def test_the_number_of_tests_does_not_change_what_learning_draws():
     assert len(set(alone.tolist())) == 3
 
 
+@pytest.mark.parametrize("starts", ["per-episode", "per-run"])
+def test_episodes_of_a_run_share_their_start_where_they_are_to(starts):
+    run = run_of("single-pendulum", learner="rff-q", starts=starts)
+
+    @jax.jit
+    @jax.vmap
+    def first_states(key):
+        early = run.init(key)
+        late = eqx.tree_at(lambda carry: carry.episode, early, early.episode + 3)
+        phases = [
+            (early, run.training(early)),
+            (late, run.training(late)),
+            (late, run.test(late, jnp.int32(2))),
+        ]
+        return [run.reset(*each)[0] for each in phases]
+
+    first, *later = np.asarray(first_states(jax.random.split(jax.random.key(0), 2)))
+    assert not np.any(first[0] == first[1])
+    for state in later:
+        assert np.all((state == first) == (starts == "per-run"))
+
+
 @pytest.mark.parametrize("learner", ["exploration-values", "additive"])
 def test_tests_learn_where_they_may_and_explore_in_no_case(learner):
     run = run_of(
