@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from bojax.envs import lander_geometry as geometry
 from bojax.envs.lander_geometry import TIME_STEP
+from bojax.numerics.lanes import batched_together
 
 _REST, _FOLDED, _HULL = geometry.lander(geometry.LEG_REST), geometry.lander(0.0), geometry.hull()
 _MASS, _INERTIA, _CENTRE = _REST.mass, _REST.inertia, float(_REST.centre[1])
@@ -165,7 +166,8 @@ def step(state: LanderState, gravity: Float[Array, ""]) -> LanderState:
 
     nothing = jnp.zeros_like(state.position, shape=(3,))
     falling = _Motion(state.velocity.at[1].add(-gravity * TIME_STEP), state.spin)
-    motion, _, _ = jax.lax.fori_loop(0, _SWEEPS, sweep, (falling, nothing, nothing))
+    start = batched_together((falling, nothing, nothing))
+    motion, _, _ = jax.lax.fori_loop(0, _SWEEPS, sweep, start)
     rates = jnp.stack([right.joint_rate(motion), left.joint_rate(motion)])
     is_slow = (jnp.sum(motion.velocity**2) < _SLOW**2) & (jnp.abs(motion.spin) < _SLOW_SPIN)
     return LanderState(

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from bojax.numerics.lanes import batched_together
 from bojax.robots.models import MjModel, mujoco
 
 
@@ -96,7 +97,7 @@ def constrained(model: Any, data: Any, inertia: Float[Array, "V V"]) -> Any:
     starts = jnp.stack([data.qacc_warmstart, data.qacc_smooth])
     costs = jax.vmap(cost)(starts)
     start = jnp.where(costs[0] < costs[1], *starts)
-    loop = jnp.zeros((), jnp.int32), start, jnp.ones((), bool)
+    loop = batched_together((jnp.zeros((), jnp.int32), start, jnp.ones((), bool)))
     _, acceleration, _ = jax.lax.while_loop(
         lambda loop: (loop[0] < model.opt.iterations) & loop[2], iterate, loop
     )

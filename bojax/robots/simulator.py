@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from bojax.config.extras import MissingExtra
+from bojax.numerics.lanes import batched_together
 from bojax.numerics.third_party import plain_jax, silenced, standard_jax
 from bojax.robots.c_mujoco import CSteps
 from bojax.robots.lane_steps import LaneSteps
@@ -194,7 +195,7 @@ def _stepping(
                 return step(put, before)
 
         # A single call site of `step`, whatever the number of substeps: each one takes long to compile.
-        return jax.lax.fori_loop(0, substeps, small_step, state)
+        return jax.lax.fori_loop(0, substeps, small_step, batched_together(state))
 
     return advance
 
@@ -333,7 +334,7 @@ def _runge_kutta_step(forward: Callable[[Any, Any], Any], model: Any, before: An
         return (slopes, sums), None
 
     zero = jnp.zeros_like(before.qvel)
-    start = (zero, zero), (zero, zero)
+    start, _ = batched_together((((zero, zero), (zero, zero)), before.qvel))
     (_, acceleration), (velocity, change) = jax.lax.scan(stage, start, jnp.asarray(_STAGES))[0]
     return RobotState(before.qpos + h * velocity, before.qvel + h * change, acceleration)
 
