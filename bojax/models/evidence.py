@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float, Key, PyTree
 
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Kernel
+from bojax.numerics.lanes import batched_together
 
 LogPrior = Callable[[Kernel, Float[Array, ""]], Float[Array, ""]]
 """Log density of a prior over a kernel and a noise variance, up to a constant."""
@@ -88,6 +89,7 @@ def maximise(
     def params_at(point: Float[Array, "P"]) -> PyTree:
         return eqx.combine(unravel(jnp.exp(low + (high - low) * jax.nn.sigmoid(point))), fixed)
 
+    @jax.jit  # traced once for the first step, the line searches and their gradients
     def loss(point: Float[Array, "P"]) -> Float[Array, ""]:
         return -objective(params_at(point))
 
@@ -96,6 +98,7 @@ def maximise(
         iterate = _Iterate(point, value, gradient)
         is_active = jnp.isfinite(value) & ~iterate.is_stationary()
         carry = iterate, solver.init(point), jnp.zeros((), jnp.int32), is_active
+        carry = batched_together(carry)
         return jax.lax.while_loop(lambda carry: carry[3] & (carry[2] < num_steps), step, carry)[0]
 
     def step(carry):
