@@ -511,11 +511,12 @@ class _Executor:
 
 
 def _progress_of(chunk: Chunk, state: ChunkState, experiment: Experiment) -> ChunkProgress:
-    layout = chunk.layout
-    if state.checkpoint is None:
+    layout, is_new = chunk.layout, state.checkpoint is None
+    if is_new:
         lanes, live = layout.lanes, min(layout.lanes, chunk.num_runs)
         waiting = chunk.num_runs - live
     else:
         lanes, live = len(state.lanes), sum(1 for run in state.lanes if run >= 0)
         waiting = chunk.num_runs - state.next_run
-    return ChunkProgress(lanes, layout.widths[-1], live, waiting, experiment.max_advances)
+    runs = chunk.num_runs if is_new else 0
+    return ChunkProgress(lanes, layout.widths[-1], live, waiting, experiment.max_advances, runs=runs)

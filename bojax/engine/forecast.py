@@ -22,6 +22,8 @@ class ChunkProgress:
         waiting: Number of runs that wait for a lane.
         advances_left: Upper bound of the advances of the runs in lanes.
         seconds_per_advance: Wall time of an advance of all lanes in the last segment; None before the first.
+        runs: Number of its runs; 0 if another process has begun it.
+        seconds: Wall time of its advances in this process.
     """
 
     lanes: int
@@ -30,6 +32,8 @@ class ChunkProgress:
     waiting: int
     advances_left: int
     seconds_per_advance: float | None = None
+    runs: int = 0
+    seconds: float = 0.0
 
 
 @dataclass
@@ -45,6 +49,8 @@ class GroupProgress:
         advances: Number of its advances in this process.
         finished: Number of runs that finished in this process.
         lane_advances: Number of advances of all its runs in this process.
+        ended_runs: Number of runs of the chunks that began and ended in this process.
+        ended_seconds: Wall time of the advances of these chunks.
         compiling_since: Time at which its compilation started; None before.
         compile_seconds: Duration of its compilation; None before its end.
         compiled: Time at which its compilation ended; None before.
@@ -60,6 +66,8 @@ class GroupProgress:
     advances: int = 0
     finished: int = 0
     lane_advances: int = 0
+    ended_runs: int = 0
+    ended_seconds: float = 0.0
     compiling_since: float | None = None
     compile_seconds: float | None = None
     compiled: float | None = None
@@ -80,6 +88,13 @@ class GroupProgress:
         if not self.finished:
             return None
         return min(self.lane_advances / self.finished, float(self.max_advances))
+
+    def end(self, index: int) -> None:
+        """Note that a chunk has ended or failed."""
+        chunk = self.chunks.pop(index, None)
+        if chunk is not None and chunk.seconds and not chunk.live + chunk.waiting:
+            self.ended_runs += chunk.runs
+            self.ended_seconds += chunk.seconds if chunk.runs else 0.0
 
 
 @dataclass(frozen=True)
@@ -130,7 +145,8 @@ def forecast(groups: Sequence[GroupProgress], *, now: float, workers: Mapping[st
 def _running(groups: Sequence[GroupProgress], workers: int, busy: float) -> float:
     """Wall time of the remaining advances on one platform; 0 before the first advance there.
 
-    A group without an advance is taken for an average one.
+    Once a chunk of a group has ended, the others are taken to need as long for each run: early episodes are
+    often longer than late ones. A group without an advance is taken for an average one.
 
     Args:
         groups: The groups that run there.
@@ -148,7 +164,10 @@ def _running(groups: Sequence[GroupProgress], workers: int, busy: float) -> floa
         mean = usual_share * group.max_advances if mean is None else mean
         for chunk in group.chunks.values():
             pace = chunk.seconds_per_advance or group.seconds_per_advance or usual_pace
-            seconds = _advances_left(chunk, mean) * pace
+            whole = chunk.runs * group.ended_seconds / max(1, group.ended_runs)
+            seconds = whole - chunk.seconds  # if it takes as long as those that have ended
+            if seconds <= 0.0:
+                seconds = _advances_left(chunk, mean) * pace
             total, longest = total + seconds, max(longest, seconds)
     return max(total / workers / busy, longest)
 

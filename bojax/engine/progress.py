@@ -97,6 +97,7 @@ class SweepProgress:
             state.lanes, state.live, state.waiting = segment.lanes, segment.live, segment.waiting
             state.advances_left = segment.advances_left
             state.seconds_per_advance = segment.seconds / max(1, segment.advances)
+            state.seconds += segment.seconds
             self._runs_done += segment.finished
             self._steps += segment.active_steps
             self._issued += segment.issued_steps
@@ -109,7 +110,7 @@ class SweepProgress:
     def end_chunk(self, group: GroupProgress, chunk: int) -> None:
         """Report that a chunk has ended or failed."""
         with self._lock:
-            group.chunks.pop(chunk, None)
+            group.end(chunk)
 
     def describe(self) -> str:
         """The progress in one line."""

@@ -56,6 +56,19 @@ def test_nothing_is_forecast_before_the_first_advance():
     assert forecast([group], **USUAL) is None
 
 
+def test_the_chunks_of_a_group_are_taken_to_last_as_long_as_one_that_has_ended():
+    """Of two chunks of ten runs, the second has begun, with episodes that are longer than the late ones."""
+    ended = ChunkProgress(10, 10, 0, 0, 0, 0.1, runs=10, seconds=30.0)
+    begun = ChunkProgress(10, 10, 10, 0, 90, 2.0, runs=10, seconds=20.0)
+    group = GroupProgress("toy", 100, {0: ended, 1: begun}, seconds=50.0, advances=110)
+    group.finished, group.lane_advances, group.compile_seconds = 10, 1100, 1.0
+    for expected in (10.0, 180.0):  # later, it has taken longer: 90 advances at its own pace
+        group.end(0)
+        found = forecast([group], **USUAL)
+        assert found is not None and found.seconds == pytest.approx(expected)
+        begun.seconds = 31.0
+
+
 def test_an_unknown_group_is_taken_for_an_average_one():
     known = GroupProgress(
         "known",
