@@ -101,6 +101,11 @@ class GroupTask:
         return num_runs * self.experiment.max_advances * self.experiment.steps_per_advance
 
     @property
+    def has_begun(self) -> bool:
+        """Whether a chunk has been taken in this process."""
+        return self.running > 0 or self.progress.advances > 0
+
+    @property
     def is_exclusive(self) -> bool:
         """Whether only one chunk can run at a time: its environments are on the host."""
         return self.experiment.is_hosted
@@ -306,11 +311,15 @@ class _Executor:
     def _take(self, device: Device) -> tuple[GroupTask, Chunk] | None:
         """The next chunk of a group whose programs are compiled for a device.
 
-        Groups with the programs for all their numbers of lanes come first: they will not wait for any.
+        Groups with the programs for all their numbers of lanes come first: they will not wait for any. In a
+        sweep, each group has a first chunk before any has a second, so that the forecast knows its pace.
         """
         with self._changed:
             while ready := [task for task in self._free(device) if self._is_ready(task, device)]:
-                task = next((task for task in ready if self._is_complete(task)), ready[0])
+                ready = [task for task in ready if self._is_complete(task)] or ready
+                first = ready[0]
+                new = (task for task in ready if task.share is first.share and not task.has_begun)
+                task = next(new, first)
                 if self._stop():
                     return None
                 try:
