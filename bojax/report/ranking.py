@@ -59,7 +59,9 @@ def measure_of(results: Results, by: str | None = None) -> Measure:
     By default it is `report.rank_by`; without it `-steps_to_goal` if a learner reached a goal, and else
     `return`.
     """
-    by = by or results.report.rank_by or _usual(results)
+    steps = results.runs.get("steps_to_goal", np.zeros(0)).astype(np.float64)
+    usual = "-steps_to_goal" if np.isfinite(steps).any() else "return"
+    by = by or results.report.rank_by or usual
     column = by.removeprefix("-")
     known = results.measured(results.runs)
     if column not in known:
@@ -108,10 +110,3 @@ def config_of(results: Results, point: Point) -> dict[str, Any]:
     runs = int(results.runs_of(point)["run"].size)
     title = f"{results.manifest.title}: {point.name}"
     return {"title": title, "experiment": kind, **settings, "runs": runs, "seed": seed}
-
-
-def _usual(results: Results) -> str:
-    steps = results.runs.get("steps_to_goal")
-    if steps is not None and np.isfinite(steps.astype(np.float64)).any():
-        return "-steps_to_goal"
-    return "return"

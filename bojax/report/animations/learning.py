@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 from typing_extensions import override
@@ -46,41 +45,38 @@ class LearningFilm(Film):
     def images(self) -> Iterator[Image.Image]:
         figure = blank(*_SIZE)
         with closing(self._scene(figure.add_axes((0.02, 0.16, 0.96, 0.70)))) as scene:
-            yield from self._pictures(figure, scene)
+            episode = self._episode
+            title = f"{self._kind}: {episode.point.name}, run {episode.run}, episode {episode.number}"
+            figure.text(0.04, 0.945, title, color=INK, fontsize=10)
+            status = figure.text(0.04, 0.885, "", color=INK, fontsize=10)
+            outcome = figure.text(0.96, 0.885, "", color=BLUE, fontsize=10, ha="right", weight="bold")
+            bars = figure.add_axes((0.20, 0.045, 0.72, 0.07))
+            largest = np.maximum(np.abs(episode.actions).max(axis=0), 1e-9)
+            num = len(largest)
+            bars.set_xlim(-1.02, 1.02)
+            bars.set_ylim(-0.6, num - 0.4)
+            bars.set_axis_off()
+            bars.axvline(0.0, color=FAINT, linewidth=1.0)
+            drawn = bars.barh(np.arange(num), np.zeros(num), height=0.7, color=BLUE)
+            figure.text(0.04, 0.08, "action", color=INK, fontsize=10, va="center")
+            position = 0
+            for index in self._indices.tolist():
+                self._move(scene, position, index)
+                position = index + 1
+                seconds = f"{index * self._time_step:.2f} s, " if self._time_step else ""
+                reward = f"reward {episode.accumulated[index]:.4g}"
+                status.set_text(f"{seconds}step {index + 1} of {len(episode.observations)}, {reward}")
+                for bar, width in zip(drawn, episode.actions[index] / largest, strict=True):
+                    bar.set_width(width)
+                if index == self._indices[-1]:
+                    outcome.set_text(episode.outcome)
+                yield photograph(figure)
 
     def _move(self, scene: Scene, first: int, last: int) -> None:
         """Show the last of some steps, and before it those that leave a trail."""
         episode = self._episode
         for step in range(first if scene.has_trail else last, last + 1):
             scene.move(episode.observations[step], episode.actions[step], episode.frames[step])
-
-    def _pictures(self, figure: Figure, scene: Scene) -> Iterator[Image.Image]:
-        episode = self._episode
-        title = f"{self._kind}: {episode.point.name}, run {episode.run}, episode {episode.number}"
-        figure.text(0.04, 0.945, title, color=INK, fontsize=10)
-        status = figure.text(0.04, 0.885, "", color=INK, fontsize=10)
-        outcome = figure.text(0.96, 0.885, "", color=BLUE, fontsize=10, ha="right", weight="bold")
-        bars = figure.add_axes((0.20, 0.045, 0.72, 0.07))
-        largest = np.maximum(np.abs(episode.actions).max(axis=0), 1e-9)
-        num = len(largest)
-        bars.set_xlim(-1.02, 1.02)
-        bars.set_ylim(-0.6, num - 0.4)
-        bars.set_axis_off()
-        bars.axvline(0.0, color=FAINT, linewidth=1.0)
-        drawn = bars.barh(np.arange(num), np.zeros(num), height=0.7, color=BLUE)
-        figure.text(0.04, 0.08, "action", color=INK, fontsize=10, va="center")
-        position = 0
-        for index in self._indices.tolist():
-            self._move(scene, position, index)
-            position = index + 1
-            seconds = f"{index * self._time_step:.2f} s, " if self._time_step else ""
-            reward = f"reward {episode.accumulated[index]:.4g}"
-            status.set_text(f"{seconds}step {index + 1} of {len(episode.observations)}, {reward}")
-            for bar, width in zip(drawn, episode.actions[index] / largest, strict=True):
-                bar.set_width(width)
-            if index == self._indices[-1]:
-                outcome.set_text(episode.outcome)
-            yield photograph(figure)
 
 
 def frames_of(num_steps: int) -> NDArray[np.int64]:

@@ -46,7 +46,8 @@ def _entry(results: Results, claim: Claim | Unread) -> dict[str, Any]:
         if isinstance(claim, Unread):
             raise Undecidable(claim.reason)
         finding = decide(results, claim.test)
-        if not _is_finite(finding):
+        numbers = [number for each in finding.comparisons for number in astuple(each.interval)]
+        if not np.isfinite([*numbers, 0.0 if isinstance(finding.ours, str) else finding.ours]).all():
             raise Undecidable("the numbers are too large for their mean to be finite")
     except ResultsError:
         raise
@@ -71,11 +72,6 @@ def _entry(results: Results, claim: Claim | Unread) -> dict[str, Any]:
             "chosen": dict(finding.chosen),
         },
     }
-
-
-def _is_finite(finding: Finding) -> bool:
-    numbers = [number for each in finding.comparisons for number in astuple(each.interval)]
-    return bool(np.isfinite([*numbers, 0.0 if isinstance(finding.ours, str) else finding.ours]).all())
 
 
 def _rounded(value: float) -> float:
