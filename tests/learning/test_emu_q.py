@@ -235,7 +235,7 @@ def test_direct_refits_of_a_table_are_policy_iteration():
     np.testing.assert_allclose(qs[-1], optimal, atol=1e-8)
 
 
-@pytest.mark.parametrize("how", by_tier(["sweeps", "direct"], normal=["sweeps"]))
+@pytest.mark.parametrize("how", by_tier(["sweeps", "direct"], normal=["direct"]))
 def test_features_of_later_transitions_are_recomputed(monkeypatch, how):
     steps = transitions()
     _, stored = learn(*make(refit=how), steps)
@@ -344,13 +344,9 @@ def test_indicators_are_a_table():
         spec.draw(jax.random.key(0), OBSERVATIONS, Discrete(3), jnp.dtype(jnp.float64))
 
 
-@pytest.mark.slow
 def test_refinement_never_makes_the_action_worse():
-    learner, state = make(num_actions=3)
+    learner, state = make()
     _, after = learn(learner, state, transitions())
-    refined = eqx.tree_at(
-        lambda x: x.prior_precision, make(num_actions=3, refine_steps=12)[0], learner.prior_precision
-    )
 
     @eqx.filter_jit
     def act(learner, key):
@@ -359,10 +355,9 @@ def test_refinement_never_makes_the_action_worse():
         q, u = learner.values(after, where, action)
         return action, q + learner.exploration_weight * u
 
+    gains, refined = [], make(refine_steps=12)[0]
     for seed in range(5):
-        scores = []
-        for one in (learner, refined):
-            action, score = act(one, jax.random.key(seed))
-            assert -3.0 <= float(action[0]) <= 3.0
-            scores.append(float(score))
-        assert scores[1] >= scores[0] - 1e-12
+        (_, coarse), (action, fine) = (act(each, jax.random.key(seed)) for each in (learner, refined))
+        assert -3.0 <= float(action[0]) <= 3.0
+        gains.append(float(fine - coarse))
+    assert min(gains) >= -1e-12 and max(gains) > 0.0

@@ -218,6 +218,13 @@ def numbered(number: int, length: int) -> Episode:
 SHORT = {"longest_episode": 4, "iteration_steps": 6}
 
 
+@pytest.mark.parametrize(("iteration_steps", "rows"), [(100, 108), (248, 256), (249, 512)])
+def test_a_large_batch_is_made_of_whole_chunks(iteration_steps, rows):
+    learner = build(VIME.model_validate({**SMALL, "iteration_steps": iteration_steps}))
+    state = eqx.filter_eval_shape(learner.init, jax.random.key(0), OBSERVATIONS, ACTIONS, 1000)
+    assert state.batch.steps.shape == (rows,)
+
+
 @pytest.mark.parametrize("pool_size", by_tier([1000, 20, 7], normal=[20]))
 def test_the_pool_keeps_the_latest_transitions_and_pairs_no_episodes(pool_size):
     learner, state = make(pool_size=pool_size, **SHORT)
