@@ -186,6 +186,14 @@ def test_a_finished_search_is_extended(tmp_path, undisturbed):
     assert [each.values for each in first.points] == [each.values for each in second.points]
 
 
+def test_a_finished_search_goes_on_where_it_ended(tmp_path, undisturbed):
+    out = shutil.copytree(undisturbed, tmp_path / "search")
+    assert tune(out, "--resume", "--confirm", "0", rounds=4) == 0
+    before, after = read_tuning(undisturbed).points, read_tuning(out).points
+    assert [each.values for each in after[: len(before)]] == [each.values for each in before]
+    assert len(after) == len(before) + 3
+
+
 def test_a_finished_search_is_not_changed(tmp_path, undisturbed, capsys):
     out = shutil.copytree(undisturbed, tmp_path / "search")
     assert tune(out, "--resume") == 0
