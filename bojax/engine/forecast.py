@@ -49,7 +49,8 @@ class GroupProgress:
         advances: Number of its advances in this process.
         finished: Number of runs that finished in this process.
         lane_advances: Number of advances of all its runs in this process.
-        ended_runs: Number of runs of the chunks that began and ended in this process.
+        ended_chunks: Number of chunks that began and ended in this process.
+        ended_runs: Number of runs of these chunks.
         ended_seconds: Wall time of the advances of these chunks.
         compiling_since: Time at which its compilation started; None before.
         compile_seconds: Duration of its compilation; None before its end.
@@ -66,6 +67,7 @@ class GroupProgress:
     advances: int = 0
     finished: int = 0
     lane_advances: int = 0
+    ended_chunks: int = 0
     ended_runs: int = 0
     ended_seconds: float = 0.0
     compiling_since: float | None = None
@@ -93,6 +95,7 @@ class GroupProgress:
         """Note that a chunk has ended or failed."""
         chunk = self.chunks.pop(index, None)
         if chunk is not None and chunk.seconds and not chunk.live + chunk.waiting:
+            self.ended_chunks += 1
             self.ended_runs += chunk.runs
             self.ended_seconds += chunk.seconds if chunk.runs else 0.0
 
@@ -146,30 +149,44 @@ def _running(groups: Sequence[GroupProgress], workers: int, busy: float) -> floa
     """Wall time of the remaining advances on one platform; 0 before the first advance there.
 
     Once a chunk of a group has ended, the others are taken to need as long for each run: early episodes are
-    often longer than late ones. A group without an advance is taken for an average one.
+    often longer than late ones. The chunks of a group without an advance are taken to need as long as those
+    of other groups on average. The pace of an advance says less: an advance of one group is an episode of a
+    robot, that of another a step of a planner.
 
     Args:
         groups: The groups that run there.
         workers: Number of chunks that run side by side.
         busy: Share of the time in which the workers advance runs.
     """
-    paces = [group.seconds_per_advance for group in groups if group.seconds_per_advance is not None]
-    if not paces:
+    known = [group for group in groups if group.advances]
+    if not known:
         return 0.0
-    shares = [group.mean_advances / group.max_advances for group in groups if group.mean_advances is not None]
-    usual_pace, usual_share = float(np.mean(paces)), float(np.mean(shares)) if shares else 1.0
-    total, longest = 0.0, 0.0
-    for group in groups:
-        mean = group.mean_advances
-        mean = usual_share * group.max_advances if mean is None else mean
-        for chunk in group.chunks.values():
-            pace = chunk.seconds_per_advance or group.seconds_per_advance or usual_pace
-            whole = chunk.runs * group.ended_seconds / max(1, group.ended_runs)
-            seconds = whole - chunk.seconds  # if it takes as long as those that have ended
-            if seconds <= 0.0:
-                seconds = _advances_left(chunk, mean) * pace
-            total, longest = total + seconds, max(longest, seconds)
-    return max(total / workers / busy, longest)
+    shares = [group.mean_advances / group.max_advances for group in known if group.mean_advances is not None]
+    usual_share = float(np.mean(shares)) if shares else 1.0
+    left = [seconds for group in known for seconds in _seconds_left(group, usual_share)]
+    whole = sum(group.seconds for group in known) + sum(left)
+    usual = whole / max(1, sum(group.ended_chunks for group in known) + len(left))
+    left += [usual for group in groups if not group.advances for _ in group.chunks]
+    return max(sum(left) / workers / busy, max(left, default=0.0))
+
+
+def _seconds_left(group: GroupProgress, usual_share: float) -> list[float]:
+    """Time that each chunk of a group still takes.
+
+    Args:
+        group: A group with an advance.
+        usual_share: Mean number of advances of a run, as a share of the most, if no run has ended.
+    """
+    mean = usual_share * group.max_advances if group.mean_advances is None else group.mean_advances
+    left = []
+    for chunk in group.chunks.values():
+        whole = chunk.runs * group.ended_seconds / max(1, group.ended_runs)
+        seconds = whole - chunk.seconds  # if it takes as long as those that have ended
+        if seconds <= 0.0:
+            pace = chunk.seconds_per_advance or group.seconds_per_advance or 0.0
+            seconds = _advances_left(chunk, mean) * pace
+        left.append(seconds)
+    return left
 
 
 def _busy(groups: Sequence[GroupProgress], now: float, workers: int) -> float:

@@ -70,23 +70,24 @@ def test_the_chunks_of_a_group_are_taken_to_last_as_long_as_one_that_has_ended()
 
 
 def test_an_unknown_group_is_taken_for_an_average_one():
-    known = GroupProgress(
-        "known",
-        10,
-        seconds=8.0,
-        advances=4,
-        finished=1,
-        lane_advances=5,
-        compile_seconds=3.0,
-        compiling_since=-3.0,
-        compiled=0.0,
-    )
-    unknown = GroupProgress("unknown", 100, {0: ChunkProgress(1, 1, 1, 0, 100)})
+    known = GroupProgress("known", 10, seconds=8.0, advances=4, ended_chunks=2, compile_seconds=3.0)
+    known.compiling_since, known.compiled = -3.0, 0.0
+    # Its advances may be much quicker than those of the known group.
+    unknown = GroupProgress("unknown", 1000, {i: ChunkProgress(1, 1, 1, 0, 1000) for i in range(3)})
     found = forecast([known, unknown], **USUAL)
     assert found is not None
-    assert found.running == pytest.approx(50 * 2.0)  # half of its advances, like the known group
+    assert found.running == pytest.approx(3 * 4.0)  # a chunk of the known group took 4 s
     assert found.compiling == pytest.approx(3.0)
-    assert found.seconds == pytest.approx(103.0)
+    assert found.seconds == pytest.approx(15.0)
+
+
+def test_a_group_that_runs_counts_with_what_it_still_takes():
+    begun = ChunkProgress(1, 1, 1, 0, 6, seconds_per_advance=2.0)
+    known = GroupProgress("known", 10, {0: begun}, seconds=8.0, advances=4)
+    unknown = GroupProgress("unknown", 10, {0: ChunkProgress(1, 1, 1, 0, 10)})
+    found = forecast([known, unknown], **USUAL)
+    assert found is not None
+    assert found.running == pytest.approx(12.0 + 20.0)
 
 
 def test_workers_share_chunks_and_a_compilation_hides_behind_an_accelerator():
@@ -97,9 +98,11 @@ def test_workers_share_chunks_and_a_compilation_hides_behind_an_accelerator():
     other = GroupProgress("other", 10, left, compiling_since=-1.0, platform="gpu")
     found = forecast([group, other], now=0.0, workers={"gpu": 2})
     assert found is not None
-    assert found.running == pytest.approx(25.0)  # five chunks of ten advances on two workers
+    assert found.running == pytest.approx(
+        (4 * 10.0 + 41.0 / 4) / 2
+    )  # the fifth chunk lasts as long as the others
     assert found.compiling == pytest.approx(4.0 / 1.5 * 0.5)  # one and a half programs took 4 s
-    assert found.seconds == pytest.approx(25.0)
+    assert found.seconds == pytest.approx(found.running)
 
 
 def test_compilations_side_by_side_are_forecast_by_how_far_they_have_come():
@@ -125,7 +128,7 @@ def test_a_device_that_waits_for_programs_is_taken_to_go_on_waiting_until_the_la
     waiting = forecast([group, last], **usual)
     assert without is not None and waiting is not None
     assert without.running == pytest.approx(10.0)  # one chunk, of ten advances
-    assert waiting.running == pytest.approx(2 * 10 / 2 / (5 / (20 * 2)))
+    assert waiting.running == pytest.approx((10 + 15) / 2 / (5 / (20 * 2)))
 
 
 def test_platforms_run_side_by_side():
