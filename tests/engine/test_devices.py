@@ -56,7 +56,7 @@ GPUS, CPU = [Named("gpu"), Named("gpu")], Named("cpu")
 def test_every_accelerator_has_two_workers_and_leaves_cores_to_the_cpu():
     assert workers_of(GPUS) == [GPUS[0], GPUS[0], GPUS[1], GPUS[1]]
     assert workers_of([CPU], 5) == [CPU] * 5
-    assert workers_of([GPUS[0], CPU], 5) == [GPUS[0]] * 2 + [CPU] * 2
+    assert workers_of([GPUS[0], CPU], 9) == [GPUS[0]] * 2 + [CPU] * 2
     assert workers_of([GPUS[0], CPU], 1) == [GPUS[0]] * 2 + [CPU]
 
 
