@@ -120,8 +120,8 @@ def choose(devices: Sequence[Device], indices: Sequence[int] | None) -> list[Dev
 def workers_of(devices: Sequence[Device], cores: int | None = None) -> list[Device]:
     """The device of each worker: two workers for each accelerator, and one for each core of a CPU.
 
-    Beside accelerators, the CPU has one worker for four cores: half of the cores compile, and the threads that
-    drive the accelerators must not wait. (With one for two, EMU-Q on cartpole advanced for 137 s on an
+    Beside accelerators, the CPU has one worker for four cores: half of the cores compile, and the threads
+    that drive the accelerators must not wait. (With one for two, EMU-Q on cartpole advanced for 137 s on an
     H200 with 16 cores; for 60 s on one with 32 cores and no such workers.)
 
     Args:
