@@ -95,7 +95,7 @@ def test_a_command_is_understood(page, words, monkeypatch, capsys, tmp_path):
         monkeypatch.setattr(f"bojax.cli.{reads_results}.main", lambda *_: 0)
     for function in ("running.run", "reproducing._run"):
         monkeypatch.setattr(f"bojax.cli.{function}", lambda sweeps, *_, **__: asked.extend(sweeps) or 0)
-    monkeypatch.setattr("bojax.report.comparing.build.compare", lambda request, out: out)
+    monkeypatch.setattr("bojax.report.comparing.build.compare", lambda folders, files, out, **_: out)
     monkeypatch.setattr("bojax.report.exporting.build.export", lambda folder, target, out: folder)
     monkeypatch.setattr("bojax.cli.tuning.search", lambda *_: 0)
     monkeypatch.setattr("bojax.report.reproduction.joined_reproduction", lambda *_: [])
