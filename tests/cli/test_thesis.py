@@ -38,6 +38,8 @@ def test_every_study_runs(name, tmp_path):
     short = {"planner.iterations": 2, "problem.max_steps": 2}
     if sweep.base["experiment"] == "learning":
         short = {"episodes": 1, "tests": 1, "env.max_steps": 20}
+    if any(hasattr(getattr(point.config, "env", None), "physics") for point in sweep.points):
+        short["env.physics.impl"] = "c"  # MJX in JAX takes longer to compile, and has tests of its own
     words = [f"{key}={value}" for key, value in short.items() if key not in sweep.points[0].swept]
     assert main(["sweep", str(sweep.source), *words, "--runs", "2", "--out", str(tmp_path)]) == 0
     assert len(read_table(tmp_path / "runs.parquet")) == 2 * len(sweep.points)
