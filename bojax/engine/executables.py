@@ -182,11 +182,9 @@ def _loaded(saved: tuple[bytes, PyTree, PyTree], device: Device) -> Compiled:
 
 @functools.cache
 def _initialize_lapack() -> None:
-    """Look up the functions of LAPACK, as tracing does: a loaded program would call a null pointer."""
-    # Imported here, since it may move: then nothing is loaded, and programs are compiled.
-    from jaxlib import lapack
-
-    lapack.prepare_lapack_call("potrf", np.dtype(np.float32))
+    """Look up the functions of LAPACK, as lowering does: a loaded program would call a null pointer."""
+    matrix = jax.ShapeDtypeStruct((1, 1), np.float32)
+    jax.jit(jax.numpy.linalg.cholesky).trace(matrix).lower(lowering_platforms=("cpu",))
 
 
 class _Unpickler(pickle.Unpickler):
