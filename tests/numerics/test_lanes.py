@@ -76,6 +76,16 @@ def test_initial_values_are_batched_together():
     np.testing.assert_array_equal(alone[0], 1.0)
 
 
+def test_values_that_are_batched_together_have_gradients():
+    def last(x):
+        start = batched_together((x, jnp.ones(()), jnp.zeros((), jnp.int32)))
+        return jax.lax.fori_loop(0, 3, lambda _, loop: (loop[0], loop[0] * loop[1], loop[2] + 1), start)[1]
+
+    x = jnp.asarray([1.0, 2.0, -3.0])
+    for gradient in (jax.grad(last), jax.jacfwd(last)):
+        np.testing.assert_allclose(jax.jit(jax.vmap(gradient))(x), 3 * x**2, rtol=1e-6)
+
+
 def test_the_body_of_a_loop_is_batched_fewer_times():
     batchings = Counter()
 
