@@ -56,7 +56,7 @@ def restored() -> Iterator[None]:
 
 
 def find_devices(device: Platform) -> list[Device]:
-    """The devices of the requested platform. A CPU is one device; `auto` are all GPUs and, last, the CPU.
+    """The devices of the requested platform. A CPU is one device; `auto` means all GPUs and, last, the CPU.
 
     Raises:
         EngineError: There is no device of this platform.
@@ -84,7 +84,7 @@ P = TypeVar("P", bound=_Placed)
 
 
 def of_platform(found: Iterable[P], platform: str) -> list[P]:
-    """The devices of a platform, or what runs on devices of a platform."""
+    """Those devices, or tasks and groups, whose platform is the given one."""
     return [each for each in found if each.platform == platform]
 
 

@@ -135,7 +135,7 @@ def central(samples: Floats) -> tuple[float, float]:
 
 
 def _once(interval: Callable[..., Interval]) -> Callable[..., Interval]:
-    """Claims, figures and tables ask for the same intervals: each is made once, and known by its values."""
+    """Cache intervals by their values, since claims, figures and tables ask for the same ones."""
     known = lru_cache(maxsize=256)(lambda *columns: interval(*map(np.frombuffer, columns)))
     return wraps(interval)(
         lambda *columns: known(*(np.asarray(x, dtype=np.float64).tobytes() for x in columns))

@@ -41,7 +41,7 @@ class Drawing:
         return style.encode(self.figure)
 
     def encoded(self) -> "Drawing":
-        """The same, with its files made now: under `style.settings`."""
+        """Make the files now, while `style.settings` is in force, and return the drawing."""
         _ = self.files
         return self
 
