@@ -27,7 +27,7 @@ from bojax.numerics.lanes import LANES
 compile_counts: Counter[str] = Counter()
 """Number of XLA compilations of the engine in this process, by program."""
 
-_TRACING = threading.Lock()
+TRACING = threading.Lock()
 """Tracing holds the interpreter's lock: the programs of one group are ready sooner if no other is traced."""
 
 
@@ -137,7 +137,7 @@ class Programs:
             self.is_saved = True
             self.compile_seconds = time.perf_counter() - start
         else:
-            with _TRACING:
+            with TRACING:
                 start = time.perf_counter()
                 lowered, carry = self._lower(wider)
                 traced = time.perf_counter() - start

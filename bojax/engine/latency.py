@@ -1,16 +1,27 @@
 """Latency of a single run, measured without a batch."""
 
+import contextlib
 import itertools
+import threading
 import time
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import PyTree
 
-from bojax.engine.batch import run_key
-from bojax.engine.devices import Device
+from bojax.engine.ahead import Ahead
+from bojax.engine.batch import TRACING, run_key
+from bojax.engine.devices import Device, of_platform
+from bojax.engine.execute import compile_threads
 from bojax.engine.groups import StaticGroup
+from bojax.engine.progress import SweepProgress
+from bojax.text import error_line
+
+if TYPE_CHECKING:
+    from bojax.engine.journal import Journal
 
 LEAST_ADVANCES, MOST_ADVANCES = 6, 10
 """Minimum and maximum number of advances over which the median is taken.
@@ -30,43 +41,97 @@ class Latency(NamedTuple):
     largest: float
 
 
-def measure_latency(
-    group: StaticGroup, points: Sequence[int], seed: int, device: Device
-) -> dict[int, Latency]:
-    """The latency of a single run, for each of the given points of the group.
+class Latencies:
+    """The latencies that sweeps ask for: of the first point of each of their variants.
 
-    One pair of programs, compiled without a batch axis, serves all points. Once a run is done, the next run
-    starts: advances of a finished run do nothing and are not measured.
+    Threads compile the programs as sweeps end. Times are measured once all runs have ended and all programs
+    are compiled.
+
+    Args:
+        devices: The devices of all sweeps.
+        stop: Whether a stop is requested.
     """
 
-    def init(key, run, swept, shared):
-        return group.experiment(swept, shared).init(run_key(key, run))
+    def __init__(self, devices: Sequence[Device], stop: Callable[[], bool]):
+        self._devices, self._stop = devices, stop
+        self._asked: list[tuple[Journal, StaticGroup, list[int]]] = []
+        self._ahead: Ahead[SingleRun] = Ahead(compile_threads(), threading.Condition(threading.RLock()), stop)
 
-    def advance(carry, swept, shared):
-        experiment = group.experiment(swept, shared)
-        carry, records = experiment.advance(carry)
-        return carry, records, experiment.is_done(carry)
+    def compile(self, journal: "Journal") -> None:
+        """Compile what a sweep asks for, in threads."""
+        plan = journal.plan
+        if not plan.sweep.engine.latency:
+            return
+        (device, *_) = of_platform(self._devices, plan.device["platform"])
+        firsts = {(point.label, point.variant): point.index for point in reversed(plan.sweep.points)}
+        for group in plan.groups:
+            points = sorted(set(group.points) & set(firsts.values()))
+            if points and not plan.experiment(group).is_hosted:
+                self._ahead.request(len(self._asked), partial(SingleRun, group, plan.sweep.seed, device))
+                self._asked.append((journal, group, points))
 
-    key, shared = jax.device_put((jax.random.key(seed), group.shared), device)
-    swept = jax.device_put(group.swept_at(np.asarray(0)), device)
-    compiled_init = jax.jit(init).lower(key, np.int32(0), swept, shared).compile()
-    carry = jax.eval_shape(init, key, np.int32(0), swept, shared)
-    compiled_advance = jax.jit(advance, donate_argnums=0).lower(carry, swept, shared).compile()
-    latencies = {}
-    for point in points:
-        swept = jax.device_put(group.swept_at(np.asarray(group.points.index(point))), device)
-        runs, is_done = itertools.count(), True
-        times: list[float] = []
+    def measure(self, progress: SweepProgress) -> None:
+        """Measure the latencies, and note them in the journals. A failure leaves the results complete."""
+        if self._asked:
+            progress.say(f"compiling single runs of {len(self._asked)} groups, to measure their latency ...")
+        for index in range(len(self._asked)):
+            with contextlib.suppress(Exception, SystemExit):  # told below
+                self._ahead.wait(index)
+        for index, (journal, group, points) in enumerate(self._asked):
+            if self._stop():
+                break
+            name = journal.plan.name(group)
+            progress.timing(name)
+            try:
+                run = self._ahead.wait(index)
+                journal.note_latency(group, {point: run.latency(point) for point in points})
+            except (Exception, SystemExit) as error:
+                progress.say(f"latency of {name} not measured: {error_line(error)}")
+        self._ahead.close()
+
+
+class SingleRun:
+    """The programs of a single run of a static group, without a batch axis. They serve all its points."""
+
+    def __init__(self, group: StaticGroup, seed: int, device: Device):
+        def init(key, run, swept, shared):
+            return group.experiment(swept, shared).init(run_key(key, run))
+
+        def advance(carry, swept, shared):
+            experiment = group.experiment(swept, shared)
+            carry, records = experiment.advance(carry)
+            return carry, records, experiment.is_done(carry)
+
+        self._group, self._device = group, device
+        self._key, self._shared = jax.device_put((jax.random.key(seed), group.shared), device)
+        run, swept = np.int32(0), self._swept_at(group.points[0])
+        with TRACING:
+            carry = jax.eval_shape(init, self._key, run, swept, self._shared)
+            lowered_init = jax.jit(init).lower(self._key, run, swept, self._shared)
+            lowered_advance = jax.jit(advance, donate_argnums=0).lower(carry, swept, self._shared)
+        self._init, self._advance = lowered_init.compile(), lowered_advance.compile()
+
+    def _swept_at(self, point: int) -> PyTree:
+        position = np.asarray(self._group.points.index(point))
+        return jax.device_put(self._group.swept_at(position), self._device)
+
+    def latency(self, point: int) -> Latency:
+        """The latency at a point.
+
+        Once a run is done, the next run starts: advances of a finished run do nothing and are not measured.
+        """
+        swept, runs, is_done = self._swept_at(point), itertools.count(), True
+        carry, times = None, []
         start = time.perf_counter()
         while len(times) <= LEAST_ADVANCES or (
             len(times) <= MOST_ADVANCES and time.perf_counter() - start < BUDGET_SECONDS
         ):
             if is_done:
-                carry = jax.block_until_ready(compiled_init(key, np.int32(next(runs)), swept, shared))
+                run = np.int32(next(runs))
+                carry = jax.block_until_ready(self._init(self._key, run, swept, self._shared))
             before = time.perf_counter()
-            carry, _, done = jax.block_until_ready(compiled_advance(carry, swept, shared))
+            carry, _, done = jax.block_until_ready(self._advance(carry, swept, self._shared))
             times.append(time.perf_counter() - before)
             is_done = bool(done)
         times = times[1:]  # the first advance warms up
-        latencies[point] = Latency(float(np.median(times)), min(times), max(times))
-    return latencies
+        return Latency(float(np.median(times)), min(times), max(times))

@@ -83,7 +83,7 @@ class SweepProgress:
             self._show()
 
     def timing(self, what: str) -> None:
-        """Report that a single run is being compiled and timed."""
+        """Report that a single run is being timed."""
         self.say(f"timing a single run of {what} ...")
 
     def segment(self, group: GroupProgress, chunk: int, segment: Segment) -> None:

@@ -10,18 +10,16 @@ from typing import TYPE_CHECKING, Any
 from bojax.config.errors import ConfigError, printable
 from bojax.config.settings import Platform
 from bojax.engine.conclude import conclude, interrupt
-from bojax.engine.devices import Device, choose, find_devices, of_platform, prepare
+from bojax.engine.devices import Device, choose, find_devices, prepare
 from bojax.engine.errors import FAILURE, EngineError
 from bojax.engine.execute import execute
 from bojax.engine.journal import Journal
-from bojax.engine.latency import measure_latency
-from bojax.engine.progress import SweepProgress
+from bojax.engine.latency import Latencies
 from bojax.engine.remote import Launcher, run_remotely
 from bojax.engine.requests import Request, Target, choose_targets, plan_unfinished
 from bojax.engine.signals import StopRequest
 from bojax.engine.tasks import longest_first, progress_of, tasks_of, workers_for
 from bojax.results.store import ResultsError
-from bojax.text import error_line
 
 if TYPE_CHECKING:
     from bojax.config.sweep import Sweep
@@ -136,37 +134,22 @@ def _execute(
         journal.note_progress(task.group, task.progress)
     left = {journal: len(tasks) for journal, tasks in by_sweep.items()}
     workers = workers_for(tasks, devices)
+    latencies = Latencies(devices, stop.__bool__)
     ended = [journal for journal in journals if not left[journal]]  # killed before it was merged
+    for journal in ended:
+        latencies.compile(journal)
     with progress_of([journal.share for journal in journals], tasks, workers) as progress:
         for task in execute(tasks, workers, progress, stop.__bool__):
             journal = journal_of[task]
             left[journal] -= 1
             if not left[journal]:
                 ended.append(journal)
+                latencies.compile(journal)
             if not left[journal] and several and not journal.plan.sweep.engine.latency:
                 conclude(journal, progress.say, finish)  # while the other sweeps run
         if several and tasks:
             progress.say(progress.describe_times())
-        for journal in ended:
-            (device, *_) = of_platform(devices, journal.plan.device["platform"])
-            _measure_latency(journal, device, progress, stop)
+        latencies.measure(progress)
     for journal in ended if not stop else ():
         if not journal.is_merged:
             conclude(journal, lambda text: print(text, file=sys.stderr), finish)
-
-
-def _measure_latency(journal: Journal, device: Device, progress: SweepProgress, stop: StopRequest) -> None:
-    """Time a single run of the first point of each variant, if the sweep asks for it."""
-    plan = journal.plan
-    if not plan.sweep.engine.latency:
-        return
-    firsts = {(point.label, point.variant): point.index for point in reversed(plan.sweep.points)}
-    for group in plan.groups:
-        points = sorted(set(group.points) & set(firsts.values()))
-        if not points or stop or plan.experiment(group).is_hosted:
-            continue
-        progress.timing(plan.name(group))
-        try:
-            journal.note_latency(group, measure_latency(group, points, plan.sweep.seed, device))
-        except (Exception, SystemExit) as error:  # a failure here leaves the results complete
-            progress.say(f"latency of {plan.name(group)} not measured: {error_line(error)}")
