@@ -24,7 +24,7 @@ def run_here(sweep: Sweep, out: Path, resume: bool, command: list[str]) -> Ended
     """
     shown = _Shown(sys.stderr)
     with restored(), redirect_stderr(shown):
-        code = run([resolved(sweep)], out, resume, command, exits=False)
+        code = run([resolved(sweep)], [out], resume, command, exits=False)
     return Ended(code, shown.getvalue().splitlines())
 
 

@@ -3,6 +3,7 @@
 import multiprocessing
 import signal
 import sys
+import time
 from concurrent.futures import Future, ProcessPoolExecutor
 from pathlib import Path
 from types import TracebackType
@@ -11,7 +12,7 @@ from bojax.config.errors import printable
 from bojax.engine.signals import stop_with_parent
 from bojax.numerics.cores import usable_cores
 from bojax.report.verdicts import print_verdicts
-from bojax.text import error_line
+from bojax.text import duration, error_line
 
 PROCESSES = 4
 """Maximum number of reports that are written at the same time."""
@@ -54,6 +55,7 @@ class Reports:
     ) -> None:
         for folder in self._folders if error is None else ():
             self._write_here(folder)
+        start = time.monotonic()
         for folder, pending in self._pending.items():
             try:
                 page = pending.result()
@@ -66,6 +68,8 @@ class Reports:
                 print(printable(f"error: {reason}; {advice}"), file=sys.stderr)
         if self._pool is not None:
             self._pool.shutdown()
+            if (waited := time.monotonic() - start) >= 1.0:
+                print(f"waited {duration(waited)} for reports", file=sys.stderr)
 
     def _write_here(self, folder: Path) -> None:
         try:

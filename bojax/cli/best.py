@@ -71,7 +71,7 @@ def main(name: str, words: Sequence[str]) -> int:
         locate=lambda _, location: f"{place}.{dotted(location)}",  # the module that it names is announced
     )
     folder, is_resumed = reserve_folder(chosen.name, args.out, resume=args.resume)
-    code = run([resolved(chosen)], folder, is_resumed, ["bojax", name, *words])
+    code = run([resolved(chosen)], [folder], is_resumed, ["bojax", name, *words])
     if code == 0:
         print(scored(measure, best_of(load(folder), measure)))
     return code

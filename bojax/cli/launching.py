@@ -73,18 +73,15 @@ def launcher_of(args: Namespace, *, waits: bool = False) -> tuple["Launcher | No
     return None, getattr(args, "devices", None)
 
 
-def dry_run(args: Namespace, names: Sequence[str], out: Path | None = None) -> int:
+def dry_run(args: Namespace, names: Sequence[str], folders: Sequence[Path]) -> int:
     """Print the script that would be submitted to Slurm.
 
     Args:
         args: The options.
         names: Names of the sweeps.
-        out: Their folder; that of the options by default.
+        folders: Their folders.
     """
     from bojax.engine.launchers.slurm import Slurm
-    from bojax.results.folder import dated_folder
 
-    folder: Path = out or args.out or dated_folder(names[0])
-    folders = [folder / name for name in names] if len(names) > 1 else [folder]
     print(Slurm(load_launching(args.cluster, SlurmConfig)).script(", ".join(names), folders), end="")
     return 0

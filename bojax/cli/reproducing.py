@@ -4,16 +4,14 @@ import sys
 import time
 from argparse import Namespace
 from collections.abc import Sequence
-from contextlib import nullcontext
 from pathlib import Path
 
-from bojax.cli.launching import LAUNCHING_USAGE, add_launching, check_launching, dry_run, launcher_of
+from bojax.cli.launching import LAUNCHING_USAGE, add_launching, check_launching, dry_run
 from bojax.cli.parser import Parser, UsageError, integer
-from bojax.cli.running import resolved
+from bojax.cli.running import resolved, run
 from bojax.config.errors import did_you_mean, listed
 from bojax.config.files import available
-from bojax.config.sweep import Sweep, is_alias, load_sweep
-from bojax.text import duration
+from bojax.config.sweep import is_alias, load_sweep
 
 FOLDER = Path("results/reproduction")
 """Folder of reproductions without `--out`, each named after the time of its start."""
@@ -62,42 +60,28 @@ def main(name: str, words: Sequence[str]) -> int:
         parser.error("--count-in: needs --page")
     check_launching(args)
     sweeps = [load_sweep(sweep, (), args.runs, args.seed) for sweep in selected(args.ids)]
-    if args.dry_run:
-        return dry_run(args, [sweep.name for sweep in sweeps])
-    return _run(sweeps, args, ["bojax", name, *words])
-
-
-def _run(sweeps: Sequence[Sweep], args: Namespace, command: list[str]) -> int:
-    start = time.monotonic()
     out = args.out or (_newest(FOLDER) if args.resume else FOLDER / time.strftime("%Y%m%d-%H%M%S"))
+    folders = [out / sweep.name for sweep in sweeps]
+    if args.dry_run:
+        return dry_run(args, [sweep.name for sweep in sweeps], folders)
     if not args.out:  # so that the printed command resumes this folder
-        command += ["--out", str(out)]
+        words = [*words, "--out", str(out)]
+    start = time.monotonic()
+    skipped: dict[str, str] = {}
+    code = run(
+        [resolved(sweep) for sweep in sweeps],
+        folders,
+        args.resume,
+        ["bojax", name, *words],
+        launching=args,
+        skipped=skipped,
+    )
+    if code not in (0, 1) or not all(_is_merged(folder, skipped) for folder in folders):
+        return code
 
-    from bojax.cli.background import Reports
-    from bojax.engine.requests import Request
-    from bojax.engine.run import run_sweeps
     from bojax.report.reproduction import reproduction
 
-    launcher, devices = launcher_of(args)
-    requests = [Request(resolved(sweep), out / sweep.name) for sweep in sweeps]
-    skipped: dict[str, str] = {}
-    with launcher or nullcontext(), Reports(in_background=len(sweeps) > 1) as reports:
-        code = run_sweeps(
-            requests,
-            args.resume,
-            command,
-            finish=reports.write,
-            skipped=skipped,
-            launcher=launcher,
-            indices=devices,
-        )
-        ended = time.monotonic()
-    code = code or reports.exit_code
-    if (waited := time.monotonic() - ended) >= 1.0:
-        print(f"waited {duration(waited)} for reports", file=sys.stderr)
-    if code not in (0, 1) or not all(_is_merged(out / sweep.name, skipped) for sweep in sweeps):
-        return code
-    sources = [out / sweep.name for sweep in sweeps if sweep.name not in skipped]
+    sources = [folder for folder in folders if folder.name not in skipped]
     print(reproduction(out, sources, time.monotonic() - start, skipped))
     return code
 

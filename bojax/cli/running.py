@@ -69,9 +69,17 @@ def main(name: str, words: Sequence[str]) -> int:
             own = display(find(source, folder))
             print(printable(f"note: {own} hides {hidden}, which differs"), file=sys.stderr)
     if getattr(args, "dry_run", False):
-        return dry_run(args, names)
+        from bojax.results.folder import dated_folder  # imports pyarrow
+
+        return dry_run(args, names, _folders(args.out or dated_folder(names[0]), names))
+    folders = _folders(args.out, names) if args.out else [None] * len(names)
     command = ["bojax", name, *words]
-    return run([resolved(sweep) for sweep in sweeps], args.out, args.resume, command, launching=args)
+    return run([resolved(sweep) for sweep in sweeps], folders, args.resume, command, launching=args)
+
+
+def _folders(out: Path, names: Sequence[str]) -> list[Path]:
+    """The results folders of sweeps: `out` for one, folders of their names in it for several."""
+    return [out / name for name in names] if len(names) > 1 else [out]
 
 
 def _parser(name: str) -> Parser:
@@ -123,22 +131,24 @@ def read_standard_input() -> dict[str, Any]:
 
 def run(
     sweeps: Sequence[Sweep],
-    out: Path | None,
+    folders: Sequence[Path | None],
     resume: bool,
     command: list[str],
     *,
     exits: bool = True,
     launching: Namespace | None = None,
+    skipped: dict[str, str] | None = None,
 ) -> int:
     """Run resolved sweeps and write their reports.
 
     Args:
         sweeps: The sweeps.
-        out: Results folder of the sweep, or of the folders of several sweeps; None for `results/NAME/TIME`.
+        folders: Results folder of each sweep; None for `results/NAME/TIME`.
         resume: Whether to continue unfinished sweeps.
         command: The command line, for the manifests and for the hint on how to resume.
         exits: Whether a second signal ends the process at once.
         launching: The options of `add_launching`; None runs the chunks in this process, on all devices.
+        skipped: As for `bojax.engine.run.run_sweeps`.
 
     Returns:
         The exit code, as `bojax.engine.run.run_sweeps`.
@@ -160,15 +170,14 @@ def run(
     if is_read_by_a_process():
         stop_with_parent()
     launcher, devices = launcher_of(launching or Namespace())
-    several = len(sweeps) > 1
-    folders = [out / sweep.name if out and several else out for sweep in sweeps]
     requests = [Request(sweep, folder) for sweep, folder in zip(sweeps, folders, strict=True)]
-    with launcher or nullcontext(), Reports(in_background=several) as reports:
+    with launcher or nullcontext(), Reports(in_background=len(sweeps) > 1) as reports:
         code = run_sweeps(
             requests,
             resume,
             command,
             finish=reports.write,
+            skipped=skipped,
             exits=exits,
             launcher=launcher,
             indices=devices,

@@ -105,7 +105,7 @@ def main(name: str, words: Sequence[str]) -> int:
         from bojax.report.tuning import round_folder, round_name
 
         out = args.out or dated_folder(f"{task.config.name}-tune")
-        return dry_run(args, [round_name(0)], round_folder(out, 0))
+        return dry_run(args, [round_name(0)], [round_folder(out, 0)])
     return search(task, args, ["bojax", name, *words])
 
 

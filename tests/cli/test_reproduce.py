@@ -1,8 +1,12 @@
 """`bojax reproduce`: which sweeps an id means, and one page over all of them."""
 
+import builtins
 import contextlib
 import io
+import os
 import shutil
+import signal
+import time
 from pathlib import Path
 
 import pytest
@@ -105,6 +109,27 @@ def test_sweeps_of_a_figure_and_one_page(reproduced, monkeypatch, capfd):
     monkeypatch.chdir(folder)
     assert main(["reproduce", "fig-9.1", "--out", "out", "--resume"]) == 0
     assert "out/fig-9.1a: already finished" in capfd.readouterr().out
+
+
+def test_ctrl_c_during_the_import_of_jax_is_not_lost(two, capfd, monkeypatch):
+    """There, the KeyboardInterrupt may be raised in a callback, which discards it."""
+    real = builtins.__import__
+
+    def interrupt(name, *args, **kwargs):
+        if name == "bojax.engine.run":
+            os.kill(os.getpid(), signal.SIGINT)
+            with contextlib.suppress(KeyboardInterrupt):
+                time.sleep(0.3)
+        return real(name, *args, **kwargs)
+
+    monkeypatch.setattr("builtins.__import__", interrupt)
+    assert main(["reproduce", "fig-9.1", "--out", "out"]) == 130
+    assert capfd.readouterr().err == "interrupted\n" and not Path("out").exists()
+
+
+def test_the_script_for_slurm_names_the_folders_of_the_results(two, capsys):
+    assert main(["reproduce", "fig-9.1a", "--out", "out", "--launcher", "slurm", "--dry-run"]) == 0
+    assert "out/fig-9.1a" in capsys.readouterr().out
 
 
 def test_a_missing_report_is_an_error(reproduced, tmp_path, monkeypatch, capfd):
