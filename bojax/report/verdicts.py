@@ -4,7 +4,7 @@ import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -148,20 +148,21 @@ def print_verdicts(folder: Path, *, is_brief: bool = False) -> None:
         print(printable(told), file=sys.stderr)
 
 
-CAUSES: dict[Cause, str] = {
+CAUSES: dict[Cause | Literal["untested"], str] = {
     "choice": "a choice that the thesis leaves open",
     "slip": "a slip of the thesis",
     "few-runs": "too few printed runs",
     "unexplained": "unexplained",
+    "untested": "not tested",
 }
-"""Each cause in words."""
+"""Each cause in words. A claim is untested if these results have too few runs, or lack a table."""
 
 
 @dataclass(frozen=True)
 class Explained:
     """An explanation in these results."""
 
-    cause: Cause
+    cause: Cause | Literal["untested"]
     text: str  # a paragraph; empty if the sweep has no explanation
     sweeps: Sequence[str]  # whose results are the evidence
     claims: Sequence[TestedClaim]  # that it explains and that are not reproduced, or inconclusive
@@ -176,8 +177,8 @@ def explanations_of(manifest: Manifest, claims: Sequence[TestedClaim]) -> list[E
     """The explanations of those claims that are not reproduced, or inconclusive, in the order of the sweep.
 
     A sweep that is part of bojax has the explanations of this version, which may be later than the results.
-    Any other sweep, also one of the same name, has those of its manifest. Claims without an explanation are
-    unexplained, and come last.
+    Any other sweep, also one of the same name, has those of its manifest. Claims without an explanation come
+    last: those that could not be tested, and those that are unexplained.
     """
     published = published_report(manifest.name) if manifest.is_published else None
     report = published or manifest.report
@@ -187,7 +188,10 @@ def explanations_of(manifest: Manifest, claims: Sequence[TestedClaim]) -> list[E
         if members := [claim for claim in left if claim.id in each.claims]:
             found.append(Explained(each.cause, each.text.strip(), each.sweeps, members))
         left = [claim for claim in left if claim.id not in each.claims]
-    return [*found, Explained("unexplained", "", (), left)] if left else found
+    untested = [claim for claim in left if claim.test.reason]
+    unexplained = [claim for claim in left if not claim.test.reason]
+    rest = Explained("unexplained", "", (), unexplained), Explained("untested", "", (), untested)
+    return [*found, *(each for each in rest if each.claims)]
 
 
 def causes_of(explanations: Iterable[Explained]) -> str:

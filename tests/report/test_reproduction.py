@@ -277,6 +277,18 @@ def test_what_is_not_reproduced_is_explained_beside_the_numbers(tmp_path):
     assert "Because of *it*, by \N{MINUS SIGN}3." in page.text and "Not shown." not in page.text
 
 
+def test_what_a_few_runs_do_not_decide_is_not_called_unexplained(tmp_path):
+    reason = {"test": {"kind": "share", "comparisons": [], "reason": "2 runs: at least 20 are needed"}}
+    claims = [
+        claim("a", "Fig. 3.1", "inconclusive"),
+        claim("b", "Fig. 3.2", "inconclusive", ours=None, interval=None, runs=0, **reason),
+    ]
+    _, text = pages(tmp_path, [write(tmp_path / "mine", claims)])
+    assert "Causes of the 2 inconclusive: 1 unexplained and 1 not tested." in text
+    titles = [line for line in section(text).splitlines() if line.startswith("###")]
+    assert titles == ["### Fig. 3.1 (`mine`): unexplained", "### Fig. 3.2 (`mine`): not tested"]
+
+
 def test_an_alias_has_the_explanations_of_its_sweep():
     report = published_report("parking")
     assert report is not None and report.explanations
