@@ -1,6 +1,7 @@
 """Reports of finished sweeps, written in other processes while further sweeps run, or after the only one."""
 
 import multiprocessing
+import os
 import signal
 import sys
 import time
@@ -38,7 +39,9 @@ class Reports:
         if in_background:
             fresh = multiprocessing.get_context("spawn")  # a fork would lack JAX's threads
             processes = min(PROCESSES, usable_cores())
-            self._pool = ProcessPoolExecutor(processes, mp_context=fresh, initializer=_begin)
+            self._pool = ProcessPoolExecutor(
+                processes, mp_context=fresh, initializer=_begin, initargs=(os.getpid(),)
+            )
 
     def __enter__(self) -> "Reports":
         return self
@@ -88,10 +91,11 @@ def _build(folder: Path) -> Path:
     return build_report(folder)
 
 
-def _begin() -> None:
+def _begin(parent: int) -> None:
     """Leave Ctrl-C, which a terminal sends to every process, to the main process, and end after it.
 
-    A pool whose process is killed is not told, and would wait for further reports forever.
+    A pool whose process is killed is not told, and would wait for further reports forever. The main process
+    may be killed while this one starts.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    stop_with_parent()
+    stop_with_parent(parent)

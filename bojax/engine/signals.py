@@ -85,9 +85,13 @@ class StopRequest:
                 self._announce(f"stopping after this segment{hint}")
 
 
-def stop_with_parent() -> threading.Thread:
-    """Send SIGTERM to this process once the process that started it has ended, as when a kernel restarts."""
-    parent = os.getppid()
+def stop_with_parent(parent: int | None = None) -> threading.Thread:
+    """Send SIGTERM to this process once the process that started it has ended, as when a kernel restarts.
+
+    Args:
+        parent: The id of that process, which may have ended already; by default it is asked for now.
+    """
+    parent = parent or os.getppid()
 
     def watch() -> None:
         while os.getppid() == parent:

@@ -192,10 +192,12 @@ def test_a_second_signal_does_not_end_the_process_of_the_caller():
     assert stop.exit_code == 130
 
 
-def test_a_process_ends_with_the_one_that_started_it(monkeypatch):
-    parents, sent = iter([7, 7, 1]), []
+@pytest.mark.parametrize(("given", "asked"), [(None, [7, 7, 1]), (7, [7, 1]), (7, [1])])
+def test_a_process_ends_with_the_one_that_started_it(monkeypatch, given, asked):
+    """That one may have ended before it is asked for: then another one has taken its place."""
+    parents, sent = iter(asked), []
     monkeypatch.setattr(signals.os, "getppid", lambda: next(parents))
     monkeypatch.setattr(signals.os, "kill", lambda process, number: sent.append((process, number)))
     monkeypatch.setattr(signals.time, "sleep", lambda seconds: None)
-    signals.stop_with_parent().join(10)
+    signals.stop_with_parent(given).join(10)
     assert sent == [(os.getpid(), signal.SIGTERM)]
