@@ -93,7 +93,7 @@ def test_a_command_is_understood(page, words, monkeypatch, capsys, tmp_path):
     # First: these modules import `run`, which they would keep if they were imported after the next patch.
     for reads_results in ("reporting", "best", "rendering", "doctor", "status", "worker"):
         monkeypatch.setattr(f"bojax.cli.{reads_results}.main", lambda *_: 0)
-    for function in ("running.run", "reproducing._run"):
+    for function in ("running.run", "reproducing.run"):
         monkeypatch.setattr(f"bojax.cli.{function}", lambda sweeps, *_, **__: asked.extend(sweeps) or 0)
     monkeypatch.setattr("bojax.report.comparing.build.compare", lambda folders, files, out, **_: out)
     monkeypatch.setattr("bojax.report.exporting.build.export", lambda folder, target, out: folder)
