@@ -291,12 +291,17 @@ def distinct_names(points: Sequence[Point]) -> list[str]:
     for point in points:
         twins = [other.swept for other in points if other.variant == point.variant]
         differing = [
-            f"{key.rsplit('.', 1)[-1]} {value}"
+            f"{key.rsplit('.', 1)[-1]} {short_value(points, key, value)}"
             for key, value in point.swept.items()
             if not isinstance(value, Mapping) and any(other.get(key) != value for other in twins)
         ]
         names.append(", ".join([point.variant, *differing]))
     return names
+
+
+def short_value(points: Sequence[Point], key: str, value: Any) -> Any:
+    """A swept value for a name or a tick: a list, too long for them, is told by its number in the sweep."""
+    return f"no. {swept_values(points, key).index(value) + 1}" if isinstance(value, list) else value
 
 
 def swept_keys(points: Sequence[Point]) -> list[str]:

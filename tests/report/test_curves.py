@@ -150,3 +150,15 @@ def test_what_a_figure_adds_to_a_curve_is_hidden_with_it():
         both.mark(EMPTY, *both.axes[0].plot([1, 2], [0, 2]))
         _, parts = ids_of(both.drawing("Title"))
     assert parts["curve-0"] == parts["curve-1"] + 1
+
+
+@pytest.mark.parametrize("suffix", ["", " with a name that takes a line of its own"])
+def test_the_names_below_leave_the_panel_its_height(suffix):
+    def height(count):
+        many = [curve(f"name {index}{suffix}", [[0, index], [0, index]]) for index in range(count)]
+        drawn = drawing(Panel("reward", "mean reward", many))
+        with style.settings():
+            style.encode(drawn.figure)
+        return drawn.figure.axes[0].get_window_extent().height
+
+    assert height(40) > 0.9 * height(10)

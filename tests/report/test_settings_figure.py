@@ -5,7 +5,7 @@ import pytest
 
 from bojax.report.drawing.base import Undrawable
 from bojax.report.figures.settings_ import _short, curves_and_panels, marginals
-from bojax.report.source import swept_values
+from bojax.report.source import distinct_names, short_value, swept_values
 from tests.report.synthetic import point_of
 
 
@@ -43,3 +43,9 @@ def test_a_sweep_of_names_alone_has_no_such_figure():
 @pytest.mark.parametrize(("value", "text"), [(0.35, "0.35"), (3000.0, "3k"), (17, "17"), (True, "true")])
 def test_values_are_short_enough_for_an_axis(value, text):
     assert _short(value) == text
+
+
+def test_a_list_is_told_by_its_number_in_the_sweep():
+    points = [point_of(i, "sbo", "a", {"walls": [[i, 0.5]], "length": 2.0}) for i in range(2)]
+    assert distinct_names(points) == ["a, walls no. 1", "a, walls no. 2"]
+    assert short_value(points, "length", 2.0) == 2.0

@@ -1,5 +1,6 @@
 """Curves with bands over steps, episodes or swept numbers: figures extract the values, `Chart` draws them."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,6 +22,8 @@ from bojax.report.text import joined, number, percent, ranged
 _MAX_DIRECT = 9
 _MAX_NAME = 14
 """More names, or longer ones, are listed below the figure: beside the curves they would take its width."""
+
+_ROW = 0.2  # height of a row of this list in inches
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +90,7 @@ class Chart:
         self._names = [curve.point.name for curve, _, _ in self._named.drawn]
         self._parts = count()
         self._longest = max(map(len, self._names))
-        rows_below = len(self._names) // 2 if self._longest > _MAX_NAME else 0
-        height = (3.6 if len(panels) == 1 else 0.5 + 2.4 * len(panels)) + 0.2 * rows_below
+        height = (3.6 if len(panels) == 1 else 0.5 + 2.4 * len(panels)) + _ROW * self._rows_below
         self.figure, grid = style.figure(height, len(panels), sharex=not is_swept)
         self.axes = list(grid[:, 0])
         for axes, panel in zip(self.axes, panels, strict=True):
@@ -147,12 +149,22 @@ class Chart:
             f"First and last value of each curve: {'; '.join(ends)}."
         )
 
+    @property
+    def _columns_below(self) -> int:
+        """Columns of the list of names below the figure."""
+        return 1 if self._longest > 24 else 2
+
+    @property
+    def _rows_below(self) -> int:
+        """Rows of this list; 0 if the names stand beside the curves."""
+        is_listed = len(self._names) > _MAX_DIRECT or self._longest > _MAX_NAME
+        return math.ceil(len(self._names) / self._columns_below) if is_listed else 0
+
     def _add_names(self) -> None:
         """Names beside the right ends of the curves, or below the figure where they are many or long."""
         axes, entries = self.axes[self._panels.index(self._named)], self._named.drawn
-        if len(self._names) > _MAX_DIRECT or self._longest > _MAX_NAME:
-            columns = 1 if self._longest > 24 else 2
-            lines = axes.get_legend_handles_labels()[0]
+        if self._rows_below:
+            lines, columns = axes.get_legend_handles_labels()[0], self._columns_below
             legend = self.figure.legend(lines, self._names, loc="outside lower center", ncols=columns)
             for number, entry in enumerate(zip(legend.legend_handles, legend.get_texts(), strict=True)):
                 for kind, part in zip(("line", "text"), entry, strict=True):

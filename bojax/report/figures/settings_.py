@@ -8,7 +8,7 @@ import numpy as np
 from bojax.report import style
 from bojax.report.drawing.base import Drawing, Undrawable, label_panels, panel_grid
 from bojax.report.ranking import measure_of
-from bojax.report.source import Point, Results, swept_keys, swept_values
+from bojax.report.source import Point, Results, short_value, swept_keys, swept_values
 from bojax.report.text import is_number, number
 
 RANK = 170
@@ -39,7 +39,8 @@ def draw(results: Results) -> Drawing:
             look = style.look(first.label, labels, variants.index(curve))
             axes.plot(places, best, **look, marker="o", markersize=3.5, label=curve)
             axes.plot(places, mean, **look, alpha=0.35)
-        axes.set_xticks(places, [_short(value) for value in values], fontsize=8 if len(values) > 6 else 9.5)
+        ticks = [_short(short_value(points, key, value)) for value in values]
+        axes.set_xticks(places, ticks, fontsize=8 if len(values) > 6 else 9.5)
         axes.set_title(style.wrapped(key.removeprefix("planner."), 26))
         style.quiet_grid(axes)
     label_panels(grid, None, style.wrapped(measure.words, 30))
