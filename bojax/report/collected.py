@@ -68,6 +68,7 @@ def _judged(results: Results, sweep: config.Sweep) -> tuple[Results, list[Tested
     validated(list[TestedClaim], written, str(path))
     entries, known = evaluate(results), {entry["id"]: entry for entry in written}
     for entry, claim in zip(entries, sweep.claims, strict=True):
+        entry["changed"] = _changed(results, sweep, claim.test)
         # What cannot be decided from these results, their report may have decided, by the same test.
         found = known.get(claim.id) if "reason" in entry["test"] else None
         if found and "reason" not in found["test"] and _test_of(found) == claim.test:
@@ -86,8 +87,12 @@ def _test_of(entry: dict[str, Any]) -> Test | None:
         return None
 
 
-def _changed(results: Results, sweep: config.Sweep) -> dict[str, list[Any]]:
-    """The settings in which the results differ from the sweep as it is now."""
+def _changed(results: Results, sweep: config.Sweep, test: Test | None = None) -> dict[str, list[Any]]:
+    """The settings in which the results, or the points that a test names, differ from the sweep of today."""
+
+    def named(points: Iterable[config.Point]) -> tuple[config.Point, ...]:
+        return tuple(point for point in points if test is None or getattr(point, test.by) in test.names)
+
     points = [
         config.Point(point.index, point.label, point.variant, dict(point.swept), point.experiment)
         for point in results.points
@@ -96,6 +101,7 @@ def _changed(results: Results, sweep: config.Sweep) -> dict[str, list[Any]]:
     manifest = results.manifest
     if len(points) < len(results.points) or manifest.runs is None or manifest.seed is None:
         return manifest.changed
-    ours = replace(sweep, points=tuple(points), runs=manifest.runs, seed=manifest.seed)
+    ours = replace(sweep, points=named(points), runs=manifest.runs, seed=manifest.seed)
+    published = replace(sweep, points=named(sweep.points))
     # Results record what `auto` stood for.
-    return {key: pair for key, pair in changed_settings(sweep, ours).items() if pair[0] != "auto"}
+    return {key: pair for key, pair in changed_settings(published, ours).items() if pair[0] != "auto"}

@@ -107,7 +107,20 @@ def test_a_verdict_is_kept_where_its_table_is_missing(reported):
 def test_settings_that_the_sweep_has_no_longer_are_changed(reported):
     ((found, claims, _),) = collected([reported], THESIS)
     assert found.manifest.changed["runs"] == [200, 40]
-    assert all(claim.changed == found.manifest.changed for claim in claims)
+    assert all(claim.changed["runs"] == [200, 40] for claim in claims)
+
+
+def test_a_setting_of_one_variant_changes_the_claims_of_that_variant_alone(tmp_path):
+    def deepen(manifest):
+        (kcbts,) = (point for point in manifest["points"] if point["variant"] == "kcbts")
+        kcbts["config"]["planner"]["depth"] = 17
+
+    before, after = results(tmp_path / "before"), results(tmp_path / "after")
+    edit_manifest(after, deepen)
+    ((_, old, _),), ((_, new, _),) = (collected([folder], THESIS) for folder in (before, after))
+    touched = {now.id for then, now in zip(old, new, strict=True) if now.changed != then.changed}
+    of_kcbts = {claim.id for claim in load_published("fig-4.6").claims if "kcbts" in claim.test.names}
+    assert touched == of_kcbts and 0 < len(touched) < len(new)
 
 
 @pytest.mark.parametrize(
