@@ -1,5 +1,6 @@
 """Height mapping: learn a surface from the air (thesis, Figs. 3.5, 3.7 and 3.8)."""
 
+from dataclasses import replace
 from typing import ClassVar
 
 import equinox as eqx
@@ -9,6 +10,9 @@ from jaxtyping import Array, Bool, Float, Scalar
 from typing_extensions import override
 
 from bojax.fields.blocks import Blocks
+from bojax.models.checks import check_takes
+from bojax.models.gaussian_process import GaussianProcess
+from bojax.models.kernels import Kernel
 from bojax.problems.field_belief import FieldBelief
 from bojax.problems.field_problem import FIELD_COLUMNS, FieldProblem, FieldWorld
 from bojax.results.schema import Column, Table
@@ -103,24 +107,33 @@ class PropMapping(FieldProblem):
     The scores of `HeightMapping` are complemented by `PROP_COLUMNS`. A point is at an edge within 0.1 m of
     the border of a prop. A prop is found if, within 0.2 m of it, the region in which the map exceeds half its
     height overlaps the prop by more than half of their union; regions covered by other props do not count.
+    With `map_kernel`, the map that is scored and recorded is made from the samples of the flight with this
+    kernel, as in Fig. 3.8, while the flight is planned with `kernel`.
 
     Settings: `bojax.problems.settings.IndoorProps`.
     """
 
     scores: ClassVar[Table] = FIELD_COLUMNS + MAP_COLUMNS + PROP_COLUMNS
 
+    map_kernel: Kernel | None = eqx.field(default=None, kw_only=True)
+
     @override
     def __check_init__(self):
         """Check that the field consists of blocks, and that a flying robot flies above them.
 
         Raises:
-            ValueError: The field is of another kind, or higher than the flight altitude somewhere.
+            ValueError: The field is of another kind, or higher than the flight altitude somewhere, or the
+                kernel of the map has another number of dimensions.
         """
+        if self.map_kernel is not None:
+            place = "the coordinates of the plane"
+            check_takes("map_kernel", self.map_kernel, 2, 2, self.domain.dtype, place)
         _ = self._blocks
         _check_altitude(self)
 
     @override
     def score(self, world: FieldWorld, belief: FieldBelief) -> dict[str, Scalar]:
+        belief = self._mapped(belief)
         final = final_map(self, belief)
         outside = self._outside(final.points)
         edge = final.is_open & jnp.any(jnp.abs(outside) <= EDGE, axis=1)
@@ -134,6 +147,20 @@ class PropMapping(FieldProblem):
                 "props_found": jnp.mean(self._is_found(final, outside).astype(at_edges.dtype)),
             }
         )
+
+    @override
+    def snapshot(self, world: FieldWorld, belief: FieldBelief) -> dict[str, dict[str, Array]]:
+        return super().snapshot(world, self._mapped(belief))
+
+    def _mapped(self, belief: FieldBelief) -> FieldBelief:
+        """The belief that the samples of the flight give with the kernel of the map."""
+        if self.map_kernel is None:
+            return belief
+        old = belief.posterior
+        new = GaussianProcess.fit(
+            self.map_kernel, old.noise_variance, old.x, old.y, mean=old.mean, count=old.count
+        )
+        return replace(belief, posterior=new)
 
     def _outside(self, points: Float[Array, "G 2"]) -> Float[Array, "G K"]:
         """Signed distance of each point from each block, in metres; negative inside."""

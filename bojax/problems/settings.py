@@ -9,7 +9,7 @@ from typing_extensions import override
 
 from bojax.config.component import Component, Slot
 from bojax.fields.settings import Blocks, Box, Bumps, Step, proper_box
-from bojax.models.settings import RBF, ConstantMean, Scaled, ZeroMean
+from bojax.models.settings import RBF, ConstantMean, Matern32, Scaled, ZeroMean
 from bojax.problems.vehicles.settings import Exact, Quadrotor, WheeledRobot
 from bojax.results.outline import Outline
 
@@ -444,8 +444,17 @@ class IndoorProps(_Heights, frozen=True):
         default=ConstantMean(value=0.05), description="prior mean of the heights, m"
     )
     kernel: Annotated[Component, Slot("kernel")] = Field(
-        default=Scaled(kernel=RBF(lengthscale=0.3), variance=0.01), description="prior covariance, m and m^2"
+        default=Scaled(kernel=Matern32(lengthscale=0.25), variance=0.0073),
+        description="prior covariance, m and m^2",
     )
+    map_kernel: Annotated[
+        Component | None,
+        Slot("kernel", optional=True),
+        Field(
+            description="prior covariance with which the final map is made from the samples of the flight; "
+            "null for that of planning"
+        ),
+    ] = None
     noise_variance: _NoiseVariance = 0.0025
     max_steps: _MaxSteps = 15
     resolution: _Resolution = 61

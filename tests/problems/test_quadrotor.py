@@ -12,7 +12,7 @@ import pytest
 from bojax.config.errors import ConfigError
 from bojax.engine.build import build
 from bojax.fields.settings import Bumps
-from bojax.models.settings import ConstantMean
+from bojax.models.settings import ConstantMean, Matern12, Scaled
 from bojax.motions.base import place
 from bojax.motions.splines import SplineSet
 from bojax.problems.mapping import Map, final_map
@@ -397,6 +397,26 @@ def test_a_map_of_nothing_finds_nothing(room):
     score, _ = scored(room, np.full((4, 2), 1.5), np.zeros(4))
     assert score["props_found"] == 0.0 and score["explained_variance"] < 0.05
     assert score["edge_excess"] > 0.0
+
+
+def test_the_map_may_have_another_kernel_than_the_flight():
+    sharp, given = (
+        Scaled(kernel=Matern12(lengthscale=0.4), variance=0.02),
+        {"resolution": 13, "vehicle": VEHICLE},
+    )
+    rng = np.random.default_rng(5)
+    points = rng.uniform(0.2, 2.8, (30, 2))
+    values = 0.1 * rng.normal(size=30)
+    (other, _), (whole, there) = (
+        scored(build(problem), points, values)
+        for problem in (IndoorProps(map_kernel=sharp, **given), IndoorProps(kernel=sharp, **given))
+    )
+    assert other == pytest.approx(whole, abs=1e-9) and other["rmse"] > 0.01
+    problem = build(IndoorProps(map_kernel=sharp, **given))
+    world, belief = belief_of(problem, points, values)
+    recorded = problem.snapshot(world, belief)["belief"]
+    np.testing.assert_allclose(recorded["mean"].ravel(), there.mean, atol=1e-9)
+    assert np.ptp(final_map(problem, belief).mean - there.mean) > 0.01, "the flight keeps its own"
 
 
 def test_props_are_blocks():
