@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import shlex
 import signal
 import sys
 import time
@@ -56,33 +57,49 @@ class Reports:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        for folder in self._folders if error is None else ():
-            self._write_here(folder)
         start = time.monotonic()
-        for folder, pending in self._pending.items():
-            try:
-                page = pending.result()
-                print_verdicts(folder, is_brief=True)
-                print(page)
-            except Exception as problem:  # the report can be rebuilt from the results, which are complete
-                self.exit_code = 1
-                reason = f"the report of {folder} cannot be written: {error_line(problem)}"
-                advice = f"to try again: bojax report {folder}"
-                print(printable(f"error: {reason}; {advice}"), file=sys.stderr)
+        try:
+            for folder in list(self._folders) if error is None else ():
+                self._write_here(folder)
+            for folder, pending in list(self._pending.items()):
+                self._show(folder, pending)
+        except KeyboardInterrupt:
+            self.exit_code = 128 + signal.SIGINT
+            self.stop()
         if self._pool is not None:
-            self._pool.shutdown()
+            self._pool.shutdown(cancel_futures=True)
             if (waited := time.monotonic() - start) >= 1.0:
                 print(f"waited {duration(waited)} for reports", file=sys.stderr)
 
-    def _write_here(self, folder: Path) -> None:
-        try:
-            from bojax.report.progress import report  # imports matplotlib
+    def stop(self) -> None:
+        """Give up reports that are not written, since a signal must be answered at once."""
+        left = [*self._folders, *(folder for folder, pending in self._pending.items() if not pending.done())]
+        for process in multiprocessing.active_children() if self._pool is not None else ():
+            process.terminate()
+        self._folders.clear()
+        for folder in left:
+            self._pending.pop(folder, None)
+        if left:
+            again = shlex.join(["bojax", "report", *map(str, left)])
+            print(printable(f"interrupted; the report is not written; to write it: {again}"), file=sys.stderr)
 
-            print(report(folder))
-        except KeyboardInterrupt:
-            self.exit_code = 128 + signal.SIGINT
-            advice = f"the runs are finished; to write the report: bojax report {folder}"
-            print(printable(f"interrupted; {advice}"), file=sys.stderr)
+    def _show(self, folder: Path, pending: Future[Path]) -> None:
+        try:
+            page = pending.result()
+            print_verdicts(folder, is_brief=True)
+            print(page)
+        except Exception as problem:  # the report can be rebuilt from the results, which are complete
+            self.exit_code = 1
+            reason = f"the report of {folder} cannot be written: {error_line(problem)}"
+            advice = f"to try again: bojax report {folder}"
+            print(printable(f"error: {reason}; {advice}"), file=sys.stderr)
+        del self._pending[folder]
+
+    def _write_here(self, folder: Path) -> None:
+        from bojax.report.progress import report  # imports matplotlib
+
+        print(report(folder))
+        self._folders.remove(folder)
 
 
 def _build(folder: Path) -> Path:

@@ -182,4 +182,6 @@ def run(
             launcher=launcher,
             indices=devices,
         )
+        if code >= 128:
+            reports.stop()
     return code or reports.exit_code

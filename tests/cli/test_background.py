@@ -1,10 +1,14 @@
 """Processes that write reports."""
 
+import os
+import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -87,3 +91,18 @@ def test_a_report_that_cannot_be_written_is_told_in_one_line(tmp_path, capsys):
     lines = capsys.readouterr().err.splitlines()
     (message,) = [line for line in lines if not line.startswith("waited ")]
     assert "nothing cannot be written" in message
+
+
+@pytest.mark.parametrize("is_waiting", [False, True])
+def test_after_a_signal_reports_are_given_up(tmp_path, capsys, is_waiting):
+    with Reports(in_background=True) as reports:
+        pool: Any = reports._pool
+        reports._pending |= {tmp_path / name: pool.submit(time.sleep, 600) for name in ("first", "second")}
+        if is_waiting:
+            threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT)).start()
+        else:
+            reports.stop()
+    assert reports.exit_code == (130 if is_waiting else 0)
+    folders = f"{tmp_path / 'first'} {tmp_path / 'second'}"
+    expected = f"interrupted; the report is not written; to write it: bojax report {folders}"
+    assert expected in capsys.readouterr().err.splitlines()
