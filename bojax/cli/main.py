@@ -37,6 +37,9 @@ COMMANDS = {
 _ANYWHERE = ("list", "report", "render", "doctor")
 """Commands that do not lock a results folder."""
 
+_RESUMED = ("run", "sweep", "reproduce", "tune")
+"""Commands that may not have finished when the reader of their output leaves."""
+
 _EXAMPLES = """\
   bojax sweep parking                       the parking study: four planners, 200 runs each
   bojax sweep parking --runs 20             the same with 20 runs each
@@ -61,7 +64,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 130
     except BrokenPipeError:  # `bojax list | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+        if words[0] not in _RESUMED:
+            return 0
+        print(
+            "error: standard output was closed; to go on, repeat the command with --resume", file=sys.stderr
+        )
+        return 1
     except OSError as error:
         if error.errno != errno.ENAMETOOLONG:
             raise

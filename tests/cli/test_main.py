@@ -163,14 +163,18 @@ def test_an_unexpected_exception_keeps_its_traceback(monkeypatch):
         main(["list"])
 
 
-@pytest.mark.parametrize(("raised", "code"), [(KeyboardInterrupt, 130), (BrokenPipeError, 0)])
-def test_interrupts_and_closed_pipes_end_without_a_traceback(monkeypatch, capfd, raised, code):
+@pytest.mark.parametrize(
+    ("name", "raised", "code"),
+    [("list", KeyboardInterrupt, 130), ("list", BrokenPipeError, 0), ("sweep", BrokenPipeError, 1)],
+)
+def test_interrupts_and_closed_pipes_end_without_a_traceback(monkeypatch, capfd, name, raised, code):
     def stop(name, words):
         raise raised
 
-    monkeypatch.setattr("bojax.cli.listing.main", stop)
+    monkeypatch.setattr(f"bojax.cli.{COMMANDS[name][0]}.main", stop)
     monkeypatch.setattr("os.dup2", lambda *_: None)
-    assert main(["list"]) == code
+    assert main([name]) == code
+    assert ("--resume" in capfd.readouterr().err) == (code == 1)
 
 
 def test_help_has_examples(capsys):
