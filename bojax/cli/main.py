@@ -64,11 +64,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 130
     except BrokenPipeError:  # `bojax list | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        if words[0] not in _RESUMED:
+        if not words or words[0] not in _RESUMED:
             return 0
-        print(
-            "error: standard output was closed; to go on, repeat the command with --resume", file=sys.stderr
-        )
+        advice = "to go on, repeat the command with --resume"
+        print(f"error: standard output was closed; {advice}", file=sys.stderr)
         return 1
     except OSError as error:
         if error.errno != errno.ENAMETOOLONG:
