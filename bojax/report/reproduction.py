@@ -39,6 +39,11 @@ TEXT = "reproduction.md"
 
 Origin = tuple[tuple[str, str], ...]  # names and texts of what results were made by and on
 
+_NOTE = (
+    "Bounds, margins and windows that the thesis does not print are choices of bojax. They follow the word "
+    '"here" in the column of the thesis; take them as set after a first look at results.'
+)
+
 _PLACES = re.compile(r" --(?:resume|(?:out|devices|launcher)[ =](?:'[^']*'|\S+))")
 """Options of a command that say where it ran: results do not depend on them."""
 
@@ -207,6 +212,7 @@ def _write(
     values = {
         "title": "Reproduction of the thesis",
         "summary": " ".join(filter(None, summary)),
+        "note": _NOTE,
         "counts": tally(claims),
         "gaps": gaps,
         "chapters": [_chapter(*each) for each in groupby(rows, key=lambda row: row.chapter)],
