@@ -128,13 +128,16 @@ class SweepProgress:
         """In one line, where the time has gone since the first group was added."""
         with self._lock:
             passed = max(time.monotonic() - self._start, 1e-9)
-            compiled = max((group.compiled or self._start for group in self._groups), default=self._start)
-            until, busy = duration(compiled - self._start), []
+            ends = [group.compiled for group in self._groups if group.compiled is not None]
+            compiled = "no program was compiled"
+            if ends:
+                compiled = f"the last program was compiled after {duration(max(ends) - self._start)}"
+            busy = []
             for platform, number in self._workers.items():
                 seconds = sum(group.seconds for group in of_platform(self._groups, platform))
                 where = f"on the {platform} " if len(self._workers) > 1 else ""
                 busy.append(f"{where}{seconds / (passed * number):.0%} of the time")
-            return f"ran for {duration(passed)}, compiled until {until}, advanced runs {', '.join(busy)}"
+            return f"ran for {duration(passed)}: {compiled}, runs advanced {', '.join(busy)}"
 
     def _rate(self) -> float:
         """Steps per second of the last segments."""

@@ -98,6 +98,20 @@ def test_compiling_is_shown_with_its_time(clock):
     assert shown.describe() == "0/100 runs, 1 of 2 programs to compile"
 
 
+def test_the_time_of_compilation_is_told_even_if_none_has_ended(clock):
+    shown, _ = make()
+    group = group_of(0, compile_seconds=None)
+    shown.add([group])
+    shown.compiling(group)
+    clock.now += 9.0
+    assert shown.describe_times() == "ran for 9 s: no program was compiled, runs advanced 0% of the time"
+    shown.compiled(group, 9.0)
+    clock.now += 3.0
+    shown.segment(group, 0, segment(seconds=3.0))
+    told = "ran for 12 s: the last program was compiled after 9 s, runs advanced 25% of the time"
+    assert shown.describe_times() == told
+
+
 def test_a_terminal_gets_a_bar(clock):
     shown, text = make(is_terminal=True)
     group = group_of(0, name="kcbts [x]")
