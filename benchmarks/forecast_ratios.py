@@ -1,8 +1,8 @@
 """The time left that a sweep forecasts, over the time that it then takes.
 
 Runs a command of bojax in this process and prints the ratio at several shares of the time of its sweeps, from
-the beginning of the first compilation to the end of the last run. Before the first advance there is no
-forecast. The load of the machine should not change meanwhile.
+the beginning of the first compilation to the end of the last run. If the cache has the seconds that earlier
+sweeps took, they are used. The load of the machine should not change meanwhile.
 """
 
 import argparse
@@ -98,9 +98,9 @@ def table(progress: Noted) -> list[dict[str, float | None]]:
         when, found = before[-1] if before else (until, None)
         true = progress.ended - when
         left = None if found is None else found.seconds
-        parts = {} if found is None else {"compiling": found.compiling, "running": found.running}
+        compiling = None if found is None else found.compiling
         ratio = None if left is None else left / max(true, 1e-9)
-        rows.append({"share": share, "forecast": left, "true": true, "ratio": ratio, **parts})
+        rows.append({"share": share, "forecast": left, "true": true, "ratio": ratio, "compiling": compiling})
     return rows
 
 

@@ -193,6 +193,7 @@ class _Executor:
             except queue.Empty:
                 if not is_alive:
                     return
+                self._progress.tick()
                 if self._stop():
                     patience -= POLL_SECONDS
                     if 0.0 >= patience > -POLL_SECONDS:

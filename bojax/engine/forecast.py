@@ -1,14 +1,16 @@
 """Forecast of the remaining time, from the runs that have ended and the programs still to be compiled."""
 
+import heapq
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from bojax.engine.devices import of_platform
+COMPILATION, CHUNK = 20.0, 3.0
+"""Seconds of a compilation and of a chunk before any has ended: about the medians on an H200."""
 
-NEARLY = 0.9
-"""Largest share for which a compilation counts before its end."""
+LONGER = 1.3
+"""A compilation that lasts longer than usual is taken to last so many times as long as it has lasted."""
 
 
 @dataclass
@@ -44,6 +46,7 @@ class GroupProgress:
         name: Name of the group.
         max_advances: Number of advances after which a run is done.
         platform: Platform of the devices on which it runs.
+        remembered: Wall time of a run in an earlier sweep, as far as it is known.
         chunks: The unfinished chunks, by index.
         seconds: Wall time of all its advances in this process.
         advances: Number of its advances in this process.
@@ -63,6 +66,7 @@ class GroupProgress:
     max_advances: int
     chunks: dict[int, ChunkProgress] = field(default_factory=dict)
     platform: str = field(default="cpu", kw_only=True)
+    remembered: float | None = field(default=None, kw_only=True)
     seconds: float = 0.0
     advances: int = 0
     finished: int = 0
@@ -105,95 +109,111 @@ class Forecast:
     """The remaining time, in seconds.
 
     Attributes:
-        compiling: Wall time of the remaining compilations.
-        running: Wall time of the remaining advances.
-        shares_cores: Whether compilation and advances take turns on the same cores.
+        compiling: Seconds until all programs are compiled.
+        seconds: Seconds until the sweep is done.
     """
 
     compiling: float
-    running: float
-    shares_cores: bool
-
-    @property
-    def seconds(self) -> float:
-        """Seconds until the sweep is done."""
-        if self.shares_cores:
-            return self.compiling + self.running
-        return max(self.compiling, self.running)
+    seconds: float
 
 
 def forecast(groups: Sequence[GroupProgress], *, now: float, workers: Mapping[str, int]) -> Forecast | None:
-    """The remaining time; None before the first advance.
+    """The remaining time; None before the first compilation begins.
 
-    The time of the advances is that of the platform that takes longest. If there is only the CPU, it also
-    compiles. Otherwise, while programs are compiled, devices are taken to be idle for the same share of the
-    time as so far: they wait for programs, and for threads that trace.
+    On each platform, the groups run one after the other, each once its program is compiled. Where runs and
+    compilations share the cores of a CPU, both are as slow as so far.
 
     Args:
-        groups: All groups with unfinished chunks, and those that are done.
+        groups: All groups with unfinished chunks, and those that are done, in the order of their compilation.
         now: The time.
         workers: Number of chunks that run side by side on each platform.
     """
-    if not any(group.advances for group in groups):
+    if all(group.compiling_since is None and not group.advances for group in groups):
         return None
-    compiling, shares_cores = _compiling(groups, now), set(workers) <= {"cpu"}
-    running = 0.0
+    ready, seconds = _ready(groups, now), 0.0
     for platform, number in workers.items():
-        own = of_platform(groups, platform)
-        busy = _busy(own, now, number) if compiling and not shares_cores else 1.0
-        running = max(running, _running(own, number, busy))
-    return Forecast(compiling, running, shares_cores)
+        own = [i for i, group in enumerate(groups) if group.platform == platform]
+        left = dict(zip(own, _seconds_left([groups[i] for i in own]), strict=True))
+        end = 0.0
+        for i in sorted((i for i in own if left[i]), key=ready.__getitem__):
+            end = max(end, ready[i]) + sum(left[i]) / number
+            seconds = max(seconds, ready[i] + max(left[i]))
+        seconds = max(seconds, end)
+    return Forecast(max(ready, default=0.0), seconds)
 
 
-def _running(groups: Sequence[GroupProgress], workers: int, busy: float) -> float:
-    """Wall time of the remaining advances on one platform; 0 before the first advance there.
+def _ready(groups: Sequence[GroupProgress], now: float) -> list[float]:
+    """Seconds until each group is compiled.
 
-    Once a chunk of a group has ended, the others are taken to need as long for each run: early episodes are
-    often longer than late ones. The chunks of a group without an advance are taken to need as long as those
-    of other groups on average. The pace of an advance says less: an advance of one group is an episode of a
-    robot, that of another a step of a planner.
-
-    Args:
-        groups: The groups that run there.
-        workers: Number of chunks that run side by side.
-        busy: Share of the time in which the workers advance runs.
+    A compilation lasts as long as others on average, and the next one begins when one ends.
     """
-    known = [group for group in groups if group.advances]
-    if not known:
-        return 0.0
-    shares = [group.mean_advances / group.max_advances for group in known if group.mean_advances is not None]
-    usual_share = float(np.mean(shares)) if shares else 1.0
-    left = [seconds for group in known for seconds in _seconds_left(group, usual_share)]
-    whole = sum(group.seconds for group in known) + sum(left)
-    usual = whole / max(1, sum(group.ended_chunks for group in known) + len(left))
-    left += [usual for group in groups if not group.advances for _ in group.chunks]
-    return max(sum(left) / workers / busy, max(left, default=0.0))
+    ended = [
+        group.compiled - group.compiling_since
+        for group in groups
+        if group.compiled is not None and group.compiling_since is not None
+    ]
+    usual = (COMPILATION + sum(ended)) / (1 + len(ended))
+    ready, threads = [0.0] * len(groups), []
+    left = [i for i, group in enumerate(groups) if group.chunks and group.compile_seconds is None]
+    for i in sorted(left, key=lambda i: groups[i].compiling_since is None):
+        since = groups[i].compiling_since
+        if since is None:
+            ready[i] = (heapq.heappop(threads) if threads else 0.0) + usual
+        else:
+            ready[i] = max(usual, LONGER * (now - since)) - (now - since)
+        heapq.heappush(threads, ready[i])
+    return ready
 
 
-def _seconds_left(group: GroupProgress, usual_share: float) -> list[float]:
-    """Time that each chunk of a group still takes.
+def _seconds_left(groups: Sequence[GroupProgress]) -> list[list[float]]:
+    """Time that each chunk of each group still takes on one platform.
+
+    A chunk of a group of which nothing is known is taken to last as long as those of the other groups: their
+    geometric mean, since the groups of a sweep differ by factors of up to a thousand. The pace of an advance
+    says less, since an advance of one group is an episode of a robot, that of another a step of a planner.
+    """
+    shares = [group.mean_advances / group.max_advances for group in groups if group.mean_advances is not None]
+    before = [(group, group.remembered) for group in groups if group.remembered is not None]
+    ahead = sum(chunk.runs * each for group, each in before for chunk in group.chunks.values())
+    ended = sum(group.ended_runs * each for group, each in before)
+    took = sum(group.ended_seconds for group, _ in before if group.ended_runs)
+    speed = (took + ahead) / (ended + ahead) if ended + ahead else 1.0
+    left = [_known_left(group, float(np.mean(shares)) if shares else 1.0, speed) for group in groups]
+    means = [
+        (group.seconds + sum(chunks)) / (group.ended_chunks + len(chunks))
+        for group, chunks in zip(groups, left, strict=True)
+        if chunks or group.ended_chunks
+    ]
+    usual = float(np.exp(np.mean(np.log(np.maximum(means, 1e-3))))) if means else CHUNK
+    return [chunks or [usual] * len(group.chunks) for group, chunks in zip(groups, left, strict=True)]
+
+
+def _known_left(group: GroupProgress, usual_share: float, speed: float) -> list[float]:
+    """Time that each chunk of a group still takes; empty if nothing tells.
+
+    The chunks are taken to need as long for each run as those that have ended, or as in an earlier sweep:
+    early episodes are often longer than late ones, and the last runs may need many more than the others.
 
     Args:
-        group: A group with an advance.
+        group: The group.
         usual_share: Mean number of advances of a run, as a share of the most, if no run has ended.
+        speed: How many times as long as in earlier sweeps runs take; the fewer of them have ended, the
+            closer to 1.
     """
+    if not group.advances and group.remembered is None:
+        return []
     mean = usual_share * group.max_advances if group.mean_advances is None else group.mean_advances
+    per_run = speed * (group.remembered or 0.0)
+    if group.ended_runs:
+        per_run = group.ended_seconds / group.ended_runs
     left = []
     for chunk in group.chunks.values():
-        whole = chunk.runs * group.ended_seconds / max(1, group.ended_runs)
-        seconds = whole - chunk.seconds  # if it takes as long as those that have ended
+        seconds = chunk.runs * per_run - chunk.seconds
         if seconds <= 0.0:
             pace = chunk.seconds_per_advance or group.seconds_per_advance or 0.0
             seconds = _advances_left(chunk, mean) * pace
         left.append(seconds)
     return left
-
-
-def _busy(groups: Sequence[GroupProgress], now: float, workers: int) -> float:
-    """Share of the time since the first advance in which the workers have advanced runs."""
-    passed = now - min((group.begun for group in groups if group.begun is not None), default=now)
-    seconds = sum(group.seconds for group in groups)
-    return min(1.0, seconds / (passed * workers)) if passed > 0.0 < seconds else 1.0
 
 
 def _advances_left(chunk: ChunkProgress, mean: float) -> float:
@@ -207,23 +227,3 @@ def _advances_left(chunk: ChunkProgress, mean: float) -> float:
     narrowed = float(np.sum(np.maximum(live, chunk.narrowest) / live)) / chunk.lanes
     share = min(1.0, chunk.advances_left / (mean * harmonic)) if chunk.live else 0.0
     return mean * (chunk.waiting / chunk.lanes + share * min(harmonic, narrowed))
-
-
-def _compiling(groups: Sequence[GroupProgress], now: float) -> float:
-    """Seconds until all groups are compiled, at the pace of the compilations so far.
-
-    One that has begun counts by its share of the usual duration, but never as done.
-    """
-    left = [group for group in groups if group.compile_seconds is None and group.chunks]
-    begun = [group.compiling_since for group in groups if group.compiling_since is not None]
-    if not begun or not left:
-        return 0.0
-    ended = [
-        group.compiled - group.compiling_since
-        for group in groups
-        if group.compiled is not None and group.compiling_since is not None
-    ]
-    usual = max(float(np.mean(ended)), 1e-9) if ended else np.inf
-    ages = [now - group.compiling_since for group in left if group.compiling_since is not None]
-    parts = sum(min(age / usual, NEARLY) for age in ages)
-    return (now - min(begun)) / max(1.0, len(ended) + parts) * (len(left) - parts)

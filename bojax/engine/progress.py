@@ -16,6 +16,9 @@ from bojax.text import duration
 RECENT_SECONDS = 10.0
 """Time over which the pace is averaged."""
 
+TICK_SECONDS = 2.0
+"""Time after which the progress is shown again if nothing has happened."""
+
 
 class SweepProgress:
     """Reports the progress of sweeps: runs done, steps per second, lane utilisation, compilation, time left.
@@ -40,7 +43,7 @@ class SweepProgress:
         self._bar = Bar(title, num_runs, console or Console(stderr=True, highlight=False))
         self._num_runs = num_runs
         self._workers = workers
-        self._start = time.monotonic()
+        self._start = self._shown = time.monotonic()
         self._groups: list[GroupProgress] = []
         self._runs_done = 0
         self._steps = self._issued = 0
@@ -112,6 +115,12 @@ class SweepProgress:
         with self._lock:
             group.end(chunk)
 
+    def tick(self) -> None:
+        """Show the progress if it has not been shown for a while: the time left changes meanwhile."""
+        with self._lock:
+            if time.monotonic() - self._shown >= TICK_SECONDS:
+                self._show()
+
     def describe(self) -> str:
         """The progress in one line."""
         busy = self._steps / self._issued if self._issued else 1.0
@@ -147,6 +156,7 @@ class SweepProgress:
         return sum(steps for _, _, steps in self._recent) / passed if passed else 0.0
 
     def _show(self) -> None:
+        self._shown = time.monotonic()
         self._bar.show(self._runs_done, self.describe())
 
 

@@ -95,7 +95,19 @@ def test_compiling_is_shown_with_its_time(clock):
         shown.compiling(group)
         shown.compiled(group, 4.21)
     assert text.getvalue().splitlines() == ["compiling kcbts ...", "compiled kcbts in 4.2 s"]
-    assert shown.describe() == "0/100 runs, 1 of 2 programs to compile"
+    # Of which nothing is known but that the first was compiled in no time: 10 s, and 3 s of runs each.
+    assert shown.describe() == "0/100 runs, 1 of 2 programs to compile, 13 s left"
+
+
+def test_the_time_left_is_shown_while_nothing_happens(clock):
+    shown, text = make()
+    with shown:
+        shown.add([group_of(0, compile_seconds=None)])
+        shown.compiling(shown._groups[0])
+        for _ in range(15):
+            clock.now += 1.0
+            shown.tick()
+    assert text.getvalue().splitlines()[1:] == ["toy: 0/100 runs, 1 of 1 programs to compile, 13 s left"]
 
 
 def test_the_time_of_compilation_is_told_even_if_none_has_ended(clock):
