@@ -62,7 +62,7 @@ class Functions:
     """
 
     def __init__(self, group: StaticGroup):
-        self.group, self._tag = group, executables.tag_of(group)
+        self.group, self.tag = group, executables.tag_of(group)
         self.fill = jax.jit(self._named(_fill, group), donate_argnums=1)
         self.advance = jax.jit(self._named(_advance, group), donate_argnums=0)
         self.summary = jax.jit(self._named(_summary, group))
@@ -81,7 +81,7 @@ class Functions:
         def call(*rest):
             return function(first, *rest)
 
-        call.__name__ = f"{function.__name__.strip('_')}_{self._tag}"
+        call.__name__ = f"{function.__name__.strip('_')}_{self.tag}"
         return call
 
 

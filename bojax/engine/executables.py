@@ -68,7 +68,7 @@ def key_of(group: StaticGroup, device: Device, *details: object) -> str | None:
     """
     kind = device.device_kind, device.client.platform_version
     parts = (_environment(), _flags(), jax.default_backend(), *kind)  # short loops depend on the backend
-    return _digest_of(group, parts, details) if _folder() is not None else None
+    return _digest_of(group, parts, details) if folder_of("programs") is not None else None
 
 
 def tag_of(group: StaticGroup) -> str:
@@ -121,7 +121,7 @@ def hold(key: str | None, device: Device, programs: Programs) -> None:
 
 def load(key: str | None, device: Device) -> Programs | None:
     """The programs held or saved under a key; None if there are none, or if they are damaged."""
-    folder = _folder()
+    folder = folder_of("programs")
     if key is None or folder is None:
         return None
     if found := (_held or {}).get((key, device)):
@@ -142,7 +142,7 @@ def load(key: str | None, device: Device) -> Programs | None:
 
 def save(key: str, programs: Mapping[str, Compiled], structure: PyTree[jax.ShapeDtypeStruct]) -> bool:
     """Save the programs of a group and the structure of its carry; False if that is not possible."""
-    folder = _folder()
+    folder = folder_of("programs")
     if folder is None:
         return False
     try:
@@ -151,7 +151,7 @@ def save(key: str, programs: Mapping[str, Compiled], structure: PyTree[jax.Shape
         with tempfile.NamedTemporaryFile(dir=folder, delete=False) as file:
             file.write(hashlib.sha256(content).digest() + content)
         os.replace(file.name, folder / key)
-        _drop_unused(folder)
+        drop_unused(folder)
     except Exception:  # a program with callbacks, a full disk: the next sweep compiles again
         return False
     return True
@@ -233,19 +233,20 @@ _misses = threading.local()
 jax.monitoring.register_event_listener(_note)
 
 
-def _drop_unused(folder: Path) -> None:
+def drop_unused(folder: Path) -> None:
+    """Delete the entries that were not used for a month."""
     oldest = time.time() - _UNUSED_SECONDS
     for path in folder.iterdir():
         if path.stat().st_mtime < oldest:
             path.unlink()
 
 
-def _folder() -> Path | None:
-    """The folder of the cache, in that of JAX's; None if there is none on a local disk."""
+def folder_of(what: str) -> Path | None:
+    """A folder of the cache, in that of JAX's; None if there is none on a local disk."""
     folder = setting("jax_compilation_cache_dir")
     if folder is None or "://" in folder or not setting("jax_enable_compilation_cache"):
         return None
-    return Path(folder) / "programs"
+    return Path(folder) / what
 
 
 def _abstract(leaf: Any) -> jax.ShapeDtypeStruct:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from bojax.engine import paces
 from bojax.engine.ahead import POLL_SECONDS, Ahead, Stopped
 from bojax.engine.batch import Functions, Programs
 from bojax.engine.chunks import Chunk, Layout
@@ -69,6 +70,7 @@ class GroupTask:
         elsewhere: Chunks that other processes have taken.
         running: Number of chunks that threads of this process have taken.
         recorded: Largest number of recorded runs of a chunk.
+        pace: Where the seconds of a run are kept.
     """
 
     group: StaticGroup
@@ -90,7 +92,13 @@ class GroupTask:
             (int((chunk.runs < self.recorded_runs).sum()) for chunk in (*self.chunks, *self.elsewhere)),
             default=0,
         )
-        self.progress = GroupProgress(self.name, self.experiment.max_advances, platform=self.platform)
+        self.pace = paces.place_of(self.functions.tag, self.platform, self.layout.lanes)
+        self.progress = GroupProgress(
+            self.name,
+            self.experiment.max_advances,
+            platform=self.platform,
+            remembered=paces.recall(self.pace),
+        )
         for chunk in (*self.chunks, *self.elsewhere):
             self.progress.chunks[chunk.index] = _progress_of(chunk, ChunkState(), self.experiment)
 
@@ -472,6 +480,8 @@ class _Executor:
     def _end_if_done(self, task: GroupTask) -> None:
         if task.chunks or task.running or task.elsewhere or self._stop():
             return
+        if task.progress.ended_runs:
+            paces.remember(task.pace, task.progress.ended_seconds / task.progress.ended_runs)
         self._drop_programs(task)
         self._ended.put(task)
         self._request_ahead()
