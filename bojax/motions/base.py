@@ -90,7 +90,16 @@ class DiscreteMotions(eqx.Module):
     @property
     @abc.abstractmethod
     def num_actions(self) -> int:
-        """Number A of trajectories."""
+        """Number A of paths."""
+
+    @property
+    def count(self) -> Int[Array, ""]:
+        """Number of trajectories of the set, the first paths; further ones only fill up its room."""
+        return jnp.asarray(self.num_actions, jnp.int32)
+
+    def with_room(self) -> "DiscreteMotions":
+        """The same set with room for the largest of its kind, so that sets of all sizes share a program."""
+        return self
 
     @abc.abstractmethod
     def paths(self) -> Float[Array, "A S 3"]:
@@ -130,7 +139,7 @@ def tightest_radius(motions: Motions) -> float:
     if any(field.name == "num_samples" and field.init for field in dataclasses.fields(motions)):
         motions = dataclasses.replace(motions, num_samples=max(motions.num_samples, DENSE))
     if isinstance(motions, DiscreteMotions):
-        paths = _all_paths(motions)
+        paths = _all_paths(motions)[: int(motions.count)]
     else:
         levels = np.meshgrid(*[[-1.0, 0.0, 1.0]] * motions.num_params)
         params = jnp.asarray(np.stack(levels, axis=-1).reshape(-1, motions.num_params), motions.length.dtype)

@@ -3,7 +3,7 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 from typing_extensions import override
 
 from bojax.motions.base import ContinuousMotions, DiscreteMotions, Path, sample_by_arc_length
@@ -31,23 +31,46 @@ class SplineSet(DiscreteMotions):
     it.
 
     Settings: `bojax.motions.settings.Splines`.
+
+    Attributes:
+        room: Number of paths, by default those of the set. Larger sets extend the smaller ones.
     """
 
     length: Float[Array, ""]
-    actions: int = eqx.field(static=True)
+    actions: Float[Array, ""]
     num_samples: int = eqx.field(static=True)
+    room: int = eqx.field(static=True)
+
+    def __init__(
+        self,
+        length: Float[Array, ""],
+        actions: int | Float[Array, ""],
+        num_samples: int,
+        room: int | None = None,
+    ):
+        self.length, self.actions = length, jnp.asarray(actions, length.dtype)
+        self.num_samples, self.room = num_samples, int(actions) if room is None else room
 
     @property
     @override
     def num_actions(self) -> int:
-        return self.actions
+        return self.room
+
+    @property
+    @override
+    def count(self) -> Int[Array, ""]:
+        return self.actions.astype(jnp.int32)
+
+    @override
+    def with_room(self) -> "SplineSet":
+        return SplineSet(self.length, self.actions, self.num_samples, max(_LEFT_TURNS))
 
     @override
     def paths(self) -> Float[Array, "A S 3"]:
         """All paths: the straight line, then each left turn followed by its mirror image."""
         rows = [_STRAIGHT]
         for size, turns in _LEFT_TURNS.items():
-            if size <= self.actions:
+            if size <= self.room:
                 for b_x, c_x, b_y, c_y in turns:
                     rows += [(b_x, c_x, b_y, c_y), (b_x, c_x, -b_y, -c_y)]
         return jax.vmap(self._path)(jnp.asarray(rows, self.length.dtype))

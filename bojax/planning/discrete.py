@@ -36,13 +36,19 @@ class DiscreteDraws(eqx.Module):
     order: Float[Array, "... A"]
 
 
+def _with_room(motions: DiscreteMotions) -> DiscreteMotions:
+    return motions.with_room()
+
+
 class DiscreteTreeSearch(TreeSearch[DiscreteMemory, DiscreteDraws, Int[Array, ""], None, DiscreteMotions]):
     """A node tries its untried actions first, in random order, then follows the upper confidence bound.
+
+    Sets of actions of all sizes share a program: nodes have room for the largest.
 
     Settings: `bojax.planning.settings.SBO` and `BOPOMDP`.
     """
 
-    motions: DiscreteMotions
+    motions: DiscreteMotions = eqx.field(converter=_with_room)
     exploration: Float[Array, ""]
     discount: Float[Array, ""]
     iterations: int = eqx.field(static=True)
@@ -57,9 +63,11 @@ class DiscreteTreeSearch(TreeSearch[DiscreteMemory, DiscreteDraws, Int[Array, ""
     @override
     def begin(self, key: Key[Array, ""], dtype) -> tuple[DiscreteMemory, DiscreteDraws]:
         key_rollout, key_order = jax.random.split(key)
-        shape = (self.iterations, self.depth - 1)
+        shape, count = (self.iterations, self.depth - 1), self.motions.count
+        # `randint` with a bound that is not constant takes seconds to compile.
+        rollout = jax.random.uniform(key_rollout, shape, dtype) * count.astype(dtype)
         draws = DiscreteDraws(
-            rollout=jax.random.randint(key_rollout, shape, 0, self.num_actions),
+            rollout=jnp.minimum(rollout.astype(jnp.int32), count - 1),
             order=jax.random.uniform(key_order, (self.iterations, self.num_actions), dtype),
         )
         memory = DiscreteMemory(
@@ -75,7 +83,7 @@ class DiscreteTreeSearch(TreeSearch[DiscreteMemory, DiscreteDraws, Int[Array, ""
     def view(self, tree: Tree, memory: DiscreteMemory, node: Int[Array, ""]) -> Int[Array, ""]:
         """The child to descend to."""
         del memory
-        is_open = tree.num_children(node) < self.num_actions
+        is_open = tree.num_children(node) < self.motions.count
         return jnp.where(is_open, UNVISITED, best_by_uct(tree, node, self.exploration))
 
     @override
@@ -93,6 +101,7 @@ class DiscreteTreeSearch(TreeSearch[DiscreteMemory, DiscreteDraws, Int[Array, ""
     ) -> Proposal[None]:
         del view
         is_untried = tree.children[node] == UNVISITED
+        is_untried &= jnp.arange(self.num_actions, dtype=jnp.int32) < self.motions.count
         action = jnp.argmax(jnp.where(is_untried, draws.order, -1.0)).astype(jnp.int32)
         return Proposal(path=memory.paths[action], index=action, update=None)
 

@@ -25,6 +25,12 @@ def test_a_larger_set_begins_with_the_smaller_one(smaller, larger):
     )
 
 
+def test_a_set_with_room_has_the_paths_of_the_largest():
+    roomy = splines(5).with_room()
+    assert (roomy.num_actions, int(roomy.count), int(roomy.with_room().count)) == (17, 5, 5)
+    np.testing.assert_array_equal(all_paths(roomy), all_paths(splines(17)))
+
+
 @pytest.mark.parametrize("actions", [5, 9, 17])
 def test_a_set_is_straight_on_and_pairs_of_mirror_images(actions):
     straight, *turns = all_paths(splines(actions))

@@ -4,6 +4,7 @@ import jax
 import numpy as np
 import pytest
 
+from bojax.planning.discrete import DiscreteTreeSearch
 from bojax.planning.tree import ROOT, UNVISITED
 from tests.planning.samples import POSES, f64, gps_abt, kcbts, parking, sbo, search
 
@@ -47,7 +48,15 @@ def test_no_node_is_deeper_than_the_horizon_or_past_an_end(grown):
 
 def test_no_node_has_more_actions_than_allowed(grown):
     planner, tree = grown
-    assert all(len(_children(tree, node)) <= planner.num_actions for node, _ in _nodes(tree))
+    most = int(planner.motions.count) if isinstance(planner, DiscreteTreeSearch) else planner.num_actions
+    assert all(len(_children(tree, node)) <= most for node, _ in _nodes(tree))
+
+
+def test_sets_of_all_sizes_share_a_program():
+    small, *others = [jax.tree.flatten(sbo(actions)) for actions in (5, 9, 17)]
+    for leaves, structure in others:
+        assert structure == small[1]
+        assert [leaf.shape for leaf in leaves] == [leaf.shape for leaf in small[0]]
 
 
 def test_every_node_has_one_parent(grown):

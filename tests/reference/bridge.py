@@ -110,7 +110,9 @@ def reference_planner(planner, problem, memory, draws, problem_draws=None) -> mc
     }
     match planner:
         case DiscreteTreeSearch():
-            return mcts.DiscreteTreeSearch(paths=memory.paths, order=draws.order, **settings)
+            count = int(planner.motions.count)  # the further paths fill up the room of the largest set
+            paths, order = memory.paths[:count], draws.order[:, :count]
+            return mcts.DiscreteTreeSearch(paths=paths, order=order, **settings)
         case ContinuousBeliefTreeSearch():
             return kcbts.ContinuousBeliefTreeSearch(
                 kernel=reference_kernel(planner.kernel),
