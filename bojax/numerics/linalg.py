@@ -151,8 +151,8 @@ def _eliminate(
     rows: Float[Array, "num N"], least: Float[Array, "N"], first: int | Int[Array, ""], size: int
 ) -> Float[Array, "num N"]:
     """A step of `guarded_cholesky`: eliminate the `size` columns from `first` on."""
-    # The Cholesky factor of the diagonal block, as scalars. A GPU divides in 64 bits ten times as slowly as it
-    # multiplies, and the divisions of a block wait for each other: the pivots' inverses are computed once.
+    # The Cholesky factor of the diagonal block, as scalars. Divisions in 64 bits are slow on a GPU, and those
+    # of a block wait for each other: the inverse of a pivot is computed once.
     factor: list[list[Array]] = []
     inverse: list[Array] = []
     for p in range(size):
@@ -177,7 +177,7 @@ def _eliminate(
         scaled.append(rest * inverse[p])
 
     # As `a` is symmetric, the scaled rows also hold the factors by which they are subtracted from later rows.
-    # A single column is multiplied again: a CPU is four times as fast where it reads the factors along a column.
+    # A single column is scaled again: a CPU is four times as fast where it reads the factors along a column.
     num = rows.shape[0]
     factors = [row[:num] for row in scaled] if size > 1 else [rows[:, first] * inverse[0]]
     is_later = index >= first + size
