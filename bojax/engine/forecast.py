@@ -192,7 +192,8 @@ def _known_left(group: GroupProgress, usual_share: float, speed: float) -> list[
     """Time that each chunk of a group still takes; empty if nothing tells.
 
     The chunks are taken to need as long for each run as those that have ended, or as in an earlier sweep:
-    early episodes are often longer than late ones, and the last runs may need many more than the others.
+    early episodes are often longer than late ones, and the last runs may need many more than the others. The
+    further a chunk has come, the more its own pace counts.
 
     Args:
         group: The group.
@@ -208,10 +209,9 @@ def _known_left(group: GroupProgress, usual_share: float, speed: float) -> list[
         per_run = group.ended_seconds / group.ended_runs
     left = []
     for chunk in group.chunks.values():
-        seconds = chunk.runs * per_run - chunk.seconds
-        if seconds <= 0.0:
-            pace = chunk.seconds_per_advance or group.seconds_per_advance or 0.0
-            seconds = _advances_left(chunk, mean) * pace
+        whole, pace = chunk.runs * per_run, chunk.seconds_per_advance or group.seconds_per_advance or 0.0
+        share = min(1.0, chunk.seconds / whole) if whole else 1.0
+        seconds = (1.0 - share) * (whole - chunk.seconds) + share * _advances_left(chunk, mean) * pace
         left.append(seconds)
     return left
 
