@@ -23,7 +23,8 @@ def main(name: str, words: Sequence[str]) -> int:
     parser = Parser(
         prog=f"bojax {name}",
         usage=f"bojax {name} [NAME ...]",
-        description="Run benchmarks: ./benchmarks/bench_NAME.py, or those of the repository of bojax.",
+        description="Run benchmarks: ./benchmarks/bench_NAME.py, or those of the repository of bojax.\n"
+        "Their options are those of the scripts: python benchmarks/bench_NAME.py --help",
         examples=_EXAMPLES,
     )
     parser.add_argument("names", nargs="*", metavar="NAME", help="name of a benchmark (default: all)")
