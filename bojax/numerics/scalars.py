@@ -1,0 +1,579 @@
+"""Functions of small arrays as programs of scalars, for kernels in which every lane is one thread.
+
+A function is traced for a single lane, and its arrays are taken apart into elements. Operations that only
+move elements disappear, products with a known 0 too, and equal operations are computed once. Thousands of
+operations on small arrays, in the step of a robot, become about as many on scalars.
+
+Deviation: a product with a known 0 is 0, even if the other factor is infinite or no number.
+"""
+
+import dataclasses
+import functools
+import itertools
+import math
+import operator
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.lax import GatherScatterMode
+
+
+class NotScalar(Exception):
+    """A function has an operation that is not known here, or moves elements by numbers that it computes."""
+
+
+@dataclasses.dataclass(eq=False)
+class Scalar:
+    """A scalar that is computed by the program; known ones are scalars of NumPy.
+
+    Attributes:
+        number: Greater than those of the operands.
+        level: Number of loops around the scalar; invariants of a loop are outside of it.
+        operands: What it is computed from: scalars and known scalars.
+        compute: The operation, given the values of the operands; None for an input.
+        dtype: Its dtype.
+    """
+
+    number: int
+    level: int
+    operands: Sequence[Any]
+    compute: Callable[..., Any] | None
+    dtype: np.dtype
+
+
+class ScalarProgram:
+    """A function of scalars, on values of any one shape.
+
+    Attributes:
+        inputs: The elements of the arguments.
+        outputs: The elements of the results.
+    """
+
+    def __init__(self, function: Callable[..., Any], *examples: Any, most: int = 100_000):
+        """Trace a function.
+
+        Args:
+            function: A function of arrays for a single lane.
+            examples: Arrays, or shapes with dtypes, as its arguments.
+            most: Largest number of scalars.
+
+        Raises:
+            NotScalar: It cannot be taken apart, or has too many scalars.
+        """
+        traced = jax.make_jaxpr(function)(*examples)
+        tracing = _Tracing(most)
+        arguments = [tracing.inputs(v.aval) for v in traced.jaxpr.invars]
+        results = tracing.evaluate(traced.jaxpr, traced.consts, arguments)
+        self.inputs = _elements(arguments)
+        self.outputs = _elements(results, [v.aval for v in traced.jaxpr.outvars])
+
+    def __call__(self, values: Sequence[jax.Array]) -> list[jax.Array]:
+        """The values of the outputs, given those of the inputs."""
+        return _computed(self.outputs, dict(zip(self.inputs, values, strict=True)))
+
+
+_UFUNCS: dict[str, Callable[..., Any]] = {
+    **{
+        name: getattr(np, name) for name in "sqrt sin cos tan exp log tanh floor ceil sign abs square".split()
+    },
+    **{"add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "rem": np.fmod},
+    **{"neg": np.negative, "max": np.maximum, "min": np.minimum, "pow": np.power, "is_finite": np.isfinite},
+    **{"eq": np.equal, "ne": np.not_equal, "lt": np.less, "le": np.less_equal},
+    **{
+        "gt": np.greater,
+        "ge": np.greater_equal,
+        "and": np.bitwise_and,
+        "or": np.bitwise_or,
+        "not": np.invert,
+    },
+    **{"asin": np.arcsin, "acos": np.arccos, "atan2": np.arctan2},
+}
+"""Elementwise operations, and those of NumPy for known operands."""
+
+
+class _Tracing:
+    """The scalars of one program, in the order of their computation."""
+
+    def __init__(self, most: int):
+        self._numbers, self._most, self._level = itertools.count(), most, 0
+        self._found: dict[Any, Scalar] = {}
+
+    # ---- scalars
+
+    def scalar(self, operands: Sequence[Any], compute: Callable[..., Any] | None, dtype: Any) -> Scalar:
+        level, number = (
+            max((x.level for x in operands if isinstance(x, Scalar)), default=0),
+            next(self._numbers),
+        )
+        if number > self._most:
+            raise NotScalar("too many scalars")
+        return Scalar(number, level, operands, compute, np.dtype(dtype))
+
+    def inputs(self, aval: Any) -> np.ndarray:
+        """An array of which nothing is known: an argument, or what a loop carries."""
+        found = np.empty(aval.shape, object)
+        for at in np.ndindex(found.shape):
+            found[at] = Scalar(next(self._numbers), self._level, (), None, np.dtype(aval.dtype))
+        return found
+
+    def apply(self, name: str, compute: Callable[..., Any], operands: Sequence[Any], dtype: Any) -> Any:
+        """An elementwise operation on scalars, or its result if that is known."""
+        if not any(isinstance(x, Scalar) for x in operands):
+            if name == "select_n":
+                return operands[1 + int(operands[0])]
+            with np.errstate(all="ignore"):
+                return np.dtype(dtype).type(_UFUNCS[name](*operands))
+        simple = _simplified(name, operands, dtype)
+        if simple is not None:
+            return simple
+        parts = (x if isinstance(x, Scalar) else (x.dtype, x.tobytes()) for x in operands)
+        key = name, np.dtype(dtype), *parts
+        if key not in self._found:
+            self._found[key] = self.scalar(operands, compute, dtype)
+        return self._found[key]
+
+    # ---- arrays of scalars
+
+    def elementwise(self, name: str, arrays: Sequence[np.ndarray], dtype: Any) -> np.ndarray:
+        compute = _operation(name)
+        arrays = np.broadcast_arrays(*arrays)
+        found = np.empty(arrays[0].shape, object)
+        for at in np.ndindex(found.shape):
+            found[at] = self.apply(name, compute, [x[at] for x in arrays], dtype)
+        return _tidy(found, dtype)
+
+    def total(self, name: str, parts: Sequence[Any], dtype: Any) -> Any:
+        """The sum of scalars by pairs, or another associative operation of them."""
+        compute = _operation(name)
+        while len(parts) > 1:
+            half = len(parts) // 2
+            pairs = zip(parts[:half], parts[half : 2 * half], strict=True)
+            parts = [self.apply(name, compute, pair, dtype) for pair in pairs] + list(parts[2 * half :])
+        return parts[0]
+
+    def evaluate(self, jaxpr: Any, consts: Sequence[Any], arguments: Sequence[Any]) -> list[np.ndarray]:
+        """The results of a traced function; arrays of which nothing is computed are NumPy's."""
+        values = dict(zip(jaxpr.constvars, map(np.asarray, consts), strict=True))
+        values |= dict(zip(jaxpr.invars, arguments, strict=True))
+
+        def read(v: Any) -> np.ndarray:
+            return np.asarray(v.val, v.aval.dtype) if hasattr(v, "val") else values[v]
+
+        for eqn in jaxpr.eqns:
+            values |= dict(zip(eqn.outvars, self.results(eqn, [read(v) for v in eqn.invars]), strict=True))
+        return [read(v) for v in jaxpr.outvars]
+
+    def results(self, eqn: Any, arrays: list[np.ndarray]) -> list[np.ndarray]:
+        """The results of one operation on arrays."""
+        name, params, aval = eqn.primitive.name, eqn.params, eqn.outvars[0].aval
+        for called in ("jaxpr", "call_jaxpr", "call"):
+            if called in params and name not in ("scan", "while", "cond"):
+                return self.evaluate(*_opened(params[called]), arrays)
+        if name in _UFUNCS or name == "select_n":
+            if name == "select_n" and arrays[0].ndim == 0:
+                arrays[0] = np.broadcast_to(arrays[0], arrays[1].shape)
+            return [self.elementwise(name, arrays, aval.dtype)]
+        if name in _MOVES:
+            return [np.asarray(_MOVES[name](params, aval, *arrays))]
+        rule = getattr(self, "_" + name.replace("-", "_"), None)
+        if rule is not None:
+            found = rule(eqn, *arrays)
+            return found if isinstance(found, list) else [found]
+        arrays = [_tidy(x, v.aval.dtype) for x, v in zip(arrays, eqn.invars, strict=True)]
+        if name not in _OF_KNOWN or any(x.dtype == object for x in arrays):
+            raise NotScalar(name)
+        return list(_OF_KNOWN[name](params, aval, *arrays))
+
+    # ---- operations that are not elementwise
+
+    def _clamp(self, eqn: Any, low: Any, x: Any, high: Any) -> np.ndarray:
+        dtype = eqn.outvars[0].aval.dtype
+        return self.elementwise("min", [self.elementwise("max", [x, low], dtype), high], dtype)
+
+    def _integer_pow(self, eqn: Any, x: np.ndarray) -> np.ndarray:
+        if eqn.params["y"] < 1:
+            raise NotScalar("a power that is not positive")
+        powers = itertools.repeat(x, eqn.params["y"])
+        return functools.reduce(lambda a, b: self.elementwise("mul", [a, b], x.dtype), powers)
+
+    def _convert_element_type(self, eqn: Any, x: np.ndarray) -> np.ndarray:
+        new = np.dtype(eqn.params["new_dtype"])
+        if x.dtype != object:
+            return x.astype(new)
+        found = np.empty(x.shape, object)
+        for at in np.ndindex(x.shape):
+            if not isinstance(x[at], Scalar):
+                found[at] = new.type(x[at])
+            elif x[at].dtype == new:
+                found[at] = x[at]
+            else:
+                convert = functools.partial(lax.convert_element_type, new_dtype=new)
+                found[at] = self.apply(f"to {new}", convert, [x[at]], new)
+        return _tidy(found, new)
+
+    def _split(self, eqn: Any, x: np.ndarray) -> list[np.ndarray]:
+        return np.split(x, np.cumsum(eqn.params["sizes"])[:-1], eqn.params["axis"])
+
+    def _pad(self, eqn: Any, x: np.ndarray, value: np.ndarray) -> np.ndarray:
+        config, aval = eqn.params["padding_config"], eqn.outvars[0].aval
+        if min(min(low, high) for low, high, _ in config) < 0:
+            raise NotScalar("a negative pad")
+        found = _objects(np.broadcast_to(value, aval.shape))
+        ends = (low + (size - 1) * (1 + gap) + 1 for (low, _, gap), size in zip(config, x.shape, strict=True))
+        places = zip(config, ends, strict=True)
+        found[tuple(slice(low, end, 1 + gap) for (low, _, gap), end in places)] = _objects(x)
+        return _tidy(found, aval.dtype)
+
+    def _unstack(self, eqn: Any, x: np.ndarray) -> list[np.ndarray]:
+        return list(np.moveaxis(x, eqn.params["axis"], 0))
+
+    def _reduce(self, eqn: Any, x: np.ndarray, name: str, empty: Any) -> np.ndarray:
+        dtype, axes = eqn.outvars[0].aval.dtype, tuple(eqn.params["axes"])
+        rest = [i for i in range(x.ndim) if i not in axes]
+        size = math.prod(x.shape[i] for i in axes)
+        x = x.transpose(*rest, *axes).reshape(*(x.shape[i] for i in rest), size)
+        found = np.empty(x.shape[:-1], object)
+        for at in np.ndindex(found.shape):
+            found[at] = self.total(name, list(x[at]) or [np.dtype(dtype).type(empty)], dtype)
+        return _tidy(found, dtype)
+
+    def _reduce_sum(self, eqn: Any, x: np.ndarray) -> np.ndarray:
+        return self._reduce(eqn, x, "add", 0.0)
+
+    def _reduce_max(self, eqn: Any, x: np.ndarray) -> np.ndarray:
+        return self._reduce(eqn, x, "max", -np.inf)
+
+    def _reduce_min(self, eqn: Any, x: np.ndarray) -> np.ndarray:
+        return self._reduce(eqn, x, "min", np.inf)
+
+    def _reduce_and(self, eqn: Any, x: np.ndarray) -> np.ndarray:
+        return self._reduce(eqn, x, "and", True)
+
+    def _reduce_or(self, eqn: Any, x: np.ndarray) -> np.ndarray:
+        return self._reduce(eqn, x, "or", False)
+
+    def _dot_general(self, eqn: Any, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        aval, ((lc, rc), (lb, rb)) = eqn.outvars[0].aval, eqn.params["dimension_numbers"]
+
+        def matrices(x: np.ndarray, batch: Sequence[int], summed: Sequence[int]) -> np.ndarray:
+            rest = [i for i in range(x.ndim) if i not in (*batch, *summed)]
+            sizes = [math.prod(x.shape[i] for i in axes) for axes in (batch, rest, summed)]
+            return x.transpose(*batch, *rest, *summed).reshape(sizes)
+
+        x, y = matrices(x, lb, lc), matrices(y, rb, rc)
+        times, found = _operation("mul"), np.empty((len(x), x.shape[1], y.shape[1]), object)
+        for k, i, j in np.ndindex(found.shape):
+            pairs = zip(x[k, i], y[k, j], strict=True)
+            products = [self.apply("mul", times, pair, aval.dtype) for pair in pairs]
+            products = [p for p in products if isinstance(p, Scalar) or p != 0]
+            found[k, i, j] = self.total("add", products or [aval.dtype.type(0)], aval.dtype)
+        return _tidy(found, aval.dtype).reshape(aval.shape)
+
+    def _cholesky(self, eqn: Any, a: np.ndarray) -> np.ndarray:
+        factor = _objects(np.zeros(a.shape, eqn.outvars[0].aval.dtype))
+        for j, i in itertools.combinations_with_replacement(range(len(a)), 2):
+            rest = self._less(a[i, j], factor[i, :j], factor[j, :j])
+            name, operands = ("sqrt", [rest]) if i == j else ("div", [rest, factor[j, j]])
+            factor[i, j] = self.apply(name, _operation(name), operands, rest.dtype)
+        return factor
+
+    def _triangular_solve(self, eqn: Any, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        params, divide = eqn.params, _operation("div")
+        if not params["left_side"] or params["unit_diagonal"]:
+            raise NotScalar("triangular_solve")
+        a = a.T if params["transpose_a"] else a
+        is_lower = params["lower"] != params["transpose_a"]
+        x = _objects(np.zeros(b.shape, eqn.outvars[0].aval.dtype))
+        for i in range(len(a)) if is_lower else reversed(range(len(a))):
+            before = slice(i) if is_lower else slice(i + 1, None)
+            for j in range(x.shape[1]):
+                rest = self._less(b[i, j], a[i, before], x[before, j])
+                x[i, j] = self.apply("div", divide, [rest, a[i, i]], rest.dtype)
+        return _tidy(x, eqn.outvars[0].aval.dtype)
+
+    def _less(self, start: Any, xs: Iterable[Any], ys: Iterable[Any]) -> Any:
+        """A scalar less the product of two rows."""
+        for pair in zip(xs, ys, strict=True):
+            product = self.apply("mul", _operation("mul"), pair, start.dtype)
+            start = self.apply("sub", _operation("sub"), [start, product], start.dtype)
+        return start
+
+    def _gather(self, eqn: Any, x: np.ndarray, indices: np.ndarray) -> np.ndarray:
+        numbers, aval = eqn.params["dimension_numbers"], eqn.outvars[0].aval
+        at = _windows(
+            x.shape,
+            indices,
+            eqn.params["slice_sizes"],
+            numbers.start_index_map,
+            numbers.collapsed_slice_dims,
+            (numbers.operand_batching_dims, numbers.start_indices_batching_dims),
+            eqn.params["mode"],
+        )
+        fill = np.nan if np.issubdtype(aval.dtype, np.floating) else 0
+        found = np.append(_objects(x).reshape(-1), np.dtype(aval.dtype).type(fill))[at]
+        first = indices.ndim - 1
+        found = np.moveaxis(found, range(first, found.ndim), numbers.offset_dims)
+        return _tidy(found, aval.dtype)
+
+    def _scatter(self, eqn: Any, x: np.ndarray, indices: np.ndarray, updates: np.ndarray, name="") -> Any:
+        numbers, aval = eqn.params["dimension_numbers"], eqn.outvars[0].aval
+        windows, first = numbers.update_window_dims, indices.ndim - 1
+        updates = np.moveaxis(updates, windows, range(first, updates.ndim))
+        dropped = {*numbers.inserted_window_dims, *numbers.operand_batching_dims}
+        sizes = iter(updates.shape[first:])
+        at = _windows(
+            x.shape,
+            indices,
+            [1 if i in dropped else next(sizes) for i in range(x.ndim)],
+            numbers.scatter_dims_to_operand_dims,
+            numbers.inserted_window_dims,
+            (numbers.operand_batching_dims, numbers.scatter_indices_batching_dims),
+            eqn.params["mode"],
+        )
+        found = np.append(_objects(x).reshape(-1), aval.dtype.type(0))
+        for i, update in zip(at.reshape(-1), updates.reshape(-1), strict=True):
+            found[i] = self.apply(name, _operation(name), [found[i], update], aval.dtype) if name else update
+        return _tidy(found[:-1].reshape(x.shape), aval.dtype)
+
+    def _scatter_add(self, eqn: Any, *arrays: np.ndarray) -> np.ndarray:
+        return self._scatter(eqn, *arrays, name="add")
+
+    def _scatter_mul(self, eqn: Any, *arrays: np.ndarray) -> np.ndarray:
+        return self._scatter(eqn, *arrays, name="mul")
+
+    # ---- loops
+
+    def _while(self, eqn: Any, *arrays: np.ndarray) -> list[np.ndarray]:
+        params = eqn.params
+        first, second = params["cond_nconsts"], params["cond_nconsts"] + params["body_nconsts"]
+        avals = [v.aval for v in eqn.outvars]
+        self._level += 1
+        carry = [self.inputs(aval) for aval in avals]
+        (go_on,) = self.evaluate(*_opened(params["cond_jaxpr"]), [*arrays[:first], *carry])
+        after = self.evaluate(*_opened(params["body_jaxpr"]), [*arrays[first:second], *carry])
+        return self._loop(_elements(carry), _elements(after, avals), go_on[()], arrays[second:], avals)
+
+    def _scan(self, eqn: Any, *arrays: np.ndarray) -> list[np.ndarray]:
+        jaxpr, consts = _opened(eqn.params["jaxpr"])
+        avals, length = [v.aval for v in eqn.outvars], eqn.params["length"]
+        # Constants, then the carry, then what is scanned over, which has one more axis.
+        end = sum(np.ndim(x) == len(v.aval.shape) for x, v in zip(arrays, jaxpr.invars, strict=True))
+        first = end - len(avals)
+        has_rows = any(v.aval.shape != a.shape for v, a in zip(jaxpr.outvars, avals, strict=True))
+        if eqn.params["reverse"] or has_rows:
+            raise NotScalar("a scan with results of every step")
+        integer = jax.ShapeDtypeStruct((), np.dtype(np.int32))
+        self._level += 1
+        step, carry, now = self.inputs(integer), [self.inputs(aval) for aval in avals], []
+        for x in arrays[end:]:
+            part = x[0]
+            for k in range(1, length):
+                is_now = self.elementwise("eq", [step, np.asarray(k, np.int32)], bool)
+                part = self.elementwise(
+                    "select_n", [np.broadcast_to(is_now, part.shape), part, x[k]], _dtype(x)
+                )
+            now.append(part)
+        after = self.evaluate(jaxpr, consts, [*arrays[:first], *carry, *now])
+        go_on = self.elementwise("lt", [step, np.asarray(length, np.int32)], bool)
+        following = self.elementwise("add", [step, np.asarray(1, np.int32)], np.int32)
+        inputs, after = [step[()], *_elements(carry)], [following[()], *_elements(after, avals)]
+        start = [np.asarray(0, np.int32), *arrays[first:end]]
+        return self._loop(inputs, after, go_on[()], start, [integer, *avals])[1:]
+
+    def _loop(self, carry: Any, after: Any, go_on: Any, start: Any, avals: Any) -> list[np.ndarray]:
+        level, self._level = self._level, self._level - 1
+        free = _reachable([*after, go_on], carry, stop=lambda x: x.level < level)
+        free = [x for x in free if x.level < level]
+        starts = _elements(start, avals)
+
+        def compute(*values: jax.Array) -> tuple[jax.Array, ...]:
+            around = dict(zip(free, values[len(starts) :], strict=True))
+
+            def inside(state: Sequence[jax.Array]) -> dict[Scalar, jax.Array]:
+                return around | dict(zip(carry, state, strict=True))
+
+            def one_more(state: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
+                return tuple(_computed(after, inside(state)))
+
+            return lax.while_loop(
+                lambda state: _computed([go_on], inside(state))[0], one_more, values[: len(starts)]
+            )
+
+        whole = self.scalar([*starts, *free], compute, np.float32)
+        found, index = [], itertools.count()
+        for aval in avals:
+            array = np.empty(aval.shape, object)
+            for at in np.ndindex(array.shape):
+                array[at] = self.scalar([whole], operator.itemgetter(next(index)), aval.dtype)
+            found.append(array)
+        return found
+
+
+def _simplified(name: str, operands: Sequence[Any], dtype: Any) -> Any:
+    """The result of an operation with a known operand, if it is that operand or the other; else None."""
+    if name == "select_n":
+        which, *cases = operands
+        if not isinstance(which, Scalar):
+            return cases[int(which)]
+        is_known = not any(isinstance(x, Scalar) for x in cases)
+        return cases[0] if cases[0] is cases[1] or (is_known and cases[0] == cases[1]) else None
+    if len(operands) != 2:
+        return None
+    for known, other, is_second in ((operands[0], operands[1], False), (operands[1], operands[0], True)):
+        if isinstance(known, Scalar):
+            continue
+        if (name == "add" or (name == "sub" and is_second)) and known == 0:
+            return other
+        if name == "mul" and known == 0:
+            return np.dtype(dtype).type(0)
+        if (name == "mul" or (name == "div" and is_second)) and known == 1:
+            return other
+        if (name == "max" and known == -np.inf) or (name == "min" and known == np.inf):
+            return other
+        if name in ("and", "or") and np.dtype(dtype) == np.bool_:
+            return other if bool(known) == (name == "and") else known
+        if name == "pow" and is_second and known == 1:
+            return other
+    return None
+
+
+def _operation(name: str) -> Callable[..., Any]:
+    """An elementwise operation of JAX, in primitives that kernels support."""
+    if name == "is_finite":
+        return lambda x: lax.abs(x) < jnp.asarray(np.inf, x.dtype)
+    if name == "sign":
+        one = np.float32(1)
+        return lambda x: jnp.where(x > 0, one, jnp.where(x < 0, -one, 0 * one)).astype(x.dtype)
+    if name == "square":
+        return lambda x: lax.mul(x, x)
+    names = {"and": "bitwise_and", "or": "bitwise_or", "not": "bitwise_not"}
+    return getattr(lax, names.get(name, name))
+
+
+_MOVES: dict[str, Callable[..., np.ndarray]] = {
+    **dict.fromkeys(("copy", "copy_p", "stop_gradient"), lambda params, aval, x: x),
+    **dict.fromkeys(("reshape", "squeeze", "expand_dims"), lambda params, aval, x: x.reshape(aval.shape)),
+    "broadcast_in_dim": lambda params, aval, x: np.broadcast_to(
+        np.expand_dims(x, sorted({*range(aval.ndim)} - {*params["broadcast_dimensions"]})), aval.shape
+    ),
+    "transpose": lambda params, aval, x: x.transpose(params["permutation"]),
+    "slice": lambda params, aval, x: x[
+        tuple(map(slice, params["start_indices"], params["limit_indices"], params["strides"] or [1] * x.ndim))
+    ],
+    "rev": lambda params, aval, x: np.flip(x, params["dimensions"]),
+    "concatenate": lambda params, aval, *xs: np.concatenate(_alike(xs), params["dimension"]),
+    "stack": lambda params, aval, *xs: np.stack(_alike(xs), params["axis"]),
+    "tile": lambda params, aval, x: np.tile(x, params["reps"]),
+}
+"""Operations that only move elements; they get the parameters, the shape of the result, and the operands."""
+
+
+_OF_KNOWN: dict[str, Callable[..., Iterable[np.ndarray]]] = {
+    "iota": lambda params, aval: [np.indices(aval.shape, aval.dtype)[params["dimension"]]],
+    "empty": lambda params, aval: [np.zeros(aval.shape, aval.dtype)],
+    "argmax": lambda params, aval, x: [np.argmax(x, params["axes"][0]).astype(aval.dtype)],
+    "cumsum": lambda params, aval, x: [
+        np.cumsum(_only(not params["reverse"], x), params["axis"], aval.dtype)
+    ],
+    "sort": lambda params, aval, *xs: [
+        x[np.argsort(_only(params["num_keys"] == x.ndim == 1, xs[0]), kind="stable")] for x in xs
+    ],
+}
+"""Operations on numbers that do not depend on the arguments, in the forms that MJX has."""
+
+
+def _only(is_known: bool, x: np.ndarray) -> np.ndarray:
+    if not is_known:
+        raise NotScalar("a sort or a sum along an axis")
+    return x
+
+
+def _opened(traced: Any) -> tuple[Any, Sequence[Any]]:
+    """A traced function and its constants."""
+    return (traced.jaxpr, traced.consts) if hasattr(traced, "jaxpr") else (traced, ())
+
+
+def _dtype(x: np.ndarray) -> np.dtype:
+    return x.reshape(-1)[0].dtype if x.dtype == object else x.dtype
+
+
+def _objects(x: np.ndarray) -> np.ndarray:
+    """A copy with NumPy's scalars or those of the program as elements."""
+    found = np.empty(x.shape, object)
+    for at in np.ndindex(x.shape):
+        found[at] = x[at]
+    return found
+
+
+def _alike(arrays: Sequence[np.ndarray]) -> Sequence[np.ndarray]:
+    return [_objects(x) for x in arrays] if any(x.dtype == object for x in arrays) else arrays
+
+
+def _tidy(x: np.ndarray, dtype: Any) -> np.ndarray:
+    """An array of NumPy's, if all elements are known."""
+    return x if any(isinstance(e, Scalar) for e in x.reshape(-1)) else x.astype(dtype)
+
+
+def _elements(arrays: Iterable[np.ndarray], avals: Sequence[Any] | None = None) -> list[Any]:
+    """All elements, known ones with the dtypes of `avals`."""
+    if avals is None:
+        return [e for x in arrays for e in x.reshape(-1)]
+    pairs = zip(arrays, avals, strict=True)
+    return [e if isinstance(e, Scalar) else a.dtype.type(e) for x, a in pairs for e in x.reshape(-1)]
+
+
+def _windows(
+    shape: Sequence[Any],
+    indices: np.ndarray,
+    sizes: Sequence[Any],
+    index_map: Sequence[Any],
+    dropped: Sequence[Any],
+    batching: tuple[Sequence[Any], Sequence[Any]],
+    mode: Any,
+) -> np.ndarray:
+    """Flat indices of the windows of a gather or a scatter; -1 outside of the array."""
+    if indices.dtype == object:
+        raise NotScalar("indices that are computed")
+    numbers, widths = np.arange(math.prod(shape)).reshape(shape), np.asarray(sizes)
+    last = np.asarray(shape) - widths
+    kept = sorted({*range(len(shape))} - {*dropped, *batching[0]})
+    found = np.empty((*indices.shape[:-1], *(sizes[i] for i in kept)), int)
+    for at in np.ndindex(indices.shape[:-1]):
+        start = np.zeros(len(shape), int)
+        start[list(index_map)] = indices[at]
+        start[list(batching[0])] = [at[i] for i in batching[1]]
+        inside = np.clip(start, 0, last)
+        is_lost = mode != GatherScatterMode.CLIP and (inside != start).any()
+        window = numbers[tuple(map(slice, inside, inside + widths))].reshape([sizes[i] for i in kept])
+        found[at] = -1 if is_lost else window
+    return found
+
+
+def _reachable(roots: Iterable[Any], known: Iterable[Scalar], stop: Any = lambda x: False) -> list[Scalar]:
+    """Scalars that the roots are computed from, in the order of their computation, without known ones."""
+    found, waiting, known = set(), list(roots), set(known)
+    while waiting:
+        x = waiting.pop()
+        if isinstance(x, Scalar) and x not in known and x not in found:
+            found.add(x)
+            if not stop(x):
+                waiting += x.operands
+    return sorted(found, key=lambda x: x.number)
+
+
+def _computed(roots: Sequence[Any], values: dict[Scalar, Any]) -> list[jax.Array]:
+    """The values of the roots, given those of all inputs."""
+    values = dict(values)
+    shape = jnp.shape(next(iter(values.values())))
+
+    def read(x: Any) -> Any:
+        return values[x] if isinstance(x, Scalar) else jnp.full(shape, x, x.dtype)
+
+    for x in _reachable(roots, values):
+        assert x.compute is not None
+        values[x] = x.compute(*map(read, x.operands))
+    return [read(x) for x in roots]
