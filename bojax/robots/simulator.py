@@ -16,10 +16,10 @@ from bojax.numerics.lanes import batched_together
 from bojax.numerics.third_party import plain_jax, silenced, standard_jax
 from bojax.robots.c_mujoco import CSteps
 from bojax.robots.lane_steps import LaneSteps
+from bojax.robots.mjx_kernel import KernelSteps
 from bojax.robots.models import MjModel, RobotModel, mujoco
 from bojax.robots.mujoco_warp import WarpSteps
-from bojax.robots.newton import constrained, has_clipped_forces
-from bojax.robots.small_factors import small_factors
+from bojax.robots.newton import Search, constrained, has_clipped_forces, search_at_ends, search_by_points
 from bojax.text import one_line
 
 try:
@@ -178,11 +178,42 @@ def _stepping(
 ) -> Any:
     """Several simulation steps under constant controls, traced once for all programs that call it."""
     key = model, iterations, ls_iterations, integrator
-    compiled = _compiled(*key)
     if impl != "jax":
-        return _in_lanes({"c": CSteps, "warp": WarpSteps}[impl](compiled, substeps))
+        return _in_lanes({"c": CSteps, "warp": WarpSteps}[impl](_compiled(*key), substeps))
+    if jax.default_backend() == "gpu":
+        return _in_lanes(_kernel_steps(*key, substeps))
+    return _steps_of(*key, substeps, search_at_ends)
+
+
+def _kernel_steps(
+    model: RobotModel,
+    iterations: int | None,
+    ls_iterations: int | None,
+    integrator: str | None,
+    substeps: int,
+) -> KernelSteps:
+    """The steps of MJX as a kernel."""
+    key = model, iterations, ls_iterations, integrator
+
+    def on_arrays(search: Search) -> Any:
+        advance = _steps_of(*key, substeps, search)
+        return lambda *arrays: tuple(jax.tree.leaves(advance(RobotState(*arrays[:3]), arrays[3])))
+
+    return KernelSteps(_compiled(*key), substeps, on_arrays(search_by_points), on_arrays(search_at_ends))
+
+
+def _steps_of(
+    model: RobotModel,
+    iterations: int | None,
+    ls_iterations: int | None,
+    integrator: str | None,
+    substeps: int,
+    search: Search,
+) -> Any:
+    """The steps of MJX for a lane."""
+    key = model, iterations, ls_iterations, integrator
     put, data = _in_mjx(*key)
-    step = _step_of(compiled)
+    step = _step_of(_compiled(*key), search)
 
     @standard_jax
     @jax.jit
@@ -191,8 +222,7 @@ def _stepping(
             before = data.replace(
                 qpos=state.qpos, qvel=state.qvel, qacc_warmstart=state.qacc_warmstart, ctrl=control
             )
-            with small_factors():
-                return step(put, before)
+            return step(put, before)
 
         # A single call site of `step`, whatever the number of substeps: each one takes long to compile.
         return jax.lax.fori_loop(0, substeps, small_step, batched_together(state))
@@ -284,9 +314,9 @@ def _in_mjx(
         raise ValueError(f"MJX refuses the model: {one_line(error)}") from error
 
 
-def _step_of(compiled: MjModel) -> Callable[[Any, Any], RobotState]:
-    """The step of a model, as `mjx.step` computes it."""
-    forward = _forward if has_clipped_forces(compiled) else mjx.forward
+def _step_of(compiled: MjModel, search: Search) -> Callable[[Any, Any], RobotState]:
+    """The step of a model, as `mjx.step` computes it, with one of the line searches of `newton`."""
+    forward = functools.partial(_forward, search) if has_clipped_forces(compiled) else mjx.forward
     integrator = int(compiled.opt.integrator)
     if integrator == int(mujoco.mjtIntegrator.mjINT_RK4):
         # The velocities of these joints are the derivatives of their positions.
@@ -308,11 +338,11 @@ def _step(step: Callable[[Any, Any], Any]) -> Callable[[Any, Any], RobotState]:
     return small
 
 
-def _forward(model: Any, data: Any) -> Any:
+def _forward(search: Search, model: Any, data: Any) -> Any:
     """`mjx.forward` without sensors, and with constraint forces by `constrained`."""
     for part in (mjx.fwd_position, mjx.fwd_velocity, mjx.fwd_actuation, mjx.fwd_acceleration):
         data = part(model, data)
-    return constrained(model, data, mjx.full_m(model, data))
+    return constrained(model, data, mjx.full_m(model, data), search)
 
 
 _STAGES = np.asarray([[0.0, 1.0 / 6.0], [0.5, 1.0 / 3.0], [0.5, 1.0 / 3.0], [1.0, 1.0 / 6.0]], np.float32)

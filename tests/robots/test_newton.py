@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bojax.robots.models import RobotModel
-from bojax.robots.newton import constrained, has_clipped_forces
+from bojax.robots.newton import constrained, has_clipped_forces, search_at_ends, search_by_points
 
 EQUALITIES, SLIDERS, LIMITS = 2, 4, 7
 ROWS = EQUALITIES + SLIDERS + LIMITS
@@ -37,8 +37,11 @@ def problems(size, dtype, seed=0):
     return {name: value.astype(dtype) for name, value in problem.items()}
 
 
-@functools.partial(jax.jit, static_argnames="iterations")
-def solved(problems, iterations):
+each_search = pytest.mark.parametrize("search", [search_at_ends, search_by_points])
+
+
+@functools.partial(jax.jit, static_argnames=("iterations", "search"))
+def solved(problems, iterations, search):
     """Accelerations and constraint forces."""
 
     def one(problem):
@@ -49,7 +52,8 @@ def solved(problems, iterations):
             qfrc_smooth=inertia @ smooth,
         )
         data.replace = lambda qacc, qfrc_constraint: (qacc, qfrc_constraint)
-        return constrained(SimpleNamespace(opt=SimpleNamespace(iterations=iterations)), data, inertia)
+        model = SimpleNamespace(opt=SimpleNamespace(iterations=iterations))
+        return constrained(model, data, inertia, search)
 
     return jax.vmap(one)(problems)
 
@@ -76,18 +80,20 @@ def assert_minimal(problem, found, rtol):
     np.testing.assert_allclose(inertial, expected, atol=rtol * scale)
 
 
+@each_search
 @pytest.mark.parametrize(("dtype", "rtol"), [(np.float64, 1e-10), (np.float32, 1e-4)])
-def test_the_gradient_of_the_cost_is_zero(dtype, rtol):
+def test_the_gradient_of_the_cost_is_zero(dtype, rtol, search):
     problem = problems(5, dtype)
-    found = solved(problem, iterations=20)
+    found = solved(problem, 20, search)
     assert_minimal(problem, found, rtol)
     assert np.abs(np.asarray(found[1])).max() > 1.0
 
 
-def test_a_line_search_is_exact():
+@each_search
+def test_a_line_search_is_exact(search):
     """With one degree of freedom, a single iteration searches all accelerations."""
     problem = problems(1, np.float64)
-    assert_minimal(problem, solved(problem, iterations=1), 1e-10)
+    assert_minimal(problem, solved(problem, 1, search), 1e-10)
 
 
 def test_an_elliptic_cone_and_another_solver_are_left_to_mjx():

@@ -1,0 +1,76 @@
+"""Steps as a kernel, interpreted on a CPU, against XLA's program; `test_simulator` runs kernels on a GPU."""
+
+import functools
+
+import jax
+import numpy as np
+import pytest
+
+import bojax.robots.mjx_kernel
+from bojax.numerics.third_party import standard_jax
+from bojax.robots.models import RobotModel, packaged
+from bojax.robots.newton import search_at_ends
+from bojax.robots.simulator import RobotState, _in_lanes, _kernel_steps, _steps_of
+from tests.tiers import by_tier
+
+LANES, STEPS, SUBSTEPS = 6, 5, 3
+
+PENDULUM = RobotModel(
+    """<mujoco>
+      <option timestep="0.01" integrator="RK4" iterations="4"/>
+      <worldbody>
+        <geom name="floor" type="plane" size="1 1 1" condim="1"/>
+        <body pos="0 0 0.3">
+          <joint name="swing" type="hinge" axis="0 1 0" limited="true" range="-40 40" frictionloss="0.02"/>
+          <geom type="capsule" fromto="0 0 0 0 0 -0.25" size="0.03" contype="0" conaffinity="0"/>
+          <body pos="0 0 -0.25">
+            <joint name="slide" type="slide" axis="0 0 1" damping="0.1"/>
+            <geom type="sphere" size="0.06" condim="1"/>
+          </body>
+        </body>
+      </worldbody>
+      <actuator><motor joint="swing" ctrllimited="true" ctrlrange="-1 1"/></actuator>
+    </mujoco>"""
+)
+"""A pendulum whose end slides, touches the floor, and has friction and limits: every kind of constraint."""
+
+MODELS = {"pendulum": PENDULUM, "reacher": packaged("reacher"), "quadrotor": packaged("quadrotor")}
+
+
+@functools.cache
+def steps(name):
+    return _kernel_steps(MODELS[name], None, None, None, SUBSTEPS)
+
+
+def driven(name):
+    """Random states and controls."""
+    model, rng = steps(name).model, np.random.default_rng(0)
+    low, high = model.actuator_ctrlrange.T
+    qpos = model.qpos0 + rng.uniform(-0.3, 0.3, (LANES, model.nq))
+    arrays = qpos, rng.normal(size=(LANES, model.nv)), rng.uniform(low, high, (STEPS, LANES, model.nu))
+    return [array.astype(np.float32) for array in arrays]
+
+
+def scanned(advance, qpos, qvel, controls):
+    def lane(qpos, qvel, controls):
+        start = RobotState(qpos, qvel, 0.0 * qvel)
+        return jax.lax.scan(lambda state, control: (advance(state, control), None), start, controls)[0]
+
+    return jax.jit(jax.vmap(lane, in_axes=(0, 0, 1)))(qpos, qvel, controls)
+
+
+@pytest.mark.parametrize("name", by_tier(MODELS, normal=["pendulum"]))
+def test_a_kernel_is_xlas_program(name):
+    arrays = driven(name)
+    found = scanned(_in_lanes(steps(name)), *arrays)
+    expected = scanned(_steps_of(MODELS[name], None, None, None, SUBSTEPS, search_at_ends), *arrays)
+    np.testing.assert_allclose(found.qpos, expected.qpos, atol=1e-5)
+    np.testing.assert_allclose(found.qvel, expected.qvel, rtol=1e-3, atol=1e-3)
+    assert np.abs(found.qpos - arrays[0]).max() > 1e-2
+
+
+def test_a_model_that_is_too_large_is_xlas_program(monkeypatch):
+    monkeypatch.setattr(bojax.robots.mjx_kernel, "_MOST_SCALARS", 100)
+    state = (np.zeros((LANES, size), np.float32) for size in (2, 2, 2, 1))
+    traced = jax.make_jaxpr(standard_jax(_kernel_steps(PENDULUM, None, None, None, SUBSTEPS)))(*state)
+    assert "pallas_call" not in str(traced) and len(traced.out_avals) == 3
