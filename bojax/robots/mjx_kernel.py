@@ -14,8 +14,8 @@ from bojax.numerics.scalars import NotScalar, ScalarProgram
 from bojax.robots.lane_steps import LaneSteps
 from bojax.robots.models import MjModel
 
-_MOST_SCALARS = 60_000
-"""Largest program that is compiled; a hopper with RK4 has 13,000 scalars, which take 4 s on the host."""
+_MOST_SCALARS = 40_000
+"""Largest program that is compiled; that of the hopper has 11,000 scalars, which take 4 s."""
 
 Steps = Callable[[Array, Array, Array, Array], tuple[Array, Array, Array]]
 """From positions, velocities, initial accelerations and controls of a lane to all but the controls."""
@@ -24,10 +24,9 @@ Steps = Callable[[Array, Array, Array, Array], tuple[Array, Array, Array]]
 class KernelSteps(LaneSteps):
     """Steps as one kernel for all lanes, in the arithmetic of `mjx.step`.
 
-    In a program of XLA, a step of the hopper by RK4 is 475 kernels of 1.6 us each on an H200, with almost as
-    much time between them. Here a call is one kernel, and its steps are six times as fast with 256 lanes, and
-    twice with 2,048: a lane has a warp of its own, since Triton compiles scalars in seconds but vectors of 32
-    lanes in minutes.
+    In a program of XLA, a step of 256 hoppers by RK4 is 475 kernels of 1.6 us each on an H200. Here a call is
+    one kernel, and its steps are six times as fast with 256 lanes, and twice with 2,048: a lane has a warp of
+    its own, since Triton compiles scalars in seconds but vectors of 32 lanes in minutes.
 
     XLA's program is used instead if the model is too large or has parts that `ScalarProgram` does not know.
     """
