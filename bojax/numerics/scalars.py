@@ -77,20 +77,40 @@ class ScalarProgram:
 
 
 _UFUNCS: dict[str, Callable[..., Any]] = {
-    **{
-        name: getattr(np, name) for name in "sqrt sin cos tan exp log tanh floor ceil sign abs square".split()
-    },
-    **{"add": np.add, "sub": np.subtract, "mul": np.multiply, "div": np.divide, "rem": np.fmod},
-    **{"neg": np.negative, "max": np.maximum, "min": np.minimum, "pow": np.power, "is_finite": np.isfinite},
-    **{"eq": np.equal, "ne": np.not_equal, "lt": np.less, "le": np.less_equal},
-    **{
-        "gt": np.greater,
-        "ge": np.greater_equal,
-        "and": np.bitwise_and,
-        "or": np.bitwise_or,
-        "not": np.invert,
-    },
-    **{"asin": np.arcsin, "acos": np.arccos, "atan2": np.arctan2},
+    "add": np.add,
+    "sub": np.subtract,
+    "mul": np.multiply,
+    "div": np.divide,
+    "rem": np.fmod,
+    "neg": np.negative,
+    "abs": np.abs,
+    "sign": np.sign,
+    "max": np.maximum,
+    "min": np.minimum,
+    "floor": np.floor,
+    "ceil": np.ceil,
+    "square": np.square,
+    "sqrt": np.sqrt,
+    "pow": np.power,
+    "exp": np.exp,
+    "log": np.log,
+    "sin": np.sin,
+    "cos": np.cos,
+    "tan": np.tan,
+    "asin": np.arcsin,
+    "acos": np.arccos,
+    "atan2": np.arctan2,
+    "tanh": np.tanh,
+    "eq": np.equal,
+    "ne": np.not_equal,
+    "lt": np.less,
+    "le": np.less_equal,
+    "gt": np.greater,
+    "ge": np.greater_equal,
+    "and": np.bitwise_and,
+    "or": np.bitwise_or,
+    "not": np.invert,
+    "is_finite": np.isfinite,
 }
 """Elementwise operations, and those of NumPy for known operands."""
 
@@ -105,12 +125,10 @@ class _Tracing:
     # ---- scalars
 
     def scalar(self, operands: Sequence[Any], compute: Callable[..., Any] | None, dtype: Any) -> Scalar:
-        level, number = (
-            max((x.level for x in operands if isinstance(x, Scalar)), default=0),
-            next(self._numbers),
-        )
+        number = next(self._numbers)
         if number > self._most:
             raise NotScalar("too many scalars")
+        level = max((x.level for x in operands if isinstance(x, Scalar)), default=0)
         return Scalar(number, level, operands, compute, np.dtype(dtype))
 
     def inputs(self, aval: Any) -> np.ndarray:
@@ -373,9 +391,8 @@ class _Tracing:
             part = x[0]
             for k in range(1, length):
                 is_now = self.elementwise("eq", [step, np.asarray(k, np.int32)], bool)
-                part = self.elementwise(
-                    "select_n", [np.broadcast_to(is_now, part.shape), part, x[k]], _dtype(x)
-                )
+                is_now = np.broadcast_to(is_now, part.shape)
+                part = self.elementwise("select_n", [is_now, part, x[k]], _dtype(x))
             now.append(part)
         after = self.evaluate(jaxpr, consts, [*arrays[:first], *carry, *now])
         go_on = self.elementwise("lt", [step, np.asarray(length, np.int32)], bool)
