@@ -52,7 +52,8 @@ def main(name: str, words: Sequence[str]) -> int:
     if args.page:
         for option, value in vars(args).items():
             if option not in ("page", "out", "count_in") and value not in (parser.get_default(option), []):
-                parser.error(f"{option}: not allowed with --page, which runs nothing")
+                given = "ID" if option == "ids" else f"--{option.replace('_', '-')}"
+                parser.error(f"{given}: not allowed with --page, which runs nothing")
         return _join(args)
     if not args.ids:
         parser.error("the following arguments are required: ID")
@@ -115,6 +116,11 @@ def selected(ids: Sequence[str]) -> list[str]:
     of_thesis = [name for name in names if not name.startswith(STUDY)]
     found: dict[str, None] = {}
     for each in ids:
+        if "=" in each:
+            raise UsageError(
+                f"bojax reproduce: got {each}; allowed: no settings, since those of the thesis are "
+                "reproduced; bojax sweep changes settings"
+            )
         if each == "all":
             meant = _with_claims(of_thesis)
         elif each in CHAPTERS:

@@ -67,6 +67,11 @@ def test_an_unknown_id_is_one_line(capsys, name):
     assert err.startswith(f"error: bojax reproduce: got {name}; allowed: ") and err.count("\n") == 1
 
 
+def test_settings_are_left_to_sweep(capsys):
+    assert main(["reproduce", "fig-4.6", "planner.iterations=3"]) == 2
+    assert capsys.readouterr().err.endswith("bojax sweep changes settings\n")
+
+
 def test_nothing_to_resume(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["reproduce", "fig-4.6", "--resume"]) == 2

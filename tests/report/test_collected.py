@@ -143,8 +143,8 @@ def test_other_results_are_refused(tmp_path, changes, error):
     [
         (["--page", "nowhere"], "no such results folder"),
         (["--page", ".", "--out", "p.md"], "manifest.json"),
-        (["fig-4.6", "--page", "."], "ids: not allowed with --page"),
-        (["--page", ".", "--runs", "3"], "runs: not allowed with --page"),
+        (["fig-4.6", "--page", "."], "ID: not allowed with --page"),
+        (["--page", ".", "--runs", "3"], "--runs: not allowed with --page"),
         (["--count-in", "README.md", "--", "fig-4.6"], "--count-in: needs --page"),
         ([], "the following arguments are required: ID"),
     ],
