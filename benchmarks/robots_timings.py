@@ -62,7 +62,9 @@ def fields(row: Row) -> tuple:
 
 def default_impls() -> list[str]:
     """The implementations that are fast on this device."""
-    return ["jax", "c", "warp"] if on_gpu() and importlib.util.find_spec("warp") else ["jax", "c"]
+    if not on_gpu():
+        return ["jax", "c"]
+    return ["jax", "pallas", "c", "warp"] if importlib.util.find_spec("warp") else ["jax", "pallas", "c"]
 
 
 def simulator_of(robot: str, setting: str, impl: str = "jax") -> Simulator:

@@ -1,6 +1,5 @@
 """Steps of MJX on a GPU as one kernel, in which a thread simulates a robot."""
 
-import functools
 import importlib
 from collections.abc import Callable
 from typing import Any
@@ -17,9 +16,6 @@ from bojax.robots.models import MjModel
 _MOST_SCALARS = 40_000
 """Largest program that is compiled; that of the hopper has 11,000 scalars, which take 4 s."""
 
-Steps = Callable[[Array, Array, Array, Array], tuple[Array, Array, Array]]
-"""From positions, velocities, initial accelerations and controls of a lane to all but the controls."""
-
 
 class KernelSteps(LaneSteps):
     """Steps as one kernel for all lanes, in the arithmetic of `mjx.step`.
@@ -28,24 +24,25 @@ class KernelSteps(LaneSteps):
     one kernel, and its steps are six times as fast with 256 lanes, and twice with 2,048: a lane has a warp of
     its own, since Triton compiles scalars in seconds but vectors of 32 lanes in minutes.
 
-    XLA's program is used instead if the model is too large or has parts that `ScalarProgram` does not know.
+    Args:
+        model: The compiled model.
+        substeps: Number of simulation steps of a call.
+        steps: From positions, velocities, initial accelerations and controls of a lane to the first three
+            after the steps.
+
+    Raises:
+        ValueError: The model is too large, or has parts that `ScalarProgram` does not know.
     """
 
-    def __init__(self, model: MjModel, substeps: int, in_kernel: Steps, in_xla: Steps):
-        """The steps of a lane, for either program."""
+    def __init__(self, model: MjModel, substeps: int, steps: Callable[..., Any]):
         self.model, self.substeps = model, substeps
-        self._in_kernel, self._in_xla = in_kernel, in_xla
-
-    @functools.cached_property
-    def program(self) -> ScalarProgram | None:
-        """The steps of a lane in scalars; None if XLA's program is used."""
-        model = self.model
         sizes = model.nq, model.nv, model.nv, model.nu
         state = (jax.ShapeDtypeStruct((size,), jnp.float32) for size in sizes)
         try:
-            return ScalarProgram(self._in_kernel, *state, most=_MOST_SCALARS)
-        except NotScalar:
-            return None
+            self._program = ScalarProgram(steps, *state, most=_MOST_SCALARS)
+        except NotScalar as error:
+            refused = f"a kernel cannot simulate the model ({error})"
+            raise ValueError(f'physics.impl: got "pallas"; {refused}; use "jax"') from error
 
     @override
     def __call__(
@@ -55,9 +52,7 @@ class KernelSteps(LaneSteps):
         qacc_warmstart: Float[Array, "L V"],
         control: Float[Array, "L U"],
     ) -> tuple[Float[Array, "L Q"], Float[Array, "L V"], Float[Array, "L V"]]:
-        program = self.program
-        if program is None:
-            return jax.vmap(self._in_xla)(qpos, qvel, qacc_warmstart, control)
+        program = self._program
         # Imported here, since it takes a second.
         pallas = importlib.import_module("jax.experimental.pallas")
         triton = importlib.import_module("jax.experimental.pallas.triton")

@@ -32,15 +32,15 @@ class MJX(PhysicsSettings, frozen=True):
         default=None,
         ge=1,
         description="largest number of iterations of the solver's line search; null for the model's. That of "
-        "impl: jax is exact and needs none, except with elliptic friction cones or the solver CG",
+        "jax and pallas is exact and needs none, except with elliptic friction cones or the solver CG",
     )
     integrator: Literal["euler", "rk4", "implicitfast"] | None = Field(
         default=None, description="integration scheme"
     )
-    impl: Literal["auto", "jax", "c", "warp"] = Field(
+    impl: Literal["auto", "jax", "pallas", "c", "warp"] = Field(
         default="auto",
-        description="implementation of the steps: MJX in JAX, C MuJoCo or MuJoCo Warp; auto is c on a CPU, "
-        "for models with contacts, and otherwise jax",
+        description="implementation of the steps: MJX in JAX as a program of XLA, or as one kernel of Pallas; "
+        "C MuJoCo; MuJoCo Warp. auto is c on a CPU, for models with contacts, and otherwise jax",
     )
 
 

@@ -1,6 +1,7 @@
 """Simulation of one robot by MuJoCo, with a small state between steps."""
 
 import abc
+import contextlib
 import functools
 from collections.abc import Callable
 from typing import Any, Literal
@@ -20,6 +21,7 @@ from bojax.robots.mjx_kernel import KernelSteps
 from bojax.robots.models import MjModel, RobotModel, mujoco
 from bojax.robots.mujoco_warp import WarpSteps
 from bojax.robots.newton import Search, constrained, has_clipped_forces, search_at_ends, search_by_points
+from bojax.robots.small_factors import small_factors
 from bojax.text import one_line
 
 try:
@@ -59,7 +61,7 @@ class Physics(eqx.Module):
     iterations: int | None = eqx.field(static=True)
     ls_iterations: int | None = eqx.field(static=True)
     integrator: Literal["euler", "rk4", "implicitfast"] | None = eqx.field(static=True)
-    impl: Literal["auto", "jax", "c", "warp"] = eqx.field(static=True)
+    impl: Literal["auto", "jax", "pallas", "c", "warp"] = eqx.field(static=True)
 
 
 class Simulator(eqx.Module):
@@ -83,8 +85,13 @@ class Simulator(eqx.Module):
 
         Raises:
             MissingExtra: The settings ask for Warp, which is not installed.
-            ValueError: MuJoCo or MJX refuse the model.
+            ValueError: MuJoCo or MJX refuse the model, it cannot be simulated by a kernel of Pallas, or the
+                settings ask for one on a CPU.
         """
+        if self.impl == "pallas" and jax.default_backend() != "gpu":
+            raise ValueError(
+                'physics.impl: got "pallas", which needs an NVIDIA GPU; allowed here: "jax", "c"'
+            )
         _ = self._advance
 
     @property
@@ -93,7 +100,7 @@ class Simulator(eqx.Module):
         return _compiled(*self._key)
 
     @property
-    def impl(self) -> Literal["jax", "c", "warp"]:
+    def impl(self) -> Literal["jax", "pallas", "c", "warp"]:
         """The implementation of the steps.
 
         `auto` is `c` on a CPU, for models with contacts, and `jax` otherwise. On a CPU, `jax` is as fast
@@ -164,7 +171,7 @@ class Simulated(eqx.Module):
     @property
     def calls_process(self) -> bool:
         """Whether compiled programs call functions of this process."""
-        return self.simulator.impl != "jax"
+        return self.simulator.impl in ("c", "warp")
 
 
 @functools.cache
@@ -173,16 +180,16 @@ def _stepping(
     iterations: int | None,
     ls_iterations: int | None,
     integrator: str | None,
-    impl: Literal["jax", "c", "warp"],
+    impl: Literal["jax", "pallas", "c", "warp"],
     substeps: int,
 ) -> Any:
     """Several simulation steps under constant controls, traced once for all programs that call it."""
     key = model, iterations, ls_iterations, integrator
-    if impl != "jax":
-        return _in_lanes({"c": CSteps, "warp": WarpSteps}[impl](_compiled(*key), substeps))
-    if jax.default_backend() == "gpu":
+    if impl == "jax":
+        return _steps_of(*key, substeps, search_at_ends)
+    if impl == "pallas":
         return _in_lanes(_kernel_steps(*key, substeps))
-    return _steps_of(*key, substeps, search_at_ends)
+    return _in_lanes({"c": CSteps, "warp": WarpSteps}[impl](_compiled(*key), substeps))
 
 
 def _kernel_steps(
@@ -194,12 +201,8 @@ def _kernel_steps(
 ) -> KernelSteps:
     """The steps of MJX as a kernel."""
     key = model, iterations, ls_iterations, integrator
-
-    def on_arrays(search: Search) -> Any:
-        advance = _steps_of(*key, substeps, search)
-        return lambda *arrays: tuple(jax.tree.leaves(advance(RobotState(*arrays[:3]), arrays[3])))
-
-    return KernelSteps(_compiled(*key), substeps, on_arrays(search_by_points), on_arrays(search_at_ends))
+    advance = _steps_of(*key, substeps, search_by_points)
+    return KernelSteps(_compiled(*key), substeps, lambda *x: advance(RobotState(*x[:3]), x[3]))
 
 
 def _steps_of(
@@ -214,6 +217,8 @@ def _steps_of(
     key = model, iterations, ls_iterations, integrator
     put, data = _in_mjx(*key)
     step = _step_of(_compiled(*key), search)
+    # A kernel takes the functions of the library apart itself.
+    factors = small_factors if search is search_at_ends else contextlib.nullcontext
 
     @standard_jax
     @jax.jit
@@ -222,7 +227,8 @@ def _steps_of(
             before = data.replace(
                 qpos=state.qpos, qvel=state.qvel, qacc_warmstart=state.qacc_warmstart, ctrl=control
             )
-            return step(put, before)
+            with factors():
+                return step(put, before)
 
         # A single call site of `step`, whatever the number of substeps: each one takes long to compile.
         return jax.lax.fori_loop(0, substeps, small_step, batched_together(state))

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 import bojax.robots.mjx_kernel
+from bojax.engine.build import build
 from bojax.numerics.third_party import standard_jax
 from bojax.robots.models import RobotModel, packaged
 from bojax.robots.newton import search_at_ends
-from bojax.robots.simulator import RobotState, _in_lanes, _kernel_steps, _steps_of
+from bojax.robots.settings import MJX
+from bojax.robots.simulator import RobotState, Simulator, _in_lanes, _kernel_steps, _steps_of
 from tests.tiers import by_tier
 
 LANES, STEPS, SUBSTEPS = 6, 5, 3
@@ -69,8 +71,23 @@ def test_a_kernel_is_xlas_program(name):
     assert np.abs(found.qpos - arrays[0]).max() > 1e-2
 
 
-def test_a_model_that_is_too_large_is_xlas_program(monkeypatch):
+def test_a_model_that_is_too_large_is_refused(monkeypatch):
     monkeypatch.setattr(bojax.robots.mjx_kernel, "_MOST_SCALARS", 100)
-    state = (np.zeros((LANES, size), np.float32) for size in (2, 2, 2, 1))
-    traced = jax.make_jaxpr(standard_jax(_kernel_steps(PENDULUM, None, None, None, SUBSTEPS)))(*state)
-    assert "pallas_call" not in str(traced) and len(traced.out_avals) == 3
+    with pytest.raises(
+        ValueError, match='got "pallas"; a kernel cannot simulate the model .too many scalars'
+    ):
+        _kernel_steps(PENDULUM, None, None, None, SUBSTEPS)
+
+
+def test_a_kernel_needs_a_gpu(monkeypatch):
+    monkeypatch.setattr(jax, "default_backend", lambda: "cpu")
+    with pytest.raises(ValueError, match='got "pallas", which needs an NVIDIA GPU'):
+        Simulator(build(MJX(impl="pallas"), "float32"), PENDULUM, substeps=1)
+
+
+def test_kernels_are_lowered_for_a_gpu(monkeypatch):
+    """Triton's program is made on any machine, and compiled on a GPU."""
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    state = [jax.ShapeDtypeStruct((LANES, size), np.float32) for size in (2, 2, 2, 1)]
+    traced = jax.jit(standard_jax(steps("pendulum"))).trace(*state)
+    assert "triton" in traced.lower(lowering_platforms=("cuda",)).as_text()

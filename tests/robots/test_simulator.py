@@ -40,7 +40,8 @@ each_model = pytest.mark.parametrize("name", by_tier(MODELS, normal=["jaco", "qu
 LANES, STEPS = 8, 20
 
 NEEDS_WARP = pytest.mark.skipif(importlib.util.find_spec("warp") is None, reason="needs warp-lang")
-IMPLS = ["jax", "c", pytest.param("warp", marks=NEEDS_WARP)]
+NEEDS_GPU = pytest.mark.skipif(jax.default_backend() != "gpu", reason="needs an NVIDIA GPU")
+IMPLS = ["jax", "c", pytest.param("pallas", marks=NEEDS_GPU), pytest.param("warp", marks=NEEDS_WARP)]
 
 
 @functools.cache
