@@ -39,8 +39,8 @@ class MJX(PhysicsSettings, frozen=True):
     )
     impl: Literal["auto", "jax", "pallas", "c", "warp"] = Field(
         default="auto",
-        description="implementation of the steps: MJX in JAX as a program of XLA, or as one kernel of Pallas; "
-        "C MuJoCo; MuJoCo Warp. auto is c on a CPU, for models with contacts, and otherwise jax",
+        description="implementation of the steps: MJX in JAX as a program of XLA, MJX as one kernel, "
+        "C MuJoCo, or MuJoCo Warp; auto is c on a CPU, for models with contacts, and otherwise jax",
     )
 
 
