@@ -101,6 +101,22 @@ class TestLatency:
         finding = judge(results, {"kind": "latency", "labels": ["b"], "below": below})
         assert (finding.verdict, finding.ours) == (verdict, 0.2)
 
+    @pytest.mark.parametrize(
+        ("labels", "factor", "verdict"),
+        [
+            (["c", "b", "d"], 7.0, "reproduced"),
+            (["d", "c", "b"], 5.0, "inconclusive"),
+            (["b", "a", "d"], 1.2, "not reproduced"),
+        ],
+    )
+    def test_times_are_alike_where_all_ratios_to_the_first_are_within_a_factor(
+        self, results, labels, factor, verdict
+    ):
+        finding = judge(results, {"kind": "latency", "labels": labels, "factor": factor})
+        assert finding.verdict == verdict
+        first, *others = labels
+        assert [each.of for each in finding.comparisons] == [f"{name} / {first}" for name in others]
+
     def test_without_a_measurement_nothing_is_said(self):
         with pytest.raises(Undecidable, match="set engine.latency to true"):
             judge(normal({"a": 0.0}), {"kind": "latency", "labels": ["a"], "below": 1.0})
@@ -109,6 +125,8 @@ class TestLatency:
     def test_it_is_a_bound_or_an_order(self, test):
         with pytest.raises(pydantic.ValidationError, match="either one label and below, or several labels"):
             registry["test"]["latency"].model_validate(test)
+        with pytest.raises(pydantic.ValidationError, match="either below or factor"):
+            registry["test"]["latency"].model_validate({"labels": ["a"], "below": 1.0, "factor": 2.0})
 
 
 class TestOrder:

@@ -11,29 +11,31 @@ from bojax.report.text import number
 
 
 def latency(results: Results, test: Latency) -> Finding:
-    """Whether the median time of an advance is below a bound, or whether several are in the claimed order.
+    """Whether the median time of an advance is below a bound, or how several compare.
 
     The interval of a median is that between the least and the largest measured time; the interval of a ratio
     follows from those of both medians.
     """
-    times = [_measured(results, test, name) for name in test.labels]
+    times = {name: _measured(results, test, name) for name in test.labels}
+    first = test.labels[0]
     if test.below is not None:
-        (interval,) = times
-        comparisons = [Comparison(f"seconds of an advance of {test.labels[0]}", interval)]
+        comparisons = [Comparison(f"seconds of an advance of {first}", times[first])]
         bounds = None, test.below
-        ours, claimed = interval.estimate, f"below {test.below:g} s"
+        ours, claimed = times[first].estimate, f"below {test.below:g} s"
     else:
+        others = [(first, name) for name in test.labels[1:]]
         comparisons = [
             Comparison(
                 f"{slow} / {quick}",
                 statistics.Interval(b.estimate / a.estimate, b.low / a.high, b.high / a.low),
             )
-            for (quick, a), (slow, b) in pairwise(zip(test.labels, times, strict=True))
+            for quick, slow in (others if test.factor else pairwise(test.labels))
+            for a, b in [(times[quick], times[slow])]
         ]
-        bounds = 1.0, None
-        by_time = sorted(zip(times, test.labels, strict=True), key=lambda pair: pair[0].estimate)
-        ours = " < ".join(f"{name} {number(time.estimate)} s" for time, name in by_time)
-        claimed = "ratios above 1"
+        bounds = (1.0 / test.factor, test.factor) if test.factor else (1.0, None)
+        by_time = sorted(times.items(), key=lambda pair: pair[1].estimate)
+        ours = " < ".join(f"{name} {number(time.estimate)} s" for name, time in by_time)
+        claimed = f"ratios up to {test.factor:g}" if test.factor else "ratios above 1"
     return Finding.between(
         *bounds,
         comparisons,

@@ -293,7 +293,7 @@ class Agrees(OfOneLabel, frozen=True):
 
 
 class Latency(Test, frozen=True):
-    """Whether an advance of a single run takes less than a time, or which of several takes least.
+    """Whether an advance of a single run takes less than a time, or how several compare.
 
     The sweep has to measure it: `engine: {latency: true}`.
     """
@@ -302,10 +302,17 @@ class Latency(Test, frozen=True):
 
     kind: Literal["latency"] = "latency"
     labels: tuple[str, ...] = Field(
-        strict=False, min_length=1, description="labels or variants, that with the least time first"
+        strict=False,
+        min_length=1,
+        description="labels or variants, that with the least time first unless factor is given",
     )
     below: float | None = Field(
         default=None, gt=0, description="seconds that an advance of the only label stays under"
+    )
+    factor: float | None = Field(
+        default=None,
+        gt=1,
+        description="limit of the ratios of the first label's time to the others, and of their inverses",
     )
 
     @pydantic.model_validator(mode="after")
@@ -313,6 +320,8 @@ class Latency(Test, frozen=True):
         _distinct(self.labels, "labels")
         if (len(self.labels) == 1) != (self.below is not None):
             raise ValueError("latency: give either one label and below, or several labels")
+        if self.below is not None and self.factor is not None:
+            raise ValueError("latency: give either below or factor")
         return self
 
     @property
