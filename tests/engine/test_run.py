@@ -168,7 +168,7 @@ def test_what_is_quicker_on_the_cpu_runs_there_beside_a_gpu(folder, tmp_path, mo
     assert set(used) == {(15, "cpu"), (15, "gpu"), (12, "gpu")}
     assert contents(tmp_path / "usual") == contents(folder)
     line = capfd.readouterr().err.splitlines()[-1]
-    assert "advanced runs on the gpu " in line and " of the time, on the cpu " in line
+    assert "runs advanced on the gpu " in line and " of the time, on the cpu " in line
     with monkeypatch.context() as patch:  # it stops before its first chunk
         patch.setattr("bojax.engine.run.find_devices", lambda _: [gpu])
         patch.setattr("bojax.engine.run.execute", lambda *_: iter(()))

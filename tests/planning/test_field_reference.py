@@ -89,7 +89,7 @@ def test_the_cases_contain_walls_borders_and_full_depth():
     # What the comparison above is worth.
     planner, problem = VARIANTS["sbo-5"]
     taken, costs, depths = Counter(), set(), set()
-    for *_, root in cases(planner, problem):
+    for *_, root in cases(planner, problem, seeds=2):
         nodes = nodes_of(root)[1:]
         taken.update(len(node.belief.x) - len(node.parent.belief.x) for node in nodes)
         depths |= {node.depth for node in nodes}
