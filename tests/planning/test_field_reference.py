@@ -1,6 +1,7 @@
 """On a field every tree search grows the tree of a NumPy reference that refits the belief at every node."""
 
 from collections import Counter
+from itertools import chain
 
 import numpy as np
 import pytest
@@ -87,9 +88,8 @@ def test_a_plan_is_made_under_the_hyperparameters_of_the_belief():
 
 def test_the_cases_contain_walls_borders_and_full_depth():
     # What the comparison above is worth.
-    planner, problem = VARIANTS["sbo-5"]
     taken, costs, depths = Counter(), set(), set()
-    for *_, root in cases(planner, problem, seeds=2):
+    for *_, root in chain(*(cases(*VARIANTS[name]) for name in ("sbo-5", "bo-pomdp"))):
         nodes = nodes_of(root)[1:]
         taken.update(len(node.belief.x) - len(node.parent.belief.x) for node in nodes)
         depths |= {node.depth for node in nodes}
