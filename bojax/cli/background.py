@@ -5,7 +5,9 @@ import os
 import shlex
 import signal
 import sys
+import threading
 import time
+from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
 from pathlib import Path
 from types import TracebackType
@@ -45,6 +47,8 @@ class Reports:
             )
 
     def __enter__(self) -> "Reports":
+        if self._pool is None:  # takes a second or two, which the runs hide
+            threading.Thread(target=_report, daemon=True).start()
         return self
 
     def write(self, folder: Path) -> None:
@@ -96,10 +100,15 @@ class Reports:
         del self._pending[folder]
 
     def _write_here(self, folder: Path) -> None:
-        from bojax.report.progress import report  # imports matplotlib
-
-        print(report(folder))
+        print(_report()(folder))
         self._folders.remove(folder)
+
+
+def _report() -> Callable[[Path], Path]:
+    """The function that writes a report, which imports matplotlib."""
+    from bojax.report.progress import report
+
+    return report
 
 
 def _build(folder: Path) -> Path:
