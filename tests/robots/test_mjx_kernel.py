@@ -36,7 +36,9 @@ PENDULUM = RobotModel(
 )
 """A pendulum whose end slides, touches the floor, and has friction and limits: every kind of constraint."""
 
-MODELS = {"pendulum": PENDULUM, "reacher": packaged("reacher"), "quadrotor": packaged("quadrotor")}
+MODELS = {"pendulum": PENDULUM} | {
+    name: packaged(name) for name in ("hopper", "reacher", "jaco", "quadrotor")
+}
 
 
 @functools.cache
