@@ -21,8 +21,9 @@ class KernelSteps(LaneSteps):
     """Steps as one kernel for all lanes, in the arithmetic of `mjx.step`.
 
     In a program of XLA, a step of 256 hoppers by RK4 is 475 kernels of 1.6 us each on an H200. Here a call is
-    one kernel, and its steps are six times as fast with 256 lanes, and twice with 2,048: a lane has a warp of
-    its own, since Triton compiles scalars in seconds but vectors of 32 lanes in minutes.
+    one kernel. In its first version, which was measured, steps were six times as fast with 256 lanes, and
+    twice as fast with 2,048: a lane has a warp of its own, since Triton compiles scalars in seconds but
+    vectors of 32 lanes in minutes.
 
     Args:
         model: The compiled model.
