@@ -247,7 +247,7 @@ class _Tracing:
         return _tidy(found, aval.dtype)
 
     def _unstack(self, eqn: Any, x: np.ndarray) -> list[np.ndarray]:
-        return list(np.moveaxis(x, eqn.params["axis"], 0))
+        return [np.asarray(part) for part in np.moveaxis(x, eqn.params["axis"], 0)]
 
     def _reduce(self, eqn: Any, x: np.ndarray, name: str, empty: Any) -> np.ndarray:
         dtype, axes = eqn.outvars[0].aval.dtype, tuple(eqn.params["axes"])

@@ -1,6 +1,7 @@
 """Steps of MJX on a GPU as one kernel, in which a thread simulates a robot."""
 
 import importlib
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -17,13 +18,20 @@ _MOST_SCALARS = 40_000
 """Largest program that is compiled; that of the hopper has 11,000 scalars, which take 4 s."""
 
 
+def kernels_run_here() -> bool:
+    """Whether the device is an NVIDIA GPU for which Pallas has kernels: of compute capability 8.0 or more."""
+    capability = getattr(jax.devices()[0], "compute_capability", "")
+    version = re.fullmatch(r"(\d+)\.\d+", capability)
+    return version is not None and int(version[1]) >= 8
+
+
 class KernelSteps(LaneSteps):
     """Steps as one kernel for all lanes, in the arithmetic of `mjx.step`.
 
-    In a program of XLA, a step of 256 hoppers by RK4 is 475 kernels of 1.6 us each on an H200. Here a call is
-    one kernel. In its first version, which was measured, steps were six times as fast with 256 lanes, and
-    twice as fast with 2,048: a lane has a warp of its own, since Triton compiles scalars in seconds but
-    vectors of 32 lanes in minutes.
+    In a program of XLA, a step of 256 hoppers by RK4 is 475 kernels of 1.6 us each on an H200. Here a call,
+    with all of its substeps, is one kernel: steps are 5.5 times as fast with 256 lanes, and 3.1 times with
+    2,048. A lane has a warp of its own, since Triton compiles scalars in seconds but vectors of 32 lanes in
+    minutes.
 
     Args:
         model: The compiled model.

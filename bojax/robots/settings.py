@@ -40,7 +40,8 @@ class MJX(PhysicsSettings, frozen=True):
     impl: Literal["auto", "jax", "pallas", "c", "warp"] = Field(
         default="auto",
         description="implementation of the steps: MJX in JAX as a program of XLA, MJX as one kernel, "
-        "C MuJoCo, or MuJoCo Warp; auto is c on a CPU, for models with contacts, and otherwise jax",
+        "C MuJoCo, or MuJoCo Warp; auto is c on a CPU, for models with contacts, pallas on an NVIDIA GPU, "
+        "for models that can be a kernel, and otherwise jax",
     )
 
 

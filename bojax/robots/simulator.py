@@ -17,7 +17,7 @@ from bojax.numerics.lanes import batched_together
 from bojax.numerics.third_party import plain_jax, silenced, standard_jax
 from bojax.robots.c_mujoco import CSteps
 from bojax.robots.lane_steps import LaneSteps
-from bojax.robots.mjx_kernel import KernelSteps
+from bojax.robots.mjx_kernel import KernelSteps, kernels_run_here
 from bojax.robots.models import MjModel, RobotModel, mujoco
 from bojax.robots.mujoco_warp import WarpSteps
 from bojax.robots.newton import Search, constrained, has_clipped_forces, search_at_ends, search_by_points
@@ -88,10 +88,9 @@ class Simulator(eqx.Module):
             ValueError: MuJoCo or MJX refuse the model, it cannot be simulated by a kernel of Pallas, or the
                 settings ask for one on a CPU.
         """
-        if self.impl == "pallas" and jax.default_backend() != "gpu":
-            raise ValueError(
-                'physics.impl: got "pallas", which needs an NVIDIA GPU; allowed here: "jax", "c"'
-            )
+        if self.impl == "pallas" and not kernels_run_here():
+            needed = "needs an NVIDIA GPU of compute capability 8.0 or more"
+            raise ValueError(f'physics.impl: got "pallas", which {needed}; allowed here: "jax", "c"')
         _ = self._advance
 
     @property
@@ -103,13 +102,14 @@ class Simulator(eqx.Module):
     def impl(self) -> Literal["jax", "pallas", "c", "warp"]:
         """The implementation of the steps.
 
-        `auto` is `c` on a CPU, for models with contacts, and `jax` otherwise. On a CPU, `jax` is as fast
-        without contacts. On an H200 with 200 lanes it is faster than `warp`, and its programs are kept.
+        `auto` is `c` on a CPU, for models with contacts; `jax` is as fast there without contacts. It is
+        `pallas` on NVIDIA GPUs, for models that can be a kernel. Otherwise it is `jax`.
         """
         if self.physics.impl != "auto":
             return self.physics.impl
-        is_on_cpu = jax.default_backend() == "cpu"
-        return "c" if is_on_cpu and _has_contacts(self.mujoco_model) else "jax"
+        if jax.default_backend() == "cpu":
+            return "c" if _has_contacts(self.mujoco_model) else "jax"
+        return "pallas" if kernels_run_here() and _can_be_a_kernel(*self._key, self.substeps) else "jax"
 
     @property
     def time_step(self) -> float:
@@ -192,6 +192,23 @@ def _stepping(
     return _in_lanes({"c": CSteps, "warp": WarpSteps}[impl](_compiled(*key), substeps))
 
 
+@functools.cache
+def _can_be_a_kernel(
+    model: RobotModel,
+    iterations: int | None,
+    ls_iterations: int | None,
+    integrator: str | None,
+    substeps: int,
+) -> bool:
+    """Whether a kernel can simulate the model; if not, `KernelSteps` has the reason."""
+    try:
+        _kernel_steps(model, iterations, ls_iterations, integrator, substeps)
+    except ValueError:
+        return False
+    return True
+
+
+@functools.cache
 def _kernel_steps(
     model: RobotModel,
     iterations: int | None,

@@ -1,4 +1,4 @@
-"""Lanes and loops of the implementations that are calls out of the compiled program: C MuJoCo and Warp."""
+"""Lanes and loops of the implementations that step all lanes in one call."""
 
 import functools
 
@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from bojax.numerics.lanes import LANES as AXIS
-from tests.robots.test_simulator import LANES, NEEDS_WARP, driven, simulator
+from tests.robots.test_simulator import IMPLS, LANES, driven, simulator
 
 pytestmark = [
     pytest.mark.bits,
-    pytest.mark.parametrize("impl", ["c", pytest.param("warp", marks=NEEDS_WARP)]),
+    pytest.mark.parametrize("impl", [impl for impl in IMPLS if impl != "jax"]),
 ]
 
 STEPS = 5
@@ -52,7 +52,7 @@ def assert_close(found, reference, error=0.0):
 
 def assert_same(impl, found, reference):
     """Compare bits. On a GPU, Warp writes contacts in any order, so that sums of their forces are rounded."""
-    is_exact = impl == "c" or jax.default_backend() == "cpu"
+    is_exact = impl != "warp" or jax.default_backend() == "cpu"
     assert_close(found, reference, 0.0 if is_exact else 1e-4)
 
 

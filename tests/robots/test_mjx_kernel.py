@@ -1,18 +1,28 @@
 """Steps as a kernel, interpreted on a CPU, against XLA's program; `test_simulator` runs kernels on a GPU."""
 
 import functools
+from types import SimpleNamespace
 
 import jax
 import numpy as np
 import pytest
 
 import bojax.robots.mjx_kernel
+import bojax.robots.simulator
 from bojax.engine.build import build
 from bojax.numerics.third_party import standard_jax
+from bojax.robots.mjx_kernel import kernels_run_here
 from bojax.robots.models import RobotModel, packaged
 from bojax.robots.newton import search_at_ends
 from bojax.robots.settings import MJX
-from bojax.robots.simulator import RobotState, Simulator, _in_lanes, _kernel_steps, _steps_of
+from bojax.robots.simulator import (
+    RobotState,
+    Simulator,
+    _can_be_a_kernel,
+    _in_lanes,
+    _kernel_steps,
+    _steps_of,
+)
 from tests.tiers import by_tier
 
 LANES, STEPS, SUBSTEPS = 6, 5, 3
@@ -75,14 +85,27 @@ def test_a_kernel_is_xlas_program(name):
 
 def test_a_model_that_is_too_large_is_refused(monkeypatch):
     monkeypatch.setattr(bojax.robots.mjx_kernel, "_MOST_SCALARS", 100)
+    steps("pendulum")  # kept, so that the limit does not apply to it
     with pytest.raises(
         ValueError, match='got "pallas"; a kernel cannot simulate the model .too many scalars'
     ):
-        _kernel_steps(PENDULUM, None, None, None, SUBSTEPS)
+        _kernel_steps(PENDULUM, None, None, None, SUBSTEPS + 1)
+    assert not _can_be_a_kernel(PENDULUM, None, None, None, SUBSTEPS + 1)
+    assert _can_be_a_kernel(PENDULUM, None, None, None, SUBSTEPS)
+
+
+@pytest.mark.parametrize(
+    ("capability", "expected"),
+    [("9.0", True), ("8.0", True), ("10.0", True), ("7.5", False), ("gfx90a", False), (None, False)],
+)
+def test_kernels_run_on_recent_nvidia_gpus(monkeypatch, capability, expected):
+    given = {} if capability is None else {"compute_capability": capability}
+    monkeypatch.setattr(jax, "devices", lambda: [SimpleNamespace(**given)])
+    assert kernels_run_here() is expected
 
 
 def test_a_kernel_needs_a_gpu(monkeypatch):
-    monkeypatch.setattr(jax, "default_backend", lambda: "cpu")
+    monkeypatch.setattr(bojax.robots.simulator, "kernels_run_here", lambda: False)
     with pytest.raises(ValueError, match='got "pallas", which needs an NVIDIA GPU'):
         Simulator(build(MJX(impl="pallas"), "float32"), PENDULUM, substeps=1)
 

@@ -55,7 +55,9 @@ def solved(problems, iterations, search):
         model = SimpleNamespace(opt=SimpleNamespace(iterations=iterations))
         return constrained(model, data, inertia, search)
 
-    return jax.vmap(one)(problems)
+    # As `plain_jax` has it; a GPU would otherwise round factors to 11 bits.
+    with jax.default_matmul_precision("highest"):
+        return jax.vmap(one)(problems)
 
 
 def forces(problem, acceleration):

@@ -17,6 +17,7 @@ from bojax.engine.build import build
 from bojax.robots import mujoco_warp
 from bojax.robots.car import car_model
 from bojax.robots.jaco import jaco_model
+from bojax.robots.mjx_kernel import kernels_run_here
 from bojax.robots.models import RobotModel, from_file, packaged
 from bojax.robots.quadrotor import quadrotor_model
 from bojax.robots.settings import MJX
@@ -40,7 +41,7 @@ each_model = pytest.mark.parametrize("name", by_tier(MODELS, normal=["jaco", "qu
 LANES, STEPS = 8, 20
 
 NEEDS_WARP = pytest.mark.skipif(importlib.util.find_spec("warp") is None, reason="needs warp-lang")
-NEEDS_GPU = pytest.mark.skipif(jax.default_backend() != "gpu", reason="needs an NVIDIA GPU")
+NEEDS_GPU = pytest.mark.skipif(not kernels_run_here(), reason="needs an NVIDIA GPU")
 IMPLS = ["jax", "c", pytest.param("pallas", marks=NEEDS_GPU), pytest.param("warp", marks=NEEDS_WARP)]
 
 
@@ -230,9 +231,11 @@ def test_warp_that_is_not_installed_says_so_in_a_line(monkeypatch):
     ("impl", "name", "platform", "expected"),
     [
         ("auto", "reacher", "cpu", "jax"),
-        ("auto", "reacher", "gpu", "jax"),
+        ("auto", "reacher", "gpu", "pallas"),
         ("auto", "hopper", "cpu", "c"),
-        ("auto", "hopper", "gpu", "jax"),
+        ("auto", "hopper", "gpu", "pallas"),
+        ("auto", "hopper", "tpu", "jax"),
+        ("auto", "car", "gpu", "jax"),
         ("auto", "car", "cpu", "c"),
         ("auto", None, "cpu", "jax"),
         ("warp", "hopper", "gpu", "warp"),
@@ -240,7 +243,10 @@ def test_warp_that_is_not_installed_says_so_in_a_line(monkeypatch):
     ],
 )
 def test_the_implementation_that_auto_stands_for(monkeypatch, impl, name, platform, expected):
+    """The car stands for models that cannot be a kernel, although it can."""
     monkeypatch.setattr(jax, "default_backend", lambda: platform)
+    monkeypatch.setattr(bojax.robots.simulator, "kernels_run_here", lambda: platform == "gpu")
+    monkeypatch.setattr(bojax.robots.simulator, "_can_be_a_kernel", lambda model, *_: model != MODELS["car"])
     monkeypatch.setattr(bojax.robots.simulator, "_stepping", lambda *_: None)
     model = MODELS[name] if name else RobotModel(slider())
     assert Simulator(build(MJX(impl=impl), "float32"), model, substeps=1).impl == expected
