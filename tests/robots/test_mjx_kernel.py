@@ -84,8 +84,8 @@ def test_a_kernel_is_xlas_program(name):
 
 
 def test_a_model_that_is_too_large_is_refused(monkeypatch):
-    monkeypatch.setattr(bojax.robots.mjx_kernel, "_MOST_SCALARS", 100)
     steps("pendulum")  # kept, so that the limit does not apply to it
+    monkeypatch.setattr(bojax.robots.mjx_kernel, "_MOST_SCALARS", 100)
     with pytest.raises(
         ValueError, match='got "pallas"; a kernel cannot simulate the model .too many scalars'
     ):
