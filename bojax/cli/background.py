@@ -85,7 +85,10 @@ class Reports:
             self._pending.pop(folder, None)
         if left:
             again = shlex.join(["bojax", "report", *map(str, left)])
-            print(printable(f"interrupted; the report is not written; to write it: {again}"), file=sys.stderr)
+            what = "the report is not written; to write it"
+            if len(left) > 1:
+                what = f"{len(left)} reports are not written; to write them"
+            print(printable(f"interrupted; {what}: {again}"), file=sys.stderr)
 
     def _show(self, folder: Path, pending: Future[Path]) -> None:
         try:

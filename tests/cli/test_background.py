@@ -95,14 +95,17 @@ def test_a_report_that_cannot_be_written_is_told_in_one_line(tmp_path, capsys):
 
 @pytest.mark.parametrize("is_waiting", [False, True])
 def test_after_a_signal_reports_are_given_up(tmp_path, capsys, is_waiting):
+    names = ("first", "second") if is_waiting else ("first",)
     with Reports(in_background=True) as reports:
         pool: Any = reports._pool
-        reports._pending |= {tmp_path / name: pool.submit(time.sleep, 600) for name in ("first", "second")}
+        reports._pending |= {tmp_path / name: pool.submit(time.sleep, 600) for name in names}
         if is_waiting:
             threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT)).start()
         else:
             reports.stop()
     assert reports.exit_code == (130 if is_waiting else 0)
-    folders = f"{tmp_path / 'first'} {tmp_path / 'second'}"
-    expected = f"interrupted; the report is not written; to write it: bojax report {folders}"
-    assert expected in capsys.readouterr().err.splitlines()
+    what = (
+        "2 reports are not written; to write them" if is_waiting else "the report is not written; to write it"
+    )
+    folders = " ".join(str(tmp_path / name) for name in names)
+    assert f"interrupted; {what}: bojax report {folders}" in capsys.readouterr().err.splitlines()
