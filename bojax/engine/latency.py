@@ -1,11 +1,11 @@
 """Latency of a single run, measured without a batch."""
 
 import contextlib
+import functools
 import itertools
 import threading
 import time
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import jax
@@ -55,7 +55,10 @@ class Latencies:
     def __init__(self, devices: Sequence[Device], stop: Callable[[], bool]):
         self._devices, self._stop = devices, stop
         self._asked: list[tuple[Journal, StaticGroup, list[int]]] = []
-        self._ahead: Ahead[SingleRun] = Ahead(compile_threads(), threading.Condition(threading.RLock()), stop)
+
+    @functools.cached_property
+    def _ahead(self) -> "Ahead[SingleRun]":
+        return Ahead(compile_threads(), threading.Condition(threading.RLock()), self._stop)
 
     def compile(self, journal: "Journal") -> None:
         """Compile what a sweep asks for, in threads."""
@@ -67,13 +70,16 @@ class Latencies:
         for group in plan.groups:
             points = sorted(set(group.points) & set(firsts.values()))
             if points and not plan.experiment(group).is_hosted:
-                self._ahead.request(len(self._asked), partial(SingleRun, group, plan.sweep.seed, device))
+                self._ahead.request(
+                    len(self._asked), functools.partial(SingleRun, group, plan.sweep.seed, device)
+                )
                 self._asked.append((journal, group, points))
 
     def measure(self, progress: SweepProgress) -> None:
         """Measure the latencies, and note them in the journals. A failure leaves the results complete."""
-        if self._asked:
-            progress.say(f"compiling single runs of {len(self._asked)} groups, to measure their latency ...")
+        if not self._asked:
+            return
+        progress.say(f"compiling single runs of {len(self._asked)} groups, to measure their latency ...")
         for index in range(len(self._asked)):
             with contextlib.suppress(Exception, SystemExit):  # told below
                 self._ahead.wait(index)

@@ -16,6 +16,10 @@ from bojax.config.limits import Limit
 from bojax.engine import batch, execute
 from bojax.engine.chunks import Layout
 from bojax.engine.devices import Turn
+from bojax.engine.journal import Journal
+from bojax.engine.latency import Latencies
+from bojax.engine.plan import make_plan
+from bojax.engine.progress import SweepProgress
 from bojax.engine.requests import Request
 from bojax.engine.run import run_sweeps
 from bojax.engine.runner import ChunkRunner
@@ -473,6 +477,16 @@ def test_finished_sweeps_among_those_to_resume_are_left_out(tmp_path, monkeypatc
     assert "note: results/first: no unfinished sweep to resume" in captured.err
     assert Path(captured.out.strip()).parent == Path("results/second")
     assert run_sweeps(requests, True, []) == 2
+
+
+def test_threads_for_latencies_start_only_if_a_latency_is_asked_for():
+    plan = make_plan(toy_sweep(), jax.devices()[:1])
+    journal = Journal(plan, Path("toy"), "bojax", is_resumed=False, may_rename=False)
+    before = threading.active_count()
+    latencies = Latencies(jax.devices(), bool)
+    latencies.compile(journal)
+    latencies.measure(SweepProgress("toy", 1))
+    assert threading.active_count() == before
 
 
 @pytest.mark.parametrize("moment", ["take", "finish", "fail"])
