@@ -152,7 +152,7 @@ class _Rounds:
         with contextlib.redirect_stdout(io.StringIO()):  # the paths of the rounds
             return run_sweeps(
                 [Request(sweep, folder)],
-                True,
+                folder.is_dir(),
                 self._command,
                 launcher=self._launcher,
                 indices=self._devices,

@@ -56,7 +56,8 @@ class Target:
 def choose_targets(requests: Sequence[Request], *, resume: bool) -> list[Target]:
     """The results folder of each sweep.
 
-    Of several sweeps to resume, those without an unfinished folder are left out.
+    Of several sweeps to resume, those without an unfinished folder are left out. In a new folder they begin:
+    a command that was killed before it made its folder is repeated with `--resume` as well.
 
     Raises:
         NothingToResume: No sweep has an unfinished folder.
@@ -72,6 +73,9 @@ def choose_targets(requests: Sequence[Request], *, resume: bool) -> list[Target]
         raise finished[0]
     for error in finished:
         print(printable(f"note: {error}"), file=sys.stderr)
+    if resume and not any(target.is_resumed for target in chosen):
+        others = f" and {len(chosen) - 1} more" if len(chosen) > 1 else ""
+        print(printable(f"note: nothing to resume; started anew: {chosen[0].path}{others}"), file=sys.stderr)
     return chosen
 
 

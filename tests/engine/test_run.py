@@ -20,9 +20,10 @@ from bojax.engine.journal import Journal
 from bojax.engine.latency import Latencies
 from bojax.engine.plan import make_plan
 from bojax.engine.progress import SweepProgress
-from bojax.engine.requests import Request
+from bojax.engine.requests import Request, choose_targets
 from bojax.engine.run import run_sweeps
 from bojax.engine.runner import ChunkRunner
+from bojax.results.folder import RunFolder
 from bojax.results.leases import Leases
 from bojax.results.store import WORK, ResultsError, read_manifest, read_table
 from tests.engine.drive import NEEDS_CPU, contents, run_toy, start_toy
@@ -487,6 +488,21 @@ def test_threads_for_latencies_start_only_if_a_latency_is_asked_for():
     latencies.compile(journal)
     latencies.measure(SweepProgress("toy", 1))
     assert threading.active_count() == before
+
+
+def test_new_folders_begin_and_a_note_says_that_nothing_is_resumed(tmp_path, capsys):
+    RunFolder(tmp_path / "begun").create({})
+    begun, first, second = (Request(toy_sweep(), tmp_path / name) for name in ("begun", "first", "second"))
+    note = f"note: nothing to resume; started anew: {tmp_path / 'first'}"
+    for requests, resume, expected in [
+        ([first], True, f"{note}\n"),
+        ([first, second], True, f"{note} and 1 more\n"),
+        ([begun, first], True, ""),
+        ([first], False, ""),
+    ]:
+        targets = choose_targets(requests, resume=resume)
+        assert [target.is_resumed for target in targets] == [each is begun for each in requests]
+        assert capsys.readouterr().err == expected
 
 
 @pytest.mark.parametrize("moment", ["take", "finish", "fail"])
