@@ -252,6 +252,7 @@ class Leases:
         self._looked = -float("inf")
         self._is_stale = True
         self._lock = threading.RLock()
+        self._beating = threading.Lock()
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
 
@@ -280,19 +281,21 @@ class Leases:
 
     def beat(self) -> None:
         """Send a heartbeat, and look which leases of this process others have taken over."""
-        with self._lock:
-            self._beats += 1
-            seconds = self._clock() - self._start
-            beat = Heartbeat(
-                self._beats,
-                seconds,
-                self._launch,
-                self._is_driver,
-                self._process,
-                dict(self._compile_seconds),
-            )
-            held = dict(self._mine)
-        write_json(self.attempts.work / f"{_WORKER}{self.owner}.json", asdict(beat), durably=False)
+        # One at a time: two would share the temporary file, and a torn heartbeat ends this process's leases.
+        with self._beating:
+            with self._lock:
+                self._beats += 1
+                seconds = self._clock() - self._start
+                beat = Heartbeat(
+                    self._beats,
+                    seconds,
+                    self._launch,
+                    self._is_driver,
+                    self._process,
+                    dict(self._compile_seconds),
+                )
+                held = dict(self._mine)
+            write_json(self.attempts.work / f"{_WORKER}{self.owner}.json", asdict(beat), durably=False)
         for chunk, number in held.items():
             if os.path.lexists(self.attempts.path(chunk, number + 1)):
                 self._stolen.add(chunk)

@@ -3,6 +3,8 @@
 import os
 import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
 
 import pyarrow as pa
@@ -48,6 +50,30 @@ def parts(leases: Leases, chunk: str = CHUNK) -> list[str]:
     return (
         [] if files is None else [row for table in files.tables("steps") for row in table["text"].to_pylist()]
     )
+
+
+def test_heartbeats_of_two_threads_are_whole(work, monkeypatch):
+    # The thread of heartbeats and the manifest's writer both send them.
+    a, _ = worker(work, "a")
+    writing = [0]
+    together = []
+
+    def write_slowly(*args, **kwargs):
+        writing[0] += 1
+        time.sleep(0.02)
+        together.append(writing[0])
+        write_json(*args, **kwargs)
+        writing[0] -= 1
+
+    monkeypatch.setattr("bojax.results.leases.write_json", write_slowly)
+    threads = [threading.Thread(target=a.beat) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert together == [1, 1, 1]
+    heartbeat = a.attempts.heartbeat("a")
+    assert heartbeat is not None and heartbeat.beats == 4
 
 
 def test_a_chunk_belongs_to_one(work):
