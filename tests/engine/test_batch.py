@@ -14,6 +14,8 @@ from tests.toy import Toy, toy
 SEED = 5
 MODULES = [toy(scale=1.0), toy(scale=2.0)]
 
+pytestmark = pytest.mark.usefixtures("kept_toys")
+
 
 def compile_toys(num_lanes=8, modules=MODULES, device=0, **options) -> Programs:
     (group,) = static_groups(modules)
@@ -37,8 +39,9 @@ def run_all(program, lanes):
 def alone(module: Toy, run: int):
     """The lane without the engine."""
     carry = module.init(run_key(jax.random.key(SEED), jnp.asarray(run, jnp.int32)))
+    advance = jax.jit(lambda carry: module.advance(carry))
     while not module.is_done(carry):
-        carry, _ = module.advance(carry)
+        carry, _ = advance(carry)
     return module.summary(carry)
 
 
@@ -116,6 +119,7 @@ def test_a_selection_of_lanes_goes_on_in_fewer():
     np.testing.assert_array_equal(selected["steps"]["valid"], np.asarray(records["steps"]["valid"])[chosen])
 
 
+@pytest.mark.usefixtures("compiles_anew")
 def test_each_program_is_compiled_once():
     before = batch.compile_counts.copy()
     events = []

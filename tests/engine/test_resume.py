@@ -24,6 +24,8 @@ SWEEP = {"points": POINTS, "runs": 6, "lanes_per_device": 4}
 OFTEN = {"segment_seconds": 1e-6, "checkpoint_seconds": 1e-6}
 """Every advance is a segment and leaves a checkpoint."""
 
+pytestmark = pytest.mark.usefixtures("kept_toys")
+
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory) -> Path:

@@ -32,6 +32,8 @@ from tests.toy import Toy, toy_sweep
 
 RUNS = 10
 
+pytestmark = pytest.mark.usefixtures("kept_toys")
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
@@ -505,6 +507,7 @@ def test_new_folders_begin_and_a_note_says_that_nothing_is_resumed(tmp_path, cap
         assert capsys.readouterr().err == expected
 
 
+@pytest.mark.usefixtures("compiles_anew")
 @pytest.mark.parametrize("moment", ["take", "finish", "fail"])
 def test_a_full_disk_stops_the_sweep(tmp_path, capsys, monkeypatch, moment):
     def full(*_):

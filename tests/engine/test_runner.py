@@ -74,9 +74,10 @@ def plain():
 def test_a_batch_gives_the_rows_of_a_loop_over_runs(plain):
     rows = []
     for point, module in enumerate(MODULES):
+        init = jax.jit(lambda key, module=module: module.init(key))
+        advance = jax.jit(lambda carry, module=module: module.advance(carry))
         for run in range(RUNS):
-            carry = module.init(run_key(jax.random.key(SEED), jnp.asarray(run, jnp.int32)))
-            advance = jax.jit(lambda carry, module=module: module.advance(carry))
+            carry = init(run_key(jax.random.key(SEED), jnp.asarray(run, jnp.int32)))
             while not carry_is_done(module, carry):
                 carry, _ = advance(carry)
             rows.append((point, run, float(module.summary(carry)["return"]), int(carry.step)))

@@ -30,6 +30,8 @@ POINTS = ({"scale": 1.0, "max_length": 80}, {"scale": 2.0, "max_length": 80}, {"
 SWEEP = {"points": POINTS, "runs": 8, "lanes_per_device": 2, "lease_seconds": 0.5}
 """Two static groups, the first of two chunks."""
 
+pytestmark = pytest.mark.usefixtures("kept_toys")
+
 OFTEN = {"segment_seconds": 1e-6, "checkpoint_seconds": 1e-6}
 
 

@@ -1,0 +1,25 @@
+"""What tests of whole sweeps share."""
+
+from collections.abc import Iterator
+
+import pytest
+
+from bojax.engine import executables
+
+
+@pytest.fixture(scope="module")
+def kept_toys() -> Iterator[None]:
+    """Programs of toys stay in memory: of the equal sweeps of a file, the first alone traces and compiles.
+
+    As in the rounds of a search. Nothing is saved, since a toy that is edited keeps its name.
+    """
+    with pytest.MonkeyPatch.context() as patch, executables.held():
+        patch.setattr(executables, "_KNOWN", {*executables._KNOWN, "tests"})
+        patch.setattr(executables, "save", lambda *_: False)
+        yield
+
+
+@pytest.fixture
+def compiles_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A test with `kept_toys` for which no program has been compiled yet."""
+    monkeypatch.setattr(executables, "_held", {})
