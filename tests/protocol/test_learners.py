@@ -9,9 +9,11 @@ from tests.protocol.lanes import each_kind, of_experiment
 CHAIN = {"kind": "chain", "length": 3, "max_length": 3, "sparsity": 0.5, "max_steps": 4}
 
 
-@each_kind(
-    "learner", traced=["bootstrapped-q", "dora", "rnd", "vime"]
-)  # compared with NumPy in tests/learning
+# Compared with plain NumPy in tests/learning; RFF-Q learns in lanes in test_envs.
+COMPARED = ["additive", "bootstrapped-q", "dora", "emu-q", "exploration-values", "rff-q", "rnd", "vime"]
+
+
+@each_kind("learner", traced=COMPARED)
 def test_a_learner_learns_and_is_tested(kind, check):
     settings = {"env": CHAIN, "learner": tiny("learner", kind).model_dump(), "episodes": 2, "tests": 1}
     run = build(Learning.model_validate(settings))

@@ -9,7 +9,8 @@ from tests.protocol.lanes import each_kind, of_experiment
 PATHS = {"kind": "kernel", "first_angle": 0.785, "turn_angle": 1.257, "num_samples": 3}
 
 
-@each_kind("planner")
+# Compared with plain NumPy, and run in lanes, in tests/planning.
+@each_kind("planner", traced=["gps-abt", "kcbts", "sbo"])
 def test_a_planner_plans(kind, check):
     schema = tiny("planner", kind)
     # A planner with an objective of its own needs a field.
@@ -19,7 +20,8 @@ def test_a_planner_plans(kind, check):
     check(episode.planner, of_experiment(lambda episode: episode.planner, scores), episode)
 
 
-@each_kind("problem")
+# Run in tests/problems, in lanes, and compared there with what they are made of.
+@each_kind("problem", traced=["hilly-terrain", "indoor-props", "monitoring"])
 def test_a_problem_is_planned_on(kind, check):
     problem = tiny("problem", kind).model_dump()
     planner = {"kind": "random", "motions": PATHS}
