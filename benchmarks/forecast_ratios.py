@@ -53,7 +53,7 @@ class Noted(SweepProgress):
     @override
     def _show(self):
         now = time.monotonic()
-        self.rows.append((now, forecast(self._groups, now=now, workers=self._workers)))
+        self.rows.append((now, forecast(self._groups, now=now, workers=self._workers, clock=self._clock)))
         super()._show()
 
 

@@ -67,6 +67,7 @@ class GroupTask:
         limits: When a chunk pauses.
         share: Where the chunks come from, and where their rows go.
         recorded_runs: Number of recorded runs of each point.
+        config: Config of a point, as plain values; for the forecast.
         elsewhere: Chunks that other processes have taken.
         running: Number of chunks that threads of this process have taken.
         recorded: Largest number of recorded runs of a chunk.
@@ -83,6 +84,7 @@ class GroupTask:
     limits: Limits
     share: Share
     recorded_runs: int = 0
+    config: Mapping[str, Any] = field(default_factory=dict)
     elsewhere: list[Chunk] = field(default_factory=list)
     running: int = field(default=0, init=False)
 
@@ -93,11 +95,13 @@ class GroupTask:
             default=0,
         )
         self.pace = paces.place_of(self.functions.tag, self.platform, self.layout.lanes)
+        compilation, run = paces.reference(self.config, self.platform, self.layout)
         self.progress = GroupProgress(
             self.name,
             self.experiment.max_advances,
             platform=self.platform,
-            remembered=paces.recall(self.pace),
+            expected_compilation=compilation,
+            expected_run=paces.recall(self.pace) or run,
         )
         for chunk in (*self.chunks, *self.elsewhere):
             self.progress.chunks[chunk.index] = _progress_of(chunk, ChunkState(), self.experiment)
@@ -480,8 +484,8 @@ class _Executor:
     def _end_if_done(self, task: GroupTask) -> None:
         if task.chunks or task.running or task.elsewhere or self._stop():
             return
-        if task.progress.ended_runs:
-            paces.remember(task.pace, task.progress.ended_seconds / task.progress.ended_runs)
+        if task.progress.seconds_per_run is not None:
+            paces.remember(task.pace, task.progress.seconds_per_run)
         self._drop_programs(task)
         self._ended.put(task)
         self._request_ahead()

@@ -1,13 +1,18 @@
 """Forecast of the remaining time, from the runs that have ended and the programs still to be compiled."""
 
 import heapq
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from bojax.engine.clock import Clock
+
 COMPILATION, CHUNK = 20.0, 3.0
-"""Seconds of a compilation and of a chunk before any has ended: about the medians on an H200."""
+"""Seconds of a compilation and of a chunk of which nothing is known, before any has ended."""
+
+AS_EXPECTED = 1.0
+"""Number of groups that count as having taken as long as expected, beside those that have been seen."""
 
 LONGER = 1.3
 """A compilation that lasts longer than usual is taken to last so many times as long as it has lasted."""
@@ -23,9 +28,9 @@ class ChunkProgress:
         live: Number of unfinished runs in lanes.
         waiting: Number of runs that wait for a lane.
         advances_left: Upper bound of the advances of the runs in lanes.
-        seconds_per_advance: Wall time of an advance of all lanes in the last segment; None before the first.
+        seconds_per_advance: Seconds of an advance of all lanes in the last segment; None before the first.
         runs: Number of its runs; 0 if another process has begun it.
-        seconds: Wall time of its advances in this process.
+        seconds: Seconds of its advances in this process.
     """
 
     lanes: int
@@ -46,17 +51,18 @@ class GroupProgress:
         name: Name of the group.
         max_advances: Number of advances after which a run is done.
         platform: Platform of the devices on which it runs.
-        remembered: Wall time of a run in an earlier sweep, as far as it is known.
+        expected_compilation: Seconds that its compilation is expected to take.
+        expected_run: Seconds that a run is expected to take; None if nothing tells.
         chunks: The unfinished chunks, by index.
-        seconds: Wall time of all its advances in this process.
+        seconds: Seconds of all its advances in this process.
         advances: Number of its advances in this process.
         finished: Number of runs that finished in this process.
         lane_advances: Number of advances of all its runs in this process.
         ended_chunks: Number of chunks that began and ended in this process.
         ended_runs: Number of runs of these chunks.
-        ended_seconds: Wall time of the advances of these chunks.
+        ended_seconds: Seconds of the advances of these chunks.
         compiling_since: Time at which its compilation started; None before.
-        compile_seconds: Duration of its compilation; None before its end.
+        compile_seconds: Seconds of its compilation; None before its end.
         compiled: Time at which its compilation ended; None before.
         begun: Time at which its first advance began; None before.
         ended: Time at which its last segment ended; None before the first.
@@ -66,7 +72,8 @@ class GroupProgress:
     max_advances: int
     chunks: dict[int, ChunkProgress] = field(default_factory=dict)
     platform: str = field(default="cpu", kw_only=True)
-    remembered: float | None = field(default=None, kw_only=True)
+    expected_compilation: float = field(default=COMPILATION, kw_only=True)
+    expected_run: float | None = field(default=None, kw_only=True)
     seconds: float = 0.0
     advances: int = 0
     finished: int = 0
@@ -81,8 +88,13 @@ class GroupProgress:
     ended: float | None = None
 
     @property
+    def seconds_per_run(self) -> float | None:
+        """Mean seconds of a run of the chunks that began and ended in this process; None before the first."""
+        return self.ended_seconds / self.ended_runs if self.ended_runs else None
+
+    @property
     def seconds_per_advance(self) -> float | None:
-        """Mean wall time of an advance; None before the first."""
+        """Mean seconds of an advance; None before the first."""
         return self.seconds / self.advances if self.advances else None
 
     @property
@@ -117,20 +129,29 @@ class Forecast:
     seconds: float
 
 
-def forecast(groups: Sequence[GroupProgress], *, now: float, workers: Mapping[str, int]) -> Forecast | None:
+def forecast(
+    groups: Sequence[GroupProgress],
+    *,
+    now: float,
+    workers: Mapping[str, int],
+    clock: Clock,
+) -> Forecast | None:
     """The remaining time; None before the first compilation begins.
 
     On each platform, the groups run one after the other, each once its program is compiled. Where runs and
-    compilations share the cores of a CPU, both are as slow as so far.
+    compilations share the cores of a CPU, it is at least the work that is left, divided by the cores; other
+    processes are taken to leave the same share of them as lately.
 
     Args:
         groups: All groups with unfinished chunks, and those that are done, in the order of their compilation.
         now: The time.
         workers: Number of chunks that run side by side on each platform.
+        clock: The clock that measured the seconds of the groups.
     """
     if all(group.compiling_since is None and not group.advances for group in groups):
         return None
-    ready, seconds = _ready(groups, now), 0.0
+    ready, work = _compilations(groups, now, clock)
+    seconds = 0.0
     for platform, number in workers.items():
         own = [i for i, group in enumerate(groups) if group.platform == platform]
         left = dict(zip(own, _seconds_left([groups[i] for i in own]), strict=True))
@@ -138,46 +159,54 @@ def forecast(groups: Sequence[GroupProgress], *, now: float, workers: Mapping[st
         for i in sorted((i for i in own if left[i]), key=ready.__getitem__):
             end = max(end, ready[i]) + sum(left[i]) / number
             seconds = max(seconds, ready[i] + max(left[i]))
+            work += sum(left[i])
         seconds = max(seconds, end)
-    return Forecast(max(ready, default=0.0), seconds)
+    share = clock.share()
+    return Forecast(max(ready, default=0.0) / share, max(seconds, work / clock.cores) / share)
 
 
-def _ready(groups: Sequence[GroupProgress], now: float) -> list[float]:
-    """Seconds until each group is compiled.
+def _compilations(groups: Sequence[GroupProgress], now: float, clock: Clock) -> tuple[list[float], float]:
+    """Seconds until each group is compiled, and the work that is left until then.
 
-    A compilation lasts as long as others on average, and the next one begins when one ends.
+    When a compilation ends, the next one begins.
     """
-    ended = [
-        group.compiled - group.compiling_since
-        for group in groups
-        if group.compiled is not None and group.compiling_since is not None
-    ]
-    usual = (COMPILATION + sum(ended)) / (1 + len(ended))
-    ready, threads = [0.0] * len(groups), []
+    pairs = [(group.compile_seconds, group.expected_compilation) for group in groups]
+    speed = _speed((seconds, expected) for seconds, expected in pairs if seconds is not None)
+    ready, threads, work = [0.0] * len(groups), [], 0.0
     left = [i for i, group in enumerate(groups) if group.chunks and group.compile_seconds is None]
     for i in sorted(left, key=lambda i: groups[i].compiling_since is None):
-        since = groups[i].compiling_since
+        since, seconds, begins = groups[i].compiling_since, speed * groups[i].expected_compilation, 0.0
         if since is None:
-            ready[i] = (heapq.heappop(threads) if threads else 0.0) + usual
+            begins = heapq.heappop(threads) if threads else 0.0
         else:
-            ready[i] = max(usual, LONGER * (now - since)) - (now - since)
+            passed = clock.between(since, now)
+            seconds = max(seconds, LONGER * passed) - passed
+        work += seconds
+        ready[i] = begins + seconds
         heapq.heappush(threads, ready[i])
-    return ready
+    return ready, work
+
+
+def _speed(pairs: Iterable[tuple[float, float]]) -> float:
+    """How many times as long as expected it takes, from pairs of measured and expected seconds."""
+    seen = list(pairs)
+    if not seen:
+        return 1.0
+    expected = sum(each for _, each in seen)
+    prior = AS_EXPECTED * expected / len(seen)
+    return (sum(seconds for seconds, _ in seen) + prior) / (expected + prior)
 
 
 def _seconds_left(groups: Sequence[GroupProgress]) -> list[list[float]]:
-    """Time that each chunk of each group still takes on one platform.
+    """Seconds that each chunk of each group still takes on one platform.
 
     A chunk of a group of which nothing is known is taken to last as long as those of the other groups: their
     geometric mean, since the groups of a sweep differ by factors of up to a thousand. The pace of an advance
     says less, since an advance of one group is an episode of a robot, that of another a step of a planner.
     """
     shares = [group.mean_advances / group.max_advances for group in groups if group.mean_advances is not None]
-    before = [(group, group.remembered) for group in groups if group.remembered is not None]
-    ahead = sum(chunk.runs * each for group, each in before for chunk in group.chunks.values())
-    ended = sum(group.ended_runs * each for group, each in before)
-    took = sum(group.ended_seconds for group, _ in before if group.ended_runs)
-    speed = (took + ahead) / (ended + ahead) if ended + ahead else 1.0
+    pairs = [(group.seconds_per_run, group.expected_run) for group in groups]
+    speed = _speed((seconds, expected) for seconds, expected in pairs if seconds and expected)
     left = [_known_left(group, float(np.mean(shares)) if shares else 1.0, speed) for group in groups]
     means = [
         (group.seconds + sum(chunks)) / (group.ended_chunks + len(chunks))
@@ -191,22 +220,19 @@ def _seconds_left(groups: Sequence[GroupProgress]) -> list[list[float]]:
 def _known_left(group: GroupProgress, usual_share: float, speed: float) -> list[float]:
     """Time that each chunk of a group still takes; empty if nothing tells.
 
-    The chunks are taken to need as long for each run as those that have ended, or as in an earlier sweep:
-    early episodes are often longer than late ones, and the last runs may need many more than the others. The
-    further a chunk has come, the more its own pace counts.
+    The chunks are taken to need as long for each run as those that have ended, or as expected: early episodes
+    are often longer than late ones, and the last runs may need many more than the others. The further a chunk
+    has come, the more its own pace counts.
 
     Args:
         group: The group.
         usual_share: Mean number of advances of a run, as a share of the most, if no run has ended.
-        speed: How many times as long as in earlier sweeps runs take; the fewer of them have ended, the
-            closer to 1.
+        speed: How many times as long as expected runs take.
     """
-    if not group.advances and group.remembered is None:
+    if not group.advances and group.expected_run is None:
         return []
     mean = usual_share * group.max_advances if group.mean_advances is None else group.mean_advances
-    per_run = speed * (group.remembered or 0.0)
-    if group.ended_runs:
-        per_run = group.ended_seconds / group.ended_runs
+    per_run = group.seconds_per_run or speed * (group.expected_run or 0.0)
     left = []
     for chunk in group.chunks.values():
         whole, pace = chunk.runs * per_run, chunk.seconds_per_advance or group.seconds_per_advance or 0.0

@@ -181,6 +181,7 @@ class Journal:
             "lanes_per_device": self.plan.layouts[group.index].lanes,
             "compile_seconds": sum(beat.compile_seconds.get(str(group.index), 0.0) for beat in heartbeats),
             "times": self._times_of(group),
+            "paces": self._paces_of(group),
             "latency_seconds": {str(point): each.median for point, each in latency.items()},
             "latency_range": {str(point): [each.least, each.largest] for point, each in latency.items()},
         }
@@ -197,6 +198,12 @@ class Journal:
             "ended": progress.ended,
         }
         return {name: round(at - self.planned, 1) for name, at in times.items() if at is not None}
+
+    def _paces_of(self, group: StaticGroup) -> dict[str, float]:
+        """Seconds of the compilation and of a run of a group, as far as this process has measured them."""
+        progress = self._progress.get(group.index)
+        paces = {"compilation": progress.compile_seconds, "run": progress.seconds_per_run} if progress else {}
+        return {name: float(f"{seconds:.4g}") for name, seconds in paces.items() if seconds is not None}
 
     def _states(self) -> list[tuple[Chunk, ChunkState]]:
         return [(chunk, self.state(chunk)) for chunk in self.plan.chunks]

@@ -2,13 +2,14 @@
 
 import threading
 import time
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType, TracebackType
 
 from rich.console import Console
 
 from bojax.engine.bar import Bar
-from bojax.engine.devices import of_platform
+from bojax.engine.clock import Clock
 from bojax.engine.forecast import GroupProgress, forecast
 from bojax.engine.runner import Segment
 from bojax.text import duration
@@ -29,6 +30,7 @@ class SweepProgress:
         title: Name of the sweep.
         num_runs: Number of runs of the whole sweep.
         workers: Number of chunks that run side by side on each platform.
+        clock: Measures what compilations and chunks take.
         console: Console to write to; standard error by default.
     """
 
@@ -38,11 +40,14 @@ class SweepProgress:
         num_runs: int,
         *,
         workers: Mapping[str, int] = MappingProxyType({"cpu": 1}),
+        clock: Clock | None = None,
         console: Console | None = None,
     ):
         self._bar = Bar(title, num_runs, console or Console(stderr=True, highlight=False))
         self._num_runs = num_runs
         self._workers = workers
+        self._clock = clock or Clock()
+        self._advanced = defaultdict(float)  # wall time of segments, by platform
         self._start = self._shown = time.monotonic()
         self._groups: list[GroupProgress] = []
         self._runs_done = 0
@@ -73,6 +78,7 @@ class SweepProgress:
     def compiling(self, group: GroupProgress) -> None:
         """Report that the compilation of a group has started."""
         with self._lock:
+            self._note()
             group.compiling_since = time.monotonic()
             if not self._bar.is_live:
                 self.say(f"compiling {group.name} ...")
@@ -81,7 +87,9 @@ class SweepProgress:
     def compiled(self, group: GroupProgress, seconds: float) -> None:
         """Report that the compilation of a group has ended."""
         with self._lock:
-            group.compile_seconds, group.compiled = seconds, time.monotonic()
+            self._note()
+            start, group.compiled = group.compiling_since, time.monotonic()
+            group.compile_seconds = self._clock.between(start or group.compiled, group.compiled)
             self.say(f"compiled {group.name} in {seconds:.1f} s")
             self._show()
 
@@ -92,32 +100,38 @@ class SweepProgress:
     def segment(self, group: GroupProgress, chunk: int, segment: Segment) -> None:
         """Report that a segment of a chunk has ended."""
         with self._lock:
+            self._note()
+            now = group.ended = time.monotonic()
+            start = now - segment.seconds
+            seconds = self._clock.between(start, now)
+            self._advanced[group.platform] += segment.seconds
             group.finished += segment.finished
             group.lane_advances += segment.lane_advances
-            group.seconds += segment.seconds
+            group.seconds += seconds
             group.advances += segment.advances
             state = group.chunks[chunk]
             state.lanes, state.live, state.waiting = segment.lanes, segment.live, segment.waiting
             state.advances_left = segment.advances_left
-            state.seconds_per_advance = segment.seconds / max(1, segment.advances)
-            state.seconds += segment.seconds
+            state.seconds_per_advance = seconds / max(1, segment.advances)
+            state.seconds += seconds
             self._runs_done += segment.finished
             self._steps += segment.active_steps
             self._issued += segment.issued_steps
-            now = group.ended = time.monotonic()
             if group.begun is None:
-                group.begun = now - segment.seconds
-            self._recent.append((now - segment.seconds, now, segment.active_steps))
+                group.begun = start
+            self._recent.append((start, now, segment.active_steps))
             self._show()
 
     def end_chunk(self, group: GroupProgress, chunk: int) -> None:
         """Report that a chunk has ended or failed."""
         with self._lock:
+            self._note()
             group.end(chunk)
 
     def tick(self) -> None:
         """Show the progress if it has not been shown for a while: the time left changes meanwhile."""
         with self._lock:
+            self._note()
             if time.monotonic() - self._shown >= TICK_SECONDS:
                 self._show()
 
@@ -130,7 +144,7 @@ class SweepProgress:
         compiling = sum(1 for group in self._groups if group.chunks and group.compile_seconds is None)
         if compiling:
             text += f", {compiling} of {len(self._groups)} programs to compile"
-        left = forecast(self._groups, now=time.monotonic(), workers=self._workers)
+        left = forecast(self._groups, now=time.monotonic(), workers=self._workers, clock=self._clock)
         return text if left is None else f"{text}, {duration(left.seconds)} left"
 
     def describe_times(self) -> str:
@@ -143,10 +157,17 @@ class SweepProgress:
                 compiled = f"the last program was compiled after {duration(max(ends) - self._start)}"
             busy = []
             for platform, number in self._workers.items():
-                seconds = sum(group.seconds for group in of_platform(self._groups, platform))
+                seconds = self._advanced[platform]
                 where = f"on the {platform} " if len(self._workers) > 1 else ""
                 busy.append(f"{where}{seconds / (passed * number):.0%} of the time")
             return f"ran for {duration(passed)}: {compiled}, runs advanced {', '.join(busy)}"
+
+    def _note(self) -> None:
+        """Note how many threads were busy: with compilations, or with chunks whose programs are there."""
+        waiting = [group for group in self._groups if group.compile_seconds is None]
+        compiling = sum(1 for group in waiting if group.compiling_since is not None)
+        ready = sum(len(group.chunks) for group in self._groups if group.compile_seconds is not None)
+        self._clock.note(compiling + min(ready, sum(self._workers.values())))
 
     def _rate(self) -> float:
         """Steps per second of the last segments."""

@@ -4,6 +4,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 
 from bojax.engine.chunks import Chunk
+from bojax.engine.clock import Clock
 from bojax.engine.devices import Device, of_platform, workers_of
 from bojax.engine.execute import GroupTask
 from bojax.engine.progress import SweepProgress
@@ -47,6 +48,7 @@ def tasks_of(
                 limits=Limits(engine.segment_seconds, engine.checkpoint_seconds, stop),
                 share=share,
                 recorded_runs=plan.sweep.record.runs,
+                config=plan.content["points"][group.points[0]]["config"],
             )
         )
     return tasks
@@ -76,10 +78,12 @@ def progress_of(
     side_by_side = {device.platform: len(of_platform(set(workers), device.platform)) for device in workers}
     if "cpu" in side_by_side:  # workers of an accelerator take turns
         side_by_side["cpu"] = len(of_platform(workers, "cpu"))
+    shares_cores = all(task.platform == "cpu" and not task.is_exclusive for task in tasks)
     progress = SweepProgress(
         f"{len(shares)} sweeps" if len(shares) > 1 else shares[0].plan.sweep.name,
         num_runs,
         workers=side_by_side,
+        clock=Clock(shares_cores=shares_cores),
     )
     progress.add([task.progress for task in tasks], runs_done=num_runs - waiting)
     return progress

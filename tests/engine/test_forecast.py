@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
+from bojax.engine.clock import Clock
 from bojax.engine.forecast import CHUNK, COMPILATION, LONGER, ChunkProgress, GroupProgress, forecast
 
 PACE = 0.5
 """Seconds of an advance."""
 
-USUAL = {"now": 0.0, "workers": {"cpu": 1}}
+USUAL = {"now": 0.0, "workers": {"cpu": 1}, "clock": Clock()}
 
 
 def simulate(lengths: np.ndarray, lanes: int, most: int):
@@ -114,32 +115,34 @@ def test_a_group_that_runs_counts_with_what_it_still_takes():
 
 def test_a_device_waits_for_the_programs():
     """Two groups of 5 s, ready after 0 and 12 s; then one of which two chunks run side by side."""
-    options = {"remembered": 5.0, "platform": "gpu"}
+    options = {"expected_run": 5.0, "platform": "gpu"}
     late = waiting(compiling_since=12.0 - COMPILATION, **options)
     groups = [waiting(compile_seconds=1.0, **options), late]
     for workers, chunks, expected in ((1, 1, 17.0), (1, 4, 20.0 + 5.0), (2, 2, 17.0)):
-        groups[0] = waiting(chunks=chunks, compile_seconds=1.0, **options)
-        found = forecast(groups, now=0.0, workers={"gpu": workers})
+        groups[0] = waiting(chunks=chunks, compile_seconds=COMPILATION, **options)
+        found = forecast(groups, now=0.0, workers={"gpu": workers}, clock=Clock())
         assert found is not None and found.seconds == pytest.approx(expected)
 
 
 def test_platforms_run_side_by_side():
     for seconds, expected in ((3.0, 4.0), (5.0, 5.0)):  # of the CPU, then of the GPU
         groups = [
-            waiting(platform="gpu", compile_seconds=1.0, compiling_since=-1.0, remembered=seconds),
-            waiting(platform="cpu", compile_seconds=1.0, remembered=2.0),
-            waiting(platform="cpu", compile_seconds=1.0, remembered=4.0),
+            waiting(platform="gpu", compile_seconds=1.0, compiling_since=-1.0, expected_run=seconds),
+            waiting(platform="cpu", compile_seconds=1.0, expected_run=2.0),
+            waiting(platform="cpu", compile_seconds=1.0, expected_run=4.0),
         ]
-        found = forecast(groups, now=0.0, workers={"gpu": 1, "cpu": 8})
+        found = forecast(groups, now=0.0, workers={"gpu": 1, "cpu": 8}, clock=Clock())
         assert found is not None and found.seconds == pytest.approx(expected)
 
 
 def test_a_run_is_taken_to_last_as_in_an_earlier_sweep():
-    group = waiting(chunks=2, compile_seconds=1.0, compiling_since=-1.0, remembered=6.0)
+    group = waiting(chunks=2, compile_seconds=1.0, compiling_since=-1.0, expected_run=6.0)
     found = forecast([group], **USUAL)
     assert found is not None and found.seconds == pytest.approx(12.0)
-    # Half of the time as remembered has passed, in three times as long: the rest takes twice as long.
-    found = forecast([ended(18.0, compiling_since=-1.0, remembered=6.0), waiting(remembered=6.0)], **USUAL)
+    # Half of the time as expected_run has passed, in three times as long: the rest takes twice as long.
+    found = forecast(
+        [ended(18.0, compiling_since=-1.0, expected_run=6.0), waiting(expected_run=6.0)], **USUAL
+    )
     assert found is not None and found.seconds - found.compiling == pytest.approx(12.0)
 
 
@@ -171,7 +174,7 @@ def ratios(recorded, earlier, shares):
         groups = []
         for name, (compiling, compiled, begun, end) in recorded.items():
             group = waiting(name, platform="gpu", compiling_since=compiling)
-            group.remembered = None if earlier is None else earlier[name][3] - earlier[name][2]
+            group.expected_run = None if earlier is None else earlier[name][3] - earlier[name][2]
             if compiled <= now:
                 group.compiled, group.compile_seconds = compiled, compiled - compiling
             if end <= now:
@@ -179,7 +182,7 @@ def ratios(recorded, earlier, shares):
                 group.seconds, group.advances = end - begun, 10
                 group.end(0)
             groups.append(group)
-        found = forecast(groups, now=now, workers={"gpu": 1})
+        found = forecast(groups, now=now, workers={"gpu": 1}, clock=Clock())
         assert found is not None
         yield found.seconds / (total - now)
 

@@ -1,12 +1,15 @@
 """Progress reports the runs done and the time left, without flooding a log."""
 
 import io
+from functools import partial
 
+import numpy as np
 import pytest
 from rich.console import Console
 
 from bojax.engine import progress
-from bojax.engine.forecast import ChunkProgress, GroupProgress
+from bojax.engine.clock import Clock
+from bojax.engine.forecast import ChunkProgress, GroupProgress, forecast
 from bojax.engine.progress import SweepProgress
 from bojax.engine.runner import Segment
 from bojax.text import duration
@@ -122,6 +125,61 @@ def test_the_time_of_compilation_is_told_even_if_none_has_ended(clock):
     shown.segment(group, 0, segment(seconds=3.0))
     told = "ran for 12 s: the last program was compiled after 9 s, runs advanced 25% of the time"
     assert shown.describe_times() == told
+
+
+# The first sweep of Fig. 4.6 on two cores of which other processes took three quarters: for each group its
+# runs, and what its compilation and a run take on a reference machine; then compilations (True when one has
+# ended) and chunks (their wall time); and the processor time of the process, every 5 s.
+PARKING = {
+    "sbo": (200, 13.6, 0.0164),
+    "gps-abt": (200, 17.4, 0.0499),
+    "kcbts": (100, 10.7, 0.0429),
+    "random": (100, 7.8, 0.0009),
+}
+EVENTS = [
+    *[(0.0, "sbo", False), (0.0, "gps-abt", False), (45.8, "sbo", True), (45.8, "kcbts", False)],
+    *[(47.1, "sbo", 1.25), (47.4, "sbo", 1.46), (49.3, "sbo", 2.05), (49.9, "sbo", 2.34)],
+    *[(50.1, "gps-abt", True), (50.1, "random", False), (58.1, "gps-abt", 7.85), (58.3, "gps-abt", 7.94)],
+    *[(73.0, "gps-abt", 14.31), (73.5, "gps-abt", 14.88), (90.7, "random", True)],
+    *[(90.8, "random", 0.05), (90.9, "random", 0.02), (90.9, "random", 0.05), (90.9, "random", 0.01)],
+    *[(93.1, "kcbts", True), (95.0, "kcbts", 1.92), (95.9, "kcbts", 2.78), (97.6, "kcbts", 2.45)],
+    (97.7, "kcbts", 1.74),
+]
+USED = [0.0, 2.5, 4.9, 7.4, 10.5, 13.9, 17.1, 20.2, 23.2, 26.6, 31.0]
+USED += [34.0, 36.7, 39.2, 41.8, 44.3, 46.9, 49.4, 52.0, 54.5, 57.0]
+
+
+def test_the_first_sweep_on_a_busy_machine_is_forecast_within_a_factor_of_two(clock, monkeypatch):
+    start, end = clock.now, EVENTS[-1][0]
+    used = partial(np.interp, xp=5.0 * np.arange(len(USED)), fp=USED)
+    monkeypatch.setattr(progress.time, "process_time", lambda: used(clock.now - start))
+    monkeypatch.setattr("bojax.engine.clock.usable_cores", lambda: 2)
+    shown, _ = make(workers={"cpu": 2}, clock=Clock(shares_cores=True))
+    groups = {}
+    for name, (runs, compilation, run) in PARKING.items():
+        chunks = {i: ChunkProgress(16, 16, 16, 0, 15, runs=runs // 4) for i in range(4)}
+        groups[name] = GroupProgress(name, 15, chunks, expected_compilation=compilation, expected_run=run)
+    shown.add([*groups.values()])
+    ratios, events = [], list(EVENTS)
+    for now in np.linspace(0.02, 0.98, 49) * end:
+        while events and events[0][0] <= now:
+            at, name, what = events.pop(0)
+            clock.now = start + at
+            if what is False:
+                shown.compiling(groups[name])
+            elif what is True:
+                shown.compiled(groups[name], 1.0)
+            else:
+                chunk = next(iter(groups[name].chunks))
+                done = segment(finished=PARKING[name][0] // 4, live=0, advances_left=0, seconds=what)
+                shown.segment(groups[name], chunk, done)
+                shown.end_chunk(groups[name], chunk)
+        clock.now = start + now
+        shown.tick()
+        found = forecast(shown._groups, now=clock.now, workers={"cpu": 2}, clock=shown._clock)
+        assert found is not None
+        ratios.append(found.seconds / (end - now))
+    assert 0.5 < min(ratios[5:46]) and max(ratios[5:46]) < 2.0  # from a tenth to nine tenths of the time
 
 
 def test_a_terminal_gets_a_bar(clock):

@@ -1,0 +1,78 @@
+"""Makes the file of what groups of runs take on reference machines, for the forecast of the time left.
+
+Reads the manifests of results folders. Of several experiments of the same kind, the geometric mean counts,
+without compilations that were so short that the programs came from the cache.
+"""
+
+import argparse
+import json
+import sys
+from collections import defaultdict
+from collections.abc import Sequence
+from pathlib import Path
+
+from scipy.stats import gmean
+
+from bojax.engine.paces import REFERENCE, cost_of_run, kind_and_size
+from bojax.results.store import MANIFEST
+
+CACHED = 0.25
+"""A compilation that takes less than this share of the longest one of its kind was none."""
+
+EXAMPLES = """\
+  BOJAX_CACHE=/tmp/new bojax reproduce all --out results/cpu
+  python benchmarks/reference_paces.py results/cpu/* results/gpu/*
+"""
+
+
+def main(argv: Sequence[str]) -> int:
+    """Write the file."""
+    parser = argparse.ArgumentParser(
+        description=(__doc__ or "").split("\n")[0],
+        epilog=f"examples:\n{EXAMPLES}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="results folders")
+    args = parser.parse_args(argv)
+    compilations, runs = defaultdict(list), defaultdict(list)
+    for folder in args.folders:
+        manifest = json.loads((folder / MANIFEST).read_text())
+        platform = manifest["device"]["platform"]
+        for group, layout in zip(manifest["groups"], manifest["plan"]["layouts"], strict=True):
+            widths = layout["widths"]
+            paces = paces_of(group, platform, len(group["points"]) * manifest["runs"], len(widths))
+            if paces is None:
+                continue
+            kind, size = kind_and_size(manifest["points"][group["points"][0]]["config"])
+            compilations[platform, kind].append(paces["compilation"])
+            cost = cost_of_run(platform, widths[0], layout["queue"])
+            runs[platform, kind, size].append(paces["run"] / cost)
+    made: dict[str, dict[str, list]] = {}
+    for (platform, kind, size), seconds in sorted(runs.items()):
+        found = compilations[platform, kind]
+        anew = [each for each in found if each > CACHED * max(found)]
+        entry = [size, *(float(f"{gmean(each):.3g}") for each in (anew, seconds))]
+        made.setdefault(platform, {}).setdefault(kind, []).append(entry)
+    lines = [
+        f'"{platform}": {{\n'
+        + ",\n".join(f"{json.dumps(kind)}: {each}" for kind, each in kinds.items())
+        + "\n}"
+        for platform, kinds in made.items()
+    ]
+    REFERENCE.write_text("{\n" + ",\n".join(lines) + "\n}\n")
+    return 0
+
+
+def paces_of(group: dict, platform: str, runs: int, programs: int) -> dict[str, float] | None:
+    """Seconds of the compilation and of a run of a group; None if one is not known.
+
+    On an accelerator, which threads do not share, manifests without `paces` will do.
+    """
+    found = group.get("paces", {})
+    if platform != "cpu" and not found:
+        found = {"compilation": group["compile_seconds"] / programs, "run": group["run_seconds"] / runs}
+    return found if all(found.get(name, 0.0) > 0.0 for name in ("compilation", "run")) else None
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
