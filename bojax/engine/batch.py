@@ -129,7 +129,7 @@ class Programs:
         self.max_advances = run.max_advances
         self._recorded_tables, self._num_recorded = run.recorded_tables, min(recorded, num_lanes)
         self._prepare(run)
-        key = executables.key_of(self._group, device, type(self), num_lanes, self._num_recorded, wider)
+        key = self.key_of(self._group, device, num_lanes, self._num_recorded, wider)
         start = time.perf_counter()
         self.is_saved = False
         if found := executables.load(key, device):
@@ -150,6 +150,13 @@ class Programs:
                 self.is_saved = executables.save(key, self._programs, carry)
         executables.hold(key, device, (self._programs, carry))
         self.carry_structure = self._on_device(carry)
+
+    @classmethod
+    def key_of(
+        cls, group: StaticGroup, device: Device, num_lanes: int, recorded: int, wider: int | None
+    ) -> str | None:
+        """Name under which the programs are saved; None if they are not."""
+        return executables.key_of(group, device, cls, num_lanes, min(recorded, num_lanes), wider)
 
     def _prepare(self, run: Experiment) -> None:
         """Prepare what a subclass needs of the first run."""

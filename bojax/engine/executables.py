@@ -140,6 +140,12 @@ def load(key: str | None, device: Device) -> Programs | None:
     return loaded, structure
 
 
+def is_saved(key: str | None) -> bool:
+    """Whether there are programs under a key."""
+    folder = folder_of("programs")
+    return key is not None and folder is not None and (folder / key).exists()
+
+
 def save(key: str, programs: Mapping[str, Compiled], structure: PyTree[jax.ShapeDtypeStruct]) -> bool:
     """Save the programs of a group and the structure of its carry; False if that is not possible."""
     folder = folder_of("programs")

@@ -10,7 +10,7 @@ from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from bojax.engine import paces
+from bojax.engine import executables, paces
 from bojax.engine.ahead import POLL_SECONDS, Ahead, Stopped
 from bojax.engine.batch import Functions, Programs
 from bojax.engine.chunks import Chunk, Layout
@@ -47,6 +47,9 @@ With Python's 5 ms, a worker waits so long behind tracing after each call of a p
 
 LOOK_EVERY = 10.0
 """Time between two looks at the chunks of other processes, in durations of a look."""
+
+LOADING = 1.0
+"""Seconds in which programs are loaded that an earlier sweep has compiled, for the forecast."""
 
 PATIENCE = 10.0
 """Seconds after a requested stop after which chunks that still run are named."""
@@ -116,6 +119,11 @@ class GroupTask:
     def has_begun(self) -> bool:
         """Whether a chunk has been taken in this process."""
         return self.running > 0 or self.progress.advances > 0
+
+    @property
+    def kind(self) -> type[Programs]:
+        """The class of its programs."""
+        return Hosted if self.is_exclusive else Programs
 
     @property
     def is_exclusive(self) -> bool:
@@ -190,6 +198,10 @@ class _Executor:
         self._changed = threading.Condition(threading.RLock())
         self._ahead: Ahead[Any] = Ahead(compile_threads(), self._changed, self._stop)
         self._ended: queue.Queue[GroupTask] = queue.Queue()
+        for task in self._tasks:
+            lanes, device = task.layout.lanes, self._first(task)
+            if executables.is_saved(task.kind.key_of(task.group, device, lanes, task.recorded, None)):
+                task.progress.expected_compilation = LOADING
         self._request_ahead()
         self._workers = [threading.Thread(target=self._work, args=(device,)) for device in workers]
         for worker in self._workers:
@@ -227,9 +239,13 @@ class _Executor:
         for task in self._tasks:
             if left[task.platform] > 0 and (task.chunks or task.running):
                 left[task.platform] -= len(task.layout.widths)
-                devices = self._devices_of(task)
                 for width in task.layout.widths:
-                    self._request(task, devices[self._ranks[task] % len(devices)], width)
+                    self._request(task, self._first(task), width)
+
+    def _first(self, task: GroupTask) -> Device:
+        """The device for which a group is compiled first."""
+        devices = self._devices_of(task)
+        return devices[self._ranks[task] % len(devices)]
 
     def _devices_of(self, task: GroupTask) -> list[Device]:
         """The devices on which a group may run."""
@@ -266,9 +282,8 @@ class _Executor:
         is_first = width == task.layout.lanes
         if is_first and not is_compiled:
             self._progress.compiling(task.progress)
-        kind = Hosted if task.experiment.is_hosted else Programs
         wider = min((each for each in task.layout.widths if each > width), default=None)
-        programs = kind(task.functions, device, width, task.seed, recorded=task.recorded, wider=wider)
+        programs = task.kind(task.functions, device, width, task.seed, recorded=task.recorded, wider=wider)
         if is_first and not is_compiled:
             self._progress.compiled(task.progress, programs.compile_seconds)
         with self._changed:  # a compilation may end after the sweep has ended

@@ -308,6 +308,7 @@ def test_what_a_run_took_is_remembered_by_the_next_sweep(tmp_path, monkeypatch):
         assert run_sweep(sweep, tmp_path / name) == 0
     first, second = made
     assert second.expected_run == pytest.approx(first.seconds_per_run, rel=1e-4)
+    assert first.expected_compilation > execute.LOADING == second.expected_compilation
     rows = [(tmp_path / name / "runs.parquet").read_bytes() for name in ("first", "second")]
     assert rows[0] == rows[1]
 
