@@ -138,6 +138,7 @@ class Programs:
             self.compile_seconds = time.perf_counter() - start
         else:
             with TRACING:
+                executables.drop_damaged(functions.tag)
                 start = time.perf_counter()
                 lowered, carry = self._lower(wider)
                 traced = time.perf_counter() - start

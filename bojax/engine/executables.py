@@ -155,7 +155,12 @@ def save(key: str, programs: Mapping[str, Compiled], structure: PyTree[jax.Shape
         content = pickle.dumps(({name: _serialized(each) for name, each in programs.items()}, structure))
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=folder, delete=False) as file:
-            file.write(hashlib.sha256(content).digest() + content)
+            try:
+                file.write(hashlib.sha256(content).digest() + content)
+                file.flush()
+            except OSError:  # a full disk must not be filled further
+                os.unlink(file.name)
+                raise
         os.replace(file.name, folder / key)
         drop_unused(folder)
     except Exception:  # a program with callbacks, a full disk: the next sweep compiles again
@@ -217,6 +222,41 @@ class _Unpickler(pickle.Unpickler):
         options.device_assignment = xla_client.DeviceAssignment.create(np.asarray([[self._device.id]]))
         devices = xla_client.DeviceList((self._device,))
         return self._device.client.deserialize_executable(*content, devices, options)
+
+
+def drop_damaged(tag: str) -> None:
+    """Delete the entries of a group in JAX's cache if one of them is damaged; once in a process.
+
+    JAX writes an entry in place and never replaces it. One that a full disk or a kill has cut short would
+    cost a warning and a compilation in every later sweep. The other entries go too, so that all programs
+    of the group are compiled anew and can be saved together.
+
+    Args:
+        tag: The `tag_of` the group.
+    """
+    folder = folder_of("")
+    if folder is None or (folder, tag) in checked:
+        return
+    checked.add((folder, tag))
+    try:
+        # Imported here, since it may move: then nothing is checked.
+        from jax._src.compilation_cache import (  # pyright: ignore[reportPrivateImportUsage]
+            decompress_executable,
+        )
+
+        entries = list(folder.glob(f"jit_*_{tag}-*-cache"))
+        try:
+            for entry in entries:
+                decompress_executable(entry.read_bytes())
+        except Exception:  # of the library that compresses
+            for entry in entries:
+                entry.unlink(missing_ok=True)
+    except (ImportError, OSError):
+        return
+
+
+checked: set[tuple[Path, str]] = set()
+"""Folders and tags that `drop_damaged` has seen in this process."""
 
 
 @contextlib.contextmanager

@@ -1,10 +1,12 @@
 """Programs come back from the cache untraced, with the same bits; what may change unseen is not cached."""
 
 import contextlib
+import errno
 import os
 import shutil
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 
@@ -121,6 +123,40 @@ def test_programs_of_jax_s_cache_are_not_saved(cache):
     assert len(files(cache)) == 1
     found = advanced(programs_of(group_of()))
     np.testing.assert_array_equal(found[0]["success"], expected[0]["success"])
+
+
+def test_a_damaged_entry_of_jax_is_compiled_anew_and_replaced(cache):
+    # A full disk, or a kill at the wrong moment: JAX warns of such an entry, but never replaces it.
+    programs_of(group_of())
+    (path,) = files(cache)
+    path.unlink()
+    (entry,) = cache.parent.glob("jit_advance_*-cache")
+    os.truncate(entry, 100)
+    executables.checked.clear()  # as in a new process
+    jax.clear_caches()
+    programs_of(group_of())
+    assert entry.stat().st_size > 100
+    assert files(cache) == [path]  # all programs were compiled together
+
+
+def test_a_full_disk_leaves_no_part_of_an_entry(cache, monkeypatch):
+    class Full:
+        def __init__(self, file):
+            self.name, self._file = file.name, file
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            self._file.close()
+
+        def write(self, content):
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    make = tempfile.NamedTemporaryFile
+    monkeypatch.setattr(tempfile, "NamedTemporaryFile", lambda **given: Full(make(**given)))
+    assert not executables.save("key", {}, None)
+    assert not list(cache.iterdir())
 
 
 def test_programs_that_are_held_are_neither_traced_nor_read(cache, monkeypatch):
