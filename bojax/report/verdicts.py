@@ -41,6 +41,10 @@ class TestEntry(Part):
 
     kind: Any = None
     share: Any = None
+    column: Any = None
+    window: Any = None
+    to: Any = None
+    greater: Any = None
     method: str = ""
     reason: str = ""
     comparisons: list[ComparisonEntry] = []
@@ -97,8 +101,13 @@ class TestedClaim(Part):
     @property
     def stand_ins(self) -> list[str]:
         """A sentence, without its full stop, for each label that one of several variants represents."""
+        test = self.test
+        extreme = "least" if test.kind == "order" and test.greater is None else "greatest"
+        # The rule is that of `stand_ins` of `bojax.report.claims.samples`.
+        is_own = test.kind == "order" or isinstance(test.window or test.to, dict)
+        column = test.column if is_own else "return"
         return [
-            f"{label} is represented by {variant}, the variant with the best mean"
+            f"{label} is represented by {variant}, the variant with the {extreme} mean {column}"
             for label, variant in self.test.chosen.items()
             if variant != label
         ]

@@ -9,6 +9,7 @@ import pytest
 
 from bojax.config import claims as schemas
 from bojax.config.component import registry
+from bojax.report import verdicts
 from bojax.report.claims.evaluate import evaluate
 from bojax.report.claims.samples import MIN_RUNS
 from bojax.report.source import load
@@ -60,6 +61,21 @@ def test_the_best_variant_stands_for_a_label(entries):
     assert entries["order-holds"]["test"]["chosen"] == {"sbo": "sbo-9"}
     # 9 of 20 runs of sbo-9 park, 5 of 20 of sbo-5.
     assert entries["share-open"]["ours"] == pytest.approx(0.45)
+
+
+@pytest.mark.parametrize(
+    ("id", "test", "words"),
+    [
+        ("order-holds", {}, "greatest mean return"),
+        ("order-holds", {"greater": None, "less": ["sbo", "kcbts"], "column": "rmse"}, "least mean rmse"),
+        ("share-open", {}, "greatest mean return"),
+        ("share-open", {"window": {"from": 1, "to": 3}, "column": "length"}, "greatest mean length"),
+    ],
+)
+def test_the_page_says_by_what_a_variant_was_chosen(entries, id, test, words):
+    entry = {**entries[id], "test": {**entries[id]["test"], **test}}
+    (sentence,) = verdicts.TestedClaim.model_validate(entry).stand_ins
+    assert sentence == f"sbo is represented by sbo-9, the variant with the {words}"
 
 
 def test_a_variant_can_be_named_itself(folder, tmp_path):
