@@ -25,6 +25,7 @@ def render(
     most = max(results.runs_of(point)["run"].size for point in results.points)
     groups = f" The bootstrap resamples {statistics.resampled(most)}." if most > statistics.GROUPS else ""
     common, own = tables.settings(results)
+    speeds = tables.speeds(results)
     return fill(
         "report.html.j2",
         title=results.manifest.title,
@@ -38,7 +39,8 @@ def render(
         outcomes=tables.outcomes(results),
         ratios=tables.ratios(results),
         has_thesis=bool(results.report.thesis),
-        speeds=tables.speeds(results),
+        speeds=speeds,
+        has_latency=speeds is not None and tables.LATENCY in speeds.headings,
         is_learning=any(point.is_learning for point in results.points),
         resampling=groups,
         common=common,

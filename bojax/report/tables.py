@@ -19,6 +19,9 @@ MAX_RANKED = 500  # most points in the table of ranks
 BY_STEP = 6
 """Step by which early success is counted unless `report.by_step` is given (thesis, p. 100)."""
 
+LATENCY = "latency at batch 1"
+"""Heading of the column of `speeds` that only a sweep with `engine.latency` has."""
+
 
 @dataclass(frozen=True)
 class Cell:
@@ -176,7 +179,7 @@ def count_nan_runs(results: Results, point: Point) -> int:
 def speeds(results: Results) -> Table | None:
     """One row per static group of the manifest; None where it has no timings.
 
-    The latency of a group is that of its points at batch 1.
+    The latency of a group is that of its points at batch 1. Without `engine.latency` there is no such column.
     """
     points = {point.index: point for point in results.points}
     unit = ["steps (plans) per second", "search iterations per second"]
@@ -202,7 +205,9 @@ def speeds(results: Results) -> Table | None:
         names = ", ".join(point.name for point in members)
         name = names if len(members) <= 3 else f"{len(members)} settings"
         rows.append((name, [Cell(text) for text in texts]))
-    headings = ["latency at batch 1", "lanes per device", "steps in all", *unit, "run", "compile"]
+    headings = [LATENCY, "lanes per device", "total steps", *unit, "run", "compile"]
+    if all(cells[0].text == MISSING for _, cells in rows):  # not measured
+        headings, rows = headings[1:], [(name, cells[1:]) for name, cells in rows]
     return Table(headings, rows) if rows else None
 
 

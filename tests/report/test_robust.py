@@ -161,7 +161,16 @@ def test_a_label_is_not_said_to_stand_for_itself(tmp_path):
     edit_manifest(folder, rename)
     text = build_report(folder).read_text()
     assert "sbo is represented by sbo" not in text
-    assert "variant with the best mean" not in text
+    assert "variant with the" not in text
+
+
+def test_without_latencies_the_page_does_not_speak_of_them(tmp_path):
+    folder = write_results(tmp_path / "results", runs=4, recorded=0, report=ONE)
+    text = build_report(folder).read_text()
+    assert "Latency and throughput" in text and "latency at batch 1" in text
+    edit_manifest(folder, lambda m: [group.pop("latency_seconds") for group in m["groups"]])
+    text = build_report(folder).read_text()
+    assert "Throughput" in text and "atency" not in text
 
 
 def test_variants_of_a_label_differ_in_colour():
