@@ -30,7 +30,8 @@ def draw(results: Results) -> Drawing:
         raise Undrawable(f"runs.parquet has none of {', '.join(MEASURES)}")
     reference = results.reference
     ratios = [column for column in columns if any(results.thesis_ratio(point, column) for point in points)]
-    figure, grid = dot_plot(points, 2 if ratios else 1, len(columns), ticks=3)
+    # Labels of more ticks would touch each other in a third of the width.
+    figure, grid = dot_plot(points, 2 if ratios else 1, len(columns), ticks=3 if len(columns) < 3 else 2)
     told = []
     for axes, column in zip(grid[0], columns, strict=True):
         means = [mean_interval(results.runs_of(point)[column]) for point in points]
