@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from bojax.report.drawing.base import Undrawable
+from bojax.report.drawing.curves import Curve
 from bojax.report.figures.settings_ import _short, curves_and_panels, marginals
+from bojax.report.figures.sweep_curve import readable
 from bojax.report.source import distinct_names, short_value, swept_values
 from tests.report.synthetic import point_of
 
@@ -34,6 +36,24 @@ def test_named_axes_are_curves_and_lists_are_panels():
     assert swept_values(points, "planner.depth") == [2, 3]
 
 
+def test_of_many_named_points_the_last_names_are_a_panel():
+    swept = [
+        {"planner": f"p-{i}", "problem.walls": f"w-{j}", "planner.kappa": kappa}
+        for i in range(5)
+        for j in range(3)
+        for kappa in (1.0, 2.0)
+    ]
+    points = [
+        point_of(index, "sbo", f"{each['planner']}/{each['problem.walls']}", each)
+        for index, each in enumerate(swept)
+    ]
+    curves, panels = curves_and_panels(points)
+    assert curves == [each["planner"] for each in swept]
+    assert panels == ["problem.walls", "planner.kappa"]
+    few = [point for point in points if point.swept["planner"] in ("p-0", "p-1")]
+    assert len(set(curves_and_panels(few)[0])) == 6
+
+
 def test_a_sweep_of_names_alone_has_no_such_figure():
     points = [point_of(0, "sbo", "a", {"planner": "a"})]
     with pytest.raises(Undrawable, match="no list"):
@@ -49,3 +69,16 @@ def test_a_list_is_told_by_its_number_in_the_sweep():
     points = [point_of(i, "sbo", "a", {"walls": [[i, 0.5]], "length": 2.0}) for i in range(2)]
     assert distinct_names(points) == ["a, walls no. 1", "a, walls no. 2"]
     assert short_value(points, "length", 2.0) == 2.0
+
+
+@pytest.mark.parametrize(("is_least", "kept", "word"), [(False, 12, "greatest"), (True, 0, "least")])
+def test_of_many_curves_the_best_of_each_label_is_drawn(is_least, kept, word):
+    values = np.zeros((4, 2))
+    curves = [
+        Curve(point_of(i, "sbo" if i < 13 else "random", f"v-{i}"), np.arange(2.0), values + i)
+        for i in range(14)
+    ]
+    assert readable(curves[:12], is_least=is_least) == (curves[:12], "")
+    found, note = readable(curves, is_least=is_least)
+    assert found == [curves[kept], curves[13]]
+    assert note == f" Of 14 settings, the one with the {word} mean of each label is drawn."

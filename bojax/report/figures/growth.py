@@ -18,7 +18,7 @@ _FITTED: dict[str, Any] = {"color": style.INK, "linewidth": 1.1, "linestyle": (0
 
 def draw(results: Results) -> Drawing:
     """The curves of `sweep-curve` with the nearest law of growth, on linear and on logarithmic axes."""
-    panel, over, column = swept_panel(results)
+    panel, over, column, note = swept_panel(results)
     laws = [(curve, law) for curve in panel.curves if (law := nearest_law(curve)) is not None]
     if not laws:
         raise Undrawable("a law of growth needs positive means at four values or more")
@@ -43,6 +43,7 @@ def draw(results: Results) -> Drawing:
         "Below: the same on logarithmic axes, where a power law is a straight line whose slope is its "
         "exponent, and an exponential bends upwards. Dotted: the nearest of the linear, quadratic and "
         f"exponential laws: {fits}.",
+        note,
     )
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from bojax.report import style
-from bojax.report.drawing.base import Drawing, Undrawable, label_panels, panel_grid
+from bojax.report.drawing.base import MAX_POINTS, Drawing, Undrawable, label_panels, panel_grid
 from bojax.report.ranking import measure_of
 from bojax.report.source import Point, Results, short_value, swept_keys, swept_values
 from bojax.report.text import is_number, number
@@ -14,6 +14,8 @@ from bojax.report.text import is_number, number
 RANK = 170
 
 MAX_PANELS = 8
+
+MOST_LETTERS = 48  # letters that fit side by side below the panels
 
 
 def draw(results: Results) -> Drawing:
@@ -24,7 +26,9 @@ def draw(results: Results) -> Drawing:
     means = np.array([measure.values(results.runs_of(point)).mean() for point in points])
     if not np.isfinite(means).any():
         raise Undrawable(f"no point has a finite {measure.words}")
-    figure, grid = panel_grid(len(keys), lambda columns: 2.0, 0.8, sharey=True)
+    columns = max(1, min(3, len(curves), int(style.WIDTH / (0.5 + 0.08 * max(map(len, curves))))))
+    spare = 0.6 + 0.2 * -(-len(curves) // columns)  # with the rows of the legend
+    figure, grid = panel_grid(len(keys), lambda columns: 2.0, spare, sharey=True)
     labels = [point.label for point in points]
     for axes, key in zip(grid.flat, keys, strict=False):
         values = swept_values(points, key)
@@ -41,12 +45,16 @@ def draw(results: Results) -> Drawing:
             axes.plot(places, mean, **look, alpha=0.35)
         ticks = [_short(short_value(points, key, value)) for value in values]
         axes.set_xticks(places, ticks, fontsize=8 if len(values) > 6 else 9.5)
+        if sum(map(len, ticks)) > MOST_LETTERS / min(len(keys), 2):
+            axes.tick_params(axis="x", labelrotation=35)
+            for tick in axes.get_xticklabels():
+                tick.set(ha="right", rotation_mode="anchor")
         axes.set_title(style.wrapped(key.removeprefix("planner."), 26))
         style.quiet_grid(axes)
     label_panels(grid, None, style.wrapped(measure.words, 30))
     if len(curves) > 1:
         handles, texts = grid.flat[0].get_legend_handles_labels()
-        figure.legend(handles, texts, loc="outside lower center", ncols=min(3, len(curves)))
+        figure.legend(handles, texts, loc="outside lower center", ncols=columns)
     winner = int(np.nanargmax(measure.sign * means))
     name = points[winner].name
     return Drawing(
@@ -69,15 +77,21 @@ def marginals(
 
 
 def curves_and_panels(points: Sequence[Point]) -> tuple[list[str], list[str]]:
-    """Name of the curve of each point, and the keys of the panels: axes with names are told by the curves."""
+    """Name of the curve of each point, and the keys of the panels.
+
+    Axes with names are told by the curves. If these are too many, the last such axes get panels instead.
+    """
     swept = swept_keys(points)
     named = [
         key for key in swept if all(point.swept.get(key) in point.variant.split("/") for point in points)
     ]
-    keys = [key for key in swept if key not in named][:MAX_PANELS]
-    if not keys:
+    if len(named) == len(swept):
         raise Undrawable("the sweep has no list of values")
-    return ["/".join(str(point.swept[key]) for key in named) or point.label for point in points], keys
+    while True:
+        curves = ["/".join(str(point.swept[key]) for key in named) or point.label for point in points]
+        if not named or len(set(curves)) <= MAX_POINTS:
+            return curves, [key for key in swept if key not in named][:MAX_PANELS]
+        named.pop()
 
 
 def _short(value: Any) -> str:

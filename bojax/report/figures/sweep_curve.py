@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from bojax.report.drawing.base import Drawing, Undrawable
+from bojax.report.drawing.base import MAX_POINTS, Drawing, Undrawable
 from bojax.report.drawing.curves import Chart, Curve, Panel
+from bojax.report.ranking import ENDS
 from bojax.report.source import Point, Results, distinct_names, swept_keys, swept_values
 from bojax.report.text import heading, is_number, joined
 
@@ -14,14 +15,15 @@ RANK = 90
 
 def draw(results: Results) -> Drawing:
     """The mean of `report.column` over the swept number `report.over`."""
-    panel, over, column = swept_panel(results)
-    return Chart([panel], over, is_swept=True).drawing(f"{column} over {over}".capitalize())
+    panel, over, column, note = swept_panel(results)
+    return Chart([panel], over, is_swept=True).drawing(f"{column} over {over}".capitalize(), note=note)
 
 
-def swept_panel(results: Results) -> tuple[Panel, str, str]:
+def swept_panel(results: Results) -> tuple[Panel, str, str, str]:
     """The panel of `report.column` over `report.over`, and the names of both in words.
 
-    Without these settings, the panel is of the steps to the goal, or the return, over the only swept number.
+    Last comes a sentence for the caption if some curves are left out. Without these settings, the panel is of
+    the steps to the goal, or the return, over the only swept number.
     """
     over = _swept_number(results)
     asked = results.report.column
@@ -33,7 +35,24 @@ def swept_panel(results: Results) -> tuple[Panel, str, str]:
         raise Undrawable(f"no setting was run with several values of {over}")
     quantity = f"mean {heading(column)}"
     missing = "Hollow markers: means over only those runs that have a value."
-    return Panel(quantity, quantity, curves, missing=missing), heading(over), heading(column)
+    curves, note = readable(curves, is_least=column in ENDS)
+    return Panel(quantity, quantity, curves, missing=missing), heading(over), heading(column), note
+
+
+def readable(curves: list[Curve], *, is_least: bool) -> tuple[list[Curve], str]:
+    """The best curve of each label if there are too many to be read, and a sentence that says so."""
+    if len(curves) <= MAX_POINTS:
+        return curves, ""
+    best: dict[str, tuple[float, Curve]] = {}
+    for curve in curves:
+        mean = float(np.mean(curve.values)) * (-1 if is_least else 1)
+        mean = mean if np.isfinite(mean) else -np.inf
+        label = curve.point.label
+        if label not in best or mean > best[label][0]:
+            best[label] = mean, curve
+    extreme = "least" if is_least else "greatest"
+    note = f" Of {len(curves)} settings, the one with the {extreme} mean of each label is drawn."
+    return [curve for _, curve in best.values()][:MAX_POINTS], note
 
 
 def curves_over(results: Results, over: str, column: str) -> list[Curve]:
