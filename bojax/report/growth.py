@@ -7,7 +7,7 @@ import numpy as np
 from typing_extensions import override
 
 from bojax.report.statistics import Floats
-from bojax.report.text import number
+from bojax.report.text import minus, number
 
 Law: TypeAlias = Literal["linear", "quadratic", "exponential"]
 
@@ -40,11 +40,10 @@ class Fit:
     @override
     def __str__(self) -> str:
         """The formula of a single fit."""
-        a, b = number(float(self.a)), number(abs(float(self.b)))
-        sign = "-" if self.b < 0 else "+"
+        a, b = minus(number(float(self.a))), number(abs(float(self.b)))
         if self.law == "exponential":
-            return f"{a} exp({'-' if self.b < 0 else ''}{b} x)"
-        return f"{a} {sign} {b} x{'' if self.law == 'linear' else '²'}"
+            return f"{a} exp({minus('-') if self.b < 0 else ''}{b} x)"
+        return f"{a} {minus('-') if self.b < 0 else '+'} {b} x{'' if self.law == 'linear' else '²'}"
 
 
 def errors_of(values: Floats) -> Floats:

@@ -50,7 +50,7 @@ def test_a_decreasing_exponential_has_a_negative_rate():
     means = CURVES["exponential"](X, 40.0, -0.1)
     found = fit("exponential", X, means, 0.05 * means)
     assert float(found.b) == pytest.approx(-0.1, rel=0.01)
-    assert str(found).startswith("40.") and "exp(-0." in str(found)
+    assert str(found).startswith("40.") and "exp(\N{MINUS SIGN}0." in str(found)
 
 
 def test_the_exponent_of_a_power_law_is_found():
@@ -68,4 +68,5 @@ def test_errors_are_standard_errors_with_a_floor():
 def test_laws_are_written_with_their_coefficients():
     means = 4.0 + 3.0 * X
     assert str(fit("linear", X, means, np.ones(5))) == "4.00 + 3.00 x"
-    assert str(fit("quadratic", X, 50 - 0.1 * X**2, np.ones(5))) == "50.0 - 0.100 x²"
+    assert str(fit("quadratic", X, 50 - 0.1 * X**2, np.ones(5))) == "50.0 \N{MINUS SIGN} 0.100 x²"
+    assert str(fit("linear", X, X - 8, np.ones(5))) == "\N{MINUS SIGN}8.00 + 1.00 x"
