@@ -2,11 +2,10 @@
 
 import dataclasses
 from collections.abc import Sequence
-from pathlib import Path
 
 import yaml
 
-from bojax.cli.parser import Parser, UsageError, integer
+from bojax.cli.parser import Parser, UsageError, integer, path
 from bojax.cli.running import resolved, run
 from bojax.config.errors import dotted, printable
 from bojax.config.sweep import load_config
@@ -33,7 +32,7 @@ def main(name: str, words: Sequence[str]) -> int:
         description=_DESCRIPTION,
         examples=_EXAMPLES,
     )
-    parser.add_argument("folder", metavar="DIR", type=Path, help="results folder")
+    parser.add_argument("folder", metavar="DIR", type=path, help="results folder")
     parser.add_argument(
         "--by",
         metavar="COLUMN",
@@ -42,12 +41,14 @@ def main(name: str, words: Sequence[str]) -> int:
     )
     parser.add_argument("--confirm", type=integer, metavar="N", help="run the best point with N fresh runs")
     parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="folder of these runs (default: results/NAME-best/TIME)"
+        "--out", type=path, metavar="DIR", help="folder of these runs (default: results/NAME-best/TIME)"
     )
     parser.add_argument("--resume", action="store_true", help="resume interrupted runs of --confirm")
     args = parser.parse_intermixed_args(list(words))
     if args.confirm is None and (args.out is not None or args.resume):
         raise UsageError(f"bojax {name}: --out and --resume: allowed only with --confirm")
+    if args.confirm is not None and args.confirm < 1:
+        raise UsageError(f"bojax {name}: --confirm: got {args.confirm}; allowed: >= 1")
 
     from bojax.report.ranking import best_of, config_of, measure_of, scored
     from bojax.report.source import load
@@ -59,8 +60,11 @@ def main(name: str, words: Sequence[str]) -> int:
     best = best_of(results, measure)
     config = config_of(results, best.point)
     chosen = load_config(config, runs=args.confirm)  # a config that this version refuses is not printed
-    print(f"# {printable(best.point.name)}, the best of {len(results.points)} points in {args.folder}")
-    print(f"# {scored(measure, best)}; chosen by these same runs, so this mean is optimistic")
+    is_chosen = len(results.points) > 1
+    among = f"the best of {len(results.points)} points" if is_chosen else "the only point"
+    optimism = "; chosen by these same runs, so this mean is optimistic" if is_chosen else ""
+    print(f"# {printable(best.point.name)}, {among} in {args.folder}")
+    print(f"# {scored(measure, best)}{optimism}")
     print(yaml.safe_dump(config, sort_keys=False, allow_unicode=True), end="", flush=True)
     if args.confirm is None:
         return 0

@@ -2,9 +2,8 @@
 
 import shlex
 from collections.abc import Sequence
-from pathlib import Path
 
-from bojax.cli.parser import Parser, UsageError, integer, one_of
+from bojax.cli.parser import Parser, UsageError, integer, one_of, path
 
 _DESCRIPTION = """\
 Compare finished results on one page: curves with bands, final scores with intervals, probabilities of
@@ -30,9 +29,9 @@ def main(name: str, words: Sequence[str]) -> int:
         description=_DESCRIPTION,
         examples=_EXAMPLES,
     )
-    parser.add_argument("folders", nargs="*", metavar="DIR", type=Path, help="results folders")
+    parser.add_argument("folders", nargs="*", metavar="DIR", type=path, help="results folders")
     parser.add_argument(
-        "--csv", nargs="+", action="extend", metavar="FILE", type=Path, default=[], help="curves in CSV files"
+        "--csv", nargs="+", action="extend", metavar="FILE", type=path, default=[], help="curves in CSV files"
     )
     parser.add_argument(
         "--metric",
@@ -64,7 +63,7 @@ def main(name: str, words: Sequence[str]) -> int:
     )
     parser.add_argument(
         "--out",
-        type=Path,
+        type=path,
         metavar="DIR",
         help="folder of the page, new or empty (default: results/compare/TIME)",
     )

@@ -1,9 +1,8 @@
 """`bojax export`: finished results as CSV files or as runs of TensorBoard, Weights & Biases or MLflow."""
 
 from collections.abc import Sequence
-from pathlib import Path
 
-from bojax.cli.parser import Parser, one_of
+from bojax.cli.parser import Parser, one_of, path
 
 TARGETS = ("csv", "mlflow", "tensorboard", "wandb")
 """What results can be exported to; `bojax.report.exporting.build` has a function for each."""
@@ -28,7 +27,7 @@ def main(name: str, words: Sequence[str]) -> int:
         description=_DESCRIPTION,
         examples=_EXAMPLES,
     )
-    parser.add_argument("folder", metavar="DIR", type=Path, help="results folder")
+    parser.add_argument("folder", metavar="DIR", type=path, help="results folder")
     parser.add_argument(
         "--to",
         metavar="TARGET",
@@ -38,7 +37,7 @@ def main(name: str, words: Sequence[str]) -> int:
     )
     parser.add_argument(
         "--out",
-        type=Path,
+        type=path,
         metavar="DIR",
         help="folder to write, new or empty (default: export/TARGET in DIR)",
     )

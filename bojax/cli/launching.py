@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bojax.cli.parser import Parser, UsageError
+from bojax.cli.parser import Parser, UsageError, path
 from bojax.cli.worker import device_indices
 from bojax.config.launching import RayConfig, SlurmConfig, load_launching
 
@@ -26,7 +26,7 @@ def add_launching(parser: Parser) -> None:
         help="what runs the chunks: this process, Ray actors or a Slurm array (default: inline)",
     )
     parser.add_argument(
-        "--cluster", type=Path, metavar="FILE", help="YAML file with settings of --launcher ray or slurm"
+        "--cluster", type=path, metavar="FILE", help="YAML file with settings of --launcher ray or slurm"
     )
     parser.add_argument(
         "--devices", type=device_indices, metavar="I,J", help="indices of the GPUs to use (default: all)"

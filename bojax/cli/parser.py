@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import NoReturn
 
 from typing_extensions import override
@@ -53,6 +54,13 @@ def integer(text: str) -> int:
     except ValueError:
         hint = f" (write {float(text):.0f})" if _is_integral(text) else ""
         raise argparse.ArgumentTypeError(f"got {text}; allowed: an integer{hint}") from None
+
+
+def path(text: str) -> Path:
+    """Convert an argument to a path; an empty one, as of an unset variable of a shell, is refused."""
+    if not text:
+        raise argparse.ArgumentTypeError("got an empty name; allowed: a path")
+    return Path(text)
 
 
 def one_of(names: Sequence[str]) -> Callable[[str], str]:

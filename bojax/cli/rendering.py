@@ -3,9 +3,8 @@
 import math
 from argparse import ArgumentTypeError
 from collections.abc import Sequence
-from pathlib import Path
 
-from bojax.cli.parser import Parser, integer
+from bojax.cli.parser import Parser, integer, path
 
 _EXAMPLES = """\
   bojax render results/mountain-car/20250101-120000               first success of the first run
@@ -28,7 +27,7 @@ def main(name: str, words: Sequence[str]) -> int:
         "recorded; their number is record.runs. MuJoCo draws robots, and needs no display.",
         examples=_EXAMPLES,
     )
-    parser.add_argument("folder", metavar="DIR", type=Path, help="results folder")
+    parser.add_argument("folder", metavar="DIR", type=path, help="results folder")
     parser.add_argument(
         "--run", type=integer, metavar="N", help="index of the run (default: the first recorded run)"
     )
@@ -36,9 +35,9 @@ def main(name: str, words: Sequence[str]) -> int:
         "--episode", type=integer, metavar="E", help="number of the episode (default: first success, or last)"
     )
     parser.add_argument("--point", type=integer, metavar="P", help="number of the point of a sweep")
-    parser.add_argument("--model", type=Path, metavar="FILE", help="MJCF file of a custom robot")
+    parser.add_argument("--model", type=path, metavar="FILE", help="MJCF file of a custom robot")
     parser.add_argument(
-        "--still", type=Path, metavar="FILE", help="write a PNG image without text instead of a film"
+        "--still", type=path, metavar="FILE", help="write a PNG image without text instead of a film"
     )
     parser.add_argument(
         "--at",

@@ -1,9 +1,8 @@
 """`bojax report`: rebuilding the figures, tables and claims of results folders from their files."""
 
 from collections.abc import Sequence
-from pathlib import Path
 
-from bojax.cli.parser import Parser
+from bojax.cli.parser import Parser, path
 
 _EXAMPLES = """\
   bojax report results/parking/20250101-120000       the report of one folder
@@ -20,7 +19,7 @@ def main(name: str, words: Sequence[str]) -> int:
         "The tables are not changed. Verdicts are printed on standard error, paths on standard output.",
         examples=_EXAMPLES,
     )
-    parser.add_argument("folders", nargs="+", metavar="DIR", type=Path, help="results folders")
+    parser.add_argument("folders", nargs="+", metavar="DIR", type=path, help="results folders")
     args = parser.parse_intermixed_args(list(words))
 
     from bojax.report.progress import report

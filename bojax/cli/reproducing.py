@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bojax.cli.launching import LAUNCHING_USAGE, add_launching, check_launching, dry_run
-from bojax.cli.parser import Parser, UsageError, integer
+from bojax.cli.parser import Parser, UsageError, integer, path
 from bojax.cli.running import resolved, run
 from bojax.config.errors import did_you_mean, listed
 from bojax.config.files import available
@@ -170,7 +170,7 @@ def _parser(name: str) -> Parser:
     )
     parser.add_argument(
         "--out",
-        type=Path,
+        type=path,
         metavar="DIR",
         help=f"folder of the results, or with --page also an .html or .md file (default: {FOLDER}/TIME)",
     )
@@ -179,7 +179,7 @@ def _parser(name: str) -> Parser:
         "--page",
         nargs="+",
         action="extend",
-        type=Path,
+        type=path,
         metavar="DIR",
         default=[],
         help="run nothing, but make the page from these results",
@@ -187,7 +187,7 @@ def _parser(name: str) -> Parser:
     parser.add_argument(
         "--count-in",
         nargs="+",
-        type=Path,
+        type=path,
         metavar="FILE",
         default=[],
         help="with --page: also update the numbers of claims in a sentence of these files: Of N claims ..., "

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from bojax.cli.launching import LAUNCHING_USAGE, add_launching, check_launching, dry_run
-from bojax.cli.parser import Parser, UsageError, integer
+from bojax.cli.parser import Parser, UsageError, integer, path
 from bojax.config.errors import printable
 from bojax.config.files import STANDARD_INPUT, SUFFIXES, display, find, shadowed
 from bojax.config.overrides import parse_overrides
@@ -104,7 +104,7 @@ def _parser(name: str) -> Parser:
         "--seed", type=integer, metavar="S", help="seed of the keys of all runs (default: as in the file)"
     )
     parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="results folder, new or empty (default: results/NAME/TIME)"
+        "--out", type=path, metavar="DIR", help="results folder, new or empty (default: results/NAME/TIME)"
     )
     parser.add_argument("--resume", action="store_true", help="resume an interrupted or failed sweep")
     if not is_run:

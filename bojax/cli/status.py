@@ -4,7 +4,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from bojax.cli.parser import Parser
+from bojax.cli.parser import Parser, path
 from bojax.config.errors import printable
 from bojax.text import duration
 
@@ -76,5 +76,5 @@ def _parser(name: str) -> Parser:
         description="Show what of a sweep is done, running, lost or failed. Reads the results folder alone.",
         examples=_EXAMPLES,
     )
-    parser.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="results folder of a sweep")
+    parser.add_argument("folders", nargs="+", type=path, metavar="DIR", help="results folder of a sweep")
     return parser

@@ -3,15 +3,15 @@
 import argparse
 import dataclasses
 import os
+import re
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 from bojax.cli.launching import LAUNCHING_USAGE, add_launching, check_launching, dry_run
-from bojax.cli.parser import Parser, UsageError, integer
+from bojax.cli.parser import Parser, UsageError, integer, path
 from bojax.cli.running import read_standard_input, resolved
 from bojax.config.component import Component
 from bojax.config.errors import allowed_names
@@ -35,6 +35,9 @@ of --batch points that run together. key=low:high is a setting to tune, key=low:
 decades; key=value sets any other setting. The best settings, chosen by the mean that the model of the scores
 expects, are run again with another seed.
 """
+
+_ALMOST = re.compile(r"=[-+.\d]+[^,:]*:")
+"""An override that was probably meant as a range, such as 1:ten."""
 
 MOST_POINTS = 1000
 """Largest number of points of a search: the model takes time of their cube."""
@@ -158,7 +161,7 @@ def _parser(name: str) -> Parser:
         help="fresh runs of each of the best 3 settings (default: 100; 0 for none)",
     )
     parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="folder of the search (default: results/NAME-tune/TIME)"
+        "--out", type=path, metavar="DIR", help="folder of the search (default: results/NAME-tune/TIME)"
     )
     parser.add_argument(
         "--resume", action="store_true", help="resume an interrupted search, or extend one by a larger budget"
@@ -182,7 +185,8 @@ def checked(args: argparse.Namespace) -> Task:
         got = ", ".join(sources) or "none"
         raise UsageError(f"bojax tune: got {got}; allowed: one config (bojax list shows the names)")
     if not asked:
-        raise UsageError(f"bojax tune: got no range; allowed: key=low:high, such as {EXAMPLE}")
+        got = next((word for word in overrides if _ALMOST.search(word)), "no range")
+        raise UsageError(f"bojax tune: got {got}; allowed: key=low:high with two numbers, such as {EXAMPLE}")
     for option, value, least in (("--batch", args.batch, 1), ("--confirm", args.confirm, 0)):
         if value < least:
             raise UsageError(f"bojax tune: {option}: got {value}; allowed: >= {least}")

@@ -6,9 +6,8 @@ import subprocess
 import sys
 from argparse import ArgumentTypeError
 from collections.abc import Sequence
-from pathlib import Path
 
-from bojax.cli.parser import Parser, integer
+from bojax.cli.parser import Parser, integer, path
 
 REQUEUE = signal.SIGUSR2
 """The signal that the batch script of Slurm asks for when the time limit is near."""
@@ -76,7 +75,7 @@ def _parser(name: str) -> Parser:
         "process that started the sweeps merges them.",
         examples=_EXAMPLES,
     )
-    parser.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="results folder of the sweep")
+    parser.add_argument("folders", nargs="+", type=path, metavar="DIR", help="results folder of the sweep")
     parser.add_argument(
         "--devices", type=device_indices, metavar="I,J", help="indices of the GPUs to use (default: all)"
     )

@@ -39,7 +39,7 @@ def test_another_column_and_a_minus_sign_choose_another_point(folder, capsys):
         (["nowhere"], "nowhere: no such results folder"),
         (["made-up", "--by", "retrun"], "runs.parquet: unknown column retrun; allowed: exits, return"),
         (["made-up", "--out", "x"], "bojax best: --out and --resume: allowed only with --confirm"),
-        (["made-up", "--confirm", "0"], "command line: runs: got 0; allowed: >= 1"),
+        (["made-up", "--confirm", "0"], "bojax best: --confirm: got 0; allowed: >= 1"),
         (["made-up", "--confirm", "1", "--out", "made-up"], "made-up: the folder is not empty"),
         ([], "the following arguments are required: DIR"),
     ],

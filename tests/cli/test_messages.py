@@ -28,6 +28,14 @@ def complain(write, capsys):
 
 
 @pytest.mark.parametrize(
+    "words", [["run", "parking", "--out", ""], ["report", ""], ["compare", "--csv", ""]], ids=" ".join
+)
+def test_an_empty_path_is_not_the_working_directory(complain, words):
+    # As of an unset variable: --out "$RESULTS"
+    assert "got an empty name; allowed: a path" in complain(*words)
+
+
+@pytest.mark.parametrize(
     "words",
     [
         ["run", LONG],

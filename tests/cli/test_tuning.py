@@ -250,6 +250,8 @@ def test_a_damaged_file_ends_in_one_line(tmp_path, undisturbed, capsys):
         (["chain", "learner.kappa=0:1", "--confirm", "-1"], "bojax tune: --confirm: got -1; allowed: >= 0"),
         (["chain", "learner.kappa=0:1", "--runs", "0"], "command line: runs: got 0; allowed: >= 1"),
         (["chain", "learner.kappa=3"], "bojax tune: got no range; allowed: key=low:high"),
+        (["chain", "learner.kappa=0:x"], "bojax tune: got learner.kappa=0:x; allowed: key=low:high with two"),
+        (["chain", "env={kind: chain}"], "bojax tune: got no range; allowed: key=low:high"),
         (["learner.kappa=0:1"], "bojax tune: got none; allowed: one config"),
         (["chain", "parking", "learner.kappa=0:1"], "bojax tune: got chain, parking; allowed: one config"),
         (["chian", "learner.kappa=0:1"], "chian: "),
