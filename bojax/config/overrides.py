@@ -52,6 +52,7 @@ def parse_overrides(texts: Iterable[str]) -> list[Override]:
             is_cut = any(value.count(left) > value.count(right) for left, right in ("{}", "[]"))
             hint = f"; quote a value with braces or spaces: '{key}={value} ...'" if is_cut else ""
             reason = str(error).removeprefix(SOURCE).lstrip(":0123456789 ")
+            reason = reason.removeprefix(f"got {shown(value)}; ")
             raise ConfigError(f"{SOURCE}: {key}: got {value}; {reason}{hint}") from error
     return sorted(overrides.values(), key=lambda override: (len(override.path), override.path[-1] != "kind"))
 

@@ -164,8 +164,9 @@ class RunFolder:
         """
         path = self.work / _SWEEP
         if not self.work.is_dir():
+            what = "no unfinished sweep in this folder" if self.path.is_dir() else "no such folder"
             raise ResultsError(
-                f"{self.path}: no unfinished sweep in this folder on {socket.gethostname()}; allowed: the "
+                f"{self.path}: {what} on {socket.gethostname()}; allowed: the "
                 "results folder of a sweep, at the same path on all machines"
             )
         try:

@@ -278,6 +278,10 @@ OVERRIDES = {
         "command line: planner: got {a; is not YAML: …; quote a value with braces or spaces: "
         "'planner={a ...'",
     ),
+    "too large": (
+        [f"runs={2**70}"],
+        f"command line: runs: got {2**70}; allowed: an integer between -2^63 and 2^63 - 1",
+    ),
     "twice": (["runs=1", "runs=2"], "command line: runs: given twice"),
     "below a number": (
         ["problem.half_width.x=1"],

@@ -135,7 +135,7 @@ def test_an_actor_tells_why_it_left(tmp_path, monkeypatch):
     """As on a node that does not share the folder."""
     monkeypatch.setattr(ray_actors, "IDLE_SECONDS", 1e6)
     error = ray_actors._Actor().work([str(tmp_path / "elsewhere")], 0, 1, 1)
-    assert error is not None and "elsewhere: no unfinished sweep in this folder on " in error
+    assert error is not None and "elsewhere: no such folder on " in error
 
 
 def test_an_actor_ends_by_itself_after_an_unexpected_error(monkeypatch):

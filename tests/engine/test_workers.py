@@ -265,7 +265,7 @@ def test_a_worker_that_differs_leaves_in_one_line(planned, capsys, monkeypatch, 
 
 def test_what_is_no_planned_sweep(tmp_path, planned, capsys):
     assert work_on(tmp_path / "elsewhere") == 1
-    assert "elsewhere: no unfinished sweep in this folder on " in one_line(capsys)
+    assert "elsewhere: no such folder on " in one_line(capsys)
     path = planned / WORK / "plan.json"
     path.write_text(path.read_text().replace('"seed": 3', '"seed": 4'))
     assert work_on(planned) == 1
