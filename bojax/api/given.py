@@ -1,11 +1,14 @@
 """What a caller gives, as the values that a YAML file can hold."""
 
 import json
+import math
+import os
 from collections.abc import Mapping
 from typing import Any
 
 from bojax.config.component import Component
 from bojax.config.errors import ConfigError, dotted, shown
+from bojax.config.overrides import SOURCE
 from bojax.config.yaml_file import mapping_of
 
 
@@ -27,11 +30,20 @@ class Values:
         """
         return mapping_of(self.text(value, (), name).encode("utf-8", "surrogatepass"), name)
 
+    def number(self, value: Any, key: str) -> Any:
+        """A number that an argument gives: that of NumPy and JAX, too."""
+        return self._plain(value, (key,), SOURCE)
+
     def text(self, value: Any, path: tuple[str, ...], name: str) -> str:
         """A value as YAML on one line."""
-        return json.dumps(self._plain(value, path, name), ensure_ascii=False)
+        try:
+            return json.dumps(self._plain(value, path, name), ensure_ascii=False)
+        except RecursionError:
+            raise ConfigError(f"{_where(path, name)}is nested too deeply, or contains itself") from None
 
     def _plain(self, value: Any, path: tuple[str, ...], name: str) -> Any:
+        if isinstance(value, float) and not math.isfinite(value):  # YAML would read them as text
+            raise ConfigError(f"{_where(path, name)}got {value}; allowed: a finite number")
         if value is None or isinstance(value, bool | int | float | str):
             return value
         if isinstance(value, type):
@@ -66,6 +78,22 @@ class Values:
             )
         self.has_classes = True
         return f"{cls.__module__}:{cls.__qualname__}"
+
+
+def path_of(given: Any, what: str, allowed: str = "a path") -> str:
+    """A name or a path as text.
+
+    Args:
+        given: What the caller gives.
+        what: What it is, for the message.
+        allowed: What is allowed, for the message.
+
+    Raises:
+        ConfigError: It is neither, or it is empty.
+    """
+    if isinstance(given, str | os.PathLike) and os.fspath(given):
+        return os.fspath(given)
+    raise ConfigError(f"{what}: got {shown(given)}, of type {type(given).__name__}; allowed: {allowed}")
 
 
 def _where(path: tuple[str, ...], name: str) -> str:

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from typing_extensions import override
 
 from bojax.api.errors import BojaxError, in_one_line
+from bojax.api.given import path_of
 from bojax.config.errors import allowed_names
 from bojax.config.figures import figure_modules
 from bojax.report import source, style
@@ -37,7 +38,7 @@ def load(folder: str | os.PathLike[str]) -> "Results":
         BojaxError: The folder holds no finished results, or they are damaged.
     """
     with in_one_line():
-        return Results(source.load(Path(folder)))
+        return Results(source.load(Path(path_of(folder, "folder"))))
 
 
 @dataclass(frozen=True)

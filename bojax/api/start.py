@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from bojax.api.errors import BojaxError, Interrupted, in_one_line
-from bojax.api.given import Values
+from bojax.api.given import Values, path_of
 from bojax.api.results import Results, load
 from bojax.config.files import STANDARD_INPUT
 from bojax.config.overrides import SOURCE
@@ -88,12 +88,17 @@ def _start(
 ) -> Results:
     values = Values()
     with in_one_line():
-        source = values.mapping(given, str(UNNAMED)) if isinstance(given, Mapping) else os.fspath(given)
+        runs, seed = values.number(runs, "runs"), values.number(seed, "seed")
+        if isinstance(given, Mapping):
+            source = values.mapping(given, str(UNNAMED))
+        else:
+            source = path_of(given, command, "a name, a path or a mapping")
+        place = None if out is None else Path(path_of(out, "out"))
         overrides = [f"{key}={values.text(value, (key,), SOURCE)}" for key, value in settings.items()]
         # A mistake ends here, before a process starts and before anything is written.
         load_it = load_config if command == "run" else load_sweep
         loaded = load_it(source, overrides, runs, seed)
-        folder, is_resumed = reserve_folder(loaded.name, None if out is None else Path(out), resume=resume)
+        folder, is_resumed = reserve_folder(loaded.name, place, resume=resume)
     words = ["bojax", command, source if isinstance(source, str) else STANDARD_INPUT, *overrides]
     for option, value in (("--runs", runs), ("--seed", seed), ("--out", folder)):
         words += [] if value is None else [option, str(value)]

@@ -14,6 +14,10 @@ class Mine:
         pass
 
 
+CIRCLE: dict = {}
+CIRCLE["a"] = CIRCLE
+
+
 def test_numbers_arrays_settings_and_classes_have_a_form():
     values = Values()
     given = {
@@ -43,6 +47,8 @@ def test_numbers_arrays_settings_and_classes_have_a_form():
         ({"a": {"b": object()}}, "config.yaml: a.b: got <object"),
         ({"a": [1, {2}]}, "config.yaml: a.1: got .2., of type set; allowed: numbers"),
         ({1: 2}, "config.yaml: got the key 1; allowed: text"),
+        ({"a": {"b": float("inf")}}, "config.yaml: a.b: got inf; allowed: a finite number"),
+        (CIRCLE, "config.yaml: is nested too deeply, or contains itself"),
         ({"a": Mine.Inner}, "config.yaml: a: got the class Mine.Inner; allowed: a class .* top level"),
         ({"a": 2**70}, "config.yaml:1: got .*; allowed: an integer between"),
         ({"a": "\ud800"}, "config.yaml: is not UTF-8"),

@@ -6,6 +6,7 @@ import sys
 import threading
 
 import jax
+import numpy as np
 import pytest
 
 import bojax
@@ -91,6 +92,13 @@ def test_a_class_runs_in_this_process(caller):
         (lambda: bojax.run(CONFIG, episodes=0), "^episodes: got 0; allowed: >= 1$"),
         (lambda: bojax.run(CONFIG, runs=0), "^runs: got 0; allowed: >= 1$"),
         (lambda: bojax.run(CONFIG, runs=2.5), "^runs: got 2.5; allowed: an integer$"),
+        (lambda: bojax.run(CONFIG, runs=np.int64(0)), "^runs: got 0; allowed: >= 1$"),
+        (lambda: bojax.run(CONFIG, seed=float("nan")), "^seed: got nan; allowed: a finite number$"),
+        (lambda: bojax.run(None), "^run: got null, of type NoneType; allowed: a name, a path or a mapping$"),
+        (lambda: bojax.sweep(b"parking"), "^sweep: got b'parking', of type bytes; allowed: a name"),
+        (lambda: bojax.run(CONFIG, out=3), "^out: got 3, of type int; allowed: a path$"),
+        (lambda: bojax.run(CONFIG, out=""), '^out: got "", of type str; allowed: a path$'),
+        (lambda: bojax.load(None), "^folder: got null, of type NoneType; allowed: a path$"),
         (lambda: bojax.run({**CONFIG, "episodse": 1}), 'episodse: unknown key.*did you mean "episodes"'),
         (lambda: bojax.run({"base": "chain"}), "config.yaml: is a sweep, not an experiment"),
         (lambda: bojax.sweep(CONFIG), "config.yaml: base: missing"),
