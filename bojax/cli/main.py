@@ -1,5 +1,6 @@
 """The entry point `bojax`: runs a command, and reports a user's mistake as one line and an exit code."""
 
+import contextlib
 import errno
 import faulthandler
 import importlib
@@ -10,7 +11,7 @@ import signal
 import sys
 import threading
 from collections.abc import Sequence
-from typing import NoReturn
+from typing import Any, NoReturn, TextIO, cast
 
 from bojax import __version__
 from bojax.cli.parser import ON_WINDOWS, Parser, UsageError
@@ -40,6 +41,9 @@ _ANYWHERE = ("list", "report", "render", "doctor")
 _RESUMED = ("run", "sweep", "reproduce", "tune")
 """Commands that may not have finished when the reader of their output leaves."""
 
+_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
+"""Errors of a disk; those that name no file are of standard output."""
+
 _EXAMPLES = """\
   bojax sweep parking                       the parking study: four planners, 200 runs each
   bojax sweep parking --runs 20             the same with 20 runs each
@@ -47,6 +51,31 @@ _EXAMPLES = """\
   bojax reproduce chapter4                  the sweeps of a chapter of the thesis, with one page over all
   bojax list kcbts                          the settings of a planner
 """
+
+
+class Messages:
+    """Standard error, whose own errors are ignored: a log on a full disk must not stop a sweep.
+
+    Args:
+        stream: The stream.
+    """
+
+    def __init__(self, stream: TextIO):
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str, /) -> int:
+        """Write a text, if that is possible."""
+        with contextlib.suppress(OSError):
+            self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        """Write what is left."""
+        with contextlib.suppress(OSError):
+            self._stream.flush()
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -62,18 +91,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130
-    except BrokenPipeError:  # `bojax list | head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        if not words or words[0] not in _RESUMED:
-            return 0
-        advice = "to go on, repeat the command with --resume"
-        print(f"error: standard output was closed; {advice}", file=sys.stderr)
-        return 1
     except OSError as error:
-        if error.errno != errno.ENAMETOOLONG:
+        if error.errno == errno.ENAMETOOLONG:
+            print(printable(f"error: {error.filename}: {error.strerror}"), file=sys.stderr)
+            return UsageError.exit_code
+        is_closed = isinstance(error, BrokenPipeError)
+        if not is_closed and (error.filename is not None or error.errno not in _DISK):
             raise
-        print(printable(f"error: {error.filename}: {error.strerror}"), file=sys.stderr)
-        return UsageError.exit_code
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        is_resumed = bool(words) and words[0] in _RESUMED
+        if is_closed and not is_resumed:  # `bojax list | head`
+            return 0
+        what = "was closed" if is_closed else f"cannot be written: {error.strerror}"
+        advice = "; to go on, repeat the command with --resume" if is_resumed else ""
+        print(f"error: standard output {what}{advice}", file=sys.stderr)
+        return 1
     except Exception as error:
         code = getattr(error, "exit_code", None)
         if code is None:
@@ -87,6 +119,8 @@ def entry() -> None:
 
     `kill -USR1 PID` prints where each thread is, should a command not go on.
     """
+    if sys.stderr is not None:
+        sys.stderr = cast(TextIO, Messages(sys.stderr))
     if hasattr(signal, "SIGUSR1"):
         faulthandler.register(signal.SIGUSR1, file=2)
     try:

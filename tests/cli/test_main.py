@@ -1,5 +1,6 @@
 """A mistake on the command line is one line on stderr and exit code 2, before anything heavy is imported."""
 
+import errno
 import io
 import json
 import platform
@@ -10,7 +11,7 @@ import pytest
 
 from bojax import __version__
 from bojax.cli.doctor import CHECKS, examine
-from bojax.cli.main import COMMANDS, entry, main
+from bojax.cli.main import COMMANDS, Messages, entry, main
 
 HEAVY = ("jax", "equinox", "numpy", "pyarrow", "matplotlib", "rich", "jinja2")
 
@@ -165,9 +166,16 @@ def test_an_unexpected_exception_keeps_its_traceback(monkeypatch):
 
 @pytest.mark.parametrize(
     ("name", "raised", "code"),
-    [("list", KeyboardInterrupt, 130), ("list", BrokenPipeError, 0), ("sweep", BrokenPipeError, 1)],
+    [
+        ("list", KeyboardInterrupt, 130),
+        ("list", BrokenPipeError, 0),
+        ("sweep", BrokenPipeError, 1),
+        ("sweep", OSError(errno.ENOSPC, "No space left on device"), 1),
+    ],
 )
-def test_interrupts_and_closed_pipes_end_without_a_traceback(monkeypatch, capfd, name, raised, code):
+def test_interrupts_and_output_that_cannot_be_written_end_without_a_traceback(
+    monkeypatch, capfd, name, raised, code
+):
     def stop(name, words):
         raise raised
 
@@ -175,6 +183,33 @@ def test_interrupts_and_closed_pipes_end_without_a_traceback(monkeypatch, capfd,
     monkeypatch.setattr("os.dup2", lambda *_: None)
     assert main([name]) == code
     assert ("--resume" in capfd.readouterr().err) == (code == 1)
+
+
+def test_an_error_of_a_named_file_is_not_taken_for_one_of_the_output(monkeypatch):
+    def fail(name, words):
+        raise OSError(errno.ENOSPC, "No space left on device", "a file")
+
+    monkeypatch.setattr("bojax.cli.listing.main", fail)
+    with pytest.raises(OSError, match="a file"):
+        main(["list"])
+
+
+def test_messages_that_cannot_be_written_are_left_out():
+    """As where standard error is a log on a full disk."""
+
+    class Full(io.StringIO):
+        def write(self, text):
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+        def flush(self):
+            self.write("")
+
+    messages = Messages(Full())
+    print("a message", file=messages, flush=True)
+    assert not messages.isatty()
+    kept = io.StringIO()
+    print("a message", file=Messages(kept), flush=True)
+    assert kept.getvalue() == "a message\n"
 
 
 def test_help_has_examples(capsys):
