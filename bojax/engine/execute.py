@@ -186,7 +186,7 @@ class _Executor:
         stop: Callable[[], bool],
         waits: bool,
     ):
-        self.error: ResultsError | None = None
+        self.error: BaseException | None = None
         self._waits, self._looking, self._next_look = waits, threading.Lock(), 0.0
         self._tasks, self._devices, self._progress = list(tasks), list(dict.fromkeys(workers)), progress
         self._turns = {device: turn_of(device) for device in self._devices}
@@ -306,8 +306,11 @@ class _Executor:
     # Workers
 
     def _work(self, device: Device) -> None:
-        while self._work_on_a_chunk(device) or self._await_chunk(device):
-            pass
+        try:
+            while self._work_on_a_chunk(device) or self._await_chunk(device):
+                pass
+        except BaseException as error:  # a mistake in the engine; without it, the sweep would seem to be over
+            self.error = error
 
     def _work_on_a_chunk(self, device: Device) -> bool:
         """Run a chunk on a device; False if there is none whose programs are compiled."""

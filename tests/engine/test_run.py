@@ -411,6 +411,15 @@ def test_an_unexpected_error_does_not_wait_for_the_programs_of_the_other_groups(
     has_left.set()
 
 
+def test_an_error_of_a_worker_thread_is_not_taken_for_the_end(tmp_path, monkeypatch):
+    def fail(self, group, chunk):
+        raise RuntimeError("a bug")
+
+    monkeypatch.setattr(SweepProgress, "end_chunk", fail)
+    with pytest.raises(RuntimeError, match="a bug"):
+        run_toy(tmp_path / "toy", {"scale": 1.0}, runs=2)
+
+
 def test_the_longest_sweep_and_in_it_the_longest_group_are_compiled_first(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(execute, "compile_threads", lambda: 1)
     lengths = {"short": (18,), "long": (4, 16)}
