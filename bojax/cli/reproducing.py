@@ -61,10 +61,11 @@ def main(name: str, words: Sequence[str]) -> int:
         parser.error("--count-in: needs --page")
     check_launching(args)
     sweeps = [load_sweep(sweep, (), args.runs, args.seed) for sweep in selected(args.ids)]
-    out = args.out or (_newest(FOLDER) if args.resume else FOLDER / time.strftime("%Y%m%d-%H%M%S"))
-    folders = [out / sweep.name for sweep in sweeps]
+    names = [sweep.name for sweep in sweeps]
+    out = args.out or (_newest(FOLDER, names) if args.resume else FOLDER / time.strftime("%Y%m%d-%H%M%S"))
+    folders = [out / name for name in names]
     if args.dry_run:
-        return dry_run(args, [sweep.name for sweep in sweeps], folders)
+        return dry_run(args, names, folders)
     if not args.out:  # so that the printed command resumes this folder
         words = [*words, "--out", str(out)]
     start = time.monotonic()
@@ -146,11 +147,20 @@ def _with_claims(names: Sequence[str]) -> list[str]:
     return [name for name in names if load_sweep(name).claims]
 
 
-def _newest(folder: Path) -> Path:
-    found = sorted(folder.iterdir()) if folder.is_dir() else []
-    if not found:
+def _newest(folder: Path, names: Sequence[str]) -> Path:
+    """The newest reproduction with an unfinished one of these sweeps, or else with any of them.
+
+    A reproduction that ended before its page was written has finished sweeps only. Folders without any are
+    those of other sweeps, or of a page that `--page` made.
+    """
+    from bojax.results.folder import is_unfinished
+
+    found = sorted(folder.iterdir(), reverse=True) if folder.is_dir() else []
+    begun = [each for each in found if any((each / name).is_dir() for name in names)]
+    if not begun:
         raise UsageError(f"{folder}: no reproduction to resume; to start one, leave out --resume")
-    return found[-1]
+    unfinished = (each for each in begun if any(is_unfinished(each / name) for name in names))
+    return next(unfinished, begun[0])
 
 
 def _parser(name: str) -> Parser:

@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 
 from bojax.cli.main import main
-from bojax.cli.reproducing import selected
+from bojax.cli.parser import UsageError
+from bojax.cli.reproducing import _newest, selected
 from bojax.config.extras import MissingExtra
 from bojax.config.files import available
 from bojax.config.sweep import load_sweep
@@ -76,6 +77,19 @@ def test_nothing_to_resume(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["reproduce", "fig-4.6", "--resume"]) == 2
     assert "no reproduction to resume" in capsys.readouterr().err and not list(tmp_path.iterdir())
+
+
+def test_the_newest_unfinished_reproduction_of_these_sweeps_is_resumed(tmp_path):
+    names = ["fig-9.1a", "fig-9.1b"]
+    (tmp_path / "1" / "fig-9.1a").mkdir(parents=True)
+    assert _newest(tmp_path, names).name == "1"  # its page may be missing
+    (tmp_path / "0" / "fig-9.1b" / ".work").mkdir(parents=True)
+    (tmp_path / "2" / "fig-4.6" / ".work").mkdir(parents=True)  # another figure
+    (tmp_path / "3").mkdir()  # a page alone
+    (tmp_path / "4.md").touch()
+    assert _newest(tmp_path, names).name == "0"
+    with pytest.raises(UsageError, match="no reproduction to resume"):
+        _newest(tmp_path, ["fig-4.8"])
 
 
 @pytest.fixture
