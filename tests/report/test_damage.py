@@ -12,6 +12,8 @@ from bojax.report.build import build_report
 from bojax.results.store import ResultsError
 from tests.report.synthetic import edit_manifest, write_learning, write_monitoring, write_results
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 
 def refusal(folder):
     with pytest.raises(ResultsError) as error:
