@@ -215,7 +215,7 @@ def test_a_time_limit_cuts_an_episode_off_and_an_end_terminates_it():
     assert just.rows()["terminated"].all() and not just.rows()["truncated"].any()
 
 
-@pytest.mark.parametrize("block, max_steps", [(1, 4), (3, 4), (16, 1)])
+@pytest.mark.parametrize("block, max_steps", [pytest.param(1, 4, marks=pytest.mark.slow), (3, 4), (16, 1)])
 def test_no_step_is_made_past_the_limit_whatever_the_block(block, max_steps):
     learner = {"kind": "epsilon-greedy", "block": block}
     history = History(
@@ -258,11 +258,12 @@ def test_the_numbers_of_a_run_are_those_of_its_rows():
 @pytest.mark.parametrize(
     "schedule, expected",
     [
-        ("constant", [2, 2, 2, 2, 2, 2]),
         ({"kind": "decay", "rate": 1.0}, [2, 1, 2 / 3, 0.5, 0.4, 1 / 3]),
-        ({"kind": "budget", "episodes": 2}, [2, 2, 0, 0, 0, 0]),
         ({"kind": "budget", "episodes": 1, "resume_after": 2}, [2, 0, 0, 2, 2, 2]),
-        ("exploit", [0, 0, 0, 0, 0, 0]),
+        # Further schedules, whose numbers tests/learning/test_schedules.py tests.
+        pytest.param("constant", [2, 2, 2, 2, 2, 2], marks=pytest.mark.slow),
+        pytest.param({"kind": "budget", "episodes": 2}, [2, 2, 0, 0, 0, 0], marks=pytest.mark.slow),
+        pytest.param("exploit", [0, 0, 0, 0, 0, 0], marks=pytest.mark.slow),
     ],
 )
 def test_kappa_is_reported_as_the_schedule_has_it(schedule, expected):
@@ -354,7 +355,9 @@ def test_episodes_of_a_run_share_their_start_where_they_are_to(starts):
         assert np.all((state == first) == (starts == "per-run"))
 
 
-@pytest.mark.parametrize("learner", ["exploration-values", "additive"])
+@pytest.mark.parametrize(
+    "learner", by_tier(["exploration-values", "additive"], normal=["exploration-values"])
+)
 def test_tests_learn_where_they_may_and_explore_in_no_case(learner):
     run = run_of(
         env=CHAIN, learner=learner, tests=3, tests_learn=True, target_return=0.5, schedule="until-target"
