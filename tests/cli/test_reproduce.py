@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from bojax.cli import background
 from bojax.cli.main import main
 from bojax.cli.parser import UsageError
 from bojax.cli.reproducing import _newest, selected
@@ -90,6 +91,14 @@ def test_the_newest_unfinished_reproduction_of_these_sweeps_is_resumed(tmp_path)
     assert _newest(tmp_path, names).name == "0"
     with pytest.raises(UsageError, match="no reproduction to resume"):
         _newest(tmp_path, ["fig-4.8"])
+
+
+@pytest.fixture(autouse=True, scope="module")
+def one_process():
+    """One process writes all reports: each would import what draws them."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(background, "PROCESSES", 1)
+        yield
 
 
 @pytest.fixture
