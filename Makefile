@@ -10,30 +10,32 @@ EXTRA ?=
 BIN := .venv/bin
 PINS := constraints/$(shell $(PYTHON) -c 'import sys; print("py311" if sys.version_info < (3, 12) else "py312")').txt
 STAMP := .venv/.bojax-$(if $(EXTRA),$(EXTRA),cpu)
-TEST_STAMP := .venv/.bojax-test
-DOCS_STAMP := .venv/.bojax-docs
+DEV_STAMP := .venv/.bojax-dev
+# pip itself would compile on one core, and tests of packages too; some packages hold files of Python 2.
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -c $(PINS) -e
+COMPILE := $(BIN)/python -m compileall -q -j 0 -x /tests/ .venv/lib > /dev/null 2>&1 || true
 
 .PHONY: run test slow check site format clean
 
 run: $(STAMP)
 	$(BIN)/bojax sweep sweeps/parking.yaml
 
-test: $(TEST_STAMP)
+test: $(DEV_STAMP)
 	JAX_PLATFORMS=cpu $(BIN)/python -m pytest -n auto --dist loadfile -m "not slow" $(if $(CI),--durations=40)
 
-slow: $(TEST_STAMP)
+slow: $(DEV_STAMP)
 	BOJAX_TESTS=release JAX_PLATFORMS=cpu $(BIN)/python -m pytest -n auto --dist loadfile -m "slow or bits"
 
-check: $(TEST_STAMP)
+check: $(DEV_STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports
 	$(BIN)/pyright
 
-site: $(DOCS_STAMP)
+site: $(DEV_STAMP)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
-format: $(TEST_STAMP)
+format: $(DEV_STAMP)
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
@@ -44,15 +46,13 @@ $(BIN)/python:
 	$(PYTHON) -m venv .venv
 
 $(STAMP): pyproject.toml $(wildcard constraints/*.txt) | $(BIN)/python
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c $(PINS) -e ".$(if $(EXTRA),[$(EXTRA)])"
+	$(INSTALL) ".$(if $(EXTRA),[$(EXTRA)])"
+	$(COMPILE)
 	touch $@
 
-$(TEST_STAMP): pyproject.toml $(wildcard constraints/*.txt) | $(BIN)/python
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c $(PINS) -e ".[test$(if $(EXTRA),$(comma)$(EXTRA))]"
-	touch $@
-
-$(DOCS_STAMP): pyproject.toml $(wildcard constraints/*.txt) | $(BIN)/python
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c $(PINS) -e ".[docs]"
+$(DEV_STAMP): pyproject.toml $(wildcard constraints/*.txt) | $(BIN)/python
+	$(INSTALL) ".[test,docs$(if $(EXTRA),$(comma)$(EXTRA))]"
+	$(COMPILE)
 	touch $@
 
 comma := ,
