@@ -18,6 +18,7 @@ from bojax.models.bayesian_linear_regression import (
 from bojax.models.linear_regression import LinearRegression
 from bojax.numerics.linalg import covariance_floor
 from tests.reference import bayesian_linear_regression as reference
+from tests.tiers import by_tier
 
 PRIOR, NOISE = jnp.asarray(0.5), jnp.asarray(4.0)
 BLOCKS = (0, 4)
@@ -92,7 +93,8 @@ def test_a_fit_is_the_closed_form(num, num_targets):
     )
 
 
-@pytest.mark.parametrize("num", [1, 4, 30, 31])
+# A full block, and a last one that is half full.
+@pytest.mark.parametrize("num", by_tier([1, 4, 30, 31], normal=[4, 30]))
 @pytest.mark.parametrize("num_targets", [(), (2,)])
 @pytest.mark.parametrize("block", BLOCKS)
 def test_one_observation_at_a_time_gives_the_batch_posterior(num, num_targets, block):
@@ -112,7 +114,8 @@ def test_the_order_of_observations_does_not_matter(block):
     )
 
 
-@pytest.mark.parametrize("sizes", [(30,), (1, 29), (10, 5, 15)])
+# With blocks, a batch of one fills the block that is half full, and the next one fills several.
+@pytest.mark.parametrize("sizes", by_tier([(30,), (1, 29), (10, 5, 15)], normal=[(1, 29)]))
 @pytest.mark.parametrize("num_targets", [(), (2,)])
 @pytest.mark.parametrize("block", BLOCKS)
 def test_batches_of_any_size_give_the_same_posterior(sizes, num_targets, block):

@@ -7,6 +7,7 @@ import pytest
 from sklearn.gaussian_process import kernels as sk
 
 from bojax.models.kernels import RBF, Matern12, Matern32, Matern52, Product, Scaled, Sum
+from tests.tiers import by_tier
 
 REFERENCES = {
     RBF: sk.RBF,
@@ -69,7 +70,7 @@ def test_gradients_are_finite_where_points_coincide(kernel):
             assert np.all(np.abs(leaf) < 1e-5) and np.all(np.abs(leaf) > 0.0)
 
 
-@each_kernel
+@pytest.mark.parametrize("kernel", by_tier(REFERENCES, normal=[RBF, Matern12]))
 def test_sums_products_and_scaling_are_those_of_scikit_learn(kernel):
     xs, ys = points(0, 20), points(1, 30)
     ours = Scaled(kernel(jnp.asarray([0.2, 1.0, 4.0])), jnp.asarray(2.5))
