@@ -111,7 +111,7 @@ def look_ahead(
             at_points = jax.vmap(lambda z: kernel(x, z))(points[:num_given])
             return posterior.mean(x) + jnp.sum(at_data * weights_real) + jnp.sum(at_points * weights_imagined)
 
-        # Forward mode: on a GPU, reverse mode is three kernels that pass on numbers of the size of k(X, Z).
+        # Forward mode: on a GPU it takes two kernels as large as k(X, Z), and reverse mode three.
         gradient = jax.vmap(jax.jacfwd(mean_of))(points, real[stage], imagined.T[stage])
     return Lookahead(mean, jnp.maximum(variance, 0.0), gradient)
 
