@@ -270,6 +270,20 @@ class TestTables:
         assert set(rows) == {"learner.kind", "seed"}
         assert [cell.text for cell in rows["seed"]] == ["0", "0", "0", "9", "9", "9"]
 
+    def test_contenders_in_different_worlds_are_compared_with_a_caution(self, tmp_path):
+        folders = [write_learning(tmp_path / name, runs=3) for name in ("a", "b")]
+        found = named([each for folder in folders for each in of_folder(load(folder), EPISODES)])
+        alike = tasks_of(found, None)
+        assert tables.differing_worlds(alike) == []
+
+        def change(manifest):
+            for point in manifest["points"]:
+                point["config"]["env"] = {**point["config"]["env"], "reward": "classic"}
+
+        edit_manifest(folders[1], change)
+        text = Page(compare(folders, [], tmp_path / "unlike").read_text()).text
+        assert "The contenders differ in env.reward: their scores may not be comparable." in text
+
 
 @pytest.fixture(scope="module")
 def out(tmp_path_factory):

@@ -65,12 +65,16 @@ def compare(
     places = [task.name for task in tasks if task.name]
     where = f" on {joined(places)}" if places else ""
     runs = ranged((each.scores.size for each in contenders), "run")
+    worlds = tables.differing_worlds(tasks)
+    in_words = joined(worlds) if 0 < len(worlds) <= 4 else f"{len(worlds)} settings of their worlds"
+    caution = f" The contenders differ in {in_words}: their scores may not be comparable." if worlds else ""
     page = fill(
         "comparison.html.j2",
         title=f"Comparison: {heading(measure.column)}{where}",
         summary=f"{counted(len(names), 'contender')}{listed} of "
         f"{counted(len({each.source for each in contenders}), 'source')}, {runs} each. The score of a run is "
-        f"the {_score(contenders, measure)}{', of which less is better' if measure.is_least else ''}.",
+        f"the {_score(contenders, measure)}{', of which less is better' if measure.is_least else ''}."
+        f"{caution}",
         counts=[],
         parts=parts,
         overall=tables.overall(tasks, reference or tasks[0].reference.name, measure),

@@ -97,6 +97,13 @@ def settings(contenders: Sequence[Contender]) -> tables.Table | None:
     return tables.Table(names, rows) if rows else None
 
 
+def differing_worlds(tasks: Sequence[Task]) -> list[str]:
+    """The settings of the environment or problem in which contenders of one task differ."""
+    found = [table for task in tasks if (table := settings(task.contenders)) is not None]
+    keys = dict.fromkeys(key for table in found for key, _ in table.rows)
+    return [key for key in keys if key.startswith(("env.", "problem."))]
+
+
 def sources(results: Sequence[Results], contenders: Sequence[Contender]) -> list[tuple[str, str]]:
     """Provenance of each results folder and CSV file, as path and text."""
     rows = []
