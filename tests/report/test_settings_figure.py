@@ -8,6 +8,7 @@ from bojax.report.drawing.curves import Curve
 from bojax.report.figures.settings_ import _short, curves_and_panels, marginals
 from bojax.report.figures.sweep_curve import readable
 from bojax.report.source import distinct_names, short_value, swept_values
+from bojax.report.text import plain
 from tests.report.synthetic import point_of
 
 
@@ -82,3 +83,8 @@ def test_of_many_curves_the_best_of_each_label_is_drawn(is_least, kept, word):
     found, note = readable(curves, is_least=is_least)
     assert found == [curves[kept], curves[13]]
     assert note == f" Of 14 settings, the one with the {word} mean of each label is drawn."
+
+
+@pytest.mark.parametrize(("value", "text"), [([], "[]"), ([1.0, 2], "1, 2"), (None, "none"), (True, "true")])
+def test_settings_are_never_empty_cells(value, text):
+    assert plain(value) == text
