@@ -5,10 +5,10 @@ either by sweeps, m <- beta S Phi'(r + gamma Phi_next m), or by solving the equa
 to, (I - beta gamma S Phi'Phi_next) m = beta S Phi'r.
 
 The direct solution is policy iteration: the equations of a policy are solved, then the policy becomes greedy
-for their solution, until the weights stay the same. With a table as features it always gets there, as the
-values of no policy are below those of the one before. In general, policies may go round in a circle or jump
-about, as those of sweeps may; the iteration therefore also ends when the weights change no less than with the
-policy before for the second time. One of both happens, as there are finitely many policies.
+for their solution, until the weights stay the same. With a table as features this always happens, since each
+policy has values at least as high as the one before. In general, policies may go round in a circle or jump
+about, as those of sweeps may. The iteration therefore also ends when, for the second time, the weights change
+no less than with the policy before. Since there are finitely many policies, one of the two happens.
 
 The matrices of two policies in succession differ little. The inverse for one policy is therefore kept as the
 preconditioner of the equations of the following policies, which take a few products with the features. If

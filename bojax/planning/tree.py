@@ -113,7 +113,7 @@ class Growth(eqx.Module):
 
     @classmethod
     def nothing(cls, tree: Tree, num_visited: int) -> "Growth":
-        """What leaves a tree with a root alone as it is: zeros for a node that does not exist yet."""
+        """A growth that leaves a tree of a root alone unchanged: zeros for a node that does not exist yet."""
         num_nodes, num_actions = tree.children.shape
         zero = jnp.zeros((), jnp.int32)
         return cls(

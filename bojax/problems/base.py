@@ -124,15 +124,15 @@ class Problem(eqx.Module):
         """True pose of the robot."""
 
     def outline(self) -> Outline | None:
-        """What figures and films draw of the world; None where they know it, or draw nothing."""
+        """The world as figures and films draw it; None if its settings class has it, or nothing is drawn."""
         return None
 
     @property
     def lanes_on_cpu(self) -> int:
         """Default number of lanes on a core of a CPU, see `Experiment`.
 
-        Measured on one core on the parking problem, milliseconds a plan: kCBTS 6.8 with 4 lanes, 4.3 with 8,
-        4.0 with 16, 4.8 with 32, 4.9 with 50; SBO 1.1, 1.3, 0.9, 1.5, 1.1.
+        Measured on one core on the parking problem, in milliseconds per plan: kCBTS 6.8 with 4 lanes, 4.3
+        with 8, 4.0 with 16, 4.8 with 32, 4.9 with 50; SBO 1.1, 1.3, 0.9, 1.5, 1.1.
         """
         return 16
 
