@@ -118,10 +118,13 @@ def resolved(sweep: Sweep) -> Sweep:
 
     if not imports_code(sweep):
         return sweep
-    from bojax.engine.devices import prepare
+    from bojax.engine.signals import kept
 
-    prepare(sweep.engine.device)
-    return resolve(sweep)
+    with kept():
+        from bojax.engine.devices import prepare
+
+        prepare(sweep.engine.device)
+        return resolve(sweep)
 
 
 def read_standard_input() -> dict[str, Any]:

@@ -103,7 +103,10 @@ def main(name: str, words: Sequence[str]) -> int:
     parser = _parser(name)
     args = parser.parse_intermixed_args(list(words))
     check_launching(args)
-    task = checked(args)
+    from bojax.engine.signals import kept
+
+    with kept():
+        task = checked(args)
     if args.dry_run:
         from bojax.report.tuning import round_folder, round_name
 
@@ -115,7 +118,10 @@ def main(name: str, words: Sequence[str]) -> int:
 def search(task: Task, args: argparse.Namespace, command: list[str]) -> int:
     """Run or resume a search, and return the exit code."""
     from bojax.cli.launching import launcher_of
-    from bojax.cli.rounds import run_rounds  # imports JAX
+    from bojax.engine.signals import kept
+
+    with kept():
+        from bojax.cli.rounds import run_rounds
 
     launcher, devices = launcher_of(args, waits=True)
     with launcher or nullcontext():

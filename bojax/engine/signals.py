@@ -1,12 +1,13 @@
 """Signals such as SIGINT and SIGTERM: the first stops a sweep after its segment, the second exits at once."""
 
+import contextlib
 import os
 import signal
 import socket
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from types import TracebackType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -83,6 +84,18 @@ class StopRequest:
                 self.signum = number
                 hint = "; repeat the signal to exit at once" if self._exits else ""
                 self._announce(f"stopping after this segment{hint}")
+
+
+@contextlib.contextmanager
+def kept() -> Iterator[None]:
+    """Context that a Ctrl-C leaves by a KeyboardInterrupt at its end.
+
+    For code that imports JAX: there, a KeyboardInterrupt may be raised in a callback, which discards it.
+    """
+    with StopRequest(announce=lambda _: None, signals=(signal.SIGINT,), exits=False) as stop:
+        yield
+    if stop:
+        raise KeyboardInterrupt
 
 
 def stop_with_parent(parent: int | None = None) -> threading.Thread:

@@ -1,11 +1,13 @@
 """`bojax tune` finds settings in rounds, goes on after a kill, and refuses bad input in one line."""
 
+import contextlib
 import json
 import os
 import shutil
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import jax
@@ -51,6 +53,20 @@ def contents(folder: Path) -> dict[str, bytes]:
     """All content of a search that an interruption must not change."""
     files = [*folder.rglob("runs.parquet"), folder / "tuning.json", folder / "best.yaml"]
     return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+
+
+def test_ctrl_c_during_the_import_of_jax_is_not_lost(tmp_path, capfd, monkeypatch):
+    """There, the KeyboardInterrupt may be raised in a callback, which discards it."""
+
+    def interrupt(*_):
+        os.kill(os.getpid(), signal.SIGINT)
+        with contextlib.suppress(KeyboardInterrupt):
+            time.sleep(0.3)
+        return ()
+
+    monkeypatch.setattr("bojax.cli.tuning._recompiled", interrupt)
+    assert tune(tmp_path / "search") == 130
+    assert capfd.readouterr().err == "interrupted\n" and not (tmp_path / "search").exists()
 
 
 @pytest.fixture(scope="module")
