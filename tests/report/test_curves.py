@@ -8,7 +8,7 @@ import pytest
 
 from bojax.report import style
 from bojax.report.drawing.base import Undrawable
-from bojax.report.drawing.curves import Chart, Curve, Panel
+from bojax.report.drawing.curves import Chart, Curve, Panel, without_line
 from tests.report.synthetic import point_of
 
 
@@ -162,3 +162,16 @@ def test_the_names_below_leave_the_panel_its_height(suffix):
         return drawn.figure.axes[0].get_window_extent().height
 
     assert height(40) > 0.9 * height(10)
+
+
+@pytest.mark.parametrize(
+    ("values", "dotted"),
+    [
+        ([1.0], [True]),
+        ([1.0, 2.0], [True, True]),
+        ([1.0, 2.0, 3.0], [False, False, False]),
+        ([np.nan, 1.0, 2.0, np.nan, 3.0, np.nan, np.nan, 4.0], [0, 0, 0, 0, 1, 0, 0, 1]),
+    ],
+)
+def test_values_that_no_line_reaches_are_dots(values, dotted):
+    assert without_line(np.array(values)).tolist() == list(map(bool, dotted))

@@ -178,13 +178,23 @@ class Chart:
     def _draw_curves(self, axes: Axes, panel: Panel, *, is_swept: bool) -> None:
         for curve, (mean, low, high), look in panel.drawn:
             band = axes.fill_between(curve.x, low, high, color=look["color"], alpha=0.16, linewidth=0)
-            # One or two values make no line that can be seen.
-            dots: dict[str, Any] = {"marker": "o", "markersize": 3} if len(mean) < 3 and not is_swept else {}
+            dots: dict[str, Any] = {}
+            if not is_swept and (unseen := without_line(mean)).any():
+                dots = {"marker": "o", "markersize": 3, "markevery": unseen}
             self.mark(curve, band, *axes.plot(curve.x, mean, label=curve.point.name, **look, **dots))
             if is_swept:
                 faces = np.where(curve.is_partial, "white", look["color"])
                 edges = {"facecolors": faces, "edgecolors": look["color"]}
                 self.mark(curve, axes.scatter(curve.x, mean, s=16, zorder=3, **edges))
+
+
+def without_line(values: Floats) -> np.ndarray:
+    """Which values need a dot: all of one or two, and those between gaps, which no line reaches."""
+    is_there = np.isfinite(values)
+    if len(values) < 3:
+        return is_there
+    before, after = np.append(False, is_there[:-1]), np.append(is_there[1:], False)
+    return is_there & ~before & ~after
 
 
 def step_ticks(last: int, most: int = 9) -> list[int]:
