@@ -178,9 +178,10 @@ def test_engines_change_velocity_and_spin_as_in_gymnasium(gym, angle):
     state = standing(gym.terrain, height=6.0, angle=angle, velocity=(0.3, -0.2))
     states = jax.tree.map(lambda x: jnp.stack([x] * LANES), state)
     ours = np.asarray(steps(env, jax.random.clone(keys), states, jnp.asarray(actions))[1].observation)
-    for key, action, observation in zip(keys, actions, ours, strict=True):
+    draw = jax.vmap(lambda key: jax.random.uniform(key, (2,), minval=-1.0, maxval=1.0))
+    for drawn, action, observation in zip(np.asarray(draw(keys)), actions, ours, strict=True):
         gym.place(state.origin, angle, (0.3, -0.2), 0.0)
-        theirs, _, _ = gym.step(action, jax.random.uniform(key, (2,), minval=-1.0, maxval=1.0))
+        theirs, _, _ = gym.step(action, drawn)
         np.testing.assert_allclose(observation[2:6], theirs[2:6], atol=1.5e-3)
     assert np.ptp(ours[:, 5]) > 0.05 and np.ptp(ours[:, 2]) > 0.03
 

@@ -15,6 +15,7 @@ from bojax.learning.dora import DORA, E, Q, log_softplus
 from bojax.learning.settings import DORA as Settings
 from bojax.learning.tile_coding import TileTable, is_first, tiles, tuple_hash
 from tests.reference import dora as reference
+from tests.tiers import by_tier
 
 OBSERVATIONS = Box(jnp.asarray([-1.2, -0.07]), jnp.asarray([0.6, 0.07]))
 ACTIONS = Box(jnp.asarray([-1.0]), jnp.asarray([1.0]))
@@ -65,7 +66,7 @@ def learn(learner, state, steps, exploration):
     return jax.lax.scan(one, state, steps | {"number": numbers})
 
 
-@pytest.mark.parametrize("num_dims", [1, 2, 6])
+@pytest.mark.parametrize("num_dims", by_tier([1, 2, 6], normal=[6]))
 @pytest.mark.parametrize("size", [150, 2048])
 def test_tiles_have_the_indices_of_a_dictionary_even_when_it_is_full(num_dims, size):
     rng = np.random.default_rng(num_dims)
