@@ -59,6 +59,12 @@ def steps(env, keys, states, actions):
     return jax.vmap(env.step)(keys, states, actions)
 
 
+@eqx.filter_jit
+def draws(keys, dtype=None):
+    """The noise of both engines in each step."""
+    return jax.vmap(lambda key: jax.random.uniform(key, (2,), dtype, -1.0, 1.0))(keys)
+
+
 def flights(gym, env, num, seed=0):
     """Both landers from the same starts, under the same actions and noise: observations, rewards, ends."""
     rng = np.random.default_rng(seed)
@@ -67,7 +73,7 @@ def flights(gym, env, num, seed=0):
         heights, push = rng.uniform(size=12), rng.uniform(size=2)
         actions = rng.uniform(-1.5, 1.5, (NUM_STEPS, 2))
         keys = jax.random.split(jax.random.key(i), NUM_STEPS)
-        noise = [jax.random.uniform(key, (2,), dtype, -1.0, 1.0) for key in jax.random.clone(keys)]
+        noise = np.asarray(draws(jax.random.clone(keys), dtype))
         first = gym.reset(heights, push)
         state = start(env, jnp.asarray(heights, dtype), jnp.asarray(push, dtype))
         theirs = [gym.step(action, given) for action, given in zip(actions, noise, strict=True)]
@@ -178,8 +184,7 @@ def test_engines_change_velocity_and_spin_as_in_gymnasium(gym, angle):
     state = standing(gym.terrain, height=6.0, angle=angle, velocity=(0.3, -0.2))
     states = jax.tree.map(lambda x: jnp.stack([x] * LANES), state)
     ours = np.asarray(steps(env, jax.random.clone(keys), states, jnp.asarray(actions))[1].observation)
-    draw = jax.vmap(lambda key: jax.random.uniform(key, (2,), minval=-1.0, maxval=1.0))
-    for drawn, action, observation in zip(np.asarray(draw(keys)), actions, ours, strict=True):
+    for drawn, action, observation in zip(np.asarray(draws(keys)), actions, ours, strict=True):
         gym.place(state.origin, angle, (0.3, -0.2), 0.0)
         theirs, _, _ = gym.step(action, drawn)
         np.testing.assert_allclose(observation[2:6], theirs[2:6], atol=1.5e-3)
