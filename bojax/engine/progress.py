@@ -136,16 +136,18 @@ class SweepProgress:
                 self._show()
 
     def describe(self) -> str:
-        """The progress in one line."""
+        """The progress in one line, of which a narrow terminal cuts the end."""
         busy = self._steps / self._issued if self._issued else 1.0
         text = f"{self._runs_done}/{self._num_runs} runs"
+        left = forecast(self._groups, now=time.monotonic(), workers=self._workers, clock=self._clock)
+        if left is not None:
+            text += f", {duration(left.seconds)} left"
         if rate := self._rate():
             text += f", {_si(rate)} steps/s, lanes {busy:.0%} busy"
         compiling = sum(1 for group in self._groups if group.chunks and group.compile_seconds is None)
         if compiling:
             text += f", {compiling} of {len(self._groups)} programs to compile"
-        left = forecast(self._groups, now=time.monotonic(), workers=self._workers, clock=self._clock)
-        return text if left is None else f"{text}, {duration(left.seconds)} left"
+        return text
 
     def describe_times(self) -> str:
         """In one line, where the time has gone since the first group was added."""

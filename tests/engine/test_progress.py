@@ -67,9 +67,9 @@ def test_counts_rates_and_time_left(clock):
     )
     # A run takes 4 advances of 1 s. The 60 waiting ones take 6 times 4 in 10 lanes, and the last of the 10 in
     # lanes 10 at most.
-    assert shown.describe() == "30/100 runs, 2k steps/s, lanes 80% busy, 34 s left"
+    assert shown.describe() == "30/100 runs, 34 s left, 2k steps/s, lanes 80% busy"
     shown.end_chunk(group, 0)
-    assert shown.describe().endswith(", 0 s left")
+    assert shown.describe().startswith("30/100 runs, 0 s left")
 
 
 def test_runs_of_earlier_processes_do_not_flatter_the_pace(clock):
@@ -99,7 +99,7 @@ def test_compiling_is_shown_with_its_time(clock):
         shown.compiled(group, 4.21)
     assert text.getvalue().splitlines() == ["compiling kcbts ...", "compiled kcbts in 4.2 s"]
     # Of which nothing is known but that the first was compiled in no time: 10 s, and 3 s of runs each.
-    assert shown.describe() == "0/100 runs, 1 of 2 programs to compile, 13 s left"
+    assert shown.describe() == "0/100 runs, 13 s left, 1 of 2 programs to compile"
 
 
 def test_the_time_left_is_shown_while_nothing_happens(clock):
@@ -110,7 +110,7 @@ def test_the_time_left_is_shown_while_nothing_happens(clock):
         for _ in range(15):
             clock.now += 1.0
             shown.tick()
-    assert text.getvalue().splitlines()[1:] == ["toy: 0/100 runs, 1 of 1 programs to compile, 13 s left"]
+    assert text.getvalue().splitlines()[1:] == ["toy: 0/100 runs, 13 s left, 1 of 1 programs to compile"]
 
 
 def test_the_time_of_compilation_is_told_even_if_none_has_ended(clock):
