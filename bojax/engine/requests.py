@@ -75,7 +75,7 @@ def choose_targets(requests: Sequence[Request], *, resume: bool) -> list[Target]
         print(printable(f"note: {error}"), file=sys.stderr)
     if resume and not any(target.is_resumed for target in chosen):
         others = f" and {len(chosen) - 1} more" if len(chosen) > 1 else ""
-        print(printable(f"note: nothing to resume; started anew: {chosen[0].path}{others}"), file=sys.stderr)
+        print(printable(f"note: nothing to resume; starting anew: {chosen[0].path}{others}"), file=sys.stderr)
     return chosen
 
 

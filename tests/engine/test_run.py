@@ -504,7 +504,7 @@ def test_threads_for_latencies_start_only_if_a_latency_is_asked_for():
 def test_new_folders_begin_and_a_note_says_that_nothing_is_resumed(tmp_path, capsys):
     RunFolder(tmp_path / "begun").create({})
     begun, first, second = (Request(toy_sweep(), tmp_path / name) for name in ("begun", "first", "second"))
-    note = f"note: nothing to resume; started anew: {tmp_path / 'first'}"
+    note = f"note: nothing to resume; starting anew: {tmp_path / 'first'}"
     for requests, resume, expected in [
         ([first], True, f"{note}\n"),
         ([first, second], True, f"{note} and 1 more\n"),
