@@ -103,13 +103,12 @@ class Simulator(eqx.Module):
         """The implementation of the steps.
 
         `auto` is `c` on a CPU, for models with contacts; `jax` is as fast there without contacts. It is
-        `pallas` on NVIDIA GPUs, for models without contacts that can be a kernel. Otherwise it is `jax`. With
-        contacts, `search_by_points` is wrong once in thousands of steps of the wheeled robot.
+        `pallas` on NVIDIA GPUs, for models that can be a kernel. Otherwise it is `jax`.
         """
         if self.physics.impl != "auto":
             return self.physics.impl
-        if _has_contacts(self.mujoco_model):
-            return "c" if jax.default_backend() == "cpu" else "jax"
+        if jax.default_backend() == "cpu":
+            return "c" if _has_contacts(self.mujoco_model) else "jax"
         return "pallas" if kernels_run_here() and _can_be_a_kernel(*self._key, self.substeps) else "jax"
 
     @property

@@ -233,9 +233,9 @@ def test_warp_that_is_not_installed_says_so_in_a_line(monkeypatch):
         ("auto", "reacher", "cpu", "jax"),
         ("auto", "reacher", "gpu", "pallas"),
         ("auto", "hopper", "cpu", "c"),
-        ("auto", "hopper", "gpu", "jax"),
+        ("auto", "hopper", "gpu", "pallas"),
         ("auto", "hopper", "tpu", "jax"),
-        ("auto", "jaco", "gpu", "jax"),
+        ("auto", "car", "gpu", "jax"),
         ("auto", "car", "cpu", "c"),
         ("auto", None, "cpu", "jax"),
         ("warp", "hopper", "gpu", "warp"),
@@ -243,10 +243,10 @@ def test_warp_that_is_not_installed_says_so_in_a_line(monkeypatch):
     ],
 )
 def test_the_implementation_that_auto_stands_for(monkeypatch, impl, name, platform, expected):
-    """Jaco stands for models that cannot be a kernel, although it can."""
+    """The car stands for models that cannot be a kernel, although it can."""
     monkeypatch.setattr(jax, "default_backend", lambda: platform)
     monkeypatch.setattr(bojax.robots.simulator, "kernels_run_here", lambda: platform == "gpu")
-    monkeypatch.setattr(bojax.robots.simulator, "_can_be_a_kernel", lambda model, *_: model != MODELS["jaco"])
+    monkeypatch.setattr(bojax.robots.simulator, "_can_be_a_kernel", lambda model, *_: model != MODELS["car"])
     monkeypatch.setattr(bojax.robots.simulator, "_stepping", lambda *_: None)
     model = MODELS[name] if name else RobotModel(slider())
     assert Simulator(build(MJX(impl=impl), "float32"), model, substeps=1).impl == expected
