@@ -9,12 +9,16 @@ earlier stages hold the covariance that the earlier stages explain. An imagined 
 the observations and are stored in their place.
 """
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from bojax.models import lookahead_kernels as kernels
 from bojax.models.gaussian_process import GaussianProcess
+from bojax.numerics.kernels import either
 from bojax.numerics.linalg import guarded_cholesky, matmul
 
 
@@ -75,35 +79,32 @@ def look_ahead(
     posterior, number = root.posterior, points.shape[0]
     kernel = posterior.kernel
     stage = jnp.arange(number, dtype=jnp.int32) // (number // num_stages)
-    is_before = stage[None, :] < stage[:, None]
     both = is_observed[:, None] & is_observed[None, :]
+    num_given = number - number // num_stages  # no stage is conditioned on the last one
+    computed = functools.partial(either, kernels.are_used(number, num_given, posterior.y.dtype))
 
-    whitened = posterior.whiten(points)  # V, [N, B]
+    at_data = posterior.inverse_cholesky, kernel.gram(posterior.x, points), posterior.count
+    whitened = computed(kernels.whitened, _product, *at_data)  # V, [N, B]
     covariance = kernel.gram(points, points) - matmul(whitened.T, whitened)
     noise = posterior.noise(points)
     # A point that is not observed becomes independent of all others.
     own = jnp.where(is_observed, noise, 1.0)
     joint = jnp.where(both, covariance, 0.0) + jnp.diag(own)
-    # No stage is conditioned on the last one, so its columns are not needed.
-    num_given = number - number // num_stages
-    factor, inverse = guarded_cholesky(joint, jnp.where(is_observed, noise, 0.0), num_given)
-    explained = jnp.where(is_before[:, :num_given], factor, 0.0)
+    least = jnp.where(is_observed, noise, 0.0)
     innovations = jnp.where(is_observed, innovations, 0.0)[:num_given]
+    how = {"num_stages": num_stages, "with_weights": with_gradient}
+    by_kernel, by_xla = (functools.partial(form, **how) for form in (kernels.conditioned, conditioned))
+    shift, explained, imagined = computed(by_kernel, by_xla, joint, least, innovations)
 
-    mean = jax.vmap(posterior.mean)(points) + matmul(root.whitened, whitened)
-    mean = mean + matmul(explained, innovations)
-    variance = jnp.diagonal(covariance) - jnp.sum(explained * explained, axis=-1)
+    mean = jax.vmap(posterior.mean)(points) + matmul(root.whitened, whitened) + shift
+    variance = jnp.diagonal(covariance) - explained
     gradient = None
-    if with_gradient:
-        # Innovations of the stage itself and of later stages are set to 0, so that one product serves all.
-        stages = jnp.arange(num_stages, dtype=jnp.int32)
-        given = jnp.where(stage[:num_given, None] < stages[None, :], innovations[:, None], 0.0)
-        imagined = matmul(inverse.T, given)  # [num_given, stages]
+    if imagined is not None:
         # All of V and zeros, since a part of V would be copied first. A product with the rows of L^-1 as
         # stored takes a third of the time of a product with L^-T.
-        padded = jnp.pad(imagined.T, ((0, 0), (0, number - num_given)))
-        explained_away = matmul(matmul(padded, whitened.T), posterior.inverse_cholesky)
-        real = root.weights[None, :] - explained_away  # [stages, N]
+        rows = matmul(jnp.pad(imagined.T, ((0, 0), (0, number - num_given))), whitened.T)
+        args = rows, posterior.inverse_cholesky, posterior.count
+        real = root.weights[None, :] - computed(kernels.explained_away, _product, *args)  # [stages, N]
 
         def mean_of(x, weights_real, weights_imagined):
             at_data = jax.vmap(lambda z: kernel(x, z))(posterior.x)
@@ -113,3 +114,43 @@ def look_ahead(
         # Forward mode: on a GPU it takes two kernels as large as k(X, Z), and reverse mode three.
         gradient = jax.vmap(jax.jacfwd(mean_of))(points, real[stage], imagined.T[stage])
     return Lookahead(mean, jnp.maximum(variance, 0.0), gradient)
+
+
+def conditioned(
+    joint: Float[Array, "B B"],
+    least: Float[Array, "B"],
+    innovations: Float[Array, "G"],
+    num_stages: int,
+    with_weights: bool,
+) -> tuple[Float[Array, "B"], Float[Array, "B"], Float[Array, "G T"] | None]:
+    """What the observations of the earlier stages say about the points of each stage.
+
+    Args:
+        joint: Covariance matrix of all observations given the real data.
+        least: Their noise variances.
+        innovations: Those of all stages but the last.
+        num_stages: Number T of stages.
+        with_weights: Whether to compute the last result.
+
+    Returns:
+        What is added to the means, what is subtracted from the variances, and the weights of the
+        observations in the means of each stage.
+    """
+    number, num_given = len(joint), len(innovations)
+    stage = jnp.arange(number, dtype=jnp.int32) // (number // num_stages)
+    # No stage is conditioned on the last one, so its columns are not needed.
+    factor, inverse = guarded_cholesky(joint, least, num_given)
+    explained = jnp.where(stage[None, :num_given] < stage[:, None], factor, 0.0)
+    weights = None
+    if with_weights:
+        # Innovations of the stage itself and of later stages are set to 0, so that one product serves all.
+        stages = jnp.arange(num_stages, dtype=jnp.int32)
+        given = jnp.where(stage[:num_given, None] < stages[None, :], innovations[:, None], 0.0)
+        weights = matmul(inverse.T, given)
+    return matmul(explained, innovations), jnp.sum(explained * explained, axis=-1), weights
+
+
+def _product(a: Array, b: Array, count: Array) -> Array:
+    """A product with L^-1 of `count` observations."""
+    del count
+    return matmul(a, b)

@@ -1,7 +1,6 @@
 """Steps of MJX on a GPU as one kernel, in which a thread simulates a robot."""
 
 import importlib
-import re
 from collections.abc import Callable
 from typing import Any
 
@@ -16,13 +15,6 @@ from bojax.robots.models import MjModel
 
 _MOST_SCALARS = 40_000
 """Largest program that is compiled; that of the hopper has 11,000 scalars, which take 4 s."""
-
-
-def kernels_run_here() -> bool:
-    """Whether the device is an NVIDIA GPU for which Pallas has kernels: of compute capability 8.0 or more."""
-    capability = getattr(jax.devices()[0], "compute_capability", "")
-    version = re.fullmatch(r"(\d+)\.\d+", capability)
-    return version is not None and int(version[1]) >= 8
 
 
 class KernelSteps(LaneSteps):

@@ -13,11 +13,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from bojax.config.extras import MissingExtra
+from bojax.numerics.kernels import kernels_run_here
 from bojax.numerics.lanes import batched_together
 from bojax.numerics.third_party import plain_jax, silenced, standard_jax
 from bojax.robots.c_mujoco import CSteps
 from bojax.robots.lane_steps import LaneSteps
-from bojax.robots.mjx_kernel import KernelSteps, kernels_run_here
+from bojax.robots.mjx_kernel import KernelSteps
 from bojax.robots.models import MjModel, RobotModel, mujoco
 from bojax.robots.mujoco_warp import WarpSteps
 from bojax.robots.newton import Search, constrained, has_clipped_forces, search_at_ends, search_by_points

@@ -14,10 +14,10 @@ import pytest
 import bojax.robots.simulator
 from bojax.config.extras import MissingExtra
 from bojax.engine.build import build
+from bojax.numerics.kernels import kernels_run_here
 from bojax.robots import mujoco_warp
 from bojax.robots.car import car_model
 from bojax.robots.jaco import jaco_model
-from bojax.robots.mjx_kernel import kernels_run_here
 from bojax.robots.models import RobotModel, from_file, packaged
 from bojax.robots.quadrotor import quadrotor_model
 from bojax.robots.settings import MJX

@@ -1,0 +1,62 @@
+"""Kernels of Pallas for NVIDIA GPUs, in place of parts of a program of which XLA makes many kernels.
+
+In the loop of a search, a kernel of XLA takes 1 us or more on an H200 however small its work is.
+"""
+
+import importlib
+import re
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+import jax
+
+T = TypeVar("T")
+"""A tree of arrays."""
+
+
+def kernels_run_here() -> bool:
+    """Whether the device is an NVIDIA GPU for which Pallas has kernels: of compute capability 8.0 or more."""
+    capability = getattr(jax.devices()[0], "compute_capability", "")
+    version = re.fullmatch(r"(\d+)\.\d+", capability)
+    return version is not None and int(version[1]) >= 8
+
+
+def either(is_kernel: bool, kernel: Callable[..., T], otherwise: Callable[..., T], *args: jax.Array) -> T:
+    """`kernel(*args)` if `is_kernel`, else `otherwise(*args)`, which is also computed by the host's CPU."""
+    if not is_kernel:
+        return otherwise(*args)
+    return jax.lax.platform_dependent(*args, cuda=kernel, default=otherwise)
+
+
+def launch(
+    body: Callable[..., None],
+    results: Sequence[jax.ShapeDtypeStruct],
+    *args: jax.Array,
+    name: str,
+    grid: tuple[int, ...] = (),
+    warps: int = 1,
+    stages: int = 1,
+) -> Sequence[jax.Array]:
+    """The results of a kernel for a single lane; `vmap` adds the lanes to its grid. A CPU interprets it.
+
+    Args:
+        body: Reads references to the arguments, and writes to those of the results, which come after them.
+        results: Shapes of the results.
+        args: The arguments.
+        name: Name of the kernel, for profilers.
+        grid: Number of programs of a lane.
+        warps: Number of warps of a program.
+        stages: Number of iterations of a loop of which Triton loads the operands at a time.
+    """
+    # Imported here, since it takes a second.
+    pallas = importlib.import_module("jax.experimental.pallas")
+    triton = importlib.import_module("jax.experimental.pallas.triton")
+    call = pallas.pallas_call(
+        body,
+        out_shape=list(results),
+        grid=grid,
+        interpret=jax.default_backend() == "cpu",
+        compiler_params=triton.CompilerParams(num_warps=warps, num_stages=stages),
+        name=name,
+    )
+    return call(*args)

@@ -1,0 +1,32 @@
+"""Where kernels of Pallas run; `tests/models/test_lookahead_kernels.py` tests kernels."""
+
+import types
+
+import jax
+import jax.numpy as jnp
+import pytest
+
+from bojax.numerics.kernels import either, kernels_run_here
+
+
+@pytest.mark.parametrize(
+    ("device", "expected"),
+    [
+        ({"compute_capability": "8.0"}, True),
+        ({"compute_capability": "10.3"}, True),
+        ({"compute_capability": "7.5"}, False),
+        ({"compute_capability": "gfx942"}, False),
+        ({}, False),
+    ],
+)
+def test_kernels_run_on_recent_nvidia_gpus(device, expected, monkeypatch):
+    monkeypatch.setattr(jax, "devices", lambda: [types.SimpleNamespace(**device)])
+    assert kernels_run_here() is expected
+
+
+@pytest.mark.skipif(kernels_run_here(), reason="the kernel is the form here")
+def test_a_cpu_computes_the_other_form_of_a_kernel():
+    def compute(x):
+        return either(True, lambda x: x + 1.0, lambda x: x - 1.0, x)
+
+    assert jax.jit(jax.vmap(compute))(jnp.zeros(2)).tolist() == [-1.0, -1.0]
