@@ -40,6 +40,8 @@ class RunState(eqx.Module):
         outside: Number of these steps to an observation outside the declared bounds.
         is_done: Whether the run has ended.
         last_return: Return of the last training episode.
+        planned_return: Mean return that the learner expected of its actions in the last training episode; NaN
+            after an episode in which this was not finite.
         episodes_to_goal: Training episodes up to and including the first success; -1 before.
         steps_to_goal: Training steps up to the first success; -1 before.
         target: Progress of the test episodes towards the target return.
@@ -56,6 +58,7 @@ class RunState(eqx.Module):
     outside: Int[Array, ""]
     is_done: Bool[Array, ""]
     last_return: Float[Array, ""]
+    planned_return: Float[Array, ""]
     episodes_to_goal: Int[Array, ""]
     steps_to_goal: Int[Array, ""]
     target: TargetProgress
@@ -163,6 +166,7 @@ class LearningRun(Experiment):
             outside=zero,
             is_done=jnp.zeros((), bool),
             last_return=number,
+            planned_return=number,
             episodes_to_goal=never,
             steps_to_goal=never,
             target=TargetProgress(never, zero, number),
@@ -201,6 +205,7 @@ class LearningRun(Experiment):
     def summary(self, carry: RunState) -> dict[str, Scalar]:
         summary = {
             "return": carry.last_return,
+            "planned_return": carry.planned_return,
             "success": carry.episodes_to_goal >= 0,
             "episodes": carry.episode,
             "steps": carry.steps,
@@ -307,6 +312,11 @@ class LearningRun(Experiment):
             done = done | target.is_reached
         rows["phase"] = (jnp.arange(1 + self.tests) > 0).astype(jnp.int32)
         rows["valid"] = jnp.broadcast_to(active, rows["phase"].shape)
+        # A learner with non-finite weights still acts: only the returns that it expects of its actions tell.
+        _, expected, _ = self._rows.unpack(episode.rows)
+        is_step = jnp.arange(len(expected), dtype=jnp.int32) < episode.length
+        mean = jnp.sum(jnp.where(is_step, expected, 0.0)) / jnp.maximum(episode.length, 1).astype(self._dtype)
+        planned_return = jnp.where(jnp.isfinite(mean), mean, jnp.nan)
         maps, visits, map_scores = carry.maps, carry.visits, carry.map_scores
         if maps is not None:
             now = (number == jnp.asarray(self.map_episodes, jnp.int32)) & active
@@ -325,6 +335,9 @@ class LearningRun(Experiment):
             outside=carry.outside + episode.outside,
             is_done=carry.is_done | done,
             last_return=jnp.where(active, episode.total, carry.last_return),
+            planned_return=jnp.where(
+                active & ~jnp.isnan(carry.planned_return), planned_return, carry.planned_return
+            ),
             episodes_to_goal=episodes_to_goal,
             steps_to_goal=jnp.where(is_first, steps, carry.steps_to_goal),
             target=target,
@@ -385,6 +398,13 @@ class LearningRun(Experiment):
 
 _RUN_COLUMNS: Table = (
     Column("return", "float64", "", "sum of the rewards of the last training episode"),
+    Column(
+        "planned_return",
+        "float64",
+        "",
+        "mean return Q that the learner expected of its actions in the last training episode; NaN once this "
+        "was not finite",
+    ),
     Column("success", "bool", "", "the goal was reached in a training episode"),
     Column("episodes", "int32", "", "training episodes"),
     Column("steps", "int32", "", "steps of all training episodes"),

@@ -4,6 +4,8 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 from bojax.config.component import External
 from bojax.config.figures import TABLES, figure_modules
 from bojax.report import style
@@ -89,7 +91,9 @@ def _gaps(results: Results) -> list[str]:
         )
     bad = [f"{point.name} {count}" for point in results.points if (count := count_nan_runs(results, point))]
     if bad:
-        notes.append(f"Runs with a NaN: {', '.join(bad)}.")
+        diverged = int(np.isnan(results.runs.get("planned_return", np.zeros(0))).sum())
+        reason = f" In {counted(diverged, 'run')}, what was learned became non-finite." if diverged else ""
+        notes.append(f"Runs with a NaN: {', '.join(bad)}.{reason}")
     return notes
 
 

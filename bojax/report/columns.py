@@ -40,7 +40,7 @@ _NUMBERS = (
     *("return", "steps", "exits", "nans", "rmse", "wrmse", "mnll", "collisions", "sampled_gradient"),
     *("wrmse_gradient", "wrmse_value"),
     *("episodes", "outside", "episodes_to_goal", "steps_to_goal", "episodes_to_target"),
-    *("return_after_target", "length", "kappa", "trajectories"),
+    *("return_after_target", "planned_return", "length", "kappa", "trajectories"),
     *("reward", "planned_reward", "accumulated_reward", "x", "y", "heading"),
 )
 _KNOWN = {"phase": "text", **dict.fromkeys(_BOOLEANS, "true or false"), **dict.fromkeys(_NUMBERS, "numbers")}

@@ -23,7 +23,7 @@ from bojax.report.statistics import carry_forward
 from bojax.results.outline import Outline
 from bojax.results.store import ARRAYS, MANIFEST, WORK, ResultsError, array_file, read_manifest
 
-_NOT_MEASURED = ("point", "run", "episode", "seed", "nans")
+_NOT_MEASURED = ("point", "run", "episode", "seed", "nans", "planned_return")
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from bojax.learning.base import ExplorationState, Learner
 from bojax.numerics import checkpoint
 from bojax.numerics.lanes import LANES
 from bojax.results.store import ResultsError
+from bojax.results.tables import KEYS, count_nans, to_arrow
 from tests.compiling import REPEATABLY
 from tests.tiers import by_tier
 
@@ -240,6 +241,8 @@ def test_the_numbers_of_a_run_are_those_of_its_rows():
     for lane in range(8):
         rows, summary = history.rows(lane=lane, phase="train"), history.summary(lane)
         assert summary["return"] == rows["return"][-1]
+        planned = history.rows("steps", lane=lane)["planned_reward"][-rows["length"][-1] :]
+        assert summary["planned_return"] == pytest.approx(planned.mean(), rel=1e-12)
         assert summary["episodes"] == 6 and summary["steps"] == rows["length"].sum()
         assert summary["success"] == rows["success"].any()
         if not summary["success"]:
@@ -533,6 +536,25 @@ def test_a_number_that_is_none_in_one_lane_leaves_the_others_alone():
     returns = jax.jit(jax.vmap(one, axis_name=LANES))(poisoned, keys)
     assert float(returns[0, 0]) == 4.0 and np.isnan(returns[1, 0])
     assert np.isnan(History(broken, lanes=1).summary()["return"])
+
+
+def test_weights_that_are_no_number_are_counted_in_runs_that_are_not_recorded():
+    run, carry = default_history().run, default_history().carries[2]
+    wrong = jnp.asarray([0.0, jnp.nan, jnp.inf])
+    learner = eqx.tree_at(
+        lambda tables: tables.columns, carry.learner, replace_fn=lambda x: x + wrong[:, None, None, None]
+    )
+    after, records = _advance(run, eqx.tree_at(lambda c: c.learner, carry, learner))
+    runs = {name: np.asarray(values) for name, values in jax.vmap(run.summary)(after).items()}
+    keys = {"point": np.zeros(3, np.int32), "run": np.arange(3, dtype=np.int32)}
+    table = to_arrow((*KEYS, *run.tables["runs"]), {**keys, **runs})
+    assert count_nans([table]) == {(0, 1): 1, (0, 2): 1}
+    # Its other numbers are as before, so that a study of divergence has its rows.
+    assert np.all(np.isfinite(runs["return"])) and not np.any(after.is_done)
+    assert np.all(np.isfinite(records.tables["episodes"]["return"]))
+    # That it happened is not forgotten.
+    healed, _ = _advance(run, eqx.tree_at(lambda c: c.learner, after, carry.learner))
+    assert np.isnan(healed.planned_return).tolist() == [False, True, True]
 
 
 # Maps, and what is saved.

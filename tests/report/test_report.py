@@ -165,12 +165,14 @@ def test_missing_runs_and_nans_are_said(tmp_path):
     nans = np.zeros(table.num_rows, dtype=np.int64)
     nans[:2] = 3
     table = table.set_column(table.column_names.index("nans"), "nans", pa.array(nans))
-    pq.write_table(table, folder / "runs.parquet")
+    planned = np.where(np.arange(table.num_rows) == 1, np.nan, 0.0)
+    pq.write_table(table.append_column("planned_return", pa.array(planned)), folder / "runs.parquet")
     build_report(folder)
     text = Page((folder / "report.html").read_text()).text
     assert "Missing: 10 runs of kcbts, sbo-5, sbo-9, gps-abt and random" in text
     assert "out of memory" in text
-    assert "Runs with a NaN: kcbts 2." in text
+    assert "Runs with a NaN: kcbts 2. In 1 run, what was learned became non-finite." in text
+    assert "planned return" not in text  # a diagnosis of runs, not a result of points
 
 
 def test_a_nan_is_shown_as_one(tmp_path):
