@@ -143,12 +143,10 @@ class Programs:
                 lowered, carry = self._lower(wider)
                 traced = time.perf_counter() - start
             start = time.perf_counter()
-            with executables.compiled_anew() as compiled:
-                self._programs = {name: _compile(name, program) for name, program in lowered.items()}
+            self._programs, are_saved = _compile(lowered, key, device)
             self.compile_seconds = traced + time.perf_counter() - start
-            # Now, since after its first call XLA no longer serialises a program with a sort for the CPU.
-            if key is not None and len(compiled) == len(self._programs):
-                self.is_saved = executables.save(key, self._programs, carry)
+            if key is not None and are_saved:
+                self.is_saved = executables.save(key, self._programs.keys(), carry)
         executables.hold(key, device, (self._programs, carry))
         self.carry_structure = self._on_device(carry)
 
@@ -253,11 +251,24 @@ class Programs:
         return self._programs["select"](carry, jax.device_put(lanes.astype(np.int32), self._sharding))
 
 
-def _compile(name: str, lowered: Lowered) -> Compiled:
-    """The program; a call with inputs of another shape or on another device raises."""
-    program = lowered.compile()
-    compile_counts[name] += 1
-    return program
+def _compile(
+    lowered: Mapping[str, Lowered], key: str | None, device: Device
+) -> tuple[dict[str, Compiled], bool]:
+    """Compiled or saved programs, and whether all are saved under the key.
+
+    A call of a program with inputs of another shape or on another device raises.
+    """
+    programs, are_saved = dict[str, Compiled](), True
+    for name, each in lowered.items():
+        program = executables.load_program(key, name, device)
+        if program is None:
+            with executables.compiled_anew() as anew:
+                program = each.compile()
+            compile_counts[name] += 1
+            # Now, since after its first call XLA no longer serialises a program with a sort for the CPU.
+            are_saved &= bool(anew) and key is not None and executables.save_program(key, name, program)
+        programs[name] = program
+    return programs, are_saved
 
 
 def run_key(key: Key[Array, ""], run: Int[Array, ""]) -> Key[Array, ""]:

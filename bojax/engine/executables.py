@@ -18,7 +18,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -120,39 +120,58 @@ def hold(key: str | None, device: Device, programs: Programs) -> None:
 
 
 def load(key: str | None, device: Device) -> Programs | None:
-    """The programs held or saved under a key; None if there are none, or if they are damaged."""
-    folder = folder_of("programs")
-    if key is None or folder is None:
+    """The programs of a group held or saved under a key; None unless all of them are there and sound."""
+    if key is None:
         return None
     if found := (_held or {}).get((key, device)):
         return found
-    path = folder / key
-    try:
-        content = path.read_bytes()
-        digest, content = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
-        if hashlib.sha256(content).digest() != digest:
-            return None
-        programs, structure = pickle.loads(content)
-        loaded = {name: _loaded(program, device) for name, program in programs.items()}
-        os.utime(path)
-    except Exception:  # missing, or refused by XLA
+    if (saved := _read(key)) is None:
         return None
-    return loaded, structure
+    names, structure = saved
+    programs = {name: program for name in names if (program := load_program(key, name, device)) is not None}
+    return (programs, structure) if len(programs) == len(names) else None
+
+
+def load_program(key: str | None, name: str, device: Device) -> Compiled | None:
+    """The program of this name that is saved under the key of its group; None if there is none."""
+    saved = None if key is None else _read(f"{key}-{name}")
+    try:
+        return None if saved is None else _loaded(saved, device)
+    except Exception:  # refused by XLA
+        return None
 
 
 def is_saved(key: str | None) -> bool:
-    """Whether there are programs under a key."""
+    """Whether all programs of a group are saved under a key."""
     folder = folder_of("programs")
     return key is not None and folder is not None and (folder / key).exists()
 
 
-def save(key: str, programs: Mapping[str, Compiled], structure: PyTree[jax.ShapeDtypeStruct]) -> bool:
-    """Save the programs of a group and the structure of its carry; False if that is not possible."""
+def save_program(key: str, name: str, program: Compiled) -> bool:
+    """Save a program under the key of its group; False if that is not possible."""
+    return _write(f"{key}-{name}", lambda: _serialized(program))
+
+
+def save(key: str, names: Collection[str], structure: PyTree[jax.ShapeDtypeStruct]) -> bool:
+    """Save that the programs of a group are these, all saved, and the structure of its carry.
+
+    Until then, as after a kill between two programs, those that are saved are loaded one by one.
+    """
+    folder = folder_of("programs")
+    if folder is None or not _write(key, lambda: (tuple(names), structure)):
+        return False
+    with contextlib.suppress(OSError):  # another process may delete them, too
+        drop_unused(folder)
+    return True
+
+
+def _write(name: str, content_of: Callable[[], object]) -> bool:
+    """Write an entry with its checksum, whole or not at all; False if that is not possible."""
     folder = folder_of("programs")
     if folder is None:
         return False
     try:
-        content = pickle.dumps(({name: _serialized(each) for name, each in programs.items()}, structure))
+        content = pickle.dumps(content_of())
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=folder, delete=False) as file:
             try:
@@ -161,11 +180,26 @@ def save(key: str, programs: Mapping[str, Compiled], structure: PyTree[jax.Shape
             except OSError:  # a full disk must not be filled further
                 os.unlink(file.name)
                 raise
-        os.replace(file.name, folder / key)
-        drop_unused(folder)
+        os.replace(file.name, folder / name)
     except Exception:  # a program with callbacks, a full disk: the next sweep compiles again
         return False
     return True
+
+
+def _read(name: str) -> Any:
+    """The content of an entry; None if it is missing or damaged."""
+    folder = folder_of("programs")
+    if folder is None:
+        return None
+    try:
+        content = (folder / name).read_bytes()
+        digest, content = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
+        if hashlib.sha256(content).digest() != digest:
+            return None
+        os.utime(folder / name)
+        return pickle.loads(content)
+    except Exception:  # of the disk, or of a class that is no longer there
+        return None
 
 
 def _serialized(program: Compiled) -> tuple[bytes, PyTree, PyTree]:

@@ -15,7 +15,7 @@ def kept_toys() -> Iterator[None]:
     """
     with pytest.MonkeyPatch.context() as patch, executables.held():
         patch.setattr(executables, "_KNOWN", {*executables._KNOWN, "tests"})
-        patch.setattr(executables, "save", lambda *_: False)
+        patch.setattr(executables, "_write", lambda *_: False)
         yield
 
 

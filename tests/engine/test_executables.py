@@ -58,11 +58,10 @@ def compiled(tmp_path_factory):
 
 
 @pytest.fixture
-def entry(compiled, cache):
-    """The entry of these programs in a cache, beside an empty one of JAX."""
+def entries(compiled, cache):
+    """The entries of these programs, the group's own first, in a cache beside an empty one of JAX."""
     shutil.copytree(compiled[1], cache)
-    (path,) = files(cache)
-    return path
+    return files(cache)
 
 
 def group_of(**changes):
@@ -86,9 +85,19 @@ def files(folder):
     return sorted(folder.iterdir()) if folder.exists() else []
 
 
+def groups_in(folder):
+    """The entries of groups, all of whose programs are saved."""
+    return [path for path in files(folder) if "-" not in path.name]
+
+
+def empty(folder):
+    for path in files(folder):
+        path.unlink()
+
+
 @pytest.mark.bits
 @pytest.mark.parametrize("device", jax.devices("cpu"), ids=str)
-@pytest.mark.usefixtures("entry")
+@pytest.mark.usefixtures("entries")
 def test_loaded_programs_are_neither_traced_nor_compiled_and_give_the_same_bits(
     compiled, monkeypatch, device
 ):
@@ -110,8 +119,7 @@ def test_loaded_programs_are_neither_traced_nor_compiled_and_give_the_same_bits(
 
 def test_programs_of_jax_s_cache_are_not_saved(cache):
     programs_of(group_of())
-    (path,) = files(cache)
-    path.unlink()
+    empty(cache)
     jax.clear_caches()
     expected = advanced(programs_of(group_of()))
     assert not files(cache)
@@ -120,7 +128,7 @@ def test_programs_of_jax_s_cache_are_not_saved(cache):
             path.unlink()
     jax.clear_caches()
     programs_of(group_of())
-    assert len(files(cache)) == 1
+    assert len(groups_in(cache)) == 1
     found = advanced(programs_of(group_of()))
     np.testing.assert_array_equal(found[0]["success"], expected[0]["success"])
 
@@ -128,15 +136,15 @@ def test_programs_of_jax_s_cache_are_not_saved(cache):
 def test_a_damaged_entry_of_jax_is_compiled_anew_and_replaced(cache):
     # A full disk, or a kill at the wrong moment: JAX warns of such an entry, but never replaces it.
     programs_of(group_of())
-    (path,) = files(cache)
-    path.unlink()
+    saved = files(cache)
+    empty(cache)
     (entry,) = cache.parent.glob("jit_advance_*-cache")
     os.truncate(entry, 100)
     executables.checked.clear()  # as in a new process
     jax.clear_caches()
     programs_of(group_of())
     assert entry.stat().st_size > 100
-    assert files(cache) == [path]  # all programs were compiled together
+    assert files(cache) == saved  # all programs were compiled anew
 
 
 def test_a_full_disk_leaves_no_part_of_an_entry(cache, monkeypatch):
@@ -155,15 +163,14 @@ def test_a_full_disk_leaves_no_part_of_an_entry(cache, monkeypatch):
 
     make = tempfile.NamedTemporaryFile
     monkeypatch.setattr(tempfile, "NamedTemporaryFile", lambda **given: Full(make(**given)))
-    assert not executables.save("key", {}, None)
+    assert not executables.save("key", [], None)
     assert not list(cache.iterdir())
 
 
 def test_programs_that_are_held_are_neither_traced_nor_read(cache, monkeypatch):
     with executables.held():
         expected = advanced(programs_of(group_of()))
-        (path,) = files(cache)
-        path.unlink()
+        empty(cache)
         with monkeypatch.context() as patched:
             patched.setattr(Programs, "_lower", lambda *_, **__: pytest.fail("traced"))
             found = advanced(programs_of(group_of(**{"learner.discount": 0.5})))
@@ -186,7 +193,31 @@ def test_only_the_last_programs_are_held(cache):
 def test_groups_with_a_program_in_common_are_both_saved(cache):
     for episodes in (2, 3):
         programs_of(group_of(episodes=episodes))
-    assert len(files(cache)) == 2
+    assert len(groups_in(cache)) == 2
+
+
+def test_a_kill_between_two_programs_costs_those_that_were_not_compiled(cache, monkeypatch, compiled):
+    expected = advanced(compiled[0])
+    save, kept = executables.save_program, []
+
+    def killed(key, name, program):
+        if kept:
+            raise KeyboardInterrupt
+        kept.append(name)
+        return save(key, name, program)
+
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr(executables, "save_program", killed)
+        programs_of(group_of())
+    (unsaved,) = (path for path in cache.parent.glob("jit_*-cache") if "summary" in path.name)
+    unsaved.unlink()  # the kill came before JAX kept it
+    jax.clear_caches()
+    assert kept == ["advance"] and len(files(cache)) == 1 and not groups_in(cache)
+    before = batch.compile_counts.copy()
+    found = programs_of(group_of())
+    assert "advance" not in batch.compile_counts - before and found.is_saved
+    assert len(groups_in(cache)) == 1
+    jax.tree.map(np.testing.assert_array_equal, advanced(found), expected)
 
 
 IN_ANOTHER_PROCESS = """
@@ -204,7 +235,8 @@ print(*programs["factor"](np.asarray([[4, 2], [2, 5]], np.float32)).tolist())
 def test_a_factorisation_is_loaded_by_a_process_that_has_traced_none(cache):
     matrix = jax.ShapeDtypeStruct((2, 2), np.float32)
     factor = jax.jit(jax.numpy.linalg.cholesky).lower(matrix).compile()
-    assert executables.save("key", {"factor": factor}, matrix)
+    assert executables.save_program("key", "factor", factor)
+    assert executables.save("key", ["factor"], matrix)
     command = [sys.executable, "-c", IN_ANOTHER_PROCESS, str(cache.parent)]
     done = subprocess.run(command, capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (0, "[2.0, 0.0] [1.0, 2.0]\n")
@@ -247,8 +279,9 @@ def test_nothing_foreign_may_be_part_of_a_group(cache, part):
 
 
 @pytest.mark.parametrize("damage", ["emptied", "cut off", "flipped"])
-def test_a_damaged_entry_is_not_used(compiled, entry, damage):
+def test_a_damaged_entry_is_not_used(compiled, entries, damage):
     expected = advanced(compiled[0])
+    _, entry, *_ = entries
     whole = entry.read_bytes()
     middle = len(whole) // 2
     flipped = whole[:middle] + bytes([whole[middle] ^ 1]) + whole[middle + 1 :]
@@ -266,7 +299,7 @@ def test_entries_that_are_not_used_are_deleted(cache):
         os.utime(cache / name, times=(time.time() - days * 86400,) * 2)
     programs_of(group_of())
     names = [path.name for path in files(cache)]
-    assert "old" not in names and "new" in names and len(names) == 2
+    assert "old" not in names and "new" in names and len(groups_in(cache)) == 2
 
 
 @pytest.mark.parametrize("folder", [None, "gs://bucket/cache"])
