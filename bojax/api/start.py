@@ -98,17 +98,17 @@ def _start(
         # A mistake ends here, before a process starts and before anything is written.
         load_it = load_config if command == "run" else load_sweep
         loaded = load_it(source, overrides, runs, seed)
-        folder, is_resumed = reserve_folder(loaded.name, place, resume=resume)
+        folder, _ = reserve_folder(loaded.name, place, resume=resume)
     words = ["bojax", command, source if isinstance(source, str) else STANDARD_INPUT, *overrides]
     for option, value in (("--runs", runs), ("--seed", seed), ("--out", folder)):
         words += [] if value is None else [option, str(value)]
-    words += ["--resume"] if is_resumed else []
+    words += ["--resume"] if resume else []
     try:
         if values.has_classes:
             from bojax.api.here import run_here
 
             with in_one_line():
-                ended = run_here(loaded, folder, is_resumed, words)
+                ended = run_here(loaded, folder, resume, words)
         else:
             from bojax.api.child import run_command
 

@@ -74,8 +74,8 @@ def main(name: str, words: Sequence[str]) -> int:
         name=f"{results.manifest.name}-best",
         locate=lambda _, location: f"{place}.{dotted(location)}",  # the module that it names is announced
     )
-    folder, is_resumed = reserve_folder(chosen.name, args.out, resume=args.resume)
-    code = run([resolved(chosen)], [folder], is_resumed, ["bojax", name, *words])
+    folder, _ = reserve_folder(chosen.name, args.out, resume=args.resume)
+    code = run([resolved(chosen)], [folder], args.resume, ["bojax", name, *words])
     if code == 0:
         print(scored(measure, best_of(load(folder), measure)))
     return code

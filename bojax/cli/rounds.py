@@ -19,7 +19,7 @@ from bojax.config.sweep import Sweep
 from bojax.config.tuning import described, value_at
 from bojax.engine.executables import held
 from bojax.engine.remote import Launcher
-from bojax.engine.requests import Request
+from bojax.engine.requests import Request, say_new
 from bojax.engine.run import run_sweeps
 from bojax.engine.tuning import Search, Values
 from bojax.report.progress import report
@@ -72,6 +72,8 @@ def run_rounds(
         folder, is_resumed = out, False
     else:
         folder, is_resumed = reserve_folder(f"{task.config.name}-tune", out, resume=resume)
+        if resume and not is_resumed:
+            say_new([folder])
     if launcher is not None:
         launcher.home = folder
     for key in task.recompiled:

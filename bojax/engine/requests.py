@@ -74,9 +74,14 @@ def choose_targets(requests: Sequence[Request], *, resume: bool) -> list[Target]
     for error in finished:
         print(printable(f"note: {error}"), file=sys.stderr)
     if resume and not any(target.is_resumed for target in chosen):
-        others = f" and {len(chosen) - 1} more" if len(chosen) > 1 else ""
-        print(printable(f"note: nothing to resume; starting anew: {chosen[0].path}{others}"), file=sys.stderr)
+        say_new([target.path for target in chosen])
     return chosen
+
+
+def say_new(folders: Sequence[Path]) -> None:
+    """Print a note that what was to be resumed begins in these folders."""
+    others = f" and {len(folders) - 1} more" if len(folders) > 1 else ""
+    print(printable(f"note: nothing to resume; starting anew: {folders[0]}{others}"), file=sys.stderr)
 
 
 def plan_unfinished(

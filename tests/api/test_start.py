@@ -72,16 +72,18 @@ def test_a_mapping_runs_in_a_process_of_its_own(caller, capfd):
     assert "report: " not in shown.err
 
 
-def test_a_class_runs_in_this_process(caller):
+def test_a_class_runs_in_this_process(caller, capfd):
     results = bojax.run(
         {"experiment": "learning", "env": {"kind": Bandit, "rewards": (-1.0, 2.0)}, "learner": "additive"},
         runs=3,
         out="arms",
+        resume=True,
         episodes=2,
     )
     assert set(results.episodes["return"].to_pylist()) <= {-1.0, 2.0}
     assert results.runs.num_rows == 3
     assert results.manifest["points"][0]["config"]["env"]["kind"] == "tests.learning.probes:Bandit"
+    assert "note: nothing to resume; starting anew: arms\n" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -16,11 +16,13 @@ import yaml
 from jax.experimental.compilation_cache import compilation_cache
 
 from bojax.cli.main import main
+from bojax.cli.rounds import _Rounds
 from bojax.config.sweep import load_config
 from bojax.engine import batch
 from bojax.engine.worker import WorkerOptions, run_worker
 from bojax.report.source import load
 from bojax.report.tuning import read_tuning
+from bojax.results.folder import make_new
 from tests.engine.here import Here
 
 ROOT = Path(__file__).parents[2]
@@ -114,8 +116,6 @@ def empty_cache(tmp_path):
 
 @pytest.mark.usefixtures("empty_cache")
 def test_later_rounds_compile_nothing(tmp_path, monkeypatch):
-    from bojax.cli.rounds import _Rounds
-
     counts, original = [batch.compile_counts.total()], _Rounds._learn
 
     def learn(self, number, folder):
@@ -217,6 +217,14 @@ def test_a_finished_search_is_not_changed(tmp_path, undisturbed, capsys):
     capsys.readouterr()
     assert tune(out, "--resume", "learner.initial_q=1") == 2
     assert "cannot resume, its plan has changed: config.learner: additive -> " in capsys.readouterr().err
+
+
+def test_a_search_that_begins_in_a_new_folder_says_so(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(_Rounds, "run", lambda self: 1)
+    for more, expected in [([], ""), (["--resume"], "note: nothing to resume; starting anew: new\n")]:
+        monkeypatch.chdir(make_new(tmp_path / "here"))
+        assert main(["tune", *WORDS, "--out", "new", *more]) == 1
+        assert capsys.readouterr().err == expected
 
 
 def test_the_report_is_built_again_from_the_files(undisturbed, capsys):
