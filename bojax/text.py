@@ -21,11 +21,16 @@ def error_line(error: BaseException) -> str:
 
 
 def error_at_line(error: BaseException) -> str:
-    """An exception on one line, with the file and the line where it was raised."""
+    """An exception on one line, with the file and the line where it was raised.
+
+    If an installed package raised it, the line is the last one outside of all packages, which called it.
+    """
     frames = traceback.extract_tb(error.__traceback__)
     if not frames or isinstance(error, SyntaxError):  # the message of a SyntaxError names the line
         return error_line(error)
-    return f"{error_line(error)} ({Path(frames[-1].filename).name}, line {frames[-1].lineno})"
+    own = [frame for frame in frames if "site-packages" not in Path(frame.filename).parts]
+    at = (own or frames)[-1]
+    return f"{error_line(error)} ({Path(at.filename).name}, line {at.lineno})"
 
 
 def duration(seconds: float) -> str:

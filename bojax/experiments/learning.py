@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool, Float, Int, Key, Scalar
 from typing_extensions import override
 
 from bojax.envs.base import Env, EnvState, Observation
+from bojax.envs.check import check_env
 from bojax.envs.spaces import Box
 from bojax.experiments.base import Experiment, Records
 from bojax.experiments.episode import EpisodeState
@@ -87,11 +88,13 @@ class LearningRun(Experiment):
     map_resolution: int = eqx.field(static=True)
 
     def __check_init__(self):
-        """Compare the learner with the environment.
+        """Check the environment, and compare the learner with it.
 
         Raises:
-            ValueError: The learner does not take such observations or actions.
+            ValueError: The environment does not fit its spaces or the precision of the run, or the learner
+                does not take such observations or actions.
         """
+        check_env(self.env, self._dtype)
         self.learner.check_spaces(self.env.observation_space, self.env.action_space)
 
     @property
