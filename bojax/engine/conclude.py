@@ -19,7 +19,8 @@ def conclude(journal: Journal, say: Callable[[str], Any], finish: Callable[[Path
     if journal.errors:
         reasons = dict.fromkeys(journal.errors.values())
         failed = f"{len(journal.errors)} of {len(journal.plan.chunks)} chunks failed"
-        say(printable(f"error: {failed}: {'; '.join(reasons)}: run again with --resume to retry them"))
+        advice = "run again with --resume to retry them, or without it if you change the code"
+        say(printable(f"error: {failed}: {'; '.join(reasons)}: {advice}"))
     else:
         finish(journal.path)
 
