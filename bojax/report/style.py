@@ -261,8 +261,9 @@ def spread(heights: Sequence[float], gap: float, low: float, high: float) -> lis
 
 
 def wrapped(name: str, width: int) -> str:
-    """A name broken into lines of at most `width` characters."""
-    return "\n".join(textwrap.wrap(name, width)) or name
+    """A name broken into lines of at most `width` characters, longer words after a dot or an underscore."""
+    marked = re.sub(rf"\S{{{width + 1},}}", lambda word: re.sub(r"([._])(?=\w)", "\\1\0 ", word[0]), name)
+    return "\n".join(textwrap.wrap(marked, width)).replace("\0 ", "").replace("\0", "") or name
 
 
 def plain_ticks(axis: Axis) -> None:

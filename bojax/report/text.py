@@ -97,8 +97,11 @@ def file_name(name: str) -> str:
 
 
 def joined(items: Iterable[object]) -> str:
-    """Names or numbers as a list in a sentence: `a`, `a and b`, `a, b and c`."""
-    *most, last = map(str, items)
+    """Names or numbers as a list in a sentence: `a`, `a and b`, `a, b and c`; `a, b; c`."""
+    every = [str(item) for item in items]
+    if len(every) > 1 and any(", " in item for item in every):
+        return "; ".join(every)
+    *most, last = every
     return f"{', '.join(most)} and {last}" if most else last
 
 

@@ -216,7 +216,7 @@ def _draw_slices(tuning: Tuning) -> Drawing:
         else:
             axes.xaxis.set_major_locator(MaxNLocator(nbins=4))
         _finish(axes)
-        axes.set_xlabel(style.wrapped(each.key.replace(".", ". "), 22).replace(". ", "."))
+        axes.set_xlabel(style.wrapped(each.key, 22))
     label_panels(grid, None, f"mean {heading(tuning.plan.metric)}")
     return Drawing(
         figure,

@@ -139,7 +139,7 @@ def test_changed_settings_are_told_at_the_top_and_with_every_verdict(tmp_path):
     text = build_report(folder).read_text()
     verdicts = json.loads((folder / "claims.json").read_text())
     assert all(claim["changed"] == changed for claim in verdicts)
-    assert text.index("planner.iterations") < text.index("Claims of the thesis")
+    assert text.index("planner.iterations") < text.index('<h2 id="claims">')
     assert "<td>300</td><td>20</td>" in text and "<td>none</td><td>kind wheeled-robot</td>" in text
     assert text.count('<a href="#changed">settings changed</a>') == len(verdicts)
 

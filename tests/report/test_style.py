@@ -90,3 +90,22 @@ def test_fallback_fonts_of_other_weights_are_no_messages():
     with style.settings():
         assert not logger.isEnabledFor(logging.WARNING)
     assert logger.isEnabledFor(logging.WARNING)
+
+
+@pytest.mark.parametrize(
+    ("name", "width", "lines"),
+    [
+        ("emu-q, state_lengthscale 0.2", 16, ["emu-q, state_", "lengthscale 0.2"]),
+        ("learner.features.state_lengthscale", 26, ["learner.features.", "state_lengthscale"]),
+        ("kcbts", 16, ["kcbts"]),
+        ("a" * 20, 16, ["a" * 16, "a" * 4]),
+    ],
+)
+def test_a_long_word_is_broken_where_it_has_parts(name, width, lines):
+    assert style.wrapped(name, width).split("\n") == lines
+
+
+def test_a_list_of_names_with_commas_has_semicolons():
+    assert text.joined(["a", "b", "c"]) == "a, b and c"
+    assert text.joined(["emu-q, kappa 1", "emu-q, kappa 2"]) == "emu-q, kappa 1; emu-q, kappa 2"
+    assert text.joined(["emu-q, kappa 1"]) == "emu-q, kappa 1"

@@ -205,7 +205,7 @@ class TestOrder:
             judge(results, test)
         finding = judge(results, {**test, "censored_at": limit})
         assert finding.verdict == verdict
-        assert "value up to" in finding.method and f"b {limit:g}" in finding.ours
+        assert f"value ({limit:g} where missing)" in finding.method and f"b {limit:g}" in finding.ours
 
     def test_shares_are_compared_run_by_run(self):
         finding = judge(flags(200, 30, 10), {**ORDER, "greater": ["a", "b"]})

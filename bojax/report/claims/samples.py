@@ -49,7 +49,7 @@ class Measure:
     def __str__(self) -> str:
         """Its name in a sentence."""
         if self.place is None and self.missing is not None:
-            return f"{self.column} up to {self.missing:g}"
+            return f"{self.column} ({self.missing:g} where missing)"
         if self.place is None:
             return self.column
         if isinstance(self.place, int):
