@@ -94,7 +94,10 @@ class LearningRun(Experiment):
             ValueError: The environment does not fit its spaces or the precision of the run, or the learner
                 does not take such observations or actions.
         """
-        check_env(self.env, self._dtype)
+        try:
+            check_env(self.env, self._dtype)
+        except ValueError as error:
+            raise ValueError(f"env: {error}") from error
         self.learner.check_spaces(self.env.observation_space, self.env.action_space)
 
     @property

@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float, Int, Key, Scalar
 from typing_extensions import override
 
 from bojax.motions.base import Path, Pose, place
+from bojax.numerics.trial import Misfit, require, trial
 from bojax.problems.base import Events, Objective, Problem, Simulation
 from bojax.problems.vehicles.base import Exact, Vehicle, VehicleState
 
@@ -42,6 +43,14 @@ class PoseProblem(Problem):
     position_noise: eqx.AbstractVar[Float[Array, ""]]
     heading_noise: eqx.AbstractVar[Float[Array, ""]]
     vehicle: Vehicle = eqx.field(default_factory=Exact, kw_only=True)
+
+    def __check_init__(self):
+        """Call `start` and `outcome` of a user's problem.
+
+        Raises:
+            ValueError: A call raises an exception, or returns something of another shape or precision.
+        """
+        trial(self, _check_path, jax.random.key(0))
 
     @abc.abstractmethod
     def start(self, key: Key[Array, ""]) -> Pose:
@@ -139,3 +148,18 @@ class PoseProblem(Problem):
     @property
     def _noise(self) -> Float[Array, "3"]:
         return jnp.stack([self.position_noise, self.position_noise, self.heading_noise])
+
+
+def _check_path(problem: PoseProblem, key: Key[Array, ""]) -> None:
+    """Check the start, and the outcome of a path of two poses."""
+    number, truth = jnp.zeros_like(problem.position_noise), jnp.zeros((), bool)
+    pose = jnp.zeros(3, number.dtype)
+    require("start", problem.start(key), pose)
+    outcome = problem.outcome(pose, jnp.stack([pose, pose]))
+    if not isinstance(outcome, Outcome):
+        raise Misfit(f"outcome returns a {type(outcome).__name__}; allowed: an Outcome")
+    require("Outcome.reward", outcome.reward, number)
+    for name in ("terminated", "success", "exited"):
+        require(f"Outcome.{name}", getattr(outcome, name), truth)
+    if jnp.shape(outcome.last) != () or not jnp.issubdtype(jnp.result_type(outcome.last), jnp.integer):
+        raise Misfit("Outcome.last is not one integer")

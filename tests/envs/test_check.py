@@ -95,16 +95,16 @@ class Misspelt(Cart):
 
 
 MISFITS = {
-    WideReward: "TimeStep.reward is float64 of shape (); allowed: float32 of shape (); convert it",
-    PythonReward: "TimeStep.reward is float; allowed: float32 of shape (); convert it",
+    WideReward: "TimeStep.reward is float64 of shape (); allowed: float32 of shape (); use the dtype",
+    PythonReward: "TimeStep.reward is float; allowed: float32 of shape (); use the dtype",
     NumericEnd: "TimeStep.terminated is float32 of shape (); allowed: bool of shape ()",
     LongObservation: "the observation of observe is float32 of shape (2,); allowed: float32 of shape (1,)",
     WideState: "state['x'] of step is float64 of shape (1,); allowed: float32 of shape (1,)",
     OtherState: "the states of reset and step differ in structure",
     NoTimeStep: "step has to return the next state and a TimeStep",
-    ScalarBounds: "observation_space: low has shape ()",
+    ScalarBounds: "observation_space.low has shape ()",
     WideBounds: "action_space.low is float64 of shape (1,)",
-    Misspelt: "its first step failed: AttributeError: 'Misspelt' object has no attribute 'sped' (test_check",
+    Misspelt: "a trial call failed: AttributeError: 'Misspelt' object has no attribute 'sped' (test_check",
 }
 
 
@@ -112,7 +112,7 @@ MISFITS = {
 def test_a_misfit_is_named(broken):
     with pytest.raises(ValueError) as error:
         check_env(broken(jnp.float32(0.1)), jnp.float32)
-    assert str(error.value).startswith(f"env: {broken.__name__}: ")
+    assert str(error.value).startswith(f"{broken.__name__}: ")
     assert MISFITS[broken] in str(error.value)
 
 

@@ -1,0 +1,49 @@
+"""Trial calls of a user's class before anything runs: JAX traces them, and computes nothing."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from bojax.text import error_at_line
+
+
+def trial(part: Any, check: Callable[..., None], *arguments: Any) -> None:
+    """Trace a check of a part, unless its class belongs to bojax.
+
+    Args:
+        part: The part.
+        check: Calls the methods of the part, and `require` with what they return. JAX caches the trace of a
+            module-level function, which parts share if they differ only in numbers.
+        arguments: Arguments of `check` after the part.
+
+    Raises:
+        ValueError: A method raises an exception, or returns something that does not fit.
+    """
+    name = type(part).__name__
+    if type(part).__module__.startswith("bojax."):
+        return
+    try:
+        jax.eval_shape(check, part, *arguments)
+    except Misfit as error:
+        raise ValueError(f"{name}: {error}") from error
+    except Exception as error:  # a user's class may raise anything
+        raise ValueError(f"{name}: a trial call failed: {error_at_line(error)}") from error
+
+
+def require(name: str, value: Any, expected: Array) -> None:
+    """Raise a `Misfit` unless a value is an array of the shape and the precision of another one."""
+    if isinstance(value, Array) and (value.shape, value.dtype) == (expected.shape, expected.dtype):
+        return
+    got = f"{value.dtype} of shape {value.shape}" if isinstance(value, Array) else type(value).__name__
+    is_precision = jnp.issubdtype(expected.dtype, jnp.floating) and (
+        value.shape == expected.shape if isinstance(value, Array) else isinstance(value, int | float)
+    )
+    hint = "; use the dtype of a setting, as in jnp.asarray(x, self.speed.dtype)" if is_precision else ""
+    raise Misfit(f"{name} is {got}; allowed: {expected.dtype} of shape {expected.shape}{hint}")
+
+
+class Misfit(Exception):
+    """What a method returned, and what would fit."""
