@@ -164,6 +164,8 @@ def _message(line: Any, siblings: Sequence[str]) -> str:
         key = "experiment" if context["role"] == "experiment" else "kind"
         owners = f" (a setting of {key}={listed(name, kinds)})" if kinds else ""
         return "unknown key" + owners + allowed_names(name, names)
+    if kind == "missing" and isinstance(line["loc"][-1], int):
+        return f"missing; the list {shown(value)} is too short"
     if kind == "missing":
         return "missing; this setting has no default"
     got = f"got {shown(value)}; "

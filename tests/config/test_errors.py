@@ -143,7 +143,7 @@ EXPERIMENTS = {
     ),
     "a wall of three numbers": (
         "{problem: {kind: monitoring, walls: [[1, 1, 2]]}, planner: sbo}",
-        "x.yaml: problem.walls.0.3: missing; this setting has no default…",
+        "x.yaml: problem.walls.0.3: missing; the list [1, 1, 2] is too short…",
     ),
     "no walls in a list": (
         "{problem: {kind: monitoring, walls: []}, planner: sbo}",
