@@ -1,7 +1,8 @@
 """Makes the file of what groups of runs take on reference machines, for the forecast of the time left.
 
-Reads the manifests of results folders. Of several experiments of the same kind, the geometric mean counts,
-without compilations that were so short that the programs came from the cache.
+Reads the manifests of results folders. Of several experiments of the same kind and size, the geometric mean
+counts, without compilations that were so short that the programs came from the cache. Kinds and sizes that
+the folders lack stay in the file.
 """
 
 import argparse
@@ -47,17 +48,18 @@ def main(argv: Sequence[str]) -> int:
             compilations[platform, kind].append(paces["compilation"])
             cost = cost_of_run(platform, widths[0], layout["queue"])
             runs[platform, kind, size].append(paces["run"] / cost)
-    made: dict[str, dict[str, list]] = {}
-    for (platform, kind, size), seconds in sorted(runs.items()):
+    made = json.loads(REFERENCE.read_text()) if REFERENCE.exists() else {}
+    for (platform, kind, size), seconds in runs.items():
         found = compilations[platform, kind]
         anew = [each for each in found if each > CACHED * max(found)]
         entry = [size, *(float(f"{gmean(each):.3g}") for each in (anew, seconds))]
-        made.setdefault(platform, {}).setdefault(kind, []).append(entry)
+        kinds = made.setdefault(platform, {})
+        kinds[kind] = sorted([entry, *(each for each in kinds.get(kind, []) if each[0] != size)])
     lines = [
         f'"{platform}": {{\n'
-        + ",\n".join(f"{json.dumps(kind)}: {each}" for kind, each in kinds.items())
+        + ",\n".join(f"{json.dumps(kind)}: {each}" for kind, each in sorted(kinds.items()))
         + "\n}"
-        for platform, kinds in made.items()
+        for platform, kinds in sorted(made.items())
     ]
     REFERENCE.write_text("{\n" + ",\n".join(lines) + "\n}\n")
     return 0
