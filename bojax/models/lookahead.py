@@ -106,13 +106,14 @@ def look_ahead(
         args = rows, posterior.inverse_cholesky, posterior.count
         real = root.weights[None, :] - computed(kernels.explained_away, _product, *args)  # [stages, N]
 
-        def mean_of(x, weights_real, weights_imagined):
-            at_data = jax.vmap(lambda z: kernel(x, z))(posterior.x)
-            at_points = jax.vmap(lambda z: kernel(x, z))(points[:num_given])
-            return posterior.mean(x) + jnp.sum(at_data * weights_real) + jnp.sum(at_points * weights_imagined)
+        others = jnp.concatenate([posterior.x, points[:num_given]])
+        weights = jnp.concatenate([real, imagined.T], axis=1)[stage]
+
+        def mean_at(x, weights):
+            return posterior.mean(x) + jnp.sum(jax.vmap(lambda z: kernel(x, z))(others) * weights)
 
         # Forward mode: on a GPU it takes two kernels as large as k(X, Z), and reverse mode three.
-        gradient = jax.vmap(jax.jacfwd(mean_of))(points, real[stage], imagined.T[stage])
+        gradient = jax.vmap(jax.jacfwd(mean_at))(points, weights)
     return Lookahead(mean, jnp.maximum(variance, 0.0), gradient)
 
 

@@ -18,9 +18,10 @@ BAND = 32
 
 
 def are_used(number: int, num_given: int, dtype: Any) -> bool:
-    """Whether kernels replace XLA's here, for `number` points, of which later ones are given `num_given`.
+    """Whether a look-ahead at `number` points, `num_given` of them in all stages but the last, uses kernels.
 
-    They do where they have been timed. The program of `conditioned` grows with the cube of `num_given`.
+    It does for the sizes at which they were measured to be faster. The program of `conditioned` grows with
+    the cube of `num_given`.
     """
     return kernels_run_here() and dtype == jnp.float64 and number <= 32 and 0 < num_given <= 16
 
@@ -28,9 +29,9 @@ def are_used(number: int, num_given: int, dtype: Any) -> bool:
 def whitened(
     inverse_cholesky: Float[Array, "N N"], gram: Float[Array, "N B"], count: Int[Array, ""]
 ) -> Float[Array, "N B"]:
-    """L^-1 k(X, Z), without reading the blocks of L^-1 that are zero: above the diagonal and past `count`.
+    """L^-1 k(X, Z), without reading blocks of L^-1 that are zero: above the diagonal, and past `count`.
 
-    A program computes `BAND` rows.
+    Each program of the grid computes `BAND` rows.
     """
     size, width = gram.shape[0], _power_of_two(gram.shape[1])
 
@@ -59,9 +60,9 @@ def whitened(
 def explained_away(
     rows: Float[Array, "S N"], inverse_cholesky: Float[Array, "N N"], count: Int[Array, ""]
 ) -> Float[Array, "S N"]:
-    """A few rows times L^-1, without reading the blocks of L^-1 that are zero, as in `whitened`.
+    """A few rows times L^-1; as in `whitened`, blocks of L^-1 that are zero are not read.
 
-    A program computes `BAND` columns.
+    Each program of the grid computes `BAND` columns.
     """
     size, height = rows.shape[1], max(16, _power_of_two(rows.shape[0]))  # Triton's least is 16
 
@@ -95,9 +96,9 @@ def conditioned(
 ) -> tuple[Float[Array, "B"], Float[Array, "B"], Float[Array, "G T"] | None]:
     """`bojax.models.lookahead.conditioned` as one kernel.
 
-    Each thread computes the Cholesky factor L of the leading block in scalars, and a column of
-    L^-1 [joint | I] or two. The column of a point is its row of the factor, so that all results are sums
-    over the rows of a column, and no thread waits for another.
+    Each thread computes the whole Cholesky factor L of the leading block as scalars, and one or two columns
+    of L^-1 [joint | I]. The column of a point is the row of the factor that belongs to the point. All
+    results are therefore sums over the rows of a column, and no thread waits for another.
     """
     size, given = joint.shape[0], innovations.shape[0]
     stage_size = size // num_stages

@@ -1,6 +1,6 @@
-"""Kernels of Pallas for NVIDIA GPUs, in place of parts of a program of which XLA makes many kernels.
+"""Kernels written in Pallas for NVIDIA GPUs, for parts of a program that XLA turns into many kernels.
 
-In the loop of a search, a kernel of XLA takes 1 us or more on an H200 however small its work is.
+In the loop of a search, each kernel takes 1 us or more on an H200, however small its work is.
 """
 
 import importlib
