@@ -171,6 +171,9 @@ def _check_protocol(cls: type, role: str, kind: str) -> None:
         has = {name for parent in cls.__mro__ for name in vars(parent)}
         missing |= protocol.__abstractmethods__ - has
     if missing:
-        hint = f"; see {base.replace(':', '.')}" if base else ""
-        names = ", ".join(sorted(missing))
-        raise _Refusal(f"got {shown(kind)}; the class does not implement {names}{hint}")
+        names = sorted(missing)
+        # The class that declares a method describes it; one that only has its methods has no such base.
+        owner = next((parent for parent in cls.__mro__ if names[0] in vars(parent)), None)
+        see = f"{owner.__module__}.{owner.__name__}" if owner else base.replace(":", ".")
+        hint = f"; see {see}" if see else ""
+        raise _Refusal(f"got {shown(kind)}; the class does not implement {', '.join(names)}{hint}")
