@@ -16,7 +16,6 @@ from typing_extensions import override
 
 from bojax.cli.main import main as bojax
 from bojax.engine import tasks
-from bojax.engine.forecast import Forecast, forecast
 from bojax.engine.progress import SweepProgress
 
 SHARES = 0.1, 0.25, 0.5, 0.75, 0.9
@@ -26,8 +25,8 @@ EXAMPLES = """\
   python benchmarks/forecast_ratios.py --json left.json reproduce chapter5 --out results/all
 """
 
-Row = tuple[float, Forecast | None]
-"""A time, and the forecast of that time."""
+Row = tuple[float, float | None]
+"""A time, and the seconds left that were forecast then."""
 
 
 class Noted(SweepProgress):
@@ -52,8 +51,7 @@ class Noted(SweepProgress):
 
     @override
     def _show(self):
-        now = time.monotonic()
-        self.rows.append((now, forecast(self._groups, now=now, workers=self._workers, clock=self._clock)))
+        self.rows.append((time.monotonic(), self.seconds_left()))
         super()._show()
 
 
@@ -95,12 +93,10 @@ def table(progress: Noted) -> list[dict[str, float | None]]:
     for share in SHARES:
         until = progress.begun + share * (progress.ended - progress.begun)
         before = [row for row in progress.rows if row[0] <= until]
-        when, found = before[-1] if before else (until, None)
+        when, left = before[-1] if before else (until, None)
         true = progress.ended - when
-        left = None if found is None else found.seconds
-        compiling = None if found is None else found.compiling
         ratio = None if left is None else left / max(true, 1e-9)
-        rows.append({"share": share, "forecast": left, "true": true, "ratio": ratio, "compiling": compiling})
+        rows.append({"share": share, "forecast": left, "true": true, "ratio": ratio})
     return rows
 
 

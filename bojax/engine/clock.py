@@ -48,12 +48,12 @@ class Clock:
         return self._got(end) - self._got(start)
 
     def share(self) -> float:
-        """Share that busy threads lately got of the cores that they could use, in (0, 1]."""
+        """Cores that each busy thread lately got: less than 1 on a busy machine, more if XLA uses several."""
         (first, *_), (now, used, _, could) = self._marks[0], self._marks[-1]
         since = bisect_left(self._marks, (now - max(RECENT_SECONDS, (now - first) / 2),))
         _, used_before, _, could_before = self._marks[since]
         seconds = could - could_before
-        return min(1.0, max(0.01, (used - used_before) / seconds)) if seconds else 1.0
+        return max(0.01, (used - used_before) / seconds) if seconds else 1.0
 
     def _got(self, moment: float) -> float:
         if len(self._marks) == 1:

@@ -103,6 +103,7 @@ class GroupTask:
             self.name,
             self.experiment.max_advances,
             platform=self.platform,
+            programs=len(self.layout.widths),
             expected_compilation=compilation,
             expected_run=paces.recall(self.pace) or run,
         )

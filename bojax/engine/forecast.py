@@ -51,6 +51,8 @@ class GroupProgress:
         name: Name of the group.
         max_advances: Number of advances after which a run is done.
         platform: Platform of the devices on which it runs.
+        programs: Number of its programs, each for another number of lanes.
+        is_timed: Whether the latency of its runs is measured at the end, with a program of its own.
         expected_compilation: Seconds that its compilation is expected to take.
         expected_run: Seconds that a run is expected to take; None if nothing tells.
         chunks: The unfinished chunks, by index.
@@ -72,6 +74,8 @@ class GroupProgress:
     max_advances: int
     chunks: dict[int, ChunkProgress] = field(default_factory=dict)
     platform: str = field(default="cpu", kw_only=True)
+    programs: int = field(default=1, kw_only=True)
+    is_timed: bool = field(default=False, kw_only=True)
     expected_compilation: float = field(default=COMPILATION, kw_only=True)
     expected_run: float | None = field(default=None, kw_only=True)
     seconds: float = 0.0
@@ -116,27 +120,15 @@ class GroupProgress:
             self.ended_seconds += chunk.seconds if chunk.runs else 0.0
 
 
-@dataclass(frozen=True)
-class Forecast:
-    """The remaining time, in seconds.
-
-    Attributes:
-        compiling: Seconds until all programs are compiled.
-        seconds: Seconds until the sweep is done.
-    """
-
-    compiling: float
-    seconds: float
-
-
 def forecast(
     groups: Sequence[GroupProgress],
     *,
     now: float,
     workers: Mapping[str, int],
+    threads: int,
     clock: Clock,
-) -> Forecast | None:
-    """The remaining time; None before the first compilation begins.
+) -> float | None:
+    """The remaining time, s; None before the first compilation begins.
 
     On each platform, the groups run one after the other, each once its program is compiled. Where runs and
     compilations share the cores of a CPU, it is at least the work that is left, divided by the cores; other
@@ -146,12 +138,14 @@ def forecast(
         groups: All groups with unfinished chunks, and those that are done, in the order of their compilation.
         now: The time.
         workers: Number of chunks that run side by side on each platform.
+        threads: Number of compilations side by side.
         clock: The clock that measured the seconds of the groups.
     """
     if all(group.compiling_since is None and not group.advances for group in groups):
         return None
-    ready, work = _compilations(groups, now, clock)
-    seconds = 0.0
+    speed = _speed((each.compile_seconds, each.expected_compilation) for each in groups)
+    ready, work = _compilations(groups, now, threads, clock, speed)
+    seconds = max(ready, default=0.0)
     for platform, number in workers.items():
         own = [i for i, group in enumerate(groups) if group.platform == platform]
         left = dict(zip(own, _seconds_left([groups[i] for i in own]), strict=True))
@@ -162,34 +156,33 @@ def forecast(
             work += sum(left[i])
         seconds = max(seconds, end)
     share = clock.share()
-    return Forecast(max(ready, default=0.0) / share, max(seconds, work / clock.cores) / share)
+    timed = [speed * group.expected_compilation for group in groups if group.is_timed]
+    timing = max(max(timed, default=0.0), sum(timed) / threads)
+    return max(seconds / share, work / clock.cores / min(1.0, share)) + timing / share
 
 
-def _compilations(groups: Sequence[GroupProgress], now: float, clock: Clock) -> tuple[list[float], float]:
+def _compilations(
+    groups: Sequence[GroupProgress], now: float, num_threads: int, clock: Clock, speed: float
+) -> tuple[list[float], float]:
     """Seconds until each group is compiled, and the work that is left until then.
 
-    When a compilation ends, the next one begins.
+    When a thread has compiled all programs of a group, it goes on with the next group.
     """
-    pairs = [(group.compile_seconds, group.expected_compilation) for group in groups]
-    speed = _speed((seconds, expected) for seconds, expected in pairs if seconds is not None)
-    ready, threads, work = [0.0] * len(groups), [], 0.0
+    ready, threads, work = [0.0] * len(groups), [0.0] * num_threads, 0.0
     left = [i for i, group in enumerate(groups) if group.chunks and group.compile_seconds is None]
     for i in sorted(left, key=lambda i: groups[i].compiling_since is None):
-        since, seconds, begins = groups[i].compiling_since, speed * groups[i].expected_compilation, 0.0
-        if since is None:
-            begins = heapq.heappop(threads) if threads else 0.0
-        else:
-            passed = clock.between(since, now)
-            seconds = max(seconds, LONGER * passed) - passed
-        work += seconds
-        ready[i] = begins + seconds
-        heapq.heappush(threads, ready[i])
+        since, whole = groups[i].compiling_since, speed * groups[i].expected_compilation
+        passed = 0.0 if since is None else clock.between(since, now)
+        seconds, others = max(whole, LONGER * passed) - passed, (groups[i].programs - 1) * whole
+        work += seconds + others
+        ready[i] = threads[0] + seconds
+        heapq.heapreplace(threads, ready[i] + others)
     return ready, work
 
 
-def _speed(pairs: Iterable[tuple[float, float]]) -> float:
+def _speed(pairs: Iterable[tuple[float | None, float | None]]) -> float:
     """How many times as long as expected it takes, from pairs of measured and expected seconds."""
-    seen = list(pairs)
+    seen = [(seconds, expected) for seconds, expected in pairs if seconds is not None and expected]
     if not seen:
         return 1.0
     expected = sum(each for _, each in seen)
@@ -205,8 +198,7 @@ def _seconds_left(groups: Sequence[GroupProgress]) -> list[list[float]]:
     says less, since an advance of one group is an episode of a robot, that of another a step of a planner.
     """
     shares = [group.mean_advances / group.max_advances for group in groups if group.mean_advances is not None]
-    pairs = [(group.seconds_per_run, group.expected_run) for group in groups]
-    speed = _speed((seconds, expected) for seconds, expected in pairs if seconds and expected)
+    speed = _speed((group.seconds_per_run, group.expected_run) for group in groups)
     left = [_known_left(group, float(np.mean(shares)) if shares else 1.0, speed) for group in groups]
     means = [
         (group.seconds + sum(chunks)) / (group.ended_chunks + len(chunks))

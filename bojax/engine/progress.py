@@ -30,6 +30,7 @@ class SweepProgress:
         title: Name of the sweep.
         num_runs: Number of runs of the whole sweep.
         workers: Number of chunks that run side by side on each platform.
+        threads: Number of compilations side by side.
         clock: Measures what compilations and chunks take.
         console: Console to write to; standard error by default.
     """
@@ -40,12 +41,13 @@ class SweepProgress:
         num_runs: int,
         *,
         workers: Mapping[str, int] = MappingProxyType({"cpu": 1}),
+        threads: int = 1,
         clock: Clock | None = None,
         console: Console | None = None,
     ):
         self._bar = Bar(title, num_runs, console or Console(stderr=True, highlight=False))
         self._num_runs = num_runs
-        self._workers = workers
+        self._workers, self._threads = workers, threads
         self._clock = clock or Clock()
         self._advanced = defaultdict(float)  # wall time of segments, by platform
         self._start = self._shown = time.monotonic()
@@ -139,15 +141,24 @@ class SweepProgress:
         """The progress in one line, of which a narrow terminal cuts the end."""
         busy = self._steps / self._issued if self._issued else 1.0
         text = f"{self._runs_done}/{self._num_runs} runs"
-        left = forecast(self._groups, now=time.monotonic(), workers=self._workers, clock=self._clock)
-        if left is not None:
-            text += f", {duration(left.seconds)} left"
+        if (left := self.seconds_left()) is not None:
+            text += f", {duration(left)} left"
         if rate := self._rate():
             text += f", {_si(rate)} steps/s, lanes {busy:.0%} busy"
         compiling = sum(1 for group in self._groups if group.chunks and group.compile_seconds is None)
         if compiling:
             text += f", {compiling} of {len(self._groups)} programs to compile"
         return text
+
+    def seconds_left(self) -> float | None:
+        """Forecast of the time left, s; None if nothing tells."""
+        return forecast(
+            self._groups,
+            now=time.monotonic(),
+            workers=self._workers,
+            threads=self._threads,
+            clock=self._clock,
+        )
 
     def describe_times(self) -> str:
         """In one line, where the time has gone since the first group was added."""

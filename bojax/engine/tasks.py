@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from bojax.engine.chunks import Chunk
 from bojax.engine.clock import Clock
 from bojax.engine.devices import Device, of_platform, workers_of
-from bojax.engine.execute import GroupTask
+from bojax.engine.execute import GroupTask, compile_threads
 from bojax.engine.progress import SweepProgress
 from bojax.engine.runner import Limits
 from bojax.engine.share import FolderShare
@@ -51,6 +51,7 @@ def tasks_of(
                 config=plan.content["points"][group.points[0]]["config"],
             )
         )
+        tasks[-1].progress.is_timed = engine.latency
     return tasks
 
 
@@ -83,6 +84,7 @@ def progress_of(
         f"{len(shares)} sweeps" if len(shares) > 1 else shares[0].plan.sweep.name,
         num_runs,
         workers=side_by_side,
+        threads=compile_threads(),
         clock=Clock(shares_cores=shares_cores),
     )
     progress.add([task.progress for task in tasks], runs_done=num_runs - waiting)

@@ -46,6 +46,12 @@ def test_threads_get_what_the_process_gets(times):
     assert made.share() == pytest.approx((12.5 * 2.0) / (12.5 * 2.0 + 5.0), abs=0.05)
 
 
+def test_a_thread_may_use_several_cores(times):
+    made = Clock(shares_cores=True)
+    advance(times, made, 20, cores=1.5, busy=1)
+    assert made.between(10.0, 20.0) == pytest.approx(15.0) and made.share() == pytest.approx(1.5)
+
+
 def test_a_clock_that_has_just_started_knows_nothing(times):
     made = Clock(shares_cores=True)
     made.note(1)
