@@ -127,8 +127,19 @@ def test_an_error_of_the_process_is_one_line(here):
     assert list(here.glob("results/*/*")) == []
 
 
-def test_a_failure_in_this_process_is_one_line(caller):
+def test_a_class_that_cannot_be_traced_is_refused(here, caller):
     env = {"kind": Broken, "rewards": (1.0, 2.0)}
+    with pytest.raises(bojax.BojaxError, match="env: Broken: .* ZeroDivisionError: no such arm") as caught:
+        bojax.run({"experiment": "learning", "env": env, "learner": "additive"}, out="broken")
+    assert "\n" not in str(caught.value) and not (here / "broken").exists()
+
+
+def test_a_failure_in_this_process_is_one_line(caller, monkeypatch):
+    def fail(*_):
+        raise ZeroDivisionError("no such arm")
+
+    monkeypatch.setattr("bojax.experiments.learning.run_episode", fail)
+    env = {"kind": Bandit, "rewards": (1.0, 2.0)}
     with pytest.raises(
         bojax.BojaxError, match="1 of 1 chunks failed: ZeroDivisionError: no such arm"
     ) as caught:
