@@ -18,8 +18,8 @@ _EXAMPLES = """\
 """
 
 _DESCRIPTION = """\
-Print the config of the best point of a finished sweep. The best of many points was chosen by its own runs, so
-their mean is optimistic. The config has another seed: --confirm runs it and prints the mean of these new
+Print the config of the best point of a finished sweep. That point was chosen by the mean of its runs, which
+is therefore optimistic. The printed config has another seed: --confirm runs it and prints the mean of the new
 runs, which is unbiased.
 """
 

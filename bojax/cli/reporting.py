@@ -15,7 +15,7 @@ def main(name: str, words: Sequence[str]) -> int:
     parser = Parser(
         prog=f"bojax {name}",
         usage=f"bojax {name} DIR...",
-        description="Draw the figures, decide the claims and write report.html of finished results folders.\n"
+        description="Draw the figures, test the claims and write report.html of finished results folders.\n"
         "The tables are not changed. Verdicts are printed on standard error, paths on standard output.",
         examples=_EXAMPLES,
     )

@@ -23,8 +23,8 @@ STUDY = "study-"
 """Prefix of sweeps that answer a question which the thesis leaves open."""
 
 _DESCRIPTION = """\
-Run the sweeps of the thesis as one plan, write the report of each, and one page with all claims: the number
-of the thesis and ours side by side, and the verdict.
+Run the sweeps of the thesis as one plan, and write the report of each sweep and one page with all claims. The
+page has the number of the thesis, the number found here and the verdict side by side.
 
 ID is a sweep (fig-4.6), a figure or table with several sweeps (fig-5.5, table-5.3), chapter3, chapter4,
 chapter5, or all: every sweep with claims of the thesis. Studies are run by name. Sweeps whose extra is not

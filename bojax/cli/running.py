@@ -95,7 +95,7 @@ def _parser(name: str) -> Parser:
     source = "a file, or a name in configs/" if is_run else "files, or names in sweeps/"
     source += f"; {STANDARD_INPUT} for standard input"
     parser.add_argument(
-        "words", nargs="*", metavar="CONFIG" if is_run else "SWEEP", help=f"{source}, and settings to change"
+        "words", nargs="*", metavar="CONFIG" if is_run else "SWEEP", help=f"{source}; with key=value settings"
     )
     parser.add_argument(
         "--runs", type=integer, metavar="N", help="number of runs of each point (default: as in the file)"

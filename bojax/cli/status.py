@@ -1,4 +1,4 @@
-"""`bojax status`: what of a sweep is done, running, lost or failed."""
+"""`bojax status`: which chunks of a sweep are done, running, lost or failed."""
 
 import os
 from collections.abc import Sequence
@@ -73,7 +73,7 @@ def _parser(name: str) -> Parser:
     parser = Parser(
         prog=f"bojax {name}",
         usage=f"bojax {name} DIR...",
-        description="Show what of a sweep is done, running, lost or failed. Reads the results folder alone.",
+        description="Show which chunks of a sweep are done, running, lost or failed.",
         examples=_EXAMPLES,
     )
     parser.add_argument("folders", nargs="+", type=path, metavar="DIR", help="results folder of a sweep")

@@ -30,9 +30,9 @@ _EXAMPLES = """\
 """
 
 _DESCRIPTION = """\
-Search the values of numeric settings whose mean score is best: Bayesian optimisation in rounds, each a sweep
-of --batch points that run together. key=low:high is a setting to tune, key=low:high:log one whose range spans
-decades; key=value sets any other setting. The best settings, chosen by the mean that the model of the scores
+Search for the values of numeric settings with the best mean score, by Bayesian optimisation. A round is a
+sweep of --batch points, which run together. key=low:high is a setting to tune, key=low:high:log one whose
+range spans decades; key=value sets any other setting. The best settings, chosen by the mean that the model of the scores
 expects, are run again with another seed.
 """
 
@@ -138,7 +138,7 @@ def _parser(name: str) -> Parser:
         examples=_EXAMPLES,
     )
     parser.add_argument(
-        "words", nargs="*", metavar="CONFIG", help="a file or a name in configs/, ranges, settings to change"
+        "words", nargs="*", metavar="CONFIG", help="a file or a name in configs/; with ranges and settings"
     )
     parser.add_argument(
         "--metric", metavar="COLUMN", default="return", help="column of runs.parquet (default: return)"
