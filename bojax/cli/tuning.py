@@ -32,8 +32,8 @@ _EXAMPLES = """\
 _DESCRIPTION = """\
 Search for the values of numeric settings with the best mean score, by Bayesian optimisation. A round is a
 sweep of --batch points, which run together. key=low:high is a setting to tune, key=low:high:log one whose
-range spans decades; key=value sets any other setting. The best settings, chosen by the mean that the model of the scores
-expects, are run again with another seed.
+range spans decades; key=value sets any other setting. The settings with the best mean in the model of the
+scores are run again with another seed.
 """
 
 _ALMOST = re.compile(r"=[-+.\d]+[^,:]*:")
