@@ -1,7 +1,7 @@
 """Tree search in belief space: descend, expand, roll out, back up (Algorithms 2 and 4)."""
 
 import abc
-from typing import Generic, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -13,7 +13,7 @@ from bojax.motions.base import Path
 from bojax.numerics.lanes import batched_together
 from bojax.planning.base import M, Plan, Planner
 from bojax.planning.tree import ROOT, UNVISITED, Growth, Tree
-from bojax.problems.base import Belief, Objective, Problem, Root
+from bojax.problems.base import Belief, Objective, Problem, Root, Simulation
 
 Memory = TypeVar("Memory", bound=eqx.Module)
 """What a planner stores for every node to choose actions there: node models, stencils."""
@@ -152,63 +152,98 @@ class TreeSearch(Planner[M], Generic[Memory, Draws, View, Update, M]):
         memory: Memory,
         views: View,
         growth: Growth,
-        child,
+        child: Int[Array, ""],
         draws: Draws,
-        key,
+        key: Key[Array, ""],
     ) -> tuple[Tree, Memory, View, Growth]:
+        """One iteration, which writes what the last one has found (`growth`) and adds the node `child`."""
         tree = tree.grown(growth)
         # Nodes at the horizon have no actions and need no view.
         visited = growth.nodes[1:]
         renewed = jax.vmap(self.view, in_axes=(None, None, 0))(tree, memory, visited)
         views = jax.tree.map(lambda all, new: all.at[visited].set(new, mode="drop"), views, renewed)
 
-        # Descend. The depth is small and static: the loop is unrolled and masked.
-        node = jnp.asarray(ROOT, jnp.int32)
-        is_descending = jnp.asarray(True)
-        visited = []  # per level: the node, and whether the descent reached it
-        for _ in range(self.depth):
-            selected = self.select(_at(views, node))
-            is_descending = is_descending & (selected != UNVISITED)
-            node = jnp.where(is_descending, selected, node)
-            visited.append((node, is_descending))
-        level = sum(reached.astype(jnp.int32) for _, reached in visited)
+        descent = self._descend(views)
+        node, level = descent.node, descent.level
         is_terminal = tree.outcome[node][1] > 0.0
         is_new = (level < self.depth) & ~is_terminal
 
-        # Expand and roll out in one simulation; rewards past the horizon or a terminal state do not count.
+        # Expand and roll out in one simulation.
         proposal = self.propose(tree, memory, node, _at(views, node), draws)
         paths = jnp.concatenate([proposal.path[None], self.rollout(memory, draws)])
         simulation = problem.simulate(key, root, _at(tree.belief, node), paths, self.objective)
-        future = jnp.zeros((), tree.outcome.dtype)
-        for step in reversed(range(paths.shape[0])):
-            is_within = level + step < self.depth
-            ended = simulation.terminated[step]
-            reward = simulation.rewards[step]
-            rest = jnp.where(ended, 0.0, self.discount * future)
-            future = jnp.where(is_within, reward + rest, 0.0)
+        future = self._return_of(simulation, level)
 
-        # Back up from the new node, if there is one, along the nodes visited to the root.
-        nowhere = tree.children.shape[0]
-        nodes, gains = [], []  # the deepest level first
-        gain = jnp.where(is_new, future, 0.0)
-        for above, (reached_node, reached) in reversed(list(enumerate(visited))):
-            gain = jnp.where(reached, tree.outcome[reached_node][0] + self.discount * gain, gain)
-            added = jnp.where(is_new & (level == above), child, nowhere)
-            nodes.append(jnp.where(reached, reached_node, added))
-            gains.append(gain)
-        nodes.append(jnp.asarray(ROOT, jnp.int32))
-        gains.append(gain)
-        gained = jnp.stack(gains)
+        nodes, gained = self._back_up(tree, descent, child, is_new, future)
         growth = Growth(
             child=child,
             belief=simulation.node,
             outcome=jnp.stack([simulation.rewards[0], simulation.terminated[0].astype(future.dtype)]),
-            nodes=jnp.stack(nodes),
+            nodes=nodes,
             totals=jnp.stack([jnp.ones_like(gained), gained], axis=-1),
             parent=node,
             index=jnp.where(is_new, proposal.index, tree.children.shape[1]),
         )
         return tree, self.learn(memory, child, proposal, is_new), views, growth
+
+    def _descend(self, views: View) -> "_Descent":
+        """Descend from the root; the depth is small and static, so that the loop is unrolled and masked."""
+        node = jnp.asarray(ROOT, jnp.int32)
+        is_descending = jnp.asarray(True)
+        visited = []
+        for _ in range(self.depth):
+            selected = self.select(_at(views, node))
+            is_descending = is_descending & (selected != UNVISITED)
+            node = jnp.where(is_descending, selected, node)
+            visited.append((node, is_descending))
+        level = jnp.asarray(sum(reached.astype(jnp.int32) for _, reached in visited))
+        return _Descent(node, level, visited)
+
+    def _return_of(self, simulation: Simulation, level: Int[Array, ""]) -> Float[Array, ""]:
+        """The return of simulated paths; rewards past the horizon or a terminal state do not count."""
+        future = jnp.zeros((), self.discount.dtype)
+        for step in reversed(range(simulation.rewards.shape[0])):
+            is_within = level + step < self.depth
+            ended = simulation.terminated[step]
+            reward = simulation.rewards[step]
+            rest = jnp.where(ended, 0.0, self.discount * future)
+            future = jnp.where(is_within, reward + rest, 0.0)
+        return future
+
+    def _back_up(
+        self,
+        tree: Tree,
+        descent: "_Descent",
+        child: Int[Array, ""],
+        is_new: Bool[Array, ""],
+        future: Float[Array, ""],
+    ) -> tuple[Int[Array, "L"], Float[Array, "L"]]:
+        """The nodes from the new one, if there is one, back to the root, and the return gained from each."""
+        nowhere = tree.children.shape[0]
+        nodes, gains = [], []  # the deepest level first
+        gain = jnp.where(is_new, future, 0.0)
+        for above, (node, reached) in reversed(list(enumerate(descent.visited))):
+            gain = jnp.where(reached, tree.outcome[node][0] + self.discount * gain, gain)
+            added = jnp.where(is_new & (descent.level == above), child, nowhere)
+            nodes.append(jnp.where(reached, node, added))
+            gains.append(gain)
+        nodes.append(jnp.asarray(ROOT, jnp.int32))
+        gains.append(gain)
+        return jnp.stack(nodes), jnp.stack(gains)
+
+
+class _Descent(NamedTuple):
+    """A descent from the root.
+
+    Attributes:
+        node: The last node reached.
+        level: Its number of actions from the root.
+        visited: At each level below the root: the node, and whether the descent reached it.
+    """
+
+    node: Int[Array, ""]
+    level: Int[Array, ""]
+    visited: list[tuple[Int[Array, ""], Bool[Array, ""]]]
 
 
 def _at(rows: View, node: Int[Array, ""]) -> View:
