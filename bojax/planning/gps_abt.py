@@ -82,6 +82,25 @@ class _Descent(eqx.Module):
     most_visits: Float[Array, ""]
     fewest_visits: Float[Array, ""]
 
+    @classmethod
+    def at(cls, node: Int[Array, ""], dtype: jnp.dtype) -> "_Descent":
+        """A descent that begins at the first stencil of a node."""
+        no_child = jnp.asarray(UNVISITED, jnp.int32)
+        return cls(
+            walk=Walk(
+                stencil=node,
+                point=jnp.asarray(CENTRE, jnp.int32),
+                has_unvisited=jnp.asarray(False),
+                may_refine=jnp.asarray(False),
+                best_ucb=no_child,
+                most_visited=no_child,
+            ),
+            is_walking=jnp.asarray(True),
+            best_bound=jnp.asarray(-jnp.inf, dtype),
+            most_visits=jnp.asarray(-1.0, dtype),
+            fewest_visits=jnp.asarray(jnp.inf, dtype),
+        )
+
 
 class StencilDraws(eqx.Module):
     """Random numbers of a plan, by iteration.
@@ -251,21 +270,6 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, Walk, StencilUpdate, Cont
     def _walk(self, tree: Tree, memory: Stencils, node: Int[Array, ""]) -> Walk:
         dtype = tree.outcome.dtype
         visits_of_node = jnp.maximum(tree.totals[node][0], 1.0)
-        no_child = jnp.asarray(UNVISITED, jnp.int32)
-        start = _Descent(
-            walk=Walk(
-                stencil=node,
-                point=jnp.asarray(CENTRE, jnp.int32),
-                has_unvisited=jnp.asarray(False),
-                may_refine=jnp.asarray(False),
-                best_ucb=no_child,
-                most_visited=no_child,
-            ),
-            is_walking=jnp.asarray(True),
-            best_bound=jnp.asarray(-jnp.inf, dtype),
-            most_visits=jnp.asarray(-1.0, dtype),
-            fewest_visits=jnp.asarray(jnp.inf, dtype),
-        )
 
         def descend(level, descent: _Descent) -> _Descent:
             walk, is_walking = descent.walk, descent.is_walking
@@ -313,7 +317,7 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, Walk, StencilUpdate, Cont
                 fewest_visits=fewest_visits,
             )
 
-        return short_loop(self.max_levels, descend, start).walk
+        return short_loop(self.max_levels, descend, _Descent.at(node, dtype)).walk
 
     def _finer(
         self, memory: Stencils, stencil: Int[Array, ""], point: Int[Array, ""]
