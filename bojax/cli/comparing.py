@@ -22,6 +22,38 @@ _EXAMPLES = """\
 
 def main(name: str, words: Sequence[str]) -> int:
     """Run the command and return its exit code."""
+    args = _parser(name).parse_intermixed_args(list(words))
+    if not args.folders and not args.csv:
+        raise UsageError(
+            f"bojax {name}: got none; allowed: results folders or --csv files (see: bojax {name} --help)"
+        )
+    if args.last is not None and args.last < 1:
+        raise UsageError(f"--last: got {args.last}; allowed: >= 1")
+    sources = [*args.folders, *args.csv]
+    if duplicates := [source for source in sources if sources.count(source) > 1]:
+        raise UsageError(f"bojax {name}: got {duplicates[0]} twice; allowed: distinct sources")
+
+    from bojax.report.comparing.build import compare
+    from bojax.results.folder import dated_folder, require_empty
+
+    out = args.out or dated_folder(name)
+    require_empty(out)
+    page = compare(
+        args.folders,
+        args.csv,
+        out,
+        metric=args.metric,
+        axis=args.x,
+        phase=args.phase,
+        last=args.last,
+        reference=args.reference,
+        command=shlex.join(["bojax", name, *words]),
+    )
+    print(page)
+    return 0
+
+
+def _parser(name: str) -> Parser:
     parser = Parser(
         prog=f"bojax {name}",
         usage=f"bojax {name} DIR... [--csv FILE ...] [--metric COLUMN] [--x AXIS] [--phase PHASE]\n"
@@ -67,32 +99,4 @@ def main(name: str, words: Sequence[str]) -> int:
         metavar="DIR",
         help="folder of the page, new or empty (default: results/compare/TIME)",
     )
-    args = parser.parse_intermixed_args(list(words))
-    if not args.folders and not args.csv:
-        raise UsageError(
-            f"bojax {name}: got none; allowed: results folders or --csv files (see: bojax {name} --help)"
-        )
-    if args.last is not None and args.last < 1:
-        raise UsageError(f"--last: got {args.last}; allowed: >= 1")
-    sources = [*args.folders, *args.csv]
-    if duplicates := [source for source in sources if sources.count(source) > 1]:
-        raise UsageError(f"bojax {name}: got {duplicates[0]} twice; allowed: distinct sources")
-
-    from bojax.report.comparing.build import compare
-    from bojax.results.folder import dated_folder, require_empty
-
-    out = args.out or dated_folder(name)
-    require_empty(out)
-    page = compare(
-        args.folders,
-        args.csv,
-        out,
-        metric=args.metric,
-        axis=args.x,
-        phase=args.phase,
-        last=args.last,
-        reference=args.reference,
-        command=shlex.join(["bojax", name, *words]),
-    )
-    print(page)
-    return 0
+    return parser
