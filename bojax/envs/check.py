@@ -21,8 +21,15 @@ def check_env(env: Env, dtype: DTypeLike) -> None:
     Raises:
         ValueError: A method raises an exception, or returns something that does not fit.
     """
-    if not env.is_hosted:
-        trial(env, _check_step, jax.random.key(0), jnp.zeros((), dtype))
+    if env.is_hosted:
+        return
+    for path, leaf in jax.tree.leaves_with_path(env):
+        if isinstance(leaf, int | float):
+            where = f"{type(env).__name__}{jax.tree_util.keystr(path)}"
+            raise ValueError(
+                f"{where} is a {type(leaf).__name__}; allowed: an array, as jnp.asarray({leaf!r})"
+            )
+    trial(env, _check_step, jax.random.key(0), jnp.zeros((), dtype))
 
 
 def _check_step(env: Env, key: Key[Array, ""], number: Float[Array, ""]) -> None:

@@ -116,6 +116,14 @@ def test_a_misfit_is_named(broken):
     assert MISFITS[broken] in str(error.value)
 
 
+def test_a_python_number_in_place_of_an_array_is_named():
+    env = eqx.tree_at(lambda env: env.speed, Cart(jnp.float32(0.1)), 0.1)
+    with pytest.raises(
+        ValueError, match=r"^Cart.speed is a float; allowed: an array, as jnp.asarray\(0.1\)$"
+    ):
+        check_env(env, jnp.float32)
+
+
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 def test_an_environment_of_the_precision_of_the_run_passes(dtype):
     check_env(Cart(jnp.asarray(0.1, dtype)), dtype)
