@@ -97,11 +97,6 @@ class GroupProgress:
         return self.ended_seconds / self.ended_runs if self.ended_runs else None
 
     @property
-    def seconds_per_advance(self) -> float | None:
-        """Mean seconds of an advance; None before the first."""
-        return self.seconds / self.advances if self.advances else None
-
-    @property
     def mean_advances(self) -> float | None:
         """Mean number of advances of a run; None if no run has ended.
 
@@ -225,12 +220,11 @@ def _known_left(group: GroupProgress, usual_share: float, speed: float) -> list[
         return []
     mean = usual_share * group.max_advances if group.mean_advances is None else group.mean_advances
     per_run = group.seconds_per_run or speed * (group.expected_run or 0.0)
-    left = []
+    usual_pace, left = group.seconds / max(1, group.advances), []
     for chunk in group.chunks.values():
-        whole, pace = chunk.runs * per_run, chunk.seconds_per_advance or group.seconds_per_advance or 0.0
+        whole, pace = chunk.runs * per_run, chunk.seconds_per_advance or usual_pace
         share = min(1.0, chunk.seconds / whole) if whole else 1.0
-        seconds = (1.0 - share) * (whole - chunk.seconds) + share * _advances_left(chunk, mean) * pace
-        left.append(seconds)
+        left.append((1.0 - share) * (whole - chunk.seconds) + share * _advances_left(chunk, mean) * pace)
     return left
 
 
