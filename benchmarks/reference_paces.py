@@ -1,8 +1,8 @@
 """Makes the file of what groups of runs take on reference machines, for the forecast of the time left.
 
-Reads the manifests of results folders. Of several experiments of the same kind and size, the geometric mean
-counts, without compilations that were so short that the programs came from the cache. Kinds and sizes that
-the folders lack stay in the file.
+Reads the manifests of results folders. Of several experiments of the same kind, the geometric mean of the
+compilations counts, without those that were so short that the programs came from the cache, and of several
+of the same size, the mean of all runs. Kinds and sizes that the folders lack stay in the file.
 """
 
 import argparse
@@ -12,13 +12,15 @@ from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 from scipy.stats import gmean
 
 from bojax.engine.paces import REFERENCE, cost_of_run, kind_and_size
 from bojax.results.store import MANIFEST
 
 CACHED = 0.25
-"""A compilation that takes less than this share of the longest one of its kind was none."""
+"""A compilation that takes less than this share of the longest one of its kind, or of that in the file, was
+none."""
 
 EXAMPLES = """\
   BOJAX_CACHE=/tmp/new bojax reproduce all --out results/cpu
@@ -40,21 +42,23 @@ def main(argv: Sequence[str]) -> int:
         manifest = json.loads((folder / MANIFEST).read_text())
         platform = manifest["device"]["platform"]
         for group, layout in zip(manifest["groups"], manifest["plan"]["layouts"], strict=True):
-            widths = layout["widths"]
-            paces = paces_of(group, platform, len(group["points"]) * manifest["runs"], len(widths))
+            widths, number = layout["widths"], len(group["points"]) * manifest["runs"]
+            paces = paces_of(group, platform, number, len(widths))
             if paces is None:
                 continue
             kind, size = kind_and_size(manifest["points"][group["points"][0]]["config"])
             compilations[platform, kind].append(paces["compilation"])
             cost = cost_of_run(platform, widths[0], layout["queue"])
-            runs[platform, kind, size].append(paces["run"] / cost)
+            runs[platform, kind, size].append((paces["run"] / cost, number))
     made = json.loads(REFERENCE.read_text()) if REFERENCE.exists() else {}
-    for (platform, kind, size), seconds in runs.items():
-        found = compilations[platform, kind]
-        anew = [each for each in found if each > CACHED * max(found)]
-        entry = [size, *(float(f"{gmean(each):.3g}") for each in (anew, seconds))]
-        kinds = made.setdefault(platform, {})
-        kinds[kind] = sorted([entry, *(each for each in kinds.get(kind, []) if each[0] != size)])
+    for (platform, kind, size), found in runs.items():
+        kinds, compiled = made.setdefault(platform, {}), compilations[platform, kind]
+        known = [entry for entry in kinds.get(kind, []) if entry[0] != size]
+        longest = max([*compiled, *(entry[1] for entry in kinds.get(kind, []))])
+        anew = [each for each in compiled if each > CACHED * longest] or [longest]
+        seconds, weights = zip(*found, strict=True)
+        paces = float(gmean(anew)), float(np.average(seconds, weights=weights))
+        kinds[kind] = sorted([[size, *(float(f"{each:.3g}") for each in paces)], *known])
     lines = [
         f'"{platform}": {{\n'
         + ",\n".join(f"{json.dumps(kind)}: {each}" for kind, each in sorted(kinds.items()))
