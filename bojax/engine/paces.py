@@ -21,9 +21,11 @@ SIZES = ("episodes", "iterations", "max_steps")
 """Settings to whose product the seconds of a run are taken to be proportional."""
 
 FIXED_LANES = {"cpu": 4, "gpu": 100}
-"""The fixed cost of an advance, as the number of lanes that would cost as much. On a CPU it is 0 to 2 for most
-planners, which take most of the time of their sweeps, and about 16 for tabular learners, see
-benchmarks/results/2026-11-23-forecast-sweeps.md; for a GPU see benchmarks/results/2026-11-23-lanes.md."""
+"""The fixed cost of an advance, as the number of lanes that would cost as much.
+
+On a CPU it is 0 to 3 for the planners that take most of the time of a sweep and 5 to 50 for tabular learners,
+see benchmarks/results/2026-11-23-forecast-sweeps.md; for a GPU see benchmarks/results/2026-11-23-lanes.md.
+"""
 
 
 def reference(config: Mapping[str, Any], platform: str, layout: Layout) -> tuple[float, float | None]:
