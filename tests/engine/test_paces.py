@@ -39,12 +39,17 @@ def test_the_file_is_in_order():
 
 
 @pytest.mark.parametrize(
-    ("name", "platform"), [("parking", "cpu"), ("fig-4.4", "gpu"), ("fig-5.2a", "cpu"), ("fig-5.7", "gpu")]
+    ("name", "platform"),
+    [("parking", "cpu"), ("fig-4.4", "gpu"), ("fig-5.2a", "cpu"), ("fig-5.7", "gpu")]
+    + [
+        (name, "cpu")
+        for name in ("fig-3.7", "fig-5.8b", "table-5.3-lunar-lander", "table-5.3-cartpole-swing-up")
+    ],
 )
 def test_sweeps_of_the_thesis_are_known(name, platform):
     for point in load_sweep(name).points:
         compilation, run = paces.reference(plain(point.config), platform, LAYOUT)
-        assert 1.0 < compilation < 100.0 and run is not None and 1e-5 < run < 10.0
+        assert 1.0 < compilation < 100.0 and run is not None and 1e-5 < run < 100.0
 
 
 def test_the_nearest_size_counts_in_proportion(known):
