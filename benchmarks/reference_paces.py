@@ -2,7 +2,8 @@
 
 Reads the manifests of results folders. Of several experiments of the same kind, the geometric mean of the
 compilations counts, without those that were so short that the programs came from the cache, and of several
-of the same size, the mean of all runs. Kinds and sizes that the folders lack stay in the file.
+of the same size, the mean of all runs. Kinds and sizes that the folders lack stay in the file. Give no sweeps
+that ran on the CPU of a machine with a GPU: that is another reference machine.
 """
 
 import argparse
@@ -24,7 +25,7 @@ none."""
 
 EXAMPLES = """\
   BOJAX_CACHE=/tmp/new bojax reproduce all --out results/cpu
-  python benchmarks/reference_paces.py results/cpu/* results/gpu/*
+  python benchmarks/reference_paces.py results/cpu/*
 """
 
 
