@@ -94,6 +94,17 @@ class NodeModelUpdate(eqx.Module):
     has_converged: Bool[Array, ""]
 
 
+ROOM = 20
+"""Number of actions for which a node has room at least: A_max of the thesis."""
+
+
+def _places(max_actions: int | Float[Array, ""] | Bool[Array, "A"]) -> Bool[Array, "A"]:
+    if isinstance(max_actions, Array) and max_actions.ndim:
+        return max_actions
+    most = int(max_actions)
+    return jnp.arange(max(most, ROOM)) < most
+
+
 class ContinuousBeliefTreeSearch(
     TreeSearch[NodeModels, CBTSDraws, Int[Array, ""], NodeModelUpdate, ContinuousMotions]
 ):
@@ -102,6 +113,9 @@ class ContinuousBeliefTreeSearch(
     A node with fewer than `max_actions` actions adds the action that maximises the acquisition under the
     node's Gaussian process from action parameters to immediate rewards. Otherwise the search descends to the
     child with the highest upper confidence bound.
+
+    All values of `max_actions` up to `ROOM` share a program: the field is a mask of a node's places for
+    actions, of which the first `max_actions` may be taken.
 
     Settings: `bojax.planning.settings.KCBTS` and `CBTS`.
     """
@@ -115,7 +129,7 @@ class ContinuousBeliefTreeSearch(
     discount: Float[Array, ""]
     iterations: int = eqx.field(static=True)
     depth: int = eqx.field(static=True)
-    max_actions: int = eqx.field(static=True)
+    max_actions: Bool[Array, "A"] = eqx.field(converter=_places)
     num_candidates: int = eqx.field(static=True)
     num_initial: int = eqx.field(static=True)
     refine_steps: int = eqx.field(static=True)
@@ -134,7 +148,7 @@ class ContinuousBeliefTreeSearch(
     @property
     @override
     def num_actions(self) -> int:
-        return self.max_actions
+        return self.max_actions.size
 
     @override
     def begin(self, key: Key[Array, ""], dtype) -> tuple[NodeModels, CBTSDraws]:
@@ -144,7 +158,7 @@ class ContinuousBeliefTreeSearch(
         memory = NodeModels(
             candidates=candidates,
             paths=jax.vmap(self.motions.path)(candidates),
-            actions=jnp.zeros((num_nodes + 1, self.motions.num_params + self.max_actions), dtype),
+            actions=jnp.zeros((num_nodes + 1, self.motions.num_params + self.num_actions), dtype),
             whitened=jnp.zeros((num_nodes + 1, self.num_candidates), dtype),
             has_converged=jnp.zeros((num_nodes,), bool),
         )
@@ -167,7 +181,7 @@ class ContinuousBeliefTreeSearch(
         """The child to descend to."""
         children = tree.children[node]
         exists = children != UNVISITED
-        is_full = jnp.all(exists) | jnp.any(exists & memory.has_converged[children])
+        is_full = jnp.all(exists | ~self.max_actions) | jnp.any(exists & memory.has_converged[children])
         return jnp.where(is_full, best_by_uct(tree, node, self.exploration), UNVISITED)
 
     @override

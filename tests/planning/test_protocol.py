@@ -134,9 +134,7 @@ def test_keys_matter(planner, problem, beliefs):
 @pytest.mark.parametrize("case", FIRST, ids="-".join, scope="module", indirect=True)
 def test_a_batch_is_a_loop_and_its_lanes_differ(planner, problem, beliefs):
     # Keys, beliefs and every hyper-parameter are a batch axis; those of the lanes differ by up to a fifth.
-    planners = [
-        jax.tree.map(lambda leaf, lane=lane: leaf * (1.0 - 0.1 * lane), planner) for lane in range(LANES)
-    ]
+    planners = [scaled(planner, 1.0 - 0.1 * lane) for lane in range(LANES)]
     batch = jax.tree.map(lambda *leaves: jnp.stack(leaves), *planners)
     with jax.debug_key_reuse(False):  # JAX's check takes any scan over a batch of keys for a reuse
         together = jax.tree.map(lambda *leaves: jnp.stack(leaves), *beliefs)

@@ -4,6 +4,7 @@ import jax
 import numpy as np
 import pytest
 
+from bojax.planning.cbts import ContinuousBeliefTreeSearch
 from bojax.planning.discrete import DiscreteTreeSearch
 from bojax.planning.tree import ROOT, UNVISITED
 from tests.planning.samples import POSES, f64, gps_abt, kcbts, parking, sbo, search
@@ -48,12 +49,23 @@ def test_no_node_is_deeper_than_the_horizon_or_past_an_end(grown):
 
 def test_no_node_has_more_actions_than_allowed(grown):
     planner, tree = grown
-    most = int(planner.motions.count) if isinstance(planner, DiscreteTreeSearch) else planner.num_actions
+    match planner:
+        case DiscreteTreeSearch():
+            most = int(planner.motions.count)
+        case ContinuousBeliefTreeSearch():
+            most = int(planner.max_actions.sum())
+        case _:
+            most = planner.num_actions
     assert all(len(_children(tree, node)) <= most for node, _ in _nodes(tree))
 
 
-def test_sets_of_all_sizes_share_a_program():
-    small, *others = [jax.tree.flatten(sbo(actions)) for actions in (5, 9, 17)]
+@pytest.mark.parametrize(
+    "planners",
+    [[sbo(actions) for actions in (5, 9, 17)], [kcbts(max_actions=most) for most in (1, 10, 20)]],
+    ids=["sbo", "kcbts"],
+)
+def test_any_number_of_actions_shares_a_program(planners):
+    small, *others = map(jax.tree.flatten, planners)
     for leaves, structure in others:
         assert structure == small[1]
         assert [leaf.shape for leaf in leaves] == [leaf.shape for leaf in small[0]]
@@ -85,7 +97,7 @@ def test_nothing_converges_at_a_threshold_of_zero():
     planner = kcbts(convergence=0.0)
     tree, *_ = search(planner, jax.random.key(0), parking(), f64(POSES["far"]))
     tree = jax.tree.map(np.asarray, tree)
-    assert len(_children(tree, ROOT)) == planner.max_actions
+    assert len(_children(tree, ROOT)) == int(planner.max_actions.sum()) == 6
 
 
 def _children(tree, node):
