@@ -100,7 +100,11 @@ def states(job: str) -> set[str]:
 
 
 def has_checkpoint(out: Path) -> bool:
-    return any((out / WORK).glob("chunk-*/checkpoint-*"))
+    """Whether there is a checkpoint of the first chunk, with which task 0 starts.
+
+    A task that is still starting may have no handler of its signal yet, though another one has a checkpoint.
+    """
+    return any((out / WORK).glob("chunk-00000-*/checkpoint-*"))
 
 
 @pytest.mark.slow
