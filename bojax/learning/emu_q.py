@@ -18,6 +18,7 @@ from bojax.learning.memory import Memory, emptied
 from bojax.learning.refit import Refit
 from bojax.models.bayesian_linear_regression import BayesianLinearRegression
 from bojax.numerics.choices import Choice
+from bojax.numerics.lanes import lane_by_lane_on_cpu
 
 
 class EMUQ(Learner):
@@ -149,7 +150,7 @@ class EMUQ(Learner):
             return state
         state = eqx.tree_at(lambda s: s.memory, state, state.memory.add(episode, exploration.is_learning))
         kappa = exploration.scale * self.exploration_weight
-        mean = self.refitter(key, state, kappa, exploration.is_learning)
+        mean = lane_by_lane_on_cpu(Refit.__call__, self.refitter, key, state, kappa, exploration.is_learning)
         return eqx.tree_at(lambda s: s.posterior.mean, state, mean)
 
     # The other methods of a learner.

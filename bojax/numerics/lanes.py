@@ -1,11 +1,12 @@
 """The batch axis of the engine, as seen from code written for a single lane."""
 
 import contextlib
-from collections.abc import Sequence
-from typing import TypeVar
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
+from jax.extend.core import jaxpr_as_fun
 from jaxtyping import Array, ArrayLike, Bool, Int
 
 T = TypeVar("T")
@@ -78,3 +79,42 @@ def _together_in_lanes(num_lanes: int, is_batched: Sequence[bool], *arrays: Arra
         for array, batched in zip(arrays, is_batched, strict=True)
     )
     return together, (True,) * len(arrays)
+
+
+def lane_by_lane_on_cpu(function: Callable[..., T], *arguments: Any) -> T:
+    """`function(*arguments)`, computed on a CPU for one lane after the other.
+
+    For a function with loops whose lengths differ between lanes. In a batch, each iteration computes all
+    lanes until the last one ends; lane by lane, each ends on its own, and its arrays stay in the cache.
+
+    Args:
+        function: The function.
+        arguments: Trees of arrays: all numbers that the function reads.
+    """
+    if jax.default_backend() != "cpu":
+        return function(*arguments)
+    leaves, structure = jax.tree.flatten(arguments)
+
+    def flat(*leaves: Array) -> T:
+        return function(*jax.tree.unflatten(structure, leaves))
+
+    traced, shape = jax.make_jaxpr(flat, return_shape=True)(*leaves)  # once, for all that follows
+    compute = jaxpr_as_fun(traced)
+    in_turn = jax.custom_batching.custom_vmap(compute)
+
+    @in_turn.def_vmap
+    def _(num_lanes: int, is_batched: Sequence[bool], *leaves: Array):
+        del num_lanes
+        axes = [0 if batched else None for batched in is_batched]
+        # A batch of one lane, in which the axis has a name.
+        one = jax.vmap(compute, axes, axis_name=LANES)
+
+        def lane(own: Sequence[Array]) -> list[Array]:
+            rest = iter(own)
+            return one(*(next(rest) if batched else x for x, batched in zip(leaves, is_batched, strict=True)))
+
+        own = [x[:, None] for x, batched in zip(leaves, is_batched, strict=True) if batched]
+        results = jax.tree.map(lambda x: x[:, 0], jax.lax.map(lane, own))
+        return results, jax.tree.map(lambda _: True, results)
+
+    return jax.tree.unflatten(jax.tree.structure(shape), in_turn(*leaves))

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bojax.numerics.lanes import LANES, any_lane, batched_together
+from bojax.numerics.lanes import LANES, any_lane, batched_together, lane_by_lane_on_cpu
 
 FLAGS = [[False, False, False], [False, True, False], [True, True, True]]
 
@@ -114,6 +114,34 @@ def test_the_body_of_a_loop_is_batched_fewer_times():
     together = batched(lambda values: batched_together(values)[:3], "together")
     assert batchings == {"apart": 4, "together": 1}
     assert sorted(_operations(apart)) == sorted(_operations(together))
+
+
+def _halvings(loop, offset):
+    """Halve a number until it is at most 1, and count the iterations of the loop."""
+
+    def step(loop):
+        x, count = loop
+        return jnp.where(x > 1.0, x / 2.0, x), count + 1
+
+    x, count = jax.lax.while_loop(
+        lambda loop: any_lane(loop[0] > 1.0), step, (loop, jnp.zeros((), jnp.int32))
+    )
+    return {"x": x + offset, "count": count}
+
+
+@pytest.mark.parametrize("backend", ["cpu", "gpu"])
+def test_a_cpu_computes_lane_by_lane(backend, monkeypatch):
+    monkeypatch.setattr(jax, "default_backend", lambda: backend)
+    x, offset = jnp.asarray([0.5, 8.0, 64.0, 2.0]), jnp.asarray(3.0)
+    compute = jax.vmap(
+        lambda x, offset: lane_by_lane_on_cpu(_halvings, x, offset), (0, None), axis_name=LANES
+    )
+    found = jax.jit(compute)(x, offset)
+    np.testing.assert_array_equal(found["x"], [3.5, 4.0, 4.0, 4.0])
+    # In a batch, every lane takes part until the last one ends.
+    np.testing.assert_array_equal(found["count"], [0, 3, 6, 1] if backend == "cpu" else [6, 6, 6, 6])
+    alone = jax.jit(lambda x: lane_by_lane_on_cpu(_halvings, x, offset))(x[1])
+    assert (float(alone["x"]), int(alone["count"])) == (4.0, 3)
 
 
 def _operations(lowered):
