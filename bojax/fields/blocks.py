@@ -18,6 +18,7 @@ class Blocks(Field):
     boxes: Float[Array, "K 4"]
     heights: Float[Array, "K"]
 
+    @override
     def __check_init__(self):
         """Check that there are as many heights as boxes.
 

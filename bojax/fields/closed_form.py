@@ -19,6 +19,7 @@ class Bumps(Field):
     centres: Float[Array, "K 2"]
     widths: Float[Array, "K"]
 
+    @override
     def __check_init__(self):
         """Check that there are as many heights as centres and widths.
 
