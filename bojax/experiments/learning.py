@@ -318,7 +318,7 @@ class LearningRun(Experiment):
             done = done | target.is_reached
         rows["phase"] = (jnp.arange(1 + self.tests) > 0).astype(jnp.int32)
         rows["valid"] = jnp.broadcast_to(active, rows["phase"].shape)
-        # A learner with non-finite weights still acts: only the returns that it expects of its actions tell.
+        # A learner with non-finite weights still acts. Only the returns that it expects reveal them.
         _, expected, _ = self._rows.unpack(episode.rows)
         is_step = jnp.arange(len(expected), dtype=jnp.int32) < episode.length
         mean = jnp.sum(jnp.where(is_step, expected, 0.0)) / jnp.maximum(episode.length, 1).astype(self._dtype)

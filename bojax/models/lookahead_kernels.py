@@ -3,6 +3,7 @@
 import functools
 import importlib
 import operator
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -50,11 +51,7 @@ def whitened(
         tile, inside = _tile(out_ref, (own * np.int32(BAND), BAND), (np.int32(0), width))
         triton.store(tile, total, mask=inside)
 
-    result = jax.ShapeDtypeStruct(gram.shape, gram.dtype)
-    grid = (-(-size // BAND),)
-    return launch(
-        body, [result], inverse_cholesky, gram, count, name="whitened", grid=grid, warps=4, stages=3
-    )[0]
+    return _in_bands(body, gram, size, inverse_cholesky, gram, count, name="whitened")
 
 
 def explained_away(
@@ -80,11 +77,7 @@ def explained_away(
         tile, inside = _tile(out_ref, (np.int32(0), height), (own * np.int32(BAND), BAND))
         triton.store(tile, total, mask=inside)
 
-    result = jax.ShapeDtypeStruct(rows.shape, rows.dtype)
-    grid = (-(-size // BAND),)
-    return launch(
-        body, [result], rows, inverse_cholesky, count, name="explained_away", grid=grid, warps=4, stages=3
-    )[0]
+    return _in_bands(body, rows, size, rows, inverse_cholesky, count, name="explained_away")
 
 
 def conditioned(
@@ -150,6 +143,14 @@ def conditioned(
     (found,) = launch(body, [result], joint, least, innovations, name="conditioned")
     weights = jnp.pad(found[2:, size:], ((1, 0), (0, 0))).T if with_weights else None
     return found[0, :size], found[1, :size], weights
+
+
+def _in_bands(
+    body: Callable[..., None], like: jax.Array, size: int, *args: jax.Array, name: str
+) -> jax.Array:
+    """An array like `like`, of which each program computes `BAND` of `size` rows or columns."""
+    result = jax.ShapeDtypeStruct(like.shape, like.dtype)
+    return launch(body, [result], *args, name=name, grid=(-(-size // BAND),), warps=4, stages=3)[0]
 
 
 def _pallas() -> tuple[Any, Any]:

@@ -116,7 +116,7 @@ def test_the_body_of_a_loop_is_batched_fewer_times():
     assert sorted(_operations(apart)) == sorted(_operations(together))
 
 
-def _halvings(loop, offset):
+def _halvings(start, offset):
     """Halve a number until it is at most 1, and count the iterations of the loop."""
 
     def step(loop):
@@ -124,7 +124,7 @@ def _halvings(loop, offset):
         return jnp.where(x > 1.0, x / 2.0, x), count + 1
 
     x, count = jax.lax.while_loop(
-        lambda loop: any_lane(loop[0] > 1.0), step, (loop, jnp.zeros((), jnp.int32))
+        lambda loop: any_lane(loop[0] > 1.0), step, (start, jnp.zeros((), jnp.int32))
     )
     return {"x": x + offset, "count": count}
 
