@@ -29,6 +29,7 @@ from bojax.learning.features import StateActionFeatures
 from bojax.learning.memory import Memory, T
 from bojax.numerics.lanes import any_lane, batched_together
 from bojax.numerics.linalg import gcr, inverse_matrix, matmul, matmul_on_tensor_cores
+from bojax.numerics.stragglers import while_going
 
 NUM_STORED = 2048
 """Largest number of transitions whose features are stored during a refit: the first ones of a run.
@@ -374,10 +375,10 @@ class Refit(eqx.Module):
         def step(loop):
             number, mean, change, growths, inverse, is_similar, is_u, going = loop
             equations = equations_of(mean, is_u)
-            inverse = jax.lax.cond(
-                any_lane(going & ~is_similar),
-                lambda: jnp.where(is_similar, inverse, equations.inverse()),
-                lambda: inverse,
+            inverse, _ = while_going(
+                lambda loop: loop[1],
+                lambda _, loop: (jnp.where(loop[1], equations.inverse(), loop[0]), jnp.zeros((), bool)),
+                (inverse, going & ~is_similar),
             )
             before = jnp.where(is_u, mean[:, U], mean[:, Q])
             after, is_solved = equations.solution(inverse, before, going)

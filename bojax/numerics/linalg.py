@@ -9,8 +9,8 @@ from jax.lax import DotAlgorithmPreset, Precision
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Bool, Float, Int
 
-from bojax.numerics.lanes import any_lane, batched_together
 from bojax.numerics.loops import is_unrolled, short_loop
+from bojax.numerics.stragglers import while_going
 
 HIGHEST = Precision.HIGHEST
 """Precision of every matrix product. TF32, JAX's default on NVIDIA GPUs, errs by up to 4e-2 in a GP mean."""
@@ -282,8 +282,8 @@ def gcr(
     def is_solution(x, error):
         return ~(jnp.linalg.norm(error) > accuracy * jnp.linalg.norm(x))
 
-    def step(loop):
-        number, x, error, directions, images, going = loop
+    def step(number, loop):
+        x, error, directions, images, going = loop
         image = matmul(inverse, times(error))
         # Twice, since rounding leaves a share of the other images after the first time.
         direction = error
@@ -297,10 +297,9 @@ def gcr(
         x, error = x + length * direction, error - length * image
         directions, images = directions.at[number].set(direction), images.at[number].set(image)
         going = going & ~is_solution(x, error) & (number + 1 < most)
-        return number + 1, x, error, directions, images, going
+        return x, error, directions, images, going
 
     error, none = matmul(inverse, residual), jnp.zeros((most, len(start)), start.dtype)
     going = is_active & ~is_solution(start, error)
-    loop = jnp.zeros((), jnp.int32), *batched_together((start, error, none, none, going))
-    _, x, error, _, _, _ = jax.lax.while_loop(lambda loop: any_lane(loop[-1]), step, loop)
+    x, error, _, _, _ = while_going(lambda loop: loop[-1], step, (start, error, none, none, going))
     return x, is_solution(x, error)

@@ -11,7 +11,9 @@ from bojax.envs.spaces import Box, Discrete
 from bojax.learning import refit
 from bojax.learning.base import Episode, ExplorationState, Transition
 from bojax.learning.settings import EMUQ, EMUQPublished, FourierBasisFeatures, RandomFourierFeatures
+from bojax.numerics.lanes import LANES
 from bojax.numerics.linalg import gcr
+from bojax.numerics.stragglers import LEAST
 from tests.reference.emu_q import Algorithm6, DirectRefit, PublishedCode
 from tests.tiers import by_tier
 
@@ -233,6 +235,26 @@ def test_direct_refits_of_a_table_are_policy_iteration():
         np.add.at(targets, (s, a), r + np.where(is_last, 0.0, 0.99 * optimal.max(axis=1)[s_next]))
         optimal = beta * targets / (alpha + beta * count)
     np.testing.assert_allclose(qs[-1], optimal, atol=1e-8)
+
+
+def test_refits_of_a_batch_are_those_of_single_runs():
+    """Lanes need different numbers of policies and of iterations; the last ones are gathered."""
+    features = {"num_features": 30, "action_lengthscale": 0.1, "state_lengthscale": 0.3}
+    learner, state = make(refit="direct", tolerance=1e-6, features=features, draw_actions="always")
+    steps, rng = transitions(), np.random.default_rng(0)
+    state = observe_all(learner, state, steps, EXPLORING)
+    episode = Episode(steps, jnp.asarray(NUM_STEPS, jnp.int32))
+    state = eqx.tree_at(lambda state: state.memory, state, state.memory.add(episode, jnp.asarray(True)))
+    sizes = rng.choice([0.0, 3.0], LEAST, p=[0.9, 0.1])
+    means = jnp.asarray(sizes[:, None, None] * rng.normal(size=(LEAST, 30, 2)))
+
+    def refitted(mean):
+        before = eqx.tree_at(lambda state: state.posterior.mean, state, mean)
+        return learner.refitter(jax.random.key(REFIT_SEED), before, jnp.asarray(1.0), jnp.asarray(True))
+
+    together = jax.jit(jax.vmap(refitted, axis_name=LANES))(means)
+    alone = jax.jit(lambda means: jax.lax.map(refitted, means))(means)
+    np.testing.assert_allclose(together, alone, atol=1e-8)
 
 
 @pytest.mark.parametrize("how", by_tier(["sweeps", "direct"], normal=["direct"]))
