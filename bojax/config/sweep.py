@@ -463,7 +463,7 @@ def _check_claims(sweep: Sweep, file: str) -> None:
                 raise ConfigError(
                     f"{where}.test: got {shown(name)}; unknown {claim.test.by}{allowed_names(name, known)}"
                 )
-    explained = set()
+    explained, names = set(), available("sweeps")
     for index, explanation in enumerate(sweep.report.get("explanations", ())):
         where = f"{file}: report.explanations.{index}"
         for name in explanation["claims"]:
@@ -473,5 +473,5 @@ def _check_claims(sweep: Sweep, file: str) -> None:
                 raise ConfigError(f"{where}.claims: got {shown(name)}; allowed: one explanation of a claim")
             explained.add(name)
         for name in explanation.get("sweeps", ()):
-            if name not in (names := available("sweeps")):
+            if name not in names:
                 raise ConfigError(f"{where}.sweeps: got {shown(name)}{allowed_names(name, names)}")

@@ -1,6 +1,7 @@
 """Provenance of results: versions, git revision, devices, and hashes of the code."""
 
 import contextlib
+import functools
 import hashlib
 import importlib.metadata
 import subprocess
@@ -23,17 +24,22 @@ UNHASHED = ("api", "cli", "report")
 
 def code_hashes(modules: Iterable[Any]) -> dict[str, str]:
     """Hashes of the package's sources, and of each other file that defines a class of the modules."""
-    package = hashlib.sha256()
-    for path in sorted(PACKAGE.rglob("*.py")):
-        relative = path.relative_to(PACKAGE)
-        if relative.parts[0] not in UNHASHED:
-            package.update(str(relative).encode() + b"\0" + path.read_bytes())
-    hashes = {"bojax": package.hexdigest()}
+    hashes = {"bojax": _package_hash()}
     for kind in sorted({kind for module in modules for kind in _classes(module)}, key=lambda k: k.__module__):
         source = getattr(sys.modules.get(kind.__module__), "__file__", None)
         if source is not None and not kind.__module__.startswith("bojax."):
             hashes[kind.__module__] = hashlib.sha256(Path(source).read_bytes()).hexdigest()
     return hashes
+
+
+@functools.cache
+def _package_hash() -> str:
+    package = hashlib.sha256()
+    for path in sorted(PACKAGE.rglob("*.py")):
+        relative = path.relative_to(PACKAGE)
+        if relative.parts[0] not in UNHASHED:
+            package.update(str(relative).encode() + b"\0" + path.read_bytes())
+    return package.hexdigest()
 
 
 def versions() -> dict[str, str]:
@@ -50,6 +56,7 @@ def installed(packages: Iterable[str]) -> dict[str, str]:
     return found
 
 
+@functools.cache
 def git_revision() -> dict[str, Any] | None:
     """Revision of the package's git repository and whether it has changes; None without a repository."""
     status = _git("status", "--porcelain", "--", ".")
