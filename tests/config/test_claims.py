@@ -41,6 +41,7 @@ def validated(test):
             "spread_at": WINDOW,
         },
         {"kind": "similar", "labels": ["a", "b"], "column": "r", "margin": 1},
+        {"kind": "similar", "labels": ["a", "b"], "column": "r", "factor": 1.1},
         {"kind": "share", "label": "a", "column": "success", "window": WINDOW, "below": 0.1},
         {"kind": "mean", "label": "a", "column": "r", "above": 0, "below": 1},
         {"kind": "mean", "label": "a", "column": "r", "above": 0, "window": GOAL, "statistic": "sd"},
@@ -118,6 +119,15 @@ def test_a_test_reads_as_it_was_written(test):
         (
             {"kind": "trend", "label": "a", "column": "r", "from": 1, "to": WINDOW, "direction": "rises"},
             "give two steps or two windows",
+        ),
+        ({"kind": "similar", "labels": ["a", "b"], "column": "r"}, "give either margin or factor"),
+        (
+            {"kind": "similar", "labels": ["a", "b"], "column": "r", "step": 1, "factor": 2, "spread_at": 3},
+            "spread_at: needs a margin",
+        ),
+        (
+            {"kind": "ratio", "label": "a", "to": "b", "column": "r", "expected": 1},
+            "a ratio of 1 is tested by kind similar",
         ),
         ({"kind": "agrees", "label": "a", "column": "r", "runs": 20}, "either mean and sd, or share"),
         (

@@ -70,7 +70,7 @@ class TestWindow:
         test = {"kind": "ratio", "column": "value", "label": "a", "to": "b", "tolerance": 0.2, "window": LAST}
         results = learners({"a": 50.0, "b": 25.0})
         assert judge(results, {**test, "expected": 2.0}).verdict == "reproduced"
-        assert judge(results, {**test, "expected": 1.0}).verdict == "not reproduced"
+        assert judge(results, {**test, "expected": 1.5}).verdict == "not reproduced"
 
     def test_similar_over_episodes_may_be_a_share_of_a_spread(self):
         test = {"kind": "similar", "column": "value", "labels": ["a", "b", "c"], "window": FIRST}

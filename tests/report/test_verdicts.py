@@ -18,6 +18,7 @@ from tests.report.synthetic import in_memory
 ORDER = {"kind": "order", "column": "value"}
 RATIO = {"kind": "ratio", "column": "value", "label": "a", "to": "b", "tolerance": 0.25}
 SIMILAR = {"kind": "similar", "column": "value", "labels": ["a", "b", "c"], "step": 4, "margin": 0.1}
+ALIKE = {"kind": "similar", "column": "value", "labels": ["a", "b", "c"], "factor": 1.2}
 
 
 def normal(means, runs=200, noise=1.0, seed=0):
@@ -275,11 +276,6 @@ class TestRatio:
         results = normal(dict(zip("ab", means, strict=True)), noise=0.1)
         assert judge(results, {**RATIO, "expected": expected}).verdict == verdict
 
-    @pytest.mark.parametrize(("mean", "verdict"), [(10.5, "reproduced"), (20.0, "not reproduced")])
-    def test_an_equal_mean_has_the_ratio_1(self, mean, verdict):
-        finding = judge(normal({"a": mean, "b": 10.0}, noise=0.1), {**RATIO, "expected": 1.0})
-        assert finding.verdict == verdict and "claim" not in finding.method
-
     def test_the_interval_is_paired(self):
         # What both share cancels: the ratio is known better than either mean.
         results = normal({"a": 12.0, "b": 10.0}, noise=0.01)
@@ -305,8 +301,8 @@ class TestRatio:
 
     def test_a_ratio_on_the_bound_is_seldom_decided(self, monkeypatch):
         found = rates(
-            lambda seed: normal({"a": 12.5, "b": 10.0}, runs=60, seed=seed),
-            {**RATIO, "expected": 1.0},
+            lambda seed: normal({"a": 15.0, "b": 10.0}, runs=60, seed=seed),
+            {**RATIO, "expected": 1.2},
             monkeypatch,
         )
         assert found["reproduced"] < 0.07 and found["not reproduced"] < 0.07
@@ -324,6 +320,36 @@ class TestSimilar:
     def test_without_a_spread_the_margin_is_in_the_columns_unit(self):
         assert judge(curves(0.0), {**SIMILAR, "margin": 1.0}).verdict == "reproduced"
         assert judge(curves(3.0), {**SIMILAR, "margin": 1.0}).verdict == "not reproduced"
+
+    @pytest.mark.parametrize(
+        ("c", "verdict"), [(10.5, "reproduced"), (12.0, "inconclusive"), (13.0, "not reproduced")]
+    )
+    def test_with_a_factor_all_ratios_are_held_against_it(self, c, verdict):
+        finding = judge(normal({"a": 10.0, "b": 10.0, "c": c}), ALIKE)
+        assert finding.verdict == verdict
+        assert [comparison.of for comparison in finding.comparisons] == ["a / b", "a / c", "b / c"]
+        # The order of the names decides nothing: a ratio of 1.2 is as far from 1 as its inverse.
+        assert judge(normal({"a": c, "b": 10.0, "c": 10.0}), ALIKE).verdict == verdict
+
+    def test_two_names_have_the_interval_of_their_ratio(self):
+        results = normal({"a": 10.5, "b": 10.0})
+        expected = judge(results, {**RATIO, "expected": 1.2}).decisive.interval
+        found = judge(results, {**ALIKE, "labels": ["a", "b"]}).decisive.interval
+        np.testing.assert_allclose(
+            [found.estimate, found.low, found.high], [expected.estimate, expected.low, expected.high]
+        )
+
+    def test_a_ratio_of_just_the_factor_is_seldom_decided(self, monkeypatch):
+        found = rates(
+            lambda seed: normal({"a": 12.0, "b": 10.0}, runs=60, seed=seed),
+            {**ALIKE, "labels": ["a", "b"]},
+            monkeypatch,
+        )
+        assert found["reproduced"] < 0.07 and found["not reproduced"] < 0.07
+
+    def test_means_around_zero_have_no_ratios(self):
+        with pytest.raises(Undecidable, match="not clearly positive"):
+            judge(normal({"a": 1.0, "b": 0.0, "c": 1.0}, runs=50), ALIKE)
 
     def test_no_difference_at_either_step_is_no_similarity(self):
         # The spread is then nothing but chance, and so is any share of it.
@@ -343,8 +369,9 @@ class TestSimilar:
     [
         {**ORDER, "less": ["a", "b"]},
         {**ORDER, "greater": ["a", ["b", "c"]], "margin": 1.0},
-        {**RATIO, "expected": 1.0},
+        {**RATIO, "expected": 1.2},
         {**SIMILAR, "spread_at": 10},
+        ALIKE,
     ],
 )
 def test_too_few_runs_and_missing_columns_say_so(test):

@@ -24,13 +24,10 @@ def ratio(results: Results, test: Ratio) -> Finding:
     if not np.isfinite(interval.low):
         raise Undecidable(f"the means of {measure} are not clearly positive: their ratio is meaningless")
     low, high = expected / factor, expected * factor
-    if expected > 1:
-        low = max(low, 1.0)
-    elif expected < 1:
-        high = min(high, 1.0)
+    low, high = (max(low, 1.0), high) if expected > 1 else (low, min(high, 1.0))
     is_apart = interval.low > 1 or interval.high < 1
     side = f"{'above' if interval.low > 1 else 'below'} 1" if is_apart else "on both sides of 1"
-    if is_apart and expected != 1:
+    if is_apart:
         agrees = (interval.estimate > 1) == (expected > 1)
         side += ", as claimed" if agrees else ", contrary to the claim"
     return Finding.between(
@@ -39,8 +36,7 @@ def ratio(results: Results, test: Ratio) -> Finding:
         [Comparison(f"{measure} of {test.label} / {test.to}", interval)],
         runs=len(table),
         method=f"ratio of the means of {measure} over paired runs, 95% interval against "
-        f"[{number(low)}, {number(high)}]: {expected:g} up to a factor of {factor:g}"
-        f"{' on the same side of 1' if expected != 1 else ''}; "
+        f"[{number(low)}, {number(high)}]: {expected:g} up to a factor of {factor:g} on the same side of 1; "
         f"the interval lies {side}; {bootstrap(len(table))}",
         chosen=chosen,
     )

@@ -130,7 +130,7 @@ class Ratio(Measured, frozen=True):
     kind: Literal["ratio"] = "ratio"
     label: str = Field(description="label or variant whose mean is the numerator")
     to: str = Field(description="label or variant whose mean is the denominator")
-    expected: float = Field(gt=0, description="claimed ratio")
+    expected: float = Field(gt=0, description="claimed ratio, other than 1")
     tolerance: float = Field(
         default=0.1,
         gt=0,
@@ -139,8 +139,10 @@ class Ratio(Measured, frozen=True):
     )
 
     @pydantic.model_validator(mode="after")
-    def _two_names(self) -> Self:
+    def _two_names_apart(self) -> Self:
         _distinct(self.names, "to")
+        if self.expected == 1:
+            raise ValueError("expected: a ratio of 1 is tested by kind similar, with a factor")
         return self
 
     @property
@@ -157,7 +159,7 @@ _Place = Annotated[
 
 
 class Similar(Measured, frozen=True):
-    """Whether means differ by less than a margin: of runs, over episodes, or at a step of steps.parquet."""
+    """Whether means differ by less than a margin or a factor: of runs, over episodes, or at a step."""
 
     target: ClassVar[str] = "bojax.report.claims.similar:similar"
 
@@ -168,7 +170,10 @@ class Similar(Measured, frozen=True):
     step: int | None = Field(
         default=None, ge=1, description="step at which a column of steps.parquet is compared"
     )
-    margin: float = Field(gt=0, description="largest difference between two means")
+    margin: float | None = Field(default=None, gt=0, description="largest difference between two means")
+    factor: float | None = Field(
+        default=None, gt=1, description="largest ratio of two means, in place of margin"
+    )
     spread_at: _Place | None = Field(
         default=None, description="step or episodes; margin is then a share of the range of the means there"
     )
@@ -178,6 +183,10 @@ class Similar(Measured, frozen=True):
         _distinct(self.labels, "labels")
         if self.step is not None and self.window is not None:
             raise ValueError("similar: give either step or window")
+        if (self.margin is None) == (self.factor is None):
+            raise ValueError("similar: give either margin or factor")
+        if self.spread_at is not None and self.margin is None:
+            raise ValueError("spread_at: needs a margin, which is a share of the range of the means there")
         place = self.step or self.window
         if self.spread_at is not None and type(self.spread_at) is not type(place):
             raise ValueError("spread_at: needs a step if step is given, and a window if window is given")

@@ -1,4 +1,4 @@
-"""Test of equivalence: whether means differ by less than a margin."""
+"""Test of equivalence: whether means differ by less than a margin, or by less than a factor."""
 
 from itertools import combinations
 
@@ -13,13 +13,14 @@ from bojax.report.text import counted, number
 
 
 def similar(results: Results, test: Similar) -> Finding:
-    """Whether the means of all pairs differ by less than a margin: of runs, over episodes, or at a step.
+    """Whether all means differ by less than a margin or a factor: of runs, over episodes, or at a step.
 
     This is an equivalence test: the claim is reproduced if the simultaneous (Bonferroni) intervals of all
-    differences lie within the margin, and not reproduced if one lies outside. The margin may be a share of
-    the range of the means at another step or over other episodes, which is resampled with the means.
+    differences lie within the margin, or those of all ratios within the factor, and not reproduced if one
+    lies outside. The margin may be a share of the range of the means at another step or over other episodes,
+    which is resampled with the means.
     """
-    names, margin, spread_at = test.names, test.margin, test.spread_at
+    names, spread_at = test.names, test.spread_at
     measure = Measure(test.column, test.step or test.window, test.since)
     spread = measure if spread_at is None else Measure(test.column, spread_at)
     points, chosen = stand_ins(results, test, measure)
@@ -31,23 +32,31 @@ def similar(results: Results, test: Similar) -> Finding:
         spreads, scale = np.ones(len(means)), 1.0
     elif not (spreads.min() > 0 and scale > 0):
         raise Undecidable(f"the means of {spread} do not differ: their range is 0")
+    if test.factor is None:
+        margin = test.margin or 0.0
+        low, high, bounds = -margin, margin, f"±{margin:g}"
+        compared, sign, compare = "differences", "-", np.subtract
+    else:
+        low, high, bounds = 1 / test.factor, test.factor, f"a factor of {test.factor:g}"
+        compared, sign, compare = "ratios", "/", np.divide
+        if not resampled.min() > 0:
+            raise Undecidable(f"the means of {measure} are not clearly positive: a ratio is meaningless")
     pairs = list(combinations(range(len(names)), 2))
+    tail, ours = statistics.TAIL / len(pairs), at.mean(axis=0)
     comparisons = []
     for a, b in pairs:
-        differences = (resampled[:, a] - resampled[:, b]) / spreads
-        low, high = np.quantile(differences, [statistics.TAIL / len(pairs), 1 - statistics.TAIL / len(pairs)])
-        estimate = float((at[:, a] - at[:, b]).mean()) / scale
-        interval = statistics.Interval(estimate, float(low), float(high))
-        comparisons.append(Comparison(f"{names[a]} - {names[b]}", interval))
+        ends = np.quantile(compare(resampled[:, a], resampled[:, b]) / spreads, [tail, 1 - tail])
+        interval = statistics.Interval(float(compare(ours[a], ours[b])) / scale, *map(float, ends))
+        comparisons.append(Comparison(f"{names[a]} {sign} {names[b]}", interval))
     unit = "" if spread_at is None else f", as a share of the range of {spread}"
     return Finding.between(
-        -margin,
-        margin,
+        low,
+        high,
         comparisons,
-        ours=", ".join(f"{name} {number(mean)}" for name, mean in zip(names, at.mean(axis=0), strict=True)),
+        ours=", ".join(f"{name} {number(mean)}" for name, mean in zip(names, ours, strict=True)),
         runs=len(at),
-        method=f"differences of the means of {measure}{unit}, within paired runs, simultaneous "
-        f"95% intervals (Bonferroni over {counted(len(pairs), 'pair')}) against ±{margin:g}; "
+        method=f"{compared} of the means of {measure}{unit}, within paired runs, simultaneous "
+        f"95% intervals (Bonferroni over {counted(len(pairs), 'pair')}) against {bounds}; "
         f"{bootstrap(len(at))}",
         chosen=chosen,
     )
