@@ -108,6 +108,7 @@ class Programs:
         *,
         recorded: int,
         wider: int | None = None,
+        started: Callable[[], None] = lambda: None,
     ):
         """Compile the programs.
 
@@ -118,6 +119,7 @@ class Programs:
             seed: Seed of the sweep.
             recorded: Largest number of lanes whose run is recorded.
             wider: The larger number of lanes that the runs come from; None if they start in these lanes.
+            started: Called when tracing starts, which waits for that of others, or saved programs are loaded.
         """
         self.num_lanes, self.device = num_lanes, device
         self._functions, self._group = functions, functions.group
@@ -136,8 +138,10 @@ class Programs:
             self._programs, carry = found
             self.is_saved = True
             self.compile_seconds = time.perf_counter() - start
+            started()
         else:
             with TRACING:
+                started()
                 executables.drop_damaged(functions.tag)
                 start = time.perf_counter()
                 lowered, carry = self._lower(wider)

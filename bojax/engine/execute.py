@@ -280,12 +280,17 @@ class _Executor:
             width: Number of lanes.
             is_compiled: Whether another device has put them into the cache.
         """
-        is_first = width == task.layout.lanes
-        if is_first and not is_compiled:
-            self._progress.compiling(task.progress)
-        wider = min((each for each in task.layout.widths if each > width), default=None)
-        programs = task.kind(task.functions, device, width, task.seed, recorded=task.recorded, wider=wider)
-        if is_first and not is_compiled:
+        is_new = width == task.layout.lanes and not is_compiled
+        programs = task.kind(
+            task.functions,
+            device,
+            width,
+            task.seed,
+            recorded=task.recorded,
+            wider=min((each for each in task.layout.widths if each > width), default=None),
+            started=lambda: self._progress.compiling(task.progress) if is_new else None,
+        )
+        if is_new:
             self._progress.compiled(task.progress, programs.compile_seconds)
         with self._changed:  # a compilation may end after the sweep has ended
             if not self._is_closed:

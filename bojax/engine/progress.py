@@ -90,8 +90,8 @@ class SweepProgress:
         """Report that the compilation of a group has ended."""
         with self._lock:
             self._note()
-            start, group.compiled = group.compiling_since, time.monotonic()
-            group.compile_seconds = self._clock.between(start or group.compiled, group.compiled)
+            group.compiled = time.monotonic()
+            group.compile_seconds = self._clock.between(group.compiled - seconds, group.compiled)
             self.say(f"compiled {group.name} in {seconds:.1f} s")
             self._show()
 

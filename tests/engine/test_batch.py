@@ -1,12 +1,14 @@
 """A compiled group gives the results of single lanes, on any device, and is compiled once."""
 
+import threading
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from bojax.engine import batch
-from bojax.engine.batch import Functions, Programs, run_key
+from bojax.engine.batch import TRACING, Functions, Programs, run_key
 from bojax.engine.errors import EngineError
 from bojax.engine.groups import static_groups
 from tests.toy import Toy, toy
@@ -213,3 +215,13 @@ def test_a_mistake_in_an_experiment_is_one_line(kind, message):
         compile_toys(modules=[kind(good.scale, good.start, good.poison, good.max_length)])
     assert "\n" not in str(error.value)
     assert error.value.exit_code == 1
+
+
+def test_a_compilation_starts_when_no_other_group_is_traced():
+    started, seen = threading.Event(), []
+    with TRACING:
+        compiling = threading.Thread(target=lambda: seen.append(compile_toys(13, started=started.set)))
+        compiling.start()
+        assert not started.wait(0.3)
+    compiling.join()
+    assert started.is_set() and seen[0].num_lanes == 13
