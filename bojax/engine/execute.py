@@ -478,7 +478,8 @@ class _Executor:
         def stop() -> bool:
             return self._stop() or task.share.is_stolen(chunk)
 
-        task.progress.chunks[chunk.index] = _progress_of(chunk, sink.state, task.experiment)
+        state = task.progress.chunks[chunk.index] = _progress_of(chunk, sink.state, task.experiment)
+        state.begun = time.monotonic()
         limits = Limits(task.limits.segment_seconds, task.limits.checkpoint_seconds, stop)
         return ChunkRunner(
             chunk,

@@ -1,6 +1,7 @@
 """Forecast of the remaining time, from the runs that have ended and the programs still to be compiled."""
 
 import heapq
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -13,6 +14,9 @@ COMPILATION, CHUNK = 20.0, 3.0
 
 AS_EXPECTED = 1.0
 """Number of groups that count as having taken as long as expected, beside those that have been seen."""
+
+OWN_PACE = 1 / 3
+"""The own pace of a chunk counts as the share that it has done to this power."""
 
 LONGER = 1.3
 """A compilation that lasts longer than usual is taken to last so many times as long as it has lasted."""
@@ -30,7 +34,9 @@ class ChunkProgress:
         advances_left: Upper bound of the advances of the runs in lanes.
         seconds_per_advance: Seconds of an advance of all lanes in the last segment; None before the first.
         runs: Number of its runs; 0 if another process has begun it.
-        seconds: Seconds of its advances in this process.
+        seconds: Seconds of its advances in this process; at its end, on a CPU, with those of its first state
+            and of its files.
+        begun: Time at which this process has taken it.
     """
 
     lanes: int
@@ -41,6 +47,7 @@ class ChunkProgress:
     seconds_per_advance: float | None = None
     runs: int = 0
     seconds: float = 0.0
+    begun: float | None = None
 
 
 @dataclass
@@ -97,14 +104,13 @@ class GroupProgress:
         return self.ended_seconds / self.ended_runs if self.ended_runs else None
 
     @property
-    def mean_advances(self) -> float | None:
-        """Mean number of advances of a run; None if no run has ended.
+    def mean_advances(self) -> float:
+        """Mean number of advances of a run, or the largest if no run has ended.
 
         The maximum likelihood estimate for a constant rate of ending, which counts unfinished runs as well.
         """
-        if not self.finished:
-            return None
-        return min(self.lane_advances / self.finished, float(self.max_advances))
+        mean = self.lane_advances / self.finished if self.finished else math.inf
+        return min(mean, float(self.max_advances))
 
     def end(self, index: int) -> None:
         """Note that a chunk has ended or failed."""
@@ -192,9 +198,8 @@ def _seconds_left(groups: Sequence[GroupProgress]) -> list[list[float]]:
     geometric mean, since the groups of a sweep differ by factors of up to a thousand. The pace of an advance
     says less, since an advance of one group is an episode of a robot, that of another a step of a planner.
     """
-    shares = [group.mean_advances / group.max_advances for group in groups if group.mean_advances is not None]
     speed = _speed((group.seconds_per_run, group.expected_run) for group in groups)
-    left = [_known_left(group, float(np.mean(shares)) if shares else 1.0, speed) for group in groups]
+    left = [_known_left(group, speed) for group in groups]
     means = [
         (group.seconds + sum(chunks)) / (group.ended_chunks + len(chunks))
         for group, chunks in zip(groups, left, strict=True)
@@ -204,27 +209,30 @@ def _seconds_left(groups: Sequence[GroupProgress]) -> list[list[float]]:
     return [chunks or [usual] * len(group.chunks) for group, chunks in zip(groups, left, strict=True)]
 
 
-def _known_left(group: GroupProgress, usual_share: float, speed: float) -> list[float]:
+def _known_left(group: GroupProgress, speed: float) -> list[float]:
     """Time that each chunk of a group still takes; empty if nothing tells.
 
-    The chunks are taken to need as long for each run as those that have ended, or as expected: early episodes
-    are often longer than late ones, and the last runs may need many more than the others. The further a chunk
-    has come, the more its own pace counts.
+    A chunk that has begun is taken to last between what its own pace tells and what is usual for its runs:
+    early episodes are often longer than late ones, and the last runs may need many more than the others. The
+    further it has come, the more its own pace counts. The usual is that of the chunks that have ended or
+    begun, or, before any has, what is expected.
 
     Args:
         group: The group.
-        usual_share: Mean number of advances of a run, as a share of the most, if no run has ended.
         speed: How many times as long as expected runs take.
     """
     if not group.advances and group.expected_run is None:
         return []
-    mean = usual_share * group.max_advances if group.mean_advances is None else group.mean_advances
-    per_run = group.seconds_per_run or speed * (group.expected_run or 0.0)
-    usual_pace, left = group.seconds / max(1, group.advances), []
-    for chunk in group.chunks.values():
-        whole, pace = chunk.runs * per_run, chunk.seconds_per_advance or usual_pace
-        share = min(1.0, chunk.seconds / whole) if whole else 1.0
-        left.append((1.0 - share) * (whole - chunk.seconds) + share * _advances_left(chunk, mean) * pace)
+    runs, seconds, left = group.ended_runs, group.ended_seconds, []
+    for chunk in sorted(group.chunks.values(), key=lambda chunk: not chunk.seconds):
+        usual = chunk.runs * (seconds / runs if runs else speed * (group.expected_run or 0.0))
+        pace = chunk.seconds_per_advance or group.seconds / max(1, group.advances)
+        own = chunk.seconds + _advances_left(chunk, group.mean_advances) * pace
+        weight = (chunk.seconds / own) ** OWN_PACE if chunk.seconds else 0.0
+        whole = usual ** (1.0 - weight) * own**weight if usual else own
+        left.append(max(whole - chunk.seconds, weight * (own - chunk.seconds)))
+        if chunk.runs:
+            runs, seconds = runs + chunk.runs, seconds + whole
     return left
 
 

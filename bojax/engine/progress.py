@@ -128,6 +128,9 @@ class SweepProgress:
         """Report that a chunk has ended or failed."""
         with self._lock:
             self._note()
+            state = group.chunks.get(chunk)
+            if state is not None and state.begun is not None and group.platform == "cpu":
+                state.seconds = self._clock.between(state.begun, time.monotonic())
             group.end(chunk)
 
     def tick(self) -> None:

@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from bojax.engine.clock import Clock
-from bojax.engine.forecast import CHUNK, COMPILATION, LONGER, ChunkProgress, GroupProgress, forecast
+from bojax.engine.forecast import (
+    CHUNK,
+    COMPILATION,
+    LONGER,
+    OWN_PACE,
+    ChunkProgress,
+    GroupProgress,
+    forecast,
+)
 
 PACE = 0.5
 """Seconds of an advance."""
@@ -65,9 +73,23 @@ def test_the_chunks_of_a_group_are_taken_to_last_as_long_as_one_that_has_ended()
     group.finished, group.lane_advances, group.compile_seconds = 10, 1100, 1.0
     group.end(0)
     # At its own pace, its 90 advances take 180 s, which counts more and more.
-    for begun.seconds, expected in ((0.0, 30.0), (10.0, 20.0 * 2 / 3 + 180.0 / 3), (31.0, 180.0)):
+    for begun.seconds, done in ((0.0, 0.0), (20.0, 20 / 200), (90.0, 90 / 270)):
+        found, weight = forecast([group], **USUAL), done**OWN_PACE
+        whole = 30.0 ** (1 - weight) * (begun.seconds + 180.0) ** weight
+        assert found == pytest.approx(max(whole - begun.seconds, weight * 180.0))
+
+
+def test_chunks_that_have_not_begun_are_taken_to_last_as_long_as_one_that_has():
+    begun = ChunkProgress(10, 10, 10, 0, 1, 2.0, runs=10, seconds=38.0)  # of 40 s
+    new = ChunkProgress(10, 10, 10, 0, 20, runs=10)
+    group = GroupProgress("toy", 20, {0: new, 1: begun}, seconds=38.0, advances=19, compile_seconds=1.0)
+    for expected in (None, 0.1, 4.0, 100.0):
+        group.expected_run = expected
+        whole = (
+            40.0 if expected is None else (10 * expected) ** (1 - 0.95**OWN_PACE) * 40.0 ** (0.95**OWN_PACE)
+        )
         found = forecast([group], **USUAL)
-        assert found == pytest.approx(expected)
+        assert found == pytest.approx(whole + max(whole - 38.0, 2.0 * 0.95**OWN_PACE), rel=0.05)
 
 
 def waiting(name="waiting", chunks=1, **options):

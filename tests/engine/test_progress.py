@@ -102,6 +102,19 @@ def test_compiling_is_shown_with_its_time(clock):
     assert shown.describe() == "0/100 runs, 15 s left, 1 of 2 programs to compile"
 
 
+@pytest.mark.parametrize(("platform", "expected"), [("cpu", 5.0), ("gpu", 1.0)])
+def test_a_chunk_on_a_cpu_takes_the_time_of_its_first_state_and_of_its_files(clock, platform, expected):
+    shown, _ = make()
+    group = group_of(0)
+    group.platform, group.chunks[0].runs, group.chunks[0].begun = platform, 10, clock.now
+    shown.add([group])
+    clock.now += 3.0
+    shown.segment(group, 0, segment(finished=10, live=0, seconds=1.0))
+    clock.now += 2.0
+    shown.end_chunk(group, 0)
+    assert group.ended_seconds == expected
+
+
 def test_the_time_left_is_shown_while_nothing_happens(clock):
     shown, text = make()
     with shown:
