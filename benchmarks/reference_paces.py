@@ -43,13 +43,13 @@ def main(argv: Sequence[str]) -> int:
         manifest = json.loads((folder / MANIFEST).read_text())
         platform = manifest["device"]["platform"]
         for group, layout in zip(manifest["groups"], manifest["plan"]["layouts"], strict=True):
-            widths, number = layout["widths"], len(group["points"]) * manifest["runs"]
-            paces = paces_of(group, platform, number, len(widths))
-            if paces is None:
+            lanes, number = layout["widths"][0], len(group["points"]) * manifest["runs"]
+            paces = group["paces"]
+            if not all(paces.get(name) for name in ("compilation", "run")):
                 continue
             kind, size = kind_and_size(manifest["points"][group["points"][0]]["config"])
             compilations[platform, kind].append(paces["compilation"])
-            cost = cost_of_run(platform, widths[0], layout["queue"])
+            cost = cost_of_run(platform, lanes, layout["queue"])
             runs[platform, kind, size].append((paces["run"] / cost, number))
     made = json.loads(REFERENCE.read_text()) if REFERENCE.exists() else {}
     for (platform, kind, size), found in runs.items():
@@ -68,17 +68,6 @@ def main(argv: Sequence[str]) -> int:
     ]
     REFERENCE.write_text("{\n" + ",\n".join(lines) + "\n}\n")
     return 0
-
-
-def paces_of(group: dict, platform: str, runs: int, programs: int) -> dict[str, float] | None:
-    """Seconds of the compilation and of a run of a group; None if one is not known.
-
-    On an accelerator, which threads do not share, manifests without `paces` will do.
-    """
-    found = group.get("paces", {})
-    if platform != "cpu" and not found:
-        found = {"compilation": group["compile_seconds"] / programs, "run": group["run_seconds"] / runs}
-    return found if all(found.get(name, 0.0) > 0.0 for name in ("compilation", "run")) else None
 
 
 if __name__ == "__main__":

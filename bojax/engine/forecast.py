@@ -12,9 +12,6 @@ from bojax.engine.clock import Clock
 COMPILATION, CHUNK = 20.0, 3.0
 """Seconds of a compilation and of a chunk of which nothing is known, before any has ended."""
 
-AS_EXPECTED = 1.0
-"""Number of groups that count as having taken as long as expected, beside those that have been seen."""
-
 OWN_PACE = 1 / 3
 """The own pace of a chunk counts as the share that it has done to this power."""
 
@@ -182,13 +179,15 @@ def _compilations(
 
 
 def _speed(pairs: Iterable[tuple[float | None, float | None]]) -> float:
-    """How many times as long as expected it takes, from pairs of measured and expected seconds."""
+    """How many times as long as expected it takes, from pairs of measured and expected seconds.
+
+    One more is taken to have lasted as long as expected: the mean one.
+    """
     seen = [(seconds, expected) for seconds, expected in pairs if seconds is not None and expected]
     if not seen:
         return 1.0
-    expected = sum(each for _, each in seen)
-    prior = AS_EXPECTED * expected / len(seen)
-    return (sum(seconds for seconds, _ in seen) + prior) / (expected + prior)
+    seconds, expected = np.sum(seen, axis=0)
+    return float((seconds + expected / len(seen)) / (expected + expected / len(seen)))
 
 
 def _seconds_left(groups: Sequence[GroupProgress]) -> list[list[float]]:
