@@ -315,7 +315,7 @@ def _newest_unfinished(root: Path) -> Path:
 
 
 def _changes(old: Any, new: Any, path: str = ""):
-    """A line `dotted.path: old -> new` for every difference of two trees of plain values."""
+    """A line `dotted.path: old -> new` for every difference of two trees of values; hashes are left out."""
     if isinstance(old, Mapping) and isinstance(new, Mapping):
         for key in [*old, *(key for key in new if key not in old)]:
             dotted = f"{path}.{key}" if path else str(key)
@@ -324,7 +324,8 @@ def _changes(old: Any, new: Any, path: str = ""):
         for index, (before, after) in enumerate(zip(old, new, strict=True)):
             yield from _changes(before, after, f"{path}.{index}")
     elif old != new:
-        yield f"{path}: {_short(old)} -> {_short(new)}"
+        is_hash = path.startswith("code.")
+        yield f"{path}: {'the source differs' if is_hash else f'{_short(old)} -> {_short(new)}'}"
 
 
 def _short(value: Any) -> str:

@@ -91,6 +91,7 @@ def test_life_of_a_folder(tmp_path):
         ({"config": {"planner": {"kind": "kcbts"}}}, "config.planner.iterations: 300 -> None"),
         ({"extra": [1, 2]}, r"extra: None -> \[1, 2\]"),
         ({"extra": [1] * 100}, "extra: None -> a list of 100;"),
+        ({"code": {"bojax": "b"}}, "changed: code.bojax: the source differs; undo"),
     ],
 )
 def test_changes_are_named(tmp_path, change, named):
@@ -182,6 +183,6 @@ def test_the_first_worker_commits_the_plan(tmp_path):
     folder.join(PLAN, {"platform": "gpu", "count": 2})
     folder.join(PLAN, {"platform": "gpu", "count": 1})
     assert folder.plan() == PLAN and folder.device() == {"platform": "gpu", "count": 2}
-    with pytest.raises(ResultsError, match="does not fit the plan: code.bojax: a -> b"):
+    with pytest.raises(ResultsError, match="does not fit the plan: code.bojax: the source differs"):
         folder.join({**PLAN, "code": {"bojax": "b"}}, {})
     assert sorted(path.name for path in folder.work.iterdir()) == ["device.json", "lock", "plan.json"]
