@@ -6,8 +6,12 @@ import subprocess
 import sys
 from argparse import ArgumentTypeError
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from bojax.cli.parser import Parser, integer, path
+
+if TYPE_CHECKING:
+    from bojax.engine.signals import StopRequest
 
 REQUEUE = signal.SIGUSR2
 """The signal that the batch script of Slurm asks for when the time limit is near."""
@@ -23,22 +27,27 @@ def main(name: str, words: Sequence[str]) -> int:
     args = _parser(name).parse_intermixed_args(list(words))
     from bojax.engine.signals import SIGNALS, StopRequest
 
-    with StopRequest(announce=lambda _: None) as stop:
+    signals = (*SIGNALS, REQUEUE)
+    with StopRequest(announce=lambda _: None, signals=signals) as stop:
         from bojax.engine.worker import WorkerOptions, guarded, run_worker
-    if stop:
-        return stop.exit_code
+
+        if stop:
+            return _stopped(stop)
     number, count = args.share
     options = WorkerOptions(args.devices, args.cores, number, count)
-    with StopRequest(signals=(*SIGNALS, REQUEUE)) as stop:
+    with StopRequest(signals=signals) as stop:
         code = guarded(lambda: run_worker(args.folders, options, stop.__bool__))
-        if not stop:
-            return code
-        job = os.environ.get("SLURM_JOB_ID")
-        if stop.signum == REQUEUE and job:
-            # Slurm ends this process, and starts the task again once there is a node.
-            subprocess.run(["scontrol", "requeue", job], check=False)
-        print("stopped at a checkpoint; other workers or --resume go on", file=sys.stderr)
-        return stop.exit_code
+        return _stopped(stop) if stop else code
+
+
+def _stopped(stop: "StopRequest") -> int:
+    """Requeue the task if Slurm asked for it, and return the exit code of the signal."""
+    job = os.environ.get("SLURM_JOB_ID")
+    if stop.signum == REQUEUE and job:
+        # Slurm ends this process, and starts the task again once there is a node.
+        subprocess.run(["scontrol", "requeue", job], check=False)
+    print("stopped; other workers or --resume go on", file=sys.stderr)
+    return stop.exit_code
 
 
 def device_indices(text: str) -> list[int]:

@@ -1,11 +1,17 @@
 """`bojax status` and `bojax worker`: what they print and refuse. Running chunks is tested in tests/engine."""
 
 import os
+import signal
+import sys
+import time
+import types
 
 import pyarrow as pa
 import pytest
+from typing_extensions import override
 
 from bojax.cli.main import main
+from bojax.engine import signals
 from bojax.results.folder import RunFolder
 from bojax.results.leases import Leases
 from bojax.results.store import write_json
@@ -113,3 +119,30 @@ def test_a_folder_without_a_sweep(tmp_path, capsys, command):
 def test_mistakes_of_a_worker(tmp_path, capsys, words, message):
     assert main(["worker", str(tmp_path), *words]) == 2
     assert message in capsys.readouterr().err
+
+
+def test_a_worker_that_is_asked_to_requeue_while_it_imports_does_so(tmp_path, capsys, monkeypatch):
+    made, commands = [], []
+
+    class Request(signals.StopRequest):
+        @override
+        def __enter__(self):
+            made.append(self)
+            return super().__enter__()
+
+    class Importing(types.ModuleType):
+        @override
+        def __getattr__(self, name):
+            if not made[-1]:
+                os.kill(os.getpid(), signal.SIGUSR2)
+            while not made[-1]:
+                time.sleep(0.001)
+            return None  # never called
+
+    monkeypatch.setattr(signals, "StopRequest", Request)
+    monkeypatch.setitem(sys.modules, "bojax.engine.worker", Importing("bojax.engine.worker"))
+    monkeypatch.setattr("subprocess.run", lambda words, **_: commands.append(words))
+    monkeypatch.setenv("SLURM_JOB_ID", "7")
+    assert main(["worker", str(tmp_path)]) == 128 + signal.SIGUSR2
+    assert commands == [["scontrol", "requeue", "7"]] and len(made) == 1
+    assert capsys.readouterr().err == "stopped; other workers or --resume go on\n"
