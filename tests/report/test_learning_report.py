@@ -80,12 +80,13 @@ class TestTable:
         runs = {
             "vime": {"iterations": np.array([3.0, 5.0]), "nans": np.array([0, 0])},
             "emu-q": {"iterations": np.array([np.nan, np.nan]), "nans": np.array([0, 0])},
+            "broken-once": {"iterations": np.array([np.nan, np.nan]), "nans": np.array([1, 0])},
             "broken": {"iterations": np.array([np.nan, np.nan]), "nans": np.array([1, 1])},
         }
         table = tables.outcomes(in_memory(runs, episodes={name: np.zeros((2, 1)) for name in runs}))
         place = table.headings.index("iterations")
         texts = [cells[place].text for _, cells in table.rows]
-        assert texts == ["4.0", MISSING, "NaN"]
+        assert texts == ["4.0", MISSING, MISSING, "NaN"]
 
     def test_measures_of_planning_are_not_there(self, cells):
         assert not [heading for heading in cells["emu-q"] if "step 6" in heading or "exit" in heading]
