@@ -41,7 +41,7 @@ def require(name: str, value: Any, expected: Array) -> None:
     is_precision = jnp.issubdtype(expected.dtype, jnp.floating) and (
         value.shape == expected.shape if isinstance(value, Array) else isinstance(value, int | float)
     )
-    hint = "; use the dtype of a setting, as in jnp.asarray(x, self.speed.dtype)" if is_precision else ""
+    hint = "; use the dtype of a field, as in jnp.asarray(x, self.FIELD.dtype)" if is_precision else ""
     raise Misfit(f"{name} is {got}; allowed: {expected.dtype} of shape {expected.shape}{hint}")
 
 

@@ -95,7 +95,7 @@ class Misspelt(Cart):
 
 
 MISFITS = {
-    WideReward: "TimeStep.reward is float64 of shape (); allowed: float32 of shape (); use the dtype",
+    WideReward: "TimeStep.reward is float64 of shape (); allowed: float32 of shape (); use the dtype of",
     PythonReward: "TimeStep.reward is float; allowed: float32 of shape (); use the dtype",
     NumericEnd: "TimeStep.terminated is float32 of shape (); allowed: bool of shape ()",
     LongObservation: "the observation of observe is float32 of shape (2,); allowed: float32 of shape (1,)",
