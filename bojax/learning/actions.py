@@ -1,4 +1,4 @@
-"""Finite sets of actions, over which learners take a maximum or a mean."""
+"""Finite sets of actions, over which learners maximise or average."""
 
 from collections.abc import Callable
 
@@ -12,7 +12,7 @@ from bojax.numerics.quasirandom import scrambled_halton
 
 
 def even_actions(key: Key[Array, ""], number: int, space: Space) -> Action:
-    """Points of a scrambled Halton sequence in a box; all actions of a discrete space."""
+    """`number` points of a scrambled Halton sequence in a box; all actions of a discrete space."""
     if isinstance(space, Discrete):
         return jnp.arange(space.num, dtype=jnp.int32)
     return space.from_unit(scrambled_halton(key, number, space.num_dims, space.low.dtype))
@@ -28,7 +28,7 @@ def grid_actions(per_dimension: int, space: Space) -> Action:
 
 
 def nearest_action(actions: Action, action: Action) -> Int[Array, ""]:
-    """Index of the nearest of several actions."""
+    """Index of the one of `actions`, `[J, ...]`, that is nearest to `action` in Euclidean distance."""
     difference = (actions - action[None]).reshape(len(actions), -1)
     return jnp.argmin(jnp.sum(difference**2, axis=1)).astype(jnp.int32)
 

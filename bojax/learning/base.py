@@ -135,9 +135,9 @@ class Learner(eqx.Module):
         return state
 
     def policy_state(self, state: LearnerState) -> LearnerState:
-        """The part of the state that is exported: with the shapes of `init` at a capacity of 0.
+        """The part of the state that is exported. It suffices to act, but not to continue learning.
 
-        It suffices to act, but not to continue learning.
+        Its arrays have the shapes that `init` gives them at a capacity of 0.
         """
         return state
 
@@ -158,7 +158,7 @@ class Learner(eqx.Module):
 
     @property
     def prefers_cpu(self) -> bool:
-        """Whether a few cores of a CPU learn more quickly than a GPU, as its steps are a few numbers each."""
+        """Whether a few CPU cores are faster than a GPU, because a step computes only a few numbers."""
         return False
 
     @abc.abstractmethod

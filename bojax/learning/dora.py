@@ -118,9 +118,9 @@ class DORA(Learner):
         observation: Observation,
         exploration: ExplorationState,
     ) -> tuple[Action, Float[Array, ""]]:
-        """The action that `observe` has chosen; in the first step of an episode and in tests, the policy's.
+        """The action that `observe` chose; in the first step of an episode and in tests, one of the policy.
 
-        `observe` has chosen by the exploration state of training, with which a test must not act.
+        `observe` chooses with the exploration state of training, which must not be used in a test.
         """
         _, index = state.table.look_up(self._tiles(state, observation))
         sums = _sums(state.weights, index)

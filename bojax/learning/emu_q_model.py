@@ -80,7 +80,7 @@ class EMUQModel(eqx.Module):
         return drawn[:number], drawn[number:]
 
     def ties(self, state: EMUQState) -> Ties:
-        """How the policy breaks ties: fresh draws are in random order, so the first one is as good as any."""
+        """How the policy breaks ties. Fresh draws are in random order, so that the first one may be taken."""
         return "first" if self._draws_anew(state) else "random"
 
     def _draws_anew(self, state: EMUQState) -> bool:
@@ -184,7 +184,7 @@ class EMUQModel(eqx.Module):
         next_values: Float[Array, "2"],
         terminated: Bool[Array, ""],
     ) -> Float[Array, "2"]:
-        """R + gamma Q(s', a') and r_e + gamma U(s', a')."""
+        """The TD targets r + gamma Q(s', a') and r_e + gamma U(s', a') (5.14)."""
         q = jnp.where(terminated & self.terminal_q.is_("zero"), 0.0, next_values[Q])
         forever = jnp.where(self.terminal_u.is_("absorbing"), bonus / (1.0 - self.discount), 0.0)
         u = jnp.where(terminated & ~self.terminal_u.is_("bootstrap"), forever, next_values[U])

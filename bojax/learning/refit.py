@@ -5,14 +5,14 @@ either by sweeps, m <- beta S Phi'(r + gamma Phi_next m), or by solving the equa
 to, (I - beta gamma S Phi'Phi_next) m = beta S Phi'r.
 
 The direct solution is policy iteration: the equations of a policy are solved, then the policy becomes greedy
-for their solution, until the weights stay the same. With a table as features this always happens, since each
-policy has values at least as high as the one before. In general, policies may go round in a circle or jump
-about, as those of sweeps may. The iteration therefore also ends when, for the second time, the weights change
-no less than with the policy before. Since there are finitely many policies, one of the two happens.
+for their solution, until the weights stay the same. With one-hot features this always happens, since each
+policy has values at least as high as the one before. With other features, policies may cycle or change
+irregularly, as those of sweeps may. The iteration therefore also ends when, for the second time, the weights
+change no less than with the policy before. Since there are finitely many policies, one of the two happens.
 
 The matrices of two policies in succession differ little. The inverse for one policy is therefore kept as the
-preconditioner of the equations of the following policies, which take a few products with the features. If
-these do not converge, the policy gets an inverse of its own, which is kept in turn.
+preconditioner for the following policies, whose equations then take a few products with the features. If the
+products do not converge, the policy gets an inverse of its own, which is kept in turn.
 """
 
 from collections.abc import Callable

@@ -62,10 +62,10 @@ class RND(QNetworkLearner):
     """Values Q of rewards and U of bonuses; acts by argmax Q + kappa U, or at random (epsilon-greedy).
 
     The bonus of a transition is the squared error with which a network, trained on the same samples as the
-    values, predicts the outputs of a random network at s'. The bonus falls where states are often seen. As in
-    the paper, it is divided by the running standard deviation of its discounted sums, and U is bootstrapped
-    past the end of an episode. Bonuses are computed anew in every gradient step. The TD target of Q takes the
-    maximum of Q at s', that of U the action argmax Q + kappa U.
+    values, predicts the outputs of a random network at s'. The bonus is small where states are often seen. As
+    in the paper, it is divided by the running standard deviation of its discounted sums, and U is
+    bootstrapped past the end of an episode. Bonuses are computed anew in every gradient step. The TD target
+    of Q takes the maximum of Q at s', that of U the action argmax Q + kappa U.
 
     Deviations from the paper: Q-learning instead of PPO, and observations scaled by their declared bounds
     instead of running moments.

@@ -36,7 +36,7 @@ class Constant(Schedule):
 
 
 class Decay(Schedule):
-    """Scale 1 / (1 + c t), with t the number of episodes before (p. 121).
+    """Scale 1 / (1 + c t), with t the number of previous training episodes (p. 121).
 
     Settings: `bojax.learning.settings.Decay`.
     """

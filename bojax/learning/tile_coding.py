@@ -28,8 +28,8 @@ class TileTable(eqx.Module):
     """The indices of the tiles seen so far, at most N of them.
 
     The tiles of a state are looked up for all A actions at once, in the order of actions and then of tilings.
-    If m of them are new, those of the next action therefore have indices higher by m, and the table holds
-    one row for all actions.
+    If m of them are new, the indices of the next action are higher by m, so that the table holds one row for
+    all actions.
 
     Attributes:
         tiles: Tiles of states, `[K, C]`; rows that are not in use are -1.

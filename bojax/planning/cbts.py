@@ -112,7 +112,7 @@ class ContinuousBeliefTreeSearch(
 
     A node with fewer than `max_actions` actions adds the action that maximises the acquisition under the
     node's Gaussian process from action parameters to immediate rewards. Otherwise the search descends to the
-    child with the highest upper confidence bound.
+    child with the highest upper confidence bound (4.1).
 
     All values of `max_actions` up to `ROOM` share a program: the field is a mask of a node's places for
     actions, of which the first `max_actions` may be taken.

@@ -11,7 +11,7 @@ from bojax.problems.base import Belief, Objective, Problem
 
 
 class MyopicPlanner(Planner[DiscreteMotions]):
-    """The path of a finite set with the highest simulated reward (3.3); of equal ones, the first.
+    """The path of a finite set with the highest simulated reward (3.3); the first in case of a tie.
 
     Settings: `bojax.planning.settings.Myopic` and `Explorer`.
     """

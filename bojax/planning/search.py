@@ -22,7 +22,7 @@ Draws = TypeVar("Draws", bound=eqx.Module)
 """Random numbers of all iterations, drawn before the first: arrays with a leading axis of iterations."""
 
 View = TypeVar("View")
-"""What a planner has worked out at a node, both to descend and to propose an action there."""
+"""What a planner computes at a node, both to descend and to propose an action there."""
 
 Update = TypeVar("Update", bound=eqx.Module | None)
 """What a new action changes in the memory."""
@@ -48,15 +48,17 @@ class TreeSearch(Planner[M], Generic[Memory, Draws, View, Update, M]):
     An iteration descends from the root as long as `select` returns a child. At the first node where it does
     not, the search adds the action of `propose`, simulates that action and a random rollout to the horizon by
     one call of `Problem.simulate`, and backs up: every action on the way is credited with its own reward and
-    all later ones. (The published algorithms back up the reward of the rollout only.) Depth counts actions.
-    Terminal nodes are not expanded.
+    all later ones. Depth counts actions. Terminal nodes are not expanded.
+
+    Deviation: Algorithms 2 and 4, as printed, back up only the reward of the rollout.
 
     The `view` of a node changes only when a simulation passes through it. Views are therefore stored, and an
-    iteration first renews those of the nodes that the last one visited, as one batch. The descent then only
-    reads them. On a GPU this takes half the kernels of a descent that computes the views level by level.
+    iteration first renews those of the nodes that the previous one visited, as one batch. The descent then
+    only reads them. On a GPU this takes half the kernels of a descent that computes the views level by level.
 
-    An iteration writes to the tree what the last one has found, before it reads anything: XLA then writes in
-    place. It would copy an array that is also read by instructions on which the new values do not depend.
+    An iteration first writes the results of the previous one to the tree, and only then reads it: XLA then
+    writes in place. It would copy an array that is also read by instructions on which the new values do not
+    depend.
     """
 
     discount: eqx.AbstractVar[Float[Array, ""]]
@@ -156,7 +158,7 @@ class TreeSearch(Planner[M], Generic[Memory, Draws, View, Update, M]):
         draws: Draws,
         key: Key[Array, ""],
     ) -> tuple[Tree, Memory, View, Growth]:
-        """One iteration, which writes what the last one has found (`growth`) and adds the node `child`."""
+        """One iteration, which writes the results of the previous one, `growth`, and adds the node `child`."""
         tree = tree.grown(growth)
         # Nodes at the horizon have no actions and need no view.
         visited = growth.nodes[1:]

@@ -97,8 +97,8 @@ class Growth(eqx.Module):
         child: Node to which `belief` and `outcome` belong, whether or not it is new.
         belief: Belief of that node.
         outcome: `Tree.outcome` of that node.
-        nodes: Nodes visited, the deepest first; N instead of nodes that do not exist.
-        totals: What is added to `Tree.totals` of these.
+        nodes: Nodes visited, the deepest first; N for levels that were not reached.
+        totals: Addition to `Tree.totals` of these nodes.
         parent: Parent of the node.
         index: Index of the node among the parent's actions; A if the node is discarded.
     """
@@ -113,7 +113,7 @@ class Growth(eqx.Module):
 
     @classmethod
     def nothing(cls, tree: Tree, num_visited: int) -> "Growth":
-        """A growth that leaves a tree of a root alone unchanged: zeros for a node that does not exist yet."""
+        """A growth that does not change a tree with only a root: it writes zeros to a node that does not exist."""
         num_nodes, num_actions = tree.children.shape
         zero = jnp.zeros((), jnp.int32)
         return cls(
