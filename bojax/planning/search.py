@@ -158,7 +158,7 @@ class TreeSearch(Planner[M], Generic[Memory, Draws, View, Update, M]):
         draws: Draws,
         key: Key[Array, ""],
     ) -> tuple[Tree, Memory, View, Growth]:
-        """One iteration, which writes the results of the previous one, `growth`, and adds the node `child`."""
+        """One iteration, which writes `growth`, of the previous one, and adds the node `child`."""
         tree = tree.grown(growth)
         # Nodes at the horizon have no actions and need no view.
         visited = growth.nodes[1:]

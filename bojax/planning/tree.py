@@ -113,7 +113,7 @@ class Growth(eqx.Module):
 
     @classmethod
     def nothing(cls, tree: Tree, num_visited: int) -> "Growth":
-        """A growth that does not change a tree with only a root: it writes zeros to a node that does not exist."""
+        """A growth that leaves a tree with only a root unchanged: zeros for a node that does not exist."""
         num_nodes, num_actions = tree.children.shape
         zero = jnp.zeros((), jnp.int32)
         return cls(
