@@ -12,6 +12,9 @@ from bojax.engine.clock import Clock
 COMPILATION, CHUNK = 20.0, 3.0
 """Seconds of a compilation and of a chunk of which nothing is known, before any has ended."""
 
+EXPECTED_SHARE = 0.1
+"""What is expected of a run counts as if this share of the runs of its group had shown it."""
+
 OWN_PACE = 1 / 3
 """The own pace of a chunk counts as the share that it has done to this power."""
 
@@ -197,7 +200,7 @@ def _seconds_left(groups: Sequence[GroupProgress]) -> list[list[float]]:
     geometric mean, since the groups of a sweep differ by factors of up to a thousand. The pace of an advance
     says less, since an advance of one group is an episode of a robot, that of another a step of a planner.
     """
-    speed = _speed((group.seconds_per_run, group.expected_run) for group in groups)
+    speed = _speed((each.ended_seconds, each.ended_runs * (each.expected_run or 0.0)) for each in groups)
     left = [_known_left(group, speed) for group in groups]
     means = [
         (group.seconds + sum(chunks)) / (group.ended_chunks + len(chunks))
@@ -214,7 +217,7 @@ def _known_left(group: GroupProgress, speed: float) -> list[float]:
     A chunk that has begun is taken to last between what its own pace tells and what is usual for its runs:
     early episodes are often longer than late ones, and the last runs may need many more than the others. The
     further it has come, the more its own pace counts. The usual is that of the chunks that have ended or
-    begun, or, before any has, what is expected.
+    begun, and what is expected, since the first ones may share the interpreter's lock with compilations.
 
     Args:
         group: The group.
@@ -222,11 +225,14 @@ def _known_left(group: GroupProgress, speed: float) -> list[float]:
     """
     if not group.advances and group.expected_run is None:
         return []
-    runs, seconds, left = group.ended_runs, group.ended_seconds, []
+    expected, left = speed * (group.expected_run or 0.0), []
+    prior = EXPECTED_SHARE * (group.ended_runs + sum(chunk.runs for chunk in group.chunks.values()))
+    runs = group.ended_runs + (prior if expected else 0.0)
+    seconds = group.ended_seconds + prior * expected
     for chunk in sorted(group.chunks.values(), key=lambda chunk: not chunk.seconds):
-        usual = chunk.runs * (seconds / runs if runs else speed * (group.expected_run or 0.0))
+        usual = chunk.runs * seconds / runs if runs else 0.0
         pace = chunk.seconds_per_advance or group.seconds / max(1, group.advances)
-        own = chunk.seconds + _advances_left(chunk, group.mean_advances) * pace
+        own = chunk.seconds + _advances_left(chunk, group) * pace
         weight = (chunk.seconds / own) ** OWN_PACE if chunk.seconds else 0.0
         whole = usual ** (1.0 - weight) * own**weight if usual else own
         left.append(max(whole - chunk.seconds, weight * (own - chunk.seconds)))
@@ -235,14 +241,18 @@ def _known_left(group: GroupProgress, speed: float) -> list[float]:
     return left
 
 
-def _advances_left(chunk: ChunkProgress, mean: float) -> float:
+def _advances_left(chunk: ChunkProgress, group: GroupProgress) -> float:
     """Expected number of advances of the present lanes that take as long as the chunk still takes.
 
     Of `n` runs that end at a constant rate, the first ends after the mean divided by `n`, and the last one
-    after the mean times the harmonic number of `n`. Advances of fewer lanes take less time.
+    after the mean times the harmonic number of `n`. Advances of fewer lanes take less time. Runs of equal
+    length, or of which none has ended, pass through the lanes in rounds.
     """
+    mean, rounds = group.mean_advances, chunk.waiting / chunk.lanes
+    if mean == group.max_advances:
+        rounds = math.ceil(rounds)
     live = np.arange(1, chunk.live + 1)
     harmonic = float(np.sum(1.0 / live))
     narrowed = float(np.sum(np.maximum(live, chunk.narrowest) / live)) / chunk.lanes
     share = min(1.0, chunk.advances_left / (mean * harmonic)) if chunk.live else 0.0
-    return mean * (chunk.waiting / chunk.lanes + share * min(harmonic, narrowed))
+    return mean * (rounds + share * min(harmonic, narrowed))

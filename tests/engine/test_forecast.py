@@ -7,6 +7,7 @@ from bojax.engine.clock import Clock
 from bojax.engine.forecast import (
     CHUNK,
     COMPILATION,
+    EXPECTED_SHARE,
     LONGER,
     OWN_PACE,
     ChunkProgress,
@@ -83,13 +84,21 @@ def test_chunks_that_have_not_begun_are_taken_to_last_as_long_as_one_that_has():
     begun = ChunkProgress(10, 10, 10, 0, 1, 2.0, runs=10, seconds=38.0)  # of 40 s
     new = ChunkProgress(10, 10, 10, 0, 20, runs=10)
     group = GroupProgress("toy", 20, {0: new, 1: begun}, seconds=38.0, advances=19, compile_seconds=1.0)
+    own = 0.95**OWN_PACE
     for expected in (None, 0.1, 4.0, 100.0):
         group.expected_run = expected
-        whole = (
-            40.0 if expected is None else (10 * expected) ** (1 - 0.95**OWN_PACE) * 40.0 ** (0.95**OWN_PACE)
-        )
+        # What is expected counts for the first chunk, and as two of twelve runs for the second.
+        first = 40.0 if expected is None else (10 * expected) ** (1 - own) * 40.0**own
+        second = first if expected is None else 10 * (2 * expected + first) / 12
         found = forecast([group], **USUAL)
-        assert found == pytest.approx(whole + max(whole - 38.0, 2.0 * 0.95**OWN_PACE), rel=0.05)
+        assert EXPECTED_SHARE * 20 == 2 and found == pytest.approx(second + max(first - 38.0, 2.0 * own))
+
+
+def test_runs_of_equal_length_pass_through_the_lanes_in_rounds():
+    """Ten runs of 20 advances in eight lanes: the last two take as long as the first eight."""
+    chunk = ChunkProgress(8, 8, 8, 2, 15, PACE, runs=10, seconds=5 * PACE)
+    group = GroupProgress("toy", 20, {0: chunk}, seconds=5 * PACE, advances=5, compile_seconds=1.0)
+    assert forecast([group], **USUAL) == pytest.approx((15 + 20) * PACE)
 
 
 def waiting(name="waiting", chunks=1, **options):
