@@ -28,7 +28,7 @@ from bojax.learning.emu_q_model import EMUQModel, EMUQState, Q, U
 from bojax.learning.features import StateActionFeatures
 from bojax.learning.memory import Memory, T
 from bojax.numerics.lanes import any_lane, batched_together
-from bojax.numerics.linalg import gcr, inverse_matrix, matmul, matmul_on_tensor_cores
+from bojax.numerics.linalg import gcr, inverse_matrix, matmul, matmul_on_tensor_cores, row_sums
 from bojax.numerics.stragglers import while_going
 
 NUM_STORED = 2048
@@ -246,7 +246,7 @@ class _Equations(eqx.Module):
         split = self.candidates.split(weights)
 
         def visit(total, rows):
-            value = jnp.sum(rows.x * split[rows.of(self.chosen)], axis=1)
+            value = row_sums(rows.x * split[rows.of(self.chosen)])
             return total + matmul(rows.valid(rows.of(self.discount)) * value, rows.phi)
 
         return matmul(self.gain, self.transitions.fold(visit, jnp.zeros_like(weights)))
@@ -423,7 +423,7 @@ class Refit(eqx.Module):
 
 def _quadratic_forms(x: Float[Array, "B P"], forms: Float[Array, "J P P"]) -> Float[Array, "B J"]:
     """The quadratic form x'F x of every row x and every matrix F."""
-    return jax.vmap(lambda form: jnp.sum(matmul_on_tensor_cores(x, form) * x, axis=1), out_axes=1)(forms)
+    return jax.vmap(lambda form: row_sums(matmul_on_tensor_cores(x, form) * x), out_axes=1)(forms)
 
 
 def _largest_block(block: int) -> int:

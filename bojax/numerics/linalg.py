@@ -41,6 +41,18 @@ def _three_products(a: Array, b: Array) -> Array:
     return jnp.matmul(a, b, precision=DotAlgorithmPreset.TF32_TF32_F32_X3)
 
 
+def row_sums(a: Float[Array, "N M"]) -> Float[Array, "N"]:
+    """The sum of every row; on a CPU a product with ones, which adds several numbers of a row at once.
+
+    For 64 rows of 500 products, XLA's own sum takes 13 us in float32, 26 us in float64, and 87 us in float32
+    in a batch of one lane; this takes 6, 11 and 6 us. On a GPU, the sum is part of the kernel that computes
+    the numbers.
+    """
+    if jax.default_backend() != "cpu":
+        return jnp.sum(a, axis=1)
+    return matmul(a, jnp.ones(a.shape[1], a.dtype))
+
+
 def noise_floor(dtype) -> float:
     """Minimum noise variance of a Gaussian process, relative to the prior variance; its only jitter.
 

@@ -16,6 +16,7 @@ from bojax.numerics.linalg import (
     inverse_by_blocks,
     inverse_cholesky,
     matmul,
+    row_sums,
     solve_small,
 )
 
@@ -192,6 +193,16 @@ for _ in range(30):
 def test_batches_at_once_do_not_bring_the_threads_to_a_standstill():
     # With LAPACK called on whole batches, this never ends on a CPU of two cores.
     subprocess.run([sys.executable, "-c", STANDSTILL], check=True, timeout=300)
+
+
+@pytest.mark.parametrize("backend", ["cpu", "gpu"])
+@pytest.mark.parametrize("shape", [(1, 1), (64, 500), (3, 0)])
+def test_sums_of_rows_are_those_of_numpy(backend, shape, monkeypatch):
+    monkeypatch.setattr(jax, "default_backend", lambda: backend)
+    rows = np.random.default_rng(0).normal(size=(2, *shape)).astype(np.float32)
+    found = np.array([row_sums(jnp.asarray(rows[0])), jax.vmap(row_sums)(jnp.asarray(rows))[1]])
+    exact, size = rows.sum(axis=2, dtype=np.float64), np.abs(rows).sum(axis=2, dtype=np.float64)
+    assert found.dtype == np.float32 and (np.abs(found - exact) <= shape[1] * 2.0**-24 * size).all()
 
 
 @pytest.mark.parametrize("n", [1, 64, 65, 300])
