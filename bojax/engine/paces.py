@@ -24,7 +24,7 @@ FIXED_LANES = {"cpu": 4, "gpu": 100}
 """The fixed cost of an advance, as the number of lanes that would cost as much.
 
 On a CPU it is 0 to 3 for the planners that take most of the time of a sweep and 5 to 50 for tabular learners,
-see benchmarks/results/2026-11-23-forecast-sweeps.md; for a GPU see benchmarks/results/2026-11-23-lanes.md.
+see benchmarks/results/2026-11-24-forecast-cpu.md; for a GPU see benchmarks/results/2026-11-23-lanes.md.
 """
 
 
