@@ -261,7 +261,8 @@ def test_refits_of_a_batch_are_those_of_single_runs():
 def test_features_of_later_transitions_are_recomputed(monkeypatch, how):
     steps = transitions()
     _, stored = learn(*make(refit=how), steps)
-    monkeypatch.setattr(refit, "NUM_STORED", 16)
+    for name in ("NUM_STORED", "NUM_STORED_ON_CPU"):
+        monkeypatch.setattr(refit, name, 16)
     _, recomputed = learn(*make(refit=how, refit_block=10), steps, patched=16)
     np.testing.assert_allclose(recomputed.posterior.mean, stored.posterior.mean, atol=1e-9)
 
