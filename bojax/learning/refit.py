@@ -41,8 +41,8 @@ a time, whenever they are needed.
 NUM_STORED_ON_CPU = 4096
 """The same on a CPU, which stores those of one run of a batch at a time.
 
-Refits of the reacher with 2,600 to 4,600 transitions take two thirds of the time. For 8,192, zeros are written
-for longer than a short refit takes.
+Refits of the reacher with 2,600 to 4,600 transitions take two thirds of the time. For 8,192, zeros are
+written for longer than a short refit takes.
 """
 
 MOST_ON_CPU = 64
