@@ -119,7 +119,8 @@ class Programs:
             seed: Seed of the sweep.
             recorded: Largest number of lanes whose run is recorded.
             wider: The larger number of lanes that the runs come from; None if they start in these lanes.
-            started: Called when tracing starts, which waits for that of others, or saved programs are loaded.
+            started: Called once no other group is being traced and tracing starts, or once saved programs are
+                loaded.
         """
         self.num_lanes, self.device = num_lanes, device
         self._functions, self._group = functions, functions.group

@@ -13,10 +13,10 @@ COMPILATION, CHUNK = 20.0, 3.0
 """Seconds of a compilation and of a chunk of which nothing is known, before any has ended."""
 
 EXPECTED_SHARE = 0.1
-"""What is expected of a run counts as if this share of the runs of its group had shown it."""
+"""The expected seconds of a run count as much as measurements of this share of the runs of its group."""
 
 OWN_PACE = 1 / 3
-"""The own pace of a chunk counts as the share that it has done to this power."""
+"""The pace that a chunk has shown has a weight: the share of the chunk that is done, to this power."""
 
 LONGER = 1.3
 """A compilation that lasts longer than usual is taken to last so many times as long as it has lasted."""
@@ -34,9 +34,9 @@ class ChunkProgress:
         advances_left: Upper bound of the advances of the runs in lanes.
         seconds_per_advance: Seconds of an advance of all lanes in the last segment; None before the first.
         runs: Number of its runs; 0 if another process has begun it.
-        seconds: Seconds of its advances in this process; at its end, on a CPU, with those of its first state
-            and of its files.
-        begun: Time at which this process has taken it.
+        seconds: Seconds of its advances in this process. Once it has ended on a CPU, all seconds since
+            `begun`, which include those of its first state and its files.
+        begun: Time when this process took it, by `time.monotonic`; None if it has not.
     """
 
     lanes: int
@@ -184,7 +184,8 @@ def _compilations(
 def _speed(pairs: Iterable[tuple[float | None, float | None]]) -> float:
     """How many times as long as expected it takes, from pairs of measured and expected seconds.
 
-    One more is taken to have lasted as long as expected: the mean one.
+    One more pair counts, so that a single one decides less: the mean of the expected seconds, as measured
+    and as expected.
     """
     seen = [(seconds, expected) for seconds, expected in pairs if seconds is not None and expected]
     if not seen:
@@ -216,8 +217,9 @@ def _known_left(group: GroupProgress, speed: float) -> list[float]:
 
     A chunk that has begun is taken to last between what its own pace tells and what is usual for its runs:
     early episodes are often longer than late ones, and the last runs may need many more than the others. The
-    further it has come, the more its own pace counts. The usual is that of the chunks that have ended or
-    begun, and what is expected, since the first ones may share the interpreter's lock with compilations.
+    further it has come, the more its own pace counts. What is usual comes from the chunks that have ended or
+    begun, and also from what is expected, since the first chunks may wait for the interpreter's lock, which
+    compilations hold.
 
     Args:
         group: The group.

@@ -23,7 +23,7 @@ UNHASHED = ("api", "cli", "report")
 
 
 def code_hashes(modules: Iterable[Any]) -> dict[str, str]:
-    """Hashes of the package's sources, and of each other file that defines a class of the modules."""
+    """Hashes of the package's sources, read once in a process, and of other files that define the modules."""
     hashes = {"bojax": _package_hash()}
     for kind in sorted({kind for module in modules for kind in _classes(module)}, key=lambda k: k.__module__):
         source = getattr(sys.modules.get(kind.__module__), "__file__", None)
@@ -58,7 +58,10 @@ def installed(packages: Iterable[str]) -> dict[str, str]:
 
 @functools.cache
 def git_revision() -> dict[str, Any] | None:
-    """Revision of the package's git repository and whether it has changes; None without a repository."""
+    """Revision of the package's git repository and whether it has changes; None without a repository.
+
+    Git is asked once in a process.
+    """
     status = _git("status", "--porcelain", "--", ".")
     revision = _git("rev-parse", "HEAD")
     if revision is None or status is None or _git("ls-files", "--error-unmatch", "bojax/__init__.py") is None:

@@ -1,4 +1,7 @@
-"""Loops of many lanes, most of which end early."""
+"""Loops of many lanes, most of which end early.
+
+For GPUs. A CPU computes such loops for one lane after the other: `bojax.numerics.lanes.lane_by_lane_on_cpu`.
+"""
 
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -18,7 +21,7 @@ SHARE = 8
 """The lanes that are still going run alone once they are one in `SHARE`, or fewer."""
 
 LEAST = 64
-"""In a batch of fewer lanes, none run alone: the program would be longer for little."""
+"""In a batch of fewer lanes none run alone, since a longer program would gain little there."""
 
 
 def while_going(
@@ -32,8 +35,11 @@ def while_going(
 
     Args:
         is_going: Whether a lane goes on.
-        step: The step. It leaves the state of a lane that is not going as it is.
+        step: The step. It must leave the state of a lane that is not going unchanged.
         state: First state.
+
+    Returns:
+        The last state.
     """
     leaves, structure = jax.tree.flatten(state)
 

@@ -280,8 +280,8 @@ def mean_cell(values: np.ndarray, *, empty: str = MISSING) -> Cell:
 def own_cell(values: np.ndarray, nans: np.ndarray | None = None) -> Cell:
     """Mean of a column, or nothing if all values are null: the column belongs to a part of other points.
 
-    A null is read as NaN. The NaN values of a run are counted in the column `nans`, its nulls are not: a run
-    without a NaN has a null.
+    A null is read as NaN. The column `nans` counts the NaN values of a run but not its nulls: if it counts
+    none in one of the runs, the value there is null, and so are all.
     """
     is_null = nans is not None and not nans.all() and not np.isfinite(values).any()
     return Cell(MISSING) if is_null else mean_cell(values)
