@@ -36,7 +36,7 @@ def best_candidate(
 
 
 def first_maximum(scores: Float[Array, "C"]) -> Int[Array, ""]:
-    """The result of `jnp.argmax`: the index of the first maximum, or of the first NaN.
+    """The result of `jnp.argmax`: the index of the first maximum, or of a NaN if there is one.
 
     On a CPU, the maxima of `COLUMNS` columns are found first, in vectorised arithmetic. `argmax` compares one
     score after the other, and so computes the scores one after the other too: for 128 candidates of 20

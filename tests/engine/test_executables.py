@@ -227,7 +227,7 @@ import numpy as np
 from bojax.engine import executables
 
 jax.config.update("jax_compilation_cache_dir", sys.argv[1])
-programs, _ = executables.load("key", jax.devices("cpu")[0])
+programs, _ = executables.load("key", jax.devices()[0])
 print(*programs["factor"](np.asarray([[4, 2], [2, 5]], np.float32)).tolist())
 """
 

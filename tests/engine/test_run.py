@@ -13,7 +13,7 @@ import pytest
 
 from bojax.config.errors import ConfigError
 from bojax.config.limits import Limit
-from bojax.engine import batch, execute
+from bojax.engine import batch, chunks, execute
 from bojax.engine.chunks import Layout
 from bojax.engine.devices import Turn
 from bojax.engine.journal import Journal
@@ -352,6 +352,7 @@ def test_out_of_memory_names_the_setting(tmp_path, capsys, monkeypatch, program)
 
 def test_a_failed_chunk_does_not_stop_the_others(tmp_path, capsys, folder, monkeypatch):
     out = tmp_path / "toy"
+    monkeypatch.setattr(chunks, "QUEUE_ON_ACCELERATOR", RUNS)  # a chunk for each point, as on a CPU
     place = batch.Programs.place
 
     def fail(self, positions, runs):
