@@ -145,8 +145,10 @@ def main(argv: list[str]) -> int:
             )
             own.append(row)
             if on_gpu():
-                peak = max(device.memory_stats()["peak_bytes_in_use"] for device in jax.devices())
-                print(f"{row.what}, {runs} runs: peak memory of a device so far {peak / 1e9:.2f} GB")
+                found = [device.memory_stats() for device in jax.devices()]  # not every allocator has them
+                peak = max((stats["peak_bytes_in_use"] for stats in found if stats), default=0)
+                if peak:
+                    print(f"{row.what}, {runs} runs: peak memory of a device so far {peak / 1e9:.2f} GB")
         print_rows(f"kCBTS on a field, {objective}", "iterations", own, "NumPy")
         rows += own
     if args.json:

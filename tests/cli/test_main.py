@@ -3,6 +3,7 @@
 import errno
 import io
 import json
+import os
 import platform
 import subprocess
 import sys
@@ -253,3 +254,23 @@ def test_windows_is_refused_in_one_line(here, capsys, monkeypatch):
 def test_the_version(capsys):
     assert main(["--version"]) == 0
     assert capsys.readouterr().out == f"bojax {__version__}\n"
+
+
+NAMES = "XLA_PYTHON_CLIENT_PREALLOCATE", "XLA_PYTHON_CLIENT_ALLOCATOR"
+
+
+@pytest.mark.parametrize(
+    ("given", "chosen"),
+    [
+        ({}, ("false", "cuda_async")),
+        ({"XLA_PYTHON_CLIENT_PREALLOCATE": "true"}, ("true", None)),
+        ({"XLA_PYTHON_CLIENT_ALLOCATOR": "platform"}, (None, "platform")),
+    ],
+)
+def test_memory_of_a_gpu_is_taken_as_needed_unless_the_user_chose(given, chosen):
+    others = {name: value for name, value in os.environ.items() if name not in NAMES}
+    code = f"import os, bojax.cli.main as m; m.main(['--version']); print(*map(os.environ.get, {NAMES}))"
+    told = subprocess.run(
+        [sys.executable, "-c", code], env=others | given, capture_output=True, text=True, check=True
+    )
+    assert told.stdout.splitlines()[-1] == " ".join(map(str, chosen))
