@@ -129,15 +129,16 @@ def print_table(rows: Sequence[Mapping[str, Any]]) -> None:
         table.add_column(name, justify="right" if name else "left")
     for row in rows:
         rate = row["steps"] / row["advancing"]
-        ratio = rate / single_rate(rows, row["experiment"])
+        ratio = rate / single_rate(rows, row["experiment"], row["device"])
         numbers = f"{row['seconds']:.1f}", f"{row['advancing']:.3f}", f"{rate:,.0f}", f"{ratio:,.1f}"
         table.add_row(row["experiment"], f"{row['runs']:,}", *numbers)
     Console().print(table)
 
 
-def single_rate(rows: Sequence[Mapping[str, Any]], experiment: str) -> float:
-    """Steps per second of a single run."""
-    one = next(row for row in rows if row["experiment"] == experiment)
+def single_rate(rows: Sequence[Mapping[str, Any]], experiment: str, device: str) -> float:
+    """Steps per second of a single run on a device."""
+    kind = {"experiment": experiment, "device": device, "runs": 1}
+    one = next(row for row in rows if kind.items() <= row.items())
     return one["steps"] / one["advancing"]
 
 
@@ -156,10 +157,11 @@ def plot(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     for axes, name in zip(panels[0], names, strict=True):
         for device in dict.fromkeys(row["device"] for row in rows if row["experiment"] == name):
             own = [row for row in rows if row["experiment"] == name and row["device"] == device]
+            own.sort(key=lambda row: row["runs"])
             runs = [row["runs"] for row in own]
             label = "CPU" if device == "cpu" else device
             (line,) = axes.plot(runs, [row["seconds"] for row in own], marker="o", label=label)
-            one_by_one = [row["steps"] / single_rate(own, name) for row in own]
+            one_by_one = [row["steps"] / single_rate(own, name, device) for row in own]
             axes.plot(runs, one_by_one, color=line.get_color(), linestyle=":", label=f"{label}, one by one")
         axes.set(xscale="log", yscale="log", xlabel="runs", title=name)
         axes.legend(frameon=False, fontsize="small")
