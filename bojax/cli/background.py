@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor, wait
 from pathlib import Path
 from types import TracebackType
 
@@ -20,6 +20,9 @@ from bojax.text import duration, error_line
 
 PROCESSES = 4
 """Maximum number of reports that are written at the same time."""
+
+POLL_SECONDS = 0.2
+"""How long to wait at a time. A signal that reaches another thread of this process does not end a wait."""
 
 
 class Reports:
@@ -91,6 +94,8 @@ class Reports:
             print(printable(f"interrupted; {what}: {again}"), file=sys.stderr)
 
     def _show(self, folder: Path, pending: Future[Path]) -> None:
+        while not pending.done():
+            wait([pending], timeout=POLL_SECONDS)
         try:
             page = pending.result()
             print_verdicts(folder, is_brief=True)
