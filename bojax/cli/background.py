@@ -22,7 +22,10 @@ PROCESSES = 4
 """Maximum number of reports that are written at the same time."""
 
 POLL_SECONDS = 0.2
-"""How long to wait at a time. A signal that reaches another thread of this process does not end a wait."""
+"""Time between two looks at whether a report is written.
+
+A wait without a timeout would not end on Ctrl-C if the kernel gives the signal to another thread.
+"""
 
 
 class Reports:
