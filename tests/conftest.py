@@ -4,12 +4,14 @@ import ctypes
 import gc
 import os
 import resource
+import signal
 from collections import Counter
 from pathlib import Path
 
 if os.environ.setdefault("JAX_PLATFORMS", "cpu") == "cuda":
     os.environ["JAX_PLATFORMS"] = "cuda,cpu"  # what takes several devices is tested on the CPU there too
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may start background jobs that ignore it
 os.environ.setdefault("BOJAX_CACHE", str(Path(__file__).parents[1] / ".pytest_cache" / "jax"))
 
 from tests.compiling import quick_flags  # noqa: E402
