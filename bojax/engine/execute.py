@@ -199,9 +199,11 @@ class _Executor:
         self._changed = threading.Condition(threading.RLock())
         self._ahead: Ahead[Any] = Ahead(compile_threads(), self._changed, self._stop)
         self._ended: queue.Queue[GroupTask] = queue.Queue()
+        self._saved: set[GroupTask] = set()
         for task in self._tasks:
             lanes, device = task.layout.lanes, self._first(task)
             if executables.is_saved(task.kind.key_of(task.group, device, lanes, task.recorded, None)):
+                self._saved.add(task)
                 task.progress.expected_compilation = LOADING
         self._request_ahead()
         self._workers = [threading.Thread(target=self._work, args=(device,)) for device in workers]
@@ -235,27 +237,36 @@ class _Executor:
     # Compilation
 
     def _request_ahead(self) -> None:
-        """Request the programs of the first unfinished groups, spread over the devices of each platform."""
+        """Request the programs of the first unfinished groups, spread over the devices of each platform.
+
+        What an earlier sweep has saved is loaded for as many devices at once as have a chunk to run.
+        """
         left = {device.platform: most_ahead(device) for device in self._devices}
         for task in self._tasks:
             if left[task.platform] > 0 and (task.chunks or task.running):
-                left[task.platform] -= len(task.layout.widths)
-                for width in task.layout.widths:
-                    self._request(task, self._first(task), width)
+                most = len(task.chunks) if task in self._saved else 1
+                for device in self._in_turn(task)[: max(1, most)]:
+                    left[task.platform] -= len(task.layout.widths)
+                    for width in task.layout.widths:
+                        self._request(task, device, width, is_compiled=device != self._first(task))
 
     def _first(self, task: GroupTask) -> Device:
         """The device for which a group is compiled first."""
+        return self._in_turn(task)[0]
+
+    def _in_turn(self, task: GroupTask) -> list[Device]:
+        """The devices on which a group may run, beginning with another one for each group."""
         devices = self._devices_of(task)
-        return devices[self._ranks[task] % len(devices)]
+        first = self._ranks[task] % len(devices)
+        return devices[first:] + devices[:first]
 
     def _devices_of(self, task: GroupTask) -> list[Device]:
         """The devices on which a group may run."""
         return of_platform(self._devices, task.platform)
 
-    def _request(self, task: GroupTask, device: Device, width: int) -> None:
-        self._ahead.request(
-            (task, device, width), lambda: self._compile(task, device, width), self._ranks[task]
-        )
+    def _request(self, task: GroupTask, device: Device, width: int, *, is_compiled: bool = False) -> None:
+        key = task, device, width
+        self._ahead.request(key, lambda: self._compile(*key, is_compiled=is_compiled), self._ranks[task])
 
     def _load(self, task: GroupTask, device: Device, width: int, other: Device) -> None:
         """Load programs that another device has compiled or compiles, in this thread."""
@@ -278,7 +289,7 @@ class _Executor:
             task: The group.
             device: The device.
             width: Number of lanes.
-            is_compiled: Whether another device has put them into the cache.
+            is_compiled: Whether another device puts them into the cache, or loads them from it.
         """
         is_new = width == task.layout.lanes and not is_compiled
         programs = task.kind(

@@ -140,6 +140,25 @@ def test_any_number_of_devices_gives_the_same_bytes(folder, tmp_path, monkeypatc
     assert contents(tmp_path / "toy") == contents(folder)
 
 
+@NEEDS_CPU
+def test_saved_programs_are_loaded_for_all_devices_at_once(folder, tmp_path, monkeypatch):
+    made = []
+
+    class Noted(batch.Programs):
+        def __init__(self, functions, device, *others, **options):
+            in_worker = not threading.current_thread().daemon
+            made.append((len(functions.group.points), device, in_worker))
+            super().__init__(functions, device, *others, **options)
+
+    monkeypatch.setattr(execute, "Programs", Noted)
+    monkeypatch.setattr(execute.executables, "is_saved", lambda key: True)
+    monkeypatch.setattr("bojax.engine.run.find_devices", lambda _: jax.devices("cpu"))
+    assert run_toy(tmp_path / "toy", runs=RUNS) == 0
+    several_chunks = {(device, in_worker) for points, device, in_worker in made if points == 2}
+    assert several_chunks == {(device, False) for device in jax.devices("cpu")}
+    assert contents(tmp_path / "toy") == contents(folder)
+
+
 class Accelerator:
     """A device that is taken for a GPU."""
 
