@@ -160,6 +160,11 @@ def run(
 
     # During the import of JAX, a callback can raise a KeyboardInterrupt, which is discarded there.
     with StopRequest(announce=lambda _: None, exits=exits) as stop:
+        from bojax.engine.devices import start_early
+
+        is_here = getattr(launching, "launcher", "inline") == "inline"
+        if is_here and len({sweep.engine.device for sweep in sweeps}) == 1:
+            start_early(sweeps[0].engine.device)
         from bojax.engine.bar import is_read_by_a_process
         from bojax.engine.requests import Request
         from bojax.engine.run import run_sweeps
@@ -185,6 +190,6 @@ def run(
             launcher=launcher,
             indices=devices,
         )
-        if code >= 128:
+        if code >= 128 or code == UsageError.exit_code:
             reports.stop()
     return code or reports.exit_code

@@ -7,7 +7,7 @@ import os
 import sys
 import threading
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias, TypeVar, runtime_checkable
 
@@ -40,6 +40,17 @@ def prepare(device: Platform) -> None:
     if setting("jax_compilation_cache_dir") is None:
         jax.config.update("jax_compilation_cache_dir", str(cache_folder()))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+
+
+def start_early(device: Platform) -> None:
+    """Start JAX's backends in a thread: CUDA takes a second, in which other packages can be imported."""
+    prepare(device)
+
+    def start() -> None:
+        with suppress(Exception):  # which `find_devices` meets again
+            jax.devices()
+
+    threading.Thread(target=start, daemon=True).start()
 
 
 @contextmanager
