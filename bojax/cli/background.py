@@ -53,9 +53,12 @@ class Reports:
             )
 
     def __enter__(self) -> "Reports":
-        if self._pool is None:  # takes a second or two, which the runs hide
-            threading.Thread(target=_report, daemon=True).start()
         return self
+
+    def prepare(self) -> None:
+        """Import in a thread what draws, which takes a second or two in which this process should have to wait."""
+        if self._pool is None:
+            threading.Thread(target=_report, daemon=True).start()
 
     def write(self, folder: Path) -> None:
         """Write the report of a results folder."""

@@ -189,7 +189,8 @@ def run(
             exits=exits,
             launcher=launcher,
             indices=devices,
+            planned=reports.prepare,
         )
-        if code >= 128 or code == UsageError.exit_code:
+        if code >= 128:
             reports.stop()
     return code or reports.exit_code

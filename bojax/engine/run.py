@@ -35,6 +35,7 @@ def run_sweeps(
     exits: bool = True,
     launcher: Launcher | None = None,
     indices: Sequence[int] | None = None,
+    planned: Callable[[], Any] = lambda: None,
 ) -> int:
     """Run or resume sweeps as one plan, and write their results folders.
 
@@ -50,6 +51,7 @@ def run_sweeps(
         exits: Whether a second signal ends the process at once.
         launcher: Starts workers that run the chunks; None to run them in this process.
         indices: Indices of the devices that this process uses; None for all.
+        planned: Called when all sweeps are planned. From then on, this process often waits for devices.
 
     Returns:
         The exit code: 0; 1 if something failed; 2 for an input error; 130 or 143 after a signal.
@@ -59,10 +61,11 @@ def run_sweeps(
             device = _common_device([request.sweep for request in requests])
             targets = choose_targets(requests, resume=resume)
             if launcher is not None:
+                planned()
                 return run_remotely(targets, command, finish, skipped, stop, launcher)
             prepare(device)
             devices = choose(find_devices(device), indices)
-            return _run(targets, devices, command, finish, skipped, stop)
+            return _run(targets, devices, command, finish, skipped, stop, planned)
     except (ConfigError, ResultsError, EngineError) as error:
         print(printable(f"error: {error}"), file=sys.stderr)
         return error.exit_code
@@ -75,6 +78,7 @@ def _run(
     finish: Callable[[Path], Any],
     skipped: dict[str, str] | None,
     stop: StopRequest,
+    planned: Callable[[], Any],
 ) -> int:
     start = time.monotonic()
     journals = [
@@ -89,6 +93,7 @@ def _run(
     ]
     for journal in journals:
         journal.note_seconds("planning", journals[0].planned - start)
+    planned()
     return carry_out(journals, devices, command, finish, stop) if journals else 0
 
 
