@@ -56,7 +56,7 @@ class Reports:
         return self
 
     def prepare(self) -> None:
-        """Import in a thread what draws, which takes a second or two in which this process should have to wait."""
+        """Import in a thread what draws, which takes a second, while this process waits for devices."""
         if self._pool is None:
             threading.Thread(target=_report, daemon=True).start()
 
