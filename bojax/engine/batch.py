@@ -13,6 +13,7 @@ from typing import Any, ClassVar, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import jaxpr_as_fun
 from jax.sharding import SingleDeviceSharding
 from jax.stages import Compiled, Lowered
 from jaxtyping import Array, Bool, Int, Key, PyTree
@@ -55,6 +56,34 @@ class Status(NamedTuple):
     active_steps: Int[Array, " lanes"]
 
 
+class TracedOnce:
+    """A function of one lane, traced once for batches of any number of lanes.
+
+    Tracing calls Python for every operation. Batching what was traced takes a tenth to a half of that time.
+
+    Args:
+        function: A function of the inputs of one lane and of inputs that all lanes share. The axis `LANES`
+            has a name in it.
+    """
+
+    def __init__(self, function: Callable[[PyTree, PyTree], PyTree]):
+        self._function = function
+        self._traced: tuple[Callable[..., list[Array]], Any] | None = None
+
+    def __call__(self, lanes: PyTree, shared: PyTree) -> PyTree:
+        """The results of all lanes, whose inputs have a leading axis."""
+        if self._traced is None:
+            one = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), lanes)
+            trace = jax.make_jaxpr(self._function, axis_env=[(LANES, 1)], return_shape=True)
+            traced, results = trace(one, shared)
+            self._traced = jaxpr_as_fun(traced), jax.tree.structure(results)
+        compute, structure = self._traced
+        return jax.tree.unflatten(
+            structure,
+            jax.vmap(lambda one: compute(*jax.tree.leaves((one, shared))), axis_name=LANES)(lanes),
+        )
+
+
 class Functions:
     """The functions of a static group that are compiled for a number of lanes and a device.
 
@@ -63,26 +92,27 @@ class Functions:
 
     def __init__(self, group: StaticGroup):
         self.group, self.tag = group, executables.tag_of(group)
-        self.fill = jax.jit(self._named(_fill, group), donate_argnums=1)
-        self.advance = jax.jit(self._named(_advance, group), donate_argnums=0)
-        self.summary = jax.jit(self._named(_summary, group))
-        self.snapshot = jax.jit(self._named(_snapshot, group))
-        self.exported_state = jax.jit(self._named(_exported_state, group))
-        self.recorded = jax.jit(self._named(_recorded, group))
-        self.select = jax.jit(self._named(_select, group))
+        self.init = TracedOnce(partial(_init, group))
+        self.fill = self._jit("fill", partial(_fill, self.init), donate_argnums=1)
+        self.advance = self._jit("advance", _in_lanes(_advance, group), donate_argnums=0)
+        self.summary = self._jit("summary", _in_lanes(_summary, group))
+        self.snapshot = self._jit("snapshot", _in_lanes(_snapshot, group))
+        self.exported_state = self._jit("exported_state", _in_lanes(_exported_state, group))
+        self.recorded = self._jit("recorded", _recorded)
+        self.select = self._jit("select", _select)
 
     def empty(self, carry: PyTree[jax.ShapeDtypeStruct], device: Device):
         """A jitted function that makes a carry without values on a device."""
-        return jax.jit(self._named(_empty, carry), out_shardings=SingleDeviceSharding(device))
+        return self._jit("empty", partial(_empty, carry), out_shardings=SingleDeviceSharding(device))
 
-    def _named(self, function: Callable, first: Any) -> Callable:
-        """The function of the remaining arguments, under a name of its own for this group."""
+    def _jit(self, name: str, function: Callable, **options: Any):
+        """A jitted function, under a name of its own for this group."""
 
-        def call(*rest):
-            return function(first, *rest)
+        def call(*inputs):
+            return function(*inputs)
 
-        call.__name__ = f"{function.__name__.strip('_')}_{self.tag}"
-        return call
+        call.__name__ = f"{name}_{self.tag}"
+        return jax.jit(call, **options)
 
 
 class Programs:
@@ -174,7 +204,7 @@ class Programs:
         """The programs, traced for inputs of exactly these shapes on this device, and their carry."""
         functions, one_point = self._functions, np.zeros(self.num_lanes, dtype=np.int32)
         lanes = self.place(one_point, one_point)
-        carry = jax.eval_shape(partial(_init, self._group), self._key, lanes, self._shared)
+        carry = jax.eval_shape(functions.init, lanes, (self._key, self._shared))
         inputs = (self._on_device(carry), lanes, self._shared)
         lowered = {"advance": functions.advance.lower(*inputs)} if self._is_compiled else {}
         lowered["summary"] = functions.summary.lower(*inputs)
@@ -281,29 +311,34 @@ def run_key(key: Key[Array, ""], run: Int[Array, ""]) -> Key[Array, ""]:
     return jax.random.fold_in(key, run)
 
 
-def _init(group: StaticGroup, key: Key[Array, ""], lanes: Lanes, shared: PyTree) -> Carry:
-    def one(run, swept):
-        experiment = group.experiment(swept, shared)
-        carry = experiment.init(run_key(key, run))
-        check_init(experiment, carry)
-        return carry
-
-    return jax.vmap(one, axis_name=LANES)(lanes.runs, lanes.swept)
+def _init(group: StaticGroup, lane: Lanes, key_and_shared: tuple[Key[Array, ""], PyTree]) -> Carry:
+    key, shared = key_and_shared
+    experiment = group.experiment(lane.swept, shared)
+    carry = experiment.init(run_key(key, lane.runs))
+    check_init(experiment, carry)
+    return carry
 
 
-def _fill(group: StaticGroup, key, carry: Carry, lanes: Lanes, is_new, shared: PyTree) -> Carry:
+def _fill(init: TracedOnce, key, carry: Carry, lanes: Lanes, is_new, shared: PyTree) -> Carry:
     def choose(fresh, old):
         return jnp.where(is_new.reshape(-1, *[1] * (old.ndim - 1)), fresh, old)
 
-    return jax.tree.map(choose, _init(group, key, lanes, shared), carry)
+    return jax.tree.map(choose, init(lanes, (key, shared)), carry)
 
 
-def _advance(group: StaticGroup, carry: Carry, lanes: Lanes, shared: PyTree):
-    def one(carry, swept):
-        experiment = group.experiment(swept, shared)
-        return checked_advance(experiment, carry, *experiment.advance(carry))
+def _in_lanes(function: Callable[[Experiment, Carry], PyTree], group: StaticGroup):
+    """The results of all lanes of a function of an experiment and its carry."""
 
-    return jax.vmap(one, axis_name=LANES)(carry, lanes.swept)
+    def of_one_lane(lane: tuple[Carry, PyTree], shared: PyTree) -> PyTree:
+        carry, swept = lane
+        return function(group.experiment(swept, shared), carry)
+
+    in_lanes = TracedOnce(of_one_lane)
+    return lambda carry, lanes, shared: in_lanes((carry, lanes.swept), shared)
+
+
+def _advance(experiment: Experiment, carry: Carry):
+    return checked_advance(experiment, carry, *experiment.advance(carry))
 
 
 def checked_advance(experiment: Experiment, before: Carry, after: Carry, records: Records):
@@ -313,37 +348,25 @@ def checked_advance(experiment: Experiment, before: Carry, after: Carry, records
     return after, records.tables, Status(experiment.is_done(after), records.active_steps)
 
 
-def _summary(group: StaticGroup, carry: Carry, lanes: Lanes, shared: PyTree) -> dict[str, Array]:
-    def one(carry, swept):
-        experiment = group.experiment(swept, shared)
-        summary = experiment.summary(carry)
-        check_summary(experiment, summary)
-        return summary
-
-    return jax.vmap(one, axis_name=LANES)(carry, lanes.swept)
+def _summary(experiment: Experiment, carry: Carry) -> dict[str, Array]:
+    summary = experiment.summary(carry)
+    check_summary(experiment, summary)
+    return summary
 
 
-def _snapshot(group: StaticGroup, carry: Carry, lanes: Lanes, shared: PyTree) -> dict[str, dict[str, Array]]:
-    def one(carry, swept):
-        return group.experiment(swept, shared).snapshot(carry)
-
-    return jax.vmap(one, axis_name=LANES)(carry, lanes.swept)
+def _snapshot(experiment: Experiment, carry: Carry) -> dict[str, dict[str, Array]]:
+    return experiment.snapshot(carry)
 
 
-def _exported_state(group: StaticGroup, carry: Carry, lanes: Lanes, shared: PyTree) -> PyTree:
-    def one(carry, swept):
-        return group.experiment(swept, shared).exported_state(carry)
-
-    return jax.vmap(one, axis_name=LANES)(carry, lanes.swept)
+def _exported_state(experiment: Experiment, carry: Carry) -> PyTree:
+    return experiment.exported_state(carry)
 
 
-def _recorded(group: StaticGroup, tables: PyTree, lanes: Int[Array, " recorded"]) -> PyTree:
-    del group
+def _recorded(tables: PyTree, lanes: Int[Array, " recorded"]) -> PyTree:
     return jax.tree.map(lambda column: column[lanes], tables)
 
 
-def _select(group: StaticGroup, carry: Carry, lanes: Int[Array, " selected"]) -> Carry:
-    del group
+def _select(carry: Carry, lanes: Int[Array, " selected"]) -> Carry:
     return jax.tree.map(lambda leaf: leaf[lanes], carry)
 
 

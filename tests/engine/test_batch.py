@@ -1,6 +1,7 @@
 """A compiled group gives the results of single lanes, on any device, and is compiled once."""
 
 import threading
+from collections import Counter
 
 import jax
 import jax.numpy as jnp
@@ -62,6 +63,27 @@ def test_points_share_run_keys():
     program = compile_toys()
     summary, _, _ = run_all(program, place(program, [0, 1], [4, 4]))
     assert summary["steps"][0] == summary["steps"][1]
+
+
+def test_functions_are_traced_once_for_all_numbers_of_lanes(monkeypatch):
+    expected, calls = alone(MODULES[1], 3)["return"], Counter()
+
+    def count(name, function):
+        def counted(*inputs):
+            calls[name] += 1
+            return function(*inputs)
+
+        return counted
+
+    for name in ("init", "advance", "summary"):
+        monkeypatch.setattr(Toy, name, count(name, getattr(Toy, name)))
+    (group,) = static_groups(MODULES)
+    functions = Functions(group)
+    for num_lanes in (8, 3):
+        program = Programs(functions, jax.devices("cpu")[0], num_lanes, SEED, recorded=0)
+        summary, _, _ = run_all(program, place(program, [0, 1], [3, 3]))
+        np.testing.assert_allclose(summary["return"][1], expected, rtol=1e-12)
+        assert calls == {"init": 1, "advance": 1, "summary": 1}
 
 
 @pytest.mark.bits
