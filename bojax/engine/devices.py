@@ -74,15 +74,25 @@ def find_devices(device: Platform) -> list[Device]:
     """
     try:
         found = jax.devices(None if device == "auto" else device)
-    except RuntimeError:
-        raise EngineError(
-            f"engine.device: got {device}; JAX finds only {jax.default_backend()} devices: "
-            "use engine.device=auto, or run `bojax doctor`"
-        ) from None
+    except (RuntimeError, AssertionError):  # the latter if JAX has failed to start before
+        raise EngineError(_missing(device)) from None
     if found[0].platform == "cpu":
         return found[:1]
     cpu = _cpu() if device == "auto" else None
     return found if cpu is None else [*found, cpu]
+
+
+def _missing(device: Platform) -> str:
+    """Why there is no device of a platform."""
+    try:
+        found = jax.default_backend()
+    except (RuntimeError, AssertionError):
+        given = setting("jax_platforms")
+        return (
+            f"JAX_PLATFORMS: got {given}; allowed: platforms that JAX can start on this machine, or unset it"
+        )
+    advice = "use engine.device=auto, or run `bojax doctor`"
+    return f"engine.device: got {device}; JAX finds only {found} devices: {advice}"
 
 
 @runtime_checkable

@@ -41,6 +41,18 @@ def test_a_cpu_is_one_device_of_a_worker_for_each_core(tmp_path):
     assert cache == str(tmp_path / "bojax" / "jax") and least == 0.0
 
 
+def test_platforms_that_jax_cannot_start_are_one_line(tmp_path):
+    command = [sys.executable, "-m", "bojax", "run", "parking", "--out", str(tmp_path / "out")]
+    ended = subprocess.run(
+        command, env={**os.environ, "JAX_PLATFORMS": "tpu"}, capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 2
+    assert ended.stderr.splitlines()[-1] == (
+        "error: JAX_PLATFORMS: got tpu; allowed: platforms that JAX can start on this machine, or unset it"
+    )
+    assert "Traceback" not in ended.stderr and not (tmp_path / "out").exists()
+
+
 class Named:
     """A device, as far as the choice of devices is concerned."""
 
