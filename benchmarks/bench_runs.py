@@ -36,7 +36,8 @@ EXAMPLES = """\
 def main(argv: Sequence[str]) -> int:
     """Run the benchmark."""
     args = parse(argv)
-    rows = [row for path in args.results for row in json.loads(path.read_text())["rows"]]
+    earlier = [row for path in args.results for row in json.loads(path.read_text())["rows"]]
+    rows = list({(row["experiment"], row["device"], row["runs"]): row for row in earlier}.values())
     if not args.results:
         with tempfile.TemporaryDirectory() as place:
             for name in args.only:
@@ -76,7 +77,7 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
         type=Path,
         default=[],
         metavar="FILE",
-        help="run nothing; take earlier results",
+        help="run nothing; take earlier results, of the same number of runs those of the last file",
     )
     args = parser.parse_args(argv)
     if args.runs[0] != 1 or args.runs != sorted(set(args.runs)):
