@@ -62,8 +62,8 @@ class TracedOnce:
     Tracing calls Python for every operation. Batching what was traced takes a tenth to a half of that time.
 
     Args:
-        function: A function of the inputs of one lane and of inputs that all lanes share. The axis `LANES`
-            has a name in it.
+        function: A function of the inputs of one lane and of inputs that all lanes share. It may refer to the
+            named axis `LANES`.
     """
 
     def __init__(self, function: Callable[[PyTree, PyTree], PyTree]):

@@ -7,12 +7,14 @@ import os
 import platform
 import subprocess
 import sys
+import threading
 
+import jax
 import pytest
 
 from bojax import __version__
 from bojax.cli.doctor import CHECKS, examine
-from bojax.cli.main import COMMANDS, Messages, entry, main
+from bojax.cli.main import COMMANDS, Messages, entry, leave, main
 
 HEAVY = ("jax", "equinox", "numpy", "pyarrow", "matplotlib", "rich", "jinja2")
 
@@ -274,3 +276,17 @@ def test_memory_of_a_gpu_is_taken_as_needed_unless_the_user_chose(given, chosen)
         [sys.executable, "-c", code], env=others | given, capture_output=True, text=True, check=True
     )
     assert told.stdout.splitlines()[-1] == " ".join(map(str, chosen))
+
+
+@pytest.mark.parametrize("is_compiling", [False, True])
+def test_a_process_that_has_imported_jax_leaves_without_pythons_clean_up(monkeypatch, is_compiling):
+    """The functions of atexit are called unless XLA may still compile in a thread."""
+    made: list[object] = []
+    alive = [threading.current_thread(), *[threading.Thread(daemon=True)] * is_compiling]
+    monkeypatch.setattr("threading.enumerate", lambda: alive)
+    monkeypatch.setattr("atexit._run_exitfuncs", lambda: made.append("atexit"))
+    monkeypatch.setattr("os._exit", made.append)
+    monkeypatch.setitem(sys.modules, "jax", jax)
+    with pytest.raises(SystemExit):  # the process would have ended
+        leave(3)
+    assert made == ([3] if is_compiling else ["atexit", 3])
