@@ -106,13 +106,17 @@ class Functions:
         return self._jit("empty", partial(_empty, carry), out_shardings=SingleDeviceSharding(device))
 
     def _jit(self, name: str, function: Callable, **options: Any):
-        """A jitted function, under a name of its own for this group."""
+        return named_jit(name, self.tag, function, **options)
 
-        def call(*inputs):
-            return function(*inputs)
 
-        call.__name__ = f"{name}_{self.tag}"
-        return jax.jit(call, **options)
+def named_jit(name: str, tag: str, function: Callable, **options: Any):
+    """A jitted function, under a name of its own for the group with this tag."""
+
+    def call(*inputs):
+        return function(*inputs)
+
+    call.__name__ = f"{name}_{tag}"
+    return jax.jit(call, **options)
 
 
 class Programs:
@@ -163,26 +167,10 @@ class Programs:
         self._recorded_tables, self._num_recorded = run.recorded_tables, min(recorded, num_lanes)
         self._prepare(run)
         key = self.key_of(self._group, device, num_lanes, self._num_recorded, wider)
-        start = time.perf_counter()
-        self.is_saved = False
-        if found := executables.load(key, device):
-            self._programs, carry = found
-            self.is_saved = True
-            self.compile_seconds = time.perf_counter() - start
-            started()
-        else:
-            with TRACING:
-                started()
-                executables.drop_damaged(functions.tag)
-                start = time.perf_counter()
-                lowered, carry = self._lower(wider)
-                traced = time.perf_counter() - start
-            start = time.perf_counter()
-            self._programs, are_saved = _compile(lowered, key, device)
-            self.compile_seconds = traced + time.perf_counter() - start
-            if key is not None and are_saved:
-                self.is_saved = executables.save(key, self._programs.keys(), carry)
-        executables.hold(key, device, (self._programs, carry))
+        lower = partial(self._lower, wider)
+        self._programs, carry, self.is_saved, self.compile_seconds = obtain(
+            key, device, functions.tag, lower, started
+        )
         self.carry_structure = self._on_device(carry)
 
     @classmethod
@@ -286,13 +274,63 @@ class Programs:
         return self._programs["select"](carry, jax.device_put(lanes.astype(np.int32), self._sharding))
 
 
+class Obtained(NamedTuple):
+    """The programs of a group, loaded or compiled.
+
+    Attributes:
+        programs: The programs. A call with inputs of another shape or on another device raises.
+        carry: The structure of their carry, without shardings.
+        is_saved: Whether other devices and later sweeps can load them.
+        seconds: Seconds of loading, or of tracing and compiling.
+    """
+
+    programs: dict[str, Compiled]
+    carry: PyTree[jax.ShapeDtypeStruct]
+    is_saved: bool
+    seconds: float
+
+
+def obtain(
+    key: str | None,
+    device: Device,
+    tag: str,
+    lower: Callable[[], tuple[dict[str, Lowered], PyTree[jax.ShapeDtypeStruct]]],
+    started: Callable[[], None] = lambda: None,
+) -> Obtained:
+    """Load the programs of a group, or trace, compile and save them.
+
+    Args:
+        key: Name under which they are saved; None if they are not.
+        device: The device.
+        tag: The `executables.tag_of` the group.
+        lower: Traces them; returns them with the structure of their carry.
+        started: Called once no other group is being traced and tracing starts, or once saved programs are
+            loaded.
+    """
+    start = time.perf_counter()
+    if found := executables.load(key, device):
+        programs, carry = found
+        are_saved, seconds = True, time.perf_counter() - start
+        started()
+    else:
+        with TRACING:
+            started()
+            executables.drop_damaged(tag)
+            start = time.perf_counter()
+            lowered, carry = lower()
+            traced = time.perf_counter() - start
+        start = time.perf_counter()
+        programs, are_saved = _compile(lowered, key, device)
+        seconds = traced + time.perf_counter() - start
+        are_saved = key is not None and are_saved and executables.save(key, programs.keys(), carry)
+    executables.hold(key, device, (programs, carry))
+    return Obtained(programs, carry, are_saved, seconds)
+
+
 def _compile(
     lowered: Mapping[str, Lowered], key: str | None, device: Device
 ) -> tuple[dict[str, Compiled], bool]:
-    """Compiled or saved programs, and whether all are saved under the key.
-
-    A call of a program with inputs of another shape or on another device raises.
-    """
+    """Compiled or saved programs, and whether all are saved under the key."""
     programs, are_saved = dict[str, Compiled](), True
     for name, each in lowered.items():
         program = executables.load_program(key, name, device)

@@ -1,19 +1,21 @@
 """Latency of a single run, measured without a batch."""
 
 import contextlib
-import functools
 import itertools
 import threading
 import time
 from collections.abc import Callable, Sequence
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import numpy as np
+from jax.stages import Lowered
 from jaxtyping import PyTree
 
+from bojax.engine import executables
 from bojax.engine.ahead import Ahead
-from bojax.engine.batch import TRACING, run_key
+from bojax.engine.batch import named_jit, obtain, run_key
 from bojax.engine.devices import Device, of_platform
 from bojax.engine.execute import compile_threads
 from bojax.engine.groups import StaticGroup
@@ -56,7 +58,7 @@ class Latencies:
         self._devices, self._stop = devices, stop
         self._asked: list[tuple[Journal, StaticGroup, list[int]]] = []
 
-    @functools.cached_property
+    @cached_property
     def _ahead(self) -> "Ahead[SingleRun]":
         return Ahead(compile_threads(), threading.Condition(threading.RLock()), self._stop)
 
@@ -70,16 +72,14 @@ class Latencies:
         for group in plan.groups:
             points = sorted(set(group.points) & set(firsts.values()))
             if points and not plan.experiment(group).is_hosted:
-                self._ahead.request(
-                    len(self._asked), functools.partial(SingleRun, group, plan.sweep.seed, device)
-                )
+                self._ahead.request(len(self._asked), partial(SingleRun, group, plan.sweep.seed, device))
                 self._asked.append((journal, group, points))
 
     def measure(self, progress: SweepProgress) -> None:
         """Measure the latencies, and note them in the journals. A failure leaves the results complete."""
         if not self._asked:
             return
-        progress.say(f"compiling single runs of {len(self._asked)} groups, to measure their latency ...")
+        progress.say("waiting for the programs of single runs, to measure their latency ...")
         for index in range(len(self._asked)):
             with contextlib.suppress(Exception, SystemExit):  # told below
                 self._ahead.wait(index)
@@ -97,25 +97,36 @@ class Latencies:
 
 
 class SingleRun:
-    """The programs of a single run of a static group, without a batch axis. They serve all its points."""
+    """The programs of a single run of a static group, without a batch axis. They serve all its points.
+
+    They are saved, like those of a batch.
+    """
 
     def __init__(self, group: StaticGroup, seed: int, device: Device):
+        self._group, self._device = group, device
+        self._key, self._shared = jax.device_put((jax.random.key(seed), group.shared), device)
+        tag, key = executables.tag_of(group), executables.key_of(group, device, SingleRun)
+        self._programs = obtain(key, device, tag, partial(self._lower, tag)).programs
+
+    def _lower(self, tag: str) -> tuple[dict[str, Lowered], PyTree[jax.ShapeDtypeStruct]]:
+        """The programs, traced, and the structure of their carry."""
+
         def init(key, run, swept, shared):
-            return group.experiment(swept, shared).init(run_key(key, run))
+            return self._group.experiment(swept, shared).init(run_key(key, run))
 
         def advance(carry, swept, shared):
-            experiment = group.experiment(swept, shared)
+            experiment = self._group.experiment(swept, shared)
             carry, records = experiment.advance(carry)
             return carry, records, experiment.is_done(carry)
 
-        self._group, self._device = group, device
-        self._key, self._shared = jax.device_put((jax.random.key(seed), group.shared), device)
-        run, swept = np.int32(0), self._swept_at(group.points[0])
-        with TRACING:
-            carry = jax.eval_shape(init, self._key, run, swept, self._shared)
-            lowered_init = jax.jit(init).lower(self._key, run, swept, self._shared)
-            lowered_advance = jax.jit(advance, donate_argnums=0).lower(carry, swept, self._shared)
-        self._init, self._advance = lowered_init.compile(), lowered_advance.compile()
+        first = self._key, np.int32(0), self._swept_at(self._group.points[0]), self._shared
+        carry = jax.eval_shape(init, *first)
+        start = named_jit("single_init", tag, init)
+        step = named_jit("single_advance", tag, advance, donate_argnums=0)
+        return {
+            "single_init": start.lower(*first),
+            "single_advance": step.lower(carry, *first[2:]),
+        }, carry
 
     def _swept_at(self, point: int) -> PyTree:
         position = np.asarray(self._group.points.index(point))
@@ -126,6 +137,7 @@ class SingleRun:
 
         Once a run is done, the next run starts: advances of a finished run do nothing and are not measured.
         """
+        init, advance = self._programs["single_init"], self._programs["single_advance"]
         swept, runs, is_done = self._swept_at(point), itertools.count(), True
         carry, times = None, []
         start = time.perf_counter()
@@ -134,9 +146,9 @@ class SingleRun:
         ):
             if is_done:
                 run = np.int32(next(runs))
-                carry = jax.block_until_ready(self._init(self._key, run, swept, self._shared))
+                carry = jax.block_until_ready(init(self._key, run, swept, self._shared))
             before = time.perf_counter()
-            carry, _, done = jax.block_until_ready(self._advance(carry, swept, self._shared))
+            carry, _, done = jax.block_until_ready(advance(carry, swept, self._shared))
             times.append(time.perf_counter() - before)
             is_done = bool(done)
         times = times[1:]  # the first advance warms up

@@ -41,7 +41,8 @@ def folder(tmp_path_factory) -> Path:
     before = batch.compile_counts.copy()
     assert run_toy(out, runs=RUNS, latency=True) == 0
     # Two static groups: the points that differ in a number share one.
-    each = {name: 2 for name in ("empty", "fill", "advance", "summary", "snapshot")}
+    names = "empty", "fill", "advance", "summary", "snapshot", "single_init", "single_advance"
+    each = {name: 2 for name in names}
     assert batch.compile_counts - before == each
     return out
 
