@@ -3,11 +3,13 @@
 `prepare` sets the flags and must be called before JAX starts a backend.
 """
 
+import atexit
 import os
 import sys
 import threading
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from functools import cache
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias, TypeVar, runtime_checkable
 
@@ -45,12 +47,23 @@ def prepare(device: Platform) -> None:
 def start_early(device: Platform) -> None:
     """Start JAX's backends in a thread: CUDA takes a second, in which other packages can be imported."""
     prepare(device)
+    _start_in_thread()
+
+
+@cache
+def _start_in_thread() -> None:
+    """Start JAX's backends in a thread; once in a process.
+
+    A process that ends meanwhile waits for the thread: it would abort if it unloaded CUDA during its start.
+    """
 
     def start() -> None:
         with suppress(Exception):  # which `find_devices` meets again
             jax.devices()
 
-    threading.Thread(target=start, daemon=True).start()
+    thread = threading.Thread(target=start, daemon=True)
+    thread.start()
+    atexit.register(thread.join)
 
 
 @contextmanager

@@ -53,6 +53,17 @@ def test_platforms_that_jax_cannot_start_are_one_line(tmp_path):
     assert "Traceback" not in ended.stderr and not (tmp_path / "out").exists()
 
 
+def test_a_process_does_not_end_while_backends_start():
+    code = """
+import time, jax
+from bojax.engine.devices import start_early
+jax.devices = lambda: (time.sleep(0.5), print("started"))
+start_early("cpu")
+"""
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ended.stdout == "started\n"
+
+
 class Named:
     """A device, as far as the choice of devices is concerned."""
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from bojax.engine.build import build
+from bojax.envs import settings as envs
 from bojax.envs.base import Env, TimeStep
 from bojax.envs.spaces import Box, Discrete
 from bojax.experiments.settings import Learning
@@ -397,7 +398,6 @@ def test_it_finds_a_goal_and_returns_to_it(is_discrete):
 
 
 def test_the_number_of_iterations_is_a_column_of_the_runs():
-    settings = {"env": "chain", "learner": {"kind": "vime", **SMALL}, "episodes": 5}
-    run = build(Learning.model_validate(settings))
+    run = build(Learning(env=envs.Chain(), learner=VIME(**SMALL), episodes=5))
     assert "iterations" in {column.name for column in run.tables["runs"]}
     assert "iterations" in jax.eval_shape(lambda key: run.summary(run.init(key)), jax.random.key(0))
