@@ -63,7 +63,7 @@ class TracedOnce:
 
     Args:
         function: A function of the inputs of one lane and of inputs that all lanes share. It may refer to the
-            named axis `LANES`.
+            named axis `LANES`, but not to its size, which is 1 during tracing.
     """
 
     def __init__(self, function: Callable[[PyTree, PyTree], PyTree]):
