@@ -8,8 +8,8 @@ import os
 import sys
 import threading
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
-from functools import cache
+from concurrent.futures import Future
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias, TypeVar, runtime_checkable
 
@@ -18,6 +18,7 @@ import jax
 from bojax.config.settings import Platform
 from bojax.engine.errors import EngineError
 from bojax.numerics.cores import usable_cores
+from bojax.text import error_line
 
 _FLAGS = (
     "jax_enable_x64",
@@ -44,22 +45,26 @@ def prepare(device: Platform) -> None:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
+_started: Future[None] | None = None
+
+
 def start_early(device: Platform) -> None:
-    """Start JAX's backends in a thread: CUDA takes a second, in which other packages can be imported."""
-    prepare(device)
-    _start_in_thread()
+    """Start JAX's backends in a thread: CUDA takes a second, in which other packages can be imported.
 
-
-@cache
-def _start_in_thread() -> None:
-    """Start JAX's backends in a thread; once in a process.
-
-    A process that ends meanwhile waits for the thread: it would abort if it unloaded CUDA during its start.
+    At exit, the process waits for the thread: unloading CUDA while it starts would abort the process.
     """
+    global _started
+    prepare(device)
+    if _started is not None:
+        return
+    _started = started = Future()
 
     def start() -> None:
-        with suppress(Exception):  # which `find_devices` meets again
+        try:
             jax.devices()
+            started.set_result(None)
+        except BaseException as error:  # raised again by `find_devices`
+            started.set_exception(error)
 
     thread = threading.Thread(target=start, daemon=True)
     thread.start()
@@ -86,26 +91,31 @@ def find_devices(device: Platform) -> list[Device]:
         EngineError: There is no device of this platform.
     """
     try:
+        if _started is not None:
+            _started.result()  # JAX raises the error of a backend only once, and then goes on without it
+        else:
+            jax.devices()
+    except (RuntimeError, AssertionError) as error:  # the latter for JAX_PLATFORMS=cuda without such a device
+        raise EngineError(_failure(error)) from None
+    try:
         found = jax.devices(None if device == "auto" else device)
-    except (RuntimeError, AssertionError):  # the latter if JAX has failed to start before
-        raise EngineError(_missing(device)) from None
+    except RuntimeError:
+        advice = "use engine.device=auto, or run `bojax doctor`"
+        only = jax.default_backend()
+        raise EngineError(f"engine.device: got {device}; JAX finds only {only} devices: {advice}") from None
     if found[0].platform == "cpu":
         return found[:1]
     cpu = _cpu() if device == "auto" else None
     return found if cpu is None else [*found, cpu]
 
 
-def _missing(device: Platform) -> str:
-    """Why there is no device of a platform."""
-    try:
-        found = jax.default_backend()
-    except (RuntimeError, AssertionError):
-        given = setting("jax_platforms")
-        return (
-            f"JAX_PLATFORMS: got {given}; allowed: platforms that JAX can start on this machine, or unset it"
-        )
-    advice = "use engine.device=auto, or run `bojax doctor`"
-    return f"engine.device: got {device}; JAX finds only {found} devices: {advice}"
+def _failure(error: Exception) -> str:
+    """Why JAX has not started, and what to do."""
+    reason = f": {error_line(error)}" if str(error) else ""
+    if given := setting("jax_platforms"):
+        allowed = "platforms that JAX can start on this machine, or unset it"
+        return f"JAX_PLATFORMS: got {given}; allowed: {allowed}{reason}"
+    return f"JAX cannot start; run `bojax doctor`, or use engine.device=cpu{reason}"
 
 
 @runtime_checkable

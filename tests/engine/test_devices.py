@@ -47,10 +47,34 @@ def test_platforms_that_jax_cannot_start_are_one_line(tmp_path):
         command, env={**os.environ, "JAX_PLATFORMS": "tpu"}, capture_output=True, text=True, check=False
     )
     assert ended.returncode == 2
-    assert ended.stderr.splitlines()[-1] == (
-        "error: JAX_PLATFORMS: got tpu; allowed: platforms that JAX can start on this machine, or unset it"
+    assert ended.stderr.splitlines()[-1].startswith(
+        "error: JAX_PLATFORMS: got tpu; allowed: platforms that JAX can start on this machine, or unset it: "
     )
     assert "Traceback" not in ended.stderr and not (tmp_path / "out").exists()
+
+
+def test_a_gpu_that_does_not_start_is_an_error_and_no_reason_to_use_the_cpu():
+    code = """
+import time
+from jax._src import xla_bridge
+from bojax.engine.devices import find_devices, start_early
+from bojax.engine.errors import EngineError
+def broken():
+    raise RuntimeError("the GPU is taken")
+xla_bridge.register_backend_factory("broken", broken, priority=500, fail_quietly=False)
+start_early("auto")
+time.sleep(0.5)
+try:
+    find_devices("auto")
+except EngineError as error:
+    print(error)
+"""
+    anywhere = {name: value for name, value in os.environ.items() if name != "JAX_PLATFORMS"}
+    ended = subprocess.run(
+        [sys.executable, "-c", code], env=anywhere, capture_output=True, text=True, check=True
+    )
+    assert ended.stdout.startswith("JAX cannot start; run `bojax doctor`, or use engine.device=cpu: ")
+    assert "the GPU is taken" in ended.stdout and len(ended.stdout.splitlines()) == 1
 
 
 def test_a_process_does_not_end_while_backends_start():
