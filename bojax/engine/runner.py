@@ -4,6 +4,7 @@ The chunk pauses after every segment of a few seconds, to write rows and to save
 change the results: when runs leave and enter lanes depends on the number of advances alone.
 """
 
+import contextlib
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from bojax.engine.ahead import Stopped
 from bojax.engine.batch import Lanes, Programs
 from bojax.engine.chunks import Chunk
 from bojax.engine.errors import FAILURE, EngineError
@@ -99,6 +101,7 @@ class ChunkRunner:
         self._chunk, self._experiment, self._sink = chunk, experiment, sink
         self._programs_of, self._limits, self._report = programs, limits, report
         self._state = sink.state
+        self._waited = 0.0  # seconds of waiting for programs, in a segment
         self._summaries: list[Rows] = []
         self._rounds: list[tuple[np.ndarray, np.ndarray, list[Any]]] = []
 
@@ -149,6 +152,8 @@ class ChunkRunner:
             self._programs = self._programs_of(len(state.lanes))
             self._place()
             self._carry = self._sink.load(self._programs.carry_structure)
+            if self._may_repack and state.next_run == chunk.num_runs:
+                self._narrow()  # which a stop may have prevented
 
     def _place(self) -> Lanes:
         """Put the inputs of the lanes on the device. A lane without a run repeats one that has a run."""
@@ -225,29 +230,35 @@ class ChunkRunner:
         The next runs of the queue take their lanes. If there are none, the unfinished runs move to fewer
         lanes, once the next smaller number is enough for them.
         """
-        state, layout = self._state, self._chunk.layout
-        lanes = self._map
+        state, lanes = self._state, self._map
         done = np.nonzero((lanes != EMPTY) & is_done)[0]
         live = np.nonzero((lanes != EMPTY) & ~is_done)[0]
         num_waiting = self._chunk.num_runs - state.next_run
         if not len(live) and not num_waiting:
             self._hand_in(done)
             return len(done)
-        if not len(done) or not layout.repack or state.advances % layout.repack:
+        if not self._may_repack:
             return 0
-        if num_waiting:
+        if num_waiting and len(done):
             self._hand_in(done)
             self._refill(done[:num_waiting])
-            return len(done)
-        fitting = [width for width in layout.widths if len(live) <= width < len(lanes)]
-        if not fitting:
+        elif not num_waiting and self._fitting(len(live)) < len(lanes):
+            if len(done):
+                self._hand_in(done)
+            self._narrow()
+        else:
             return 0
-        self._hand_in(done)
-        for width in layout.widths:  # each number of lanes has a program that selects from the next larger
-            if min(fitting) <= width < len(state.lanes):
-                self._narrow(np.nonzero(self._map != EMPTY)[0], width)
-        self._place()
         return len(done)
+
+    @property
+    def _may_repack(self) -> bool:
+        """Whether runs may leave and enter lanes after this number of advances."""
+        repack = self._chunk.layout.repack
+        return repack > 0 and self._state.advances % repack == 0
+
+    def _fitting(self, num_runs: int) -> int:
+        """The smallest number of lanes that is enough for some runs."""
+        return min(width for width in self._chunk.layout.widths if num_runs <= width)
 
     def _refill(self, free: np.ndarray) -> None:
         state = self._state
@@ -258,8 +269,22 @@ class ChunkRunner:
         is_new[free] = True
         self._carry = self._programs.fill(self._carry, self._place(), is_new)
 
-    def _narrow(self, live: np.ndarray, width: int) -> None:
+    def _narrow(self) -> None:
+        """Move the runs to the smallest number of lanes that is enough for them.
+
+        A stop that is requested during the wait for a program leaves them where they are. They are then
+        saved there, and move as soon as the chunk is resumed.
+        """
         state = self._state
+        least = self._fitting(int((self._map != EMPTY).sum()))
+        with contextlib.suppress(Stopped):
+            for width in self._chunk.layout.widths:  # a program selects lanes from the next larger number
+                if least <= width < len(state.lanes):
+                    self._move_to(width)
+        self._place()
+
+    def _move_to(self, width: int) -> None:
+        state, live = self._state, np.nonzero(self._map != EMPTY)[0]
         start = time.perf_counter()
         self._programs = self._programs_of(width)
         self._waited += time.perf_counter() - start

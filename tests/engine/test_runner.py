@@ -1,5 +1,7 @@
 """Runs leave and enter lanes: every run is that of a plain loop, and the clock changes no bit."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -173,26 +175,47 @@ def test_stopped_and_resumed_from_a_folder_after_every_segment(name, tmp_path):
     assert saved == ["arrays/0-0-walk-end.npz", "arrays/1-0-walk-end.npz"]
 
 
-def test_a_stop_while_waiting_for_a_program_loses_nothing_but_the_last_segment(tmp_path):
-    layout = LAYOUTS["narrowed"]
+@pytest.mark.bits
+@pytest.mark.parametrize("missing", [12, 6])
+def test_a_stop_during_the_wait_for_a_program_loses_nothing(tmp_path, missing):
+    layout, stops, begun = Layout(24, (24, 12, 6), 1), [], []
     (chunk,) = chunks_of(layout)
 
-    def without_narrow(width):
-        if width < layout.lanes:
+    def without_one(width):
+        if width == missing:
+            stops.append(width)
             raise Stopped
         return programs_of(layout)(width)
 
-    files = ChunkFolder(tmp_path / "chunk", tmp_path)
-    files.open()
-    with pytest.raises(Stopped):
-        sink = FolderSink(files, [{}, {}], Record(runs=0))
-        run(ChunkRunner(chunk, MODULES[0], without_narrow, sink, NEVER, lambda _: None))
-    files = ChunkFolder(tmp_path / "chunk", tmp_path)
-    files.open()
+    def opened():
+        files = ChunkFolder(tmp_path / "chunk", tmp_path)
+        files.open()
+        return files
+
+    sink = FolderSink(opened(), [{}, {}], Record(runs=0))
+    limits = Limits(float("inf"), float("inf"), lambda: bool(stops))
+    run(ChunkRunner(chunk, MODULES[0], without_one, sink, limits, begun.append))
+    files = opened()
+    assert stops and files.state.advances == sum(segment.advances for segment in begun) > 0
+    again = []
     sink = FolderSink(files, [{}, {}], Record(runs=0))
-    run(ChunkRunner(chunk, MODULES[0], programs_of(layout), sink, NEVER, lambda _: None))
-    expected, _ = run_in_memory(layout)
+    run(ChunkRunner(chunk, MODULES[0], programs_of(layout), sink, NEVER, again.append))
+    expected, once = run_in_memory(layout)
     assert sort_rows(pa.concat_tables(files.tables("runs"))).equals(expected["runs"])
+    for count in ("advances", "finished", "issued_steps"):  # none is repeated, and none is made in more lanes
+        total = sum(getattr(segment, count) for segment in once)
+        assert sum(getattr(segment, count) for segment in [*begun, *again]) == total
+
+
+@pytest.mark.bits
+def test_a_chunk_of_few_runs_narrows_as_soon_as_it_may():
+    layout = Layout(24, (24, 8), 3)
+    chunk = replace(chunks_of(PLAIN)[0], layout=layout)
+    few = replace(chunk, positions=chunk.positions[:4], points=chunk.points[:4], runs=chunk.runs[:4])
+    sink, segments = MemorySink(), []
+    often = Limits(1e-9, float("inf"), bool)
+    run(ChunkRunner(few, MODULES[0], programs_of(layout), sink, often, segments.append))
+    assert [segment.lanes for segment in segments[:4]] == [24, 24, 8, 8]
 
 
 @pytest.mark.parametrize(
