@@ -41,8 +41,9 @@ CHECKED = (
 
 install_import_hook([f"bojax.{package}" for package in CHECKED], "beartype.beartype")
 
-# Tracing allocates millions of objects; by default garbage is collected after every 700.
-gc.set_threshold(50_000)
+from bojax.cli.main import YOUNG_OBJECTS  # noqa: E402
+
+gc.set_threshold(YOUNG_OBJECTS)
 
 _USUAL = {
     "jax_debug_key_reuse": False,

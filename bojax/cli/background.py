@@ -56,7 +56,7 @@ class Reports:
         return self
 
     def prepare(self) -> None:
-        """Import in a thread what draws, which takes a second, while this process waits for devices."""
+        """Import the drawing code in a thread: it takes a second, in which this process waits for devices."""
         if self._pool is None:
             threading.Thread(target=_report, daemon=True).start()
 

@@ -43,7 +43,7 @@ def check_launching(args: Namespace) -> None:
         UsageError: An option does not fit the launcher.
         ConfigError: A setting in the file is wrong.
     """
-    launcher = getattr(args, "launcher", "inline")  # `bojax run` has none of the options
+    launcher = name_of_launcher(args)
     if launcher == "inline" and getattr(args, "cluster", None):
         raise UsageError("--cluster: allowed: only with --launcher ray or slurm")
     if launcher != "inline" and args.devices is not None:
@@ -54,6 +54,11 @@ def check_launching(args: Namespace) -> None:
         load_launching(args.cluster, SlurmConfig if launcher == "slurm" else RayConfig)
 
 
+def name_of_launcher(args: Namespace | None) -> str:
+    """The launcher that was asked for; commands without the option have the launcher "inline"."""
+    return getattr(args, "launcher", "inline")
+
+
 def launcher_of(args: Namespace, *, waits: bool = False) -> tuple["Launcher | None", list[int] | None]:
     """The launcher, None for this process, and the indices of the devices that this process uses.
 
@@ -61,7 +66,7 @@ def launcher_of(args: Namespace, *, waits: bool = False) -> tuple["Launcher | No
         args: The options.
         waits: Whether the command needs the results, so that it waits for Slurm too.
     """
-    launcher = getattr(args, "launcher", "inline")
+    launcher = name_of_launcher(args)
     if launcher == "slurm":
         from bojax.engine.launchers.slurm import Slurm
 

@@ -49,8 +49,8 @@ _DISK = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
 YOUNG_OBJECTS = 50_000
 """Number of new objects after which Python searches them for cycles.
 
-Imports and tracing make millions of objects, of which few are in cycles. After every 700 of them, as Python
-does by itself, the searches take a tenth of the time in which a sweep starts.
+Imports and tracing make millions of objects, of which few are in cycles. By default, Python searches after
+every 700 (2,000 from Python 3.13), which takes a tenth of the time in which a sweep starts.
 """
 
 _EXAMPLES = """\
@@ -158,18 +158,19 @@ def leave(code: int) -> NoReturn:
     """End the process.
 
     Python would free programs and arrays one by one, which takes half a second, and longer with a GPU. A
-    process that has imported JAX leaves that to the operating system, after the functions of `atexit`.
-    Daemon threads that are still alive compile programs that are no longer needed. Python cannot end while
-    XLA works, so the process then leaves without these functions, too.
+    process that has imported JAX therefore calls the functions of `atexit` and leaves the rest to the
+    operating system. Daemon threads that are still alive may be inside XLA or CUDA, where Python cannot end:
+    the process then leaves at once, without the functions of `atexit`.
     """
     others = [thread for thread in threading.enumerate() if thread is not threading.current_thread()]
     is_alone = "jax" in sys.modules and not others
     if is_alone:
         atexit._run_exitfuncs()
     if is_alone or any(thread.daemon for thread in others):
-        with contextlib.suppress(OSError):  # which Python meets again, and reports
-            sys.stdout.flush()
-            sys.stderr.flush()
+        with contextlib.suppress(OSError):  # Python flushes again on exit, and reports it
+            for stream in (sys.stdout, sys.stderr):
+                if stream is not None:
+                    stream.flush()
             os._exit(code)
     sys.exit(code)
 

@@ -10,7 +10,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from bojax.cli.launching import LAUNCHING_USAGE, add_launching, check_launching, dry_run
+from bojax.cli.launching import LAUNCHING_USAGE, add_launching, check_launching, dry_run, name_of_launcher
 from bojax.cli.parser import Parser, UsageError, integer, path
 from bojax.config.errors import printable
 from bojax.config.files import STANDARD_INPUT, SUFFIXES, display, find, shadowed
@@ -162,8 +162,7 @@ def run(
     with StopRequest(announce=lambda _: None, exits=exits) as stop:
         from bojax.engine.devices import start_early
 
-        is_here = getattr(launching, "launcher", "inline") == "inline"
-        if is_here and len({sweep.engine.device for sweep in sweeps}) == 1:
+        if name_of_launcher(launching) == "inline" and len({sweep.engine.device for sweep in sweeps}) == 1:
             start_early(sweeps[0].engine.device)
         from bojax.engine.bar import is_read_by_a_process
         from bojax.engine.requests import Request

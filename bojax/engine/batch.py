@@ -59,7 +59,7 @@ class Status(NamedTuple):
 class TracedOnce:
     """A function of one lane, traced once for batches of any number of lanes.
 
-    Tracing calls Python for every operation. Batching what was traced takes a tenth to a half of that time.
+    Tracing runs Python for every operation. Batching what was traced takes a tenth to a half of that time.
 
     Args:
         function: A function of the inputs of one lane and of inputs that all lanes share. It may refer to the
@@ -153,8 +153,7 @@ class Programs:
             seed: Seed of the sweep.
             recorded: Largest number of lanes whose run is recorded.
             wider: The larger number of lanes that the runs come from; None if they start in these lanes.
-            started: Called once no other group is being traced and tracing starts, or once saved programs are
-                loaded.
+            started: Called when tracing starts, after that of others, or when saved programs are loaded.
         """
         self.num_lanes, self.device = num_lanes, device
         self._functions, self._group = functions, functions.group
@@ -171,7 +170,7 @@ class Programs:
         self._programs, carry, self.is_saved, self.compile_seconds = obtain(
             key, device, functions.tag, lower, started
         )
-        self.carry_structure = self._on_device(carry)
+        self.carry_structure = on_device(carry, device)
 
     @classmethod
     def key_of(
@@ -183,17 +182,12 @@ class Programs:
     def _prepare(self, run: Experiment) -> None:
         """Prepare what a subclass needs of the first run."""
 
-    def _on_device(self, structure: PyTree[jax.ShapeDtypeStruct]) -> PyTree[jax.ShapeDtypeStruct]:
-        return jax.tree.map(
-            lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=self._sharding), structure
-        )
-
     def _lower(self, wider: int | None) -> tuple[dict[str, Lowered], PyTree[jax.ShapeDtypeStruct]]:
         """The programs, traced for inputs of exactly these shapes on this device, and their carry."""
         functions, one_point = self._functions, np.zeros(self.num_lanes, dtype=np.int32)
         lanes = self.place(one_point, one_point)
         carry = jax.eval_shape(functions.init, lanes, (self._key, self._shared))
-        inputs = (self._on_device(carry), lanes, self._shared)
+        inputs = (on_device(carry, self.device), lanes, self._shared)
         lowered = {"advance": functions.advance.lower(*inputs)} if self._is_compiled else {}
         lowered["summary"] = functions.summary.lower(*inputs)
         if self._num_recorded and jax.tree.leaves(jax.eval_shape(functions.snapshot, *inputs)):
@@ -201,12 +195,12 @@ class Programs:
         if self._num_recorded and self._recorded_tables and self._is_compiled:
             _, tables, _ = lowered["advance"].out_info
             lowered["recorded"] = functions.recorded.lower(
-                self._on_device({name: tables[name] for name in self._recorded_tables}),
+                on_device({name: tables[name] for name in self._recorded_tables}, self.device),
                 jax.device_put(np.zeros(self._num_recorded, np.int32), self._sharding),
             )
         if wider is not None:
             of_wider = jax.tree.map(lambda leaf: leaf.update(shape=(wider, *leaf.shape[1:])), carry)
-            lowered["select"] = functions.select.lower(self._on_device(of_wider), lanes.runs)
+            lowered["select"] = functions.select.lower(on_device(of_wider, self.device), lanes.runs)
         else:
             everywhere = jax.device_put(np.ones(self.num_lanes, dtype=bool), self._sharding)
             lowered["empty"] = functions.empty(carry, self.device).lower()
@@ -274,6 +268,14 @@ class Programs:
         return self._programs["select"](carry, jax.device_put(lanes.astype(np.int32), self._sharding))
 
 
+def on_device(structure: PyTree[jax.ShapeDtypeStruct], device: Device) -> PyTree[jax.ShapeDtypeStruct]:
+    """The structure of arrays on a device."""
+    sharding = SingleDeviceSharding(device)
+    return jax.tree.map(
+        lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=sharding), structure
+    )
+
+
 class Obtained(NamedTuple):
     """The programs of a group, loaded or compiled.
 
@@ -304,8 +306,7 @@ def obtain(
         device: The device.
         tag: The `executables.tag_of` the group.
         lower: Traces them; returns them with the structure of their carry.
-        started: Called once no other group is being traced and tracing starts, or once saved programs are
-            loaded.
+        started: Called when tracing starts, after that of others, or when saved programs are loaded.
     """
     start = time.perf_counter()
     if found := executables.load(key, device):
@@ -365,7 +366,7 @@ def _fill(init: TracedOnce, key, carry: Carry, lanes: Lanes, is_new, shared: PyT
 
 
 def _in_lanes(function: Callable[[Experiment, Carry], PyTree], group: StaticGroup):
-    """The results of all lanes of a function of an experiment and its carry."""
+    """Batch a function of an experiment and its carry over the lanes."""
 
     def of_one_lane(lane: tuple[Carry, PyTree], shared: PyTree) -> PyTree:
         carry, swept = lane

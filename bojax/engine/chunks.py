@@ -62,6 +62,10 @@ class Layout:
         """Number of lanes with which a chunk starts."""
         return self.widths[0]
 
+    def wider(self, width: int) -> int | None:
+        """The next larger number of lanes; None for the largest."""
+        return min((each for each in self.widths if each > width), default=None)
+
 
 def choose_layout(experiment: Experiment, num_runs: int, platform: str, given: int | None) -> Layout:
     """The layout of a group.

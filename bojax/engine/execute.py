@@ -201,10 +201,11 @@ class _Executor:
         self._ended: queue.Queue[GroupTask] = queue.Queue()
         self._saved: set[GroupTask] = set()
         for task in self._tasks:
-            lanes, device = task.layout.lanes, self._first(task)
-            if executables.is_saved(task.kind.key_of(task.group, device, lanes, task.recorded, None)):
-                self._saved.add(task)
+            widths = task.layout.widths
+            if self._is_saved(task, task.layout.lanes):
                 task.progress.expected_compilation = LOADING
+            if len(self._devices_of(task)) > 1 and all(self._is_saved(task, width) for width in widths):
+                self._saved.add(task)
         self._request_ahead()
         self._workers = [threading.Thread(target=self._work, args=(device,)) for device in workers]
         for worker in self._workers:
@@ -239,7 +240,8 @@ class _Executor:
     def _request_ahead(self) -> None:
         """Request the programs of the first unfinished groups, spread over the devices of each platform.
 
-        What an earlier sweep has saved is loaded for as many devices at once as have a chunk to run.
+        Programs that an earlier sweep has saved are loaded on several devices at once: on as many as the
+        group has chunks.
         """
         left = {device.platform: most_ahead(device) for device in self._devices}
         for task in self._tasks:
@@ -248,14 +250,20 @@ class _Executor:
                 for device in self._in_turn(task)[: max(1, most)]:
                     left[task.platform] -= len(task.layout.widths)
                     for width in task.layout.widths:
-                        self._request(task, device, width, is_compiled=device != self._first(task))
+                        self._request(task, device, width, is_shown=device == self._first(task))
+
+    def _is_saved(self, task: GroupTask, width: int) -> bool:
+        """Whether the programs of a group for a number of lanes are in the cache."""
+        wider = task.layout.wider(width)
+        key = task.kind.key_of(task.group, self._first(task), width, task.recorded, wider)
+        return executables.is_saved(key)
 
     def _first(self, task: GroupTask) -> Device:
         """The device for which a group is compiled first."""
         return self._in_turn(task)[0]
 
     def _in_turn(self, task: GroupTask) -> list[Device]:
-        """The devices on which a group may run, beginning with another one for each group."""
+        """The devices on which a group may run, rotated so that successive groups begin on different ones."""
         devices = self._devices_of(task)
         first = self._ranks[task] % len(devices)
         return devices[first:] + devices[:first]
@@ -264,9 +272,9 @@ class _Executor:
         """The devices on which a group may run."""
         return of_platform(self._devices, task.platform)
 
-    def _request(self, task: GroupTask, device: Device, width: int, *, is_compiled: bool = False) -> None:
+    def _request(self, task: GroupTask, device: Device, width: int, *, is_shown: bool = True) -> None:
         key = task, device, width
-        self._ahead.request(key, lambda: self._compile(*key, is_compiled=is_compiled), self._ranks[task])
+        self._ahead.request(key, lambda: self._compile(*key, is_shown=is_shown), self._ranks[task])
 
     def _load(self, task: GroupTask, device: Device, width: int, other: Device) -> None:
         """Load programs that another device has compiled or compiles, in this thread."""
@@ -278,30 +286,30 @@ class _Executor:
             can_load = False
         if can_load:
             key = task, device, width
-            self._ahead.compute(key, lambda: self._compile(*key, is_compiled=True))
+            self._ahead.compute(key, lambda: self._compile(*key, is_shown=False))
         else:
             self._request(task, device, width)
 
-    def _compile(self, task: GroupTask, device: Device, width: int, *, is_compiled: bool = False) -> Programs:
+    def _compile(self, task: GroupTask, device: Device, width: int, *, is_shown: bool = True) -> Programs:
         """Compile the programs of a group for a number of lanes on a device, or load them from the cache.
 
         Args:
             task: The group.
             device: The device.
             width: Number of lanes.
-            is_compiled: Whether another device puts them into the cache, or loads them from it.
+            is_shown: Whether the progress of the group is that of this device.
         """
-        is_new = width == task.layout.lanes and not is_compiled
+        is_shown = is_shown and width == task.layout.lanes
         programs = task.kind(
             task.functions,
             device,
             width,
             task.seed,
             recorded=task.recorded,
-            wider=min((each for each in task.layout.widths if each > width), default=None),
-            started=lambda: self._progress.compiling(task.progress) if is_new else None,
+            wider=task.layout.wider(width),
+            started=lambda: self._progress.compiling(task.progress) if is_shown else None,
         )
-        if is_new:
+        if is_shown:
             self._progress.compiled(task.progress, programs.compile_seconds)
         with self._changed:  # a compilation may end after the sweep has ended
             if not self._is_closed:

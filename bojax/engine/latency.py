@@ -15,7 +15,7 @@ from jaxtyping import PyTree
 
 from bojax.engine import executables
 from bojax.engine.ahead import Ahead
-from bojax.engine.batch import named_jit, obtain, run_key
+from bojax.engine.batch import named_jit, obtain, on_device, run_key
 from bojax.engine.devices import Device, of_platform
 from bojax.engine.execute import compile_threads
 from bojax.engine.groups import StaticGroup
@@ -125,7 +125,7 @@ class SingleRun:
         step = named_jit("single_advance", tag, advance, donate_argnums=0)
         return {
             "single_init": start.lower(*first),
-            "single_advance": step.lower(carry, *first[2:]),
+            "single_advance": step.lower(on_device(carry, self._device), *first[2:]),
         }, carry
 
     def _swept_at(self, point: int) -> PyTree:

@@ -168,9 +168,9 @@ class SweepProgress:
         with self._lock:
             passed = max(time.monotonic() - self._start, 1e-9)
             ends = [group.compiled for group in self._groups if group.compiled is not None]
-            compiled = "no program was compiled"
+            compiled = "no group was ready"
             if ends:
-                compiled = f"the last program was compiled after {duration(max(ends) - self._start)}"
+                compiled = f"the last group was ready after {duration(max(ends) - self._start)}"
             busy = []
             for platform, number in self._workers.items():
                 seconds = self._advanced[platform]

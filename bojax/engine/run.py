@@ -51,7 +51,7 @@ def run_sweeps(
         exits: Whether a second signal ends the process at once.
         launcher: Starts workers that run the chunks; None to run them in this process.
         indices: Indices of the devices that this process uses; None for all.
-        planned: Called when all sweeps are planned. From then on, this process often waits for devices.
+        planned: Called before this process waits for devices or workers.
 
     Returns:
         The exit code: 0; 1 if something failed; 2 for an input error; 130 or 143 after a signal.

@@ -13,7 +13,11 @@ T = TypeVar("T")
 """A tree of arrays."""
 
 LANES = "lanes"
-"""Name of the axis over which the engine batches runs (`vmap(axis_name=LANES)`)."""
+"""Name of the axis over which the engine batches runs (`vmap(axis_name=LANES)`).
+
+Its size is 1 while the engine traces an experiment: use `lax.pmax`, `pmin` or `psum`, not `pmean` or
+`axis_size`.
+"""
 
 EPISODES = "episodes"
 """Name of the axis over which a run batches episodes that do not depend on each other."""

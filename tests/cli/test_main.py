@@ -278,15 +278,34 @@ def test_memory_of_a_gpu_is_taken_as_needed_unless_the_user_chose(given, chosen)
     assert told.stdout.splitlines()[-1] == " ".join(map(str, chosen))
 
 
-@pytest.mark.parametrize("is_compiling", [False, True])
-def test_a_process_that_has_imported_jax_leaves_without_pythons_clean_up(monkeypatch, is_compiling):
+class FullDisk(io.StringIO):
+    """A stream that cannot be written."""
+
+    def flush(self):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+
+@pytest.mark.parametrize(
+    ("others", "output", "expected"),
+    [
+        ([], sys.stdout, ["atexit", 3]),
+        ([threading.Thread(daemon=True)], sys.stdout, [3]),
+        ([threading.Thread(daemon=False)], sys.stdout, []),
+        ([], None, ["atexit", 3]),  # bojax ... >&-
+        ([], FullDisk(), ["atexit"]),
+    ],
+    ids=["alone", "compiling", "a thread of the user", "no output", "a full disk"],
+)
+def test_a_process_that_has_imported_jax_leaves_without_pythons_clean_up(
+    monkeypatch, others, output, expected
+):
     """The functions of atexit are called unless XLA may still compile in a thread."""
     made: list[object] = []
-    alive = [threading.current_thread(), *[threading.Thread(daemon=True)] * is_compiling]
-    monkeypatch.setattr("threading.enumerate", lambda: alive)
+    monkeypatch.setattr("threading.enumerate", lambda: [threading.current_thread(), *others])
+    monkeypatch.setattr("sys.stdout", output)
     monkeypatch.setattr("atexit._run_exitfuncs", lambda: made.append("atexit"))
     monkeypatch.setattr("os._exit", made.append)
     monkeypatch.setitem(sys.modules, "jax", jax)
     with pytest.raises(SystemExit):  # the process would have ended
         leave(3)
-    assert made == ([3] if is_compiling else ["atexit", 3])
+    assert made == expected

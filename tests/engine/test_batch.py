@@ -65,6 +65,7 @@ def test_points_share_run_keys():
     assert summary["steps"][0] == summary["steps"][1]
 
 
+@pytest.mark.usefixtures("compiles_anew")
 def test_functions_are_traced_once_for_all_numbers_of_lanes(monkeypatch):
     expected, calls = alone(MODULES[1], 3)["return"], Counter()
 

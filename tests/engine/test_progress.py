@@ -132,11 +132,11 @@ def test_the_time_of_compilation_is_told_even_if_none_has_ended(clock):
     shown.add([group])
     shown.compiling(group)
     clock.now += 9.0
-    assert shown.describe_times() == "ran for 9 s: no program was compiled, runs advanced 0% of the time"
+    assert shown.describe_times() == "ran for 9 s: no group was ready, runs advanced 0% of the time"
     shown.compiled(group, 9.0)
     clock.now += 3.0
     shown.segment(group, 0, segment(seconds=3.0))
-    told = "ran for 12 s: the last program was compiled after 9 s, runs advanced 25% of the time"
+    told = "ran for 12 s: the last group was ready after 9 s, runs advanced 25% of the time"
     assert shown.describe_times() == told
 
 
