@@ -77,7 +77,7 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
         type=Path,
         default=[],
         metavar="FILE",
-        help="run nothing; take earlier results, of the same number of runs those of the last file",
+        help="run nothing; use earlier results, for equal numbers of runs those of the last file",
     )
     args = parser.parse_args(argv)
     if args.runs[0] != 1 or args.runs != sorted(set(args.runs)):
