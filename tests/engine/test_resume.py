@@ -14,7 +14,7 @@ import pytest
 
 from bojax.engine.chunks import Layout
 from bojax.results.store import WORK, read_manifest
-from tests.engine.drive import contents, run_toy, start_toy
+from tests.engine.drive import contents, run_toy, run_toys, start_toy
 from tests.tiers import by_tier
 
 POINTS = ({"scale": 1.0, "max_length": 400}, {"scale": 2.0, "max_length": 400}, {"max_length": 30})
@@ -70,6 +70,22 @@ def test_killed_and_resumed(tmp_path, undisturbed):
     assert run_sweep_here(out, resume=True) == 0
     assert contents(out) == contents(undisturbed)
     assert not (out / WORK).exists()
+
+
+@pytest.mark.bits
+def test_several_sweeps_are_killed_in_the_second_and_resumed(tmp_path):
+    undisturbed, killed = tmp_path / "undisturbed", tmp_path / "killed"
+    first = {"points": ({"max_length": 30},), "runs": 6}
+    second = {"points": ({"max_length": 400},), "runs": 6, "lanes_per_device": 4}
+    assert run_toys(undisturbed, first=first, second=second) == 0
+    process = start_toy(killed, sweeps={"first": first | OFTEN, "second": second | OFTEN})
+    wait_for_checkpoint(killed / "second", advances=5)
+    process.kill()
+    process.communicate(timeout=60)
+    assert not (killed / "second" / "runs.parquet").exists()
+    assert run_toys(killed, resume=True, first=first, second=second) == 0
+    for name in ("first", "second"):
+        assert contents(killed / name) == contents(undisturbed / name)
 
 
 @pytest.mark.bits

@@ -396,6 +396,22 @@ def test_a_failed_chunk_does_not_stop_the_others(tmp_path, capsys, folder, monke
     assert read_manifest(out)["status"] == "finished"
 
 
+def test_a_group_that_cannot_be_compiled_does_not_stop_the_others(tmp_path, capsys, monkeypatch):
+    class Uncompilable(batch.Programs):
+        def __init__(self, functions, *others, **options):
+            if functions.group.shared.max_length == 15:
+                raise RuntimeError("XLA has a bug")
+            super().__init__(functions, *others, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(execute, "Programs", Uncompilable)
+        assert run_toy(tmp_path / "toy", runs=RUNS) == 1
+    (line,) = errors(capsys)
+    assert "RuntimeError: XLA has a bug" in line
+    assert set(read_table(tmp_path / "toy" / "runs.parquet")["point"].to_pylist()) == {0, 1}
+    assert run_toy(tmp_path / "toy", runs=RUNS, resume=True) == 0
+
+
 def run_two(tmp_path, *, resume=False, finish=lambda _: None) -> int:
     first, second = toy_sweep({"scale": 1.0}, name="first"), toy_sweep({"scale": 3.0}, name="second")
     requests = [Request(first, tmp_path / "first"), Request(second, tmp_path / "second")]
