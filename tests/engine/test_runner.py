@@ -9,14 +9,17 @@ import pyarrow as pa
 import pytest
 
 from bojax.config.settings import Record
+from bojax.config.sweep import load_config
 from bojax.engine.ahead import Stopped
 from bojax.engine.batch import Functions, Programs, run_key
+from bojax.engine.build import build
 from bojax.engine.chunks import Layout, choose_layout, cut
 from bojax.engine.groups import static_groups
 from bojax.engine.runner import ChunkRunner, Limits
 from bojax.engine.sinks import FolderSink, MemorySink, Sink
 from bojax.results.parts import ChunkFolder
 from bojax.results.tables import sort_rows
+from tests.tiers import by_tier
 from tests.toy import Toy, toy
 
 SEED, RUNS = 5, 12
@@ -107,6 +110,53 @@ def test_every_layout_gives_the_rows_of_a_plain_batch(name, plain):
                 assert ours.equals(theirs), (table, column)
     assert sum(segment.finished for segment in segments) == 2 * RUNS
     assert sum(segment.active_steps for segment in segments) == tables["steps"].num_rows
+
+
+def rows_and_learners(group, experiment, layout: Layout) -> tuple[dict[str, np.ndarray], dict]:
+    """The summaries of eight runs, by run, and the saved learners."""
+    (chunk,) = cut(group, range(8), layout, [{}], {})
+    functions, device, made = Functions(group), jax.devices("cpu")[0], {}
+
+    def compiled(width):
+        if width not in made:
+            wider = layout.wider(width)
+            made[width] = Programs(functions, device, width, SEED, recorded=8, wider=wider)
+        return made[width]
+
+    sink = MemorySink(recorded_runs=8, saved_learners=8)
+    run(ChunkRunner(chunk, experiment, compiled, sink, NEVER, lambda _: None))
+    table = sort_rows(pa.concat_tables(sink.tables["runs"]))
+    return {name: table[name].to_numpy(zero_copy_only=False) for name in table.column_names}, sink.learned
+
+
+PARKING = "parking", "planner.iterations=20", "problem.max_steps=4"
+MOUNTAIN_CAR = "mountain-car", "episodes=5", "env.max_steps=200"
+
+
+@pytest.mark.parametrize(
+    "words",
+    by_tier([("chain",), PARKING, MOUNTAIN_CAR], normal=[("chain",), PARKING]),
+    ids=lambda words: words[0],
+)
+def test_runs_of_shipped_experiments_do_not_depend_on_the_layout(words):
+    """Learners are saved as their runs end, from lanes that other runs have had before."""
+    config, *changes = words
+    (point,) = load_config(config, changes, None, None).points
+    experiment = build(point.config, "float64")
+    (group,) = static_groups([experiment])
+    expected, learned = rows_and_learners(group, experiment, Layout(8, (8,), 0))
+    assert len(np.unique(expected["steps"])) > 1
+    for layout in (Layout(8, (3,), 1), Layout(8, (8, 4, 2), 1)):
+        found, saved = rows_and_learners(group, experiment, layout)
+        for name, values in expected.items():
+            if values.dtype.kind == "f":
+                np.testing.assert_allclose(found[name], values, rtol=1e-9)
+            else:
+                np.testing.assert_array_equal(found[name], values)
+        assert saved.keys() == learned.keys()
+        for key, leaves in learned.items():
+            for ours, theirs in zip(jax.tree.leaves(saved[key]), jax.tree.leaves(leaves), strict=True):
+                np.testing.assert_allclose(ours, theirs, rtol=1e-6)
 
 
 def test_repacking_keeps_lanes_busy():
