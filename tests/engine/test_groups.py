@@ -2,8 +2,11 @@
 
 import jax
 import numpy as np
+import pytest
 
+from bojax.config.sweep import load_sweep
 from bojax.engine.groups import static_groups
+from bojax.engine.plan import make_plan
 from tests.toy import toy
 
 
@@ -36,3 +39,18 @@ def test_the_module_of_a_lane():
     swept = group.swept_at(np.array([1, 0, 1]))
     module = group.experiment(jax.tree.map(lambda leaf: leaf[0], swept), group.shared)
     assert jax.tree.all(jax.tree.map(np.array_equal, module, modules[1]))
+
+
+@pytest.mark.parametrize(
+    ("sweep", "sizes"),
+    [
+        ("fig-4.4", [2, 2, 4, 1]),  # kCBTS and its copies, GPS-ABT, SBO with any number of actions, random
+        ("fig-4.6", [1, 2, 2, 1]),
+        ("table-4.1-times", [1, 3, 1, 3]),
+        ("table-5.3-mountain-car", [1, 1, 2, 1]),  # DORA with both policies
+        ("fig-5.6b", [10, 10]),  # chains of any length
+    ],
+)
+def test_settings_of_shipped_sweeps_share_programs(sweep, sizes):
+    plan = make_plan(load_sweep(sweep), jax.devices()[:1])
+    assert [len(group.points) for group in plan.groups] == sizes
