@@ -37,7 +37,7 @@ CHAPTERS = {
 PAGE = "reproduction.html"
 TEXT = "reproduction.md"
 
-Origin = tuple[tuple[str, str], ...]  # names and texts of what results were made by and on
+Origin = tuple[tuple[str, str], ...]  # names and texts of what results were made by
 
 _NOTE = (
     "Bounds, margins and windows that the thesis does not print are choices of bojax. They follow the word "
@@ -79,10 +79,10 @@ class Sweep:
 
     @property
     def origin(self) -> Origin:
-        """The command that made it, and what that ran on."""
+        """The command that made it, with which code and packages."""
         known = self.manifest.provenance
         command = _PLACES.sub("", self.manifest.command)
-        return (("command", command), *((key, known[key]) for key in ("revision", "device", "versions")))
+        return (("command", command), *((key, known[key]) for key in ("revision", "versions")))
 
 
 @dataclass(frozen=True)
@@ -264,7 +264,11 @@ def _changes(manifests: Iterable[Manifest]) -> list[tuple[str, str, str, str]]:
 
 
 def _provenance(sweeps: Sequence[Sweep], origins: Sequence[Origin]) -> list[tuple[str, str]]:
-    """What the sweeps were made by and on; what differs is told with the numbers of the commands, from 1."""
+    """What the sweeps were made by and on.
+
+    What differs between commands is told with their numbers, from 1. Devices and precisions are told with the
+    sweeps, since those of one command may run on several devices.
+    """
     rows = []
     for key in dict(origins[0]) if origins else ():
         found: dict[str, list[str]] = {}
@@ -277,7 +281,8 @@ def _provenance(sweeps: Sequence[Sweep], origins: Sequence[Origin]) -> list[tupl
             else:
                 rows.append((key if len(found) == 1 else f"{key}, {which}", text))
     latest = max((sweep.manifest.written for sweep in sweeps), default="")
-    return [*rows, ("precision", _said(sweeps, "precision")), ("last sweep written", latest)]
+    said = [(key, _said(sweeps, key)) for key in ("device", "precision")]
+    return [*rows, *said, ("last sweep written", latest)]
 
 
 def _said(sweeps: Sequence[Sweep], key: str) -> str:

@@ -166,19 +166,21 @@ def test_links_lead_to_the_reports_and_nothing_is_loaded(tmp_path):
 
 
 def test_the_machine_the_time_and_the_command_are_said(tmp_path):
-    other = {"device": {"platform": "cpu", "kind": "cpu", "count": 2}, "written": "2026-01-03T00:00:00+0000"}
+    other: dict = {"device": {"platform": "cpu", "kind": "cpu", "count": 2}}
+    other |= {"written": "2026-01-03T00:00:00+0000", "command": "bojax sweep fig-3.3"}
     folders = [
         write(tmp_path / "fig-3.1", [claim("a", "Fig. 3.1")]),
         write(tmp_path / "fig-3.3", [claim("b", "Fig. 3.3")], **other),
     ]
     page, text = pages(tmp_path, folders)
-    assert cells(text, "| commands") == ["commands 1 and 2", f"`{COMMAND}`"]
+    assert cells(text, "| command 1") == ["command 1", f"`{COMMAND}`"]
+    assert cells(text, "| command 2") == ["command 2", "`bojax sweep fig-3.3`"]
     assert cells(text, "time taken")[1] == "25 min 33 s"
     assert cells(text, "last sweep written")[1] == "2026-01-03T00:00:00+0000"
     assert cells(text, "| revision")[1] == "97d835b"
     assert cells(text, "| versions")[1] == "python 3.12.3, jax 0.11.2"
-    assert cells(text, "| device, command 1")[1] == "platform gpu, kind NVIDIA H200, count 1"
-    assert cells(text, "| device, command 2")[1] == "platform cpu, kind cpu, count 2"
+    gpu, cpu = "platform gpu, kind NVIDIA H200, count 1", "platform cpu, kind cpu, count 2"
+    assert cells(text, "| device")[1] == f"{gpu} (fig-3.1); {cpu} (fig-3.3)"
     row = ["`fig-3.1`", "2", "200", "1", "8.00 s", "1.50 s", "2026-01-02 10:01", "1"]
     assert cells(text, "| `fig-3.1` | 2 ") == row
     assert cells(text, "| `fig-3.3` | 2 ")[-2:] == ["2026-01-03 00:00", "2"]
