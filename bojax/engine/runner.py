@@ -227,8 +227,8 @@ class ChunkRunner:
     def _repack(self, is_done: np.ndarray) -> int:
         """Let finished runs leave their lanes if it is time to, and return their number.
 
-        The next runs of the queue take their lanes. If there are none, the unfinished runs move to fewer
-        lanes, once the next smaller number is enough for them.
+        The next runs of the queue take their lanes. Once none waits, the unfinished runs move to the smallest
+        number of lanes that is enough for them.
         """
         state, lanes = self._state, self._map
         done = np.nonzero((lanes != EMPTY) & is_done)[0]
@@ -239,15 +239,14 @@ class ChunkRunner:
             return len(done)
         if not self._may_repack:
             return 0
-        if num_waiting and len(done):
+        can_move = len(done) if num_waiting else self._fitting(len(live)) < len(lanes)
+        if not can_move:
+            return 0
+        if len(done):
             self._hand_in(done)
             self._refill(done[:num_waiting])
-        elif not num_waiting and self._fitting(len(live)) < len(lanes):
-            if len(done):
-                self._hand_in(done)
+        if state.next_run == self._chunk.num_runs:
             self._narrow()
-        else:
-            return 0
         return len(done)
 
     @property
@@ -261,6 +260,8 @@ class ChunkRunner:
         return min(width for width in self._chunk.layout.widths if num_runs <= width)
 
     def _refill(self, free: np.ndarray) -> None:
+        if not len(free):
+            return
         state = self._state
         for lane in free.tolist():
             state.lanes[lane], state.started[lane] = state.next_run, state.advances

@@ -35,6 +35,7 @@ LAYOUTS = {
     "narrowed": Layout(24, (24, 8, 2), 1),
     "narrowed now and then": Layout(24, (24, 7), 3),
     "refilled and narrowed": Layout(24, (8, 3), 2),
+    "refilled and narrowed at once": Layout(24, (20, 17), 9),
     "two queues": Layout(13, (4, 1), 1),
 }
 programs: dict[tuple[int, int | None], Programs] = {}
@@ -179,24 +180,27 @@ def test_the_clock_changes_no_bit(name):
         assert again[table].equals(expected)
 
 
-def run_for_a_segment(chunk, layout: Layout, sink: Sink) -> None:
+def run_for_a_segment(chunk, layout: Layout, sink: Sink) -> int:
+    """Run a chunk for a segment; the number of steps that all its lanes could have made."""
     seen = []
     limits = Limits(1e-9, float("inf"), lambda: bool(seen))
     run(ChunkRunner(chunk, MODULES[0], programs_of(layout), sink, limits, seen.append))
+    return seen[0].issued_steps
 
 
 @pytest.mark.bits
 @pytest.mark.parametrize("name", LAYOUTS)
 def test_stopped_and_resumed_after_every_segment(name):
-    layout, sinks = LAYOUTS[name], []
-    expected, _ = run_in_memory(layout)
+    layout, sinks, issued = LAYOUTS[name], [], 0
+    expected, once = run_in_memory(layout)
     for chunk in chunks_of(layout):
         sink, stops = MemorySink(recorded_runs=1), 0
         while not sink.state.is_done:
-            run_for_a_segment(chunk, layout, sink)
+            issued += run_for_a_segment(chunk, layout, sink)
             stops += 1
         assert stops > 5
         sinks.append(sink)
+    assert issued == sum(segment.issued_steps for segment in once)  # runs move at the same advances
     for table, rows in expected.items():
         parts = [part for sink in sinks for part in sink.tables[table]]
         assert sort_rows(pa.concat_tables(parts)).equals(rows)
