@@ -309,10 +309,10 @@ class _Executor:
             wider=task.layout.wider(width),
             started=lambda: self._progress.compiling(task.progress) if is_shown else None,
         )
-        if is_shown:
-            self._progress.compiled(task.progress, programs.compile_seconds)
         with self._changed:  # a compilation may end after the sweep has ended
             if not self._is_closed:
+                if is_shown:
+                    self._progress.compiled(task.progress, programs.compile_seconds)
                 task.share.note_compiled(task.group, programs.compile_seconds)
         return programs
 
