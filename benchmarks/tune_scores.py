@@ -22,7 +22,7 @@ from rich.table import Table
 from bojax.cli.tuning import Task
 from bojax.config.sweep import load_config
 from bojax.config.tuning import Range, described
-from bojax.engine.executables import held
+from bojax.engine.program_cache import held
 from bojax.engine.requests import Request
 from bojax.engine.run import run_sweeps
 from bojax.engine.tuning import Search, Values

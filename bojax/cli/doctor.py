@@ -143,14 +143,19 @@ def _computation() -> Iterator[Finding]:
 
 
 def _cache() -> Iterator[Finding]:
-    from bojax.engine.devices import setting
+    from bojax.engine.devices import cache_folder, setting, why_not_private
+    from bojax.engine.program_cache import folder_of
 
     folder = setting("jax_compilation_cache_dir")
-    if not folder:
-        yield Finding("note", "no compilation cache; every process compiles all programs")
+    reason = why_not_private(Path(folder) if folder else cache_folder())
+    if folder and reason is not None:
+        yield Finding("note", f"{folder}: JAX runs the programs in this folder although {reason}")
+    if not folder or folder_of("programs") is None:
+        why = f"{cache_folder()}: {reason}" if not folder and reason else "turned off"
+        yield Finding("note", f"programs are not cached, every process compiles all of them ({why})")
         return
     _write_in(Path(folder))
-    yield Finding("ok", str(folder))
+    yield Finding("ok", f"programs are cached in {folder}")
 
 
 def _tables() -> Iterator[Finding]:

@@ -17,7 +17,7 @@ import yaml
 from bojax.config.errors import printable
 from bojax.config.sweep import Sweep
 from bojax.config.tuning import described, value_at
-from bojax.engine.executables import held
+from bojax.engine.program_cache import held
 from bojax.engine.remote import Launcher
 from bojax.engine.requests import Request, say_new
 from bojax.engine.run import run_sweeps

@@ -15,15 +15,19 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import jaxpr_as_fun
 from jax.sharding import SingleDeviceSharding
-from jax.stages import Compiled, Lowered
 from jaxtyping import Array, Bool, Int, Key, PyTree
 
-from bojax.engine import executables
+from bojax.engine import program_cache
+from bojax.engine.choices import Choices
 from bojax.engine.devices import Device
 from bojax.engine.groups import StaticGroup
+from bojax.engine.program_cache import Loaded, Program, Traced
 from bojax.engine.protocol import check_advance, check_init, check_records, check_summary
 from bojax.experiments.base import Carry, Experiment, Records
 from bojax.numerics.lanes import LANES
+
+Leaves = Any
+"""The leaves of a carry, as a list: programs take and return it without the structure of the experiment's."""
 
 compile_counts: Counter[str] = Counter()
 """Number of XLA compilations of the engine in this process, by program."""
@@ -85,38 +89,19 @@ class TracedOnce:
 
 
 class Functions:
-    """The functions of a static group that are compiled for a number of lanes and a device.
+    """The functions of a static group, batched over the lanes.
 
-    JAX keeps the trace of each, so that a second device costs no second tracing.
+    Each is traced once for one lane, so that a second number of lanes costs little.
     """
 
     def __init__(self, group: StaticGroup):
-        self.group, self.tag = group, executables.tag_of(group)
+        self.group, self.tag = group, program_cache.tag_of(group)
         self.init = TracedOnce(partial(_init, group))
-        self.fill = self._jit("fill", partial(_fill, self.init), donate_argnums=1)
-        self.advance = self._jit("advance", _in_lanes(_advance, group), donate_argnums=0)
-        self.summary = self._jit("summary", _in_lanes(_summary, group))
-        self.snapshot = self._jit("snapshot", _in_lanes(_snapshot, group))
-        self.exported_state = self._jit("exported_state", _in_lanes(_exported_state, group))
-        self.recorded = self._jit("recorded", _recorded)
-        self.select = self._jit("select", _select)
-
-    def empty(self, carry: PyTree[jax.ShapeDtypeStruct], device: Device):
-        """A jitted function that makes a carry without values on a device."""
-        return self._jit("empty", partial(_empty, carry), out_shardings=SingleDeviceSharding(device))
-
-    def _jit(self, name: str, function: Callable, **options: Any):
-        return named_jit(name, self.tag, function, **options)
-
-
-def named_jit(name: str, tag: str, function: Callable, **options: Any):
-    """A jitted function, under a name of its own for the group with this tag."""
-
-    def call(*inputs):
-        return function(*inputs)
-
-    call.__name__ = f"{name}_{tag}"
-    return jax.jit(call, **options)
+        self.fill = partial(_fill, self.init)
+        self.advance = _in_lanes(_advance, group)
+        self.summary = _in_lanes(_summary, group)
+        self.snapshot = _in_lanes(_snapshot, group)
+        self.exported_state = jax.jit(_in_lanes(_exported_state, group))
 
 
 class Programs:
@@ -142,6 +127,7 @@ class Programs:
         *,
         recorded: int,
         wider: int | None = None,
+        choices: Choices | None = None,
         started: Callable[[], None] = lambda: None,
     ):
         """Compile the programs.
@@ -153,6 +139,7 @@ class Programs:
             seed: Seed of the sweep.
             recorded: Largest number of lanes whose run is recorded.
             wider: The larger number of lanes that the runs come from; None if they start in these lanes.
+            choices: The choices of the plan that the programs belong to; None if XLA makes none.
             started: Called when tracing starts, after that of others, or when saved programs are loaded.
         """
         self.num_lanes, self.device = num_lanes, device
@@ -166,46 +153,75 @@ class Programs:
         self._recorded_tables, self._num_recorded = run.recorded_tables, min(recorded, num_lanes)
         self._prepare(run)
         key = self.key_of(self._group, device, num_lanes, self._num_recorded, wider)
-        lower = partial(self._lower, wider)
-        self._programs, carry, self.is_saved, self.compile_seconds = obtain(
-            key, device, functions.tag, lower, started
+        if choices is not None:
+            choices.offer()
+        loaded, self.is_saved, self.compile_seconds = obtain(
+            key, device, partial(self._trace, wider), started
         )
-        self.carry_structure = on_device(carry, device)
+        self.carry_structure = on_device(list(loaded.carry), device)
+        self._programs = {
+            name: program
+            if choices is None
+            else choices.settle(
+                f"{self._group.index}-{num_lanes}-{name}", loaded.traced[name], program, device
+            )
+            for name, program in loaded.programs.items()
+        }
 
     @classmethod
     def key_of(
         cls, group: StaticGroup, device: Device, num_lanes: int, recorded: int, wider: int | None
     ) -> str | None:
         """Name under which the programs are saved; None if they are not."""
-        return executables.key_of(group, device, cls, num_lanes, min(recorded, num_lanes), wider)
+        return program_cache.key_of(group, device, cls, num_lanes, min(recorded, num_lanes), wider)
 
     def _prepare(self, run: Experiment) -> None:
         """Prepare what a subclass needs of the first run."""
 
-    def _lower(self, wider: int | None) -> tuple[dict[str, Lowered], PyTree[jax.ShapeDtypeStruct]]:
-        """The programs, traced for inputs of exactly these shapes on this device, and their carry."""
-        functions, one_point = self._functions, np.zeros(self.num_lanes, dtype=np.int32)
-        lanes = self.place(one_point, one_point)
-        carry = jax.eval_shape(functions.init, lanes, (self._key, self._shared))
-        inputs = (on_device(carry, self.device), lanes, self._shared)
-        lowered = {"advance": functions.advance.lower(*inputs)} if self._is_compiled else {}
-        lowered["summary"] = functions.summary.lower(*inputs)
+    def _trace(self, wider: int | None) -> Traced:
+        """The programs for inputs of exactly these shapes, and the leaves of their carry."""
+        functions, lanes = self._functions, self._no_lanes()
+        carry = self._carry_of(lanes)
+        inputs = carry, lanes, self._shared
+        programs = {}
+        if self._is_compiled:
+            programs["advance"] = Program.of_trees(functions.advance, *inputs, donated=0)
+        programs["summary"] = Program.of_trees(functions.summary, *inputs)
         if self._num_recorded and jax.tree.leaves(jax.eval_shape(functions.snapshot, *inputs)):
-            lowered["snapshot"] = functions.snapshot.lower(*inputs)
+            programs["snapshot"] = Program.of_trees(functions.snapshot, *inputs)
         if self._num_recorded and self._recorded_tables and self._is_compiled:
-            _, tables, _ = lowered["advance"].out_info
-            lowered["recorded"] = functions.recorded.lower(
-                on_device({name: tables[name] for name in self._recorded_tables}, self.device),
-                jax.device_put(np.zeros(self._num_recorded, np.int32), self._sharding),
+            _, tables, _ = jax.eval_shape(functions.advance, *inputs)
+            recorded = {name: tables[name] for name in self._recorded_tables}
+            programs["recorded"] = Program.of_trees(
+                _recorded, recorded, np.zeros(self._num_recorded, np.int32)
             )
         if wider is not None:
             of_wider = jax.tree.map(lambda leaf: leaf.update(shape=(wider, *leaf.shape[1:])), carry)
-            lowered["select"] = functions.select.lower(on_device(of_wider, self.device), lanes.runs)
+            programs["select"] = Program.of_trees(_select, of_wider, lanes.runs)
         else:
-            everywhere = jax.device_put(np.ones(self.num_lanes, dtype=bool), self._sharding)
-            lowered["empty"] = functions.empty(carry, self.device).lower()
-            lowered["fill"] = functions.fill.lower(self._key, inputs[0], lanes, everywhere, self._shared)
-        return lowered, carry
+            everywhere = np.ones(self.num_lanes, dtype=bool)
+            programs["empty"] = Program.of_trees(partial(_empty, carry))
+            programs["fill"] = Program.of_trees(
+                functions.fill, self._key, carry, lanes, everywhere, self._shared, donated=1
+            )
+        return programs, jax.tree.leaves(carry)
+
+    def _no_lanes(self) -> Lanes:
+        """Inputs of all lanes, of the shapes that the programs take."""
+        one_point = np.zeros(self.num_lanes, dtype=np.int32)
+        return self.place(one_point, one_point)
+
+    def _carry_of(self, lanes: Lanes) -> Carry:
+        """The structure of the carry of all lanes."""
+        return jax.eval_shape(self._functions.init, lanes, (self._key, self._shared))
+
+    def as_tree(self, carry: list[Array]) -> Carry:
+        """The carry of the experiment from its leaves; traces `init`."""
+        return jax.tree.unflatten(jax.tree.structure(self._carry_of(self._no_lanes())), carry)
+
+    def _run(self, name: str, *inputs: PyTree) -> Any:
+        """Run a program on the leaves of its inputs."""
+        return self._programs[name](*jax.tree.leaves(inputs))
 
     def place(self, positions: np.ndarray, runs: np.ndarray) -> Lanes:
         """Put the inputs of all lanes on the device.
@@ -217,18 +233,19 @@ class Programs:
         lanes = (runs.astype(np.int32), self._group.swept_at(positions))
         return Lanes(*jax.device_put(lanes, self._sharding))
 
-    def init(self, lanes: Lanes) -> Carry:
+    def init(self, lanes: Lanes) -> Leaves:
         """The carry of every lane before its first advance."""
-        return self.fill(self._programs["empty"](), lanes, np.ones(self.num_lanes, dtype=bool))
+        return self.fill(self._run("empty"), lanes, np.ones(self.num_lanes, dtype=bool))
 
-    def fill(self, carry: Carry, lanes: Lanes, is_new: np.ndarray) -> Carry:
+    def fill(self, carry: Leaves, lanes: Lanes, is_new: np.ndarray) -> Leaves:
         """Start the runs of some lanes; the buffers of the given carry are donated."""
         is_new = jax.device_put(is_new, self._sharding)
-        return self._programs["fill"](self._key, carry, lanes, is_new, self._shared)
+        return self._run("fill", self._key, carry, lanes, is_new, self._shared)
 
-    def advance(self, carry: Carry, lanes: Lanes) -> tuple[Carry, dict[str, dict[str, Array]], Status]:
+    def advance(self, carry: Leaves, lanes: Lanes) -> tuple[Leaves, dict[str, dict[str, Array]], Status]:
         """Advance every lane once; the buffers of the given carry are donated."""
-        return self._programs["advance"](carry, lanes, self._shared)
+        carry, tables, status = self._run("advance", carry, lanes, self._shared)
+        return carry, tables, Status(*status)
 
     def recorded(self, tables: Mapping[str, dict[str, Array]], lanes: np.ndarray) -> dict[str, Any]:
         """The tables of an advance, where the tables of recorded runs keep the given lanes only.
@@ -244,28 +261,26 @@ class Programs:
         if not len(lanes):
             kept = jax.tree.map(lambda column: np.empty((0, *column.shape[1:]), column.dtype), of_runs)
         else:
-            select = self._programs.get("recorded", self._functions.recorded)
+            select = partial(self._run, "recorded") if "recorded" in self._programs else jax.jit(_recorded)
             padded = np.resize(lanes, self._num_recorded).astype(np.int32)
             kept = select(of_runs, jax.device_put(padded, self._sharding)) if of_runs else {}
         return {**tables, **kept}
 
-    def summary(self, carry: Carry, lanes: Lanes) -> dict[str, Array]:
+    def summary(self, carry: Leaves, lanes: Lanes) -> dict[str, Array]:
         """The summary of every lane."""
-        return self._programs["summary"](carry, lanes, self._shared)
+        return self._run("summary", carry, lanes, self._shared)
 
-    def snapshot(self, carry: Carry, lanes: Lanes) -> dict[str, dict[str, Array]]:
+    def snapshot(self, carry: Leaves, lanes: Lanes) -> dict[str, dict[str, Array]]:
         """The snapshot of every lane; empty if the experiment has none or if no run is recorded."""
-        if "snapshot" not in self._programs:
-            return {}
-        return self._programs["snapshot"](carry, lanes, self._shared)
+        return self._run("snapshot", carry, lanes, self._shared) if "snapshot" in self._programs else {}
 
-    def exported_state(self, carry: Carry, lanes: Lanes) -> PyTree:
+    def exported_state(self, carry: Leaves, lanes: Lanes) -> PyTree:
         """The state of every lane that a saved learner is restored from."""
-        return self._functions.exported_state(carry, lanes, self._shared)
+        return self._functions.exported_state(self.as_tree(carry), lanes, self._shared)
 
-    def select(self, carry: Carry, lanes: np.ndarray) -> Carry:
+    def select(self, carry: Leaves, lanes: np.ndarray) -> Leaves:
         """The carry of some of the lanes of `wider`."""
-        return self._programs["select"](carry, jax.device_put(lanes.astype(np.int32), self._sharding))
+        return self._run("select", carry, jax.device_put(lanes.astype(np.int32), self._sharding))
 
 
 def on_device(structure: PyTree[jax.ShapeDtypeStruct], device: Device) -> PyTree[jax.ShapeDtypeStruct]:
@@ -280,69 +295,59 @@ class Obtained(NamedTuple):
     """The programs of a group, loaded or compiled.
 
     Attributes:
-        programs: The programs. A call with inputs of another shape or on another device raises.
-        carry: The structure of their carry, without shardings.
+        loaded: The programs and their carry. A call with inputs of another shape or on another device raises.
         is_saved: Whether other devices and later sweeps can load them.
         seconds: Seconds of loading, or of tracing and compiling.
     """
 
-    programs: dict[str, Compiled]
-    carry: PyTree[jax.ShapeDtypeStruct]
+    loaded: Loaded
     is_saved: bool
     seconds: float
 
 
 def obtain(
-    key: str | None,
-    device: Device,
-    tag: str,
-    lower: Callable[[], tuple[dict[str, Lowered], PyTree[jax.ShapeDtypeStruct]]],
-    started: Callable[[], None] = lambda: None,
+    key: str | None, device: Device, trace: Callable[[], Traced], started: Callable[[], None] = lambda: None
 ) -> Obtained:
     """Load the programs of a group, or trace, compile and save them.
 
     Args:
         key: Name under which they are saved; None if they are not.
         device: The device.
-        tag: The `executables.tag_of` the group.
-        lower: Traces them; returns them with the structure of their carry.
+        trace: Makes the programs. Those that cannot be saved are traced when they are compiled.
         started: Called when tracing starts, after that of others, or when saved programs are loaded.
     """
     start = time.perf_counter()
-    if found := executables.load(key, device):
-        programs, carry = found
-        are_saved, seconds = True, time.perf_counter() - start
+    if held := program_cache.held_programs(key, device):
         started()
+        return Obtained(held, True, time.perf_counter() - start)
+    found, saved = program_cache.load(key), set[str]()
+    if found is not None:
+        started()
+        programs, carry = found
+        saved.update(programs)
     else:
         with TRACING:
             started()
-            executables.drop_damaged(tag)
             start = time.perf_counter()
-            lowered, carry = lower()
+            programs, carry = trace()
+            if key is not None:
+                kept = {name: program_cache.load_program(key, name) for name in programs}
+                saved.update(name for name, program in kept.items() if program is not None)
+                programs = {name: kept[name] or each.export(device) for name, each in programs.items()}
             traced = time.perf_counter() - start
-        start = time.perf_counter()
-        programs, are_saved = _compile(lowered, key, device)
-        seconds = traced + time.perf_counter() - start
-        are_saved = key is not None and are_saved and executables.save(key, programs.keys(), carry)
-    executables.hold(key, device, (programs, carry))
-    return Obtained(programs, carry, are_saved, seconds)
-
-
-def _compile(
-    lowered: Mapping[str, Lowered], key: str | None, device: Device
-) -> tuple[dict[str, Compiled], bool]:
-    """Compiled or saved programs, and whether all are saved under the key."""
-    programs, are_saved = dict[str, Compiled](), True
-    for name, each in lowered.items():
-        program = executables.load_program(key, name, device)
-        if program is None:
-            with executables.compiled_anew() as anew:
-                program = each.compile()
-            compile_counts[name] += 1
-            # Now, since after its first call XLA no longer serialises a program with a sort for the CPU.
-            are_saved &= bool(anew) and key is not None and executables.save_program(key, name, program)
-        programs[name] = program
-    return programs, are_saved
+        start = time.perf_counter() - traced
+    ready = {}
+    for name, program in programs.items():
+        ready[name], is_hit = program_cache.compiled(key, name, program, device)
+        compile_counts[name] += not is_hit
+        if key is not None and name not in saved and program_cache.save_program(key, name, program):
+            saved.add(name)
+    loaded = Loaded(ready, programs, carry)
+    program_cache.hold(key, device, loaded)
+    are_saved = key is not None and saved == set(programs)
+    if are_saved and found is None:
+        are_saved = program_cache.save(key, list(programs), len(carry))
+    return Obtained(loaded, are_saved, time.perf_counter() - start)
 
 
 def run_key(key: Key[Array, ""], run: Int[Array, ""]) -> Key[Array, ""]:
@@ -358,11 +363,11 @@ def _init(group: StaticGroup, lane: Lanes, key_and_shared: tuple[Key[Array, ""],
     return carry
 
 
-def _fill(init: TracedOnce, key, carry: Carry, lanes: Lanes, is_new, shared: PyTree) -> Carry:
+def _fill(init: TracedOnce, key, carry: Carry, lanes: Lanes, is_new, shared: PyTree) -> list[Array]:
     def choose(fresh, old):
         return jnp.where(is_new.reshape(-1, *[1] * (old.ndim - 1)), fresh, old)
 
-    return jax.tree.map(choose, init(lanes, (key, shared)), carry)
+    return jax.tree.leaves(jax.tree.map(choose, init(lanes, (key, shared)), carry))
 
 
 def _in_lanes(function: Callable[[Experiment, Carry], PyTree], group: StaticGroup):
@@ -377,7 +382,8 @@ def _in_lanes(function: Callable[[Experiment, Carry], PyTree], group: StaticGrou
 
 
 def _advance(experiment: Experiment, carry: Carry):
-    return checked_advance(experiment, carry, *experiment.advance(carry))
+    carry, tables, status = checked_advance(experiment, carry, *experiment.advance(carry))
+    return jax.tree.leaves(carry), tables, tuple(status)
 
 
 def checked_advance(experiment: Experiment, before: Carry, after: Carry, records: Records):
@@ -405,9 +411,9 @@ def _recorded(tables: PyTree, lanes: Int[Array, " recorded"]) -> PyTree:
     return jax.tree.map(lambda column: column[lanes], tables)
 
 
-def _select(carry: Carry, lanes: Int[Array, " selected"]) -> Carry:
-    return jax.tree.map(lambda leaf: leaf[lanes], carry)
+def _select(carry: Carry, lanes: Int[Array, " selected"]) -> list[Array]:
+    return [leaf[lanes] for leaf in jax.tree.leaves(carry)]
 
 
-def _empty(structure: PyTree[jax.ShapeDtypeStruct]) -> Carry:
-    return jax.tree.map(jnp.empty_like, structure)
+def _empty(structure: PyTree[jax.ShapeDtypeStruct]) -> list[Array]:
+    return [jnp.empty_like(leaf) for leaf in jax.tree.leaves(structure)]

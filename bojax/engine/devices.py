@@ -4,6 +4,7 @@
 """
 
 import atexit
+import functools
 import os
 import sys
 import threading
@@ -15,6 +16,7 @@ from typing import Any, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 import jax
 
+from bojax.config.errors import printable
 from bojax.config.settings import Platform
 from bojax.engine.errors import EngineError
 from bojax.numerics.cores import usable_cores
@@ -41,8 +43,23 @@ def prepare(device: Platform) -> None:
     if device == "cpu" and not setting("jax_platforms"):
         _update_before_start("jax_platforms", "cpu")
     if setting("jax_compilation_cache_dir") is None:
-        jax.config.update("jax_compilation_cache_dir", str(cache_folder()))
+        folder = cache_folder()
+        if reason := why_not_private(folder):
+            _note(f"note: programs are not cached in {folder}: {reason}")
+        else:
+            jax.config.update("jax_compilation_cache_dir", str(folder))
+    if setting("jax_persistent_cache_min_compile_time_secs") == _LEAST_SECONDS:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+
+
+_LEAST_SECONDS = 1.0
+"""JAX's default time of a compilation that it caches; a sweep has many smaller programs."""
+
+
+@functools.cache
+def _note(text: str) -> None:
+    """Print a line on standard error, once in a process."""
+    print(printable(text), file=sys.stderr)
 
 
 _started: Future[None] | None = None
@@ -243,6 +260,21 @@ def cache_folder() -> Path:
         return Path(given)
     base = os.environ.get("XDG_CACHE_HOME")
     return (Path(base) if base else Path.home() / ".cache") / "bojax" / "jax"
+
+
+def why_not_private(folder: Path) -> str | None:
+    """Why a folder of compiled programs is not used; None for one that is. A missing folder is created.
+
+    Whoever can write to the folder can run code as the user: its entries are machine code.
+    """
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        found = folder.stat()
+    except OSError as error:
+        return error_line(error)
+    if found.st_uid != os.geteuid():
+        return "it belongs to another user"
+    return "others can write to it" if found.st_mode & 0o022 else None
 
 
 def setting(flag: str) -> Any:

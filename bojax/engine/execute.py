@@ -10,7 +10,7 @@ from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from bojax.engine import executables, paces
+from bojax.engine import paces, program_cache
 from bojax.engine.ahead import POLL_SECONDS, Ahead, Stopped
 from bojax.engine.batch import Functions, Programs
 from bojax.engine.chunks import Chunk, Layout
@@ -256,7 +256,7 @@ class _Executor:
         """Whether the programs of a group for a number of lanes are in the cache."""
         wider = task.layout.wider(width)
         key = task.kind.key_of(task.group, self._first(task), width, task.recorded, wider)
-        return executables.is_saved(key)
+        return program_cache.is_saved(key)
 
     def _first(self, task: GroupTask) -> Device:
         """The device for which a group is compiled first."""
@@ -307,6 +307,7 @@ class _Executor:
             task.seed,
             recorded=task.recorded,
             wider=task.layout.wider(width),
+            choices=task.share.choices,
             started=lambda: self._progress.compiling(task.progress) if is_shown else None,
         )
         with self._changed:  # a compilation may end after the sweep has ended

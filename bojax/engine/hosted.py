@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, PyTree
 from typing_extensions import override
 
-from bojax.engine.batch import Lanes, Programs, Status, checked_advance
+from bojax.engine.batch import Lanes, Leaves, Programs, Status, checked_advance
 from bojax.envs.base import TimeStep
 from bojax.experiments.base import Carry, Experiment
 from bojax.experiments.episode import EpisodeState
@@ -49,8 +49,9 @@ class Hosted(Programs):
         self._vector = self._env.make_vector(self.num_lanes)
 
     @override
-    def advance(self, carry: Carry, lanes: Lanes) -> tuple[Carry, dict[str, dict[str, Array]], Status]:
+    def advance(self, carry: Leaves, lanes: Lanes) -> tuple[Leaves, dict[str, dict[str, Array]], Status]:
         """`LearningRun.advance` of every lane: a training episode and its test episodes."""
+        carry = jax.tree.unflatten(self._carry, carry)
         episode = self._run_episode(self._training, lanes, carry, carry.learner, 0)
         learner = self._end_episode(lanes, carry, episode)
         tests = []
@@ -62,7 +63,8 @@ class Hosted(Programs):
         rows = (
             {name: jnp.stack([test[name] for test in tests], axis=1) for name in tests[0]} if tests else None
         )
-        return self._close(lanes, carry, episode, learner, rows)
+        carry, tables, status = self._close(lanes, carry, episode, learner, rows)
+        return jax.tree.leaves(carry), tables, status
 
     def _run_episode(
         self, phase: PhasePrograms, lanes: Lanes, carry: Carry, learner: PyTree, number: int
@@ -85,6 +87,8 @@ class Hosted(Programs):
         """Open the environments and create the programs of an episode, each compiled at its first call."""
         assert isinstance(run, LearningRun)
         self._open(run)
+        self._carry = jax.tree.structure(self._carry_of(self._no_lanes()))
+        self._carry = jax.tree.structure(self._carry_of(self._no_lanes()))
         self._training = self._phase_programs(lambda run, carry, number: run.training(carry))
         self._test = self._phase_programs(lambda run, carry, number: run.test(carry, number))
         self._end_episode = self._program(lambda run, carry, episode: run.end_episode(carry, episode))

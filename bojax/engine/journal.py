@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from bojax.config.saved_sweep import saved
+from bojax.engine.choices import programs_in
 from bojax.engine.chunks import Chunk
 from bojax.engine.forecast import GroupProgress
 from bojax.engine.groups import StaticGroup
@@ -168,6 +169,7 @@ class Journal:
             "times": self._times,
             "groups": describe_groups([self._facts(group, heartbeats) for group in plan.groups], states),
             "chunks": [describe_chunk(*state, self.errors.get(state[0].index)) for state in states],
+            "programs": programs_in(self.folder.choices),
             "nans": by_point,
         }
         write_json(self.path / MANIFEST, manifest)

@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 import numpy as np
-from jax.stages import Lowered
 from jaxtyping import PyTree
 
-from bojax.engine import executables
+from bojax.engine import program_cache
 from bojax.engine.ahead import Ahead
-from bojax.engine.batch import named_jit, obtain, on_device, run_key
+from bojax.engine.batch import obtain, run_key
 from bojax.engine.devices import Device, of_platform
 from bojax.engine.execute import compile_threads
 from bojax.engine.groups import StaticGroup
+from bojax.engine.program_cache import Program, Traced
 from bojax.engine.progress import SweepProgress
 from bojax.text import error_line
 
@@ -105,28 +105,29 @@ class SingleRun:
     def __init__(self, group: StaticGroup, seed: int, device: Device):
         self._group, self._device = group, device
         self._key, self._shared = jax.device_put((jax.random.key(seed), group.shared), device)
-        tag, key = executables.tag_of(group), executables.key_of(group, device, SingleRun)
-        self._programs = obtain(key, device, tag, partial(self._lower, tag)).programs
+        key = program_cache.key_of(group, device, SingleRun)
+        self._programs = obtain(key, device, self._trace).loaded.programs
 
-    def _lower(self, tag: str) -> tuple[dict[str, Lowered], PyTree[jax.ShapeDtypeStruct]]:
-        """The programs, traced, and the structure of their carry."""
+    def _trace(self) -> Traced:
+        """The programs, and the leaves of their carry."""
 
         def init(key, run, swept, shared):
             return self._group.experiment(swept, shared).init(run_key(key, run))
 
+        def start(*inputs):
+            return jax.tree.leaves(init(*inputs))
+
         def advance(carry, swept, shared):
             experiment = self._group.experiment(swept, shared)
             carry, records = experiment.advance(carry)
-            return carry, records, experiment.is_done(carry)
+            return *map(jax.tree.leaves, (carry, records)), experiment.is_done(carry)
 
         first = self._key, np.int32(0), self._swept_at(self._group.points[0]), self._shared
         carry = jax.eval_shape(init, *first)
-        start = named_jit("single_init", tag, init)
-        step = named_jit("single_advance", tag, advance, donate_argnums=0)
         return {
-            "single_init": start.lower(*first),
-            "single_advance": step.lower(on_device(carry, self._device), *first[2:]),
-        }, carry
+            "single_advance": Program.of_trees(advance, carry, *first[2:], donated=0),
+            "single_init": Program.of_trees(start, *first),
+        }, jax.tree.leaves(carry)
 
     def _swept_at(self, point: int) -> PyTree:
         position = np.asarray(self._group.points.index(point))
@@ -139,16 +140,16 @@ class SingleRun:
         """
         init, advance = self._programs["single_init"], self._programs["single_advance"]
         swept, runs, is_done = self._swept_at(point), itertools.count(), True
-        carry, times = None, []
+        carry, times, fixed = None, [], jax.tree.leaves((swept, self._shared))
         start = time.perf_counter()
         while len(times) <= LEAST_ADVANCES or (
             len(times) <= MOST_ADVANCES and time.perf_counter() - start < BUDGET_SECONDS
         ):
             if is_done:
                 run = np.int32(next(runs))
-                carry = jax.block_until_ready(init(self._key, run, swept, self._shared))
+                carry = jax.block_until_ready(init(*jax.tree.leaves((self._key, run, swept, self._shared))))
             before = time.perf_counter()
-            carry, _, done = jax.block_until_ready(advance(carry, swept, self._shared))
+            carry, _, done = jax.block_until_ready(advance(*carry, *fixed))
             times.append(time.perf_counter() - before)
             is_done = bool(done)
         times = times[1:]  # the first advance warms up

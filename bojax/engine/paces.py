@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from bojax.engine import executables
+from bojax.engine import program_cache
 from bojax.engine.chunks import Layout
 from bojax.engine.forecast import COMPILATION
 
@@ -86,11 +86,11 @@ def place_of(tag: str, platform: str, lanes: int) -> Path | None:
     Unlike a program, they stay when the code changes.
 
     Args:
-        tag: Name of the content of the group, see `executables.tag_of`.
+        tag: Name of the content of the group, see `program_cache.tag_of`.
         platform: Platform of the devices.
         lanes: Number of lanes with which a chunk starts.
     """
-    folder = executables.folder_of("paces")
+    folder = program_cache.folder_of("paces")
     return folder / f"{tag}-{platform}-{lanes}" if folder is not None and tag else None
 
 
@@ -106,4 +106,4 @@ def remember(place: Path | None, seconds: float) -> None:
         with contextlib.suppress(OSError):
             place.parent.mkdir(parents=True, exist_ok=True)
             place.write_text(f"{seconds:.6g}\n")
-            executables.drop_unused(place.parent)
+            program_cache.drop_unused(place.parent)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 from typing_extensions import override
 
+from bojax.engine.choices import Choices
 from bojax.engine.chunks import Chunk
 from bojax.engine.errors import EngineError, out_of_memory
 from bojax.engine.groups import StaticGroup
@@ -19,7 +20,13 @@ from bojax.text import error_line
 
 
 class Share(abc.ABC):
-    """The chunks of a sweep as a process sees them. Its methods may be called from any thread."""
+    """The chunks of a sweep as a process sees them. Its methods may be called from any thread.
+
+    Attributes:
+        choices: The choices of XLA that belong to the plan; None for a CPU, or if nothing is kept.
+    """
+
+    choices: Choices | None = None
 
     @abc.abstractmethod
     def take(self, chunk: Chunk) -> Sink | None:
@@ -110,6 +117,8 @@ class FolderShare(Share):
 
     def __init__(self, plan: Plan, folder: RunFolder, leases: Leases):
         self.plan, self.folder, self.leases = plan, folder, leases
+        if plan.device["platform"] != "cpu":
+            self.choices = Choices(folder.choices)
         self.failures = 0
         self._has_ended = False
         self._configs = [point["config"] for point in plan.content["points"]]

@@ -72,6 +72,11 @@ class RunFolder:
         """The working folder, which holds the chunks."""
         return self.path / WORK
 
+    @property
+    def choices(self) -> Path:
+        """The folder of the choices that XLA made for the programs of the plan."""
+        return self.work / "choices"
+
     def create(self, plan: Mapping[str, Any] | None, *, may_rename: bool = False) -> None:
         """Make the folder and its working folder.
 

@@ -115,15 +115,17 @@ def link(source: Path, target: Path) -> None:
 
     Raises:
         FileNotFoundError: The file is gone.
+        FileExistsError: The second name is taken. Of several processes, one succeeds.
         ResultsError: The second name cannot be written.
     """
     try:
         os.link(source, target)
-    except FileNotFoundError:
+    except (FileNotFoundError, FileExistsError):
         raise
     except OSError:
         with explained(target):
-            shutil.copyfile(source, target)
+            with source.open("rb") as old, target.open("xb") as new:
+                shutil.copyfileobj(old, new)
             sync(target)
 
 

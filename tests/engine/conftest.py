@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from bojax.engine import executables
+from bojax.engine import program_cache
 
 
 @pytest.fixture(scope="module")
@@ -13,13 +13,13 @@ def kept_toys() -> Iterator[None]:
 
     As in the rounds of a search. Nothing is saved, since a toy that is edited keeps its name.
     """
-    with pytest.MonkeyPatch.context() as patch, executables.held():
-        patch.setattr(executables, "_KNOWN", {*executables._KNOWN, "tests"})
-        patch.setattr(executables, "_write", lambda *_: False)
+    with pytest.MonkeyPatch.context() as patch, program_cache.held():
+        patch.setattr(program_cache, "_KNOWN", {*program_cache._KNOWN, "tests"})
+        patch.setattr(program_cache, "_write", lambda *_: False)
         yield
 
 
 @pytest.fixture
 def compiles_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     """A test with `kept_toys` for which no program has been compiled yet."""
-    monkeypatch.setattr(executables, "_held", {})
+    monkeypatch.setattr(program_cache, "_held", {})

@@ -1,0 +1,215 @@
+"""The choices that XLA makes when it compiles for an accelerator, kept with the plan that they belong to.
+
+For each product of matrices, XLA measures several kernels and takes the quickest, which it calls autotuning.
+Two compilations of one program may choose different kernels, whose sums differ in the last bits. A plan that
+begins without choices makes them once. They are kept in its folder, so that a process that resumes the plan,
+on this machine or on another one, compiles the same programs and writes tables with the same bytes.
+
+XLA keeps each choice in a small file beside JAX's cache of compiled programs, and looks there before it
+measures. It also remembers choices until the process ends, so that what was measured once is not read again.
+"""
+
+import base64
+import contextlib
+import hashlib
+import json
+import os
+import re
+import secrets
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Protocol, TypeVar, runtime_checkable
+
+import jax
+from jax.stages import Compiled
+
+from bojax.engine.devices import Device, prepare
+from bojax.engine.errors import FAILURE, EngineError
+from bojax.engine.program_cache import Program, folder_of
+from bojax.results.store import link, make_folder, read_checked_json, write_checked_json
+
+XLA_FOLDER = "xla_gpu_per_fusion_autotune_cache_dir"
+"""The folder in JAX's cache, and the option of XLA's compiler that names a folder."""
+
+_COPIES = frozenset({"empty", "recorded", "select"})
+"""Programs that only move numbers."""
+
+_IS_SAFE = re.compile(r"(?:[\w+=-][\w+=.-]*/)*[\w+=-][\w+=.-]*")
+"""Names of XLA's files, none of which leads out of its folder."""
+
+
+@runtime_checkable
+class Readable(Protocol):
+    """A compiled program whose instructions can be read."""
+
+    def as_text(self) -> str | None:
+        """The instructions, after a line with the name of the program."""
+
+
+Made = TypeVar("Made", bound=Readable)
+
+
+class Choices:
+    """The choices for the programs of one plan, in a folder that all its processes share.
+
+    Each program has a file there, written by the first process that compiles it: a hash of what XLA made of
+    the program, and the choices that were new to the folder. The choices of a program are those of all files.
+
+    Args:
+        folder: The folder, which is created with the first program.
+    """
+
+    def __init__(self, folder: Path):
+        self._folder = folder
+        self._lock = threading.Lock()
+        self._published: dict[str, str] = {}
+        self._read: set[str] = set()
+
+    def offer(self) -> None:
+        """Give XLA the choices that were published since the last call, except for products it knows."""
+        cache = _xla_folder()
+        with self._lock:
+            for name, content in self._news().items() if cache is not None else ():
+                _write_if_missing(cache, name, content)
+
+    def settle(self, name: str, made: Made, again: Callable[[Mapping[str, str]], Made | None]) -> Made:
+        """The program with the plan's choices: as it was made, unless another process was the first.
+
+        Args:
+            name: Name of the program in its plan.
+            made: The program as this process has compiled or loaded it.
+            again: Compiles the program with the given choices; None if that is not possible.
+
+        Raises:
+            EngineError: XLA makes something else of the program although it has the plan's choices.
+            ResultsError: A file of the folder cannot be read or written.
+        """
+        if name.rpartition("-")[2] in _COPIES:
+            return made
+        content = fingerprint(made)
+        first = self._publish(name, content)
+        if first == content:
+            return made
+        with self._lock:
+            self._news()
+            published = dict(self._published)
+        remade = again(published)
+        if remade is None or fingerprint(remade) != first:
+            raise EngineError(
+                f"{name}: XLA does not compile this program as it did when the sweep began, although it has "
+                "the same choices of kernels; start the sweep anew with another --out",
+                FAILURE,
+            )
+        return remade
+
+    def _publish(self, name: str, content: str) -> str:
+        """Publish a program unless another process has done so; returns the hash that is published."""
+        path = self._folder / f"{name}.json"
+        with self._lock:
+            if not path.exists():
+                make_folder(self._folder)
+                self._news()
+                known = _known_to_xla()
+                new = {name: value for name, value in known.items() if name not in self._published}
+                own = self._folder / f".{path.name}-{secrets.token_hex(6)}"
+                write_checked_json(own, {"program": content, "choices": new})
+                with contextlib.suppress(FileExistsError):
+                    link(own, path)  # of several processes, one succeeds
+                own.unlink()
+            return str(read_checked_json(path)["program"])
+
+    def _news(self) -> dict[str, str]:
+        """The choices of files that were not read yet, by the names of XLA's files."""
+        news: dict[str, str] = {}
+        for path in sorted(self._folder.glob("[!.]*.json")):
+            if path.name not in self._read:
+                news.update(read_checked_json(path)["choices"])
+                self._read.add(path.name)
+        news = {name: news[name] for name in news if name not in self._published}
+        self._published.update(news)
+        return news
+
+
+def programs_in(folder: Path) -> dict[str, str]:
+    """The hashes of the programs of a plan, by name, as in `manifest.json`."""
+    return {path.stem: read_checked_json(path)["program"][:16] for path in sorted(folder.glob("[!.]*.json"))}
+
+
+def fingerprint(made: Readable) -> str:
+    """A hash of what XLA has made of a program, without names and places in the source."""
+    lines = (made.as_text() or "").splitlines()
+    instructions = "\n".join(line for line in lines if line.lstrip().startswith(("%", "ROOT", "ENTRY")))
+    return hashlib.sha256(re.sub(r", metadata=\{[^}]*\}", "", instructions).encode()).hexdigest()
+
+
+def _xla_folder() -> Path | None:
+    folder = folder_of("")
+    return None if folder is None else folder / XLA_FOLDER
+
+
+def _known_to_xla() -> dict[str, str]:
+    """All choices in XLA's folder, as text."""
+    folder, known = _xla_folder(), {}
+    for path in sorted(folder.rglob("*")) if folder is not None else ():
+        name = str(path.relative_to(folder)) if folder is not None else ""
+        if _IS_SAFE.fullmatch(name) and path.suffix in (".pb", ".textproto"):
+            with contextlib.suppress(OSError):
+                known[name] = base64.b64encode(path.read_bytes()).decode()
+    return known
+
+
+def _write_if_missing(folder: Path, name: str, content: str) -> None:
+    """Write one of XLA's files, as XLA does: whole, under another name first."""
+    path = folder / name
+    if not _IS_SAFE.fullmatch(name) or path.exists():
+        return
+    with contextlib.suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        own = path.with_name(f".tmp_{secrets.token_hex(6)}")
+        own.write_bytes(base64.b64decode(content))
+        os.replace(own, path)
+
+
+def compile_again(program: Program, device: Device, choices: Mapping[str, str]) -> Compiled | None:
+    """Compile a program with the given choices; None if that is not possible.
+
+    Another process does so, to which this one's own choices are not known. JAX's cache hands over the result.
+    """
+    cache = folder_of("")
+    if cache is None:
+        return None
+    digest = hashlib.sha256(json.dumps(sorted(choices.items())).encode()).hexdigest()[:16]
+    folder = cache / "choices" / digest
+    for name, content in choices.items():
+        _write_if_missing(folder, name, content)
+    try:
+        exported = program if program.exported is not None else program.export(device)
+        with tempfile.NamedTemporaryFile(suffix=".program") as file:
+            file.write(exported.serialized())
+            file.flush()
+            command = [sys.executable, "-m", __name__, file.name, str(cache), device.platform, str(folder)]
+            subprocess.run(command, check=True, stdin=subprocess.DEVNULL, capture_output=True)
+    except Exception:  # a program that calls this process, or the other process has no memory on the device
+        return None
+    return exported.compile(_AGAIN, device, **{XLA_FOLDER: str(folder)})
+
+
+_AGAIN = "compiled_again"
+"""Name of a program that another process compiles."""
+
+
+def _main(file: str, cache: str, platform: Any, folder: str) -> None:
+    """Compile a program from a file, in a process of its own."""
+    prepare("cpu" if platform == "cpu" else "auto")
+    jax.config.update("jax_compilation_cache_dir", cache)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    program = Program.deserialized(Path(file).read_bytes())
+    program.compile(_AGAIN, jax.devices(platform)[0], **{XLA_FOLDER: folder})
+
+
+if __name__ == "__main__":
+    _main(*sys.argv[1:])

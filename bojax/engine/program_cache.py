@@ -1,0 +1,454 @@
+"""A cache of traced programs, in front of JAX's cache of compiled ones.
+
+JAX's compilation cache saves the work of XLA, but a program must be traced before it can be looked up.
+Tracing a group takes seconds, and holds the interpreter. Here, traced programs are kept as `jax.export`
+serialises them. Their keys are made of what a trace depends on: the code, versions, flags, the kind of
+device, and the static content of the group. Only groups whose classes and functions come from bojax and a
+few packages of known versions are cached: other code can change unseen.
+
+Reading an entry runs no code: it is StableHLO, which JAX lowers and looks up in its own cache. The entries of
+JAX's cache are machine code, which XLA runs. `devices.prepare` therefore uses a folder only if it belongs to
+the user and nobody else can write to it.
+"""
+
+import contextlib
+import functools
+import hashlib
+import io
+import json
+import os
+import pickle
+import platform
+import stat
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.monitoring
+import numpy as np
+from jax.export import DisabledSafetyCheck, Exported
+from jax.sharding import SingleDeviceSharding
+from jax.stages import Compiled
+from jaxtyping import PyTree
+from typing_extensions import override
+
+from bojax.engine.devices import Device, setting
+from bojax.engine.groups import StaticGroup, nodes_with
+from bojax.engine.provenance import code_hashes, installed
+
+PACKAGES = (
+    "bojax",
+    "equinox",
+    "jax",
+    "jaxlib",
+    "jaxtyping",
+    "mujoco",
+    "mujoco-mjx",
+    "numpy",
+    "optax",
+    "scipy",
+    "warp-lang",
+)
+"""Packages, with their versions in the key, whose classes and functions a cached group may contain."""
+
+_MOST_HELD = 8
+"""Number of groups whose programs stay in memory within `held`; the ones that were loaded last are kept."""
+
+_TAG_DIGITS = 16
+"""Number of digits of a key that stand for the content of the group, whatever the version of the code."""
+
+_DIGEST_BYTES = hashlib.sha256().digest_size
+_KNOWN = {*sys.stdlib_module_names, *PACKAGES}
+_UNUSED_SECONDS = 30 * 24 * 3600
+"""Time after which an entry that was not used is deleted."""
+
+
+def key_of(group: StaticGroup, device: Device, *details: object) -> str | None:
+    """Name of the programs of a group on a device; None if they cannot be cached.
+
+    Args:
+        group: The group. The values of its arrays are inputs of the programs, and not part of the name.
+        device: The device. All devices of its kind have the same programs.
+        details: What else the programs depend on, such as the number of lanes.
+    """
+    content = _digest_of(group, *details)
+    if content is None or folder_of("programs") is None:
+        return None
+    kind = device.device_kind, device.client.platform_version
+    parts = (_environment(), _flags(), jax.default_backend(), *kind)  # short loops depend on the backend
+    return content[:_TAG_DIGITS] + hashlib.sha256(repr(parts).encode()).hexdigest()[:48]
+
+
+def tag_of(group: StaticGroup) -> str:
+    """A short name of the content of a group, the same in every process and version; "" for foreign code."""
+    return (_digest_of(group) or "")[:8]
+
+
+def _digest_of(group: StaticGroup, *others: object) -> str | None:
+    """Hash of the content of a group and of other values; None if something may change unseen."""
+    if any(node.calls_process for node in nodes_with(group.static, "calls_process").values()):
+        return None  # functions of this process cannot be saved
+    content = jax.tree.map(_abstract, (group.swept, group.shared)), group.static
+    try:
+        with io.BytesIO() as file:
+            _Pickler(file).dump((content, others))
+            return hashlib.sha256(file.getvalue()).hexdigest()
+    except Exception:  # foreign code, or something that cannot be pickled
+        return None
+
+
+_held: dict[tuple[str, Device], "Loaded"] | None = None
+
+
+@contextlib.contextmanager
+def held() -> Iterator[None]:
+    """Context in which programs stay in memory, for sweeps of one process over the same groups."""
+    global _held
+    _held = {}
+    try:
+        yield
+    finally:
+        _held = None
+
+
+def hold(key: str | None, device: Device, programs: "Loaded") -> None:
+    """Keep programs in memory, within `held`."""
+    held = _held
+    if held is not None and key is not None:
+        held[key, device] = programs
+        while len(held) > _MOST_HELD:
+            held.pop(next(iter(held)), None)
+
+
+def held_programs(key: str | None, device: Device) -> "Loaded | None":
+    """The programs that `hold` keeps under a key; None if there are none."""
+    return None if key is None else (_held or {}).get((key, device))
+
+
+class Loaded(NamedTuple):
+    """The programs of a group on a device.
+
+    Attributes:
+        programs: The compiled programs, functions of the leaves of their inputs.
+        traced: The same programs before their compilation.
+        carry: Shapes and dtypes of the leaves of the carry.
+    """
+
+    programs: dict[str, Compiled]
+    traced: "Mapping[str, Program]"
+    carry: Sequence[jax.ShapeDtypeStruct]
+
+
+@dataclass(frozen=True)
+class Program:
+    """A program of leaves, which can be compiled for any device of its platform.
+
+    Attributes:
+        function: The program, a function of the leaves of its inputs.
+        inputs: Shapes and dtypes of the leaves.
+        donated: Positions of the leaves whose buffers the program may overwrite.
+        exported: The traced program, which can be saved; None if it is traced when it is compiled.
+    """
+
+    function: Callable[..., PyTree]
+    inputs: Sequence[jax.ShapeDtypeStruct]
+    donated: tuple[int, ...]
+    exported: Exported | None = None
+
+    @classmethod
+    def of_trees(cls, function: Callable[..., PyTree], *inputs: PyTree, donated: int | None = None):
+        """The program that applies a function of trees to leaves.
+
+        Args:
+            function: The function. Its result consists of dictionaries, lists and tuples of arrays.
+            inputs: Its inputs, as arrays or as their shapes and dtypes.
+            donated: Index of the input whose buffers the program may overwrite; None for none.
+        """
+        leaves, structure = jax.tree.flatten(inputs)
+
+        def of_leaves(*leaves):
+            return function(*jax.tree.unflatten(structure, leaves))
+
+        first = 0 if donated is None else len(jax.tree.leaves(inputs[:donated]))
+        count = 0 if donated is None else len(jax.tree.leaves(inputs[donated]))
+        return cls(of_leaves, [_abstract(leaf) for leaf in leaves], tuple(range(first, first + count)))
+
+    @classmethod
+    def of_export(cls, exported: Exported, donated: Sequence[int]):
+        """The program that was exported."""
+        inputs = [_abstract(aval) for aval in exported.in_avals]
+        return cls(exported.call, inputs, tuple(donated), exported)
+
+    @classmethod
+    def deserialized(cls, content: bytes):
+        """The program of `serialized`; runs no code."""
+        donated, _, exported = content.partition(b"\n")
+        return cls.of_export(jax.export.deserialize(bytearray(exported)), json.loads(donated))
+
+    def serialized(self) -> bytes:
+        """The exported program as bytes."""
+        assert self.exported is not None
+        return json.dumps(self.donated).encode() + b"\n" + self.exported.serialize()
+
+    def export(self, device: Device) -> "Program":
+        """Trace the program for the platform of a device."""
+        checks = [DisabledSafetyCheck.custom_call(name) for name in _PALLAS]
+        make = jax.export.export(
+            jax.jit(self.function), platforms=[_platform_of(device)], disabled_checks=checks
+        )
+        return Program.of_export(make(*self.inputs), self.donated)
+
+    def compile(self, name: str, device: Device, **options: Any) -> Compiled:
+        """Compile the program under a name for a device, or load it from JAX's cache.
+
+        Args:
+            name: Name of the program; JAX's file in its cache begins with it.
+            device: The device.
+            options: Options of XLA's compiler.
+        """
+        if device.platform == "cpu":
+            _initialize_lapack()
+
+        def call(*leaves):
+            return self.function(*leaves)
+
+        call.__name__ = name
+        sharding = SingleDeviceSharding(device)
+        inputs = [jax.ShapeDtypeStruct(leaf.shape, leaf.dtype, sharding=sharding) for leaf in self.inputs]
+        jitted = jax.jit(call, donate_argnums=self.donated, out_shardings=sharding)
+        return jitted.lower(*inputs).compile(options or None)
+
+
+_PALLAS = "__gpu$xla.gpu.triton", "triton_kernel_call", "mosaic_gpu_v2"
+"""Custom calls without a promise across versions of JAX, which is not needed: the version is in the key."""
+
+
+def _platform_of(device: Device) -> str:
+    """The platform of a device, as JAX's exporter names it."""
+    if device.platform != "gpu":
+        return device.platform
+    return "rocm" if "rocm" in device.client.platform_version.lower() else "cuda"
+
+
+Traced = tuple[Mapping[str, Program], Sequence[jax.ShapeDtypeStruct]]
+"""The programs of a group, and the leaves of its carry, which are the first inputs of the first program."""
+
+
+def save(key: str, names: Collection[str], num_carried: int) -> bool:
+    """Save that the programs of a group are these, all saved, and the number of leaves of its carry.
+
+    Until then, as after a kill between two programs, those that are saved are loaded one by one.
+    """
+    folder = folder_of("programs")
+    if folder is None or not _write(key, json.dumps([list(names), num_carried]).encode()):
+        return False
+    with contextlib.suppress(OSError):  # another process may delete them, too
+        drop_unused(folder)
+    return True
+
+
+def load(key: str | None) -> Traced | None:
+    """The programs of a group saved under a key, and the leaves of their carry; None unless all are there."""
+    content = None if key is None else _read(key)
+    if content is None:
+        return None
+    names, num_carried = json.loads(content)
+    programs = {name: program for name in names if (program := load_program(key, name)) is not None}
+    return (programs, programs[names[0]].inputs[:num_carried]) if len(programs) == len(names) else None
+
+
+def is_saved(key: str | None) -> bool:
+    """Whether all programs of a group are saved under a key."""
+    folder = folder_of("programs")
+    return key is not None and folder is not None and (folder / key).exists()
+
+
+def save_program(key: str, name: str, program: Program) -> bool:
+    """Save an exported program under the key of its group; False if that is not possible."""
+    if program.exported is None:
+        return False
+    try:
+        return _write(f"{key}-{name}", program.serialized())
+    except Exception:  # of the exporter: the next sweep traces again
+        return False
+
+
+def load_program(key: str | None, name: str) -> Program | None:
+    """The program of this name that is saved under the key of its group; None if there is none."""
+    content = None if key is None else _read(f"{key}-{name}")
+    if content is None:
+        return None
+    try:
+        return Program.deserialized(content)
+    except Exception:  # of the format of another version
+        return None
+
+
+def compiled(key: str | None, name: str, program: Program, device: Device) -> tuple[Compiled, bool]:
+    """A compiled program, and whether it comes from JAX's cache.
+
+    JAX writes its entries in place, without a hash, and never replaces one: what a full disk or a kill has
+    cut short would be compiled again in every later sweep, with a warning. The hashes of the entries are kept
+    here, and entries that do not have theirs are deleted.
+    """
+    own = f"{name}_{key[:_TAG_DIGITS]}" if key else name
+    kept = set[Path]()
+    for path in _entries_of(own) if key else ():
+        if _read(path.name) == _hash_of(path):
+            kept.add(path)
+        else:
+            path.unlink(missing_ok=True)
+    with _counting_hits() as hits:
+        made = program.compile(own, device)
+    if key and not hits:
+        for path in set(_entries_of(own)) - kept:
+            _write(path.name, _hash_of(path) or b"")
+    return made, bool(hits)
+
+
+def _entries_of(name: str) -> list[Path]:
+    """The entries of JAX's cache of programs that were compiled under a name."""
+    folder = folder_of("")
+    return [] if folder is None else list(folder.glob(f"jit_{name}-*-cache"))
+
+
+def _hash_of(path: Path) -> bytes | None:
+    """The hash of a file; None if there is no such regular file."""
+    with contextlib.suppress(OSError):
+        return hashlib.sha256(_content_of(path)).digest()
+    return None
+
+
+def _write(name: str, content: bytes) -> bool:
+    """Write an entry with a checksum over its name and content, whole or not at all."""
+    folder = folder_of("programs")
+    if folder is None:
+        return False
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=folder, delete=False) as file:
+            try:
+                file.write(_checksum(name, content) + content)
+                file.flush()
+            except OSError:  # a full disk must not be filled further
+                os.unlink(file.name)
+                raise
+        os.replace(file.name, folder / name)
+    except OSError:  # the next sweep compiles again
+        return False
+    return True
+
+
+def _read(name: str) -> bytes | None:
+    """The content of an entry; None if it is missing, damaged, or no regular file."""
+    folder = folder_of("programs")
+    try:
+        content = b"" if folder is None else _content_of(folder / name)
+    except OSError:
+        return None
+    digest, content = content[:_DIGEST_BYTES], content[_DIGEST_BYTES:]
+    return content if digest == _checksum(name, content) else None
+
+
+def _checksum(name: str, content: bytes) -> bytes:
+    return hashlib.sha256(name.encode() + b"\0" + content).digest()
+
+
+def _content_of(path: Path) -> bytes:
+    """The content of a regular file, which is marked as used; opening a pipe would block.
+
+    Raises:
+        OSError: There is no such file, or it is not a regular one.
+    """
+    with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file:
+        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            raise OSError(f"{path} is not a regular file")
+        with contextlib.suppress(OSError):  # of a file system that is mounted for reading
+            os.utime(file.fileno())
+        return file.read()
+
+
+@functools.cache
+def _initialize_lapack() -> None:
+    """Look up the functions of LAPACK, as lowering does: a loaded program would call a null pointer."""
+    matrix = jax.ShapeDtypeStruct((1, 1), np.float32)
+    jax.jit(jax.numpy.linalg.cholesky).trace(matrix).lower(lowering_platforms=("cpu",))
+
+
+@contextlib.contextmanager
+def _counting_hits() -> Iterator[list[str]]:
+    """An entry for each program that JAX's cache gives this thread within the context."""
+    _hits.found = found = []
+    try:
+        yield found
+    finally:
+        _hits.found = None
+
+
+def _note(event: str, **_: object) -> None:
+    if event == "/jax/compilation_cache/cache_hits" and getattr(_hits, "found", None) is not None:
+        _hits.found.append(event)
+
+
+_hits = threading.local()
+jax.monitoring.register_event_listener(_note)
+
+
+def drop_unused(folder: Path) -> None:
+    """Delete the entries that were not used for a month."""
+    oldest = time.time() - _UNUSED_SECONDS
+    for path in folder.iterdir():
+        if path.stat().st_mtime < oldest:
+            path.unlink()
+
+
+def folder_of(what: str) -> Path | None:
+    """A folder of the cache, in that of JAX's; None if there is none on a local disk."""
+    folder = setting("jax_compilation_cache_dir")
+    if folder is None or "://" in folder or not setting("jax_enable_compilation_cache"):
+        return None
+    return Path(folder) / what
+
+
+def _abstract(leaf: Any) -> jax.ShapeDtypeStruct:
+    return jax.ShapeDtypeStruct(leaf.shape, leaf.dtype)
+
+
+@functools.cache
+def _environment() -> str:
+    """Code, versions, and processor, which do not change while the process runs."""
+    parts = [
+        code_hashes(()),
+        installed(PACKAGES),
+        sys.version,
+        platform.machine(),
+        os.environ.get("XLA_FLAGS"),
+    ]
+    cpus = Path("/proc/cpuinfo")
+    if cpus.exists():
+        parts.append(sorted({line for line in cpus.read_text().splitlines() if line.startswith("flags")}))
+    return repr(parts)
+
+
+def _flags() -> str:
+    """JAX's flags, without the place of the cache."""
+    names = sorted(name for name in jax.config.values if "cache_dir" not in name)
+    return repr([(name, str(getattr(jax.config, name, None))) for name in names])
+
+
+class _Pickler(pickle.Pickler):
+    """Refuses classes and functions of unknown code."""
+
+    @override
+    def reducer_override(self, obj: Any) -> Any:
+        if isinstance(obj, type) or callable(obj):
+            module = getattr(obj, "__module__", None) or ""
+            if module.partition(".")[0] not in _KNOWN:
+                raise pickle.PicklingError(f"{obj!r} is not part of a known package")
+        return NotImplemented
