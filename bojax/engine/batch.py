@@ -18,7 +18,7 @@ from jax.sharding import SingleDeviceSharding
 from jaxtyping import Array, Bool, Int, Key, PyTree
 
 from bojax.engine import program_cache
-from bojax.engine.choices import Choices
+from bojax.engine.choices import Choices, compile_again
 from bojax.engine.devices import Device
 from bojax.engine.groups import StaticGroup
 from bojax.engine.program_cache import Loaded, Program, Traced
@@ -159,14 +159,13 @@ class Programs:
             key, device, partial(self._trace, wider), started
         )
         self.carry_structure = on_device(list(loaded.carry), device)
-        self._programs = {
-            name: program
-            if choices is None
-            else choices.settle(
-                f"{self._group.index}-{num_lanes}-{name}", loaded.traced[name], program, device
-            )
-            for name, program in loaded.programs.items()
-        }
+        self._programs = dict(loaded.programs)
+        if choices is not None:
+            for name, program in loaded.programs.items():
+                again = partial(compile_again, loaded.traced[name], device)
+                self._programs[name] = choices.settle(
+                    f"{self._group.index}-{num_lanes}-{name}", program, again
+                )
 
     @classmethod
     def key_of(
@@ -344,8 +343,8 @@ def obtain(
             saved.add(name)
     loaded = Loaded(ready, programs, carry)
     program_cache.hold(key, device, loaded)
-    are_saved = key is not None and saved == set(programs)
-    if are_saved and found is None:
+    are_saved = saved == set(programs)
+    if key is not None and are_saved and found is None:
         are_saved = program_cache.save(key, list(programs), len(carry))
     return Obtained(loaded, are_saved, time.perf_counter() - start)
 

@@ -73,8 +73,9 @@ class Choices:
         """Give XLA the choices that were published since the last call, except for products it knows."""
         cache = _xla_folder()
         with self._lock:
-            for name, content in self._news().items() if cache is not None else ():
-                _write_if_missing(cache, name, content)
+            if cache is not None:
+                for name, content in self._news().items():
+                    _write_if_missing(cache, name, content)
 
     def settle(self, name: str, made: Made, again: Callable[[Mapping[str, str]], Made | None]) -> Made:
         """The program with the plan's choices: as it was made, unless another process was the first.

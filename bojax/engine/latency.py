@@ -140,7 +140,7 @@ class SingleRun:
         """
         init, advance = self._programs["single_init"], self._programs["single_advance"]
         swept, runs, is_done = self._swept_at(point), itertools.count(), True
-        carry, times, fixed = None, [], jax.tree.leaves((swept, self._shared))
+        carry, times, fixed = [], [], jax.tree.leaves((swept, self._shared))
         start = time.perf_counter()
         while len(times) <= LEAST_ADVANCES or (
             len(times) <= MOST_ADVANCES and time.perf_counter() - start < BUDGET_SECONDS

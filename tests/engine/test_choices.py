@@ -10,11 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from bojax.config.sweep import load_config
 from bojax.engine import choices
 from bojax.engine.choices import XLA_FOLDER, Choices, compile_again, fingerprint, programs_in
 from bojax.engine.errors import EngineError
 from bojax.engine.program_cache import Program
-from bojax.results.store import ResultsError, read_checked_json
+from bojax.engine.share import FolderShare
+from bojax.results.store import ResultsError, read_checked_json, read_manifest
+from tests.engine.drive import run_sweep
 from tests.engine.test_program_cache import caching_in
 
 DEVICE = jax.devices("cpu")[0]
@@ -24,7 +27,7 @@ class Made:
     """Stands for a compiled program."""
 
     def __init__(self, body: str, name: str = "jit_advance_1"):
-        self._text = f"HloModule {name}\n\nFileNames\n1 \"{name}.py\"\n\nENTRY %main {{\n  %{body}\n}}"
+        self._text = f'HloModule {name}\n\nFileNames\n1 "{name}.py"\n\nENTRY %main {{\n  %{body}\n}}'
 
     def as_text(self) -> str:
         return self._text
@@ -92,9 +95,7 @@ def test_choices_are_offered_as_they_are_published_and_overwrite_none(tmp_path, 
     assert chosen(xla) == {"dot": "another"}
 
 
-@pytest.mark.parametrize(
-    "name", ["../stolen.pb", "/stolen.pb", "a/../../stolen.pb", ".hidden.pb"]
-)
+@pytest.mark.parametrize("name", ["../stolen.pb", "/stolen.pb", "a/../../stolen.pb", ".hidden.pb"])
 def test_no_name_leads_out_of_xla_s_folder(tmp_path, xla, monkeypatch, name):
     monkeypatch.setattr(choices, "_known_to_xla", lambda: {name: base64.b64encode(b"x").decode()})
     Choices(tmp_path / "plan").settle("0-8-advance", Made("a"), never)
@@ -140,6 +141,22 @@ def test_without_a_cache_nothing_is_compiled_again():
     program = Program.of_trees(jnp.sin, jax.ShapeDtypeStruct((3,), np.float32))
     jax.config.update("jax_compilation_cache_dir", None)
     assert compile_again(program, DEVICE, {}) is None
+
+
+def test_a_sweep_keeps_its_choices_and_its_manifest_names_what_was_compiled(tmp_path, monkeypatch):
+    # A CPU has none: here it stands for an accelerator.
+    made = []
+
+    def choices_of(share):
+        made.append(Choices(share.folder.choices))
+        return made[-1]
+
+    monkeypatch.setattr(FolderShare, "choices", property(choices_of, lambda *_: None))
+    sweep = load_config("chain", ["episodes=2"], 4, None)
+    assert run_sweep(sweep, tmp_path / "first") == run_sweep(sweep, tmp_path / "second") == 0
+    first, second = (read_manifest(tmp_path / name)["programs"] for name in ("first", "second"))
+    assert first == second and set(first) == {"0-4-advance", "0-4-fill", "0-4-summary"}
+    assert made and (tmp_path / "first" / "runs.parquet").exists()
 
 
 def test_programs_that_move_numbers_have_no_choices(tmp_path):
