@@ -17,6 +17,7 @@ from typing_extensions import override
 from bojax.config.extras import MissingExtra
 from bojax.envs.base import Env
 from bojax.envs.spaces import Box, Discrete, Space
+from bojax.numerics.trial import Misfit
 from bojax.text import error_line, one_line
 
 try:
@@ -28,6 +29,12 @@ except ImportError as error:
 
 _INFINITE = 1e30
 """Bounds from here on count as infinite, since some environments declare the largest 32-bit number."""
+
+_TRIAL_STEPS = 10
+"""Largest number of steps, under random actions, that an environment takes before it is accepted."""
+
+_REAL = "biuf"
+"""Kinds of NumPy's dtypes of real numbers."""
 
 
 class GymnasiumEnv(gymnasium.Env):
@@ -125,8 +132,9 @@ class HostEnv(Env):
 
         Raises:
             ValueError: There is no environment of this id, or it cannot be created; a space is neither a box
-                nor discrete, or has infinite bounds and no others are given; an observation or a reward has
-                the wrong shape; the environment has no time limit and none is given.
+                nor discrete, or has infinite bounds and no others are given; the environment has no time
+                limit and none is given; a few trial steps fail, or return values that Gymnasium's interface
+                does not allow, that do not fit the declared space, or that are not finite.
         """
         self.low, self.high, self.success_reward = low, high, success_reward
         self.id, self.kwargs, self.success = id, json.dumps(dict(kwargs), sort_keys=True), success
@@ -145,7 +153,8 @@ class HostEnv(Env):
                 f"max_steps: got null; allowed: a number, since {id} has no time limit of its own"
             )
         self.max_steps = limit
-        _probe(made, id)
+        has_own_bounds = low is None and high is None
+        _try(Idling(made, self.observations, self.actions), id, limit, dtype, has_own_bounds)
         made.close()
 
     @property
@@ -207,6 +216,9 @@ class Idling(gymnasium.Wrapper):
 
     Neither a step nor a reset without a seed changes it. A vector environment resets every environment whose
     episode has ended, but the next episode must not begin before the episodes of all lanes have ended.
+
+    A `Misfit` is raised by a reset or a step that returns something else than Gymnasium's interface says: by
+    environments of the interface before Gymnasium 0.26, or if the observation does not fit its space.
     """
 
     def __init__(self, env: gymnasium.Env, observations: Space, actions: Space):
@@ -223,30 +235,65 @@ class Idling(gymnasium.Wrapper):
         """Begin an episode; without a seed, an environment whose episode has ended stays as it is."""
         if self._has_ended and seed is None:
             return self._last, {}
-        observation, info = self.env.reset(seed=seed, options=options)
-        self._has_ended, self._last = False, self._plain(observation)
-        return self._last, info
+        result: Any = self.env.reset(seed=seed, options=options)
+        if not (isinstance(result, tuple) and len(result) == 2 and isinstance(result[1], Mapping)):
+            raise self._misfit(f"reset returns {_counted(result)}; allowed: an observation and a dictionary")
+        self._has_ended, self._last = False, self._plain("reset", result[0])
+        return self._last, {}
 
     @override
     def step(self, action: Any):
         """Take a step; after the end of the episode, repeat the last observation."""
         if self._has_ended:
             return self._last, 0.0, False, False, {}
-        observation, reward, terminated, truncated, _ = self.env.step(self._theirs(action))
-        self._last, self._has_ended = self._plain(observation), bool(terminated or truncated)
+        result: Any = self.env.step(self._theirs(action))
+        if not (isinstance(result, tuple) and len(result) == 5):
+            names = "observation, reward, terminated, truncated, info"
+            raise self._misfit(f"step returns {_counted(result)}; allowed: 5 ({names})")
+        observation, reward, terminated, truncated, _ = result
+        if (shape := np.shape(reward)) != ():
+            raise self._misfit(f"step returns a reward of shape {shape}, not one number")
+        if np.asarray(reward).dtype.kind not in _REAL:
+            raise self._misfit(f"step returns a reward of type {type(reward).__name__}; allowed: a number")
+        for name, flag in (("terminated", terminated), ("truncated", truncated)):
+            if np.shape(flag) != () or np.asarray(flag).dtype.kind != "b":
+                raise self._misfit(f"step returns {name} as {type(flag).__name__}; allowed: True or False")
+        self._last, self._has_ended = self._plain("step", observation), bool(terminated or truncated)
         return self._last, float(reward), bool(terminated), bool(truncated), {}
 
-    def _plain(self, observation: Any) -> Any:
-        if isinstance(self._inner_observation, spaces.Discrete):
-            return int(observation - self._inner_observation.start)
-        return np.asarray(observation, np.float32).ravel()
+    def _plain(self, method: str, observation: Any) -> Any:
+        """The observation that a method returned, as an integer from 0 or a vector."""
+        space = self._inner_observation
+        is_discrete = isinstance(space, spaces.Discrete)
+        got = f"{method} returns an observation of"
+        try:
+            found = np.asarray(observation)
+        except ValueError as error:  # nested lists of unequal lengths
+            raise self._misfit(f"{method} returns an observation that is no array") from error
+        if found.dtype.kind not in ("iu" if is_discrete else _REAL):
+            allowed = "integers" if is_discrete else "numbers"
+            raise self._misfit(f"{got} dtype {found.dtype}; allowed: {allowed}")
+        if found.shape != space.shape:
+            raise self._misfit(f"{got} shape {found.shape}, not {space.shape}")
+        if not is_discrete:
+            return found.astype(np.float32).ravel()
+        if not space.start <= found < space.start + space.n:
+            last = space.start + space.n - 1
+            raise self._misfit(f"{got} {found}; allowed: {space.start} to {last}")
+        return int(found - space.start)
+
+    def _misfit(self, message: str) -> Misfit:
+        name = self.spec.id if self.spec else type(self.unwrapped).__name__
+        return Misfit(f"{name}: {message}")
 
     def _theirs(self, action: Any) -> Any:
         space = self._inner_action
         if isinstance(space, spaces.Discrete):
             return space.dtype.type(np.clip(action, 0, space.n - 1) + space.start)
-        action = np.asarray(action, space.dtype).reshape(space.shape)
-        return np.clip(action, space.low, space.high)
+        action = np.asarray(action)
+        if np.issubdtype(space.dtype, np.integer):  # a cast alone would round towards 0
+            action = np.rint(action)
+        return np.clip(action.astype(space.dtype).reshape(space.shape), space.low, space.high)
 
 
 def from_gymnasium(
@@ -272,7 +319,12 @@ def from_gymnasium(
     if isinstance(space, spaces.Discrete):
         return Discrete(int(space.n))
     if not isinstance(space, spaces.Box):
-        raise ValueError(f"{what} space {one_line(space)} is neither box nor discrete")
+        can_be_flat = isinstance(
+            space, spaces.Dict | spaces.Tuple | spaces.MultiDiscrete | spaces.MultiBinary
+        )
+        wrapper = "FlattenObservation" if what == "observation" else "TransformAction"
+        remedy = f"; wrap the environment in gymnasium.wrappers.{wrapper}" if can_be_flat else ""
+        raise ValueError(f"{what} space {one_line(space)} is neither box nor discrete{remedy}")
     size = math.prod(space.shape)
     bounds = []
     for name, declared, given in (("low", space.low, low), ("high", space.high, high)):
@@ -301,23 +353,52 @@ def to_gymnasium(space: Space) -> gymnasium.Space:
     return spaces.Box(np.asarray(space.low, np.float32), np.asarray(space.high, np.float32))
 
 
-def _probe(env: gymnasium.Env, id: str) -> None:
-    """Check the observations and the reward of one reset and one step."""
-    try:
-        env.action_space.seed(0)
-        first, _ = env.reset(seed=0)
-        after, reward, *_ = env.step(env.action_space.sample())
-        reward = np.asarray(reward, np.float64)
-    except (Exception, SystemExit) as error:
-        raise ValueError(f"{id} fails in its first step: {error_line(error)}") from error
-    shape = env.observation_space.shape
-    for when, observation in (("reset", first), ("step", after)):
-        if np.shape(observation) != shape:
-            raise ValueError(
-                f"{id}: {when} returns an observation of shape {np.shape(observation)}, not {shape}"
-            )
-    if reward.shape != ():
-        raise ValueError(f"{id}: step returns a reward of shape {reward.shape}, not one number")
+def _counted(result: Any) -> str:
+    """What a method returned, for messages: the number of values, or the type of a single one."""
+    return f"{len(result)} values" if isinstance(result, tuple) else f"one {type(result).__name__}"
+
+
+def _try(env: Idling, id: str, limit: int, dtype: Any, has_own_bounds: bool) -> None:
+    """Check the observations and the rewards of a few steps under random actions.
+
+    Args:
+        env: The environment.
+        id: Its id.
+        limit: Number of steps of an episode.
+        dtype: Precision of the rewards.
+        has_own_bounds: Whether all bounds of observations are those that the environment declares.
+    """
+    env.action_space.seed(0)
+    space, where, has_ended = env.observation_space, "reset", False
+    for number in range(min(limit, _TRIAL_STEPS) + 1):
+        reward = 0.0
+        try:
+            # What overflows in the precision of a run is refused below, without NumPy's warning.
+            with np.errstate(over="ignore"):
+                if number == 0:
+                    observation, _ = env.reset(seed=0)
+                else:
+                    where = f"step {number}"
+                    observation, reward, *ends, _ = env.step(env.action_space.sample())
+                    has_ended = any(ends)
+                finite = np.isfinite(np.asarray(reward, dtype)), np.isfinite(observation)
+        except Misfit as error:
+            raise ValueError(str(error)) from error
+        except (Exception, SystemExit) as error:
+            raise ValueError(f"{id} fails in {where}: {error_line(error)}") from error
+        for what, is_finite in zip(("reward", "observation"), finite, strict=True):
+            if not np.all(is_finite):
+                raise ValueError(f"{id}: the {what} of {where} is not finite in the precision of the run")
+        if has_own_bounds and isinstance(space, spaces.Box):
+            outside = (observation < space.low) | (observation > space.high)
+            if outside.any():
+                at = ", ".join(map(str, np.flatnonzero(outside)))
+                remedy = "set low and high"
+                raise ValueError(
+                    f"{id}: the observation of {where} is out of bounds (component {at}): {remedy}"
+                )
+        if has_ended:
+            break
 
 
 @eqx.filter_jit

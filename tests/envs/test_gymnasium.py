@@ -16,6 +16,7 @@ from bojax.envs import settings as envs
 from bojax.envs.base import Env, TimeStep
 from bojax.envs.gymnasium import GymnasiumEnv, Idling
 from bojax.envs.spaces import Box, Discrete
+from bojax.numerics.trial import Misfit
 
 
 class Toy(gymnasium.Env):
@@ -251,8 +252,8 @@ BAD = {
         {"id": "Endless-v0"},
         "max_steps: got null; allowed: a number, since Endless-v0 has no time limit of its own",
     ),
-    "fails": ({"kwargs": {"fails": True}}, "Toy-v0 fails in its first step: RuntimeError: out of fuel"),
-    "exits in a step": ({"kwargs": {"exits": "step"}}, "Toy-v0 fails in its first step: SystemExit: 0"),
+    "fails": ({"kwargs": {"fails": True}}, "Toy-v0 fails in step 1: RuntimeError: out of fuel"),
+    "exits in a step": ({"kwargs": {"exits": "step"}}, "Toy-v0 fails in step 1: SystemExit: 0"),
     "no spaces": ({"kwargs": {"has_spaces": False}}, 'id: got "Toy-v0"; AttributeError'),
     "exits when made": ({"kwargs": {"exits": "init"}}, 'id: got "Toy-v0"; SystemExit: 0'),
     "shape": (
@@ -270,18 +271,140 @@ def test_what_cannot_be_learned_on_is_refused_in_a_line(toy, settings, message):
     assert "\n" not in str(caught.value)
 
 
+def odd(**parts):
+    """A toy on two numbers, with some of the five values of a step, or of the two of a reset, replaced."""
+
+    class Odd(Toy):
+        def reset(self, *, seed=None, options=None):
+            return parts.get("reset", super().reset(seed=seed))
+
+        def step(self, action):
+            observation, reward, terminated, truncated, info = super().step(action)
+            if self.num_steps < parts.get("after", 0):
+                return observation, reward, terminated, truncated, info
+            values = {"observation": observation, "reward": reward, "terminated": terminated}
+            values |= {"truncated": truncated, "info": info} | parts
+            return tuple(values[name] for name in parts.get("names", tuple(values)[:5]))
+
+    space = parts.get("space", spaces.Box(-1.0, 1.0, (2,)))
+    return Odd(space, ends_after=30)
+
+
+TWO = np.zeros(2, np.float32)
+ODD = {
+    "four values": (
+        {"names": ("observation", "reward", "truncated", "info")},
+        r"step returns 4 values; allowed: 5 \(observation, reward, terminated, truncated, info\)",
+    ),
+    "an observation alone": (
+        {"reset": TWO},
+        "reset returns one ndarray; allowed: an observation and a dictionary",
+    ),
+    "two numbers": ({"reset": (0.0, 0.0)}, "reset returns 2 values; allowed: an observation and a dict"),
+    "info before the end": ({"truncated": {}}, "step returns truncated as dict; allowed: True or False"),
+    "no end": ({"terminated": None}, "step returns terminated as NoneType; allowed: True or False"),
+    "two ends": ({"terminated": np.array([True])}, "step returns terminated as ndarray"),
+    "text": ({"reward": "1.0"}, "step returns a reward of type str; allowed: a number"),
+    "no reward": ({"reward": None}, "step returns a reward of type NoneType; allowed: a number"),
+    "nan reward": (
+        {"reward": np.nan, "after": 7},
+        "the reward of step 7 is not finite in the precision of the run",
+    ),
+    "huge reward": ({"reward": 1e39}, "the reward of step 1 is not finite in the precision of the run"),
+    "nan": ({"observation": TWO * np.nan, "after": 10}, "the observation of step 10 is not finite"),
+    "shape later": (
+        {"observation": np.zeros(3), "after": 4},
+        r"step returns an observation of shape \(3,\), not \(2,\)",
+    ),
+    "complex": ({"reset": (TWO + 1j, {})}, "reset returns an observation of dtype complex64; allowed: num"),
+    "objects": ({"observation": {"x": 1.0}}, "step returns an observation of dtype object; allowed: numbers"),
+    "ragged": ({"observation": [[1.0], []]}, "step returns an observation that is no array"),
+    "outside": (
+        {"reset": (np.array([0.5, 1.5]), {})},
+        r"the observation of reset is out of bounds \(component 1\): set low and high",
+    ),
+    "half a number": (
+        {"space": spaces.Discrete(3), "reset": (np.float32(0.5), {})},
+        "reset returns an observation of dtype float32; allowed: integers",
+    ),
+    "another number": (
+        {"space": spaces.Discrete(3, start=1), "reset": (0, {})},
+        "reset returns an observation of 0; allowed: 1 to 3",
+    ),
+}
+
+
+@pytest.fixture
+def registered(toy):
+    """Build an environment that a function makes."""
+    names = []
+
+    def built(make, **settings):
+        names.append(f"Odd{len(names)}-v0")
+        gymnasium.register(names[-1], lambda **_: make(), max_episode_steps=20)
+        return toy(id=names[-1], **settings)
+
+    yield built
+    for name in names:
+        del gymnasium.registry[name]
+
+
+@pytest.mark.filterwarnings("error")
+def test_the_trial_finds_what_does_not_follow_the_interface(registered):
+    for parts, message in ODD.values():
+        with pytest.raises(ConfigError, match=rf"Odd\d+-v0: {message}") as caught:
+            registered(lambda parts=parts: odd(**parts))
+        assert "\n" not in str(caught.value)
+    registered(lambda: odd(observation=[0.5, 1.5]), low=-2.0, high=2.0)
+    registered(lambda: odd(reward=np.float64(1.0), terminated=np.bool_(False), observation=[0, True]))
+
+
+def test_after_the_trial_each_step_is_checked(registered):
+    for parts, message in ODD.values():
+        if "reset" in parts or "finite" in message:  # what is not finite ends the run, which counts it
+            continue
+        vector = registered(lambda parts=parts: odd(**parts | {"after": 12})).make_vector(1)
+        vector.reset(seed=[0])
+        for _ in range(11):
+            vector.step(np.array([0]))
+        with pytest.raises(Misfit, match=rf"Odd\d+-v0: {message}"):
+            vector.step(np.array([0]))
+
+
+def test_a_box_of_integer_actions_is_rounded():
+    seen = []
+
+    class Recorder(Toy):
+        def step(self, action):
+            seen.append(action)
+            return super().step(action)
+
+    actions = spaces.Box(0, 4, (4,), np.int64)
+    env = Idling(Recorder(actions=actions), Box(-jnp.ones(6), jnp.ones(6)), Box(jnp.zeros(4), jnp.ones(4)))
+    env.reset(seed=0)
+    env.step(np.asarray([0.4, 0.6, 3.7, 9.0]))
+    np.testing.assert_array_equal(seen[0], [0, 1, 4, 4])
+    assert seen[0].dtype == np.int64
+
+
 @pytest.mark.parametrize(
     ("parts", "message"),
     [
-        ({"actions": spaces.MultiBinary(3)}, r"action space MultiBinary\(3\) is neither box nor discrete"),
-        ({"observations": spaces.Tuple([spaces.Discrete(2)])}, r"observation space Tuple.* is neither box"),
+        (
+            {"actions": spaces.MultiBinary(3)},
+            r"action space MultiBinary\(3\) is neither box nor discrete; wrap .*\.TransformAction$",
+        ),
+        (
+            {"observations": spaces.Tuple([spaces.Discrete(2)])},
+            r"observation space Tuple.* is neither box nor discrete; wrap .*\.FlattenObservation$",
+        ),
+        ({"observations": spaces.Dict(a=spaces.Discrete(2))}, r"FlattenObservation$"),
+        ({"observations": spaces.MultiDiscrete([2, 3])}, r"FlattenObservation$"),
+        ({"observations": spaces.MultiBinary(2)}, r"FlattenObservation$"),
+        ({"observations": spaces.Text(4)}, r"observation space Text\(.*\) is neither box nor discrete$"),
         ({"actions": spaces.Box(-np.inf, 1.0, (1,))}, "action space has infinite bounds .* finite ones"),
     ],
 )
-def test_other_spaces_are_refused(toy, parts, message):
-    gymnasium.register("Odd-v0", lambda **_: Toy(**parts), max_episode_steps=10)
-    try:
-        with pytest.raises(ConfigError, match=message):
-            toy(id="Odd-v0")
-    finally:
-        del gymnasium.registry["Odd-v0"]
+def test_other_spaces_are_refused(registered, parts, message):
+    with pytest.raises(ConfigError, match=message):
+        registered(lambda: Toy(**parts))
