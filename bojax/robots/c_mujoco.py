@@ -27,13 +27,15 @@ class CSteps(LaneSteps):
     """Steps in 64 bits, on all cores of the process.
 
     A lane depends on its own state and controls alone: its bits do not depend on the other lanes, nor on the
-    number of cores. The state is NaN where MuJoCo warned, see `_advance_in_place`.
+    number of cores. The state is NaN where MuJoCo warned, see `_advance_in_place`. Bodies do not fall asleep,
+    since the state of a lane does not say which of them are asleep.
     """
 
     def __init__(self, model: MjModel, substeps: int):
         self.model, self.substeps = copy.copy(model), substeps
         # Otherwise a state that diverges becomes the initial one.
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+        self.model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
         self._unused = []
 
     @override

@@ -41,7 +41,7 @@ class MJX(PhysicsSettings, frozen=True):
         default="auto",
         description="implementation of the steps: MJX in JAX as a program of XLA, MJX as one kernel, "
         "C MuJoCo, or MuJoCo Warp; auto is c on a CPU, for models with contacts, pallas on an NVIDIA GPU, "
-        "for models that can be a kernel, and otherwise jax",
+        "for models that can be a kernel, and otherwise jax, or c for models that MJX refuses",
     )
 
 

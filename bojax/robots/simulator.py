@@ -3,6 +3,8 @@
 import abc
 import contextlib
 import functools
+import itertools
+import sys
 from collections.abc import Callable
 from typing import Any, Literal
 
@@ -104,13 +106,16 @@ class Simulator(eqx.Module):
         """The implementation of the steps.
 
         `auto` is `c` on a CPU, for models with contacts; `jax` is as fast there without contacts. It is
-        `pallas` on NVIDIA GPUs, for models that can be a kernel. Otherwise it is `jax`.
+        `pallas` on NVIDIA GPUs, for models that can be a kernel. Otherwise it is `jax`, or `c` for models
+        that MJX refuses, with a note on standard error.
         """
         if self.physics.impl != "auto":
             return self.physics.impl
-        if jax.default_backend() == "cpu":
-            return "c" if _has_contacts(self.mujoco_model) else "jax"
-        return "pallas" if kernels_run_here() and _can_be_a_kernel(*self._key, self.substeps) else "jax"
+        if jax.default_backend() == "cpu" and _has_contacts(self.mujoco_model):
+            return "c"
+        if kernels_run_here() and _can_be_a_kernel(*self._key, self.substeps):
+            return "pallas"
+        return "jax" if _is_for_mjx(*self._key) else "c"
 
     @property
     def time_step(self) -> float:
@@ -142,7 +147,7 @@ class Simulator(eqx.Module):
 
     @property
     def _sites(self) -> Any:
-        return _locating(*self._key)
+        return _locating(self.model)
 
     @property
     def _key(self) -> tuple[RobotModel, int | None, int | None, str | None]:
@@ -190,7 +195,22 @@ def _stepping(
         return _steps_of(*key, substeps, search_at_ends)
     if impl == "pallas":
         return _in_lanes(_kernel_steps(*key, substeps))
-    return _in_lanes({"c": CSteps, "warp": WarpSteps}[impl](_compiled(*key), substeps))
+    return _in_lanes(
+        CSteps(_compiled(*key), substeps) if impl == "c" else WarpSteps(_checked(*key), substeps)
+    )
+
+
+@functools.cache
+def _is_for_mjx(
+    model: RobotModel, iterations: int | None, ls_iterations: int | None, integrator: str | None
+) -> bool:
+    """Whether MJX can simulate the model; if not, standard error has the reason, once."""
+    try:
+        _in_mjx(model, iterations, ls_iterations, integrator)
+    except ValueError as error:
+        print(f"note: physics.impl: auto is c, since {error}", file=sys.stderr)
+        return False
+    return True
 
 
 @functools.cache
@@ -255,11 +275,9 @@ def _steps_of(
 
 
 @functools.cache
-def _locating(
-    model: RobotModel, iterations: int | None, ls_iterations: int | None, integrator: str | None
-) -> Any:
+def _locating(model: RobotModel) -> Any:
     """Positions of the sites, traced once for all programs that call it."""
-    put, data = _in_mjx(model, iterations, ls_iterations, integrator)
+    put, data = _put(_skeleton(model))
 
     @standard_jax
     @jax.jit
@@ -308,7 +326,7 @@ def _has_contacts(model: MjModel) -> bool:
 def _compiled(
     model: RobotModel, iterations: int | None, ls_iterations: int | None, integrator: str | None
 ) -> MjModel:
-    """The model of C MuJoCo."""
+    """The model of C MuJoCo, whose state has nothing but what `RobotState` has."""
     spec = model.spec()
     if iterations is not None:
         spec.option.iterations = iterations
@@ -320,9 +338,34 @@ def _compiled(
         compiled = spec.compile()
     except ValueError as error:
         raise ValueError(f"MuJoCo refuses the model: {one_line(error)}") from error
-    if unsupported := _unsupported(compiled):
-        raise ValueError(f"MJX cannot simulate the model: {unsupported}")
+    if compiled.nv == 0:
+        raise ValueError("the model has no joints")
+    if further := _further_state(compiled):
+        raise ValueError(f"the state of the model has more than positions and velocities: {further}")
     return compiled
+
+
+def _checked(
+    model: RobotModel, iterations: int | None, ls_iterations: int | None, integrator: str | None
+) -> MjModel:
+    """The model of C MuJoCo, if MJX ignores nothing of it."""
+    compiled = _compiled(model, iterations, ls_iterations, integrator)
+    if ignored := _ignored(compiled):
+        raise ValueError(f"MJX cannot simulate the model: {ignored}")
+    return compiled
+
+
+def _skeleton(model: RobotModel) -> MjModel:
+    """The bodies, joints and sites of a model, without anything else that MJX may refuse."""
+    spec = model.spec()
+    # Keyframes and tuples come first: they refer to actuators and sensors.
+    lists = "keys", "tuples", "sensors", "actuators", "equalities", "tendons", "pairs", "flexes"
+    for part in itertools.chain.from_iterable([*getattr(spec, name)] for name in lists):
+        spec.delete(part)
+    for geom in spec.geoms:
+        geom.contype = geom.conaffinity = 0
+    spec.option = mujoco.MjSpec().option
+    return spec.compile()
 
 
 @functools.cache
@@ -330,7 +373,11 @@ def _in_mjx(
     model: RobotModel, iterations: int | None, ls_iterations: int | None, integrator: str | None
 ) -> tuple[Any, Any]:
     """The model and the data of MJX in JAX; created once, outside of any trace."""
-    compiled = _compiled(model, iterations, ls_iterations, integrator)
+    return _put(_checked(model, iterations, ls_iterations, integrator))
+
+
+def _put(compiled: MjModel) -> tuple[Any, Any]:
+    """A model and its data in MJX."""
     try:
         with silenced(), plain_jax(), jax.ensure_compile_time_eval():
             return mjx.put_model(compiled, impl="jax"), mjx.make_data(compiled, impl="jax")
@@ -393,13 +440,28 @@ def _runge_kutta_step(forward: Callable[[Any, Any], Any], model: Any, before: An
     return RobotState(before.qpos + h * velocity, before.qvel + h * change, acceleration)
 
 
-def _unsupported(model: MjModel) -> str:
-    """Features of a model that MJX would silently ignore, as text; empty if there are none."""
+def _further_state(model: MjModel) -> str:
+    """Features whose state between steps `RobotState` does not have, separated by commas; "" if none."""
     found = {
-        "plugins": model.nplugin > 0,
+        "plugins with a state": model.npluginstate > 0,
         "actuators with an activation of their own (filters, integrators, muscles)": model.na > 0,
         "delayed actuators": bool((model.actuator_delay > 0).any()),
-        "noslip iterations": model.opt.noslip_iterations > 0,
-        "sleeping bodies": bool(model.opt.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP),
+        "bodies that are asleep at the start": _may_sleep(model)
+        and bool((model.tree_sleep_policy == mujoco.mjtSleepPolicy.mjSLEEP_INIT).any()),
     }
     return ", ".join(what for what, is_there in found.items() if is_there)
+
+
+def _ignored(model: MjModel) -> str:
+    """Features of a model that MJX ignores silently, separated by commas; "" if none."""
+    found = {
+        "plugins": model.nplugin > 0,
+        "noslip iterations": model.opt.noslip_iterations > 0,
+        "sleeping bodies": _may_sleep(model),
+        "the integrator discrete": model.opt.integrator == mujoco.mjtIntegrator.mjINT_DISCRETE,
+    }
+    return ", ".join(what for what, is_there in found.items() if is_there)
+
+
+def _may_sleep(model: MjModel) -> bool:
+    return bool(model.opt.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP)

@@ -2,6 +2,7 @@
 
 import functools
 import importlib.util
+import re
 import sys
 
 import equinox as eqx
@@ -163,24 +164,33 @@ def test_numbers_are_swept_and_do_not_make_another_model():
 
 
 CYLINDER_ON_BOX = """
-<mujoco><worldbody><body><freejoint/><geom type="cylinder" size="1 1"/></body>
+<mujoco><worldbody><body><freejoint/><geom type="cylinder" size="1 1"/><site pos="1 2 3"/></body>
 <body pos="0 0 3"><freejoint/><geom type="box" size="1 1 1"/></body></worldbody></mujoco>
 """
 
 
-def slider(extension="", actuator="", option=""):
+def slider(extension="", actuator="", option="", further="", sleep="allowed"):
     """A mass on a rail."""
     return (
-        f"<mujoco>{option}<extension>{extension}</extension><worldbody><body><joint name='x' type='slide'/>"
-        f"<geom size='0.1'/></body></worldbody><actuator>{actuator}</actuator></mujoco>"
+        f"<mujoco>{option}<extension>{extension}</extension><worldbody><body sleep='{sleep}'>"
+        "<joint name='x' type='slide'/><geom size='0.1'/><site pos='0.1 0 0.2'/></body></worldbody>"
+        f"<actuator>{actuator}</actuator>{further}</mujoco>"
     )
+
+
+PID = "<plugin plugin='mujoco.pid'/>", "<plugin joint='x' plugin='mujoco.pid'/>"
+INTEGRAL = (
+    "<plugin plugin='mujoco.pid'><instance name='pid'><config key='ki' value='1'/></instance></plugin>",
+    "<plugin joint='x' plugin='mujoco.pid' instance='pid' actdim='1'/>",
+)
+CAN_SLEEP = "<option><flag sleep='enable'/></option>"
 
 
 @pytest.mark.parametrize(
     ("xml", "reason"),
     [
         (CYLINDER_ON_BOX, r"MJX refuses the model: .*CYLINDER.*BOX.* not implemented"),
-        ('<mujoco><option solver="PGS"/><worldbody/></mujoco>', "MJX refuses the model: .*PGS"),
+        (slider(option="<option solver='PGS'/>"), "MJX refuses the model: .*PGS"),
         ("<mujoco><worldbody>", "XML"),
         ("<mujoco><worldbody><body><jont/></body></worldbody></mujoco>", "jont"),
         (
@@ -188,15 +198,13 @@ def slider(extension="", actuator="", option=""):
             "MuJoCo refuses the model: .*mass and inertia",
         ),
         ("", "XML"),
-        (
-            slider("<plugin plugin='mujoco.pid'/>", "<plugin joint='x' plugin='mujoco.pid'/>"),
-            "MJX cannot simulate the model: plugins",
-        ),
+        (slider(*PID), "MJX cannot simulate the model: plugins$"),
         (slider(actuator="<general joint='x' dyntype='filter' dynprm='0.05'/>"), "activation of their own"),
         (slider(actuator="<muscle joint='x' lengthrange='0.1 0.2'/>"), "activation of their own"),
         (slider(actuator="<motor joint='x' delay='0.1' nsample='20'/>"), "delayed actuators"),
         (slider(option="<option noslip_iterations='3'/>"), "noslip iterations"),
-        (slider(option="<option><flag sleep='enable'/></option>"), "sleeping bodies"),
+        (slider(option=CAN_SLEEP), "sleeping bodies"),
+        (slider(option="<option integrator='discrete'/>"), "the integrator discrete"),
     ],
     ids=[
         "collision",
@@ -211,12 +219,86 @@ def slider(extension="", actuator="", option=""):
         "delay",
         "noslip",
         "sleep",
+        "integrator",
     ],
 )
 def test_a_model_that_cannot_be_used_says_why_in_a_line(xml, reason):
     with pytest.raises(ValueError, match=reason) as caught:
         Simulator(build(MJX(impl="jax"), "float32"), RobotModel(xml), substeps=1)
     assert "\n" not in str(caught.value) and len(str(caught.value)) > 10
+
+
+BY_C_ALONE = [
+    (slider(option="<option solver='PGS'/>"), "MJX refuses the model: .*PGS"),
+    (slider(option="<option integrator='implicit'/>"), "MJX refuses the model: .*IMPLICIT"),
+    (slider(option="<option integrator='discrete'/>"), "MJX cannot simulate the model: the integrator disc"),
+    (
+        slider(option="<option integrator='implicitfast' density='1.2'/>"),
+        "MJX refuses the model: implicitfast not implemented for fluid drag",
+    ),
+    (slider(option="<option noslip_iterations='3'/>"), "MJX cannot simulate the model: noslip iterations"),
+    (slider(option=CAN_SLEEP), "MJX cannot simulate the model: sleeping bodies"),
+    (slider(*PID), "MJX cannot simulate the model: plugins"),
+    (
+        slider(
+            actuator="<motor joint='x'/>",
+            further="<sensor><user dim='1'/></sensor><keyframe><key qpos='0' ctrl='1'/></keyframe>"
+            "<equality><joint joint1='x' active='false'/></equality>"
+            "<tendon><fixed name='t'><joint joint='x' coef='1'/></fixed></tendon>",
+        ),
+        "MJX refuses the model: .*mjSENS_USER",
+    ),
+]
+"""Models without contacts that C MuJoCo simulates, and why MJX does not."""
+
+
+def test_auto_is_c_where_mjx_refuses_a_model_and_says_so_once(capsys):
+    for xml, reason in BY_C_ALONE:
+        robot, again = (
+            Simulator(build(MJX(), "float32"), RobotModel(xml), substeps=count) for count in (2, 3)
+        )
+        assert robot.impl == again.impl == "c"
+        (line,) = capsys.readouterr().err.splitlines()
+        assert re.fullmatch(f"note: physics.impl: auto is c, since {reason}.*", line)
+        model = mujoco.MjModel.from_xml_string(xml)
+        data = mujoco.MjData(model)
+        data.ctrl = control = np.full(model.nu, 0.5, np.float32)
+        data.qvel = 1.0
+        before = robot.state(jnp.asarray(data.qpos), jnp.asarray(data.qvel))
+        mujoco.mj_step(model, data, 2)
+        found = robot.advance(before, jnp.asarray(control))
+        np.testing.assert_allclose(found.qpos, data.qpos, atol=1e-7)
+        np.testing.assert_allclose(found.qvel, data.qvel, atol=1e-6)
+        mujoco.mj_kinematics(model, data)
+        np.testing.assert_allclose(robot.sites(found), data.site_xpos, atol=1e-7)
+
+
+def test_the_sites_of_a_model_with_pairs_that_mjx_refuses():
+    robot = Simulator(build(MJX(), "float32"), RobotModel(CYLINDER_ON_BOX), substeps=1)
+    qpos = np.arange(14, dtype=np.float32)
+    data = mujoco.MjData(robot.mujoco_model)
+    data.qpos = qpos
+    mujoco.mj_kinematics(robot.mujoco_model, data)
+    state = robot.state(jnp.asarray(qpos), jnp.zeros(12))
+    np.testing.assert_allclose(robot.sites(state), data.site_xpos, atol=1e-6)
+
+
+@pytest.mark.parametrize("impl", ["auto", "jax", "c"])
+def test_what_no_implementation_can_simulate_is_refused_by_all(impl):
+    for xml, reason in (
+        ("<mujoco><worldbody/></mujoco>", "the model has no joints"),
+        (
+            "<mujoco><worldbody><body><geom size='0.1'/></body></worldbody></mujoco>",
+            "the model has no joints",
+        ),
+        (slider(*INTEGRAL), "more than positions and velocities: .*activation of their own"),
+        (slider(actuator="<muscle joint='x' lengthrange='0.1 0.2'/>"), "activation of their own"),
+        (slider(actuator="<motor joint='x' delay='0.1' nsample='20'/>"), "delayed actuators"),
+        (slider(option=CAN_SLEEP, sleep="init"), "bodies that are asleep at the start"),
+    ):
+        with pytest.raises(ValueError, match=reason):
+            Simulator(build(MJX(impl=impl), "float32"), RobotModel(xml), substeps=1)
+    assert Simulator(build(MJX(), "float32"), RobotModel(slider(sleep="init")), substeps=1).impl == "jax"
 
 
 def test_warp_that_is_not_installed_says_so_in_a_line(monkeypatch):
@@ -238,6 +320,9 @@ def test_warp_that_is_not_installed_says_so_in_a_line(monkeypatch):
         ("auto", "car", "gpu", "jax"),
         ("auto", "car", "cpu", "c"),
         ("auto", None, "cpu", "jax"),
+        ("auto", None, "gpu", "pallas"),
+        ("auto", "noslip", "gpu", "c"),
+        ("auto", "noslip", "tpu", "c"),
         ("warp", "hopper", "gpu", "warp"),
         ("jax", "hopper", "cpu", "jax"),
     ],
@@ -246,9 +331,11 @@ def test_the_implementation_that_auto_stands_for(monkeypatch, impl, name, platfo
     """The car stands for models that cannot be a kernel, although it can."""
     monkeypatch.setattr(jax, "default_backend", lambda: platform)
     monkeypatch.setattr(bojax.robots.simulator, "kernels_run_here", lambda: platform == "gpu")
-    monkeypatch.setattr(bojax.robots.simulator, "_can_be_a_kernel", lambda model, *_: model != MODELS["car"])
+    noslip = RobotModel(slider(option="<option noslip_iterations='3'/>"))
+    too_large = MODELS["car"], noslip
+    monkeypatch.setattr(bojax.robots.simulator, "_can_be_a_kernel", lambda model, *_: model not in too_large)
     monkeypatch.setattr(bojax.robots.simulator, "_stepping", lambda *_: None)
-    model = MODELS[name] if name else RobotModel(slider())
+    model = ({"noslip": noslip, None: RobotModel(slider())} | MODELS)[name]
     assert Simulator(build(MJX(impl=impl), "float32"), model, substeps=1).impl == expected
 
 
