@@ -5,10 +5,13 @@ either by sweeps, m <- beta S Phi'(r + gamma Phi_next m), or by solving the equa
 to, (I - beta gamma S Phi'Phi_next) m = beta S Phi'r.
 
 The direct solution is policy iteration: the equations of a policy are solved, then the policy becomes greedy
-for their solution, until the weights stay the same. With one-hot features this always happens, since each
-policy has values at least as high as the one before. With other features, policies may cycle or change
-irregularly, as those of sweeps may. The iteration therefore also ends when, for the second time, the weights
-change no less than with the policy before. Since there are finitely many policies, one of the two happens.
+for their solution, until a policy comes for the second time. The result is the solution that this policy is
+greedy for. If no action has changed, the iteration has converged; with one-hot features this always happens,
+since each policy has values at least as high as the one before. With other features, policies may cycle or
+change irregularly, as those of sweeps may. In a cycle, the first repeated policy follows from the policies
+alone. A comparison of the changes of the weights would not do: the two changes of a cycle of two policies are
+equal, and rounding would decide which of both is returned. The changes end an irregular iteration only, when,
+for the second time, the weights change no less than with the policy before.
 
 The matrices of two policies in succession differ little. The inverse for one policy is therefore kept as the
 preconditioner for the following policies, whose equations then take a few products with the features. If the
@@ -21,7 +24,7 @@ from functools import partial
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Bool, Float, Int, Key, Shaped, UInt32
 
 from bojax.envs.base import Action
 from bojax.learning.emu_q_model import EMUQModel, EMUQState, Q, U
@@ -70,13 +73,14 @@ class _Rows(eqx.Module):
     phi: Float[Array, "B M"]
     x: Float[Array, "B P"]
 
-    def of(self, array: Float[Array, "C"] | Int[Array, "C"]) -> Array:
+    def of(self, array: Shaped[Array, "C *N"]) -> Shaped[Array, "B *N"]:
         """The entries of these transitions."""
         return jax.lax.dynamic_slice_in_dim(array, self.index[0], len(self.index))
 
-    def valid(self, entries: Float[Array, "B"]) -> Float[Array, "B"]:
+    def valid(self, entries: Shaped[Array, "B *N"]) -> Shaped[Array, "B *N"]:
         """The entries of transitions that count, and 0 for the others."""
-        return jnp.where(self.is_valid, entries, jnp.zeros((), entries.dtype))
+        is_valid = self.is_valid.reshape(-1, *[1] * (entries.ndim - 1))
+        return jnp.where(is_valid, entries, jnp.zeros((), entries.dtype))
 
     def put(self, arrays: T, entries: T) -> T:
         """Arrays of one entry for each transition, with those of these transitions replaced."""
@@ -189,6 +193,75 @@ class _Candidates(eqx.Module):
         return choose
 
 
+class _Policy(eqx.Module):
+    """The policy of some means, and what the equations of Q and U need of it.
+
+    Attributes:
+        transitions: The transitions.
+        gain: beta S.
+        candidates: The actions among which the policy chooses.
+        chosen: Index of a' = pi(s') among them.
+        signature: A hash of all choices.
+        constants: Constant terms of every target, of Q and of U.
+        discounts: Factors of phi(s', a')'m in every target, of Q and of U.
+        targets: Phi'(constant + discount Phi_next m), of Q and of U, where m are the given means.
+    """
+
+    transitions: _Transitions
+    gain: Float[Array, "M M"]
+    candidates: _Candidates
+    chosen: Int[Array, "C"]
+    signature: UInt32[Array, "2"]
+    constants: Float[Array, "C 2"]
+    discounts: Float[Array, "C 2"]
+    targets: Float[Array, "2 M"]
+
+    @classmethod
+    def of(
+        cls,
+        transitions: _Transitions,
+        gain: Float[Array, "M M"],
+        candidates: _Candidates,
+        bonus: Float[Array, "C"],
+        mean: Float[Array, "M 2"],
+    ) -> "_Policy":
+        """The policy of the given means.
+
+        Args:
+            transitions: The transitions.
+            gain: beta S.
+            candidates: The actions among which the policy chooses.
+            bonus: Exploration reward of every transition.
+            mean: Means of Q and U.
+        """
+        model, choose = candidates.model, candidates.policy(mean)
+
+        def visit(carry, rows):
+            arrays, signature, targets = carry
+            chosen, values, factor = choose(rows.x)
+            terminated = rows.memory.terminated
+            q_terms = rows.memory.rewards, model.q_discount(terminated)
+            u_terms = model.u_terms(rows.of(bonus), factor, terminated)
+            constants, discounts = (jnp.stack(pair, axis=1) for pair in zip(q_terms, u_terms, strict=True))
+            target = rows.valid(constants + discounts * values)
+            salted = _salts(rows.index) * chosen.astype(jnp.uint32)[:, None]
+            signature = signature + jnp.sum(rows.valid(salted), axis=0, dtype=jnp.uint32)
+            arrays = rows.put(arrays, (chosen, constants, discounts))
+            return arrays, signature, targets + matmul(target.T, rows.phi)
+
+        zeros = jnp.zeros((len(bonus), 2), bonus.dtype)
+        start = jnp.zeros_like(bonus, jnp.int32), zeros, zeros
+        none = jnp.zeros(2, jnp.uint32), jnp.zeros_like(mean.T)
+        (chosen, constants, discounts), signature, targets = transitions.fold(visit, (start, *none))
+        return cls(transitions, gain, candidates, chosen, signature, constants, discounts, targets)
+
+    def equations(self, is_u: Bool[Array, ""] | bool) -> "_Equations":
+        """The equations of U if `is_u`, or else of Q."""
+        of_both = self.constants.T, self.discounts.T, self.targets
+        terms = (jnp.where(is_u, both[U], both[Q]) for both in of_both)
+        return _Equations(self.transitions, self.gain, self.candidates, self.chosen, *terms)
+
+
 class _Equations(eqx.Module):
     """The equations m = beta S Phi'(constant + discount Phi_next m) of Q or of U, for a given policy.
 
@@ -209,44 +282,6 @@ class _Equations(eqx.Module):
     constant: Float[Array, "C"]
     discount: Float[Array, "C"]
     targets: Float[Array, "M"]
-
-    @classmethod
-    def of(
-        cls,
-        transitions: _Transitions,
-        gain: Float[Array, "M M"],
-        candidates: _Candidates,
-        bonus: Float[Array, "C"],
-        mean: Float[Array, "M 2"],
-        is_u: Bool[Array, ""] | bool,
-    ) -> "_Equations":
-        """The equations of U if `is_u`, or else of Q, for the policy of the given means.
-
-        Args:
-            transitions: The transitions.
-            gain: beta S.
-            candidates: The actions among which the policy chooses.
-            bonus: Exploration reward of every transition.
-            mean: Means of Q and U.
-            is_u: Whether the equations are those of U.
-        """
-        model, policy = candidates.model, candidates.policy(mean)
-
-        def visit(carry, rows):
-            arrays, targets = carry
-            chosen, values, factor = policy(rows.x)
-            terminated = rows.memory.terminated
-            constant, discount = model.u_terms(rows.of(bonus), factor, terminated)
-            constant = jnp.where(is_u, constant, rows.memory.rewards)
-            discount = jnp.where(is_u, discount, model.q_discount(terminated))
-            target = rows.valid(constant + discount * jnp.where(is_u, values[:, U], values[:, Q]))
-            arrays = rows.put(arrays, (chosen, constant, discount))
-            return arrays, targets + matmul(target, rows.phi)
-
-        start = jnp.zeros_like(bonus, jnp.int32), jnp.zeros_like(bonus), jnp.zeros_like(bonus)
-        arrays, targets = transitions.fold(visit, (start, jnp.zeros_like(gain[0])))
-        chosen, constant, discount = arrays
-        return cls(transitions, gain, candidates, chosen, constant, discount, targets)
 
     def image(self, weights: Float[Array, "M"]) -> Float[Array, "M"]:
         """The right-hand side without the constants."""
@@ -326,22 +361,22 @@ class Refit(eqx.Module):
         drawn, samples = self.model.actions(key_u, state)
         bonus = self._exploration_rewards(state, samples)
 
-        def equations(candidates, mean, is_u):
-            return _Equations.of(transitions, gain, candidates, bonus, mean, is_u)
+        def policy(candidates, mean):
+            return _Policy.of(transitions, gain, candidates, bonus, mean)
 
         candidates = _Candidates.of(self.model, state, drawn, kappa)
         if self.is_direct:
-            return self._solve(partial(equations, candidates), mean, is_active)
+            return self._solve(partial(policy, candidates), mean, is_active)
 
         def sweep(number, q):
             actions, _ = self.model.actions(jax.random.fold_in(key_q, number), state)
             anew = _Candidates.of(self.model, state, actions, kappa)
-            return matmul(gain, equations(anew, mean.at[:, Q].set(q), False).targets)
+            return matmul(gain, policy(anew, mean.at[:, Q].set(q)).targets[Q])
 
         mean = mean.at[:, Q].set(self._until_converged(sweep, mean[:, Q], is_active))
         # With a' fixed, a sweep is an affine map of the weights: one pass over the transitions is enough.
         # Two products with vectors in every sweep take less time than the product of both matrices.
-        matrix, constant = equations(candidates, mean, True).matrix_and_constant()
+        matrix, constant = policy(candidates, mean).equations(True).matrix_and_constant()
 
         def sweep_u(_, u):
             return matmul(gain, constant + matmul(matrix, u))
@@ -367,22 +402,25 @@ class Refit(eqx.Module):
 
     def _solve(
         self,
-        equations_of: Callable[[Float[Array, "M 2"], Bool[Array, ""]], _Equations],
+        policy_of: Callable[[Float[Array, "M 2"]], _Policy],
         mean: Float[Array, "M 2"],
         is_active: Bool[Array, ""],
     ) -> Float[Array, "M 2"]:
-        """Solve the equations of Q for one policy after the other, and then those of U for one policy.
+        """Solve the equations of Q for one policy after the other, and then those of U for the last one.
 
         Args:
-            equations_of: The equations of U if the second argument is true, or else of Q, for the policy of
-                the given means.
+            policy_of: The policy of the given means.
             mean: Means to start from.
             is_active: Whether they may change.
         """
 
         def step(loop):
-            number, mean, change, growths, inverse, is_similar, is_u, going = loop
-            equations = equations_of(mean, is_u)
+            number, mean, change, growths, inverse, is_similar, seen, is_u, going = loop
+            policy = policy_of(mean)
+            # A policy whose solution was discarded has not been seen: it is tried again.
+            is_before = jnp.arange(self.max_sweeps, dtype=jnp.int32) < number
+            is_u = is_u | jnp.any(is_before & jnp.all(seen == policy.signature[None], axis=1))
+            equations = policy.equations(is_u)
             # A loop of one step: where only a few lanes need an inverse, it is computed for those alone.
             inverse, _ = while_going(
                 lambda loop: loop[1],
@@ -396,17 +434,19 @@ class Refit(eqx.Module):
             is_taken = going & (is_solved | ~is_similar)
             is_new = is_taken & (jnp.where(is_u, U, Q) == jnp.arange(2))
             mean = jnp.where(is_new[None, :], after[:, None], mean)
+            seen = jnp.where(is_taken, seen.at[number].set(policy.signature, mode="drop"), seen)
             number = number + is_taken.astype(number.dtype)
             last_change, change = change, jnp.where(is_taken, jnp.linalg.norm(after - before), change)
             growths = growths + (is_taken & (change >= last_change)).astype(growths.dtype)
             is_end = ~(change > self.tolerance) | (growths == 2) | (number >= self.max_sweeps)
             is_last = is_taken & (is_u | is_end)
             is_u, going = is_u | is_last, going & ~(is_last & is_u)
-            return number, mean, change, growths, inverse, is_taken | ~going, is_u, going
+            return number, mean, change, growths, inverse, is_taken | ~going, seen, is_u, going
 
         zero, no = jnp.zeros((), jnp.int32), jnp.zeros((), bool)
         infinite, inverse = jnp.full((), jnp.inf, mean.dtype), jnp.zeros((len(mean), len(mean)), mean.dtype)
-        loop = zero, mean, infinite, zero, inverse, no, no, is_active
+        seen = jnp.zeros((self.max_sweeps, 2), jnp.uint32)
+        loop = zero, mean, infinite, zero, inverse, no, seen, no, is_active
         loop = batched_together(loop)
         return jax.lax.while_loop(lambda loop: any_lane(loop[-1]), step, loop)[1]
 
@@ -433,6 +473,18 @@ class Refit(eqx.Module):
 def _quadratic_forms(x: Float[Array, "B P"], forms: Float[Array, "J P P"]) -> Float[Array, "B J"]:
     """The quadratic form x'F x of every row x and every matrix F."""
     return jax.vmap(lambda form: row_sums(matmul_on_tensor_cores(x, form) * x), out_axes=1)(forms)
+
+
+def _salts(index: Int[Array, "B"]) -> UInt32[Array, "B 2"]:
+    """Two numbers for each transition, as good as random.
+
+    The sum of the choices of a policy times these numbers, modulo 2^32, is a hash. Those of two policies are
+    equal with a probability of 2^-56 or so. (The numbers are those that MurmurHash3 ends with.)
+    """
+    x = 2 * index.astype(jnp.uint32)[:, None] + jnp.arange(1, 3, dtype=jnp.uint32)[None]
+    for shift, factor in ((16, 0x85EBCA6B), (13, 0xC2B2AE35)):
+        x = (x ^ (x >> shift)) * jnp.asarray(factor, jnp.uint32)
+    return x ^ (x >> 16)
 
 
 def _largest_block(block: int) -> int:

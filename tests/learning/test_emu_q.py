@@ -237,18 +237,68 @@ def test_direct_refits_of_a_table_are_policy_iteration():
     np.testing.assert_allclose(qs[-1], optimal, atol=1e-8)
 
 
+def unstable():
+    """A learner, a state before its refit, and the transitions; most policies of its refits cycle."""
+    features = {"num_features": 30, "action_lengthscale": 0.1, "state_lengthscale": 0.3}
+    learner, state = make(refit="direct", tolerance=1e-6, features=features, draw_actions="always")
+    steps = transitions()
+    state = observe_all(learner, state, steps, EXPLORING)
+    episode = Episode(steps, jnp.asarray(NUM_STEPS, jnp.int32))
+    memory = state.memory.add(episode, jnp.asarray(True))
+    return learner, eqx.tree_at(lambda state: state.memory, state, memory), steps
+
+
+def test_rounding_does_not_decide_which_policy_of_a_cycle_is_returned():
+    """From a policy of a cycle of two, the weights change by the same norm with each policy."""
+    learner, state, steps = unstable()
+    candidates, _ = learner.model.actions(jax.random.split(jax.random.key(REFIT_SEED))[1], state)
+    reference = reference_of(DirectRefit, learner, state)
+    reference.s = np.asarray(state.posterior.base)
+    phi, (_, _, rewards, nexts, is_last) = numpy_features(state), map(np.asarray, jax.tree.leaves(steps))
+    gain = reference.s @ phi(*map(np.asarray, (steps.observation, steps.action))).T
+    discount = np.where(is_last, 0.0, reference.gamma)[:, None]
+    cycles = []
+    for seed in (3, 16, 26, 35, 38):
+        reference.m_q, reference.m_u = 3.0 * np.random.default_rng(seed).normal(size=(2, 30))
+        solved = []
+        for _ in range(24):
+            following = phi(nexts, reference.policy(nexts, np.asarray(candidates)))
+            reference.m_q = np.linalg.solve(np.eye(30) - gain @ (discount * following), gain @ rewards)
+            solved.append(reference.m_q)
+        np.testing.assert_allclose(solved[-1], solved[-3], atol=1e-9)
+        assert np.abs(solved[-1] - solved[-2]).max() > 0.1 * np.abs(solved[-1]).max()
+        cycles.append((solved[-1], reference.m_u))
+    means = np.stack(cycles).swapaxes(1, 2)
+
+    @jax.jit
+    def refitted(means, order, noise):
+        def one(mean):
+            memory = jax.tree.map(lambda x: x[order] if x.ndim else x, state.memory)
+            memory = eqx.tree_at(
+                lambda memory: memory.rewards, memory, memory.rewards * (1.0 + 1e-13 * noise)
+            )
+            before = eqx.tree_at(lambda s: (s.memory, s.posterior.mean), state, (memory, mean))
+            key, kappa = jax.random.key(REFIT_SEED), jnp.asarray(reference.kappa)
+            return learner.refitter(key, before, kappa, jnp.asarray(True))
+
+        return jax.lax.map(one, means)
+
+    rng, same = np.random.default_rng(0), np.arange(len(state.memory.rewards))
+    for _ in range(6):
+        order = np.concatenate([rng.permutation(NUM_STEPS), same[NUM_STEPS:]])
+        changed = means * (1.0 + 1e-13 * rng.normal(size=means.shape))
+        found = refitted(changed, order, rng.normal(size=len(same)))
+        # The first policy comes again after two: the solution that it is greedy for is the start.
+        np.testing.assert_allclose(found[..., 0], means[..., 0], atol=1e-8)
+
+
 def test_refits_of_a_batch_are_those_of_single_runs():
     """Lanes need different numbers of policies and of iterations; the last ones are gathered.
 
-    The policies of these refits do not become stable. Where a refit then ends may depend on rounding, so the
-    means are such that a change of their last digits makes no difference.
+    The policies of these refits do not become stable.
     """
-    features = {"num_features": 30, "action_lengthscale": 0.1, "state_lengthscale": 0.3}
-    learner, state = make(refit="direct", tolerance=1e-6, features=features, draw_actions="always")
-    steps, rng = transitions(), np.random.default_rng(9)
-    state = observe_all(learner, state, steps, EXPLORING)
-    episode = Episode(steps, jnp.asarray(NUM_STEPS, jnp.int32))
-    state = eqx.tree_at(lambda state: state.memory, state, state.memory.add(episode, jnp.asarray(True)))
+    learner, state, _ = unstable()
+    rng = np.random.default_rng(9)
     sizes = rng.choice([0.0, 3.0], LEAST, p=[0.9, 0.1])
     means = jnp.asarray(sizes[:, None, None] * rng.normal(size=(LEAST, 30, 2)))
 
@@ -258,7 +308,6 @@ def test_refits_of_a_batch_are_those_of_single_runs():
 
     each = jax.jit(lambda means: jax.lax.map(refitted, means))
     alone = each(means)
-    np.testing.assert_allclose(each(means * (1.0 + 1e-13 * rng.normal(size=means.shape))), alone, atol=1e-8)
     together = jax.jit(jax.vmap(refitted, axis_name=LANES))(means)
     np.testing.assert_allclose(together, alone, atol=1e-8)
 

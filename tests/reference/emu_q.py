@@ -105,8 +105,8 @@ class Algorithm6:
 class DirectRefit(Algorithm6):
     """Algorithm 6 with the equations of each policy solved at the end of an episode, in place of sweeps.
 
-    All policies of a refit maximise over the same candidates. They end when the weights stay the same, or
-    change no less than with the policy before for the second time.
+    All policies of a refit maximise over the same candidates. They end with the first one that comes again,
+    or when the weights stay the same, or change no less than with the policy before for the second time.
     """
 
     def end_episode(self, s: Array, a: Array, r: Array, s_next: Array, is_absorbing: Array) -> None:
@@ -118,9 +118,13 @@ class DirectRefit(Algorithm6):
                 np.eye(len(self.s)) - gain @ (discount[:, None] * phi_next), gain @ constant
             )
 
-        actions, changes = self.candidates(), []
+        actions, changes, seen = self.candidates(), [], []
         for _ in range(self.max_sweeps):
-            before, self.m_q = self.m_q, solution(self.phi(s_next, self.policy(s_next, actions)), r)
+            a_next = self.policy(s_next, actions)
+            if any(np.array_equal(a_next, before) for before in seen):
+                break
+            seen.append(a_next)
+            before, self.m_q = self.m_q, solution(self.phi(s_next, a_next), r)
             changes.append(np.linalg.norm(self.m_q - before))
             growths = np.sum(np.diff(changes) >= 0.0)
             if changes[-1] <= self.tolerance or growths == 2:
