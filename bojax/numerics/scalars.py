@@ -4,7 +4,9 @@ A function is traced for a single lane, and its arrays are taken apart into elem
 move elements disappear, products with a known 0 too, and equal operations are computed once. Thousands of
 operations on small arrays, in the step of a robot, become about as many on scalars.
 
-Deviation: a product with a known 0 is 0, even if the other factor is infinite or no number.
+Deviations: a product with a known 0 is 0, without a sign, even if the other factor is infinite or no number.
+The Cholesky factor of a matrix that is not positive definite has NaN from the first negative pivot on, where
+JAX has NaN everywhere; a pivot of 0 is only seen by the entries below it.
 """
 
 import dataclasses
@@ -62,13 +64,15 @@ class ScalarProgram:
             most: Largest number of scalars.
 
         Raises:
-            NotScalar: It cannot be taken apart, or has too many scalars.
+            NotScalar: It cannot be taken apart, has too many scalars, or has no arguments.
         """
         traced = jax.make_jaxpr(function)(*examples)
         tracing = _Tracing(most)
         arguments = [tracing.inputs(v.aval) for v in traced.jaxpr.invars]
         results = tracing.evaluate(traced.jaxpr, traced.consts, arguments)
         self.inputs = _elements(arguments)
+        if not self.inputs:
+            raise NotScalar("no arguments, whose shape the results could have")
         self.outputs = _elements(results, [v.aval for v in traced.jaxpr.outvars])
 
     def __call__(self, values: Sequence[jax.Array]) -> list[jax.Array]:
@@ -76,17 +80,52 @@ class ScalarProgram:
         return _computed(self.outputs, dict(zip(self.inputs, values, strict=True)))
 
 
+def _integers(of_floats: Callable[..., Any], of_integers: Callable[..., Any]) -> Callable[..., Any]:
+    """A quotient, or a remainder, that follows XLA for integers, without an exception for a divisor of 0."""
+
+    def compute(x: Any, y: Any) -> Any:
+        if not np.issubdtype(x.dtype, np.integer):
+            return of_floats(x, y)
+        # Python's integers neither overflow nor lose digits; the result wraps around.
+        number = of_integers(int(x), int(y))
+        return np.asarray(number & ((1 << (8 * x.dtype.itemsize)) - 1), np.uint64).astype(x.dtype)
+
+    return compute
+
+
+def _quotient(x: int, y: int) -> int:
+    return -1 if y == 0 else abs(x) // abs(y) * (1 if (x < 0) == (y < 0) else -1)
+
+
+def _remainder(x: int, y: int) -> int:
+    return x if y == 0 else x - y * _quotient(x, y)
+
+
+def _sign(x: Any) -> Any:
+    return np.where(x > 0, 1, np.where(x < 0, -1, x))
+
+
+def _maximum(x: Any, y: Any) -> Any:
+    """The larger number; 0 is larger than -0."""
+    return x + y if x == 0 and y == 0 else np.maximum(x, y)
+
+
+def _minimum(x: Any, y: Any) -> Any:
+    """The smaller number; -0 is smaller than 0."""
+    return -(-x - y) if x == 0 and y == 0 else np.minimum(x, y)
+
+
 _UFUNCS: dict[str, Callable[..., Any]] = {
     "add": np.add,
     "sub": np.subtract,
     "mul": np.multiply,
-    "div": np.divide,
-    "rem": np.fmod,
+    "div": _integers(np.divide, _quotient),
+    "rem": _integers(np.fmod, _remainder),
     "neg": np.negative,
     "abs": np.abs,
-    "sign": np.sign,
-    "max": np.maximum,
-    "min": np.minimum,
+    "sign": _sign,
+    "max": _maximum,
+    "min": _minimum,
     "floor": np.floor,
     "ceil": np.ceil,
     "square": np.square,
@@ -142,7 +181,7 @@ class _Tracing:
         """An elementwise operation on scalars, or its result if that is known."""
         if not any(isinstance(x, Scalar) for x in operands):
             if name == "select_n":
-                return operands[1 + int(operands[0])]
+                return _selected(*operands)
             with np.errstate(all="ignore"):
                 return np.dtype(dtype).type(_UFUNCS[name](*operands))
         simple = _simplified(name, operands, dtype)
@@ -219,13 +258,16 @@ class _Tracing:
         return functools.reduce(lambda a, b: self.elementwise("mul", [a, b], x.dtype), powers)
 
     def _convert_element_type(self, eqn: Any, x: np.ndarray) -> np.ndarray:
-        new = np.dtype(eqn.params["new_dtype"])
+        return self.converted(x, np.dtype(eqn.params["new_dtype"]))
+
+    def converted(self, x: np.ndarray, new: np.dtype) -> np.ndarray:
+        """An array of another type."""
         if x.dtype != object:
-            return x.astype(new)
+            return _converted(x, new)
         found = np.empty(x.shape, object)
         for at in np.ndindex(x.shape):
             if not isinstance(x[at], Scalar):
-                found[at] = new.type(x[at])
+                found[at] = _converted(np.asarray(x[at]), new)[()]
             elif x[at].dtype == new:
                 found[at] = x[at]
             else:
@@ -263,10 +305,10 @@ class _Tracing:
         return self._reduce(eqn, x, "add", 0.0)
 
     def _reduce_max(self, eqn: Any, x: np.ndarray) -> np.ndarray:
-        return self._reduce(eqn, x, "max", -np.inf)
+        return self._reduce(eqn, x, "max", _bounds(eqn.outvars[0].aval.dtype)[0])
 
     def _reduce_min(self, eqn: Any, x: np.ndarray) -> np.ndarray:
-        return self._reduce(eqn, x, "min", np.inf)
+        return self._reduce(eqn, x, "min", _bounds(eqn.outvars[0].aval.dtype)[1])
 
     def _reduce_and(self, eqn: Any, x: np.ndarray) -> np.ndarray:
         return self._reduce(eqn, x, "and", True)
@@ -276,6 +318,11 @@ class _Tracing:
 
     def _dot_general(self, eqn: Any, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         aval, ((lc, rc), (lb, rb)) = eqn.outvars[0].aval, eqn.params["dimension_numbers"]
+        for factor in (v.aval.dtype for v in eqn.invars):
+            is_cut = jnp.issubdtype(factor, jnp.floating) and not jnp.issubdtype(aval.dtype, jnp.floating)
+            if is_cut or factor.itemsize > aval.dtype.itemsize:
+                raise NotScalar("a product of a narrower type than its factors")
+        x, y = (self.converted(array, np.dtype(aval.dtype)) for array in (x, y))
 
         def matrices(x: np.ndarray, batch: Sequence[int], summed: Sequence[int]) -> np.ndarray:
             rest = [i for i in range(x.ndim) if i not in (*batch, *summed)]
@@ -292,6 +339,8 @@ class _Tracing:
         return _tidy(found, aval.dtype).reshape(aval.shape)
 
     def _cholesky(self, eqn: Any, a: np.ndarray) -> np.ndarray:
+        if a.ndim != 2:
+            raise NotScalar("a batch of matrices")
         factor = _objects(np.zeros(a.shape, eqn.outvars[0].aval.dtype))
         for j, i in itertools.combinations_with_replacement(range(len(a)), 2):
             rest = self._less(a[i, j], factor[i, :j], factor[j, :j])
@@ -301,7 +350,7 @@ class _Tracing:
 
     def _triangular_solve(self, eqn: Any, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         params, divide = eqn.params, _operation("div")
-        if not params["left_side"] or params["unit_diagonal"]:
+        if not params["left_side"] or params["unit_diagonal"] or a.ndim != 2:
             raise NotScalar("triangular_solve")
         a = a.T if params["transpose_a"] else a
         is_lower = params["lower"] != params["transpose_a"]
@@ -329,16 +378,26 @@ class _Tracing:
             numbers.start_index_map,
             numbers.collapsed_slice_dims,
             (numbers.operand_batching_dims, numbers.start_indices_batching_dims),
-            eqn.params["mode"],
+            eqn.params["mode"] == GatherScatterMode.FILL_OR_DROP,
         )
-        fill = np.nan if np.issubdtype(aval.dtype, np.floating) else 0
+        fill = eqn.params["fill_value"]
+        if fill is None:
+            low, high = _bounds(aval.dtype)
+            is_signed = np.issubdtype(aval.dtype, np.signedinteger)
+            fill = np.nan if np.issubdtype(aval.dtype, np.floating) else low if is_signed else high
         found = np.append(_objects(x).reshape(-1), np.dtype(aval.dtype).type(fill))[at]
         first = indices.ndim - 1
         found = np.moveaxis(found, range(first, found.ndim), numbers.offset_dims)
         return _tidy(found, aval.dtype)
 
     def _scatter(self, eqn: Any, x: np.ndarray, indices: np.ndarray, updates: np.ndarray, name="") -> Any:
-        numbers, aval = eqn.params["dimension_numbers"], eqn.outvars[0].aval
+        numbers, aval, combine = (
+            eqn.params["dimension_numbers"],
+            eqn.outvars[0].aval,
+            eqn.params["update_jaxpr"],
+        )
+        if not name and combine is not None and combine.outvars[0] is not combine.invars[1]:
+            raise NotScalar("a scatter by a function")
         windows, first = numbers.update_window_dims, indices.ndim - 1
         updates = np.moveaxis(updates, windows, range(first, updates.ndim))
         dropped = {*numbers.inserted_window_dims, *numbers.operand_batching_dims}
@@ -350,7 +409,7 @@ class _Tracing:
             numbers.scatter_dims_to_operand_dims,
             numbers.inserted_window_dims,
             (numbers.operand_batching_dims, numbers.scatter_indices_batching_dims),
-            eqn.params["mode"],
+            eqn.params["mode"] != GatherScatterMode.CLIP,
         )
         found = np.append(_objects(x).reshape(-1), aval.dtype.type(0))
         for i, update in zip(at.reshape(-1), updates.reshape(-1), strict=True):
@@ -372,27 +431,32 @@ class _Tracing:
         self._level += 1
         carry = [self.inputs(aval) for aval in avals]
         (go_on,) = self.evaluate(*_opened(params["cond_jaxpr"]), [*arrays[:first], *carry])
+        if go_on.ndim:
+            raise NotScalar("a loop in which each lane has a condition of its own")
         after = self.evaluate(*_opened(params["body_jaxpr"]), [*arrays[first:second], *carry])
         return self._loop(_elements(carry), _elements(after, avals), go_on[()], arrays[second:], avals)
 
     def _scan(self, eqn: Any, *arrays: np.ndarray) -> list[np.ndarray]:
         jaxpr, consts = _opened(eqn.params["jaxpr"])
         avals, length = [v.aval for v in eqn.outvars], eqn.params["length"]
+        shapes = [v.aval.shape for v in jaxpr.outvars]
         # Constants, then the carry, then what is scanned over, which has one more axis.
         end = sum(np.ndim(x) == len(v.aval.shape) for x, v in zip(arrays, jaxpr.invars, strict=True))
-        first = end - len(avals)
-        has_rows = any(v.aval.shape != a.shape for v, a in zip(jaxpr.outvars, avals, strict=True))
-        if eqn.params["reverse"] or has_rows:
-            raise NotScalar("a scan with results of every step")
+        first = end - sum(len(shape) == aval.ndim for shape, aval in zip(shapes, avals, strict=True))
+        if length == 0:
+            empty = [np.zeros(aval.shape, aval.dtype) for aval in avals[end - first :]]
+            return [*arrays[first:end], *empty]
+        if eqn.params["reverse"] or end - first < len(avals):
+            raise NotScalar("a scan with results of every step, or backwards")
         integer = jax.ShapeDtypeStruct((), np.dtype(np.int32))
         self._level += 1
         step, carry, now = self.inputs(integer), [self.inputs(aval) for aval in avals], []
-        for x in arrays[end:]:
-            part = x[0]
+        for x, v in zip(arrays[end:], jaxpr.invars[end:], strict=True):
+            part = np.asarray(x[0])
             for k in range(1, length):
                 is_now = self.elementwise("eq", [step, np.asarray(k, np.int32)], bool)
                 is_now = np.broadcast_to(is_now, part.shape)
-                part = self.elementwise("select_n", [is_now, part, x[k]], _dtype(x))
+                part = self.elementwise("select_n", [is_now, part, np.asarray(x[k])], v.aval.dtype)
             now.append(part)
         after = self.evaluate(jaxpr, consts, [*arrays[:first], *carry, *now])
         go_on = self.elementwise("lt", [step, np.asarray(length, np.int32)], bool)
@@ -430,14 +494,21 @@ class _Tracing:
         return found
 
 
+def _selected(which: Any, *cases: Any) -> Any:
+    """The case of a known number; one that is out of range is the first or the last."""
+    return cases[min(max(int(which), 0), len(cases) - 1)]
+
+
 def _simplified(name: str, operands: Sequence[Any], dtype: Any) -> Any:
     """The result of an operation with a known operand, if it is that operand or the other; else None."""
     if name == "select_n":
         which, *cases = operands
         if not isinstance(which, Scalar):
-            return cases[int(which)]
+            return _selected(which, *cases)
         is_known = not any(isinstance(x, Scalar) for x in cases)
-        return cases[0] if cases[0] is cases[1] or (is_known and cases[0] == cases[1]) else None
+        # As bytes, since 0 and -0 differ.
+        are_equal = (x is cases[0] or (is_known and x.tobytes() == cases[0].tobytes()) for x in cases)
+        return cases[0] if all(are_equal) else None
     if len(operands) != 2:
         return None
     for known, other, is_second in ((operands[0], operands[1], False), (operands[1], operands[0], True)):
@@ -463,8 +534,7 @@ def _operation(name: str) -> Callable[..., Any]:
     if name == "is_finite":
         return lambda x: lax.abs(x) < jnp.asarray(np.inf, x.dtype)
     if name == "sign":
-        one = np.float32(1)
-        return lambda x: jnp.where(x > 0, one, jnp.where(x < 0, -one, 0 * one)).astype(x.dtype)
+        return lambda x: jnp.where(x > 0, 1, jnp.where(x < 0, -1, x)).astype(x.dtype)
     if name == "square":
         return lambda x: lax.mul(x, x)
     names = {"and": "bitwise_and", "or": "bitwise_or", "not": "bitwise_not"}
@@ -473,7 +543,8 @@ def _operation(name: str) -> Callable[..., Any]:
 
 _MOVES: dict[str, Callable[..., np.ndarray]] = {
     **dict.fromkeys(("copy", "copy_p", "stop_gradient"), lambda params, aval, x: x),
-    **dict.fromkeys(("reshape", "squeeze", "expand_dims"), lambda params, aval, x: x.reshape(aval.shape)),
+    "reshape": lambda params, aval, x: x.transpose(params["dimensions"] or range(x.ndim)).reshape(aval.shape),
+    **dict.fromkeys(("squeeze", "expand_dims"), lambda params, aval, x: x.reshape(aval.shape)),
     "broadcast_in_dim": lambda params, aval, x: np.broadcast_to(
         np.expand_dims(x, sorted({*range(aval.ndim)} - {*params["broadcast_dimensions"]})), aval.shape
     ),
@@ -509,13 +580,29 @@ def _only(is_known: bool, x: np.ndarray) -> np.ndarray:
     return x
 
 
+def _bounds(dtype: np.dtype) -> tuple[Any, Any]:
+    """The smallest and the largest number of a type."""
+    if dtype == np.bool_:
+        return False, True
+    if np.issubdtype(dtype, np.integer):
+        return np.iinfo(dtype).min, np.iinfo(dtype).max
+    return -np.inf, np.inf
+
+
+def _converted(x: np.ndarray, new: np.dtype) -> np.ndarray:
+    """Known numbers of another type; integers that are out of range become the nearest one, and NaN 0."""
+    if not (np.issubdtype(x.dtype, np.floating) and np.issubdtype(new, np.integer)):
+        return x.astype(new)
+    limits = np.iinfo(new)
+    x = np.where(np.isnan(x), 0, x)
+    is_low, is_high = x <= float(limits.min), x >= float(limits.max)
+    found = np.where(is_low | is_high, 0, x).astype(new)
+    return np.where(is_high, limits.max, np.where(is_low, limits.min, found)).astype(new)
+
+
 def _opened(traced: Any) -> tuple[Any, Sequence[Any]]:
     """A traced function and its constants."""
     return (traced.jaxpr, traced.consts) if hasattr(traced, "jaxpr") else (traced, ())
-
-
-def _dtype(x: np.ndarray) -> np.dtype:
-    return x.reshape(-1)[0].dtype if x.dtype == object else x.dtype
 
 
 def _objects(x: np.ndarray) -> np.ndarray:
@@ -550,9 +637,12 @@ def _windows(
     index_map: Sequence[Any],
     dropped: Sequence[Any],
     batching: tuple[Sequence[Any], Sequence[Any]],
-    mode: Any,
+    drops: bool,
 ) -> np.ndarray:
-    """Flat indices of the windows of a gather or a scatter; -1 outside of the array."""
+    """Flat indices of the windows of a gather or a scatter.
+
+    Windows that are not within the array are moved into it; if `drops`, their indices are -1.
+    """
     if indices.dtype == object:
         raise NotScalar("indices that are computed")
     numbers, widths = np.arange(math.prod(shape)).reshape(shape), np.asarray(sizes)
@@ -564,7 +654,7 @@ def _windows(
         start[list(index_map)] = indices[at]
         start[list(batching[0])] = [at[i] for i in batching[1]]
         inside = np.clip(start, 0, last)
-        is_lost = mode != GatherScatterMode.CLIP and (inside != start).any()
+        is_lost = drops and (inside != start).any()
         window = numbers[tuple(map(slice, inside, inside + widths))].reshape([sizes[i] for i in kept])
         found[at] = -1 if is_lost else window
     return found

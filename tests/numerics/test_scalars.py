@@ -86,6 +86,115 @@ def test_a_program_computes_what_its_function_does(name):
     assert next(found, None) is None
 
 
+WIDE = np.array([np.nan, np.inf, -np.inf, 0.0, -0.0, 1.5, -300.0, 70000.0], np.float32)
+WHOLE = np.array([7, -7, 7, -7, 5, 0, -(2**31), 2**31 - 1], np.int32)
+DIVISORS = np.array([3, 3, -3, -3, 0, 0, 0, 2], np.int32)
+ROW = np.arange(1, 7, dtype=np.float32)
+
+
+def gathers(x, **mode):
+    """Elements of vectors of four types, one of them outside."""
+    types = x, x.astype(jnp.int8), x.astype(jnp.uint32), x > 0.0
+    return [vector.at[jnp.array([1, 9])].get(**mode) for vector in types]
+
+
+def quotients(x, y):
+    return jax.lax.div(x, y), jax.lax.rem(x, y)
+
+
+def extremes(x, y):
+    return jax.lax.max(x, y), jax.lax.min(x, y)
+
+
+AWKWARD = {
+    "gathers with a value for what is outside": (lambda x: gathers(x, mode="fill", fill_value=1), ROW),
+    "gathers that fill": (lambda x: gathers(x, mode="fill"), ROW),
+    "gathers that clip": (lambda x: gathers(x, mode="clip"), ROW),
+    "gathers that promise": (lambda x: gathers(x, mode="promise_in_bounds"), ROW),
+    "windows": (
+        lambda x: jax.lax.gather(
+            x,
+            jnp.array([[2], [5]]),
+            jax.lax.GatherDimensionNumbers((1,), (), (0,)),
+            (3,),
+            mode="fill",
+            fill_value=5.0,
+        ),
+        ROW,
+    ),
+    "no step": (
+        lambda x, y: jax.lax.scan(lambda c, row: (0.5 * c + row, row), x, y),
+        ROW[:2].copy(),
+        np.ones((0, 2), np.float32),
+    ),
+    "no step over nothing": (lambda x: jax.lax.scan(lambda c, _: (2.0 * c, None), x, None, length=0)[0], ROW),
+    "numbers one by one": (
+        lambda x, y: jax.lax.scan(lambda c, number: (c * 2.0 + number, None), x, y)[0],
+        ROW[0],
+        ROW,
+    ),
+    "an empty carry": (
+        lambda x, y: jax.lax.scan(lambda c, number: ((c[0], c[1] + number), None), (x[:0], x[0]), y)[0],
+        ROW,
+        ROW,
+    ),
+    "signs": (jnp.sign, WIDE),
+    "integers divided": (quotients, WHOLE, DIVISORS),
+    "numbers divided": (quotients, WIDE, WIDE[::-1].copy()),
+    "zeros with signs": (extremes, np.float32([0.0, -0.0, -0.0]), np.float32([-0.0, 0.0, -0.0])),
+    "one zero or the other": (lambda x: jnp.where(x > 0.0, jnp.float32(0.0), jnp.float32(-0.0)), WIDE),
+    "other types": (lambda x: [x.astype(d) for d in (np.int8, np.uint8, np.int32, np.uint32, bool)], WIDE),
+    "cases out of range": (
+        lambda which, x: jax.lax.select_n(which, x, 2.0 * x, 3.0 * x),
+        np.array([0, 1, 2, 3, -1, 2], np.int32),
+        ROW,
+    ),
+    "nothing reduced": (
+        lambda x, y: (
+            [getattr(y.astype(d), name)(1, initial=0) for d in (int, bool) for name in ("max", "min")]
+            + [jax.lax.reduce(y.astype(np.int32), np.int32(-(2**31)), jax.lax.max, (1,)), x]
+        ),
+        ROW,
+        np.ones((2, 0), np.float32),
+    ),
+    "products of integers, and of a number with one": (
+        lambda x, y: (
+            jax.lax.dot(y, y, preferred_element_type=np.int32),
+            jax.lax.dot(x, y, preferred_element_type=np.float32),
+        ),
+        ROW,
+        np.full(6, 100, np.int8),
+    ),
+    "another order": (lambda x: jax.lax.reshape(x.reshape(2, 3), (6,), dimensions=(1, 0)), ROW),
+}
+"""Functions, and arguments for which operations of JAX and of NumPy, or their modes, differ."""
+
+
+def test_awkward_numbers_are_those_of_jax():
+    """As arguments of a program, and known to it; XLA's compiler fails to divide known integers by 0."""
+    for name, (function, *arguments) in AWKWARD.items():
+        values = [jnp.asarray(e) for x in arguments for e in np.reshape(x, -1)]
+        known = ScalarProgram(lambda _, f=function, x=arguments: f(*map(jnp.asarray, x)), ROW[0])
+        wanted = jax.tree.leaves(jax.jit(function)(*arguments))
+        for found in (ScalarProgram(function, *arguments)(values), known([jnp.asarray(ROW[0])])):
+            assert len(found) == sum(x.size for x in wanted), name
+            for expected in wanted:
+                numbers, found = np.array(found[: expected.size]), found[expected.size :]
+                assert numbers.dtype == expected.dtype or not expected.size, name
+                np.testing.assert_array_equal(numbers, np.ravel(expected), err_msg=name)
+                if np.issubdtype(expected.dtype, np.floating):
+                    signs = np.where(np.isnan(expected), 0.0, np.copysign(1.0, expected))
+                    found_signs = np.where(np.isnan(numbers), 0.0, np.copysign(1.0, numbers))
+                    np.testing.assert_array_equal(found_signs, np.ravel(signs), err_msg=name)
+
+
+def test_the_least_integer_divided_by_minus_one():
+    """As XLA computes it for arguments; of known numbers, XLA's compiler makes a division that traps."""
+    least, minus = np.int32([-(2**31)]), np.int32([-1])
+    program = ScalarProgram(lambda x: (jax.lax.div(least, minus), jax.lax.rem(least, minus), x), ROW[:1])
+    assert [int(x) for x in program([jnp.asarray(1.0)])[:2]] == [-(2**31), 0]
+
+
 def test_lanes_are_values_of_any_shape():
     program = ScalarProgram(FUNCTIONS["products"], X)
     lanes = np.random.default_rng(1).normal(size=(5, 12))
@@ -112,13 +221,23 @@ def test_known_zeros_and_repetitions_cost_nothing():
     [
         lambda x: x[jnp.argmax(x[:, 0])],
         lambda x: jnp.sort(x[0]),
+        lambda x: x.at[jnp.array([0, 1])].apply(jnp.sin),
+        lambda x: jax.vmap(lambda y: jax.lax.while_loop(lambda c: c < 5.0, lambda c: c + 1.0, y))(x[0]),
+        lambda x: jnp.linalg.cholesky(jnp.stack([x[:3], x[1:]])),
+        lambda x: jax.lax.dot(x, x.T, preferred_element_type=jnp.float32),
+        lambda x: jax.lax.cond(x[0, 0] > 0.0, jnp.sin, jnp.cos, x),
         lambda x: jax.lax.scan(lambda s, row: (s, row * s), 1.0, x)[1],
     ],
-    ids=["index", "sort", "rows"],
+    ids=["index", "sort", "function", "conditions", "matrices", "precision", "branches", "rows"],
 )
 def test_what_cannot_be_taken_apart_is_refused(function):
     with pytest.raises(NotScalar):
         ScalarProgram(function, X)
+
+
+def test_a_function_without_arguments_is_refused():
+    with pytest.raises(NotScalar, match="no arguments"):
+        ScalarProgram(lambda x: x.sum(), np.zeros(0))
 
 
 def test_a_large_program_is_refused():

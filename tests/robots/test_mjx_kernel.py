@@ -21,6 +21,7 @@ from bojax.robots.simulator import (
     _kernel_steps,
     _steps_of,
 )
+from tests.robots import test_simulator
 from tests.tiers import by_tier
 
 LANES, STEPS, SUBSTEPS = 6, 5, 3
@@ -79,6 +80,30 @@ def test_a_kernel_is_xlas_program(name):
     np.testing.assert_allclose(found.qpos, expected.qpos, atol=1e-5)
     np.testing.assert_allclose(found.qvel, expected.qvel, rtol=1e-3, atol=1e-3)
     assert np.abs(found.qpos - arrays[0]).max() > 1e-2
+
+
+@pytest.mark.parametrize("name", by_tier(["jaco", "quadrotor"], normal=["quadrotor"]))
+def test_a_kernel_is_c_mujoco(name):
+    """After one step and after twenty; `test_simulator` compares XLA's program in the same way."""
+    advance = _in_lanes(_kernel_steps(test_simulator.MODELS[name], None, None, None, 1))
+
+    def lane(qpos, qvel, controls):
+        def step(state, control):
+            state = advance(state, control)
+            return state, (state.qpos, state.qvel)
+
+        return jax.lax.scan(step, RobotState(qpos, qvel, 0.0 * qvel), controls)[1]
+
+    arrays = test_simulator.driven(name)
+    places, speeds = jax.jit(jax.vmap(lane))(*arrays)
+    model = test_simulator.reference(name)
+    expected = [test_simulator.steps_of(model, *lane) for lane in zip(*arrays, strict=True)]
+    expected_places, expected_speeds = (np.array(part) for part in zip(*expected, strict=True))
+    np.testing.assert_allclose(places[:, 0], expected_places[:, 0], rtol=2e-7, atol=1e-6)
+    np.testing.assert_allclose(speeds[:, 0], expected_speeds[:, 0], rtol=1e-6, atol=1e-5)
+    np.testing.assert_allclose(places, expected_places, atol=1e-5)
+    np.testing.assert_allclose(speeds, expected_speeds, rtol=1e-5, atol=1e-4)
+    assert np.abs(expected_places[:, -1] - arrays[0]).max() > 1e-2
 
 
 def test_a_model_that_is_too_large_is_refused(monkeypatch):
