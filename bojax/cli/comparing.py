@@ -29,6 +29,10 @@ def main(name: str, words: Sequence[str]) -> int:
         )
     if args.last is not None and args.last < 1:
         raise UsageError(f"--last: got {args.last}; allowed: >= 1")
+    if args.at is not None and args.at < 1:
+        raise UsageError(f"--at: got {args.at}; allowed: >= 1")
+    if args.metric is not None and not args.metric.removeprefix("-"):
+        raise UsageError(f'--metric: got "{args.metric}"; allowed: a column, such as return or -rmse')
     sources = [*args.folders, *args.csv]
     if duplicates := [source for source in sources if sources.count(source) > 1]:
         raise UsageError(f"bojax {name}: got {duplicates[0]} twice; allowed: distinct sources")
@@ -46,6 +50,7 @@ def main(name: str, words: Sequence[str]) -> int:
         axis=args.x,
         phase=args.phase,
         last=args.last,
+        at=args.at,
         reference=args.reference,
         command=shlex.join(["bojax", name, *words]),
     )
@@ -57,7 +62,7 @@ def _parser(name: str) -> Parser:
     parser = Parser(
         prog=f"bojax {name}",
         usage=f"bojax {name} DIR... [--csv FILE ...] [--metric COLUMN] [--x AXIS] [--phase PHASE]\n"
-        "                     [--last N] [--reference NAME] [--out DIR]",
+        "                     [--last N] [--at STEP] [--reference NAME] [--out DIR]",
         description=_DESCRIPTION,
         examples=_EXAMPLES,
     )
@@ -89,6 +94,13 @@ def _parser(name: str) -> Parser:
         type=integer,
         metavar="N",
         help="number of the last values of a run whose mean is its score (default: a tenth; 1 in planning)",
+    )
+    parser.add_argument(
+        "--at",
+        type=integer,
+        metavar="STEP",
+        help="step, or episode where that is the axis, up to which values count (default: the largest that "
+        "all contenders have)",
     )
     parser.add_argument(
         "--reference", metavar="NAME", help="contender that others are compared with (default: the first)"

@@ -167,7 +167,7 @@ class _Rounds:
             _Tried(
                 number,
                 tuple(point.swept[key] for key in self._keys),
-                float(self._measure.values(results.runs_of(point)).mean()),
+                float(self._measure.values(results, point).mean()),
             )
             for point in results.points
         ]

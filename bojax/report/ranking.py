@@ -7,14 +7,16 @@ import numpy as np
 
 from bojax.config.errors import allowed_names
 from bojax.report import statistics
-from bojax.report.columns import Columns, NoColumn
+from bojax.report.budgets import times_within
+from bojax.report.columns import NoColumn
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats, Interval
 from bojax.report.text import counted
 from bojax.results.store import ResultsError
 
 ENDS = {"steps_to_goal": "steps", "episodes_to_goal": "episodes", "episodes_to_target": "episodes"}
-"""For columns that are null in a run without success: the column of the end of the run, which then counts."""
+"""For columns that are null in a run without success: the column of the end of a run. The end of the longest
+run of all points then counts, so that no point gains by runs that ended early."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +29,7 @@ class Measure:
     @property
     def words(self) -> str:
         """The name of the measure in a sentence."""
-        bound = ", or to the end of a run" if self.column in ENDS else ""
+        bound = ", or to the end of the longest run" if self.column in ENDS else ""
         return f"mean {self.column.replace('_', ' ')}{bound}"
 
     @property
@@ -35,10 +37,10 @@ class Measure:
         """The factor with which more is better."""
         return -1.0 if self.is_least else 1.0
 
-    def values(self, runs: Columns) -> Floats:
-        """Its value in each run; NaN if a run has none."""
-        values, end = runs[self.column].astype(np.float64), ENDS.get(self.column)
-        return values if end is None else np.where(np.isfinite(values), values, runs[end])
+    def values(self, results: Results, point: Point) -> Floats:
+        """Its value in each run of a point; NaN if a run has none, and no column of `ENDS` stands for it."""
+        values, end = results.runs_of(point)[self.column].astype(np.float64), ENDS.get(self.column)
+        return values if end is None else times_within(values, float(results.runs[end].max(initial=0)))
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,7 @@ def measure_of(results: Results, by: str | None = None) -> Measure:
 def ranking(results: Results, measure: Measure, most: int | None = None) -> list[Standing]:
     """The points with runs, at most `most` and the best first; those with a non-finite value are left out."""
     runs = {point.index: results.runs_of(point) for point in results.points}
-    values = {index: measure.values(table) for index, table in runs.items()}
+    values = {point.index: measure.values(results, point) for point in results.points}
     points = [point for point in results.points if values[point.index].size]
     points = [point for point in points if np.isfinite(values[point.index]).all()]
     points.sort(key=lambda point: -measure.sign * float(values[point.index].mean()))  # ties stay in order

@@ -17,9 +17,9 @@ from bojax.config.errors import printable
 from bojax.config.sweep import Report
 from bojax.experiments.settings import Learning, Planning
 from bojax.problems.settings import ProblemSettings
+from bojax.report.budgets import held
 from bojax.report.columns import Arrays, Columns, check_runs, read_columns, read_snapshot, where
 from bojax.report.manifest import Manifest, PointEntry, Unread, claims_of, experiment_of, read
-from bojax.report.statistics import carry_forward
 from bojax.results.outline import Outline
 from bojax.results.store import ARRAYS, MANIFEST, WORK, ResultsError, array_file, read_manifest
 
@@ -67,6 +67,11 @@ class Point:
         if isinstance(self.problem, ProblemSettings):
             return self.problem.ends_at_success
         return self.problem is not None
+
+    @property
+    def time_limit(self) -> int | None:
+        """The most steps of an episode of its problem; None if unknown."""
+        return self.problem.max_steps if isinstance(self.problem, ProblemSettings) else None
 
 
 @dataclass(frozen=True)
@@ -144,20 +149,40 @@ class Results:
     def by_step(self, point: Point, column: str) -> NDArray[np.float64]:
         """A column of `steps.parquet` by run and step, `[runs, num_steps + 1]`; 0 at step 0.
 
-        A run that has ended keeps its last value. The rows are those of `runs_of`.
+        A run that has ended keeps its last value, see `held`. The rows are those of `runs_of`.
         """
-        rows = self.steps_of(point)
-        values, runs = rows[column], self.runs_of(point)["run"]
-        return carry_forward(runs, rows["run"], values, self.num_steps)
+        rows, runs = self.steps_of(point), self.runs_of(point)["run"]
+        table = np.full((runs.size, self.num_steps + 1), np.nan)
+        row = np.searchsorted(runs, rows["run"])
+        table[row, 0], table[row, rows["step"]] = 0.0, rows[column]
+        return held(table, np.bincount(row, minlength=runs.size), self.final_runs(point))
 
-    def by_episode(self, point: Point, column: str, phase: str = "train") -> NDArray[np.float64]:
+    def by_episode(
+        self, point: Point, column: str, phase: str = "train", *, is_summed: bool = False
+    ) -> NDArray[np.float64]:
+        """A column of `episodes.parquet` by run and episode as `recorded`, or its sum up to each episode.
+
+        A run that its success ended keeps its last value, see `held`.
+        """
+        values, ends = self.recorded(point, column, phase), self.episodes_of(point, phase)
+        if is_summed:
+            values = np.nan_to_num(values).cumsum(axis=1)
+        return held(values, ends - 1, self.final_runs(point)) if values.size else values
+
+    @cached_property
+    def has_early_success(self) -> bool:
+        """Whether a success ended some run of a learner before the last episode of the longest run."""
+        ended = [self.episodes_of(point)[self.final_runs(point)] for point in self.run_points]
+        return min(map(int, np.concatenate(ended)), default=self.num_episodes) < self.num_episodes
+
+    def recorded(self, point: Point, column: str, phase: str = "train") -> NDArray[np.float64]:
         """A column of `episodes.parquet` by run and episode, `[runs, episodes]`, the first episode first.
 
         Of several tests after one episode, the mean. NaN where a run had no such episode. As many columns
         as the longest run of any point has; its rows are those of `runs_of`.
         """
         key = (point.index, column, phase)
-        if key not in self._by_episode:
+        if key not in self._recorded:
             values = self.episodes[column]
             is_phase = self.episodes["phase"] == phase
             last = int(self.episodes["episode"][is_phase].max(initial=0))
@@ -168,12 +193,36 @@ class Results:
             count = np.bincount(cell, minlength=runs.size * last)
             total = np.bincount(cell, values, minlength=runs.size * last)
             means = np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
-            self._by_episode[key] = means.reshape(runs.size, last)
-        return self._by_episode[key]
+            self._recorded[key] = means.reshape(runs.size, last)
+        return self._recorded[key]
+
+    def episodes_of(self, point: Point, phase: str = "train") -> NDArray[np.int64]:
+        """The last training episode of each run, or the last one with a test; 0 without any."""
+        rows = (self.episodes["phase"] == phase) & (self.episodes["point"] == point.index)
+        runs = self.runs_of(point)["run"]
+        last = np.zeros(runs.size, np.int64)
+        np.maximum.at(last, np.searchsorted(runs, self.episodes["run"][rows]), self.episodes["episode"][rows])
+        return last
 
     @cached_property
-    def _by_episode(self) -> dict[tuple[int, str, str], NDArray[np.float64]]:
+    def _recorded(self) -> dict[tuple[int, str, str], NDArray[np.float64]]:
         return {}
+
+    def final_runs(self, point: Point) -> NDArray[np.bool_]:
+        """Which runs of a point are over for good, so that their last values hold at every later place.
+
+        These are runs of a learner that a success ended, and planning episodes that ended before their time
+        limit or at a success. Experiments that are not known count as episodes without a time limit.
+        """
+        runs = self.runs_of(point)
+        never, ever = np.zeros(runs["run"].size, bool), np.ones(runs["run"].size, bool)
+        if isinstance(point.experiment, Learning):
+            stop = {"first-success": "success", "target": "reached"}.get(point.experiment.stop, "")
+            return runs.get(stop, never).astype(bool)
+        if (limit := point.time_limit) is None or not self.steps:
+            return ever
+        steps = np.bincount(np.searchsorted(runs["run"], self.steps_of(point)["run"]), minlength=ever.size)
+        return (steps < limit) | (point.ends_at_success & runs.get("success", never).astype(bool))
 
     @cached_property
     def num_episodes(self) -> int:

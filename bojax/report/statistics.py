@@ -1,4 +1,4 @@
-"""The statistics of a report: intervals of means and shares, Holm's procedure, carrying forward.
+"""The statistics of a report: intervals of means and shares, and Holm's procedure.
 
 `iqm_interval` and `improvement_interval` are the estimates that Agarwal et al. (2021), Deep Reinforcement
 Learning at the Edge of the Statistical Precipice (NeurIPS), recommend for a few runs on several tasks.
@@ -331,17 +331,3 @@ def holm_levels(p_values: ArrayLike, alpha: float) -> Floats:
             is_rejecting = bool(p[index] <= level)
         levels[index] = level
     return levels
-
-
-def carry_forward(runs: ArrayLike, run: ArrayLike, value: ArrayLike, num_steps: int) -> Floats:
-    """Values of `runs` by step, `[R, num_steps + 1]`; the last value of a run is carried forward.
-
-    `run` and `value`, `[rows]`, are those of the recorded rows, in the order of runs and, from step 1 on, of
-    steps without a gap. Values are 0 at step 0. A run with no row at all is NaN.
-    """
-    first, end = (np.searchsorted(run, runs, side=side) for side in ("left", "right"))
-    last = np.minimum(np.arange(num_steps + 1), (end - first)[:, None])  # the last recorded step
-    known = np.append(np.asarray(value, dtype=np.float64), np.nan)
-    table = np.where(last > 0, known[first[:, None] + last - 1], 0.0)
-    table[first == end] = np.nan
-    return table

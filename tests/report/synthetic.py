@@ -359,6 +359,7 @@ def in_memory(
     episodes: dict[str, np.ndarray] | None = None,
     tests: dict[str, np.ndarray] | None = None,
     swept: dict[str, dict] | None = None,
+    stop: str = "never",
 ) -> Results:
     """Results of made-up columns.
 
@@ -370,6 +371,7 @@ def in_memory(
         episodes: By name, `[runs, episodes]` of the column `value` in training; NaN where there is no row.
         tests: By name, `[runs, episodes, tests]` of it in the tests after each episode.
         swept: By name, label and swept numbers of the point.
+        stop: Whether a run of a learner ends early.
     """
     names = list(runs)
     keys = {name: dict((swept or {}).get(name, {})) for name in names}
@@ -377,7 +379,7 @@ def in_memory(
     if episodes is None:
         experiment = Planning.model_validate({"problem": problem or "parking"})
     else:
-        experiment = Learning.model_validate({"env": "mountain-car", "learner": "emu-q"})
+        experiment = Learning.model_validate({"env": "mountain-car", "learner": "emu-q", "stop": stop})
     config = experiment.model_dump(mode="json")
     points = tuple(
         Point(i, labels[name], name, name, keys[name], config, experiment, Outline())

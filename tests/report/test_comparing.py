@@ -1,6 +1,7 @@
 """Comparisons: curves on common axes, scores with paired and unpaired intervals, a page, one-line errors."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pyarrow as pa
@@ -12,7 +13,7 @@ from bojax.cli.main import main
 from bojax.report import statistics
 from bojax.report.comparing import tables
 from bojax.report.comparing.build import compare
-from bojax.report.comparing.contenders import Measure, named, of_file, of_folder, tasks_of
+from bojax.report.comparing.contenders import Measure, named, of_file, of_folder, scored, tasks_of
 from bojax.report.comparing.curve_files import Rows, read_curves
 from bojax.report.source import load
 from bojax.results.store import ResultsError
@@ -168,14 +169,31 @@ class TestCurveFiles:
         }
 
 
-def contenders_of(episodes, measure, lengths=None):
-    """Contenders of returns `[runs, episodes]` by name, NaN where a run had no such episode."""
-    runs = {name: {"return": values[:, -1]} for name, values in episodes.items()}
-    results = in_memory(runs, episodes=episodes)
+def contenders_of(episodes, measure, lengths=None, success=None):
+    """Contenders of returns `[runs, episodes]` by name, NaN where a run had no such episode.
+
+    `success` are the runs that a first success ended.
+    """
+    runs = {name: {"success": np.zeros(len(values), bool)} for name, values in episodes.items()}
+    for name, ended in (success or {}).items():
+        runs[name]["success"][ended] = True
+    results = in_memory(runs, episodes=episodes, stop="first-success" if success else "never")
     rows = results.episodes
     rows["return"] = rows.pop("value")
     rows["length"] = np.ones(rows["run"].size) if lengths is None else lengths
-    return of_folder(results, measure)
+    return scored(of_folder(results, measure), measure)
+
+
+def curves_of(path, runs, measure):
+    """Contenders of curves by label and run, pairs of places and values, scored."""
+    rows = [
+        f"{label},{run},{x},{value}"
+        for label, each in runs.items()
+        for run, pair in enumerate(each)
+        for x, value in zip(*pair, strict=True)
+    ]
+    path.write_text("\n".join(["label,run,x,value", *rows]))
+    return scored(of_file(path, read_curves(path), measure, ""), measure)
 
 
 class TestContenders:
@@ -184,11 +202,83 @@ class TestContenders:
         (each,) = contenders_of({"a": values}, EPISODES)
         assert each.scores == pytest.approx(values[:, -2:].mean(axis=1))
 
-    def test_a_run_that_stopped_early_scores_its_own_last_values(self):
-        values = np.arange(20.0).reshape(2, 10)
-        values[1, 4:] = np.nan
+    def test_a_run_that_was_cut_off_scores_its_own_last_values_and_is_named(self):
+        values = np.arange(40.0).reshape(2, 20)
+        values[1, 10:] = np.nan
         (each,) = contenders_of({"a": values}, EPISODES)
-        assert each.scores.tolist() == [9.0, 13.0]
+        assert each.scores.tolist() == [18.5, 29.0]
+        assert each.cut_off == [1]
+
+    def test_a_run_that_a_success_ended_keeps_its_last_value(self):
+        values = np.arange(40.0).reshape(2, 20)
+        values[1, 10:] = np.nan
+        for measure in (EPISODES, STEPS, replace(EPISODES, last=3)):
+            (each,) = contenders_of({"a": values}, measure, success={"a": [1]})
+            assert each.scores[1] == 29.0 and not each.cut_off
+            assert each.curve.values[1, 9:].tolist() == [29.0] * 11
+
+    def test_scores_of_different_budgets_are_taken_at_the_largest_that_all_have(self, tmp_path):
+        """Two equal curves, one of which goes on, are not different, by step and by episode."""
+        x = np.arange(100, 100_001, 100)
+        runs = [(x, np.sqrt(x) + run) for run in range(3)]
+        short = [(x[:50], values[:50]) for x, values in runs]
+        for measure in (EPISODES, STEPS, replace(STEPS, last=7), replace(STEPS, at=2000)):
+            a, b = curves_of(tmp_path / "x.csv", {"a": short, "b": runs}, measure)
+            assert a.scores.tolist() == b.scores.tolist()
+            assert (a.budget, b.budget, a.at) == (5000, 100_000, measure.at or 5000)
+            assert a.curve.x[-1] == 5000 and b.curve.x[-1] == 100_000
+            assert tables.difference(b, a).estimate == 0
+        whole = [scored([each], STEPS)[0].scores for each in (a, b)]
+        assert whole[1].min() > 4 * whole[0].max()  # at their own ends they are
+
+    def test_the_last_values_are_those_that_a_run_logged(self, tmp_path):
+        random = np.random.default_rng(3)
+        runs = [
+            (np.cumsum(random.integers(80, 200, size)), np.round(random.normal(size=size), 3))
+            for size in (18, 13, 15)
+        ]
+        a, b = curves_of(tmp_path / "x.csv", {"a": runs, "b": runs[:1]}, replace(STEPS, last=3))
+        assert a.scores == pytest.approx([values[-3:].mean() for _, values in runs])
+        assert b.scores == pytest.approx(a.scores[:1]) and a.cut_off == [1, 2]
+
+    def test_a_run_that_ends_within_its_own_interval_of_the_budget_was_not_cut_off(self, tmp_path):
+        """Episodes end at other steps in every run; none of run 0 would have ended by step 1,000."""
+        runs = [(np.array([200, 550, 950]), np.ones(3)), (np.array([400, 1000]), np.ones(2))]
+        runs.append((np.array([100, 200, 900]), np.ones(3)))
+        runs.append((np.array([100, 200]), np.ones(2)))
+        (each,) = curves_of(tmp_path / "x.csv", {"a": runs}, STEPS)
+        assert each.at == 1000 and each.cut_off == [3]
+
+    def test_contenders_whose_runs_all_succeeded_have_every_budget(self):
+        values = np.ones((3, 30))
+        values[:, 6:] = np.nan
+        results = contenders_of(
+            {"a": values, "b": np.ones((3, 30)), "c": values}, STEPS, success={"a": [0, 1, 2], "c": [0, 1]}
+        )
+        assert [each.budget for each in results] == [np.inf, 30, 6]
+        assert {each.at for each in results} == {6}
+        both = scored([results[0], replace(results[0], has_nan=results[0].has_nan)], STEPS)
+        assert both[0].at == 6 and both[0].scores.tolist() == [1, 1, 1]
+
+    def test_a_run_without_a_value_up_to_the_budget_has_no_score_and_is_named(self, tmp_path):
+        runs = {"a": [([10, 20], [1, 2])], "b": [([30, 40], [3, 4]), ([15, 40], [3, 4])]}
+        a, b = curves_of(tmp_path / "x.csv", runs, STEPS)
+        assert np.isnan(b.scores).tolist() == [True, False] and b.without_value == [0]
+        (task,) = tasks_of([a, b], STEPS, None)
+        assert "Without a value up to it: run 0 of b." in tables.scores(task, STEPS).caption
+
+    def test_planning_of_other_time_limits_is_compared_at_the_shorter_one(self, tmp_path):
+        """Runs that parked or left the domain are over; the others had 15 steps of 50 in `long`."""
+        measure = Measure("accumulated_reward", False, "planning", "step")
+        folders = [write_results(tmp_path / name, runs=20, recorded=0) for name in ("short", "long")]
+        edit_manifest(
+            folders[1], lambda m: [p["config"]["problem"].update(max_steps=50) for p in m["points"]]
+        )
+        found = [of_folder(load(folder), measure)[-1] for folder in folders]
+        assert [each.budget for each in found] == [15, np.inf]
+        at_10 = scored(found, replace(measure, at=10))
+        steps = load(folders[0]).by_step(found[0].point, "accumulated_reward")
+        assert at_10[0].scores.tolist() == steps[:, 10].tolist()
 
     def test_a_value_holds_from_the_end_of_its_episode(self):
         """Episodes of 2 and 3 steps in run 0, of 1 and 4 in run 1: both have made 5 steps."""
@@ -197,10 +287,11 @@ class TestContenders:
         assert each.curve.x.tolist() == [1, 2, 3, 4, 5]
         np.testing.assert_array_equal(each.curve.values, [[np.nan, 1, 1, 1, 2], [3, 3, 3, 3, 4]])
 
-    def test_a_curve_by_step_ends_with_its_shortest_run(self):
+    def test_a_curve_by_step_ends_with_its_longest_run(self):
         values = np.array([[1.0, 2.0], [3.0, 4.0]])
         (each,) = contenders_of({"a": values}, STEPS, np.array([2, 2, 10, 10]))
-        assert each.curve.x[-1] == 4
+        assert each.curve.x[-1] == 20 and each.curve.values[:, -1].tolist() == [2, 4]
+        assert each.cut_off == [0]
 
     def test_runs_are_paired_by_seed_and_index(self, tmp_path):
         folders = [
@@ -218,27 +309,38 @@ class TestContenders:
         folders = [write_learning(tmp_path / name, runs=3) for name in ("a", "b")]
         found = named([each for folder in folders for each in of_folder(load(folder), EPISODES)])
         assert [each.name for each in found][::3] == ["emu-q (a)", "emu-q (b)"]
-        assert [each.curve.point.name for each in found] == [each.name for each in found]
+        assert [each.curve.point.name for each in scored(found, EPISODES)] == [each.name for each in found]
 
     def test_a_run_with_a_nan_has_no_score(self, tmp_path):
         folder = write_learning(tmp_path / "a", runs=3)
         results = load(folder)
         results.runs["nans"] = np.where(results.runs["run"] == 1, 2, 0)
-        scores = of_folder(results, EPISODES)[0].scores
+        scores = scored(of_folder(results, EPISODES), EPISODES)[0].scores
         assert np.isnan(scores).tolist() == [False, True, False]
 
     def test_a_run_that_never_reached_the_goal_counts_with_its_end(self, tmp_path):
         measure = Measure("episodes_to_goal", True, "learning", "episode")
-        _, rff_q, epsilon_greedy = of_folder(load(write_learning(tmp_path / "a", runs=3)), measure)
-        assert rff_q.scores.tolist() == [12, 20, 12]
-        assert epsilon_greedy.scores.tolist() == [20, 20, 20]
+        _, rff_q, epsilon_greedy = found = of_folder(load(write_learning(tmp_path / "a", runs=3)), measure)
+        assert scored([rff_q, epsilon_greedy], measure)[0].scores.tolist() == [12, 20, 12]
+        assert scored(found, measure)[2].scores.tolist() == [20, 20, 20]
+
+    def test_times_to_the_goal_are_compared_up_to_one_budget(self, tmp_path):
+        """The same learner with 20 and with 8 episodes; it reaches the goal at 12 in two of three runs."""
+        measure = Measure("episodes_to_goal", True, "learning", "episode")
+        folders = [write_learning(tmp_path / f"{n}", runs=3, episodes=n) for n in (20, 8)]
+        results = load(folders[1])
+        results.runs["episodes_to_goal"] = np.where(
+            results.runs["episodes_to_goal"] > 8, np.nan, results.runs["episodes_to_goal"]
+        )
+        long, short = of_folder(load(folders[0]), measure)[1], of_folder(results, measure)[1]
+        assert [each.scores.tolist() for each in scored([long, short], measure)] == [[8, 8, 8]] * 2
 
 
 class TestTables:
     def test_a_difference_of_paired_runs_is_that_of_their_differences(self, tmp_path):
         results = load(write_results(tmp_path / "a", runs=20))
         measure = Measure("accumulated_reward", False, "planning", "step")
-        found = of_folder(results, measure)
+        found = scored(of_folder(results, measure), measure)
         returns = results.paired(results.points[:2], "return")
         assert found[0].scores == pytest.approx(returns[:, 0])
         interval = tables.difference(found[1], found[0])
@@ -247,16 +349,14 @@ class TestTables:
     def test_a_difference_of_other_runs_is_welchs(self, tmp_path):
         folders = [write_learning(tmp_path / name, runs=runs) for name, runs in (("a", 6), ("b", 9))]
         measure = Measure("steps_to_goal", True, "learning", "episode")
-        a, b = (of_folder(load(folder), measure)[0] for folder in folders)
+        a, b = scored([of_folder(load(folder), measure)[0] for folder in folders], measure)
         test = stats.ttest_ind(b.scores, a.scores, equal_var=False).confidence_interval()
         interval = tables.difference(b, a)
         assert (interval.low, interval.high) == pytest.approx((test.low, test.high))
 
     def test_less_is_better_with_a_minus_sign(self, tmp_path):
-        found = of_folder(
-            load(write_learning(tmp_path / "a", runs=6)),
-            Measure("episodes", True, "learning", "episode"),
-        )
+        measure = Measure("episodes", True, "learning", "episode")
+        found = scored(of_folder(load(write_learning(tmp_path / "a", runs=6)), measure), measure)
         pair = [(found[0], found[1])]
         less = tables.improvement(pair, Measure("x", True, "learning", "episode"))
         more = tables.improvement(pair, Measure("x", False, "learning", "episode"))
@@ -273,7 +373,7 @@ class TestTables:
     def test_contenders_in_different_worlds_are_compared_with_a_caution(self, tmp_path):
         folders = [write_learning(tmp_path / name, runs=3) for name in ("a", "b")]
         found = named([each for folder in folders for each in of_folder(load(folder), EPISODES)])
-        alike = tasks_of(found, None)
+        alike = tasks_of(found, EPISODES, None)
         assert tables.differing_worlds(alike) == []
 
         def change(manifest):
@@ -345,7 +445,7 @@ class TestPage:
         names = {path.stem for path in (tmp_path / "out" / "figures").iterdir()}
         assert names == {"curves-1-easy", "curves-2-very-hard", "scores-1-easy", "scores-2-very-hard"}
         found = of_file(tmp_path / "x.csv", read_curves(tmp_path / "x.csv"), EPISODES, "")
-        overall = dict(tables.overall(tasks_of(found, "a"), "a", EPISODES).rows)
+        overall = dict(tables.overall(tasks_of(found, EPISODES, "a"), "a", EPISODES).rows)
         # Runs of b are 1 above those of a in units of the difference of the means.
         assert overall["b"][1].text == "100.0%"
         assert [overall[name][0].text for name in "ab"] == ["0.00", "1.00"]
@@ -385,6 +485,7 @@ class TestMistakes:
         write_learning(tmp_path / "car", runs=3, tests=0)
         write_results(tmp_path / "parking", runs=4, recorded=0)
         (tmp_path / "good.csv").write_text(GOOD)
+        (tmp_path / "late.csv").write_text("label,run,x,value\nc,0,8,1\nc,0,9,1\n")
         (tmp_path / "empty").mkdir()
         write_learning(tmp_path / "newer", runs=3)
         edit_manifest(tmp_path / "newer", lambda m: m["points"][0]["config"].update(episodes="many"))
@@ -411,6 +512,15 @@ class TestMistakes:
             (["parking", "--x", "episode"], "--x: got episode; allowed of planning: step"),
             (["car", "--phase", "test"], "car: has no test episodes; allowed: --phase train"),
             (["car", "--last", "0"], "--last: got 0; allowed: >= 1"),
+            (["car", "--at", "0"], "--at: got 0; allowed: >= 1"),
+            (["car", "--at", "21"], "--at: got 21; emu-q has 20 episodes; allowed: <= 20"),
+            (
+                ["car", "--at", "5", "--metric", "success", "--csv", "late.csv"],
+                "--at: got 5; a run of c has its",
+            ),
+            (["car", "--at", "5", "--metric=-steps"], "--at: got 5; steps has one value per run, at its end"),
+            (["car", "--metric", ""], '--metric: got ""; allowed: a column, such as return or -rmse'),
+            (["car", "--metric=-"], '--metric: got "-"; allowed: a column, such as return or -rmse'),
             (
                 ["car", "--reference", "emuq"],
                 "--reference: got emuq; allowed: emu-q, epsilon-greedy, rff-q; did",

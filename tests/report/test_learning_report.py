@@ -5,10 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bojax.config.claims import Window
 from bojax.report import tables
 from bojax.report.build import build_report
+from bojax.report.claims.samples import by_episode
+from bojax.report.columns import Columns
 from bojax.report.drawing.base import Undrawable
 from bojax.report.drawing.curves import Chart, Curve, Panel
+from bojax.report.exporting.content import exported
 from bojax.report.figures import draw
 from bojax.report.figures.growth import nearest_law
 from bojax.report.figures.learning_curves import limit, rolling_mean
@@ -239,3 +243,78 @@ def test_figures_of_planning_are_not_drawn_of_learners(name, chains):
 def test_figures_of_learning_are_not_drawn_of_planners(name, tmp_path):
     with pytest.raises(Undrawable):
         draw(name, load(write_results(tmp_path / "results", runs=3)))
+
+
+class TestRunsThatASuccessEnded:
+    """Run 0 succeeded in episode 2 and was stopped; run 1 never did. A second point has fewer episodes."""
+
+    @pytest.fixture
+    def results(self):
+        nan = np.nan
+        success = {
+            "a": np.array([[0, 1, nan, nan], [0, 0, 0, 0]]),
+            "b": np.array([[1, nan, nan, nan], [0, 0, 0, nan]]),
+        }
+        runs = {
+            name: {"success": np.array([True, False]), "episodes_to_goal": np.array([first, nan])}
+            for name, first in (("a", 2.0), ("b", 1.0))
+        }
+        results = in_memory(runs, episodes=success, stop="first-success")
+        rows = results.episodes
+        rows["success"] = rows.pop("value")
+        rows["return"], rows["length"] = rows["success"] - 1, 10 * rows["episode"]
+        return results
+
+    def test_they_keep_their_last_value_up_to_the_budget_of_their_point(self, results):
+        curves = heights(drawn("learning-curves", results).figure.axes[0])
+        np.testing.assert_array_equal(curves, [-1, -0.5, -0.5, -0.5])
+        axes = drawn("learning-curves", results).figure.axes[0]
+        np.testing.assert_array_equal(heights(axes, 1), [-0.5, -0.5, -0.5, np.nan])
+        assert (
+            "A run that its success ended keeps its last value." in drawn("learning-curves", results).caption
+        )
+
+    def test_so_does_the_share_of_episodes_at_the_goal(self, results):
+        steps, share = drawn("steps-to-goal", results).figure.axes
+        np.testing.assert_array_equal(heights(share), [0, 0.5, 0.5, 0.5])
+        np.testing.assert_array_equal(heights(steps), [np.nan, 20, 20, 20])
+
+    def test_the_share_of_runs_at_the_goal_ends_with_the_budget(self, results):
+        (axes,) = drawn("success-episodes", results).figure.axes
+        np.testing.assert_array_equal(heights(axes), [0, 0, 0.5, 0.5, 0.5])
+        np.testing.assert_array_equal(heights(axes, 1), [0, 0.5, 0.5, 0.5, np.nan])
+
+    def test_a_sum_over_episodes_does_not_count_the_kept_value_again(self, results):
+        point = results.points[0]
+        summed = results.by_episode(point, "success", is_summed=True)
+        np.testing.assert_array_equal(summed, [[0, 1, 1, 1], [0, 0, 0, 0]])
+
+    def test_exports_average_the_same_runs_at_every_episode(self, results):
+        curves = {curve.name: curve for curve in exported(results)[0].curves}
+        np.testing.assert_array_equal(curves["train/success"].mean, [0, 0.5, 0.5, 0.5])
+
+    def test_windows_of_claims_from_the_start_have_the_kept_value(self, results):
+        point, runs = results.points[0], np.arange(2)
+        window = Window.model_validate({"from": 3, "to": 4})
+        np.testing.assert_array_equal(by_episode(results, point, "success", window, runs), [[1, 1], [0, 0]])
+        after = Window.model_validate({"from": 2, "to": 2, "counted_from": "first-success"})
+        assert np.isnan(by_episode(results, point, "success", after, runs)).all()
+
+
+def test_a_planner_has_no_curve_beyond_its_time_limit(tmp_path):
+    """With a limit of 9 steps in one point, and runs that go on in the others."""
+    results = load(write_results(tmp_path / "parking", runs=20, recorded=0))
+    point = results.points[4]
+    problem = point.problem.model_copy(update={"max_steps": 9})
+    limited = replace(point, experiment=point.experiment.model_copy(update={"problem": problem}))
+    is_kept = (results.steps["point"] != 4) | (results.steps["step"] <= 9)
+    steps = Columns({key: column[is_kept] for key, column in results.steps.items()})
+    runs = results.runs
+    runs["steps"] = np.where(runs["point"] == 4, np.minimum(runs["steps"], 9), runs["steps"])
+    results = replace(results, points=(*results.points[:4], limited))
+    results.__dict__.update(steps=steps, runs=runs)
+    for name in ("accumulated-reward", "success"):
+        (axes,) = drawn(name, results).figure.axes
+        known = np.isfinite(heights(axes, 4))
+        assert known[:10].all() and not known[10:].any(), name
+        assert np.isfinite(heights(axes)).all()

@@ -105,7 +105,20 @@ def test_a_run_that_never_reaches_its_goal_counts_with_its_end(tmp_path):
     ]
     runs = results.runs_of(results.points[1])
     never = np.isnan(runs["steps_to_goal"].astype(float))
-    assert never.sum() == 1 and (measure.values(runs)[never] == runs["steps"][never]).all()
+    found = measure.values(results, results.points[1])
+    assert never.sum() == 1 and (found[never] == runs["steps"][never]).all()
+
+
+def test_a_run_gains_nothing_by_ending_early_without_reaching_its_goal():
+    """Point `a` reached the goal after 50 steps; the runs of `b` fell over and were done after 10."""
+    results = in_memory(
+        {
+            "a": {"steps_to_goal": np.full(4, 50.0), "steps": np.full(4, 60)},
+            "b": {"steps_to_goal": np.full(4, np.nan), "steps": np.full(4, 10)},
+        }
+    )
+    standings = ranking(results, Measure("steps_to_goal", is_least=True))
+    assert [(each.point.name, each.mean.estimate) for each in standings] == [("a", 50), ("b", 60)]
 
 
 @pytest.mark.parametrize("by", ["rewrd", "label", "planner.depth", "seed"])

@@ -133,18 +133,6 @@ def test_holm_tests_the_smallest_at_the_strictest_level_and_stops_at_the_first_k
     np.testing.assert_allclose(levels, [0.025, 0.025])
 
 
-def test_values_are_carried_forward_from_the_last_row_of_a_run():
-    table = statistics.carry_forward([5, 3, 9], [3, 3, 5], [10.0, 11.0, -4.0], 4)
-    np.testing.assert_array_equal(table[0], [0.0, -4.0, -4.0, -4.0, -4.0])
-    np.testing.assert_array_equal(table[1], [0.0, 10.0, 11.0, 11.0, 11.0])
-    assert np.isnan(table[2]).all()
-
-
-def test_a_recorded_nan_is_carried_forward_not_papered_over():
-    table = statistics.carry_forward([0], [0, 0], [1.0, np.nan], 3)
-    np.testing.assert_array_equal(table, [[0.0, 1.0, np.nan, np.nan]])
-
-
 def test_no_data_and_nan_have_no_interval():
     for values in ([], [1.0, float("nan")]):
         assert np.isnan(statistics.mean_interval(values).estimate)

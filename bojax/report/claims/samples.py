@@ -133,18 +133,23 @@ def paired(results: Results, test: Test, points: Sequence[Point], measure: Measu
 
 
 def by_episode(results: Results, point: Point, name: str, window: Window, runs: NDArray[Any]) -> Floats:
-    """A column of `episodes.parquet` in a window, `[runs, episodes]`; NaN where a run had no such episode."""
+    """A column of `episodes.parquet` in a window, `[runs, episodes]`; NaN where a run had no such episode.
+
+    Counted from the start, a run that its success ended keeps its last value. Counted from the first success,
+    only recorded episodes count.
+    """
     last, rows = window.last, np.searchsorted(results.runs_of(point)["run"], runs)
     if not results.episodes:
         raise Undecidable("the results have no episodes")
-    table = results.by_episode(point, name, window.phase)
+    is_from_start = window.counted_from == "start"
+    table = (results.by_episode if is_from_start else results.recorded)(point, name, window.phase)
     if table.shape[1] < last:
         what = "a test after" if window.phase == "test" else "an"
         raise Undecidable(f"no run has {what} episode {last}: the last one is {table.shape[1]}")
     table = table[rows]
-    if window.counted_from == "start":
+    if is_from_start:
         return table[:, window.first - 1 : last]
-    is_success = results.by_episode(point, "success")[rows] > 0
+    is_success = results.recorded(point, "success")[rows] > 0
     first = np.where(is_success.any(axis=1), is_success.argmax(axis=1), table.shape[1])
     wanted = first[:, None] + np.arange(window.first - 1, last)
     padded = np.pad(table, ((0, 0), (0, 1)), constant_values=np.nan)

@@ -40,19 +40,20 @@ def compare(
     axis: Axis | None = None,
     phase: Phase = "train",
     last: int | None = None,
+    at: int | None = None,
     reference: str | None = None,
     command: str = "",
 ) -> Path:
     """Write a comparison into the folder `out`, which is made, and return `comparison.html`.
 
     Nothing is written before everything is ready. The files are CSV; the options are those of the command:
-    `metric` is a column, with a minus sign if less is better, and `last` the number of the last values of a
-    curve whose mean is the score of a run.
+    `metric` is a column, with a minus sign if less is better, `last` the number of the last values of a run
+    whose mean is its score, and `at` the step or episode up to which they are taken.
     """
     results = [load(folder) for folder in folders]
-    measure = measured_by(results, metric, axis, phase, last)
+    measure = measured_by(results, metric, axis, phase, last, at)
     contenders = contenders_of(results, files, measure)
-    tasks = tasks_of(contenders, reference)
+    tasks = tasks_of(contenders, measure, reference)
     images, parts = {}, []
     with style.settings():
         for number, task in enumerate(tasks, start=1):
@@ -64,7 +65,7 @@ def compare(
     listed = f" ({joined(names)})" if len(names) <= MAX_POINTS else ""
     places = [task.name for task in tasks if task.name]
     where = f" on {joined(places)}" if places else ""
-    runs = ranged((each.scores.size for each in contenders), "run")
+    runs = ranged((len(each.series) for each in contenders), "run")
     worlds = tables.differing_worlds(tasks)
     in_words = joined(worlds) if 0 < len(worlds) <= 4 else f"{len(worlds)} settings of their worlds"
     caution = f" The contenders differ in {in_words}: their scores may not be comparable." if worlds else ""
@@ -73,8 +74,8 @@ def compare(
         title=f"Comparison: {heading(measure.column)}{where}",
         summary=f"{counted(len(names), 'contender')}{listed} of "
         f"{counted(len({each.source for each in contenders}), 'source')}, {runs} each. The score of a run is "
-        f"the {_score(contenders, measure)}{', of which less is better' if measure.is_least else ''}."
-        f"{caution}",
+        f"the {_score(contenders[0], measure)}{', of which less is better' if measure.is_least else ''}."
+        f"{tables.rule(contenders[0], measure)}{caution}",
         counts=[],
         parts=parts,
         overall=tables.overall(tasks, reference or tasks[0].reference.name, measure),
@@ -104,13 +105,8 @@ def _drawings(task: Task, measure: Measure) -> dict[str, Drawing]:
 
 
 def _draw_curves(task: Task, measure: Measure, note: str) -> Drawing:
-    curves, left_out = [], 0
-    for each in task.contenders:
-        if each.curve is not None:
-            # A NaN of planning is carried forward, so that its run is left out.
-            has_score = np.isfinite(each.scores) | (measure.kind == "learning")
-            curves.append(replace(each.curve, values=each.curve.values[has_score]))
-            left_out += int((~has_score).sum())
+    curves = [each.curve for each in task.contenders if each.curve is not None]
+    left_out = sum(int(each.has_nan.sum()) for each in task.contenders)
     if not curves:
         raise Undrawable(f"{measure.column} has one value per run")
     # Means of several tests, and shares of episodes in a CSV file, lie between 0 and 1.
@@ -121,22 +117,22 @@ def _draw_curves(task: Task, measure: Measure, note: str) -> Drawing:
     tests = " of the tests after each episode" if measure.phase == "test" else ""
     quantity = f"share of runs with success{tests}" if is_share else f"mean {words}{tests}"
     label = "success (%)" if is_share else words
-    missing = "A run is left out where it has no value." if measure.axis == "episode" else ""
+    missing = "A run is left out before its first value."
     panel = Panel(label, quantity, curves, is_share=is_share, missing=missing)
     by_step = measure.axis == "step" and measure.kind == "learning"
     chart = Chart([panel], "environment step" if by_step else measure.axis)
-    details = ["A run that has ended keeps its last value."] if measure.kind == "planning" else []
+    details = ["A run that has ended keeps its last value."]
     if left_out:
         details.append(f"Left out: {counted(left_out, 'run')} with a non-finite value.")
     if by_step:
         style.plain_ticks(chart.axes[0].xaxis)
         chart.axes[0].set_xticks(chart.axes[0].get_xticks()[::2])
-        details += [
-            "A value holds from the end of its episode to that of the next.",
-            "A curve ends with its shortest run.",
-        ]
+        details.append("A value holds from the end of its episode to that of the next.")
     if not is_share and limit(chart.axes[0], panel, []):
         details.append("Extreme values lie beyond the axis.")
+    if any(curve.x[-1] > task.contenders[0].at for curve in curves):
+        chart.axes[0].axvline(task.contenders[0].at, color=style.FAINT, linewidth=1.0, linestyle=(0, (4, 3)))
+        details.append(f"Dashed: {measure.unit} {task.contenders[0].at:,.10g}, up to which scores are taken.")
     return chart.drawing("Curves", " ".join(details), note)
 
 
@@ -169,7 +165,7 @@ def _draw_scores(task: Task, measure: Measure, note: str) -> Drawing:
     return Drawing(
         figure=figure,
         title="Scores",
-        caption=f"Mean and interquartile mean (IQM) of the score, the {_score(contenders, measure)}, and the "
+        caption=f"Mean and interquartile mean (IQM) of the score, the {_score(reference, measure)}, and the "
         f"probability that a run is better than one of {reference.name}, with 95% bootstrap intervals.{note}",
         alt=f"Dot plots with intervals. {'; '.join(told)}.",
     )
@@ -181,15 +177,11 @@ def _tick(value: float) -> str:
     return minus(text)
 
 
-def _score(contenders: Sequence[Contender], measure: Measure) -> str:
+def _score(contender: Contender, measure: Measure) -> str:
     """What the score of a run is, in words."""
     words = heading(measure.column)
-    if contenders[0].curve is None:
-        return f"{words}, or to the end of a run" if measure.column in ENDS else words
-    unit = "steps" if measure.axis == "step" else "episodes"
-    if measure.kind == "planning":
-        return f"final {words}" if measure.last is None else f"mean {words} of the last {measure.last} {unit}"
-    if measure.last is None:
-        return f"mean {words} of the last tenth of the {unit}"
-    places = "values on the axis" if measure.axis == "step" else unit
-    return f"mean {words} of the last {measure.last} {places}"
+    if not contender.has_curve:
+        return f"{words}, or the budget where it is not reached" if measure.column in ENDS else words
+    if measure.last is not None:
+        return f"mean {words} of the last {counted(measure.last, 'value')} of the run"
+    return f"final {words}" if measure.kind == "planning" else f"mean {words} over the last tenth of the run"

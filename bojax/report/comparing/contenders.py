@@ -1,18 +1,23 @@
 """The contenders of a comparison: points of results folders and labels of CSV files."""
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Literal, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bojax.config.errors import allowed_names
 from bojax.experiments.settings import Learning, Planning
 from bojax.report import ranking
+from bojax.report.budgets import Series, budget_of, common_budget, times_within
 from bojax.report.comparing.curve_files import Rows, read_curves
 from bojax.report.drawing.curves import Curve
 from bojax.report.manifest import Unread
+from bojax.report.ranking import ENDS
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats
 from bojax.report.text import counted
@@ -25,9 +30,7 @@ Phase: TypeAlias = Literal["train", "test"]
 
 PHASES: tuple[Phase, ...] = ("train", "test")  # the phases of learning
 PLANNING_CURVE = "accumulated_reward"  # the column of `steps.parquet` that is drawn as curves for planning
-GRID = 200  # number of places at which curves over the steps of an environment are compared
-
-_LAST = 0.1
+GRID = 200  # number of places at which curves over the steps of an environment are drawn
 
 
 @dataclass(frozen=True)
@@ -37,9 +40,20 @@ class Measure(ranking.Measure):
     kind: Kind  # of the experiments
     axis: Axis  # horizontal axis of curves
     phase: Phase = "train"  # of the episodes
-    # Number of the last values of a run's curve whose mean is its score; None for those of the last tenth of
-    # the axis, and the last one in planning
+    # Number of the last values of a run whose mean is its score; None for those in its last tenth, and the
+    # last one in planning
     last: int | None = None
+    at: int | None = None  # budget at which scores are taken; None for the largest that all contenders have
+
+    @property
+    def end(self) -> str:
+        """The column of `runs.parquet` that has the end of a run on the axis of budgets."""
+        return ENDS.get(self.column, "steps" if self.axis == "step" else "episodes")
+
+    @property
+    def unit(self) -> str:
+        """What a budget counts: `step` or `episode`."""
+        return self.end.removesuffix("s")
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,11 +63,34 @@ class Contender:
     point: Point  # its name and colour
     source: Path  # its results folder or CSV file
     task: str  # the problem or environment; curves and scores of different tasks have different scales
-    run: Floats  # `[runs]` indices
-    scores: Floats  # `[runs]`
-    curve: Curve | None  # None where only scores are known
+    run: NDArray[np.integer]  # `[runs]` indices
+    series: Sequence[Series]  # values of each run
+    has_nan: NDArray[np.bool_]  # `[runs]` runs without a score
+    has_curve: bool = True  # False of a column with one value per run
     seed: int | None = None  # None of a CSV file, whose point has no settings
     is_share: bool = False  # whether scores are 0 or 1
+    # Set by `scored`:
+    scores: Floats = field(default_factory=lambda: np.zeros(0))  # `[runs]`
+    at: float = 0.0  # the budget at which they are taken
+    curve: Curve | None = None  # None where only scores are known
+
+    @cached_property
+    def budget(self) -> float:
+        """The step or episode at which its longest run ended; infinite if every run is final."""
+        return budget_of(self.series)
+
+    @property
+    def cut_off(self) -> list[int]:
+        """Indices of the runs that ended too early for the scores, and not by success."""
+        return self._runs([each.is_cut_off(self.at) for each in self.series])
+
+    @property
+    def without_value(self) -> list[int]:
+        """Indices of the runs that logged no value up to the budget of the scores."""
+        return self._runs([self.has_curve and not (each.x <= self.at).any() for each in self.series])
+
+    def _runs(self, chosen: Sequence[bool]) -> list[int]:
+        return [int(run) for run, is_chosen in zip(self.run, chosen, strict=True) if is_chosen]
 
     @property
     def name(self) -> str:
@@ -74,21 +111,26 @@ class Task:
     reference: Contender  # the one that others are compared with
 
 
-def tasks_of(contenders: Sequence[Contender], reference: str | None) -> list[Task]:
-    """Contenders by task; the reference is the one of this name, otherwise the first."""
+def tasks_of(contenders: Sequence[Contender], measure: Measure, reference: str | None) -> list[Task]:
+    """Contenders by task, with scores; the reference is the one of this name, otherwise the first."""
     names = {each.name for each in contenders}
     if reference is not None and reference not in names:
         raise ResultsError(f"--reference: got {reference}{allowed_names(reference, names)}")
     tasks = []
     for name in dict.fromkeys(each.task for each in contenders):
-        members = [each for each in contenders if each.task == name]
+        members = scored([each for each in contenders if each.task == name], measure)
         chosen = next((each for each in members if each.name == reference), members[0])
         tasks.append(Task(name, members, chosen))
     return tasks
 
 
 def measured_by(
-    results: Sequence[Results], metric: str | None, axis: Axis | None, phase: Phase, last: int | None
+    results: Sequence[Results],
+    metric: str | None,
+    axis: Axis | None,
+    phase: Phase,
+    last: int | None,
+    at: int | None,
 ) -> Measure:
     """What is compared, by the options of `compare`; all folders have to be of one kind of experiment."""
     kinds: list[Kind] = [kind_of(each) for each in results]
@@ -102,12 +144,13 @@ def measured_by(
     if kind == "planning" and axis not in (None, "step"):
         raise ResultsError(f"--x: got {axis}; allowed of planning: step")
     axis = axis or ("step" if kind == "planning" else "episode")
-    metric = metric or (PLANNING_CURVE if kind == "planning" else "return")
+    if metric is None:
+        metric = PLANNING_CURVE if kind == "planning" else "return"
     if phase == "test":
         for each in results:
             if not each.episodes or not (each.episodes["phase"] == "test").any():
                 raise ResultsError(f"{each.folder}: has no test episodes; allowed: --phase train")
-    return Measure(metric.removeprefix("-"), metric.startswith("-"), kind, axis, phase, last)
+    return Measure(metric.removeprefix("-"), metric.startswith("-"), kind, axis, phase, last, at)
 
 
 def contenders_of(results: Sequence[Results], files: Sequence[Path], measure: Measure) -> list[Contender]:
@@ -116,7 +159,7 @@ def contenders_of(results: Sequence[Results], files: Sequence[Path], measure: Me
     known = list(dict.fromkeys(contender.task for contender in found))
     for path in files:
         rows = read_curves(path)
-        if found and results and found[0].curve is None:
+        if found and results and not found[0].has_curve:
             raise ResultsError(f"{path}: has curves, but {measure.column} has none; allowed: results folders")
         for task in {each.task for each in rows}:
             if len(known) > 1 and not task:
@@ -146,32 +189,72 @@ def columns_of(results: Results) -> list[str]:
 
 
 def of_folder(results: Results, measure: Measure) -> list[Contender]:
-    """The points of a results folder that have runs."""
+    """The points of a results folder that have runs, without scores."""
     known = columns_of(results)
     if measure.column not in known:
         raise ResultsError(
             f"{results.folder}: unknown metric {measure.column}{allowed_names(measure.column, known)}"
         )
     contenders = []
+    has_curve = measure.column in ([PLANNING_CURVE] if measure.kind == "planning" else results.episodes)
     for point in results.run_points:
         runs = results.runs_of(point)
-        curve = curve_of(results, point, measure)
-        if curve is None:
-            scores = measure.values(runs)
-            is_share = runs[measure.column].dtype.kind == "b"
-        else:
-            has_nan = runs.get("nans", np.zeros(runs["run"].size)) > 0
-            scores, is_share = np.where(has_nan, np.nan, _last(curve, measure)), False
-        part, seed = point.env or point.problem, results.manifest.seed
-        task = "" if part is None else part.kind
-        contenders.append(Contender(point, results.folder, task, runs["run"], scores, curve, seed, is_share))
+        of_runs = runs.get(measure.column, np.zeros(0))
+        part = point.env or point.problem
+        contenders.append(
+            Contender(
+                point,
+                results.folder,
+                "" if part is None else part.kind,
+                runs["run"],
+                _series(results, point, measure) if has_curve else _single_values(results, point, measure),
+                has_curve & (runs.get("nans", np.zeros(runs["run"].size)) > 0),
+                has_curve,
+                seed=results.manifest.seed,
+                is_share=not has_curve and of_runs.dtype.kind == "b",
+            )
+        )
     if not contenders:
         raise ResultsError(f"{results.folder}: no run has been finished; allowed: at least one")
     return contenders
 
 
+def _series(results: Results, point: Point, measure: Measure) -> list[Series]:
+    """The values of each run by step or episode."""
+    finals = results.final_runs(point)
+    if measure.kind == "planning":
+        run, rows = results.runs_of(point)["run"], results.steps_of(point)["run"]
+        table, sizes = results.by_step(point, measure.column), np.bincount(np.searchsorted(run, rows))
+        return [
+            Series(np.arange(size + 1.0), values[: size + 1], float(size), bool(is_final))
+            for values, size, is_final in zip(table, sizes, finals, strict=True)
+        ]
+    values = results.recorded(point, measure.column, measure.phase)
+    ends = np.broadcast_to(np.arange(1.0, values.shape[1] + 1), values.shape)
+    if measure.axis == "step":
+        ends = np.nancumsum(results.recorded(point, "length"), axis=1)[:, : values.shape[1]]
+    last = results.episodes_of(point)
+    series = []
+    for x, each, end, is_final in zip(ends, values, last, finals, strict=True):
+        there = np.isfinite(each)
+        series.append(Series(x[there], each[there], float(x[end - 1]) if end else 0.0, bool(is_final)))
+    return series
+
+
+def _single_values(results: Results, point: Point, measure: Measure) -> list[Series]:
+    """The value of a column of `runs.parquet` in each run, at the end of the run."""
+    runs = results.runs_of(point)
+    values = runs[measure.column].astype(np.float64)
+    ends = runs.get(measure.end, np.zeros(values.size))
+    finals = np.isfinite(values) if measure.column in ENDS else results.final_runs(point)
+    return [
+        Series(np.array([end]), np.array([value]), float(end), bool(is_final))
+        for value, end, is_final in zip(values, ends, finals, strict=True)
+    ]
+
+
 def of_file(path: Path, rows: Sequence[Rows], measure: Measure, task: str) -> list[Contender]:
-    """The labels of a CSV file; those without a task of their own have the task that is given.
+    """The labels of a CSV file, without scores; those without a task of their own have the given one.
 
     Raises:
         ResultsError: With episodes as the axis, runs of a label have different episodes.
@@ -179,11 +262,25 @@ def of_file(path: Path, rows: Sequence[Rows], measure: Measure, task: str) -> li
     contenders = []
     for number, each in enumerate(rows):
         point = Point(number, each.label, each.label, each.label, {}, {}, Unread({}, str(path)), Outline())
-        x, values = _common(path, each, measure)
-        curve = Curve(point, x, values)
-        run, scores = np.asarray(list(each.runs)), _last(curve, measure)
-        contenders.append(Contender(point, path, each.task or task, run, scores, curve))
+        if measure.axis == "episode":
+            _check_equal_places(path, each)
+        is_final = measure.kind == "planning"
+        series = [Series(x, values, float(x[-1]), is_final) for x, values in each.runs.values()]
+        run, has_nan = np.asarray(list(each.runs)), np.zeros(len(series), bool)
+        contenders.append(Contender(point, path, each.task or task, run, series, has_nan))
     return contenders
+
+
+def _check_equal_places(path: Path, rows: Rows) -> None:
+    first, (x, _) = next(iter(rows.runs.items()))
+    for run, (other, _) in rows.runs.items():
+        if not np.array_equal(x, other):
+            differing = sorted({*other.tolist()} ^ {*x.tolist()})[0]
+            raise ResultsError(
+                f"{path}: x: run {run} of {rows.label} has {counted(other.size, 'row')}, run {first} has "
+                f"{x.size}, and only one of them has x = {differing:g}; allowed: equal x in all runs of a "
+                "label (runs of any length: --x step)"
+            )
 
 
 def named(contenders: Sequence[Contender]) -> list[Contender]:
@@ -200,64 +297,64 @@ def named(contenders: Sequence[Contender]) -> list[Contender]:
         twins = [other for other in contenders if (other.task, other.name) == (each.task, each.name)]
         name = each.name if len(twins) == 1 else f"{each.name} ({short[each.source]})"
         point = replace(each.point, name=name)
-        curve = each.curve and replace(each.curve, point=point)
-        renamed.append(replace(each, point=point, curve=curve))
+        renamed.append(replace(each, point=point))
     return renamed
 
 
-def curve_of(results: Results, point: Point, measure: Measure) -> Curve | None:
-    """The curve of a column; None of a column that has one value per run."""
-    column = measure.column
-    if not point.is_learning:
-        if column != PLANNING_CURVE:
-            return None
-        return Curve.numbered(point, results.by_step(point, column), first=0)
-    if column not in results.episodes:
-        return None
-    values = results.by_episode(point, column, measure.phase)
-    if measure.axis == "episode":
-        return Curve.numbered(point, values, first=1)
-    ends, known = np.nancumsum(results.by_episode(point, "length"), axis=1), np.isfinite(values)
-    runs = [(x[there], each[there]) for x, each, there in zip(ends, values, known, strict=True)]
-    return Curve(point, *_by_step(runs, ends_with_shortest=True))
+def scored(contenders: Sequence[Contender], measure: Measure) -> list[Contender]:
+    """Contenders of one task with their scores and curves.
 
+    Scores are those at the largest budget that all contenders have, or at `measure.at`.
 
-def _common(path: Path, rows: Rows, measure: Measure) -> tuple[Floats, Floats]:
-    """The places and the values `[runs, places]` of a label of a CSV file."""
-    runs = list(rows.runs.values())
-    if measure.axis == "step":
-        return _by_step(runs, ends_with_shortest=measure.kind == "learning")
-    first, (x, _) = next(iter(rows.runs.items()))
-    for run, (other, _) in rows.runs.items():
-        if not np.array_equal(x, other):
-            differing = sorted({*other.tolist()} ^ {*x.tolist()})[0]
-            raise ResultsError(
-                f"{path}: x: run {run} of {rows.label} has {counted(other.size, 'row')}, run {first} has "
-                f"{x.size}, and only one of them has x = {differing:g}; allowed: equal x in all runs of a "
-                "label (runs of any length: --x step)"
-            )
-    return x, np.stack([values for _, values in runs])
-
-
-def _by_step(runs: Sequence[tuple[Floats, Floats]], *, ends_with_shortest: bool) -> tuple[Floats, Floats]:
-    """Values at common steps: each holds until the next one; NaN before the first.
-
-    The steps end with the shortest run, since the longer runs alone would be another population. Otherwise a
-    run that has ended keeps its last value.
+    Raises:
+        ResultsError: `measure.at` is beyond the budget of a contender, or before the first value of a run.
     """
-    ends = [x[-1] if x.size else 0.0 for x, _ in runs]
-    last = min(ends) if ends_with_shortest else max(ends)
-    spacing = max(1, int(np.ceil(last / GRID)))
-    grid = np.arange(spacing if ends_with_shortest else 0, last + 1, spacing, dtype=np.float64)
-    table = np.full((len(runs), max(1, grid.size)), np.nan)
-    for row, (x, values) in enumerate(runs):
-        place = np.searchsorted(x, grid, side="right") - 1
-        table[row, : grid.size] = np.where(place >= 0, values[place] if values.size else np.nan, np.nan)
-    return (grid if grid.size else np.ones(1)), table
+    budget = common_budget([each.series for each in contenders])
+    if measure.at is not None:
+        _check_place(contenders, measure)
+        budget = float(measure.at)
+    longest = max(run.end for each in contenders for run in each.series)
+    found = []
+    for each in contenders:
+        if not each.has_curve:
+            values = np.array([run.values[-1] for run in each.series], dtype=np.float64)
+            scores = times_within(values, budget) if measure.column in ENDS else values
+        else:
+            last = 1 if measure.kind == "planning" and measure.last is None else measure.last
+            scores = np.array([run.score(budget, last) for run in each.series])
+        scores = np.where(each.has_nan, np.nan, scores)
+        curve = _curve(each, measure, min(each.budget, longest)) if each.has_curve else None
+        found.append(replace(each, scores=scores, at=budget, curve=curve))
+    return found
 
 
-def _last(curve: Curve, measure: Measure) -> Floats:
-    """Mean of the last values of each run; NaN for a run without a value among them."""
-    count = measure.last or (1 if measure.kind == "planning" else max(1, round(_LAST * curve.x.size)))
-    tail = [values[np.isfinite(values)][-count:] for values in curve.values]
-    return np.array([values.mean() if values.size else np.nan for values in tail])
+def _check_place(contenders: Sequence[Contender], measure: Measure) -> None:
+    at = measure.at
+    assert at is not None
+    for each in contenders:
+        if not each.has_curve and measure.column not in ENDS:
+            raise ResultsError(f"--at: got {at}; {measure.column} has one value per run, at its end")
+        if at > each.budget:
+            raise ResultsError(
+                f"--at: got {at}; {each.name} has {counted(int(each.budget), measure.unit)}; allowed: <= "
+                f"{int(each.budget)}"
+            )
+        first = max((run.x[0] for run in each.series if run.x.size), default=0.0)
+        if each.has_curve and at < first:
+            raise ResultsError(
+                f"--at: got {at}; a run of {each.name} has its first value at {measure.unit} {first:g}; "
+                f"allowed: >= {math.ceil(first)}"
+            )
+
+
+def _curve(contender: Contender, measure: Measure, end: float) -> Curve:
+    """Values of the runs at common places up to a step or episode."""
+    if measure.kind == "planning":
+        places = np.arange(end + 1)
+    elif measure.axis == "episode":
+        places = np.unique(np.concatenate([[end], *(run.x for run in contender.series)]))
+    else:
+        spacing = max(1.0, np.ceil(end / GRID))
+        places = np.unique(np.append(np.arange(spacing, end + 1, spacing), end))
+    values = [run.at(places) for run, bad in zip(contender.series, contender.has_nan, strict=True) if not bad]
+    return Curve(contender.point, places, np.reshape(values, (-1, places.size)))

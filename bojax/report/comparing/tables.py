@@ -1,19 +1,81 @@
 """The tables of a comparison: scores, differences from a reference, all tasks together, settings, sources."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from bojax.report import statistics, tables
 from bojax.report.comparing.contenders import Contender, Measure, Task
+from bojax.report.ranking import ENDS
 from bojax.report.source import Results
 from bojax.report.statistics import Floats, Interval
-from bojax.report.text import MISSING, line, plain
+from bojax.report.text import MISSING, counted, line, plain
+
+MOST_NAMED = 8  # runs of a contender that are listed by number
+
+
+def rule(contender: Contender, measure: Measure) -> str:
+    """The rule by which runs of different length are compared, in sentences that follow another one."""
+    if not (contender.has_curve or measure.column in ENDS):
+        return ""
+    budget = "the largest that all contenders have" if measure.at is None else "that of --at"
+    if not contender.has_curve:
+        return f" The budget is {budget}."
+    ended = "has ended" if measure.kind == "planning" else "a success has ended"
+    return (
+        f" Values count up to one budget, {budget}. A run that {ended} keeps its last value, which is then "
+        "its score."
+    )
+
+
+def remarks(task: Task, measure: Measure) -> str:
+    """The budget of a task, and the runs that ended before it or have no value by then, in sentences."""
+    first = task.contenders[0]
+    if not (first.has_curve or measure.column in ENDS):
+        return ""
+    cut = {each.name: each.cut_off for each in task.contenders}
+    late = {each.name: each.without_value for each in task.contenders}
+    budget = f"{measure.unit} {first.at:,.10g}"
+    counts = "their last values count" if first.has_curve else "the whole budget counts"
+    told = [
+        f"Scores are taken at {budget}.",
+        f"Cut off before it, without a success, so that {counts}: {_listed(cut)}."
+        if any(cut.values())
+        else "",
+        f"Without a value up to it: {_listed(late)}." if any(late.values()) else "",
+    ]
+    return " ".join(filter(None, told))
+
+
+def _listed(runs: Mapping[str, Sequence[int]]) -> str:
+    """Runs of contenders, the first few by number."""
+    parts = []
+    for name, found in runs.items():
+        if found:
+            more = f" and {counted(len(found) - MOST_NAMED, 'more run')}" if len(found) > MOST_NAMED else ""
+            numbers = ", ".join(map(str, found[:MOST_NAMED]))
+            parts.append(f"{'run' if len(found) == 1 else 'runs'} {numbers}{more} of {name}")
+    return "; ".join(parts)
+
+
+def _budget_cell(contender: Contender, measure: Measure) -> tables.Cell:
+    """The budget at which a contender is scored, beside its own."""
+    at, own = f"{contender.at:,.10g}", contender.budget
+    if not contender.has_curve and measure.column not in ENDS:
+        return tables.Cell(f"{own:,.10g}" if np.isfinite(own) else "every run has ended", key=own)
+    if own == contender.at:
+        return tables.Cell(at, key=own)
+    return tables.Cell(f"{at} of {own:,.10g}" if np.isfinite(own) else f"{at}; every run has ended", key=own)
 
 
 def scores(task: Task, measure: Measure) -> tables.Table:
-    """One row per contender of a task: mean, interquartile mean, and comparison with the reference."""
+    """One row per contender of a task: mean, interquartile mean, and comparison with the reference.
+
+    Where budgets differ, the row says so; the caption has the remarks on the budget.
+    """
     rows, reference = [], task.reference
+    has_budgets = any(np.isfinite(each.budget) and each.budget != each.at for each in task.contenders)
+    has_cuts = any(each.cut_off for each in task.contenders)
     for each in task.contenders:
         middle = statistics.iqm_interval([each.scores])
         cells = [
@@ -29,11 +91,15 @@ def scores(task: Task, measure: Measure) -> tables.Table:
                 tables.interval_cell(improvement([(each, reference)], measure), as_percent=True),
                 tables.setting_cell("paired" if each.is_paired_with(reference) else "unpaired"),
             ]
+        if has_budgets:
+            cells.append(_budget_cell(each, measure))
+        if has_cuts:
+            cells.append(tables.count_cell(len(each.cut_off)))
         rows.append((each.name, cells))
     than = reference.name
-    return tables.Table(
-        ["runs", "mean", "IQM", f"difference from {than}", f"P(better than {than})", "runs are"], rows
-    )
+    headings = ["runs", "mean", "IQM", f"difference from {than}", f"P(better than {than})", "runs are"]
+    headings += [f"budget ({measure.unit}s)"] * has_budgets + ["runs cut off"] * has_cuts
+    return tables.Table(headings, rows, remarks(task, measure))
 
 
 def overall(tasks: Sequence[Task], reference: str, measure: Measure) -> tables.Table | None:

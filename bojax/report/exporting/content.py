@@ -80,28 +80,23 @@ def _scalars(results: Results, point: Point) -> dict[str, float]:
 
 def _curves(results: Results, point: Point, is_learning: bool) -> list[MeanCurve]:
     if not is_learning:
-        measures = [contenders.Measure(contenders.PLANNING_CURVE, False, "planning", "step")]
-    else:
-        columns = [name for name in contenders.columns_of(results) if name in results.episodes]
-        phases: list[contenders.Phase] = [
-            phase for phase in contenders.PHASES if (results.episodes["phase"] == phase).any()
-        ]
-        measures = [
-            contenders.Measure(name, False, "learning", "episode", phase)
-            for phase in phases
-            for name in columns
-        ]
-    curves = []
-    for measure in measures:
-        curve = contenders.curve_of(results, point, measure)
-        if curve is None:
-            continue
-        is_there = np.isfinite(curve.values)
-        known = is_there.any(axis=0)
-        table, count = np.where(is_there, curve.values, 0.0)[:, known], is_there.sum(axis=0)[known]
-        mean = table.sum(axis=0) / count
-        squares = np.where(is_there[:, known], table - mean, 0.0) ** 2
-        deviation = np.sqrt(squares.sum(axis=0) / np.maximum(count - 1, 1))
-        name = f"{measure.phase}/{measure.column}" if is_learning else measure.column
-        curves.append(MeanCurve(name, measure.axis, curve.x[known], mean, deviation))
-    return curves
+        name = contenders.PLANNING_CURVE
+        return [_mean_curve(name, "step", 0, results.by_step(point, name))] if name in results.steps else []
+    columns = [name for name in contenders.columns_of(results) if name in results.episodes]
+    phases = [phase for phase in contenders.PHASES if (results.episodes["phase"] == phase).any()]
+    return [
+        _mean_curve(f"{phase}/{name}", "episode", 1, results.by_episode(point, name, phase))
+        for phase in phases
+        for name in columns
+    ]
+
+
+def _mean_curve(name: str, axis: str, first: int, values: Floats) -> MeanCurve:
+    """The mean over the runs with a value at each place, from a first one on."""
+    is_there = np.isfinite(values)
+    known = is_there.any(axis=0)
+    table, count = np.where(is_there, values, 0.0)[:, known], is_there.sum(axis=0)[known]
+    mean = table.sum(axis=0) / count
+    squares = np.where(is_there[:, known], table - mean, 0.0) ** 2
+    deviation = np.sqrt(squares.sum(axis=0) / np.maximum(count - 1, 1))
+    return MeanCurve(name, axis, first + np.flatnonzero(known).astype(np.float64), mean, deviation)

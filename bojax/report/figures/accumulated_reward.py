@@ -18,7 +18,7 @@ def draw(results: Results) -> Drawing:
     curves, left_out = [], 0
     for point in points:
         values = results.by_step(point, "accumulated_reward")
-        is_finite = np.isfinite(values).all(axis=1)
+        is_finite = np.isfinite(values[:, : (point.time_limit or results.num_steps) + 1]).all(axis=1)
         left_out += int((~is_finite).sum())
         curves.append(Curve.numbered(point, values[is_finite], first=0))
     details = "A run that has ended keeps its last value."

@@ -90,7 +90,7 @@ def best_means(
     (x_key, x), (y_key, y) = horizontal, vertical
     scores = np.full((len(y), len(x)), -np.inf)
     for point in points:
-        mean = measure.sign * float(measure.values(results.runs_of(point)).mean())
+        mean = measure.sign * float(measure.values(results, point).mean())
         cell = y.index(point.swept[y_key]), x.index(point.swept[x_key])
         if np.isfinite(mean):
             scores[cell] = max(scores[cell], mean)

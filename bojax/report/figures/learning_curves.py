@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from bojax.report import style
+from bojax.report.budgets import KEPT
 from bojax.report.drawing.base import Drawing, Undrawable, drawn_points
 from bojax.report.drawing.curves import Chart, Curve, Panel
 from bojax.report.source import Results
@@ -39,7 +40,9 @@ def draw(results: Results) -> Drawing:
         if (results.episodes["phase"] == phase).any():
             tables = [rolling_mean(results.by_episode(point, "return", phase), rolling) for point in points]
             curves = [Curve.numbered(*pair, first=1) for pair in zip(points, tables, strict=True)]
-            missing = "A run is left out after its last episode." if phase == "train" else ""
+            missing = (
+                "A run that ended otherwise is left out after its last episode." if phase == "train" else ""
+            )
             panels.append(Panel(label, quantity, curves, missing=missing))
     best = results.report.best_return
     chart, is_cut = Chart(panels, "episode"), False
@@ -48,6 +51,7 @@ def draw(results: Results) -> Drawing:
             axes.axhline(best, color=style.FAINT, linewidth=1.0, linestyle=(0, (4, 3)), zorder=0.8)
         is_cut |= limit(axes, panel, [] if best is None else [best])
     details = [
+        KEPT if results.has_early_success else "",
         f"The return of each run is its mean over the last {counted(rolling, 'episode')}."
         if rolling > 1
         else "",

@@ -23,7 +23,7 @@ def draw(results: Results) -> Drawing:
     measure, points = measure_of(results), results.run_points
     names, keys = curves_and_panels(points)
     curves = list(dict.fromkeys(names))
-    means = np.array([measure.values(results.runs_of(point)).mean() for point in points])
+    means = np.array([measure.values(results, point).mean() for point in points])
     if not np.isfinite(means).any():
         raise Undrawable(f"no point has a finite {measure.words}")
     columns = max(1, min(3, len(curves), int(style.WIDTH / (0.5 + 0.08 * max(map(len, curves))))))

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from bojax.report.budgets import KEPT
 from bojax.report.drawing.base import Drawing, Undrawable, drawn_points
 from bojax.report.drawing.curves import Chart, Curve, Panel
 from bojax.report.source import Results
@@ -10,14 +11,15 @@ RANK = 50
 
 
 def draw(results: Results) -> Drawing:
-    """The mean over runs of the successes up to each episode; a run that has ended keeps its number."""
+    """The mean over runs of the successes up to each episode; a run that success ended keeps its number."""
     points, note = drawn_points(results)
     curves = []
     for point in points:
-        solved = np.nan_to_num(results.by_episode(point, "success")).cumsum(axis=1)
+        solved = results.by_episode(point, "success", is_summed=True)
         solved = np.pad(solved, ((0, 0), (1, 0)))  # nothing is solved before the first episode
         curves.append(Curve.numbered(point, solved, first=0))
     if max(curve.values.max(initial=0.0) for curve in curves) < 2:
         raise Undrawable("no run solved more than one episode: success-episodes shows when")
     panel = Panel("episodes solved", "mean number of training episodes that have reached the goal", curves)
-    return Chart([panel], "episode").drawing("Episodes solved", note=note)
+    details = KEPT if results.has_early_success else ""
+    return Chart([panel], "episode").drawing("Episodes solved", details, note)

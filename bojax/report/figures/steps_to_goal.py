@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from bojax.report.budgets import KEPT
 from bojax.report.drawing.base import Drawing, drawn_points
 from bojax.report.drawing.curves import Chart, Curve, Panel
 from bojax.report.source import Results
@@ -24,4 +25,5 @@ def draw(results: Results) -> Drawing:
     ]
     chart = Chart(panels, "episode")
     chart.axes[0].set_ylim(bottom=0)
-    return chart.drawing("Steps to the goal", note=note)
+    details = KEPT if results.has_early_success else ""
+    return chart.drawing("Steps to the goal", details, note)

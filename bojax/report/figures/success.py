@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from bojax.report.budgets import within_budget
 from bojax.report.drawing.base import Drawing, Undrawable, drawn_points
 from bojax.report.drawing.curves import Chart, Curve, Panel
 from bojax.report.source import Results
@@ -21,6 +22,7 @@ def draw(results: Results) -> Drawing:
     for point in points:
         rows = results.runs_of(point)
         when = np.where(rows["success"].astype(bool), rows["steps"], np.inf)
-        curves.append(Curve(point, x, (when[:, None] <= x).astype(np.float64)))
+        share = (when[:, None] <= x).astype(np.float64)
+        curves.append(Curve(point, x, within_budget(share, rows["steps"], results.final_runs(point))))
     panel = Panel("runs that have succeeded (%)", "share of runs that have succeeded", curves, is_share=True)
     return Chart([panel], "step").drawing("Success by step", note=note)

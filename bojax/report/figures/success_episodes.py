@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from bojax.report.budgets import within_budget
 from bojax.report.drawing.base import Drawing, Undrawable, drawn_points
 from bojax.report.drawing.curves import Chart, Curve, Panel
 from bojax.report.source import Results
@@ -18,7 +19,12 @@ def draw(results: Results) -> Drawing:
     latest = max(first[np.isfinite(first)].max(initial=1) for first in when)
     last = min(results.num_episodes, max(10, int(1.2 * latest)))
     x = np.arange(last + 1.0)
-    shares = [(first[:, None] <= x).astype(np.float64) for first in when]
+    shares = [
+        within_budget(
+            (first[:, None] <= x).astype(np.float64), results.episodes_of(point), np.isfinite(first)
+        )
+        for point, first in zip(points, when, strict=True)
+    ]
     curves = [Curve(point, x, share) for point, share in zip(points, shares, strict=True)]
     what = "runs that have reached the goal"
     panel = Panel(f"{what} (%)", f"share of {what}", curves, is_share=True)

@@ -1,0 +1,63 @@
+"""Runs of different length: what holds after the end of a run, and up to which budget."""
+
+import numpy as np
+
+from bojax.report.budgets import Series, budget_of, common_budget, held, times_within
+
+NAN = np.nan
+FINAL, OTHER = np.array([True, False]), np.array([False, False])
+
+
+def series(end, *, is_final=False):
+    return Series(np.arange(1.0, end + 1), np.arange(1.0, end + 1), float(end), is_final)
+
+
+def test_only_a_final_run_keeps_its_last_value():
+    table = np.array([[1.0, 2, NAN, NAN], [3, 4, 5, 6]])
+    np.testing.assert_array_equal(held(table, np.array([1, 3]), FINAL), [[1, 2, 2, 2], [3, 4, 5, 6]])
+    np.testing.assert_array_equal(held(table, np.array([1, 3]), OTHER), table)
+
+
+def test_nothing_is_kept_beyond_the_budget_of_a_setting():
+    """Another setting has four columns; here the run that went on longest has three."""
+    table = np.array([[1.0, NAN, NAN, NAN], [3, 4, 5, NAN]])
+    np.testing.assert_array_equal(held(table, np.array([0, 2]), FINAL), [[1, 1, 1, NAN], [3, 4, 5, NAN]])
+    kept = held(table, np.array([0, 2]), np.array([True, True]))
+    np.testing.assert_array_equal(kept, [[1, 1, 1, 1], [3, 4, 5, 5]])
+
+
+def test_a_recorded_nan_is_kept_not_papered_over():
+    table = np.array([[0.0, 1, NAN, NAN], [0, 1, 2, 3]])
+    np.testing.assert_array_equal(held(table, np.array([2, 3]), FINAL)[0], [0, 1, NAN, NAN])
+
+
+def test_a_run_without_any_column_stays_without_a_value():
+    table = np.array([[NAN, NAN], [1.0, 2.0]])
+    assert np.isnan(held(table, np.array([-1, 1]), FINAL)[0]).all()
+
+
+def test_the_common_budget_is_the_least_of_the_longest_runs():
+    short, long = [series(3), series(5)], [series(4, is_final=True), series(9)]
+    finals = [series(7, is_final=True), series(2, is_final=True)]
+    assert [budget_of(each) for each in (short, long, finals)] == [5, 9, np.inf]
+    assert common_budget([short, long, finals]) == 5
+    assert common_budget([finals, finals[1:]]) == 7
+
+
+def test_a_score_is_the_mean_of_the_last_tenth_up_to_the_budget():
+    run = series(100)
+    assert run.score(100) == np.arange(91, 101).mean()
+    assert run.score(50) == np.arange(46, 51).mean()
+    assert run.score(50, last=3) == 49 and run.score(50, last=500) == np.arange(1, 51).mean()
+    assert series(100, is_final=True).score(100) == 100  # holds from then on
+    assert series(100, is_final=True).score(50) == run.score(50)  # it has not ended yet
+    assert np.isnan(run.score(0))
+
+
+def test_a_value_holds_until_the_next():
+    run = Series(np.array([2.0, 5.0]), np.array([1.0, 7.0]), 6.0)
+    np.testing.assert_array_equal(run.at(np.array([1.0, 2, 4.5, 5, 50])), [NAN, 1, 1, 7, 7])
+
+
+def test_a_time_to_an_event_is_at_most_the_budget():
+    assert times_within(np.array([3.0, NAN, 30.0]), 10).tolist() == [3, 10, 10]
