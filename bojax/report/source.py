@@ -20,6 +20,7 @@ from bojax.problems.settings import ProblemSettings
 from bojax.report.budgets import held
 from bojax.report.columns import Arrays, Columns, check_runs, read_columns, read_snapshot, where
 from bojax.report.manifest import Manifest, PointEntry, Unread, claims_of, experiment_of, read
+from bojax.report.text import distinct, printed
 from bojax.results.outline import Outline
 from bojax.results.store import ARRAYS, MANIFEST, WORK, ResultsError, array_file, read_manifest
 
@@ -335,7 +336,10 @@ def _points(entries: Sequence[PointEntry]) -> tuple[Point, ...]:
 
 
 def distinct_names(points: Sequence[Point]) -> list[str]:
-    """Variants, told apart by the swept values that differ among points of the same variant."""
+    """Variants, told apart by the swept values that differ among points of the same variant.
+
+    They are texts that can be drawn, see `printed`, and all different.
+    """
     names = []
     for point in points:
         twins = [other.swept for other in points if other.variant == point.variant]
@@ -344,8 +348,8 @@ def distinct_names(points: Sequence[Point]) -> list[str]:
             for key, value in point.swept.items()
             if not isinstance(value, Mapping) and any(other.get(key) != value for other in twins)
         ]
-        names.append(", ".join([point.variant, *differing]))
-    return names
+        names.append(printed(", ".join([point.variant, *differing])))
+    return distinct(names)
 
 
 def short_value(points: Sequence[Point], key: str, value: Any) -> Any:

@@ -20,11 +20,12 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.font_manager import fontManager
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.legend import Legend
 from matplotlib.transforms import offset_copy
 
 from bojax.logs import quiet
 from bojax.report.source import Point
-from bojax.report.text import minus
+from bojax.report.text import distinct, minus, printed, shortened
 from bojax.results.store import make_folder, write_content
 
 BLUE, ORANGE, GREEN, PINK, SKY, YELLOW, BROWN, GREY = PALETTE = (
@@ -71,6 +72,8 @@ SHADES = (("white", 0.0), ("black", 0.45), ("white", 0.4), ("black", 0.25), ("wh
 
 FIGURES = "figures"  # name of the folder of figures
 WIDTH = 4.7  # width of every figure in inches: on a phone of 340 CSS pixels, text is still 10 pixels high
+
+LONGEST = 48  # columns of a name in a figure, so that one fits the width below the panels
 
 INK, FAINT = "#222222", "#8A8A8A"
 
@@ -260,10 +263,36 @@ def spread(heights: Sequence[float], gap: float, low: float, high: float) -> lis
     return positions.tolist()
 
 
+def drawn_names(points: Sequence[Point]) -> list[str]:
+    """The names of points as figures write them: a long one without its middle, all different."""
+    return distinct(shortened(printed(point.name), LONGEST) for point in points)
+
+
+def drawn_text(text: str) -> str:
+    """A text with words from a file, such as the label of an axis, as figures write it."""
+    return shortened(printed(text), LONGEST)
+
+
+def legend(drawn: Figure, handles: Sequence[Any], names: Sequence[str], **options: Any) -> Legend:
+    """Add a legend with one entry per handle.
+
+    Matplotlib may leave out a name that begins with an underscore. Names are therefore written once the
+    legend is there.
+    """
+    found = drawn.legend(handles, [str(place) for place in range(len(names))], **options)
+    for text, name in zip(found.get_texts(), names, strict=True):
+        text.set_text(name)
+    return found
+
+
 def wrapped(name: str, width: int) -> str:
-    """A name broken into lines of at most `width` characters, longer words after a dot or an underscore."""
-    marked = re.sub(rf"\S{{{width + 1},}}", lambda word: re.sub(r"([._])(?=\w)", "\\1\0 ", word[0]), name)
-    return "\n".join(textwrap.wrap(marked, width)).replace("\0 ", "").replace("\0", "") or name
+    """A name as figures write it, in lines of at most `width` characters.
+
+    Longer words are broken after a dot or an underscore.
+    """
+    short = drawn_text(name)
+    marked = re.sub(rf"\S{{{width + 1},}}", lambda word: re.sub(r"([._])(?=\w)", "\\1\0 ", word[0]), short)
+    return "\n".join(textwrap.wrap(marked, width)).replace("\0 ", "").replace("\0", "") or short
 
 
 def plain_ticks(axis: Axis) -> None:

@@ -1,11 +1,16 @@
 """Formats numbers for the page, the figures and `claims.json`."""
 
+import hashlib
 import math
 import re
+import unicodedata
 from collections.abc import Iterable, Mapping
+from itertools import accumulate
 from typing import Any
 
 MISSING = "–"
+JOINERS = "\u200c\u200d"  # invisible, but scripts such as Arabic and Devanagari are not legible without them
+MAX_FILE_NAME = 120  # bytes of a part of a file name; most file systems allow 255 in all
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -91,9 +96,53 @@ def line(value: Any) -> str:
     return "" if value is None else plain(value)
 
 
+def printed(name: str) -> str:
+    """A name from a file as one line of visible characters, never empty, for figures and pages.
+
+    White space is a single space. Control characters and those that reverse the direction of others are left
+    out. Characters without a meaning of their own, which XML and most fonts lack, are replaced.
+    """
+    found = []
+    for letter in " ".join(name.split()):
+        kind = unicodedata.category(letter)
+        if kind in ("Cs", "Co", "Cn"):
+            found.append("\N{REPLACEMENT CHARACTER}")
+        elif kind not in ("Cc", "Cf") or letter in JOINERS:
+            found.append(letter)
+    text = "".join(found).strip()
+    return text if text.strip(JOINERS + " ") else "(no name)"
+
+
+def distinct(names: Iterable[str]) -> list[str]:
+    """The same names; one that occurs again is followed by a number."""
+    found: dict[str, None] = {}
+    for name in names:
+        numbered = (name, *(f"{name} ({number})" for number in range(2, len(found) + 2)))
+        found[next(each for each in numbered if each not in found)] = None
+    return [*found]
+
+
+def shortened(text: str, most: int) -> str:
+    """A text with its middle left out if it takes more than `most` columns of a monospaced font."""
+    widths = [0 if unicodedata.combining(c) else 1 + (unicodedata.east_asian_width(c) in "WF") for c in text]
+    if sum(widths) <= most:
+        return text
+    ahead, behind = (
+        sum(total <= (most - 1) // 2 for total in accumulate(each)) for each in (widths, widths[::-1])
+    )
+    return f"{text[:ahead].rstrip()}\N{HORIZONTAL ELLIPSIS}{text[len(text) - behind :].lstrip()}"
+
+
 def file_name(name: str) -> str:
-    """A name with a hyphen in place of characters that some file systems refuse."""
-    return re.sub(r"[^\w.-]+", "-", name)
+    """A name with a hyphen in place of characters that some file systems refuse.
+
+    Of a long name, the end is a hash, so that different names stay different.
+    """
+    plain = re.sub(r"[^\w.-]+", "-", name)
+    if len(plain.encode()) <= MAX_FILE_NAME:
+        return plain
+    end = f"-{hashlib.sha256(plain.encode()).hexdigest()[:8]}"
+    return plain.encode()[: MAX_FILE_NAME - len(end)].decode(errors="ignore") + end
 
 
 def joined(items: Iterable[object]) -> str:

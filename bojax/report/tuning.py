@@ -238,7 +238,7 @@ def _draw_progress(tuning: Tuning) -> Drawing:
     axes.step(spent, best, where="post", color=style.BLUE)
     axes.axhline(tuning.best.mean, color=style.ORANGE, linewidth=1.2, linestyle=(0, (5, 2)))
     axes.set_xlabel("runs")
-    axes.set_ylabel(f"mean {heading(tuning.plan.metric)}")
+    axes.set_ylabel(style.drawn_text(f"mean {heading(tuning.plan.metric)}"))
     _finish(axes)
     return Drawing(
         figure,

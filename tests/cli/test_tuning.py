@@ -99,8 +99,9 @@ def test_the_score_is_the_mean_over_the_runs_of_a_point(undisturbed):
     tuning = read_tuning(undisturbed)
     for index, point in enumerate(tuning.points):
         results = load(undisturbed / "rounds" / f"{index // 3:03d}")
-        runs = results.runs_of(results.points[index % 3])
-        assert tuning.measure.values(runs).mean() == pytest.approx(point.score, rel=1e-12)
+        assert tuning.measure.values(results, results.points[index % 3]).mean() == pytest.approx(
+            point.score, rel=1e-12
+        )
 
 
 @pytest.fixture

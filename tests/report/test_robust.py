@@ -155,8 +155,7 @@ def test_a_label_is_not_said_to_stand_for_itself(tmp_path):
     folder = write_results(tmp_path / "results", runs=20, recorded=0)
 
     def rename(manifest):
-        manifest["points"][1]["variant"] = manifest["points"][2]["variant"] = "sbo"
-        manifest["points"][1]["swept"] = manifest["points"][2]["swept"] = {}
+        manifest["points"][2].update(variant="sbo", swept={})
 
     edit_manifest(folder, rename)
     text = build_report(folder).read_text()

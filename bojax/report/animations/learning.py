@@ -15,7 +15,7 @@ from bojax.config.component import External
 from bojax.report.animations.film import FASTEST, MAX_FRAMES, SLOWEST, STILL, Film, blank, photograph
 from bojax.report.animations.recorded import Episode
 from bojax.report.animations.scenes import SCENES, RobotScene, Scene
-from bojax.report.style import BLUE, FAINT, INK
+from bojax.report.style import BLUE, FAINT, INK, drawn_text
 from bojax.report.text import file_name
 from bojax.results.store import ResultsError
 
@@ -47,7 +47,7 @@ class LearningFilm(Film):
         with closing(self._scene(figure.add_axes((0.02, 0.16, 0.96, 0.70)))) as scene:
             episode = self._episode
             title = f"{self._kind}: {episode.point.name}, run {episode.run}, episode {episode.number}"
-            figure.text(0.04, 0.945, title, color=INK, fontsize=10)
+            figure.text(0.04, 0.945, drawn_text(title), color=INK, fontsize=10)
             status = figure.text(0.04, 0.885, "", color=INK, fontsize=10)
             outcome = figure.text(0.96, 0.885, "", color=BLUE, fontsize=10, ha="right", weight="bold")
             bars = figure.add_axes((0.20, 0.045, 0.72, 0.07))

@@ -24,7 +24,7 @@ from bojax.report.drawing.domains import draw_outline
 from bojax.report.drawing.maps import QUIET, draw_map
 from bojax.report.drawing.smooth import smooth
 from bojax.report.statistics import Floats
-from bojax.report.style import BLUE, INK, ORANGE
+from bojax.report.style import BLUE, INK, ORANGE, drawn_text
 from bojax.report.text import file_name
 from bojax.results.store import ResultsError
 
@@ -70,7 +70,7 @@ class PlanningFilm(Film):
             legs, edge = self._drive.legs, 0.1 / figure.get_figwidth()
             problem = self._drive.point.problem
             title = f"{problem.kind if problem else ''}: {self._drive.point.name}, run {self._drive.run}"
-            figure.text(edge, 0.945, title, color=INK, fontsize=10)
+            figure.text(edge, 0.945, drawn_text(title), color=INK, fontsize=10)
             status = figure.text(edge, 0.89, "", color=INK, fontsize=10)
             outcome = figure.text(1.0 - edge, 0.945, "", color=BLUE, fontsize=10, ha="right", weight="bold")
             if any(leg.plan is not None for leg in legs) and any(view.shows_plan for view in views):

@@ -20,7 +20,7 @@ from bojax.report.manifest import Unread
 from bojax.report.ranking import ENDS
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats
-from bojax.report.text import counted
+from bojax.report.text import counted, distinct, printed
 from bojax.results.outline import Outline
 from bojax.results.store import ResultsError
 
@@ -114,13 +114,14 @@ class Task:
 def tasks_of(contenders: Sequence[Contender], measure: Measure, reference: str | None) -> list[Task]:
     """Contenders by task, with scores; the reference is the one of this name, otherwise the first."""
     names = {each.name for each in contenders}
+    reference = None if reference is None else printed(reference)
     if reference is not None and reference not in names:
         raise ResultsError(f"--reference: got {reference}{allowed_names(reference, names)}")
     tasks = []
     for name in dict.fromkeys(each.task for each in contenders):
         members = scored([each for each in contenders if each.task == name], measure)
         chosen = next((each for each in members if each.name == reference), members[0])
-        tasks.append(Task(name, members, chosen))
+        tasks.append(Task(printed(name) if name else "", members, chosen))
     return tasks
 
 
@@ -261,7 +262,8 @@ def of_file(path: Path, rows: Sequence[Rows], measure: Measure, task: str) -> li
     """
     contenders = []
     for number, each in enumerate(rows):
-        point = Point(number, each.label, each.label, each.label, {}, {}, Unread({}, str(path)), Outline())
+        name = printed(each.label)
+        point = Point(number, name, name, name, {}, {}, Unread({}, str(path)), Outline())
         if measure.axis == "episode":
             _check_equal_places(path, each)
         is_final = measure.kind == "planning"
@@ -284,7 +286,7 @@ def _check_equal_places(path: Path, rows: Rows) -> None:
 
 
 def named(contenders: Sequence[Contender]) -> list[Contender]:
-    """The same contenders with names that are unique within each task: sources tell equal names apart."""
+    """The same contenders with names that are unique within each task: by their sources, or by a number."""
     sources = list(dict.fromkeys(each.source for each in contenders))
     short = {
         source: source.name
@@ -294,10 +296,13 @@ def named(contenders: Sequence[Contender]) -> list[Contender]:
     }
     renamed = []
     for each in contenders:
-        twins = [other for other in contenders if (other.task, other.name) == (each.task, each.name)]
-        name = each.name if len(twins) == 1 else f"{each.name} ({short[each.source]})"
-        point = replace(each.point, name=name)
-        renamed.append(replace(each, point=point))
+        twins = {other.source for other in contenders if (other.task, other.name) == (each.task, each.name)}
+        name = each.name if len(twins) == 1 else f"{each.name} ({printed(short[each.source])})"
+        renamed.append(replace(each, point=replace(each.point, name=name)))
+    for task in dict.fromkeys(each.task for each in renamed):
+        places = [place for place, each in enumerate(renamed) if each.task == task]
+        for place, name in zip(places, distinct(renamed[place].name for place in places), strict=True):
+            renamed[place] = replace(renamed[place], point=replace(renamed[place].point, name=name))
     return renamed
 
 

@@ -98,16 +98,16 @@ def panel_grid(
 
 def name_panels(panels: Iterable[Axes], points: Sequence[Point], pad: float = 4) -> None:
     """Write the name of each point, in its colour, above its panel."""
-    for axes, point, look in zip(panels, points, style.looks(points), strict=False):
-        axes.set_title(style.wrapped(point.name, 24), color=look["color"], pad=pad)
+    for axes, name, look in zip(panels, style.drawn_names(points), style.looks(points), strict=False):
+        axes.set_title(style.wrapped(name, 24), color=look["color"], pad=pad)
 
 
 def label_panels(grid: np.ndarray, x: str | None, y: str | None, **options: Any) -> None:
     """Write the labels that a grid of panels shares, below its last row and beside its first column."""
     for axes in grid[-1] if x is not None else ():
-        axes.set_xlabel(x, **options)
+        axes.set_xlabel(style.drawn_text(x), **options)
     for axes in grid[:, 0] if y is not None else ():
-        axes.set_ylabel(y, **options)
+        axes.set_ylabel(style.wrapped(y, 30), **options)
 
 
 NAME_WIDTH = 16  # characters in a line of a name beside the panels of `dot_plot`
@@ -120,7 +120,7 @@ def dot_plot(
 
     A row is at least `least` inches high, and a panel has `spare` inches for its title and axis.
     """
-    lines = max(style.wrapped(point.name, NAME_WIDTH).count("\n") + 1 for point in points)
+    lines = max(style.wrapped(name, NAME_WIDTH).count("\n") + 1 for name in style.drawn_names(points))
     height = spare + max(least, 0.06 + 0.17 * lines) * len(points)
     figure, grid = style.figure(rows * height + 0.15 * (rows > 1), rows, columns)
     figure.set_layout_engine("constrained", wspace=0.1)
@@ -136,7 +136,7 @@ def set_rows(axes: Axes, points: Sequence[Point], *, bottom: float, ticks: int, 
     The space below the last row is `bottom` rows high, and the horizontal axis has at most `ticks` intervals.
     Lines of names have at most `name_width` characters; 0 leaves the names out.
     """
-    names = [style.wrapped(point.name, name_width) for point in points] if name_width else []
+    names = [style.wrapped(name, name_width) for name in style.drawn_names(points)] if name_width else []
     axes.set_yticks(range(len(names)), names)
     for tick, look in zip(axes.get_yticklabels(), style.looks(points), strict=False):
         tick.set_color(look["color"])

@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from bojax.report import statistics, style
@@ -87,25 +88,28 @@ class Chart:
             raise Undrawable(f"no run has a finite value: {panels[0].quantity}")
         self._panels, self._xlabel = panels, xlabel
         self._named = max(panels, key=lambda panel: len(panel.drawn))
-        self._names = [curve.point.name for curve, _, _ in self._named.drawn]
+        self._points = [curve.point for curve, _, _ in self._named.drawn]
+        self._names = style.drawn_names(self._points)
         self._parts = count()
         self._longest = max(map(len, self._names))
         height = (3.6 if len(panels) == 1 else 0.5 + 2.4 * len(panels)) + _ROW * self._rows_below
         self.figure, grid = style.figure(height, len(panels), sharex=not is_swept)
         self.axes = list(grid[:, 0])
+        self._lines: dict[Axes, list[Line2D]] = {axes: [] for axes in self.axes}
         for axes, panel in zip(self.axes, panels, strict=True):
             self._draw_curves(axes, panel, is_swept=is_swept)
             _set_axes(axes, panel, is_swept=is_swept)
-        self.axes[-1].set_xlabel(xlabel)
+        self.axes[-1].set_xlabel(style.drawn_text(xlabel))
 
     def mark(self, curve: Curve, *artists: Artist) -> None:
         """Make artists part of a curve, so that a reader of the page hides them with it.
 
         In the SVG, their ids begin with `curve-N-`, those of the curve's name with `name-N-`.
         """
-        if curve.point.name in self._names:
+        number = next((i for i, point in enumerate(self._points) if point is curve.point), None)
+        if number is not None:
             for artist in artists:
-                artist.set_gid(f"curve-{self._names.index(curve.point.name)}-{next(self._parts)}")
+                artist.set_gid(f"curve-{number}-{next(self._parts)}")
 
     def drawing(self, title: str, details: str = "", note: str = "") -> Drawing:
         """The figure with the names of its curves, its caption and its alternative text.
@@ -135,7 +139,7 @@ class Chart:
             title=title,
             caption=" ".join(filter(None, caption)) + note,
             alt=" ".join(map(self._described, panels)),
-            curves=self._names if len(self._names) > 1 else (),
+            curves=[point.name for point in self._points] if len(self._points) > 1 else (),
         )
 
     def _described(self, panel: Panel) -> str:
@@ -164,8 +168,8 @@ class Chart:
         """Names beside the right ends of the curves, or below the figure where they are many or long."""
         axes, entries = self.axes[self._panels.index(self._named)], self._named.drawn
         if self._rows_below:
-            lines, columns = axes.get_legend_handles_labels()[0], self._columns_below
-            legend = self.figure.legend(lines, self._names, loc="outside lower center", ncols=columns)
+            lines, columns = self._lines[axes], self._columns_below
+            legend = style.legend(self.figure, lines, self._names, loc="outside lower center", ncols=columns)
             for number, entry in enumerate(zip(legend.legend_handles, legend.get_texts(), strict=True)):
                 for kind, part in zip(("line", "text"), entry, strict=True):
                     if part is not None:
@@ -181,7 +185,9 @@ class Chart:
             dots: dict[str, Any] = {}
             if not is_swept and (unseen := without_line(mean)).any():
                 dots = {"marker": "o", "markersize": 3, "markevery": unseen}
-            self.mark(curve, band, *axes.plot(curve.x, mean, label=curve.point.name, **look, **dots))
+            lines = axes.plot(curve.x, mean, **look, **dots)
+            self._lines[axes] += lines
+            self.mark(curve, band, *lines)
             if is_swept:
                 faces = np.where(curve.is_partial, "white", look["color"])
                 edges = {"facecolors": faces, "edgecolors": look["color"]}
@@ -222,5 +228,5 @@ def _set_axes(axes: Axes, panel: Panel, *, is_swept: bool) -> None:
         if not is_swept:
             axes.axhline(0, color="#9A9A9A", linewidth=0.8, zorder=0.5)
         style.plain_ticks(axes.yaxis)
-    axes.set_ylabel(panel.label)
+    axes.set_ylabel(style.drawn_text(panel.label))
     style.quiet_grid(axes)

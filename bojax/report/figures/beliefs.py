@@ -32,15 +32,16 @@ def draw(results: Results) -> Drawing:
     options: dict[str, Any] = {"is_compressed": True, "sharex": True, "sharey": True}
     figure, grid = style.figure(1.16 * len(points) + 0.75, len(points), len(_PANELS), **options)
     looks = style.looks(points)
-    for row, (point, _, belief), look, values in zip(grid, found, looks, maps, strict=True):
+    names = style.drawn_names(points)
+    for row, name, (point, _, belief), look, values in zip(grid, names, found, looks, maps, strict=True):
         for axes, (panel, colours) in zip(row, _PANELS.items(), strict=True):
             draw_outline(axes, replace(point.outline, goals=()))
             draw_map(axes, belief, values[panel], norms[panel], colours)
             axes.set_xticks([])
             axes.set_yticks([])
         draw_samples(row[-1], belief)
-        size = 10.5 if len(point.name) <= 14 else 8.0
-        row[0].set_ylabel(style.wrapped(point.name, 19), color=look["color"], labelpad=2, fontsize=size)
+        size = 10.5 if len(name) <= 14 else 8.0
+        row[0].set_ylabel(style.wrapped(name, 19), color=look["color"], labelpad=2, fontsize=size)
     for axes, panel in zip(grid[0], _PANELS, strict=True):
         axes.set_title(panel, pad=4)
     for columns in ([0, 1], [2], [3]):

@@ -16,7 +16,7 @@ from bojax.report.drawing.maps import draw_scale
 from bojax.report.ranking import Measure, measure_of
 from bojax.report.source import Point, Results, swept_keys, swept_values
 from bojax.report.statistics import Floats
-from bojax.report.text import heading, is_number, minus, number
+from bojax.report.text import heading, is_number, minus, number, printed
 
 RANK = 175
 
@@ -62,14 +62,14 @@ def draw(results: Results) -> Drawing:
             axes.add_patch(Rectangle((column - 0.5, row - 0.5), 1, 1, clip_on=False, **BOLD))
     label_panels(grid, heading(horizontal), heading(vertical))
     bar = draw_scale(figure, grid[0, 0].images[0], grid.flat, aspect=36, shrink=0.8)
-    bar.set_label(measure.words)
+    bar.set_label(style.drawn_text(measure.words))
     style.plain_ticks(bar.ax.xaxis)
     cells = {(point.variant, point.swept[horizontal], point.swept[vertical]) for point in points}
     over = ", the best over all other settings" if len(cells) < len(points) else ""
     name, values = next((name, values) for name, values in zip(variants, maps, strict=True) if best in values)
     row, column = np.argwhere(values == best)[0]
     place = f"{heading(horizontal)} {x[column]:g} and {heading(vertical)} {y[row]:g}"
-    place += f" of {name}" if len(maps) > 1 else ""
+    place += f" of {printed(name)}" if len(maps) > 1 else ""
     return Drawing(
         figure=figure,
         title=f"{heading(vertical)} and {heading(horizontal)}".capitalize(),

@@ -9,7 +9,7 @@ from bojax.report import style
 from bojax.report.drawing.base import MAX_POINTS, Drawing, Undrawable, label_panels, panel_grid
 from bojax.report.ranking import measure_of
 from bojax.report.source import Point, Results, short_value, swept_keys, swept_values
-from bojax.report.text import is_number, number
+from bojax.report.text import distinct, is_number, number, printed, shortened
 
 RANK = 170
 
@@ -26,10 +26,17 @@ def draw(results: Results) -> Drawing:
     means = np.array([measure.values(results, point).mean() for point in points])
     if not np.isfinite(means).any():
         raise Undrawable(f"no point has a finite {measure.words}")
-    columns = max(1, min(3, len(curves), int(style.WIDTH / (0.5 + 0.08 * max(map(len, curves))))))
+    columns = max(
+        1,
+        min(
+            3,
+            len(curves),
+            int(style.WIDTH / (0.5 + 0.08 * max(len(style.drawn_text(curve)) for curve in curves))),
+        ),
+    )
     spare = 0.6 + 0.2 * -(-len(curves) // columns)  # with the rows of the legend
     figure, grid = panel_grid(len(keys), lambda columns: 2.0, spare, sharey=True)
-    labels = [point.label for point in points]
+    labels, handles = [point.label for point in points], {}
     for axes, key in zip(grid.flat, keys, strict=False):
         values = swept_values(points, key)
         values = sorted(values) if all(map(is_number, values)) else values
@@ -41,7 +48,7 @@ def draw(results: Results) -> Drawing:
             first = points[drawn[0]]
             variants = [name for name in curves if points[names.index(name)].label == first.label]
             look = style.look(first.label, labels, variants.index(curve))
-            axes.plot(places, best, **look, marker="o", markersize=3.5, label=curve)
+            handles[curve] = axes.plot(places, best, **look, marker="o", markersize=3.5)[0]
             axes.plot(places, mean, **look, alpha=0.35)
         ticks = [_short(short_value(points, key, value)) for value in values]
         axes.set_xticks(places, ticks, fontsize=8 if len(values) > 6 else 9.5)
@@ -51,10 +58,12 @@ def draw(results: Results) -> Drawing:
                 tick.set(ha="right", rotation_mode="anchor")
         axes.set_title(style.wrapped(key.removeprefix("planner."), 26))
         style.quiet_grid(axes)
-    label_panels(grid, None, style.wrapped(measure.words, 30))
+    label_panels(grid, None, measure.words)
     if len(curves) > 1:
-        handles, texts = grid.flat[0].get_legend_handles_labels()
-        figure.legend(handles, texts, loc="outside lower center", ncols=columns)
+        names = distinct(map(style.drawn_text, curves))
+        style.legend(
+            figure, [handles[curve] for curve in curves], names, loc="outside lower center", ncols=columns
+        )
     winner = int(np.nanargmax(measure.sign * means))
     name = points[winner].name
     return Drawing(
@@ -96,5 +105,5 @@ def curves_and_panels(points: Sequence[Point]) -> tuple[list[str], list[str]]:
 
 def _short(value: Any) -> str:
     if not is_number(value):
-        return str(value).lower()
+        return shortened(printed(str(value).lower()), 24)
     return f"{value / 1000:g}k" if abs(value) >= 1000 else f"{value:g}"

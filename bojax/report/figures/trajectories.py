@@ -37,12 +37,13 @@ def draw(results: Results) -> Drawing:
 
     figure, grid = panel_grid(len(points), height, 0.4, sharex=True, sharey=True)
     arrow: dict[str, Any] = {"scale": 1 / 0.2, "width": 0.03, "headlength": 4.5, "headaxislength": 4}
-    for axes, point, each, look in zip(grid.flat, points, paths, style.looks(points), strict=False):
+    names = style.drawn_names(points)
+    for axes, name, each, look in zip(grid.flat, names, paths, style.looks(points), strict=False):
         for path in each:
             curve = smooth(np.zeros(2), path)
             axes.plot(curve[:, 0], curve[:, 1], color=look["color"], linewidth=1.3)
         axes.quiver([0], [0], [1], [0], color=style.INK, zorder=5, **ARROWS, **arrow)
-        axes.set_title(style.wrapped(point.name, 24), pad=4)
+        axes.set_title(style.wrapped(name, 24), pad=4)
         axes.set_aspect("equal")
         axes.set_xlim(low[0] - margin, high[0] + margin)
         axes.set_ylim(low[1] - margin, high[1] + margin)
