@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import yaml
 
-from bojax.cli.parser import Parser, UsageError, integer, path
+from bojax.cli.parser import Parser, UsageError, column, integer, path
 from bojax.cli.running import resolved, run
 from bojax.config.errors import dotted, printable
 from bojax.config.sweep import load_config
@@ -73,6 +73,7 @@ def _parser(name: str) -> Parser:
     parser.add_argument("folder", metavar="DIR", type=path, help="results folder")
     parser.add_argument(
         "--by",
+        type=column,
         metavar="COLUMN",
         help="column of runs.parquet, with a minus sign if less is better (default: report.rank_by; without "
         "it -steps_to_goal if a learner reached a goal, otherwise return)",

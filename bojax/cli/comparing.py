@@ -3,7 +3,7 @@
 import shlex
 from collections.abc import Sequence
 
-from bojax.cli.parser import Parser, UsageError, integer, one_of, path
+from bojax.cli.parser import Parser, UsageError, column, integer, one_of, path
 
 _DESCRIPTION = """\
 Compare finished results on one page: curves with bands, final scores with intervals, probabilities of
@@ -11,6 +11,9 @@ improvement, and the settings that differ. Runs of the same seed are paired by t
 
 A CSV file has one row per value and the columns label, run, x, value: x is the number of the episode, or the
 number of steps so far with --x step and in planning.
+
+Scores are taken at the largest step or episode that all contenders have, or at --at STEP. A run that its
+success ended keeps its last value; the page names runs that were cut off.
 """
 
 _EXAMPLES = """\
@@ -31,8 +34,6 @@ def main(name: str, words: Sequence[str]) -> int:
         raise UsageError(f"--last: got {args.last}; allowed: >= 1")
     if args.at is not None and args.at < 1:
         raise UsageError(f"--at: got {args.at}; allowed: >= 1")
-    if args.metric is not None and not args.metric.removeprefix("-"):
-        raise UsageError(f'--metric: got "{args.metric}"; allowed: a column, such as return or -rmse')
     sources = [*args.folders, *args.csv]
     if duplicates := [source for source in sources if sources.count(source) > 1]:
         raise UsageError(f"bojax {name}: got {duplicates[0]} twice; allowed: distinct sources")
@@ -72,6 +73,7 @@ def _parser(name: str) -> Parser:
     )
     parser.add_argument(
         "--metric",
+        type=column,
         metavar="COLUMN",
         help="column of episodes.parquet or runs.parquet, with a minus sign if less is better (default: "
         "return; accumulated_reward in planning)",

@@ -63,6 +63,13 @@ def path(text: str) -> Path:
     return Path(text)
 
 
+def column(text: str) -> str:
+    """A column of a table, which may follow a minus sign; an empty one is refused."""
+    if not text.removeprefix("-"):
+        raise argparse.ArgumentTypeError(f'got "{text}"; allowed: a column, such as return or -rmse')
+    return text
+
+
 def one_of(names: Sequence[str]) -> Callable[[str], str]:
     """A function that checks that an argument is one of some names."""
 

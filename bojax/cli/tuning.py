@@ -11,7 +11,7 @@ from functools import cached_property
 from typing import Any
 
 from bojax.cli.launching import LAUNCHING_USAGE, add_launching, check_launching, dry_run
-from bojax.cli.parser import Parser, UsageError, integer, path
+from bojax.cli.parser import Parser, UsageError, column, integer, path
 from bojax.cli.running import read_standard_input, resolved
 from bojax.config.component import Component
 from bojax.config.errors import allowed_names
@@ -141,7 +141,11 @@ def _parser(name: str) -> Parser:
         "words", nargs="*", metavar="CONFIG", help="a file or a name in configs/; with ranges and settings"
     )
     parser.add_argument(
-        "--metric", metavar="COLUMN", default="return", help="column of runs.parquet (default: return)"
+        "--metric",
+        type=column,
+        metavar="COLUMN",
+        default="return",
+        help="column of runs.parquet (default: return)",
     )
     parser.add_argument("--minimise", action="store_true", help="less is better")
     parser.add_argument(

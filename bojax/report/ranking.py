@@ -63,7 +63,7 @@ def measure_of(results: Results, by: str | None = None) -> Measure:
     """
     steps = results.runs.get("steps_to_goal", np.zeros(0)).astype(np.float64)
     usual = "-steps_to_goal" if np.isfinite(steps).any() else "return"
-    by = by or results.report.rank_by or usual
+    by = next(name for name in (by, results.report.rank_by, usual) if name is not None)
     column = by.removeprefix("-")
     known = results.measured(results.runs)
     if column not in known:

@@ -72,7 +72,7 @@ class Point:
     @property
     def time_limit(self) -> int | None:
         """The most steps of an episode of its problem; None if unknown."""
-        return self.problem.max_steps if isinstance(self.problem, ProblemSettings) else None
+        return getattr(self.problem, "max_steps", None) if isinstance(self.problem, ProblemSettings) else None
 
 
 @dataclass(frozen=True)

@@ -37,6 +37,7 @@ def test_another_column_and_a_minus_sign_choose_another_point(folder, capsys):
     ("words", "message"),
     [
         (["nowhere"], "nowhere: no such results folder"),
+        (["made-up", "--by", ""], '--by: got ""; allowed: a column'),
         (["made-up", "--by", "retrun"], "runs.parquet: unknown column retrun; allowed: exits, return"),
         (["made-up", "--out", "x"], "bojax best: --out and --resume: allowed only with --confirm"),
         (["made-up", "--confirm", "0"], "bojax best: --confirm: got 0; allowed: >= 1"),

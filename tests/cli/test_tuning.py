@@ -263,6 +263,10 @@ def test_a_damaged_file_ends_in_one_line(tmp_path, undisturbed, capsys):
         (["chain", "learner.kappa=0:1", "learner.kappa=2"], "command line: learner.kappa: given twice"),
         (["chain", "learner.kappa=0:1", "learner.kappa=0:2"], "command line: learner.kappa: given twice"),
         (
+            ["chain", "learner.kappa=0:1", "--metric", ""],
+            '--metric: got ""; allowed: a column',
+        ),
+        (
             ["chain", "learner.kappa=0:1", "--metric", "retrun"],
             "bojax tune: --metric: got retrun; unknown column",
         ),

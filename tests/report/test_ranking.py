@@ -121,7 +121,7 @@ def test_a_run_gains_nothing_by_ending_early_without_reaching_its_goal():
     assert [(each.point.name, each.mean.estimate) for each in standings] == [("a", 50), ("b", 60)]
 
 
-@pytest.mark.parametrize("by", ["rewrd", "label", "planner.depth", "seed"])
+@pytest.mark.parametrize("by", ["rewrd", "label", "planner.depth", "seed", ""])
 def test_an_unknown_column_is_refused_with_those_that_are_known(by):
     with pytest.raises(ResultsError, match=f"unknown column {by}; allowed: return, rmse"):
         measure_of(grid(), by)

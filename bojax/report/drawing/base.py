@@ -104,10 +104,12 @@ def name_panels(panels: Iterable[Axes], points: Sequence[Point], pad: float = 4)
 
 def label_panels(grid: np.ndarray, x: str | None, y: str | None, **options: Any) -> None:
     """Write the labels that a grid of panels shares, below its last row and beside its first column."""
-    for axes in grid[-1] if x is not None else ():
-        axes.set_xlabel(style.drawn_text(x), **options)
-    for axes in grid[:, 0] if y is not None else ():
-        axes.set_ylabel(style.wrapped(y, 30), **options)
+    if x is not None:
+        for axes in grid[-1]:
+            axes.set_xlabel(style.drawn_text(x), **options)
+    if y is not None:
+        for axes in grid[:, 0]:
+            axes.set_ylabel(style.wrapped(y, 30), **options)
 
 
 NAME_WIDTH = 16  # characters in a line of a name beside the panels of `dot_plot`
