@@ -434,6 +434,22 @@ class TestPage:
         for path in sorted(out.rglob("*.*")):
             assert path.read_bytes() == (tmp_path / "out" / path.relative_to(out)).read_bytes()
 
+    @pytest.mark.parametrize(
+        ("at", "rule"), [(None, "the largest that all contenders have"), (4, "that of --at")]
+    )
+    def test_it_states_the_rule_and_the_budgets_beside_the_scores(self, tmp_path, at, rule):
+        ends = {("a", 0): 5, ("a", 1): 5, ("b", 0): 20, ("b", 1): 2}
+        rows = [f"{label},{run},{x},1" for (label, run), end in ends.items() for x in range(1, end + 1)]
+        (tmp_path / "x.csv").write_text("\n".join(["label,run,x,value", *rows]))
+        page = compare([], [tmp_path / "x.csv"], tmp_path / "out", axis="step", at=at)
+        text = page.read_text(encoding="utf-8")
+        assert f"up to the budget. The budget is {rule}." in Page(text).text
+        assert f"The budget of all scores is step {at or 5}. Cut off before it, without a success" in text
+        assert "so that their last values count: run 1 of b." in text
+        cells = re.findall(r'data-heading="(budget \(steps\)|runs cut off)".*?<span>(.*?)</span>', text)
+        budgets = ["4 of 5", "4 of 20"] if at else ["5", "5 of 20"]
+        assert [cell for _, cell in cells] == [budgets[0], "0", budgets[1], "1"]
+
     def test_several_tasks_have_their_own_figures_and_a_table_over_all(self, tmp_path):
         lines = ["label,task,run,x,value"]
         for task, scale in (("easy", 1), ("very/hard", 100)):

@@ -183,5 +183,7 @@ def _score(contender: Contender, measure: Measure) -> str:
     if not contender.has_curve:
         return f"{words}, or the budget where it is not reached" if measure.column in ENDS else words
     if measure.last is not None:
-        return f"mean {words} of the last {counted(measure.last, 'value')} of the run"
-    return f"final {words}" if measure.kind == "planning" else f"mean {words} over the last tenth of the run"
+        return f"mean {words} of the last {counted(measure.last, 'value')} of the run up to the budget"
+    if measure.kind == "planning":
+        return f"last {words} up to the budget"
+    return f"mean {words} over the last tenth of the run up to the budget"

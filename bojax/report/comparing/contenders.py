@@ -79,12 +79,12 @@ class Contender:
         """The step or episode at which its longest run ended; infinite if every run is final."""
         return budget_of(self.series)
 
-    @property
+    @cached_property
     def cut_off(self) -> list[int]:
         """Indices of the runs that ended too early for the scores, and not by success."""
         return self._runs([each.is_cut_off(self.at) for each in self.series])
 
-    @property
+    @cached_property
     def without_value(self) -> list[int]:
         """Indices of the runs that logged no value up to the budget of the scores."""
         return self._runs([self.has_curve and not (each.x <= self.at).any() for each in self.series])

@@ -19,13 +19,11 @@ def rule(contender: Contender, measure: Measure) -> str:
     if not (contender.has_curve or measure.column in ENDS):
         return ""
     budget = "the largest that all contenders have" if measure.at is None else "that of --at"
+    stated = f" The budget is {budget}."
     if not contender.has_curve:
-        return f" The budget is {budget}."
+        return stated
     ended = "has ended" if measure.kind == "planning" else "a success has ended"
-    return (
-        f" Values count up to one budget, {budget}. A run that {ended} keeps its last value, which is then "
-        "its score."
-    )
+    return f"{stated} A run that {ended} keeps its last value, which is then its score."
 
 
 def remarks(task: Task, measure: Measure) -> str:
@@ -38,7 +36,7 @@ def remarks(task: Task, measure: Measure) -> str:
     budget = f"{measure.unit} {first.at:,.10g}"
     counts = "their last values count" if first.has_curve else "the whole budget counts"
     told = [
-        f"Scores are taken at {budget}.",
+        f"The budget of all scores is {budget}.",
         f"Cut off before it, without a success, so that {counts}: {_listed(cut)}."
         if any(cut.values())
         else "",
