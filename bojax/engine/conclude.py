@@ -8,6 +8,7 @@ from typing import Any
 
 from bojax.config.errors import printable
 from bojax.engine.journal import Journal
+from bojax.results.merge import runs_ignoring_samples
 
 
 def conclude(journal: Journal, say: Callable[[str], Any], finish: Callable[[Path], Any]) -> None:
@@ -15,6 +16,8 @@ def conclude(journal: Journal, say: Callable[[str], Any], finish: Callable[[Path
     journal.merge()
     if journal.nans:
         say(f"warning: {len(journal.nans)} runs contain NaN: see column nans of runs.parquet")
+    if ignoring := runs_ignoring_samples(journal.path):
+        say(f"warning: {ignoring} runs left out samples: see column ignored_samples of runs.parquet")
     print(journal.path)
     if journal.errors:
         reasons = dict.fromkeys(journal.errors.values())

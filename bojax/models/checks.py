@@ -106,6 +106,15 @@ def as_numbers(name: str) -> Callable[[Any], Any]:
     return convert
 
 
+def check_readings(x: tuple[str, Any], y: tuple[str, Any], is_given: Any) -> None:
+    """Refuse observations that are not finite: named arrays of inputs and values, and which rows count."""
+    for name, values in (x, y):
+        rows = np.asarray(values)[np.asarray(is_given)]
+        bad = int(np.sum(~np.isfinite(rows)))
+        if bad:
+            raise ValueError(f"{name}: {bad} of {rows.size} numbers are not finite")
+
+
 def check_key(name: str, value: Any) -> None:
     """Refuse anything but a random key."""
     if not isinstance(value, jax.Array):

@@ -178,15 +178,7 @@ def relearn(
     """
 
     def refit(kernel: Kernel, noise_variance: Float[Array, ""]) -> GaussianProcess:
-        return GaussianProcess.fit(
-            kernel,
-            noise_variance,
-            gp.x,
-            gp.y,
-            mean=gp.mean,
-            count=gp.count,
-            noise_variances=noise_variances,
-        )
+        return gp.refitted(kernel, noise_variance, noise_variances)
 
     def objective(params) -> Float[Array, ""]:
         kernel, noise_variance = params

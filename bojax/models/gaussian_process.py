@@ -1,13 +1,16 @@
 """Gaussian process regression with a fixed capacity and an incremental inverse Cholesky factor."""
 
 import math
+import warnings
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from bojax.models.checks import Numbers, precision, to_numbers, to_point, to_points
+from bojax.models.checks import Numbers, check_readings, is_known, precision, to_numbers, to_point, to_points
 from bojax.models.kernels import Kernel, KernelName, as_kernel
 from bojax.models.means import Mean, ZeroMean
 from bojax.numerics.linalg import eigh, guarded_cholesky, inverse_cholesky, matmul, noise_floor
@@ -19,8 +22,10 @@ class GaussianProcess(eqx.Module):
     """The posterior of a Gaussian process given `count` noisy observations (2.28-2.29, with a prior mean).
 
     Rows past `count` are zero, in the data and in the factor, and drop out of every product. An update
-    appends one row to the inverse Cholesky factor and needs neither a triangular solve nor a refit. An
-    observed value of NaN makes every later mean NaN; an input of NaN makes every later variance NaN as well.
+    appends one row to the inverse Cholesky factor and needs neither a triangular solve nor a refit.
+
+    An observation that is not finite, or beyond the capacity, is refused with an error. In a compiled
+    function, whose numbers are not known, it is left out and counted.
 
     Inputs, values and noise variances may be Python numbers, lists, or arrays of NumPy or JAX. They are
     converted to the precision of the kernel. Inputs of one dimension may be given without their last axis.
@@ -28,11 +33,13 @@ class GaussianProcess(eqx.Module):
     Attributes:
         kernel: Prior covariance.
         noise_variance: Default variance of the observation noise, 0 or more. It is raised to a floor,
-            `noise_floor` times the prior variance at the observed point.
+            `noise_floor` times the prior variance at the observed point, with a warning outside of compiled
+            functions.
         x: Inputs.
         y: Observed values.
         inverse_cholesky: `L^-1`, with `L L' = K + diag(noise variances)`.
         count: Number of observations.
+        num_ignored: Number of observations left out: not finite, or beyond the capacity.
         mean: Prior mean.
     """
 
@@ -42,6 +49,7 @@ class GaussianProcess(eqx.Module):
     y: Float[Array, "N"]
     inverse_cholesky: Float[Array, "N N"]
     count: Int[Array, ""]
+    num_ignored: Int[Array, ""]
     mean: Mean = NO_MEAN
 
     @classmethod
@@ -63,6 +71,7 @@ class GaussianProcess(eqx.Module):
             y=jnp.zeros((capacity,), dtype),
             inverse_cholesky=jnp.zeros((capacity, capacity), dtype),
             count=jnp.zeros((), jnp.int32),
+            num_ignored=jnp.zeros((), jnp.int32),
             mean=mean,
         )
 
@@ -92,7 +101,8 @@ class GaussianProcess(eqx.Module):
             noise_variances: Noise variance of each observation, instead of `noise_variance`.
 
         Raises:
-            ValueError: There are more rows than the capacity, or not as many values as inputs.
+            ValueError: There are more rows than the capacity, not as many values as inputs, or an observation
+                that is not finite (in a compiled function, it is left out and counted).
         """
         kernel = as_kernel(kernel)
         dtype = precision(kernel, noise_variance)
@@ -106,24 +116,30 @@ class GaussianProcess(eqx.Module):
             raise ValueError(f"capacity: got {capacity}; allowed: >= {number}, the number of observations")
         empty = cls.prior(kernel, noise_variance, capacity, num_dims, mean)
         count = jnp.asarray(number, jnp.int32) if count is None else jnp.clip(count, 0, number)
-        is_held = jnp.arange(number, dtype=count.dtype) < count
         if noise_variances is not None:
-            noise_variances = empty.y.at[:number].set(to_numbers("noise_variances", noise_variances, dtype))
-        data = cls(
-            kernel=kernel,
-            noise_variance=empty.noise_variance,
-            x=empty.x.at[:number].set(jnp.where(is_held[:, None], x, 0.0)),
-            y=empty.y.at[:number].set(jnp.where(is_held, y, 0.0)),
-            inverse_cholesky=empty.inverse_cholesky,
-            count=count,
-            mean=mean,
-        )
-        is_held = data.is_held()
+            noise_variances = to_numbers("noise_variances", noise_variances, dtype)
+        is_given = jnp.arange(number, dtype=count.dtype) < count
+        args = empty, x, y, is_given, noise_variances
+        if not is_known(args):
+            return _all_at_once(*args)
+        check_readings(("x", x), ("y", y), is_given)
+        empty._warn_of_floor(x, is_given, noise_variances)
+        return _fit(*args)
+
+    def refitted(
+        self,
+        kernel: Kernel,
+        noise_variance: Float[Array, ""],
+        noise_variances: Float[Array, "N"] | None = None,
+    ) -> "GaussianProcess":
+        """The posterior given the same observations under another kernel and other noise; differentiable."""
+        is_held = self.is_held()
         both = is_held[:, None] & is_held[None, :]
-        noise = jnp.where(is_held, data.noise(data.x, noise_variances), 1.0)
-        covariance = jnp.where(both, kernel.gram(data.x, data.x), 0.0) + jnp.diag(noise)
+        changed = eqx.tree_at(lambda gp: (gp.kernel, gp.noise_variance), self, (kernel, noise_variance))
+        noise = jnp.where(is_held, changed.noise(self.x, noise_variances), 1.0)
+        covariance = jnp.where(both, kernel.gram(self.x, self.x), 0.0) + jnp.diag(noise)
         inverse = jnp.where(both, inverse_cholesky(covariance), 0.0)
-        return eqx.tree_at(lambda gp: gp.inverse_cholesky, data, inverse)
+        return eqx.tree_at(lambda gp: gp.inverse_cholesky, changed, inverse)
 
     def update(
         self,
@@ -131,33 +147,68 @@ class GaussianProcess(eqx.Module):
         y: Float[Array, ""] | Numbers,
         noise_variance: Float[Array, ""] | Numbers | None = None,
     ) -> "GaussianProcess":
-        """The posterior after one more observation, which is ignored once the capacity is reached."""
+        """The posterior after one more observation.
+
+        Raises:
+            ValueError: The observation is not finite, or the capacity is reached (in a compiled function, the
+                observation is then left out and counted).
+        """
         x = to_point("x", x, self.y.dtype, self.x.shape[1])
         y = to_numbers("y", y, self.y.dtype)
         if noise_variance is not None:
             noise_variance = to_numbers("noise_variance", noise_variance, self.y.dtype)
+        if not is_known((self, x, y, noise_variance)):
+            return self._updated(x, y, noise_variance)
+        is_valid = jnp.ones(1, bool)
+        self._check_room(("x", x[None, :]), ("y", y[None]), is_valid)
+        self._warn_of_floor(x[None, :], is_valid, noise_variance)
+        return _update(self, x, y, noise_variance)
+
+    def _updated(
+        self, x: Float[Array, "D"], y: Float[Array, ""], noise_variance: Float[Array, ""] | None
+    ) -> "GaussianProcess":
+        is_finite = jnp.isfinite(y) & jnp.all(jnp.isfinite(x))
+        x = jnp.where(is_finite, x, 0.0)
         row = self.next_row(x, self.whiten(x[None, :])[:, 0], noise_variance)
-        return self._appended(self.count, x, y, row, jnp.ones_like(self.count))
+        at = jnp.where(is_finite, self.count, self.y.shape[0])
+        return self._appended(at, x, y, row, is_finite.astype(self.count.dtype), jnp.ones_like(self.count))
 
     def extend(
         self,
         xs: Float[Array, "S D"] | Numbers,
         ys: Float[Array, "S"] | Numbers,
-        is_valid: Bool[Array, "S"] | None = None,
+        is_valid: Bool[Array, "S"] | Bool[np.ndarray, "S"] | Sequence[bool] | None = None,
         noise_variances: Float[Array, "S"] | Numbers | None = None,
     ) -> "GaussianProcess":
         """The posterior after several more observations, as by an `update` with each of the valid ones.
 
         With V = L^-1 k(X, xs) and B B' = k(xs, xs) + noise - V'V, the rows [-B^-1 V' L^-1, B^-1] are
-        appended. Invalid observations are not stored; observations beyond the capacity are ignored. By
-        default all are valid.
+        appended. Invalid observations are not stored; by default all are valid.
+
+        Raises:
+            ValueError: A valid observation is not finite, or the valid ones exceed the capacity (in a
+                compiled function, such observations are left out and counted).
         """
         xs, ys = self._points(xs), to_numbers("ys", ys, self.y.dtype)
         if noise_variances is not None:
             noise_variances = to_numbers("noise_variances", noise_variances, self.y.dtype)
-        if is_valid is None:
-            is_valid = jnp.ones(ys.shape, bool)
+        is_valid = jnp.ones(ys.shape, bool) if is_valid is None else jnp.asarray(is_valid, bool)
+        if not is_known((self, xs, ys, is_valid, noise_variances)):
+            return self._extended(xs, ys, is_valid, noise_variances)
+        self._check_room(("xs", xs), ("ys", ys), is_valid)
+        self._warn_of_floor(xs, is_valid, noise_variances)
+        return _extend(self, xs, ys, is_valid, noise_variances)
+
+    def _extended(
+        self,
+        xs: Float[Array, "S D"],
+        ys: Float[Array, "S"],
+        is_valid: Bool[Array, "S"],
+        noise_variances: Float[Array, "S"] | None,
+    ) -> "GaussianProcess":
         capacity = self.y.shape[0]
+        given = jnp.sum(is_valid, dtype=self.count.dtype)
+        is_valid = is_valid & jnp.isfinite(ys) & jnp.all(jnp.isfinite(xs), axis=1)
         xs = jnp.where(is_valid[:, None], xs, 0.0)
         noise = self.noise(xs, noise_variances)
         whitened = jnp.where(is_valid[None, :], self.whiten(xs), 0.0)
@@ -169,7 +220,7 @@ class GaussianProcess(eqx.Module):
         at = jnp.where(is_valid, place, capacity)
         own = jnp.zeros((xs.shape[0], capacity), xs.dtype).at[:, at].set(inverse, mode="drop")
         rows = own - matmul(inverse, matmul(whitened.T, self.inverse_cholesky))
-        return self._appended(at, xs, ys, rows, jnp.sum(is_valid, dtype=self.count.dtype))
+        return self._appended(at, xs, ys, rows, jnp.sum(is_valid, dtype=self.count.dtype), given)
 
     def noise(
         self, xs: Float[Array, "M D"], noise_variances: Float[Array, "M"] | None = None
@@ -322,17 +373,46 @@ class GaussianProcess(eqx.Module):
     def _prior_variance(self, xs: Float[Array, "M D"]) -> Float[Array, "M"]:
         return jax.vmap(lambda x: self.kernel(x, x))(xs)
 
-    def _appended(self, at, x, y, row, number: Int[Array, ""]) -> "GaussianProcess":
-        """The posterior with `number` more observations in the rows `at`; rows past the end are dropped."""
+    def _appended(self, at, x, y, row, number: Int[Array, ""], given: Int[Array, ""]) -> "GaussianProcess":
+        """The posterior with `number` more observations, of `given`, in the rows `at`, up to the capacity."""
+        count = jnp.minimum(self.count + number, self.y.shape[0]).astype(self.count.dtype)
         return GaussianProcess(
             kernel=self.kernel,
             noise_variance=self.noise_variance,
             x=self.x.at[at].set(x, mode="drop"),
             y=self.y.at[at].set(y, mode="drop"),
             inverse_cholesky=self.inverse_cholesky.at[at].set(row, mode="drop"),
-            count=jnp.minimum(self.count + number, self.y.shape[0]).astype(self.count.dtype),
+            count=count,
+            num_ignored=self.num_ignored + given - (count - self.count),
             mean=self.mean,
         )
+
+    def _check_room(self, xs: tuple[str, Array], ys: tuple[str, Array], is_valid: Bool[Array, "S"]) -> None:
+        check_readings(xs, ys, is_valid)
+        number, held, capacity = int(jnp.sum(is_valid)), int(self.count), self.y.shape[0]
+        if held + number > capacity:
+            raise ValueError(
+                f"{ys[0]}: got {number} more beside {held}; allowed: {capacity} observations, the capacity"
+            )
+
+    def _warn_of_floor(
+        self,
+        xs: Float[Array, "S D"],
+        is_valid: Bool[Array, "S"],
+        noise_variances: Float[Array, "S"] | Float[Array, ""] | None,
+    ) -> None:
+        """Warn of a noise variance that is raised to the floor."""
+        own = self.noise_variance if noise_variances is None else noise_variances
+        given = np.broadcast_to(np.asarray(own), is_valid.shape)
+        used = np.asarray(_noise(self, xs, jnp.asarray(given)))
+        is_raised = np.asarray(is_valid) & (used > given)
+        if np.any(is_raised):
+            least = given[is_raised].min()
+            warnings.warn(
+                f"noise_variance: got {least:g}; raised to {used[is_raised].max():g}, the least that "
+                f"{used.dtype} resolves (see GaussianProcess.noise)",
+                stacklevel=3,
+            )
 
     def is_held(self) -> Bool[Array, "N"]:
         """Whether each row holds an observation."""
@@ -340,3 +420,39 @@ class GaussianProcess(eqx.Module):
 
     def _is_next(self) -> Bool[Array, "N"]:
         return jnp.arange(self.y.shape[0], dtype=self.count.dtype) == self.count
+
+
+def _all_at_once(
+    empty: GaussianProcess,
+    x: Float[Array, "n D"],
+    y: Float[Array, "n"],
+    is_given: Bool[Array, "n"],
+    noise_variances: Float[Array, "n"] | None,
+) -> GaussianProcess:
+    """The posterior given the finite observations among the given ones, which come first."""
+    number = y.shape[0]
+    is_held = is_given & jnp.isfinite(y) & jnp.all(jnp.isfinite(x), axis=1)
+    order = jnp.argsort(~is_held, stable=True)
+    x = jnp.where(is_held[:, None], x, 0.0)[order]
+    y = jnp.where(is_held, y, 0.0)[order]
+    if noise_variances is not None:
+        noise_variances = empty.y.at[:number].set(noise_variances[order])
+    count = jnp.sum(is_held, dtype=empty.count.dtype)
+    data = eqx.tree_at(
+        lambda gp: (gp.x, gp.y, gp.count, gp.num_ignored),
+        empty,
+        (
+            empty.x.at[:number].set(x),
+            empty.y.at[:number].set(y),
+            count,
+            jnp.sum(is_given, dtype=count.dtype) - count,
+        ),
+    )
+    return data.refitted(empty.kernel, empty.noise_variance, noise_variances)
+
+
+# Each compiled as one program, for calls with known numbers.
+_fit = eqx.filter_jit(_all_at_once)
+_update = eqx.filter_jit(GaussianProcess._updated)
+_extend = eqx.filter_jit(GaussianProcess._extended)
+_noise = eqx.filter_jit(GaussianProcess.noise)

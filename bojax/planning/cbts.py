@@ -249,6 +249,7 @@ class ContinuousBeliefTreeSearch(
             y=jnp.where(exists, rewards, 0.0),
             inverse_cholesky=known.row,
             count=count,
+            num_ignored=jnp.zeros((), jnp.int32),
         )
         return model, jnp.max(jnp.where(exists, rewards, -jnp.inf))
 

@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key, Scalar
 
+from bojax.models.checks import Numbers, check_finite, is_known, to_point
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.motions.base import Pose
 
@@ -44,9 +45,19 @@ class FieldBelief(eqx.Module):
     key: Key[Array, ""]
     num_samples: int = eqx.field(static=True)
 
-    def after(self, posterior: GaussianProcess, pose: Pose) -> "FieldBelief":
-        """The belief after one more path, which led to this posterior and pose."""
-        step = self.step + 1
+    def after(self, posterior: GaussianProcess, pose: Pose | Numbers) -> "FieldBelief":
+        """The belief after one more path, which led to this posterior and pose.
+
+        Raises:
+            ValueError: The pose is not finite, or more paths were driven than `max_steps` of the problem
+                (unless compiled).
+        """
+        step, pose = self.step + 1, to_point("pose", pose, self.pose.dtype, 3)
+        if is_known((self, posterior, pose)):
+            check_finite("pose", pose)
+            most = self.counts.shape[0] - 1
+            if int(step) > most:
+                raise ValueError(f"after: got path {int(step)}; allowed: up to {most}, `max_steps`")
         return FieldBelief(
             pose=pose,
             posterior=posterior,

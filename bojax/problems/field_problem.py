@@ -39,6 +39,9 @@ FIELD_COLUMNS: Table = (
     *ERROR_COLUMNS,
     Column("collisions", "int32", "", "times that a wall stopped the robot"),
     Column("sampled_gradient", "float64", "1/m", "mean norm of the field's gradient at the samples"),
+    Column(
+        "ignored_samples", "int32", "", "samples left out of the belief: not finite, or beyond its capacity"
+    ),
 )
 
 
@@ -247,13 +250,14 @@ class FieldProblem(Problem):
 
     def field_score(self, world: FieldWorld, belief: FieldBelief) -> dict[str, Scalar]:
         """The columns of `FIELD_COLUMNS`."""
-        grid = self.grid()
+        grid, posterior = self.grid(), belief.posterior
         mean, variance = belief.predict_grid(grid, self.resolution)
         is_open = self.arena.is_free(grid)
-        taken = jnp.maximum(belief.posterior.count, 1).astype(mean.dtype)
+        taken = jnp.maximum(posterior.count + posterior.num_ignored, 1).astype(mean.dtype)
         return field_errors(self.field, grid, mean, variance, is_open, self.weighting) | {
             "collisions": world.collisions,
             "sampled_gradient": world.gradient / taken,
+            "ignored_samples": posterior.num_ignored,
         }
 
     @override

@@ -11,7 +11,6 @@ from typing_extensions import override
 
 from bojax.fields.blocks import Blocks
 from bojax.models.checks import check_takes
-from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Kernel
 from bojax.problems.field_belief import FieldBelief
 from bojax.problems.field_problem import FIELD_COLUMNS, FieldProblem, FieldWorld
@@ -167,9 +166,7 @@ class PropMapping(FieldProblem):
         if self.map_kernel is None:
             return belief
         old = belief.posterior
-        new = GaussianProcess.fit(
-            self.map_kernel, old.noise_variance, old.x, old.y, mean=old.mean, count=old.count
-        )
+        new = old.refitted(self.map_kernel, old.noise_variance)
         return replace(belief, posterior=new)
 
     def _outside(self, points: Float[Array, "G 2"]) -> Float[Array, "G K"]:

@@ -63,6 +63,14 @@ def merge(
     return nans
 
 
+def runs_ignoring_samples(folder: Path) -> int:
+    """Number of runs of a merged sweep whose belief left out samples; 0 if none counts them."""
+    path, column = folder / f"{RUNS}.parquet", "ignored_samples"
+    if not path.is_file() or column not in read_footer(path).schema.names:
+        return 0
+    return int(np.sum(read_table(path, [column])[column].to_numpy() > 0))
+
+
 def sorted_rows(parts: Sequence[Path], most: int = HELD_ROWS) -> Iterator[pa.Table]:
     """The rows of all parts in the order of results, in tables that do not overlap.
 

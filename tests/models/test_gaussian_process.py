@@ -1,5 +1,7 @@
 """The Gaussian process, batch and incremental, against closed forms, scikit-learn and its own laws."""
 
+import warnings
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -150,8 +152,8 @@ def test_without_noise_the_mean_interpolates():
 def test_an_observation_beyond_the_capacity_leaves_no_trace():
     full = condition(prior(0.01), *observations(16))
     over = condition(full, *observations(16, seed=1))
-    assert full.count == over.count == 16
-    assert eqx.tree_equal(full, over)
+    assert full.count == over.count == 16 and over.num_ignored == 16
+    assert eqx.tree_equal(full, eqx.tree_at(lambda gp: gp.num_ignored, over, full.num_ignored))
 
 
 @pytest.mark.parametrize("name", ["rbf", "matern12"])  # the smoothest and the roughest
@@ -452,15 +454,58 @@ def test_factors_of_singular_matrices_are_finite(dtype, lengthscale):
             assert np.all(np.isfinite(leaf)) and leaf.dtype in (dtype, jnp.int32)
 
 
-def test_an_observation_that_is_not_a_number_is_never_silent():
-    gp = condition(prior(0.01), *observations(3))
-    nowhere = update(gp, np.asarray([np.nan, 0.0]), np.asarray(1.0))
-    assert np.all(np.isnan(predict(nowhere, QUERIES)))
-    unknown = update(gp, np.zeros(2), np.asarray(np.nan))
-    mean, variance = predict(unknown, QUERIES)
-    assert np.all(np.isnan(mean)) and np.all(np.isfinite(variance))
-    block = extend(gp, np.zeros((2, 2)), np.asarray([1.0, np.nan]), np.ones(2, bool))
-    assert np.all(np.isnan(predict(block, QUERIES)[0]))
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_observations_that_are_not_finite_are_left_out_and_counted(bad):
+    x, y = observations(6)
+    expected = condition(prior(0.01), x[[0, 1, 3]], y[[0, 1, 3]])
+    x[2, 1], y[4] = bad, bad
+    one_by_one = condition(prior(0.01), x[:5], y[:5])
+    block = extend(condition(prior(0.01), x[:2], y[:2]), x[2:5], y[2:5], np.ones(3, bool))
+    at_once = fit(RBF(jnp.asarray(0.5)), jnp.asarray(0.01), x[:5], y[:5])
+    for found in (one_by_one, block, at_once):
+        assert found.count == 3 and found.num_ignored == 2
+        for ours, theirs in zip(predict(found, QUERIES), predict(expected, QUERIES), strict=True):
+            np.testing.assert_allclose(ours, theirs, atol=1e-10)
+    relearned = jax.jit(lambda gp: gp.refitted(gp.kernel, gp.noise_variance))(one_by_one)
+    assert relearned.num_ignored == 2
+    assert extend(expected, x[2:5], y[2:5], np.zeros(3, bool)).num_ignored == 0
+
+
+def test_outside_of_jit_what_would_be_left_out_is_refused():
+    gp = prior(0.01, capacity=4).extend(*observations(3))
+    x, y = observations(2, seed=1)
+    holed = np.where(np.arange(2) == 1, np.nan, y)
+    for call, message in (
+        (lambda: gp.extend(x, holed), "ys: 1 of 2 numbers are not finite"),
+        (lambda: gp.extend(holed[:, None] * x, y), "xs: 2 of 4 numbers are not finite"),
+        (lambda: gp.update(x[0], -np.inf), "y: 1 of 1 numbers are not finite"),
+        (lambda: GaussianProcess.fit("rbf", 0.01, x, holed), "y: 1 of 2 numbers are not finite"),
+        (lambda: gp.extend(x, y), "ys: got 2 more beside 3; allowed: 4 observations, the capacity"),
+        (lambda: gp.update(x[0], y[0]).update(x[1], y[1]), "y: got 1 more beside 4; allowed: 4 obs"),
+    ):
+        with pytest.raises(ValueError, match=message) as caught:
+            call()
+        assert "\n" not in str(caught.value)
+    masked = gp.extend(x, holed, [True, False])
+    assert masked.count == 4 and np.all(np.isfinite(masked.y)) and masked.num_ignored == 0
+
+
+def test_a_noise_variance_below_the_floor_is_raised_with_a_warning():
+    x, y = observations(20)
+    floor = noise_floor(jnp.float64)
+    with pytest.warns(UserWarning, match="noise_variance: got 1e-10; raised to 1.8.*e-09"):
+        quiet = GaussianProcess.fit("rbf", 1e-10, x, y)
+    at_floor = GaussianProcess.fit("rbf", 1.001 * floor, x, y)
+    np.testing.assert_allclose(quiet.log_marginal_likelihood(), at_floor.log_marginal_likelihood(), rtol=1e-2)
+    for call in (
+        lambda gp: gp.update(x[0], y[0], 0.0),
+        lambda gp: gp.extend(x[:2], y[:2], noise_variances=[1.0, 1e-12]),
+    ):
+        with pytest.warns(UserWarning, match="raised to"):
+            call(prior(0.01))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        prior(0.01).update(x[0], y[0]).extend(x[:2], y[:2], [True, True], [1.0, 0.5])
 
 
 def test_blocks_for_a_batch_of_processes_are_a_loop():

@@ -16,6 +16,7 @@ from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Matern32, Scaled
 from bojax.models.means import ConstantMean
 from bojax.motions.base import place
+from bojax.problems.field_belief import Samples
 from bojax.problems.field_errors import error_weights
 from bojax.problems.settings import Monitoring
 from bojax.problems.vehicles.base import Exact
@@ -398,6 +399,31 @@ def test_a_belief_without_uncertainty_has_a_finite_score():
     found = score(problem, problem.reset(jax.random.key(0)), belief)
     assert all(np.isfinite(value) for value in found.values())
     np.testing.assert_allclose(found["rmse"], 0.0, atol=1e-9)
+
+
+def test_a_reading_that_is_not_finite_is_left_out_of_the_belief_and_counted():
+    problem = PROBLEMS["no walls"]
+    world, belief = problem.reset(jax.random.key(0)), field_belief(problem, (0.5, 0.5, 0.0), 10)
+    points, values = f64(np.full((SIZE, 2), 1.0)), f64([0.2, np.nan, np.inf, *[0.3] * (SIZE - 3)])
+    update = jax.jit(lambda belief, seen: problem.update(belief, jnp.zeros((SIZE, 3)), seen))
+    after = update(belief, Samples(points, values, jnp.ones(SIZE, bool), belief.pose))
+    assert after.posterior.count == 10 + SIZE - 2
+    found = score(problem, world, after)
+    assert found["ignored_samples"] == 2 and all(np.isfinite(value) for value in found.values())
+
+
+def test_a_robot_of_ones_own_moves_the_belief_and_is_refused_what_it_cannot_hold():
+    problem = PROBLEMS["no walls"]
+    belief, points = field_belief(problem, (0.5, 0.5, 0.0), 0), np.full((SIZE, 2), 1.0)
+    posterior = belief.posterior.extend(points, np.ones(SIZE))
+    moved = belief.after(posterior, [0.7, 0.6, 0.1])
+    assert moved.posterior.count == SIZE and moved.step == belief.step + 1 and moved.counts[1] == SIZE
+    np.testing.assert_array_equal(moved.pose, [0.7, 0.6, 0.1])
+    with pytest.raises(ValueError, match="pose: got a number that is not finite"):
+        belief.after(posterior, [0.7, np.nan, 0.1])
+    with pytest.raises(ValueError, match=f"path {problem.max_steps + 1}; allowed: up to {problem.max_steps}"):
+        for _ in range(problem.max_steps + 1):
+            moved = belief = belief.after(posterior, [0.7, 0.6, 0.1])
 
 
 def test_the_snapshot_has_field_belief_and_samples_on_the_grid():

@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from bojax.results.merge import PointInfo, merge, sorted_rows
+from bojax.results.merge import PointInfo, merge, runs_ignoring_samples, sorted_rows
 from bojax.results.parts import ChunkFolder
 from bojax.results.schema import Column
 from bojax.results.store import (
@@ -138,6 +138,14 @@ def test_swept_values_keep_their_type(tmp_path, values, kind):
     table = read_table(tmp_path / "runs.parquet")
     assert table.column_names == ["point", "label", "variant", "a.b", "run", "seed", "nans"]
     assert table["a.b"].type == kind and table["seed"].to_pylist() == [9, 9]
+
+
+def test_runs_whose_belief_left_out_samples_are_counted(tmp_path):
+    assert runs_ignoring_samples(tmp_path) == 0
+    write_table(tmp_path / "runs.parquet", pa.table({"run": [0, 1, 2]}))
+    assert runs_ignoring_samples(tmp_path) == 0
+    write_table(tmp_path / "runs.parquet", pa.table({"run": [0, 1, 2], "ignored_samples": [0, 3, 1]}))
+    assert runs_ignoring_samples(tmp_path) == 2
 
 
 def test_tables_whose_names_share_a_suffix_stay_separate(tmp_path):
