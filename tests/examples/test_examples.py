@@ -43,6 +43,7 @@ CHECKS: dict[str, Callable[[dict[str, list[float]]], bool]] = {
     "linear_models.py": lambda of: np.allclose(of["one by one"], of["batch"], rtol=1e-5),
     "my_robot_env.py": lambda of: len(of["episodes to the pocket"]) >= 2,
     "my_field.py": lambda of: max(of["RMSE"]) < 0.4,
+    "my_robot.py": lambda of: of["samples"] == [100.0] and 0.5 < of["field at the peak"][0] < 1.2,
     "plot_a_gp.py": lambda _: Path("gp.png").stat().st_size > 10_000,
     "sweep_in_python.py": lambda of: len(of["steps to the goal"]) == 2 and of["success of the best"][0] > 0.9,
     "train_emu_q.py": lambda of: (
@@ -71,7 +72,7 @@ WIDE = [
 
 PROGRAMS = [words for words in WITH_EXAMPLES if words[0] != "bojax" and words[1] not in (ALONE, DEEP_RL)]
 
-QUICK = ("gymnasium_loop.py", "linear_models.py", "plot_a_gp.py", "vector_of_envs.py")
+QUICK = ("gymnasium_loop.py", "linear_models.py", "my_robot.py", "plot_a_gp.py", "vector_of_envs.py")
 """Programs of the normal tier."""
 
 
