@@ -1,14 +1,25 @@
 """Bayesian linear regression: batch and sequential posteriors, the evidence, and its maximum."""
 
+import warnings
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float, Int
 
-from bojax.models.checks import Numbers, precision, to_data, to_numbers, to_point, to_points
+from bojax.models.checks import (
+    Numbers,
+    check_readings,
+    is_known,
+    precision,
+    to_data,
+    to_numbers,
+    to_point,
+    to_points,
+)
 from bojax.numerics.linalg import covariance_floor, matmul, matmul_on_tensor_cores
 
 NUM_RATIOS = 128
@@ -29,7 +40,11 @@ class BayesianLinearRegression(eqx.Module):
     variance, and updates would diverge. `update` and `row` raise the noise variance of their observation to
     this floor. `fit` and `update_batch` scale the noise variances of all observations by one factor, given by
     the observation furthest below its floor, which preserves the relative weights of the observations. In
-    sequential updates at the floor, longer feature vectors therefore weigh less.
+    sequential updates at the floor, longer feature vectors therefore weigh less. Outside of compiled
+    functions, a warning names a noise variance that is raised.
+
+    An observation that is not finite is refused with an error. In a compiled function, whose numbers are not
+    known, it is left out and counted.
 
     Features, targets, precisions and weights may be Python numbers, lists, or arrays of NumPy or JAX. They
     are converted to the precision of the features in `fit`, and of the model in updates and predictions.
@@ -40,6 +55,7 @@ class BayesianLinearRegression(eqx.Module):
         rows: Rows of the updates since the last flush; unused rows are zero.
         prior_precision: Precision of each weight before any observation: alpha (2.11).
         noise_precision: Precision of the observation noise: beta (2.9).
+        num_ignored: Number of observations left out because they are not finite.
     """
 
     mean: Float[Array, "M *K"]
@@ -47,6 +63,7 @@ class BayesianLinearRegression(eqx.Module):
     rows: Float[Array, "B M"]
     prior_precision: Float[Array, ""]
     noise_precision: Float[Array, ""]
+    num_ignored: Int[Array, ""]
 
     @classmethod
     def prior(
@@ -84,6 +101,7 @@ class BayesianLinearRegression(eqx.Module):
             rows=jnp.zeros((block, num_features), dtype),
             prior_precision=prior_precision,
             noise_precision=to_numbers("noise_precision", noise_precision, dtype),
+            num_ignored=jnp.zeros((), jnp.int32),
         )
 
     @classmethod
@@ -102,13 +120,15 @@ class BayesianLinearRegression(eqx.Module):
         Computed from the triangular factor of the features stacked on the square root of the prior precision;
         its condition number is the square root of that of the precision matrix. The arguments are those of
         `prior` and `update`.
+
+        Raises:
+            ValueError: An observation is not finite (unless compiled), or a shape is wrong.
         """
         features, targets = to_data(features, targets)
         num_features, dtype = features.shape[1], features.dtype
         prior_precision = to_numbers("prior_precision", prior_precision, dtype)
         prior = cls.prior(num_features, prior_precision, noise_precision, block=block)
-        sample_weight = _weights(sample_weight, features)
-        features, targets = _where_seen(sample_weight, features), _where_seen(sample_weight, targets)
+        features, targets, sample_weight, num_ignored = prior._seen(features, targets, sample_weight)
         scale = jnp.sqrt(prior._precisions(features, sample_weight))
         factor, rotated = _triangular(
             _times_rows(scale, features), _times_rows(scale, targets), prior_precision
@@ -120,6 +140,7 @@ class BayesianLinearRegression(eqx.Module):
             rows=prior.rows,
             prior_precision=prior.prior_precision,
             noise_precision=prior.noise_precision,
+            num_ignored=num_ignored,
         )
 
     @property
@@ -190,16 +211,17 @@ class BayesianLinearRegression(eqx.Module):
             step_in_block: Number of updates since the last flush, from 0 to `block` - 1, which is the row of
                 the block to write; preferably the same in every run of a batch. By default all rows move up
                 by one, which costs 3 to 5% of a step with several hundred features on a GPU.
+
+        Raises:
+            ValueError: The observation is not finite (unless compiled), or a shape is wrong.
         """
         dtype = self.mean.dtype
         features = to_point("features", features, dtype, len(self.mean))
         target = to_numbers("target", target, dtype)
-        if sample_weight is not None:
-            sample_weight = to_numbers("sample_weight", sample_weight, dtype)
-        row, gain = self._gain(features, sample_weight, product)
-        residual = target - matmul(features, self.mean)
-        if sample_weight is not None:
-            residual = jnp.where(sample_weight > 0.0, residual, 0.0)
+        weight = to_numbers("sample_weight", 1.0 if sample_weight is None else sample_weight, dtype)
+        *_, (weight,), num_ignored = self._seen(features[None, :], target[None], weight[None])
+        row, gain = self._gain(features, weight, product)
+        residual = jnp.where(weight > 0.0, target - matmul(features, self.mean), 0.0)
         base, rows = self.base, self.rows
         if not len(rows):
             base = base - row[:, None] * row[None, :]
@@ -207,7 +229,8 @@ class BayesianLinearRegression(eqx.Module):
             rows = jnp.concatenate([rows[1:], row[None, :]])
         else:
             rows = jax.lax.dynamic_update_index_in_dim(rows, row, step_in_block, axis=0)
-        return self._with(self.mean + jax.vmap(lambda k: k * residual)(gain), base, rows)
+        mean = self.mean + jax.vmap(lambda k: k * residual)(gain)
+        return self._with(mean, base, rows, num_ignored)
 
     def update_batch(
         self,
@@ -220,10 +243,12 @@ class BayesianLinearRegression(eqx.Module):
 
         Also in gain form: the factorised matrix has the size of the batch, not of the model. The update is
         applied to `base` at once and occupies no row of the block.
+
+        Raises:
+            ValueError: An observation is not finite (unless compiled), or a shape is wrong.
         """
         features, targets = to_data(features, targets, self.mean.dtype)
-        sample_weight = _weights(sample_weight, features)
-        features, targets = _where_seen(sample_weight, features), _where_seen(sample_weight, targets)
+        features, targets, sample_weight, num_ignored = self._seen(features, targets, sample_weight)
         scale = jnp.sqrt(self._precisions(features, sample_weight))
         scaled = _times_rows(scale, features)
         products = self.covariance_times(scaled)
@@ -233,11 +258,11 @@ class BayesianLinearRegression(eqx.Module):
         residuals = _times_rows(scale, targets - matmul(features, self.mean))
         whitened = solve_triangular(factor, residuals, lower=True)
         base = _symmetric(self.base - matmul(rows.T, rows))
-        return self._with(self.mean + matmul(rows.T, whitened), base, self.rows)
+        return self._with(self.mean + matmul(rows.T, whitened), base, self.rows, num_ignored)
 
     def flush(self) -> "BayesianLinearRegression":
         """Apply the rows of the block to `base`: the same posterior with an empty block."""
-        return self._with(self.mean, self.covariance, jnp.zeros_like(self.rows))
+        return self._with(self.mean, self.covariance, jnp.zeros_like(self.rows), self.num_ignored)
 
     def predict(
         self, features: Float[Array, "N M"] | Numbers, *, with_noise: bool = False
@@ -251,6 +276,36 @@ class BayesianLinearRegression(eqx.Module):
         if with_noise:
             variance = variance + 1.0 / self.noise_precision
         return matmul(features, self.mean), variance
+
+    def _seen(
+        self, features: Float[Array, "N M"], targets: Float[Array, "N *K"], sample_weight: Any
+    ) -> tuple[Float[Array, "N M"], Float[Array, "N *K"], Float[Array, "N"], Int[Array, ""]]:
+        """Observations with zeros in those without weight, the weights, and the new `num_ignored`.
+
+        An observation that is not finite is refused if the numbers are known, and has no weight otherwise.
+        """
+        weight = _weights(sample_weight, features)
+        is_given = weight > 0.0
+        if is_known((self, features, targets, weight)):
+            check_readings(("features", features), ("targets", targets), is_given)
+            self._warn_of_floor(_where_seen(weight, features), weight)
+        is_finite = jnp.all(jnp.isfinite(features), axis=1)
+        is_finite = is_finite & jnp.all(jnp.isfinite(targets), axis=tuple(range(1, targets.ndim)))
+        weight = jnp.where(is_finite, weight, 0.0)
+        num_ignored = self.num_ignored + jnp.sum(is_given & ~is_finite, dtype=self.num_ignored.dtype)
+        return _where_seen(weight, features), _where_seen(weight, targets), weight, num_ignored
+
+    def _warn_of_floor(self, features: Float[Array, "N M"], weight: Float[Array, "N"]) -> None:
+        """Warn of a noise variance that is raised to the floor."""
+        precision = weight * self.noise_precision
+        excess = float(np.max(np.asarray(jax.vmap(self._excess)(features, precision)), initial=1.0))
+        if excess > 1.0:
+            given = 1.0 / float(self.noise_precision)
+            warnings.warn(
+                f"noise_precision: a noise variance of {given:g} is raised {excess:.3g}-fold, to the least "
+                f"that {precision.dtype} resolves (see BayesianLinearRegression)",
+                stacklevel=4,
+            )
 
     def _gain(self, features, sample_weight, product) -> tuple[Float[Array, "M"], Float[Array, "M"]]:
         """The row that reduces the covariance, and the gain that multiplies the residual."""
@@ -278,8 +333,10 @@ class BayesianLinearRegression(eqx.Module):
         prior_variance = jnp.sum(features * features) / self.prior_precision
         return precision * covariance_floor(features.dtype) * prior_variance
 
-    def _with(self, mean, base, rows) -> "BayesianLinearRegression":
-        return BayesianLinearRegression(mean, base, rows, self.prior_precision, self.noise_precision)
+    def _with(self, mean, base, rows, num_ignored) -> "BayesianLinearRegression":
+        return BayesianLinearRegression(
+            mean, base, rows, self.prior_precision, self.noise_precision, num_ignored
+        )
 
 
 def log_marginal_likelihood(

@@ -1,6 +1,7 @@
 """Bayesian linear regression against its closed form, scikit-learn, and the laws of conditioning."""
 
 import functools
+import warnings
 
 import equinox as eqx
 import jax
@@ -229,13 +230,51 @@ def test_weighted_observations_are_repeated_ones(block):
 
 
 @pytest.mark.parametrize("block", BLOCKS)
-def test_an_observation_that_is_nan_is_seen_in_every_later_mean(block):
+def test_observations_that_are_not_finite_are_left_out_and_counted(block):
     features, targets = observations(9)
-    clean = condition(prior(6, block), features, targets)
-    targets[3] = np.nan
-    model = condition(prior(6, block), features, targets)
-    assert np.all(np.isnan(model.mean))
-    np.testing.assert_array_equal(covariance_of(model), covariance_of(clean))
+    seen = np.arange(9) < 6
+    expected = reference.posterior(features[seen], targets[seen], 0.5, 4.0)
+    targets[6], targets[7], features[8, 2] = np.nan, -np.inf, np.inf
+    for model in (
+        condition(prior(6, block), features, targets),
+        fit(features, targets, PRIOR, NOISE),
+        update_batch(prior(6, block), features, targets),
+    ):
+        assert_same_posterior(model, *expected)
+        assert model.num_ignored == 3 and flush(model).num_ignored == 3
+
+
+def test_outside_of_jit_what_would_be_left_out_is_refused():
+    features, targets = observations(3)
+    model, holed = prior(6), np.where(np.arange(3) == 1, np.nan, targets)
+    for call, message in (
+        (lambda: model.update(features[0], np.nan), "targets: 1 of 1 numbers are not finite"),
+        (lambda: model.update(np.inf * features[0], 1.0), "features: 6 of 6 numbers are not finite"),
+        (lambda: model.update_batch(features, holed), "targets: 1 of 3 numbers are not finite"),
+        (
+            lambda: BayesianLinearRegression.fit(features, holed, 0.5, 4.0),
+            "targets: 1 of 3 numbers are not finite",
+        ),
+    ):
+        with pytest.raises(ValueError, match=message) as caught:
+            call()
+        assert "\n" not in str(caught.value)
+    assert model.update(features[0], np.nan, sample_weight=0.0).num_ignored == 0
+
+
+def test_a_noise_variance_below_the_floor_is_raised_with_a_warning():
+    features, targets = observations(3)
+    quiet = BayesianLinearRegression.prior(6, 0.5, 1e14)
+    for call in (
+        lambda: quiet.update(features[0], targets[0]),
+        lambda: quiet.update_batch(features, targets),
+        lambda: BayesianLinearRegression.fit(features, targets, 0.5, 1e14),
+    ):
+        with pytest.warns(UserWarning, match="noise_precision: a noise variance of 1e-14 is raised"):
+            call()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        prior(6).update(features[0], targets[0]).update_batch(features, targets)
 
 
 def test_a_step_in_the_block_given_by_the_caller_changes_nothing():
