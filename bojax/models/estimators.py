@@ -2,6 +2,7 @@
 
 import abc
 import inspect
+import warnings
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -26,11 +27,11 @@ from bojax.models.checks import (
     check_positive,
     check_takes,
 )
-from bojax.models.evidence import relearn
+from bojax.models.evidence import Optimum, relearn
 from bojax.models.features import Features, Polynomial
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Kernel, KernelName, Scaled, as_kernel
-from bojax.models.means import Mean, ZeroMean
+from bojax.models.means import ConstantMean, Mean, ZeroMean
 
 Regressor = TypeVar("Regressor", bound="_Regressor")
 
@@ -130,14 +131,23 @@ class GaussianProcessRegressor(_Regressor):
     """Gaussian process regression (2.28-2.30) with the interface of scikit-learn.
 
     `fit` sets `posterior_` (the `GaussianProcess`), `kernel_`, `noise_variance_`, `log_marginal_likelihood_`
-    and `has_converged_` (None if nothing is learned).
+    and `has_converged_` (None if nothing is learned). All of them, and all predictions, are in the units of
+    the data.
+
+    If a hyper-parameter ends at a bound of the search, 1e-6 or 1e6 in the units of the arguments, `fit`
+    warns, and `has_converged_` is False.
 
     Args:
         kernel: Prior covariance. The name of a stationary kernel, such as `"matern52"`, means this kernel
             with a lengthscale of 1 for each column, scaled by a variance of 1. The hyper-parameters are the
             first starting point of the search, or are kept if nothing is learned.
         noise_variance: Variance of the observation noise, treated like the hyper-parameters of the kernel.
-        mean: Prior mean, which is not learned; zero by default.
+        mean: Prior mean, in the units of the data, which is not learned; by default a learned constant. If
+            nothing is learned, the default is the mean value of standardised targets, and otherwise zero.
+        standardise: Whether `kernel` and `noise_variance` are given in units of standardised data, as in
+            BoTorch and in scikit-learn with `normalize_y`: a lengthscale in standard deviations of the
+            column, a variance in the variance of the targets. Otherwise they are in the units of the data,
+            which should then have a magnitude near 1.
         optimise: Whether `fit` learns the kernel's hyper-parameters and the noise variance
             (`evidence.relearn`).
         num_starts: Number of starting points of the search.
@@ -152,6 +162,7 @@ class GaussianProcessRegressor(_Regressor):
         noise_variance: float = 0.1,
         mean: Mean | None = None,
         *,
+        standardise: bool = True,
         optimise: bool = True,
         num_starts: int = 8,
         num_steps: int = 50,
@@ -161,6 +172,7 @@ class GaussianProcessRegressor(_Regressor):
         self.kernel = kernel
         self.noise_variance = noise_variance
         self.mean = mean
+        self.standardise = standardise
         self.optimise = optimise
         self.num_starts = num_starts
         self.num_steps = num_steps
@@ -173,11 +185,12 @@ class GaussianProcessRegressor(_Regressor):
         Args:
             X: Inputs, one in each row.
             y: Observed values.
-            noise_variances: Noise variance of each observation, instead of `noise_variance`; these are not
-                learned.
+            noise_variances: Noise variance of each observation, in the units of the data, instead of
+                `noise_variance`; these are not learned.
 
         Raises:
-            ValueError: An argument is not finite, not positive or of the wrong shape.
+            ValueError: An argument is not finite, not positive or of the wrong shape, or float32 does not
+                resolve the differences within a column or the targets.
         """
         dtype = self._dtype()
         X, y = self._data(X, y, dtype)
@@ -188,12 +201,14 @@ class GaussianProcessRegressor(_Regressor):
         kernel = as_kernel(kernel)
         mean = ZeroMean() if self.mean is None else self.mean
         check_kind("mean", mean, Mean, "ConstantMean(1.0)")
+        has_own_mean = self.mean is not None
         kernel, mean = cast(kernel, dtype), cast(mean, dtype)
         check_positive("kernel", kernel)
         check_finite("mean", mean)
         check_takes("kernel", kernel, 2, num_dims, dtype)
         check_takes("mean", mean, 1, num_dims, dtype)
         noise_variance = check_number("noise_variance", self.noise_variance, 0.0, dtype)
+        is_standardised = check_flag("standardise", self.standardise)
         is_learned = check_flag("optimise", self.optimise)
         num_starts = check_count("num_starts", self.num_starts, 1)
         num_steps = check_count("num_steps", self.num_steps, 1)
@@ -202,26 +217,53 @@ class GaussianProcessRegressor(_Regressor):
             noise_variances = _vector("noise_variances", noise_variances, number, dtype)
             if np.any(noise_variances < 0.0):
                 raise ValueError(f"noise_variances: got {noise_variances.min():g}; allowed: >= 0")
-            noise_variances = jnp.asarray(_padded(noise_variances), dtype)
-        posterior = _fit(
+        _check_resolved("X", X, dtype)
+        _check_resolved("y", y, dtype)
+        residuals = y - np.asarray(_prior_means(mean, jnp.asarray(X, dtype)), np.float64)
+        (centre, unit), (x_centre, x_unit) = (0.0, 1.0), (0.0, np.ones(()))
+        if is_standardised and number:
+            x_centre, x_unit = np.mean(X, axis=0), _magnitude(X, np.mean(X, axis=0))
+            centre = 0.0 if has_own_mean else float(np.mean(residuals))
+            unit = float(_magnitude(residuals, centre))
+        fitted = _fit(
+            kernel,
+            jnp.asarray(noise_variance, dtype),
+            jnp.asarray(_padded((X - x_centre) / x_unit), dtype),
+            jnp.asarray(_padded((residuals - centre) / unit), dtype),
+            count=jnp.asarray(number, jnp.int32),
+            noise_variances=_given(noise_variances, unit, dtype),
+        )
+        self.has_converged_ = None
+        if is_learned:
+            fitted, optimum = _relearn(
+                fitted,
+                jax.random.key(seed),
+                learn_mean=not has_own_mean,
+                noise_variances=_given(noise_variances, unit, dtype),
+                num_starts=num_starts,
+                num_steps=num_steps,
+            )
+            self.has_converged_ = bool(optimum.has_converged)
+            _warn_of_bounds(optimum)
+        kernel, noise_variance = fitted.kernel, float(fitted.noise_variance)
+        if not has_own_mean and number and (is_learned or is_standardised):
+            learned = float(fitted.mean(fitted.x[0]))
+            mean = ConstantMean(jnp.asarray(centre + unit * learned, dtype))
+        if is_standardised:
+            same = np.all(x_unit == np.max(x_unit))
+            kernel = kernel.stretched(jnp.asarray(np.max(x_unit) if same else x_unit, dtype))
+            kernel = kernel.scaled(jnp.asarray(unit, dtype) ** 2)
+            check_positive("kernel_", kernel)
+            noise_variance = noise_variance * unit**2
+        posterior = GaussianProcess.fit(
             kernel,
             jnp.asarray(noise_variance, dtype),
             jnp.asarray(_padded(X), dtype),
             jnp.asarray(_padded(y), dtype),
             mean=mean,
             count=jnp.asarray(number, jnp.int32),
-            noise_variances=noise_variances,
+            noise_variances=_given(noise_variances, 1.0, dtype),
         )
-        self.has_converged_ = None
-        if is_learned:
-            posterior, optimum = _relearn(
-                posterior,
-                jax.random.key(seed),
-                noise_variances=noise_variances,
-                num_starts=num_starts,
-                num_steps=num_steps,
-            )
-            self.has_converged_ = bool(optimum.has_converged)
         self.posterior_ = posterior
         self.kernel_ = posterior.kernel
         self.noise_variance_ = float(posterior.noise_variance)
@@ -304,6 +346,7 @@ class BayesianLinearRegressor(_Regressor):
 
 
 _fit = eqx.filter_jit(GaussianProcess.fit)
+_prior_means = eqx.filter_jit(lambda mean, xs: jax.vmap(mean)(xs))
 _evidence = eqx.filter_jit(GaussianProcess.log_marginal_likelihood)
 _fit_linear = jax.jit(BayesianLinearRegression.fit)
 _evidence_linear = jax.jit(log_marginal_likelihood)
@@ -333,3 +376,43 @@ def _design(features: Features, X: np.ndarray, dtype: str) -> jax.Array:
 def _padded(rows: np.ndarray) -> np.ndarray:
     """The rows, or one row of zeros if there are none: the capacity of a posterior is at least 1."""
     return rows if len(rows) else np.zeros((1, *rows.shape[1:]))
+
+
+def _given(noise_variances: np.ndarray | None, unit: float, dtype: str) -> jax.Array | None:
+    """Noise variances of each observation, for values in other units."""
+    return None if noise_variances is None else jnp.asarray(_padded(noise_variances / unit**2), dtype)
+
+
+def _magnitude(values: np.ndarray, centre: np.ndarray | float) -> np.ndarray:
+    """Root mean square deviation along the first axis; 1 where it is 0 but for rounding."""
+    away = np.abs(values - centre)
+    scale = np.max(away, axis=0)
+    is_constant = scale <= 8.0 * np.finfo(np.float64).eps * np.max(np.abs(values), axis=0)
+    scale = np.where(is_constant, 1.0, scale)  # without it, squares could underflow
+    return np.where(is_constant, 1.0, scale * np.sqrt(np.mean((away / scale) ** 2, axis=0)))
+
+
+def _check_resolved(name: str, values: np.ndarray, dtype: str) -> None:
+    """Refuse numbers whose differences are lost in the precision, such as times since 1970 in float32."""
+    lost = np.finfo(dtype).eps * np.max(np.abs(values), axis=0, initial=0.0)
+    spread = np.ptp(values, axis=0) if len(values) else np.zeros(values.shape[1:])
+    if np.any((spread > 0.0) & (lost > 1e-4 * spread)):
+        raise ValueError(
+            f"{name}: {dtype} does not resolve values that differ by {np.min(spread[spread > 0.0]):g} around "
+            f'{np.mean(values):g}: subtract an offset, or set dtype to "float64"'
+        )
+
+
+def _warn_of_bounds(optimum: Optimum) -> None:
+    """Name the hyper-parameters at a bound of the search."""
+    names = ("kernel", "noise_variance")
+    found = [
+        f"{name}{jax.tree_util.keystr(path)}"
+        for name, tree in zip(names, optimum.is_at_bound, strict=True)
+        for path, is_at_bound in jax.tree_util.tree_leaves_with_path(tree)
+        if np.any(is_at_bound)
+    ]
+    if found:
+        warnings.warn(
+            f"{', '.join(found)}: at a bound of the search, beyond which a better value may lie", stacklevel=3
+        )

@@ -13,6 +13,9 @@ from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Kernel
 from bojax.numerics.lanes import batched_together
 
+EDGE = 0.01
+"""Share of the logarithmic range of a parameter, next to either bound, that counts as its bound."""
+
 LogPrior = Callable[[Kernel, Float[Array, ""]], Float[Array, ""]]
 """Log density of a prior over a kernel and a noise variance, up to a constant."""
 
@@ -44,12 +47,15 @@ class Optimum(eqx.Module):
         params: Hyper-parameters, in the structure of the given ones.
         value: Value of the objective. If no starting point had a finite value, it is minus infinity, and
             `params` are the first starting point.
-        has_converged: Whether the gradient nearly vanishes at the optimum.
+        has_converged: Whether the gradient nearly vanishes at the optimum, and no parameter is at a bound.
+        is_at_bound: Whether each parameter is at a bound, in the structure of `params`: a better value may
+            lie beyond.
     """
 
     params: PyTree
     value: Float[Array, ""]
     has_converged: Bool[Array, ""]
+    is_at_bound: PyTree
 
     @property
     def is_finite(self) -> Bool[Array, "*batch"]:
@@ -119,16 +125,19 @@ def maximise(
     solver = optax.lbfgs()
     away = jax.random.normal(key, (num_starts, first.shape[0]), first.dtype).at[0].set(0.0)
     share = (jnp.log(first)[None, :] + spread * away - low) / (high - low)
-    starts = jax.scipy.special.logit(jnp.clip(share, 0.01, 0.99))
+    starts = jax.scipy.special.logit(jnp.clip(share, EDGE, 1.0 - EDGE))
     results = jax.vmap(search)(starts)
     values = jnp.where(jnp.isfinite(results.value), results.value, jnp.inf)
     best = jax.tree.map(lambda leaf: leaf[jnp.argmin(values)], results)
     is_finite = jnp.isfinite(best.value)
     found = params_at(best.point)
+    # A start that was moved to the edge and stays there is at the bound, whatever its rounding.
+    at_bound = jnp.abs(jax.nn.sigmoid(best.point) - 0.5) >= 0.5 - 1.01 * EDGE
     return Optimum(
         params=jax.tree.map(lambda new, old: jnp.where(is_finite, new, old), found, params),
         value=-jnp.min(values),
-        has_converged=is_finite & best.is_stationary(),
+        has_converged=is_finite & best.is_stationary() & ~jnp.any(at_bound),
+        is_at_bound=jax.tree.map(lambda leaf: leaf > 0.5, unravel(at_bound.astype(first.dtype))),
     )
 
 
@@ -153,6 +162,7 @@ def relearn(
     key: Key[Array, ""],
     *,
     learn_noise: bool = True,
+    learn_mean: bool = False,
     log_prior: LogPrior | None = None,
     noise_variances: Float[Array, "N"] | None = None,
     num_starts: int = 8,
@@ -163,12 +173,15 @@ def relearn(
     """Maximise the evidence of a posterior over its hyper-parameters and refit it.
 
     The present hyper-parameters are the first starting point, and are kept unless better ones are found; so
-    without observations nothing changes. The prior mean is not learned.
+    without observations nothing changes. A learned noise variance below the floor, see
+    `GaussianProcess.noise`, is returned as the floor.
 
     Args:
         gp: The posterior; all hyper-parameters of its kernel must be positive.
         key: Random key of the other starting points.
         learn_noise: Whether to learn the noise variance too.
+        learn_mean: Whether to learn a constant prior mean, in place of that of the process, which is
+            otherwise kept. For given hyper-parameters it has a closed form.
         log_prior: Log prior density of the hyper-parameters, added to the log evidence.
         noise_variances: Known noise variance of each observation, instead of a common one; not learned.
         num_starts: Number of starting points.
@@ -178,7 +191,8 @@ def relearn(
     """
 
     def refit(kernel: Kernel, noise_variance: Float[Array, ""]) -> GaussianProcess:
-        return gp.refitted(kernel, noise_variance, noise_variances)
+        fitted = gp.refitted(kernel, noise_variance, noise_variances)
+        return fitted.with_constant_mean() if learn_mean else fitted
 
     def objective(params) -> Float[Array, ""]:
         kernel, noise_variance = params
@@ -199,4 +213,10 @@ def relearn(
     kernel, noise_variance = jax.tree.map(
         lambda found, given: jnp.where(is_better, found, given), optimum.params, present
     )
-    return refit(kernel, gp.noise_variance if noise_variance is None else noise_variance), optimum
+    if noise_variance is None:
+        return refit(kernel, gp.noise_variance), optimum
+    fitted = refit(kernel, noise_variance)
+    # The least that any observation has: with it, the posterior is the same.
+    used = jnp.min(jnp.where(gp.is_held(), fitted.noise(gp.x), jnp.inf))
+    used = jnp.where(gp.count > 0, used, noise_variance)
+    return eqx.tree_at(lambda gp: gp.noise_variance, fitted, used), optimum

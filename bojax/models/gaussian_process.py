@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from bojax.models.checks import Numbers, check_readings, is_known, precision, to_numbers, to_point, to_points
 from bojax.models.kernels import Kernel, KernelName, as_kernel
-from bojax.models.means import Mean, ZeroMean
+from bojax.models.means import ConstantMean, Mean, ZeroMean
 from bojax.numerics.linalg import eigh, guarded_cholesky, inverse_cholesky, matmul, noise_floor
 
 NO_MEAN = ZeroMean()
@@ -32,9 +32,9 @@ class GaussianProcess(eqx.Module):
 
     Attributes:
         kernel: Prior covariance.
-        noise_variance: Default variance of the observation noise, 0 or more. It is raised to a floor,
-            `noise_floor` times the prior variance at the observed point, with a warning outside of compiled
-            functions.
+        noise_variance: Default variance of the observation noise. It is raised to a floor, `noise_floor`
+            times the prior variance at the observed point, with a warning outside of compiled functions; 0
+            means the floor.
         x: Inputs.
         y: Observed values.
         inverse_cholesky: `L^-1`, with `L L' = K + diag(noise variances)`.
@@ -140,6 +140,16 @@ class GaussianProcess(eqx.Module):
         covariance = jnp.where(both, kernel.gram(self.x, self.x), 0.0) + jnp.diag(noise)
         inverse = jnp.where(both, inverse_cholesky(covariance), 0.0)
         return eqx.tree_at(lambda gp: gp.inverse_cholesky, changed, inverse)
+
+    def with_constant_mean(self) -> "GaussianProcess":
+        """The posterior with the constant prior mean of highest evidence; 0 without observations.
+
+        With C = K + noise, it is 1' C^-1 y / 1' C^-1 1.
+        """
+        ones = matmul(self.inverse_cholesky, self.is_held().astype(self.y.dtype))
+        size = jnp.sum(ones * ones)
+        value = jnp.sum(ones * matmul(self.inverse_cholesky, self.y)) / jnp.where(size > 0.0, size, 1.0)
+        return eqx.tree_at(lambda gp: gp.mean, self, ConstantMean(value))
 
     def update(
         self,
@@ -405,7 +415,8 @@ class GaussianProcess(eqx.Module):
         own = self.noise_variance if noise_variances is None else noise_variances
         given = np.broadcast_to(np.asarray(own), is_valid.shape)
         used = np.asarray(_noise(self, xs, jnp.asarray(given)))
-        is_raised = np.asarray(is_valid) & (used > given)
+        # More than by rounding; without noise, the floor is what is asked for.
+        is_raised = np.asarray(is_valid) & (given > 0.0) & (used > 1.001 * given)
         if np.any(is_raised):
             least = given[is_raised].min()
             warnings.warn(

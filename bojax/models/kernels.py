@@ -4,6 +4,7 @@ import abc
 import functools
 import operator
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, TypeAlias
 
 import equinox as eqx
@@ -41,6 +42,14 @@ class Kernel(eqx.Module):
         """The covariance of a product of two independent functions of mean zero."""
         return Product(self, other)
 
+    def stretched(self, unit: Float[Array, ""] | Float[Array, "D"]) -> "Kernel":
+        """The covariance k(x / unit, y / unit), whose inputs are in other units."""
+        return Stretched(self, unit)
+
+    def scaled(self, variance: Float[Array, ""]) -> "Kernel":
+        """The covariance variance * k(x, y), whose values are in other units."""
+        return Scaled(self, variance)
+
     def gram(self, xs: Float[Array, "N D"], ys: Float[Array, "M D"]) -> Float[Array, "N M"]:
         """Covariances of all pairs."""
         return jax.vmap(lambda x: jax.vmap(lambda y: self(x, y))(ys))(xs)
@@ -57,7 +66,17 @@ def as_kernel(given: Any) -> Kernel:
     return kernel
 
 
-class RBF(Kernel):
+class _Stationary(Kernel):
+    """A function of the distance of two points in lengthscales."""
+
+    lengthscale: eqx.AbstractVar[Float[Array, ""] | Float[Array, "D"]]
+
+    @override
+    def stretched(self, unit: Float[Array, ""] | Float[Array, "D"]) -> "Kernel":
+        return replace(self, lengthscale=self.lengthscale * unit)
+
+
+class RBF(_Stationary):
     """Squared exponential kernel, exp(-r^2/2) with scaled distance r (2.26, printed with the wrong sign).
 
     Settings: `bojax.models.settings.RBF`.
@@ -70,7 +89,7 @@ class RBF(Kernel):
         return jnp.exp(-0.5 * _squared_distance(x, y, self.lengthscale))
 
 
-class Matern12(Kernel):
+class Matern12(_Stationary):
     """Matern kernel of smoothness 1/2, exp(-r): the exponential kernel.
 
     Settings: `bojax.models.settings.Matern12`.
@@ -83,7 +102,7 @@ class Matern12(Kernel):
         return jnp.exp(-_distance(x, y, self.lengthscale))
 
 
-class Matern32(Kernel):
+class Matern32(_Stationary):
     """Matern kernel of smoothness 3/2, (1 + s) exp(-s) with s = sqrt(3) r.
 
     Settings: `bojax.models.settings.Matern32`.
@@ -97,7 +116,7 @@ class Matern32(Kernel):
         return (1.0 + s) * jnp.exp(-s)
 
 
-class Matern52(Kernel):
+class Matern52(_Stationary):
     """Matern kernel of smoothness 5/2, (1 + s + s^2/3) exp(-s) with s = sqrt(5) r.
 
     Settings: `bojax.models.settings.Matern52`.
@@ -124,6 +143,25 @@ class Scaled(Kernel):
     def __call__(self, x: Float[Array, "D"], y: Float[Array, "D"]) -> Scalar:
         return self.variance * self.kernel(x, y)
 
+    @override
+    def stretched(self, unit: Float[Array, ""] | Float[Array, "D"]) -> Kernel:
+        return Scaled(self.kernel.stretched(unit), self.variance)
+
+    @override
+    def scaled(self, variance: Float[Array, ""]) -> Kernel:
+        return Scaled(self.kernel, self.variance * variance)
+
+
+class Stretched(Kernel):
+    """A kernel of inputs in other units, k(x / unit, y / unit), for kernels without a lengthscale."""
+
+    kernel: Kernel
+    unit: Float[Array, ""] | Float[Array, "D"] = eqx.field(converter=as_numbers("unit"))
+
+    @override
+    def __call__(self, x: Float[Array, "D"], y: Float[Array, "D"]) -> Scalar:
+        return self.kernel(x / self.unit, y / self.unit)
+
 
 class Sum(Kernel):
     """The sum of two kernels.
@@ -138,6 +176,14 @@ class Sum(Kernel):
     def __call__(self, x: Float[Array, "D"], y: Float[Array, "D"]) -> Scalar:
         return self.first(x, y) + self.second(x, y)
 
+    @override
+    def stretched(self, unit: Float[Array, ""] | Float[Array, "D"]) -> Kernel:
+        return Sum(self.first.stretched(unit), self.second.stretched(unit))
+
+    @override
+    def scaled(self, variance: Float[Array, ""]) -> Kernel:
+        return Sum(self.first.scaled(variance), self.second.scaled(variance))
+
 
 class Product(Kernel):
     """The product of two kernels.
@@ -151,6 +197,14 @@ class Product(Kernel):
     @override
     def __call__(self, x: Float[Array, "D"], y: Float[Array, "D"]) -> Scalar:
         return self.first(x, y) * self.second(x, y)
+
+    @override
+    def stretched(self, unit: Float[Array, ""] | Float[Array, "D"]) -> Kernel:
+        return Product(self.first.stretched(unit), self.second.stretched(unit))
+
+    @override
+    def scaled(self, variance: Float[Array, ""]) -> Kernel:
+        return Product(self.first.scaled(variance), self.second)
 
 
 def _squared_distance(x, y, lengthscale) -> Scalar:

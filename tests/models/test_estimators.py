@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import warnings
 
 import jax
 import jax.numpy as jnp
@@ -26,14 +27,14 @@ Y = np.sin(3.0 * X[:, 0]) + X[:, 1] + 0.05 * rng.normal(size=20)
 QUERIES = rng.uniform(-1.0, 1.0, (7, 2))
 FIXED = Scaled(RBF(jnp.asarray([0.5, 0.8])), jnp.asarray(2.0))
 ESTIMATORS = {
-    "gp": GaussianProcessRegressor(FIXED, 0.1, optimise=False),
+    "gp": GaussianProcessRegressor(FIXED, 0.1, standardise=False, optimise=False),
     "blr": BayesianLinearRegressor(Polynomial(2, 2)),
 }
 each_estimator = pytest.mark.parametrize("name", ESTIMATORS)
 
 
 def test_without_learning_it_is_the_posterior_of_scikit_learn():
-    ours = GaussianProcessRegressor(FIXED, 0.1, optimise=False).fit(X, Y)
+    ours = GaussianProcessRegressor(FIXED, 0.1, standardise=False, optimise=False).fit(X, Y)
     reference = Reference(2.0 * sk.RBF([0.5, 0.8]), alpha=0.1, optimizer=None).fit(X, Y)
     for found, expected in zip(
         ours.predict(QUERIES, return_std=True), reference.predict(QUERIES, return_std=True), strict=True
@@ -46,7 +47,7 @@ def test_without_learning_it_is_the_posterior_of_scikit_learn():
 
 
 def test_learning_raises_the_evidence():
-    fixed = GaussianProcessRegressor(FIXED, 0.1, optimise=False).fit(X, Y)
+    fixed = GaussianProcessRegressor(FIXED, 0.1, standardise=False, optimise=False).fit(X, Y)
     learned = GaussianProcessRegressor(FIXED, 0.1).fit(X, Y)
     assert learned.log_marginal_likelihood_ > fixed.log_marginal_likelihood_ + 1.0
     assert learned.has_converged_ and learned.noise_variance_ < 0.05
@@ -55,9 +56,104 @@ def test_learning_raises_the_evidence():
     np.testing.assert_allclose(by_default.log_marginal_likelihood_, learned.log_marginal_likelihood_)
 
 
+UNITS = {
+    "unit": (1.0, 0.0, 1.0, 0.0),
+    "tens of thousands": (1e4, 0.0, 1.0, 0.0),
+    "pascal": (1e5, 0.0, 1.0, 0.0),
+    "micrometres": (1e-5, 0.0, 1.0, 0.0),
+    "kelvin": (1.0, 290.0, 1.0, 0.0),
+    "times in nanoseconds": (1.0, 0.0, 1e8, 0.0),
+    "lengths in metres": (1.0, 0.0, 1e-8, 0.0),
+    "times since 1970": (1.0, 0.0, 1.0, 1.7e9),
+    "all at once": (1e-3, 5.0, 1e4, -3e6),
+}
+"""Unit and offset of the values, and of the inputs."""
+
+
+@pytest.mark.parametrize("given_noise", [False, True], ids=["learned noise", "known noise"])
+def test_units_do_not_matter_and_results_are_in_the_units_of_the_data(given_noise):
+    random = np.random.default_rng(1)
+    x, noise = random.uniform(0.0, 10.0, 25), random.normal(size=25)
+    queries = np.linspace(0.5, 9.5, 7)
+    found = {}
+    for name, (unit, offset, x_unit, x_offset) in UNITS.items():
+        inputs, values = x * x_unit + x_offset, unit * (np.sin(x) + 0.01 * noise) + offset
+        at = (queries * x_unit + x_offset)[:, None]
+        known = np.full(25, (0.01 * unit) ** 2) if given_noise else None
+        model = GaussianProcessRegressor().fit(inputs[:, None], values, noise_variances=known)
+        assert model.has_converged_
+        mean, std = model.predict(at, return_std=True)
+        error = (mean - offset) / unit - np.sin(queries)
+        assert np.sqrt(np.mean(error**2)) < 0.02 and np.all(np.abs(error) < 5.0 * std / unit)
+        np.testing.assert_allclose(model.posterior_.predict(at)[0], mean)
+        found[name] = [
+            *(mean - offset) / unit,
+            *(std / unit),
+            float(model.kernel_.variance) / unit**2,
+            float(model.kernel_.kernel.lengthscale[0]) / x_unit,
+            model.noise_variance_ / unit**2 if not given_noise else 0.0,
+            (float(model.posterior_.mean.value) - offset) / unit,
+            model.log_marginal_likelihood_ + 25 * np.log(unit),
+        ]
+    for each in found.values():
+        np.testing.assert_allclose(each, found["unit"], rtol=2e-3, atol=1e-4)
+    reference = Reference(sk.ConstantKernel() * sk.RBF() + sk.WhiteKernel(0.1, (1e-9, 1.0)), normalize_y=True)
+    inputs = ((x - x.mean()) / x.std())[:, None]
+    reference.fit(inputs, np.sin(x) + 0.01 * noise)
+    theirs = reference.predict(((queries - x.mean()) / x.std())[:, None])
+    np.testing.assert_allclose(found["unit"][:7], theirs, atol=5e-3)
+
+
+def test_settings_are_in_units_of_the_standardised_data():
+    scaled = GaussianProcessRegressor(FIXED, 0.1, optimise=False).fit(1e3 * X - 7.0, 1e-4 * Y + 3.0)
+    centred, unit = (X - X.mean(axis=0)) / X.std(axis=0), Y.std()
+    reference = Reference(2.0 * sk.RBF([0.5, 0.8]), alpha=0.1, optimizer=None, normalize_y=True)
+    reference.fit(centred, 1e-4 * Y + 3.0)
+    queries = (QUERIES - X.mean(axis=0)) / X.std(axis=0)
+    expected = reference.predict(queries, return_std=True)
+    for ours, theirs in zip(scaled.predict(1e3 * QUERIES - 7.0, return_std=True), expected, strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9)
+    np.testing.assert_allclose(scaled.kernel_.kernel.lengthscale, 1e3 * X.std(axis=0) * [0.5, 0.8])
+    np.testing.assert_allclose(scaled.kernel_.variance, 2.0 * (1e-4 * unit) ** 2)
+    np.testing.assert_allclose(scaled.noise_variance_, 0.1 * (1e-4 * unit) ** 2)
+    plain = GaussianProcessRegressor(FIXED, 0.1, optimise=False, mean=ConstantMean(3.0))
+    plain.fit(1e3 * X - 7.0, 1e-4 * Y + 3.0)
+    rms = np.sqrt(np.mean((1e-4 * Y) ** 2))
+    np.testing.assert_allclose(plain.kernel_.variance, 2.0 * rms**2)
+    assert plain.posterior_.mean.value == 3.0
+
+
+def test_a_hyper_parameter_at_a_bound_is_named_and_nothing_has_converged():
+    line = np.linspace(-1.0, 1.0, 20)
+    for x, y, settings, names in (
+        (line, 1e5 * np.sin(3.0 * line) + 100.0 * Y, {"standardise": False}, r"kernel\.variance.*"),
+        (line, np.sin(3.0 * line), {}, "noise_variance"),
+    ):
+        with pytest.warns(UserWarning, match=f"{names}: at a bound of the search"):
+            model = GaussianProcessRegressor(**settings).fit(x[:, None], y)
+        assert model.has_converged_ is False
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert GaussianProcessRegressor().fit(X, Y).has_converged_
+
+
+def test_constant_columns_and_targets_have_unit_scale():
+    x = np.stack([X[:, 0], np.full(20, 0.1)], axis=1)
+    model = GaussianProcessRegressor(optimise=False).fit(x, np.full(20, 0.1))
+    np.testing.assert_allclose(model.predict(x), 0.1)
+    assert model.kernel_.variance == 1.0 and model.kernel_.kernel.lengthscale[1] == 1.0
+
+
+def test_float32_refuses_numbers_that_it_does_not_resolve():
+    for x, y, name in ((X + 1.7e9, Y, "X"), (X, Y + 1e7, "y")):
+        with pytest.raises(ValueError, match=f"{name}: float32 does not resolve values that differ by"):
+            GaussianProcessRegressor(dtype="float32").fit(x, y)
+
+
 def test_each_observation_may_have_its_noise():
     noise = rng.uniform(0.01, 1.0, 20)
-    ours = GaussianProcessRegressor(FIXED, optimise=False).fit(X, Y, noise_variances=noise)
+    ours = GaussianProcessRegressor(FIXED, standardise=False, optimise=False)
+    ours.fit(X, Y, noise_variances=noise)
     reference = Reference(2.0 * sk.RBF([0.5, 0.8]), alpha=noise, optimizer=None).fit(X, Y)
     np.testing.assert_allclose(ours.predict(QUERIES), reference.predict(QUERIES), atol=1e-12)
 
@@ -234,7 +330,7 @@ def test_bojax_needs_no_scikit_learn():
 
 
 def test_a_name_is_a_scaled_kernel_with_a_lengthscale_for_each_column():
-    named = GaussianProcessRegressor("matern52", optimise=False).fit(X, Y)
+    named = GaussianProcessRegressor("matern52", standardise=False, optimise=False).fit(X, Y)
     reference = Reference(1.0 * sk.Matern([1.0, 1.0], nu=2.5), alpha=0.1, optimizer=None).fit(X, Y)
     np.testing.assert_allclose(named.predict(QUERIES), reference.predict(QUERIES), atol=1e-12)
     assert named.kernel_.kernel.lengthscale.shape == (2,) and named.get_params()["kernel"] == "matern52"
@@ -255,7 +351,8 @@ def test_a_kernel_of_python_numbers_is_learned_like_one_of_arrays():
 @pytest.mark.parametrize("variance", [1e-12, 1e12])
 def test_extreme_kernels_without_noise_predict_numbers(dtype, kernel, lengthscale, variance):
     x = np.concatenate([X, X])  # every point twice
-    gp = GaussianProcessRegressor(Scaled(kernel(lengthscale), variance), 0.0, optimise=False, dtype=dtype)
+    kernel, settings = Scaled(kernel(lengthscale), variance), {"standardise": False, "optimise": False}
+    gp = GaussianProcessRegressor(kernel, 0.0, dtype=dtype, **settings)
     scale = variance**0.5
     mean, std = gp.fit(x, scale * np.concatenate([Y, Y])).predict(
         np.concatenate([X, 1e9 * X]), return_std=True

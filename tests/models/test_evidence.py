@@ -13,6 +13,7 @@ from bojax.models.evidence import maximise, relearn
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import RBF, Matern32, Scaled
 from bojax.models.means import ConstantMean
+from bojax.numerics.linalg import noise_floor
 
 BOUNDS = (1e-6, 1e6)
 learn = eqx.filter_jit(relearn)
@@ -117,12 +118,54 @@ def test_without_observations_nothing_changes(lanes):
         np.testing.assert_array_equal(new[3], old[3])
 
 
-def test_observations_that_are_not_numbers_leave_the_hyper_parameters():
+def test_observations_that_are_not_numbers_are_left_out():
     x, y = data("waves")
+    fewer = np.arange(len(y)) != 3
     y[3] = np.nan
     gp, optimum = learn(posterior(x, y), jax.random.key(0))
-    assert not optimum.is_finite and not optimum.has_converged
-    assert eqx.tree_equal(gp.kernel, kernel()) and gp.noise_variance == 0.1
+    expected, _ = learn(posterior(x[fewer], y[fewer]), jax.random.key(0))
+    assert optimum.is_finite and gp.num_ignored == 1
+    np.testing.assert_allclose(gp.noise_variance, expected.noise_variance, rtol=1e-3)
+
+
+def test_a_learned_constant_mean_is_the_best_one():
+    x, y = data("waves")
+    shifted = posterior(x, y + 50.0)
+    gp, _ = learn(shifted, jax.random.key(0), learn_mean=True)
+    best = gp.mean.value
+    for other in (best - 0.01, best + 0.01):
+        assert evidence_of(eqx.tree_at(lambda gp: gp.mean.value, gp, other)) < evidence_of(gp)
+    covariance = gp.kernel.gram(gp.x, gp.x) + gp.noise_variance * np.eye(len(y))
+    weights = np.linalg.solve(covariance, np.ones(len(y)))
+    np.testing.assert_allclose(best, weights @ (y + 50.0) / weights.sum(), rtol=1e-6)
+    assert GaussianProcess.prior(kernel(), 0.1, 4, 2).with_constant_mean().mean.value == 0.0
+
+
+def test_a_parameter_at_a_bound_has_not_converged():
+    optimum = maximise_slope(jnp.asarray(1.0), jnp.asarray(2.0))
+    assert optimum.is_at_bound == (True, False) and not optimum.has_converged
+    inside = maximise_slope(jnp.asarray(0.0), jnp.asarray(2.0))
+    assert not any(inside.is_at_bound) and inside.has_converged
+
+
+@jax.jit
+def maximise_slope(slope, peak):
+    """A function that rises with its first parameter, for ever if the slope is not 0."""
+
+    def objective(params):
+        rises, has_peak = params
+        logs = jnp.log(rises), jnp.log(has_peak / peak)
+        return slope * logs[0] - (1.0 - slope) * logs[0] ** 2 - logs[1] ** 2
+
+    return maximise(objective, (jnp.asarray(1.0), jnp.asarray(1.0)), jax.random.key(0), num_starts=2)
+
+
+def test_a_learned_noise_below_the_floor_is_returned_as_the_floor():
+    x = np.linspace(-1.0, 1.0, 12, dtype=np.float32)[:, None]
+    gp = posterior(np.tile(x, 2), np.sin(x[:, 0]), dtype=np.float32)
+    learned, _ = learn(gp, jax.random.key(0))
+    floor = noise_floor(np.float32) * learned.kernel(learned.x[0], learned.x[0])
+    np.testing.assert_allclose(learned.noise_variance, floor, rtol=1e-5)
 
 
 def test_a_start_that_meets_nan_never_wins():

@@ -498,14 +498,14 @@ def test_a_noise_variance_below_the_floor_is_raised_with_a_warning():
     at_floor = GaussianProcess.fit("rbf", 1.001 * floor, x, y)
     np.testing.assert_allclose(quiet.log_marginal_likelihood(), at_floor.log_marginal_likelihood(), rtol=1e-2)
     for call in (
-        lambda gp: gp.update(x[0], y[0], 0.0),
+        lambda gp: gp.update(x[0], y[0], 1e-11),
         lambda gp: gp.extend(x[:2], y[:2], noise_variances=[1.0, 1e-12]),
     ):
         with pytest.warns(UserWarning, match="raised to"):
             call(prior(0.01))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        prior(0.01).update(x[0], y[0]).extend(x[:2], y[:2], [True, True], [1.0, 0.5])
+        prior(0.01).update(x[0], y[0], 0.0).extend(x[:2], y[:2], [True, True], [1.0, 0.5])
 
 
 def test_blocks_for_a_batch_of_processes_are_a_loop():
