@@ -1,6 +1,6 @@
 """Bayesian optimisation (Algorithm 1), as an ask-and-tell interface or as one compiled loop."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -23,6 +23,7 @@ from bojax.models.checks import (
     check_positive,
     check_takes,
     is_known,
+    to_numbers,
     to_points,
 )
 from bojax.models.evidence import log_normal_prior, relearn
@@ -70,6 +71,9 @@ class BayesianOptimisation(eqx.Module):
     An evaluation whose value or point is not finite is missing and does not enter the model. The model would
     ask for nearly the same point again, so the next point is quasi-random.
 
+    `ask` and `tell` are compiled by themselves, once for all optimisations of the same sizes, and take Python
+    numbers, lists and arrays.
+
     Attributes:
         kernel: Covariance of the values, an object or a name, such as `"matern52"`.
         acquisition: Acquisition function, an object or a name, such as `"log-ei"`; or `ThompsonSampling()`,
@@ -77,7 +81,8 @@ class BayesianOptimisation(eqx.Module):
         noise_variance: Noise variance of an observation, relative to the variance of the observed values.
         low: Lower corner of the box.
         high: Upper corner of the box.
-        capacity: Maximum number of observations; later ones are ignored.
+        capacity: Maximum number of observations. `tell` refuses further ones; in a compiled function, they
+            are counted by `num_ignored` of the state's model.
         num_candidates: Number of candidates over which the acquisition is maximised.
         num_initial: Number of initial observations, at quasi-random points.
         refine_steps: Number of gradient steps from the best candidate; 0 disables them.
@@ -154,6 +159,9 @@ class BayesianOptimisation(eqx.Module):
 
     def ask(self, state: OptimisationState) -> Float[Array, "D"]:
         """The next point to evaluate, a function of the state alone."""
+        return _ask(self, state) if is_known((self, state)) else self._asked(state)
+
+    def _asked(self, state: OptimisationState) -> Float[Array, "D"]:
         acquisition, model = self._target(state)
         best = highest(model)
         candidates = self._quasirandom(jax.random.fold_in(_stream(state, "candidates"), state.num_told))
@@ -168,21 +176,33 @@ class BayesianOptimisation(eqx.Module):
     def tell(
         self,
         state: OptimisationState,
-        x: Float[Array, "D"] | Float[np.ndarray, "D"] | Sequence[int | float],
-        y: Float[Array, ""] | Float[np.ndarray, ""] | int | float,
+        x: Float[Array, "D"] | Numbers,
+        y: Float[Array, ""] | Numbers,
     ) -> OptimisationState:
         """The state after observing `y` at `x`, which need not be the point from `ask`.
 
         Raises:
-            ValueError: `x` is not a point, or `y` is not a number.
+            ValueError: `x` is not a point, `y` is not a number, or the capacity is reached (unless compiled).
         """
-        point = as_numbers("x")(x).astype(self.low.dtype)
-        observed = as_numbers("y")(y).astype(self.low.dtype)
+        point = to_numbers("x", x, self.low.dtype)
+        observed = to_numbers("y", y, self.low.dtype)
         if point.shape != self.low.shape or observed.shape:
             raise ValueError(
                 f"x, y: got shapes {point.shape} and {observed.shape}; "
                 f"allowed: {self.low.shape} and one number"
             )
+        if not is_known((self, state, point, observed)):
+            return self._told(state, point, observed)
+        after = _tell(self, state, point, observed)
+        if int(after.model.num_ignored) > int(state.model.num_ignored):
+            raise ValueError(
+                f"tell: got one observation more than {self.capacity}; allowed: <= capacity: set a larger one"
+            )
+        return after
+
+    def _told(
+        self, state: OptimisationState, point: Float[Array, "D"], observed: Float[Array, ""]
+    ) -> OptimisationState:
         is_missing = ~(jnp.isfinite(observed) & jnp.all(jnp.isfinite(point)))
         model = state.model.extend(self._to_unit(point)[None, :], observed[None], ~is_missing[None])
         num_told = state.num_told + 1
@@ -230,6 +250,9 @@ class BayesianOptimisation(eqx.Module):
 
     def score(self, state: OptimisationState, xs: Float[Array, "M D"] | Numbers) -> Float[Array, "M"]:
         """The acquisition function, or the draw, at points of the box, whose maximum `ask` seeks."""
+        return _score(self, state, to_points("xs", xs, self.low.dtype, self.low.size))
+
+    def _scored(self, state: OptimisationState, xs: Float[Array, "M D"]) -> Float[Array, "M"]:
         acquisition, model = self._target(state)
         mean, variance = model.predict(self._units(xs))
         return acquisition(mean, jnp.sqrt(variance), highest(model))
@@ -263,10 +286,19 @@ class BayesianOptimisation(eqx.Module):
             raise ValueError(
                 f"num_iterations: got {num_iterations}; allowed: <= {self.capacity}, the capacity"
             )
+        args = self, key, function, num_iterations
+        return _maximise(*args) if is_known((self, key, function)) else BayesianOptimisation._maximised(*args)
+
+    def _maximised(
+        self,
+        key: Key[Array, ""],
+        function: Callable[[Key[Array, ""], Float[Array, "D"]], Scalar],
+        num_iterations: int,
+    ) -> tuple[OptimisationState, Float[Array, "T D"], Float[Array, "T"]]:
         key_search, key_noise = jax.random.split(key)
 
         def step(state: OptimisationState, index: Int[Array, ""]):
-            x = self.ask(state)
+            x = self._asked(state)
             y = function(jax.random.fold_in(key_noise, index), x)
             return self.tell(state, x, y), (x, y)
 
@@ -320,3 +352,10 @@ def highest(model: GaussianProcess) -> Float[Array, ""]:
 
 def _stream(state: OptimisationState, name: str) -> Key[Array, ""]:
     return jax.random.fold_in(state.key, _STREAMS.index(name))
+
+
+# Each compiled as one program, for calls with known numbers.
+_ask = eqx.filter_jit(BayesianOptimisation._asked)
+_tell = eqx.filter_jit(BayesianOptimisation._told)
+_score = eqx.filter_jit(BayesianOptimisation._scored)
+_maximise = eqx.filter_jit(BayesianOptimisation._maximised)

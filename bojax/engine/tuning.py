@@ -90,7 +90,7 @@ class Search:
         state = self._state
         with on_cpu():
             for _ in range(number):
-                values = self._values(np.asarray(_ask(self._believer, state)))
+                values = self._values(np.asarray(self._believer.ask(state)))
                 if values in self._seen or values in proposals:
                     fresh = self._fresh(int(state.num_told), {*self._seen, *proposals})
                     if fresh is None:
@@ -99,16 +99,14 @@ class Search:
                 proposals.append(values)
                 point = self._point(values)
                 mean, _ = _predict(self._believer, state, point[None, :])
-                state = _tell(self._believer, state, point, mean[0])
+                state = self._believer.tell(state, point, mean[0])
         return proposals
 
     def tell(self, points: Sequence[Values], scores: Sequence[int | float]) -> None:
         """Learn the scores of points; a score that is not finite only says that the point was tried."""
         with on_cpu():
             for values, score in zip(points, scores, strict=True):
-                self._state = _tell(
-                    self._learner, self._state, self._point(values), jnp.asarray(float(score))
-                )
+                self._state = self._learner.tell(self._state, self._point(values), float(score))
         self._seen.update(points)
 
     def predict(self, points: Sequence[Values]) -> tuple[Float[np.ndarray, "N"], Float[np.ndarray, "N"]]:
@@ -149,6 +147,4 @@ class Search:
 
 
 # Compiled once for all searches of a size.
-_ask = eqx.filter_jit(BayesianOptimisation.ask)
-_tell = eqx.filter_jit(BayesianOptimisation.tell)
 _predict = eqx.filter_jit(BayesianOptimisation.predict)

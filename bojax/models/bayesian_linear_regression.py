@@ -379,9 +379,16 @@ def maximise_evidence(
         ValueError: There are no observations.
     """
     features, targets = to_data(features, targets)
-    num_observations = len(targets)
-    if not num_observations:
+    if not len(targets):
         raise ValueError("observations: got 0; allowed: >= 1, since the evidence is constant without any")
+    return _maximise_evidence(features, targets)
+
+
+@jax.jit
+def _maximise_evidence(
+    features: Float[Array, "N M"], targets: Float[Array, "N"]
+) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    num_observations = len(targets)
     floor = covariance_floor(features.dtype)
     u, singular, _ = jnp.linalg.svd(features, full_matrices=False)
     rotated = matmul(targets, u)

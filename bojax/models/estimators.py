@@ -235,7 +235,7 @@ class GaussianProcessRegressor(_Regressor):
         )
         self.has_converged_ = None
         if is_learned:
-            fitted, optimum = _relearn(
+            fitted, optimum = relearn(
                 fitted,
                 jax.random.key(seed),
                 learn_mean=not has_own_mean,
@@ -329,7 +329,7 @@ class BayesianLinearRegressor(_Regressor):
         )
         design, y = _design(features, X, dtype), jnp.asarray(y, dtype)
         if is_learned and len(X):
-            precisions = _maximise_evidence(design, y)
+            precisions = maximise_evidence(design, y)
         self.features_ = features
         self.posterior_ = _fit_linear(design, y, *precisions)
         self.prior_precision_, self.noise_precision_ = map(float, precisions)
@@ -350,8 +350,6 @@ _prior_means = eqx.filter_jit(lambda mean, xs: jax.vmap(mean)(xs))
 _evidence = eqx.filter_jit(GaussianProcess.log_marginal_likelihood)
 _fit_linear = jax.jit(BayesianLinearRegression.fit)
 _evidence_linear = jax.jit(log_marginal_likelihood)
-_maximise_evidence = jax.jit(maximise_evidence)
-_relearn = eqx.filter_jit(relearn)
 _predict = eqx.filter_jit(lambda posterior, xs: posterior.predict(xs))
 _features = eqx.filter_jit(lambda features, xs: features.design(xs))
 

@@ -1,5 +1,6 @@
 """Algorithm 1 against plain NumPy, and on functions whose maximum is known."""
 
+import dataclasses
 import functools
 import subprocess
 import sys
@@ -292,6 +293,18 @@ def test_the_units_of_the_objective_do_not_matter(dtype):
             np.testing.assert_allclose(xs, found[0], atol=1e-3 if dtype == jnp.float32 else 1e-8)
 
 
+def test_an_evaluation_beyond_the_capacity_is_refused_or_counted():
+    one = optimisation(capacity=2)
+    state = one.tell(one.tell(one.init(jax.random.key(0)), [0.0, 0.0], 1.0), [0.5, 0.5], np.nan)
+    state = one.tell(state, [0.5, 0.0], 2.0)
+    with pytest.raises(ValueError, match="tell: got one observation more than 2; allowed: <= capacity"):
+        one.tell(state, [1.0, 1.0], 3.0)
+    after = _jit(type(one).tell)(one, state, jnp.ones(2), jnp.asarray(3.0))
+    assert after.model.num_ignored == 1 and after.num_missing == 1 and after.num_told == 4
+    assert one.best(after)[1] == 2.0
+    assert one.tell(state, [1.0, 1.0], np.inf).num_missing == 2  # takes no room
+
+
 def test_hyperparameters_are_relearned_when_due_and_kept_between():
     one = optimisation(relearn_every=5, num_initial=9)
     key_search, _ = jax.random.split(jax.random.key(0))
@@ -388,8 +401,8 @@ def test_what_is_told_beyond_the_capacity_is_forgotten():
     one = optimisation()
     state, xs, _ = maximise(one, jax.random.key(0))
     over = _jit(type(one).tell)(one, state, xs[0], jnp.asarray(9.0))
-    assert over.num_told == NUM_ITERATIONS + 1
-    assert_equal_leaves(over.model, state.model)
+    assert over.num_told == NUM_ITERATIONS + 1 and over.model.num_ignored == 1
+    assert_equal_leaves(dataclasses.replace(over.model, num_ignored=jnp.zeros((), jnp.int32)), state.model)
 
 
 def test_noise_differs_between_iterations_and_lanes():
