@@ -35,6 +35,10 @@ from bojax.numerics.quasirandom import shifted_kronecker
 PRIOR_SPREAD = 1.5
 """Default of `prior_spread`."""
 
+NOISE_SPREAD_BELOW = 20.0
+"""Standard deviation of the noise's prior below its median, in units of `prior_spread`: an objective without
+noise is found to have none, while few noisy values are not explained as noise alone."""
+
 _STREAMS = ("initial", "candidates", "relearning", "draws")
 
 
@@ -65,8 +69,8 @@ class BayesianOptimisation(eqx.Module):
 
     With `relearn_every`, the hyper-parameters of the kernel and the noise variance are relearned from the
     standardised values by maximum a posteriori estimation, with a log-normal prior whose medians are the
-    given values. If `tell` is vmapped over states, every lane computes this at every step; `maximise` does
-    not.
+    given values; that of the noise variance is wider below its median (`NOISE_SPREAD_BELOW`). If `tell` is
+    vmapped over states, every lane computes this at every step; `maximise` does not.
 
     An evaluation whose value or point is not finite is missing and does not enter the model. The model would
     ask for nearly the same point again, so the next point is quasi-random.
@@ -314,7 +318,8 @@ class BayesianOptimisation(eqx.Module):
         return UpperConfidenceBound(jnp.zeros((), self.low.dtype)), self.acquisition.draw(key, model)
 
     def _relearn(self, key: Key[Array, ""], model: GaussianProcess) -> GaussianProcess:
-        log_prior = log_normal_prior(self.kernel, self.noise_variance, self.prior_spread)
+        below = NOISE_SPREAD_BELOW * self.prior_spread
+        log_prior = log_normal_prior(self.kernel, self.noise_variance, self.prior_spread, below)
         learned, _ = relearn(_standardised(model), key, log_prior=log_prior, num_starts=4)
         return eqx.tree_at(lambda gp: gp.y, learned, model.y)
 

@@ -22,7 +22,10 @@ LogPrior = Callable[[Kernel, Float[Array, ""]], Float[Array, ""]]
 
 
 def log_normal_prior(
-    kernel: Kernel, noise_variance: Float[Array, ""], spread: Float[Array, ""] | float
+    kernel: Kernel,
+    noise_variance: Float[Array, ""],
+    spread: Float[Array, ""] | float,
+    noise_spread_below: float | None = None,
 ) -> LogPrior:
     """Independent log-normal priors of a kernel's hyper-parameters and of a noise variance.
 
@@ -30,12 +33,16 @@ def log_normal_prior(
         kernel: Medians of the kernel's hyper-parameters.
         noise_variance: Median of the noise variance.
         spread: Standard deviation of the logarithms.
+        noise_spread_below: That of a noise variance below its median, if it differs: a large one lets the
+            noise vanish.
     """
     medians = jax.tree.leaves((kernel, noise_variance))
 
     def log_prior(kernel: Kernel, noise_variance: Float[Array, ""]) -> Float[Array, ""]:
         found = jax.tree.leaves((kernel, noise_variance))
         scores = [jnp.log(a / b) / spread for a, b in zip(found, medians, strict=True)]
+        if noise_spread_below is not None:
+            scores[-1] = jnp.where(scores[-1] < 0.0, scores[-1] * (spread / noise_spread_below), scores[-1])
         return sum((-0.5 * jnp.sum(score**2) for score in scores), jnp.zeros_like(noise_variance))
 
     return log_prior

@@ -40,6 +40,31 @@ def test_the_best_posterior_mean_is_near_the_maximum_of_a_noisy_function(seed):
     assert 0.1 < search.noise_std < 0.4
 
 
+POSITION = [
+    Range(name, low, low + 15.0, is_log=False, is_integer=False) for name, low in (("x", -5), ("y", 0))
+]
+
+
+@pytest.mark.parametrize("seed", by_tier(range(4), normal=[3]))
+def test_without_noise_the_best_point_is_the_best_one_tried(seed):
+    search, points, scores = Search(POSITION, seed, 8, CAPACITY), [], []
+    for number in range(5):
+        proposed = search.propose(8)
+        observed = [negative_branin(*point) for point in proposed]
+        search.tell(proposed, observed)
+        points, scores = points + proposed, scores + observed
+        if number >= 2:
+            best = scores[int(np.argmax(search.predict(points)[0]))]
+            assert best > max(scores) - 0.01
+    assert search.noise_std < 1e-2 * np.std(scores)
+
+
+def negative_branin(x: float, y: float) -> float:
+    """Branin's function upside down: its maxima are -0.398."""
+    bowl = y - 5.1 / (4.0 * np.pi**2) * x**2 + 5.0 / np.pi * x - 6.0
+    return float(-(bowl**2 + 10.0 * (1.0 - 1.0 / (8.0 * np.pi)) * np.cos(x) + 10.0))
+
+
 def test_the_posterior_agrees_with_the_function_where_the_search_has_been():
     search, points, _ = searched(seed=1, rounds=8)
     mean, std = search.predict(points)
