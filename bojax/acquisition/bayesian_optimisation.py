@@ -29,6 +29,7 @@ from bojax.models.checks import (
 from bojax.models.evidence import log_normal_prior, relearn
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Kernel
+from bojax.models.means import ConstantMean, Mean, ZeroMean
 from bojax.models.names import by_name
 from bojax.numerics.quasirandom import shifted_kronecker
 
@@ -47,7 +48,8 @@ class OptimisationState(eqx.Module):
 
     Attributes:
         key: Random key, from which every step derives its own by its number.
-        model: Observations, with inputs mapped to [-1, 1]^D and values in the units of the objective.
+        model: Observations, with inputs mapped to [-1, 1]^D and values in the units of the objective; kernel,
+            noise variance and mean are those of the standardised values.
         num_told: Number of evaluations, including missing ones.
         num_missing: Number of missing evaluations, whose point or value was not finite.
         was_missing: Whether the last evaluation is missing.
@@ -69,7 +71,8 @@ class BayesianOptimisation(eqx.Module):
 
     With `relearn_every`, the hyper-parameters of the kernel and the noise variance are relearned from the
     standardised values by maximum a posteriori estimation, with a log-normal prior whose medians are the
-    given values; that of the noise variance is wider below its median (`NOISE_SPREAD_BELOW`). If `tell` is
+    given values; that of the noise variance is wider below its median (`NOISE_SPREAD_BELOW`). A constant mean
+    of the standardised values is learned with them. If `tell` is
     vmapped over states, every lane computes this at every step; `maximise` does not.
 
     An evaluation whose value or point is not finite is missing and does not enter the model. The model would
@@ -155,7 +158,9 @@ class BayesianOptimisation(eqx.Module):
         check_key("key", key)
         return OptimisationState(
             key=key,
-            model=GaussianProcess.prior(self.kernel, self.noise_variance, self.capacity, self.low.shape[0]),
+            model=GaussianProcess.prior(
+                self.kernel, self.noise_variance, self.capacity, self.low.shape[0], self._mean()
+            ),
             num_told=jnp.zeros((), jnp.int32),
             num_missing=jnp.zeros((), jnp.int32),
             was_missing=jnp.zeros((), bool),
@@ -309,6 +314,10 @@ class BayesianOptimisation(eqx.Module):
         state, (xs, ys) = jax.lax.scan(step, self.init(key_search), jnp.arange(num_iterations))
         return state, xs, ys
 
+    def _mean(self) -> Mean:
+        """The prior mean of standardised values before it is learned."""
+        return ConstantMean(jnp.zeros((), self.low.dtype)) if self.relearn_every > 0 else ZeroMean()
+
     def _target(self, state: OptimisationState) -> tuple[Acquisition, GaussianProcess]:
         """What `ask` maximises: a function of the moments of a process."""
         model = _standardised(state.model)
@@ -320,7 +329,7 @@ class BayesianOptimisation(eqx.Module):
     def _relearn(self, key: Key[Array, ""], model: GaussianProcess) -> GaussianProcess:
         below = NOISE_SPREAD_BELOW * self.prior_spread
         log_prior = log_normal_prior(self.kernel, self.noise_variance, self.prior_spread, below)
-        learned, _ = relearn(_standardised(model), key, log_prior=log_prior, num_starts=4)
+        learned, _ = relearn(_standardised(model), key, log_prior=log_prior, num_starts=4, learn_mean=True)
         return eqx.tree_at(lambda gp: gp.y, learned, model.y)
 
     def _scale(self, state: OptimisationState) -> tuple[Float[Array, ""], Float[Array, ""]]:
