@@ -142,6 +142,8 @@ def entry() -> None:
     `kill -USR1 PID` prints where each thread is, should a command not go on.
     """
     gc.set_threshold(YOUNG_OBJECTS)
+    # A notebook passes on the backend of its kernel, which the environment of bojax may lack.
+    os.environ.update(MPLBACKEND="agg", MATPLOTLIBRC=os.devnull)
     if sys.stderr is not None:
         sys.stderr = cast(TextIO, Messages(sys.stderr))
     if hasattr(signal, "SIGUSR1"):

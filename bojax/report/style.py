@@ -131,12 +131,13 @@ def settings() -> Iterator[list[str]]:
         *(name for name in _FALLBACKS if name in fontManager.get_font_names()),
     ]
     settings: dict[Any, Any] = {**matplotlib.rcParamsDefault, **_SETTINGS, "font.family": fonts}
+    del settings["backend"]  # a notebook keeps its own, which `rc_context` would not restore
     missing: list[str] = []
     with warnings.catch_warnings(record=True) as caught:
         warnings.filterwarnings("always", message=_NO_GLYPH)
         # Without this, matplotlib logs a message for each fallback font that lacks the normal weight.
         no_messages = quiet("matplotlib.font_manager", logging.ERROR)
-        with matplotlib.rc_context({**settings, "backend": "agg"}), no_messages:
+        with matplotlib.rc_context(settings), no_messages:
             yield missing
     for warning in caught:
         if re.match(_NO_GLYPH, str(warning.message)):

@@ -242,6 +242,21 @@ def test_an_unexpected_exception_while_a_program_is_compiled(monkeypatch, capsys
     assert codes == [1] and "Traceback" in err and "ZeroDivisionError" in err.splitlines()[-1]
 
 
+def test_figures_do_not_depend_on_the_backend_and_the_settings_of_a_notebook(here):
+    """`!bojax ...` in Jupyter inherits a backend of the kernel, which the environment of bojax may lack."""
+    (here / "settings").write_bytes(bytes(range(256)))
+    given = {"MPLBACKEND": "module://of_the_kernel.backend_inline", "MATPLOTLIBRC": str(here / "settings")}
+    ended = subprocess.run(
+        [sys.executable, "-m", "bojax", "report", "nowhere"],
+        env={**os.environ, **given},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (ended.returncode, ended.stderr.count("\n")) == (2, 1), ended.stderr
+    assert ended.stderr.startswith("error: nowhere: ")
+
+
 def test_windows_is_refused_in_one_line(here, capsys, monkeypatch):
     """Results folders are locked by a POSIX call."""
     monkeypatch.setattr(platform, "system", lambda: "Windows")

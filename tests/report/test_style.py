@@ -1,5 +1,6 @@
 import logging
 
+import matplotlib
 import numpy as np
 import pytest
 
@@ -8,6 +9,13 @@ from bojax.report.drawing.curves import step_ticks
 from bojax.report.drawing.smooth import smooth
 from bojax.report.figures.returns import swarm
 from tests.report.synthetic import point_of
+
+
+def test_a_notebook_keeps_its_backend(monkeypatch):
+    monkeypatch.setitem(matplotlib.rcParams, "backend", "svg")
+    with style.settings():
+        png = style.encode(style.figure(1.0)[0])["png"]
+    assert png.startswith(b"\x89PNG") and matplotlib.get_backend() == "svg"
 
 
 def test_labels_are_spread_no_further_than_needed():
