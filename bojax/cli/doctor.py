@@ -77,10 +77,9 @@ def examine(check: Callable[[], Iterator[Finding]]) -> Iterator[Finding]:
     """The findings of a check; an exception becomes a failure."""
     try:
         yield from check()
-    except Failure as error:
-        yield Finding("FAILED", str(error))
     except Exception as error:
-        yield Finding("FAILED", error_line(error))
+        is_for_users = isinstance(error, Failure) or hasattr(error, "exit_code")
+        yield Finding("FAILED", str(error) if is_for_users else error_line(error))
 
 
 def _python() -> Iterator[Finding]:

@@ -8,7 +8,7 @@ import functools
 import os
 import sys
 import threading
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
@@ -22,24 +22,43 @@ from bojax.engine.errors import EngineError
 from bojax.numerics.cores import usable_cores
 from bojax.text import error_line
 
+_FIXED: Mapping[str, object] = {
+    "jax_enable_x64": True,
+    "jax_default_prng_impl": "threefry2x32",
+    "jax_threefry_partitionable": True,
+    "jax_random_seed_offset": 0,
+}
+"""Flags on which the numbers of a run depend, which must follow from its plan alone."""
+
 _FLAGS = (
-    "jax_enable_x64",
+    *_FIXED,
     "jax_platforms",
     "jax_compilation_cache_dir",
     "jax_persistent_cache_min_compile_time_secs",
 )
 """Flags that `prepare` sets."""
 
+_REQUIRED: Mapping[str, tuple[object, ...]] = {
+    "jax_disable_jit": (False,),
+    "jax_transfer_guard": (None, "allow", "log", "log_explicit"),
+}
+"""Values of flags with which the engine, which calls compiled programs, can run."""
+
 Device: TypeAlias = Any
 """A JAX device; `Any`, since type checkers take `jax.Device` for a variable."""
 
 
 def prepare(device: Platform) -> None:
-    """Set JAX's process-wide flags: platform, float64, persistent compilation cache.
+    """Set JAX's process-wide flags: platform, float64, random numbers, persistent compilation cache.
 
-    Flags that the user has set, in the environment or in JAX's configuration, are left alone.
+    A platform or a cache that the user has set, in the environment or in JAX's configuration, is left alone.
+
+    Raises:
+        EngineError: The user has set a flag with which no program runs.
     """
-    jax.config.update("jax_enable_x64", True)
+    _check_flags()
+    for flag, value in _FIXED.items():
+        jax.config.update(flag, value)
     if device == "cpu" and not setting("jax_platforms"):
         _update_before_start("jax_platforms", "cpu")
     if setting("jax_compilation_cache_dir") is None:
@@ -60,6 +79,13 @@ _LEAST_SECONDS = 1.0
 def _note(text: str) -> None:
     """Print a line on standard error, once in a process."""
     print(printable(text), file=sys.stderr)
+
+
+def _check_flags() -> None:
+    for flag, values in _REQUIRED.items():
+        if (given := setting(flag)) not in values:
+            allowed = ", ".join(str(value) for value in values if value is not None)
+            raise EngineError(f"{flag.upper()}: got {given}; allowed: {allowed}")
 
 
 _started: Future[None] | None = None
@@ -105,8 +131,9 @@ def find_devices(device: Platform) -> list[Device]:
     """The devices of the requested platform. A CPU is one device; `auto` means all GPUs and, last, the CPU.
 
     Raises:
-        EngineError: There is no device of this platform.
+        EngineError: There is no device of this platform, or a flag is set with which no program runs.
     """
+    _check_flags()
     try:
         if _started is not None:
             _started.result()  # JAX raises the error of a backend only once, and then goes on without it

@@ -8,6 +8,7 @@ import sys
 import jax
 import pytest
 
+from bojax.cli.main import main
 from bojax.engine.devices import cache_folder, choose, find_devices, suited, workers_of
 from bojax.engine.errors import EngineError
 from bojax.numerics.cores import usable_cores
@@ -21,7 +22,8 @@ assert not jax.config.read("jax_enable_x64")
 prepare({device!r})
 flags = ("jax_enable_x64", "jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
 found = find_devices("cpu")
-print(json.dumps([len(found), len(workers_of(found)), *map(setting, flags)]))
+draw = float(jax.random.uniform(jax.random.key(3)))
+print(json.dumps([len(found), len(workers_of(found)), *map(setting, flags), draw]))
 """
 
 
@@ -35,7 +37,7 @@ def prepared(device="cpu", before="", **environment):
 
 
 def test_a_cpu_is_one_device_of_a_worker_for_each_core(tmp_path):
-    count, workers, x64, cache, least = prepared(XDG_CACHE_HOME=str(tmp_path))
+    count, workers, x64, cache, least, _ = prepared(XDG_CACHE_HOME=str(tmp_path))
     assert (count, workers) == (1, usable_cores())
     assert x64 is True
     assert cache == str(tmp_path / "bojax" / "jax") and least == 0.0
@@ -124,6 +126,25 @@ def test_a_sweep_uses_devices_of_one_platform():
 
 def test_what_the_user_has_set_is_left_alone():
     assert prepared(JAX_COMPILATION_CACHE_DIR="/elsewhere")[3] == "/elsewhere"
+
+
+def test_random_numbers_depend_on_the_seed_alone():
+    flags = {"DEFAULT_PRNG_IMPL": "rbg", "THREEFRY_PARTITIONABLE": "0", "RANDOM_SEED_OFFSET": "1"}
+    draw = prepared(**{f"JAX_{name}": value for name, value in flags.items()})[-1]
+    assert draw == float(jax.random.uniform(jax.random.key(3)))
+
+
+def test_flags_with_which_no_program_runs_are_one_line(tmp_path, capsys):
+    for context, given in (
+        (jax.disable_jit(), "DISABLE_JIT: got True"),
+        (jax.transfer_guard("disallow"), "TRANSFER_GUARD: got disallow"),
+    ):
+        with context:
+            assert main(["run", "chain", "--out", str(tmp_path / "out")]) == 2
+            with pytest.raises(EngineError, match=given):  # as in training from Python
+                find_devices("cpu")
+        (line,) = capsys.readouterr().err.splitlines()
+        assert line.startswith(f"error: JAX_{given}") and not (tmp_path / "out").exists()
 
 
 def test_cache_folder(monkeypatch, tmp_path):
