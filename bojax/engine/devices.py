@@ -128,7 +128,7 @@ def restored() -> Iterator[None]:
 
 
 def find_devices(device: Platform) -> list[Device]:
-    """The devices of the requested platform. A CPU is one device; `auto` means all GPUs and, last, the CPU.
+    """The devices of the requested platform; `auto` means all GPUs and, last, the CPU.
 
     Raises:
         EngineError: There is no device of this platform, or a flag is set with which no program runs.
@@ -148,7 +148,7 @@ def find_devices(device: Platform) -> list[Device]:
         only = jax.default_backend()
         raise EngineError(f"engine.device: got {device}; JAX finds only {only} devices: {advice}") from None
     if found[0].platform == "cpu":
-        return found[:1]
+        return found
     cpu = _cpu() if device == "auto" else None
     return found if cpu is None else [*found, cpu]
 
@@ -189,7 +189,9 @@ def suited(devices: Sequence[Device], *, prefers_cpu: bool) -> list[Device]:
 
 
 def choose(devices: Sequence[Device], indices: Sequence[int] | None) -> list[Device]:
-    """The GPUs of the given indices, all if `indices` is None, and the CPU beside them.
+    """The devices of the given indices, and the CPU beside GPUs.
+
+    If `indices` is None, these are all GPUs, or the first of the devices into which XLA's flags divide a CPU.
 
     Raises:
         EngineError: There is no device of an index.
@@ -202,7 +204,9 @@ def choose(devices: Sequence[Device], indices: Sequence[int] | None) -> list[Dev
                 f"--devices: got {index}; allowed: 0 to {len(counted) - 1}, this machine has {found}"
             )
     others = [device for device in devices if device not in counted]
-    return [*(counted if indices is None else [counted[index] for index in indices]), *others]
+    if indices is None:
+        indices = range(1 if counted[0].platform == "cpu" else len(counted))
+    return [*(counted[index] for index in indices), *others]
 
 
 def workers_of(devices: Sequence[Device], cores: int | None = None) -> list[Device]:

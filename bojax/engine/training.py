@@ -22,7 +22,7 @@ from bojax.config.catalog import named, roles
 from bojax.config.component import Component, import_target
 from bojax.engine.build import build
 from bojax.engine.chunks import choose_layout, cut
-from bojax.engine.devices import find_devices, suited, workers_of
+from bojax.engine.devices import choose, find_devices, suited, workers_of
 from bojax.engine.execute import GroupTask, execute
 from bojax.engine.groups import static_groups
 from bojax.engine.progress import SweepProgress
@@ -164,7 +164,7 @@ class _Sink(MemorySink):
 
 def _run(experiment: LearningRun, runs: int, seed: int, callback: Callback | None) -> list[MemorySink]:
     """Run an experiment on the devices that suit it, and return what its chunks produced."""
-    devices = suited(find_devices("auto"), prefers_cpu=experiment.prefers_cpu)
+    devices = suited(choose(find_devices("auto"), None), prefers_cpu=experiment.prefers_cpu)
     (group,) = static_groups([experiment])
     layout = choose_layout(experiment, runs, devices[0].platform, None)
     lock = threading.Lock()

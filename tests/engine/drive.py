@@ -18,19 +18,21 @@ NEEDS_CPU = pytest.mark.skipif(not IS_CPU, reason="counts the chunks of a CPU")
 """On a GPU, all runs of a small group are one chunk."""
 
 
-def run_toy(out: Path | None, *points: dict, resume: bool = False, **settings) -> int:
+def run_toy(out: Path | None, *points: dict, resume: bool = False, devices=None, **settings) -> int:
     """Run or resume a toy sweep; the exit code."""
     from tests.toy import toy_sweep
 
-    return run_sweep(toy_sweep(*points, **settings), out, resume, COMMAND)
+    return run_sweep(toy_sweep(*points, **settings), out, resume, devices=devices)
 
 
-def run_sweep(sweep, out: Path | None, resume: bool = False, command: list[str] = COMMAND) -> int:
-    """Run or resume a sweep; the exit code."""
+def run_sweep(
+    sweep, out: Path | None, resume: bool = False, command: list[str] = COMMAND, devices=None
+) -> int:
+    """Run or resume a sweep, by default on one device; the exit code."""
     from bojax.engine.requests import Request
     from bojax.engine.run import run_sweeps
 
-    return run_sweeps([Request(sweep, out)], resume, command)
+    return run_sweeps([Request(sweep, out)], resume, command, indices=devices)
 
 
 def run_toys(out: Path, *, resume: bool = False, **sweeps: dict) -> int:

@@ -114,6 +114,8 @@ def test_the_cpu_stands_beside_the_gpus(monkeypatch):
     assert find_devices("auto") == [*GPUS, CPU]
     assert find_devices("gpu") == GPUS and find_devices("cpu") == [CPU]
     assert choose([*GPUS, CPU], None) == [*GPUS, CPU] and choose([*GPUS, CPU], [1]) == [GPUS[1], CPU]
+    both = [CPU, Named("cpu")]
+    assert choose(both, None) == both[:1] and choose(both, [0, 1]) == both
     with pytest.raises(EngineError, match="--devices: got 2; allowed: 0 to 1, this machine has 2 x gpu"):
         choose([*GPUS, CPU], [2])
 

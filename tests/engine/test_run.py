@@ -134,9 +134,16 @@ def test_chunks_and_segments_change_nothing(folder, tmp_path):
 @NEEDS_CPU
 @pytest.mark.bits
 def test_any_number_of_devices_gives_the_same_bytes(folder, tmp_path, monkeypatch):
-    monkeypatch.setattr("bojax.engine.run.find_devices", lambda _: jax.devices("cpu"))
-    assert len(jax.devices("cpu")) == 2
-    assert run_toy(tmp_path / "toy", runs=RUNS) == 0
+    """XLA divides the CPU into two devices, of which each runs a chunk at least."""
+    begun, runner = {device: threading.Event() for device in jax.devices("cpu")}, execute._Executor._runner
+
+    def begins(executor, task, chunk, sink, device):
+        begun[device].set()
+        assert all(event.wait(60.0) for event in begun.values())
+        return runner(executor, task, chunk, sink, device)
+
+    monkeypatch.setattr(execute._Executor, "_runner", begins)
+    assert len(begun) == 2 and run_toy(tmp_path / "toy", runs=RUNS, devices=[0, 1]) == 0
     assert read_manifest(tmp_path / "toy")["device"]["count"] == 2
     assert contents(tmp_path / "toy") == contents(folder)
 
@@ -154,8 +161,7 @@ def test_programs_are_requested_for_all_devices_at_once_if_all_are_saved(tmp_pat
     monkeypatch.setattr(execute._Executor, "_request", noted)
     monkeypatch.setattr(execute._Executor, "_is_saved", lambda self, task, width: width in saved)
     monkeypatch.setattr("bojax.engine.plan.choose_layout", lambda *_: Layout(5, (5, 2), 1))
-    monkeypatch.setattr("bojax.engine.run.find_devices", lambda _: jax.devices("cpu"))
-    assert run_toy(tmp_path / "toy", runs=RUNS) == 0
+    assert run_toy(tmp_path / "toy", runs=RUNS, devices=[0, 1]) == 0
     assert len(set(requested)) == (2 if saved == (5, 2) else 1)
 
 
