@@ -132,10 +132,11 @@ def _build(folder: Path) -> Path:
 
 
 def _begin(parent: int) -> None:
-    """Leave Ctrl-C, which a terminal sends to every process, to the main process, and end after it.
+    """Leave signals that a terminal sends to every process to the main process, and end after it.
 
     A pool whose process is killed is not told, and would wait for further reports forever. The main process
     may be killed while this one starts.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
     stop_with_parent(parent)

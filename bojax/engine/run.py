@@ -54,7 +54,7 @@ def run_sweeps(
         planned: Called before this process waits for devices or workers.
 
     Returns:
-        The exit code: 0; 1 if something failed; 2 for an input error; 130 or 143 after a signal.
+        The exit code: 0; 1 if something failed; 2 for an input error; 128 and its number after a signal.
     """
     try:
         with StopRequest(exits=exits) as stop:

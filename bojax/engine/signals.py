@@ -10,7 +10,8 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from types import TracebackType
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""What stops a sweep: Ctrl-C, the system or a scheduler, and a terminal that is closed."""
 
 
 class StopRequest:
@@ -19,7 +20,10 @@ class StopRequest:
     Python runs signal handlers between bytecodes of the main thread, so during a long compilation a handler
     would have to wait. Instead, a thread reads signals from a wake-up socket. It needs the interpreter, which
     a library may hold forever; so once the main thread has noticed a signal, the system ends the process at
-    the next.
+    the next. A second SIGHUP means nothing: the shell and the system may each send one when a terminal is
+    closed.
+
+    A signal that is ignored when the block begins stays ignored, as `nohup` asks for.
 
     Attributes:
         signum: The signal that requested the stop; None before any signal.
@@ -46,7 +50,7 @@ class StopRequest:
 
     @property
     def exit_code(self) -> int:
-        """128 and the number of the signal: 130 for SIGINT, 143 for SIGTERM."""
+        """128 and the number of the signal: 129 for SIGHUP, 130 for SIGINT, 143 for SIGTERM."""
         return 128 + (self.signum or 0)
 
     def __enter__(self) -> "StopRequest":
@@ -55,6 +59,7 @@ class StopRequest:
             self._reader, self._writer = socket.socketpair()
             self._writer.setblocking(False)
             self._wakeup = signal.set_wakeup_fd(self._writer.fileno(), warn_on_full_buffer=False)
+            self._signals = [each for each in self._signals if signal.getsignal(each) is not signal.SIG_IGN]
             # Python writes a signal to the socket only if it has a handler.
             self._handlers = {number: signal.signal(number, self._handle) for number in self._signals}
             threading.Thread(target=self._watch, daemon=True).start()
@@ -71,13 +76,15 @@ class StopRequest:
 
     def _handle(self, *_: object) -> None:
         for number in self._signals if self._exits else ():
-            signal.signal(number, signal.SIG_DFL)
+            signal.signal(number, signal.SIG_IGN if number == signal.SIGHUP else signal.SIG_DFL)
 
     def _watch(self) -> None:
         with self._reader:
             while received := self._reader.recv(1):
                 number = received[0]
                 if number not in self._signals:
+                    continue
+                if self.signum is not None and number == signal.SIGHUP:
                     continue
                 if self.signum is not None and self._exits:
                     os._exit(128 + number)

@@ -91,13 +91,17 @@ def start_worker(out: Path, *words: str) -> subprocess.Popen:
     return start_toy(out, words=words)
 
 
-def start_toy(out: Path, *options: str, resume: bool = False, env=None, **settings) -> subprocess.Popen:
-    """The same in a process of its own; `options` are Python statements to run before it."""
+def start_toy(
+    out: Path, *options: str, resume: bool = False, env=None, before=(), streams=None, **settings
+) -> subprocess.Popen:
+    """The same in a process of its own, whose output is read from pipes by default.
+
+    `options` are Python statements to run before it, and `before` is a command that runs it.
+    """
     arguments = json.dumps({"out": str(out), "resume": resume, **settings})
-    command = [sys.executable, "-m", "tests.engine.drive", arguments, *options]
-    return subprocess.Popen(
-        command, cwd=ROOT, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+    command = [*before, sys.executable, "-m", "tests.engine.drive", arguments, *options]
+    streams = streams or {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    return subprocess.Popen(command, cwd=ROOT, env=env, text=True, **streams)
 
 
 def contents(folder: Path) -> dict[str, bytes]:

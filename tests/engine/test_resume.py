@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from bojax.engine.chunks import Layout
+from bojax.engine.signals import StopRequest
 from bojax.results.store import WORK, read_manifest
 from tests.engine.drive import contents, run_toy, run_toys, start_toy
 from tests.tiers import by_tier
@@ -116,6 +117,45 @@ def test_interrupted_and_resumed(tmp_path, undisturbed, number):
     assert read_manifest(out)["status"] == "interrupted"
     assert run_sweep_here(out, resume=True) == 0
     assert contents(out) == contents(undisturbed)
+
+
+LEADER = """
+import fcntl, os, sys, termios
+os.setsid()
+fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+os.execvp(sys.argv[1], sys.argv[1:])
+"""
+"""Runs a command as the first one of a terminal."""
+
+
+@pytest.mark.bits
+def test_a_terminal_is_closed(tmp_path, undisturbed):
+    out = tmp_path / "toy"
+    quiet = "import sys; from bojax.cli.main import Messages; sys.stderr = Messages(sys.stderr)"
+    terminal, inside = os.openpty()
+    streams = {"stdin": inside, "stdout": inside, "stderr": inside}
+    process = start_toy(
+        out, quiet, before=[sys.executable, "-c", LEADER], streams=streams, **{**SWEEP, **OFTEN}
+    )
+    os.close(inside)
+    wait_for_checkpoint(out, advances=5)
+    os.close(terminal)
+    process.send_signal(signal.SIGHUP)  # a shell sends another one
+    assert process.wait(60) == 128 + signal.SIGHUP
+    assert read_manifest(out)["status"] == "interrupted"
+    assert run_sweep_here(out, resume=True) == 0
+    assert contents(out) == contents(undisturbed)
+
+
+def test_nohup_keeps_a_sweep_running():
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with StopRequest() as stop:
+            os.kill(os.getpid(), signal.SIGHUP)
+            assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+        assert not stop
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def test_second_signal_leaves_at_once(tmp_path):
