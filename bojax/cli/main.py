@@ -40,8 +40,8 @@ COMMANDS = {
 _ANYWHERE = ("list", "report", "render", "doctor")
 """Commands that do not lock a results folder."""
 
-_RESUMED = ("run", "sweep", "reproduce", "tune")
-"""Commands that may not have finished when the reader of their output leaves."""
+_WRITING = ("run", "sweep", "reproduce", "tune")
+"""Commands whose results are files, which they finish even if their output cannot be written."""
 
 _DISK = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
 """Errors of a disk; those that name no file are of standard output."""
@@ -63,28 +63,36 @@ _EXAMPLES = """\
 
 
 class Messages:
-    """Standard error, whose own errors are ignored: a log on a full disk must not stop a sweep.
+    """An output stream whose errors are only noted: a log on a full disk must not stop a sweep.
 
     Args:
         stream: The stream.
+
+    Attributes:
+        error: The last error; None if there was none.
     """
 
     def __init__(self, stream: TextIO):
         self._stream = stream
+        self.error: OSError | None = None
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
 
     def write(self, text: str, /) -> int:
         """Write a text, if that is possible."""
-        with contextlib.suppress(OSError):
+        try:
             self._stream.write(text)
+        except OSError as error:
+            self.error = error
         return len(text)
 
     def flush(self) -> None:
-        """Write what is left."""
-        with contextlib.suppress(OSError):
+        """Write what is left, if that is possible."""
+        try:
             self._stream.flush()
+        except OSError as error:
+            self.error = error
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -97,7 +105,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper):  # names of folders may not be UTF-8
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
-        return _run(words)
+        return _run_to_the_end(words) if words and words[0] in _WRITING else _run(words)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130
@@ -108,20 +116,33 @@ def main(argv: Sequence[str] | None = None) -> int:
         is_closed = isinstance(error, BrokenPipeError)
         if not is_closed and (error.filename is not None or error.errno not in _DISK):
             raise
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        is_resumed = bool(words) and words[0] in _RESUMED
-        if is_closed and not is_resumed:  # `bojax list | head`
-            return 0
-        what = "was closed" if is_closed else f"cannot be written: {error.strerror}"
-        advice = "; to go on, repeat the command with --resume" if is_resumed else ""
-        print(f"error: standard output {what}{advice}", file=sys.stderr)
-        return 1
+        return _end_output(error)
     except Exception as error:
         code = getattr(error, "exit_code", None)
         if code is None:
             raise
         print(printable(f"error: {error}"), file=sys.stderr)
         return code
+
+
+def _run_to_the_end(words: list[str]) -> int:
+    """Run a command that goes on if its output cannot be written."""
+    if sys.stdout is None:  # bojax ... >&-
+        return _run(words)
+    output = Messages(sys.stdout)
+    with contextlib.redirect_stdout(cast(TextIO, output)):
+        code = _run(words)
+    output.flush()
+    return code if output.error is None else code or _end_output(output.error)
+
+
+def _end_output(error: OSError) -> int:
+    """Give up standard output, which Python would write to again on exit, and return the exit code."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    if isinstance(error, BrokenPipeError):  # `bojax list | head`
+        return 0
+    print(f"error: standard output cannot be written: {error.strerror}", file=sys.stderr)
+    return 1
 
 
 def _choose_gpu_allocator() -> None:
@@ -144,6 +165,7 @@ def entry() -> None:
     gc.set_threshold(YOUNG_OBJECTS)
     # A notebook passes on the backend of its kernel, which the environment of bojax may lack.
     os.environ.update(MPLBACKEND="agg", MATPLOTLIBRC=os.devnull)
+    _open_standard_streams()
     if sys.stderr is not None:
         sys.stderr = cast(TextIO, Messages(sys.stderr))
     if hasattr(signal, "SIGUSR1"):
@@ -154,6 +176,18 @@ def entry() -> None:
         sys.excepthook(type(error), error, error.__traceback__)
         code = 1
     leave(code)
+
+
+def _open_standard_streams() -> None:
+    """Open the null device in place of a standard stream that is closed.
+
+    The next file would take the place, and libraries that write to standard error would write into it.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)
 
 
 def leave(code: int) -> NoReturn:

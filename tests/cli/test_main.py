@@ -168,24 +168,66 @@ def test_an_unexpected_exception_keeps_its_traceback(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("name", "raised", "code"),
+    ("raised", "code"),
     [
-        ("list", KeyboardInterrupt, 130),
-        ("list", BrokenPipeError, 0),
-        ("sweep", BrokenPipeError, 1),
-        ("sweep", OSError(errno.ENOSPC, "No space left on device"), 1),
+        (KeyboardInterrupt, 130),
+        (BrokenPipeError, 0),
+        (OSError(errno.ENOSPC, "No space left on device"), 1),
     ],
 )
 def test_interrupts_and_output_that_cannot_be_written_end_without_a_traceback(
-    monkeypatch, capfd, name, raised, code
+    monkeypatch, capfd, raised, code
 ):
     def stop(name, words):
         raise raised
 
-    monkeypatch.setattr(f"bojax.cli.{COMMANDS[name][0]}.main", stop)
+    monkeypatch.setattr("bojax.cli.listing.main", stop)
     monkeypatch.setattr("os.dup2", lambda *_: None)
-    assert main([name]) == code
-    assert ("--resume" in capfd.readouterr().err) == (code == 1)
+    assert main(["list"]) == code
+    assert ("standard output cannot be written: No space" in capfd.readouterr().err) == (code == 1)
+
+
+LATE = """
+import sys
+import bojax.cli.running, bojax.cli.main as m
+def write_report(name, words):
+    print("results/parking/1", flush=True)
+    sys.stdin.read()  # meanwhile, the reader of the line has left
+    print("report.html", flush=True)
+    open("report.html", "w").close()
+    return 0
+bojax.cli.running.main = write_report
+sys.argv = ["bojax", "sweep", "parking"]
+m.entry()
+"""
+
+
+def test_a_finished_sweep_whose_output_is_closed_writes_its_report(here):
+    """As in `bojax sweep parking | head -1`."""
+    pipe = subprocess.PIPE
+    with subprocess.Popen([sys.executable, "-c", LATE], stdin=pipe, stdout=pipe, stderr=pipe) as process:
+        assert process.stdin and process.stdout and process.stderr
+        assert process.stdout.readline() == b"results/parking/1\n"
+        process.stdout.close()
+        process.stdin.close()
+        assert (process.stderr.read(), process.wait()) == (b"", 0)
+    assert (here / "report.html").exists()
+
+
+def test_output_on_a_full_disk_is_an_error_once_the_results_are_written(monkeypatch, capsys):
+    monkeypatch.setattr("bojax.cli.running.main", lambda *_: print("results") or 0)
+    monkeypatch.setattr("os.dup2", lambda *_: None)
+    monkeypatch.setattr("sys.stdout", FullDisk())
+    monkeypatch.setattr(FullDisk, "fileno", lambda _: 1)
+    assert main(["sweep"]) == 1
+    message = "error: standard output cannot be written: No space left on device\n"
+    assert capsys.readouterr().err == message
+
+
+def test_no_file_takes_the_place_of_a_closed_stream(here):
+    code = "import os, bojax.cli.main as m; m.main = lambda: os.open('results', os.O_CREAT); m.entry()"
+    command = ["sh", "-c", 'exec "$0" -c "$1" >&- 2>&- <&-', sys.executable, code]
+    assert subprocess.run(command, check=False).returncode > 2
 
 
 def test_an_error_of_a_named_file_is_not_taken_for_one_of_the_output(monkeypatch):
