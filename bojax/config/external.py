@@ -104,7 +104,9 @@ def _validate(external: External, path: Location, locate: Locate) -> Component:
         raise ConfigError(f"{locate(where)}: {error}") from error.__cause__
     except pydantic.ValidationError as error:
         raise from_validation(error, lambda location: locate((*path, *location))) from error
-    except (Exception, SystemExit) as error:  # raised by the user's annotations or validators
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # raised by the user's annotations or validators
         got = f"{locate(where)}: got {shown(external.kind)}"
         raise ConfigError(f"{got}; checking its settings failed: {error_at_line(error)}") from error
 
@@ -150,7 +152,9 @@ def _import(kind: str) -> type:
                 f"{got}module {error.name} is neither in the working directory ({Path.cwd()}) nor installed"
             ) from error
         raise _Refusal(f"{got}importing {module_name} failed: {error_at_line(error)}") from error
-    except (Exception, SystemExit) as error:  # a script may call sys.exit
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # a script may call sys.exit
         raise _Refusal(f"{got}importing {module_name} failed: {error_at_line(error)}") from error
     if not hasattr(module, name):
         names = [key for key, value in vars(module).items() if isinstance(value, type)]

@@ -359,7 +359,7 @@ class _Executor:
             except ResultsError as problem:  # of the folder, which all chunks write to
                 has_failed, self.error = True, problem
                 task.share.abandon(chunk)
-            except (Exception, SystemExit) as error:  # user's code may call sys.exit
+            except BaseException as error:  # user's code may raise anything; a thread gets no Ctrl-C
                 has_failed = True
                 self._fail(task, [chunk], error)
         self._release(task, chunk, sink, has_failed=has_failed)

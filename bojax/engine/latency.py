@@ -81,7 +81,7 @@ class Latencies:
             return
         progress.say("waiting for the programs of single runs, to measure their latency ...")
         for index in range(len(self._asked)):
-            with contextlib.suppress(Exception, SystemExit):  # told below
+            with contextlib.suppress(BaseException):  # told below; a Ctrl-C is a requested stop
                 self._ahead.wait(index)
         for index, (journal, group, points) in enumerate(self._asked):
             if self._stop():
@@ -91,7 +91,7 @@ class Latencies:
             try:
                 run = self._ahead.wait(index)
                 journal.note_latency(group, {point: run.latency(point) for point in points})
-            except (Exception, SystemExit) as error:
+            except BaseException as error:
                 progress.say(f"latency of {name} not measured: {error_line(error)}")
         self._ahead.close()
 

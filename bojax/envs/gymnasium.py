@@ -143,7 +143,9 @@ class HostEnv(Env):
             _, _, name = id.rpartition(":")  # `make` has imported the module; `spec` does not know it
             limit = max_steps or gymnasium.spec(name).max_episode_steps
             spaces = made.observation_space, made.action_space
-        except (Exception, SystemExit) as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
             raise ValueError(f'id: got "{id}"; {error_line(error)}') from error
         dtype = success_reward.dtype
         self.observations = from_gymnasium(spaces[0], "observation", dtype, low, high)
@@ -384,7 +386,9 @@ def _try(env: Idling, id: str, limit: int, dtype: Any, has_own_bounds: bool) -> 
                 finite = np.isfinite(np.asarray(reward, dtype)), np.isfinite(observation)
         except Misfit as error:
             raise ValueError(str(error)) from error
-        except (Exception, SystemExit) as error:
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
             raise ValueError(f"{id} fails in {where}: {error_line(error)}") from error
         for what, is_finite in zip(("reward", "observation"), finite, strict=True):
             if not np.all(is_finite):

@@ -61,7 +61,9 @@ def construct(component: Component, dtype: str, locate: Locate = dotted, path: L
         is_setting = name in type(component).model_fields
         where = locate((*path, name)) if is_setting else locate(path) or component.kind
         raise ConfigError(f"{where}: {rest if is_setting else one_line(error)}") from error
-    except (Exception, SystemExit) as error:  # a user's class may raise anything
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # a user's class may raise anything
         if not IMPORT_PATH.fullmatch(component.kind):
             raise
         got = f"{locate(path) or component.kind}: got {shown(component.kind)}"

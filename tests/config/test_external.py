@@ -79,6 +79,7 @@ def resolved(write, monkeypatch):
     write("my_kernels.py", MODULE)
     write("my_broken.py", "import math\n\nmath.sqrt(-1)\n")
     write("my_script.py", "import sys\n\nsys.exit(0)\n")
+    write("my_quitter.py", "class Quit(BaseException):\n    pass\n\n\nraise Quit\n")
     write("my_needy.py", "import there_is_no_such_module\n")
     write("x.yaml", "planner: {kind: kcbts, kernel: {kind: 'my_kernels:Annotated', lengthscale: 2}}")
     monkeypatch.setattr(sys, "path", [*sys.path])
@@ -202,6 +203,7 @@ def test_the_label_of_a_class_is_its_name(write, resolved):
             "importing my_broken failed: ValueError: math domain error (my_broken.py",
         ),
         (["planner.kernel=my_script:X"], "importing my_script failed: SystemExit: 0 (my_script.py, line 3)"),
+        (["planner.kernel=my_quitter:X"], "importing my_quitter failed: Quit (my_quitter.py, line 5)"),
         (
             ["planner.kernel=my_kernels:Checking"],
             "checking its settings failed: KeyError: 'lengthscale' (my_kernels.py, line ",

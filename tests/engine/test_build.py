@@ -49,6 +49,8 @@ class Raising(eqx.Module):
     def __init__(self, scale: float):
         if scale == 0:
             raise SystemExit(0)
+        if scale < 0:
+            raise GeneratorExit
         raise RuntimeError(f"no\nscale {scale}")
 
 
@@ -188,6 +190,8 @@ def test_a_users_constructor_that_fails():
     assert message in str(raised.value) and "\n" not in str(raised.value)
     with pytest.raises(ConfigError, match="its constructor failed: SystemExit: 0"):
         build(Settings(scale=0.0))
+    with pytest.raises(ConfigError, match="its constructor failed: GeneratorExit"):
+        build(Settings(scale=-1.0))
     with pytest.raises(RuntimeError):  # of a part of bojax: a bug keeps its traceback
         build(Settings(kind="raising"))
 

@@ -54,6 +54,8 @@ class Corridor(gymnasium.Env):
             raise RuntimeError("the motor broke")
         if self._breaks == "exit" and self._place == 3:
             sys.exit(0)
+        if self._breaks == "quit" and self._place == 3:
+            raise KeyboardInterrupt
         if os.environ.get(CRASH) and self._place == 3 and self.np_random.uniform() < 0.3:
             os.kill(os.getpid(), signal.SIGSEGV)
         return self._place, reward, is_end, False, {}
@@ -134,9 +136,10 @@ def test_an_environment_that_raises_fails_its_chunk_in_one_line(tmp_path, capsys
     assert all("the motor broke" in chunk["error"] for chunk in chunks)
 
 
-def test_an_environment_that_exits_fails_its_chunk(tmp_path, capsys):
-    assert run_sweep(sweep(kwargs={"breaks": "exit"}), tmp_path / "a", False, ["bojax"]) == 1
-    assert "chunks failed: SystemExit: 0" in capsys.readouterr().err
+@pytest.mark.parametrize(("breaks", "error"), [("exit", "SystemExit: 0"), ("quit", "KeyboardInterrupt")])
+def test_an_environment_that_exits_fails_its_chunk(tmp_path, capsys, breaks, error):
+    assert run_sweep(sweep(kwargs={"breaks": breaks}), tmp_path / "a", False, ["bojax"]) == 1
+    assert f"chunks failed: {error}" in capsys.readouterr().err
 
 
 @pytest.mark.bits

@@ -52,6 +52,8 @@ class Toy(gymnasium.Env):
     def step(self, action):
         if self.exits == "step":
             sys.exit(0)
+        if self.exits == "quit":
+            raise GeneratorExit
         if self.fails:
             raise RuntimeError("out of\nfuel")
         assert self.action_space.contains(action), action
@@ -254,6 +256,7 @@ BAD = {
     ),
     "fails": ({"kwargs": {"fails": True}}, "Toy-v0 fails in step 1: RuntimeError: out of fuel"),
     "exits in a step": ({"kwargs": {"exits": "step"}}, "Toy-v0 fails in step 1: SystemExit: 0"),
+    "quits in a step": ({"kwargs": {"exits": "quit"}}, "Toy-v0 fails in step 1: GeneratorExit"),
     "no spaces": ({"kwargs": {"has_spaces": False}}, 'id: got "Toy-v0"; AttributeError'),
     "exits when made": ({"kwargs": {"exits": "init"}}, 'id: got "Toy-v0"; SystemExit: 0'),
     "shape": (
