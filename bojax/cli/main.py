@@ -230,6 +230,12 @@ def _run(words: list[str]) -> int:
         raise UsageError(f"unknown {kind} {name}; allowed: {allowed}{did_you_mean(name, COMMANDS)}")
     if platform.system() == "Windows" and name not in _ANYWHERE:
         raise UsageError(f"bojax {name}: {ON_WINDOWS}")
+    try:
+        os.getcwd()
+    except OSError as error:
+        raise UsageError(
+            "the working directory has been deleted or cannot be read; change to another"
+        ) from error
     module = importlib.import_module(f"bojax.cli.{COMMANDS[name][0]}")
     return module.main(name, words[1:])
 

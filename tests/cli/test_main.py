@@ -91,6 +91,16 @@ def test_mistakes(here, capsys, case):
     assert list(here.iterdir()) == []
 
 
+def test_a_working_directory_that_has_been_deleted(here, capsys):
+    (here / "gone").mkdir()
+    os.chdir(here / "gone")  # the fixture changes back
+    (here / "gone").rmdir()
+    for words in (["list"], ["run", "parking", "--out", str(here / "out")]):
+        assert main(words) == 2
+        assert capsys.readouterr().err.startswith("error: the working directory has been deleted ")
+    assert list(here.iterdir()) == []
+
+
 STANDARD_INPUT = {
     "a sweep": (
         b"base: parking",
