@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 import types
@@ -50,12 +51,16 @@ def start(place: Path, *words: str, address: str | None = None) -> subprocess.Po
     return bojax(place, "sweep", "sweep.yaml", EPISODES, *words, address=address)
 
 
-def bojax(place: Path, *words: str, address: str | None) -> subprocess.Popen:
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+ENTRY = "from bojax.engine.launchers import ray_actors; from bojax.cli.main import entry; {}; entry()"
+
+
+def bojax(place: Path, *words: str, address: str | None, before: str = "", **variables) -> subprocess.Popen:
+    """`bojax WORDS`, after a Python statement in which `ray_actors` may be changed."""
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2]), **variables}
     if address:
         environment["RAY_ADDRESS"] = address
     return subprocess.Popen(
-        [sys.executable, "-m", "bojax", *words],
+        [sys.executable, "-c", ENTRY.format(before or "pass"), *words],
         cwd=place,
         env=environment,
         stdout=subprocess.PIPE,
@@ -131,6 +136,56 @@ def test_the_rounds_of_a_search_run_on_the_same_actors(cluster, tmp_path):
     assert 1 <= len(set(re.findall(r"_Actor pid=(\d+)", text))) <= 2, text
 
 
+@pytest.mark.ray
+def test_without_an_address_ray_is_started_here(cluster, tmp_path):
+    """The file of Ray's last cluster names one that has ended, and Ray would wait for it."""
+    (tmp_path / "sweep.yaml").write_text(SWEEP)
+    with tempfile.TemporaryDirectory(prefix="ray-") as place:  # the names of Ray's sockets must be short
+        (Path(place) / "ray").mkdir()
+        (Path(place) / "ray" / "ray_current_cluster").write_text("127.0.0.1:1")
+        words = ["sweep", "sweep.yaml", "episodes=5", "--launcher", "ray", "--out", "out"]
+        driver = bojax(tmp_path, *words, address=None, RAY_TMPDIR=place)
+        text, _ = driver.communicate(timeout=120)
+    assert driver.returncode == 0, text
+
+
+@pytest.mark.ray
+def test_a_cluster_loses_its_only_node(tmp_path):
+    (tmp_path / "sweep.yaml").write_text(SWEEP)
+    utils = pytest.importorskip("ray.cluster_utils")
+    cluster = utils.Cluster(initialize_head=True, head_node_args={"num_cpus": 0})
+    try:
+        node = cluster.add_node(num_cpus=1)
+        cluster.wait_for_nodes()
+        words = ["sweep", "sweep.yaml", "episodes=1000000", "--launcher", "ray", "--out", "out"]
+        few = "ray_actors.LOST_SECONDS = 2.0"
+        address = cluster.address
+        driver = bojax(tmp_path, *words, address=address, before=few)
+        wait_until(lambda: workers_with_checkpoints(tmp_path / "out"), driver)
+        cluster.remove_node(node)
+        text, _ = driver.communicate(timeout=120)
+    finally:
+        cluster.shutdown()
+    assert driver.returncode == 1, text
+    reason, advice = text.splitlines()[-2:]
+    assert reason == f"error: --launcher ray: the cluster at {address} has no node for a worker any more"
+    assert advice.startswith("error: the workers have ended early; to go on: bojax sweep ")
+
+
+def test_a_cluster_that_does_not_answer_any_more_is_given_up(monkeypatch, capsys):
+    launcher = ray_actors.Ray(RayConfig())
+    launcher._running["call"] = 0
+    with socket.socket() as unused:
+        unused.bind(("127.0.0.1", 0))
+        launcher._address = f"127.0.0.1:{unused.getsockname()[1]}"
+        assert launcher.keep() and not launcher.all_refused
+        monkeypatch.setattr(ray_actors, "LOST_SECONDS", 0.0)
+        assert not launcher.keep() and launcher.all_refused
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == f"error: --launcher ray: the cluster at {launcher._address} does not answer any more"
+    launcher.close()  # asks nothing of Ray
+
+
 def test_an_actor_tells_why_it_left(tmp_path, monkeypatch):
     """As on a node that does not share the folder."""
     monkeypatch.setattr(ray_actors, "IDLE_SECONDS", 1e6)
@@ -173,18 +228,34 @@ def test_a_worker_that_cannot_run_tells_why(monkeypatch):
         launcher.keep()
 
 
-def refuse(**_):
+def refuse(*_, **__):
     raise ConnectionError("Failed to connect to Ray cluster")
 
 
+def hang(*_, **__):
+    threading.Event().wait(60)
+
+
+TOKEN = "if it asks for a token, set RAY_AUTH"
+
+
 @pytest.mark.parametrize(
-    ("listens", "advice"),
-    [(False, "start one with `ray start"), (True, "if it asks for a token, set RAY_AUTH")],
+    ("listens", "init", "message"),
+    [
+        (
+            False,
+            refuse,
+            "(ConnectionRefusedError: [Errno 111] Connection refused); start one with `ray start",
+        ),
+        (True, refuse, f"(ConnectionError: Failed to connect to Ray cluster); {TOKEN}"),
+        (True, hang, f"(TimeoutError: no connection within 0 s); {TOKEN}"),
+    ],
 )
-def test_no_cluster_at_the_address(tmp_path, capsys, monkeypatch, listens, advice):
+def test_no_cluster_at_the_address(tmp_path, capsys, monkeypatch, listens, init, message):
     """Where nothing answers, Ray itself would try for minutes."""
     monkeypatch.chdir(tmp_path)
-    fake = types.SimpleNamespace(is_initialized=lambda: False, init=refuse)
+    fake = types.SimpleNamespace(is_initialized=lambda: False, init=init)
+    monkeypatch.setattr(ray_actors, "CONNECT_SECONDS", 0.2)
     monkeypatch.setitem(sys.modules, "ray", fake)
     (tmp_path / "sweep.yaml").write_text(SWEEP)
     with socket.socket() as unused:
@@ -196,7 +267,7 @@ def test_no_cluster_at_the_address(tmp_path, capsys, monkeypatch, listens, advic
         words = ["sweep", "sweep.yaml", "--launcher", "ray", "--cluster", "ray.yaml", "--out", "out"]
         assert main(words) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f"error: --launcher ray: no Ray cluster at {address}; {advice}")
+    assert line.startswith(f"error: --launcher ray: no Ray cluster at {address} {message}")
     assert not (tmp_path / "out").exists()
 
 
@@ -208,9 +279,11 @@ def test_more_cores_than_the_cluster_has(tmp_path, capsys, monkeypatch):
         "is_initialized": lambda: False,
         "cluster_resources": lambda: {"CPU": 2.0},
         "nodes": lambda: [1],
+        "get_runtime_context": lambda: types.SimpleNamespace(gcs_address="127.0.0.1:1"),
+        "init": lambda address, **_: calls.append(f"init {address}"),
+        "shutdown": lambda: calls.append("shutdown"),
     }
-    noted = {name: lambda name=name, **_: calls.append(name) for name in ("init", "shutdown")}
-    monkeypatch.setitem(sys.modules, "ray", types.SimpleNamespace(**cluster, **noted))
+    monkeypatch.setitem(sys.modules, "ray", types.SimpleNamespace(**cluster))
     monkeypatch.delenv("RAY_ADDRESS", raising=False)
     (tmp_path / "sweep.yaml").write_text(SWEEP)
     (tmp_path / "ray.yaml").write_text("cpus_per_worker: 64")
@@ -218,7 +291,7 @@ def test_more_cores_than_the_cluster_has(tmp_path, capsys, monkeypatch):
     assert main(words) == 2
     message = "error: --launcher ray: cpus_per_worker: got 64; allowed: at most 2\n"
     assert capsys.readouterr().err == message
-    assert calls == ["init", "shutdown"] and not (tmp_path / "out").exists()
+    assert calls == ["init local", "shutdown"] and not (tmp_path / "out").exists()
 
 
 def test_without_the_extra(tmp_path, capsys, monkeypatch):

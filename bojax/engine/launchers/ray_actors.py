@@ -6,6 +6,7 @@ process or node is lost. It outlives the driver: a driver that is started again 
 names.
 """
 
+import functools
 import hashlib
 import importlib
 import logging
@@ -14,7 +15,9 @@ import signal
 import socket
 import sys
 import threading
+import time
 from collections.abc import Sequence
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +34,16 @@ NAMESPACE = "bojax"
 
 REACH_SECONDS = 10.0
 """Time in which a cluster answers."""
+
+CONNECT_SECONDS = 40.0
+"""Time in which a cluster that answers lets this process in. A cluster that asks for a token takes 20 s to
+refuse it."""
+
+LOST_SECONDS = 30.0
+"""Time after which a cluster is given up that does not answer any more, or has no node for an actor."""
+
+LOCAL = "local"
+"""Ray's address for a cluster that it starts on this machine."""
 
 STOP_SECONDS = 600.0
 """Time in which actors have to reach a checkpoint."""
@@ -53,6 +66,8 @@ class Ray(Launcher):
         self._running: dict[Any, int] = {}
         self._errors: dict[int, str] = {}
         self._has_connected = False
+        self._address: str | None = None
+        self._lost_since: float | None = None
 
     @override
     def check(self, name: str) -> None:
@@ -60,17 +75,22 @@ class Ray(Launcher):
         if ray.is_initialized():
             return
         handler = signal.getsignal(signal.SIGTERM) if _is_main() else None
-        where = self._config.address or os.environ.get("RAY_ADDRESS")
+        # Without an address, Ray would look for the last cluster of this machine, which may have ended.
+        where = self._config.address or os.environ.get("RAY_ADDRESS") or LOCAL
         advice = "start one with `ray start --head`, or leave out the address to use this machine"
         try:
             if _answers(where):
                 advice = "if it asks for a token, set RAY_AUTH_MODE=token"
-            ray.init(address=self._config.address, namespace=NAMESPACE, logging_level=logging.ERROR)
+            _connect(where)
             self._has_connected = True
         except Exception as error:
-            raise EngineError(f"--launcher ray: no Ray cluster at {where}; {advice}") from error
+            reason = f"no Ray cluster at {where} ({error_line(error)}); {advice}"
+            if where == LOCAL:
+                reason = f"Ray cannot start on this machine ({error_line(error)})"
+            raise EngineError(f"--launcher ray: {reason}") from error
         if handler is not None:  # Ray's own would end this process at once
             signal.signal(signal.SIGTERM, handler)
+        self._address = ray.get_runtime_context().gcs_address
         self._shape(ray.cluster_resources(), len(ray.nodes()))  # refuses settings that do not fit the cluster
 
     @override
@@ -128,6 +148,9 @@ class Ray(Launcher):
 
     @override
     def keep(self) -> bool:
+        if self._address is not None and (reason := self._lost()):
+            return not self._is_over(reason)
+        self._lost_since = None
         ray = _ray()
         ended, _ = ray.wait(list(self._running), num_returns=len(self._running), timeout=0.0)
         for call in ended:
@@ -145,6 +168,32 @@ class Ray(Launcher):
                 self._call(number)  # Ray has started it again, or will
         self.all_refused = set(self._errors) == set(self._actors)
         return bool(self._running)
+
+    def _is_over(self, reason: str) -> bool:
+        """Whether a cluster that is lost has been so for `LOST_SECONDS`; it is given up then."""
+        self._lost_since = self._lost_since or time.monotonic()
+        if time.monotonic() - self._lost_since < LOST_SECONDS:
+            return False
+        print(f"error: --launcher ray: the cluster at {self._address} {reason}", file=sys.stderr)
+        self._has_connected, self.all_refused = False, True
+        self._actors.clear()
+        self._running.clear()
+        return True
+
+    def _lost(self) -> str | None:
+        """Why no actor can run; None if one can.
+
+        Nothing may be asked of a cluster that does not answer: Ray would wait, and end this process.
+        """
+        try:
+            _answers(self._address)
+        except OSError:
+            return "does not answer any more"
+        found = _ray().cluster_resources()
+        needed = {"CPU": self._options["num_cpus"], "GPU": self._options["num_gpus"]}
+        if any(found.get(name, 0.0) < number for name, number in needed.items()):
+            return "has no node for a worker any more"
+        return None
 
     @override
     def close(self) -> None:
@@ -212,6 +261,33 @@ class _Actor:
 
     def _stops(self) -> bool:
         return self._is_stopping
+
+
+def _connect(address: str) -> None:
+    """Connect this process to a cluster, or start one.
+
+    Raises:
+        Exception: As Ray raises them.
+        TimeoutError: The cluster does not let this process in. Ray would try for minutes.
+    """
+    init = functools.partial(_ray().init, address, namespace=NAMESPACE, logging_level=logging.ERROR)
+    if address == LOCAL:  # the processes that Ray starts end with the thread that has started them
+        init()
+        return
+    connected: Future[None] = Future()
+
+    def connect() -> None:
+        try:
+            init()
+            connected.set_result(None)
+        except BaseException as error:
+            connected.set_exception(error)
+
+    threading.Thread(target=connect, daemon=True).start()
+    try:
+        connected.result(CONNECT_SECONDS)
+    except TimeoutError as error:
+        raise TimeoutError(f"no connection within {CONNECT_SECONDS:.0f} s") from error
 
 
 def _answers(address: str | None) -> bool:
