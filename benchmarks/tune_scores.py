@@ -190,7 +190,7 @@ def experiment(
                 if code:
                     raise RuntimeError(f"the runs ended with exit code {code}")
                 results = load(out)
-                means = [measure.values(results.runs_of(point)).mean() for point in results.points]
+                means = [measure.values(results, point).mean() for point in results.points]
                 return [measure.sign * float(mean) for mean in means]
 
         return evaluate

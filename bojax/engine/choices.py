@@ -110,18 +110,18 @@ class Choices:
     def _publish(self, name: str, content: str) -> str:
         """Publish a program unless another process has done so; returns the hash that is published."""
         path = self._folder / f"{name}.json"
-        with self._lock:
-            if not path.exists():
-                make_folder(self._folder)
+        if not path.exists():
+            make_folder(self._folder)
+            with self._lock:
                 self._news()
-                known = _known_to_xla()
-                new = {name: value for name, value in known.items() if name not in self._published}
-                own = self._folder / f".{path.name}-{secrets.token_hex(6)}"
-                write_checked_json(own, {"program": content, "choices": new})
-                with contextlib.suppress(FileExistsError):
-                    link(own, path)  # of several processes, one succeeds
-                own.unlink()
-            return str(read_checked_json(path)["program"])
+                published = set(self._published)
+            new = {name: value for name, value in _known_to_xla().items() if name not in published}
+            own = self._folder / f".{path.name}-{secrets.token_hex(6)}"
+            write_checked_json(own, {"program": content, "choices": new})
+            with contextlib.suppress(FileExistsError):
+                link(own, path)  # of several processes, one succeeds
+            own.unlink()
+        return str(read_checked_json(path)["program"])
 
     def _news(self) -> dict[str, str]:
         """The choices of files that were not read yet, by the names of XLA's files."""

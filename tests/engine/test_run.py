@@ -13,7 +13,7 @@ import pytest
 
 from bojax.config.errors import ConfigError
 from bojax.config.limits import Limit
-from bojax.engine import batch, chunks, execute
+from bojax.engine import batch, chunks, execute, program_cache
 from bojax.engine.chunks import Layout
 from bojax.engine.devices import Turn
 from bojax.engine.journal import Journal
@@ -566,7 +566,7 @@ def test_a_full_disk_stops_the_sweep(tmp_path, capsys, monkeypatch, moment):
 
     with monkeypatch.context() as patch:
         if moment == "fail":
-            patch.setattr(batch, "_compile", lambda *_: 1 / 0)
+            patch.setattr(program_cache, "compiled", lambda *_: 1 / 0)
         patch.setattr(Leases, moment, full)
         assert run_toy(tmp_path / "toy") == 1
     assert errors(capsys) == ["error: the disk is full"]
@@ -588,8 +588,8 @@ def fail_for_scale(scale):
 @pytest.mark.parametrize("number", by_tier([signal.SIGINT, signal.SIGTERM], normal=[signal.SIGINT]))
 def test_a_signal_during_compilation_is_answered_at_once(tmp_path, number):
     slow = (
-        "import time; from bojax.engine import batch; compile = batch._compile; "
-        "batch._compile = lambda *a: (time.sleep(600), compile(*a))[1]"
+        "import time; from bojax.engine import program_cache; compile = program_cache.compiled; "
+        "program_cache.compiled = lambda *a: (time.sleep(600), compile(*a))[1]"
     )
     process = start_toy(tmp_path / "toy", slow)
     for line in process.stderr:
