@@ -4,6 +4,7 @@ A wrong type or shape ends in one line. Settings that this version of bojax refu
 wrote them, stay plain values (`Unread`): a report without them is better than none.
 """
 
+import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -16,7 +17,7 @@ from bojax.config.claims import Claim
 from bojax.config.component import Component
 from bojax.config.errors import dotted, from_validation
 from bojax.config.sweep import Report, validate_experiment
-from bojax.report.text import MISSING, line
+from bojax.report.text import MISSING, counted, line
 from bojax.results.outline import Outline
 from bojax.results.store import ResultsError
 
@@ -129,6 +130,7 @@ class Manifest(Part):
     git: dict[str, Any] | None = None
     device: Any = None
     precision: Any = None
+    programs: dict[str, str] = {}  # hashes of what XLA compiled for an accelerator; empty for a CPU
 
     @property
     def run_seconds(self) -> float:
@@ -145,6 +147,20 @@ class Manifest(Part):
         """Settings that differ from the published sweep: dotted path, published value and ours."""
         texts = {key: [line(value) or "none" for value in pair] for key, pair in self.changed.items()}
         return [(key, published, ours) for key, (published, ours) in texts.items()]
+
+    @property
+    def compiled(self) -> str:
+        """The programs of an accelerator in a short text, equal for results whose programs are equal."""
+        if not self.programs:
+            return ""
+        digest = hashlib.sha256(repr(sorted(self.programs.items())).encode()).hexdigest()[:12]
+        return f"{counted(len(self.programs), 'program')}, {digest}"
+
+    def differs_in_programs(self, other: "Manifest") -> bool:
+        """Whether XLA compiled the same sweep with other choices of kernels, so that bits may differ."""
+        common = self.programs.keys() & other.programs.keys()
+        is_same_sweep = self.config_hash == other.config_hash is not None
+        return is_same_sweep and any(self.programs[name] != other.programs[name] for name in common)
 
     @property
     def provenance(self) -> dict[str, str]:

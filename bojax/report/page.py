@@ -94,6 +94,7 @@ def provenance(results: Results) -> list[tuple[str, str]]:
         "time taken": f"{run} of run time, {build} of compilation" if manifest.groups else "",
         "runs, seed": f"{plain(manifest.runs)}, {plain(manifest.seed)}",
         **manifest.provenance,
+        "compiled": manifest.compiled,
         "hash of settings": line(manifest.config_hash),
     }
     return [(key, value) for key, value in rows.items() if value]

@@ -384,6 +384,20 @@ class TestTables:
         text = Page(compare(folders, [], tmp_path / "unlike").read_text()).text
         assert "The contenders differ in env.reward: their scores may not be comparable." in text
 
+    def test_results_of_one_sweep_that_were_compiled_with_different_choices_are_named(self, tmp_path):
+        folders = [write_learning(tmp_path / name, runs=3) for name in ("a", "b")]
+        programs = {"0-8-advance": "1234", "0-8-fill": "5678"}
+        for folder in folders:
+            edit_manifest(folder, lambda manifest: manifest.update(config_hash="same", programs=programs))
+        sentence = "compiled with different choices of kernels"
+        text = Page(compare(folders, [], tmp_path / "alike").read_text()).text
+        assert sentence not in text and text.count("2 programs, ") == 2
+        edit_manifest(folders[1], lambda manifest: manifest["programs"].update({"0-8-fill": "9999"}))
+        text = Page(compare(folders, [], tmp_path / "unlike").read_text()).text
+        assert sentence in text and str(folders[0]) in text
+        edit_manifest(folders[1], lambda manifest: manifest.update(config_hash="other"))
+        assert sentence not in Page(compare(folders, [], tmp_path / "others").read_text()).text
+
 
 @pytest.fixture(scope="module")
 def out(tmp_path_factory):

@@ -75,7 +75,7 @@ def compare(
         summary=f"{counted(len(names), 'contender')}{listed} of "
         f"{counted(len({each.source for each in contenders}), 'source')}, {runs} each. The score of a run is "
         f"the {_score(contenders[0], measure)}{', of which less is better' if measure.is_least else ''}."
-        f"{tables.rule(contenders[0], measure)}{caution}",
+        f"{tables.rule(contenders[0], measure)}{caution}{tables.compiled_apart(results)}",
         counts=[],
         parts=parts,
         overall=tables.overall(tasks, reference or tasks[0].reference.name, measure),

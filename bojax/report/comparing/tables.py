@@ -1,5 +1,6 @@
 """The tables of a comparison: scores, differences from a reference, all tasks together, settings, sources."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -168,6 +169,17 @@ def differing_worlds(tasks: Sequence[Task]) -> list[str]:
     return [key for key in keys if key.startswith(("env.", "problem."))]
 
 
+def compiled_apart(results: Sequence[Results]) -> str:
+    """A sentence that names two results of one sweep whose programs differ; empty without such a pair."""
+    for first, second in itertools.combinations(results, 2):
+        if first.manifest.differs_in_programs(second.manifest):
+            return (
+                f" {first.folder} and {second.folder} are the same sweep, compiled with different choices of "
+                "kernels: their runs may differ by rounding."
+            )
+    return ""
+
+
 def sources(results: Sequence[Results], contenders: Sequence[Contender]) -> list[tuple[str, str]]:
     """Provenance of each results folder and CSV file, as path and text."""
     rows = []
@@ -179,6 +191,7 @@ def sources(results: Sequence[Results], contenders: Sequence[Contender]) -> list
             "seed": plain(manifest.seed),
             "written": manifest.written,
             **manifest.provenance,
+            **({"compiled": manifest.compiled} if manifest.programs else {}),
         }
         rows.append((str(each.folder), line(parts)))
     folders = {each.folder for each in results}
