@@ -1,5 +1,6 @@
 """Height mapping: learn a surface from the air (thesis, Figs. 3.5, 3.7 and 3.8)."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import ClassVar
 
@@ -31,25 +32,52 @@ AROUND = 0.2
 MAP_COLUMNS: Table = (
     Column("offset", "float64", "m", "mean error of the final map; positive where it is too high"),
     Column("spread", "float64", "m", "standard deviation of its error over the area"),
-    Column("explained_variance", "float64", "", "share of the variance of the heights that it explains"),
+    Column(
+        "explained_variance",
+        "float64",
+        "",
+        "share of the variance of the heights that it explains; NaN for a flat field",
+    ),
     Column(
         "corner_error",
         "float64",
         "m",
-        "centred root mean square error in the corner where it is least, less elsewhere",
+        "centred root mean square error in the corner where it is least, less elsewhere; null if one of both "
+        "regions has no grid point",
+        nullable=True,
     ),
     Column(
         "corner_std",
         "float64",
         "m",
-        "mean standard deviation in the corner where it is least, less elsewhere",
+        "mean standard deviation in the corner where it is least, less elsewhere; null if one of both "
+        "regions has no grid point",
+        nullable=True,
     ),
-    Column("sparse_error", "float64", "m", "the error on the quarter of the area farthest from samples"),
+    Column(
+        "sparse_error",
+        "float64",
+        "m",
+        "the error on the quarter of the area farthest from samples; null if it has no grid point",
+        nullable=True,
+    ),
 )
 
 PROP_COLUMNS: Table = (
-    Column("edge_error", "float64", "m", "centred root mean square error at the edges of props"),
-    Column("edge_excess", "float64", "m", "the same less that elsewhere"),
+    Column(
+        "edge_error",
+        "float64",
+        "m",
+        "centred root mean square error at the edges of props; null if no grid point is at an edge",
+        nullable=True,
+    ),
+    Column(
+        "edge_excess",
+        "float64",
+        "m",
+        "the same less that elsewhere; null if one of both has no grid point",
+        nullable=True,
+    ),
     Column("props_found", "float64", "", "share of the props that the final map shows, in their place"),
 )
 
@@ -193,9 +221,12 @@ class PropMapping(FieldProblem):
 
 def map_score(problem: FieldProblem, belief: FieldBelief, final: Map) -> dict[str, Scalar]:
     """The columns of `MAP_COLUMNS`."""
-    truth = final.mean - final.error - final.offset
+    truth = problem.field.values(final.points)
     spread = _rms(final.error, final.is_open)
     relief = _rms(truth - _mean(truth, final.is_open), final.is_open)
+    # Rounding would give a flat field a relief, by which nothing can be divided.
+    highest = jnp.max(truth, where=final.is_open, initial=-jnp.inf)
+    is_flat = highest <= jnp.min(truth, where=final.is_open, initial=jnp.inf)
     corners = final.is_open[None] & _corners(final.points, problem.domain)
     rest = final.is_open & ~jnp.any(corners, axis=0)
     distance = _distance_to_samples(final.points, belief, problem.resolution)
@@ -203,9 +234,9 @@ def map_score(problem: FieldProblem, belief: FieldBelief, final: Map) -> dict[st
     return {
         "offset": final.offset,
         "spread": spread,
-        "explained_variance": 1.0 - (spread / relief) ** 2,
-        "corner_error": jnp.min(jax.vmap(_rms, (None, 0))(final.error, corners)) - _rms(final.error, rest),
-        "corner_std": jnp.min(jax.vmap(_mean, (None, 0))(final.std, corners)) - _mean(final.std, rest),
+        "explained_variance": jnp.where(is_flat, jnp.nan, 1.0 - (spread / relief) ** 2),
+        "corner_error": _least(_rms, final.error, corners) - _rms(final.error, rest),
+        "corner_std": _least(_mean, final.std, corners) - _mean(final.std, rest),
         "sparse_error": _rms(final.error, sparse),
     }
 
@@ -240,8 +271,18 @@ def _distance_to_samples(
     return jax.lax.map(nearest, points.reshape(resolution, resolution, 2)).ravel()
 
 
+def _least(
+    statistic: Callable[..., Scalar], values: Float[Array, "G"], corners: Bool[Array, "4 G"]
+) -> Scalar:
+    """Least statistic of the corners that have grid points; NaN if none has."""
+    has_points = jnp.any(corners, axis=1)
+    least = jnp.min(jax.vmap(statistic, (None, 0))(values, corners), where=has_points, initial=jnp.inf)
+    return jnp.where(jnp.any(has_points), least, jnp.nan)
+
+
 def _mean(values: Float[Array, "G"], where: Bool[Array, "G"]) -> Scalar:
-    return jnp.sum(jnp.where(where, values, 0.0)) / jnp.maximum(jnp.sum(where), 1).astype(values.dtype)
+    """Mean over the points that count; NaN if none does."""
+    return jnp.sum(jnp.where(where, values, 0.0)) / jnp.sum(where).astype(values.dtype)
 
 
 def _rms(values: Float[Array, "G"], where: Bool[Array, "G"]) -> Scalar:

@@ -19,6 +19,7 @@ from bojax.problems.mapping import Map, final_map
 from bojax.problems.sensors import RangeSensor
 from bojax.problems.settings import HillyTerrain, IndoorProps, Range, TwoPits
 from bojax.problems.vehicles import settings as vehicles
+from bojax.results.tables import to_arrow
 from bojax.robots.quaternions import rotation_matrix
 
 LANES, SIZE = 48, 8
@@ -377,6 +378,18 @@ def test_scores_are_those_of_the_grid(room):
     for name, value in expected.items():
         assert score[name] == pytest.approx(value, abs=1e-9), name
     assert (~rest).sum() == 12**2 and 0.02 < offset
+
+
+def test_scores_of_regions_without_a_grid_point_are_null_and_a_flat_field_has_no_share_of_its_variance(room):
+    """A coarse grid has no point at an edge or outside of the corners, and the floor there is flat."""
+    coarse = dataclasses.replace(room, resolution=2)
+    score, _ = scored(coarse, np.array([[0.5, 0.5], [2.0, 1.0]]), np.array([0.1, 0.2]))
+    names = ["explained_variance", "corner_error", "corner_std", "edge_error", "edge_excess"]
+    assert {name for name, value in score.items() if np.isnan(value)} == {*names}
+    assert all(np.isfinite(value) for name, value in score.items() if name not in names)
+    table = to_arrow(room.scores, {name: np.array([value]) for name, value in score.items()})
+    assert [name for name in table.column_names if table[name].null_count] == names[1:]
+    assert np.isnan(table["explained_variance"][0].as_py())
 
 
 @eqx.filter_jit
