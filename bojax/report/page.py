@@ -22,7 +22,8 @@ def render(
     The first of the drawings is the reproduced figure.
     """
     tested = [TestedClaim.model_validate(claim) for claim in claims]
-    most = max(results.runs_of(point)["run"].size for point in results.points)
+    counts = [results.runs_of(point)["run"].size for point in results.points]
+    most = max(counts)
     groups = f" The bootstrap resamples {statistics.resampled(most)}." if most > statistics.GROUPS else ""
     common, own = tables.settings(results)
     speeds = tables.speeds(results)
@@ -42,6 +43,7 @@ def render(
         speeds=speeds,
         has_latency=speeds is not None and tables.LATENCY in speeds.headings,
         is_learning=any(point.is_learning for point in results.points),
+        methods=statistics.methods(counts),
         resampling=groups,
         common=common,
         own=own,

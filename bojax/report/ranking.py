@@ -82,10 +82,13 @@ def ranking(results: Results, measure: Measure, most: int | None = None) -> list
     for point in points[:most]:
         own, best = (each.index for each in (point, points[0]))
         _, here, there = np.intersect1d(runs[own]["run"], runs[best]["run"], return_indices=True)
-        lag = measure.sign * (values[best][there] - values[own][here])
-        is_share = runs[own][measure.column].dtype.kind == "b"
-        mean = (statistics.share_interval if is_share else statistics.mean_interval)(values[own])
-        standings.append(Standing(point, values[own].size, mean, statistics.mean_interval(lag)))
+        both = np.stack([values[best][there], values[own][here]], axis=1)
+        weights = measure.sign, -measure.sign
+        if runs[own][measure.column].dtype.kind == "b":
+            mean, lag = statistics.share_interval(values[own]), statistics.paired_shares(both, weights)
+        else:
+            mean, lag = statistics.mean_interval(values[own]), statistics.mean_interval(both @ weights)
+        standings.append(Standing(point, values[own].size, mean, lag))
     return standings
 
 
@@ -100,7 +103,8 @@ def best_of(results: Results, measure: Measure) -> Standing:
 def scored(measure: Measure, standing: Standing) -> str:
     """The score of a point in one line."""
     mean, bounds = standing.mean.in_words()
-    return f"{measure.words}: {mean}, 95% interval {bounds}, {counted(standing.runs, 'run')}"
+    told = bounds if bounds == statistics.NO_INTERVAL else f"95% interval {bounds}"
+    return f"{measure.words}: {mean}, {told}, {counted(standing.runs, 'run')}"
 
 
 def config_of(results: Results, point: Point) -> dict[str, Any]:

@@ -265,16 +265,13 @@ def _planning(limit: int) -> list[_Measure]:
 
 
 def mean_cell(values: np.ndarray, *, empty: str = MISSING) -> Cell:
-    """Mean with its bootstrap interval; NaN if any value is NaN, which is never skipped."""
+    """Mean with its interval; NaN if any value is NaN, which is never skipped."""
     if not values.size:
         return Cell(empty)
     bad = int((~np.isfinite(values.astype(np.float64))).sum())
     if bad:
         return Cell("NaN", f"in {counted(bad, 'run')}")
-    interval = statistics.mean_interval(values)
-    if values.size == 1:
-        return Cell(f"{interval.estimate:,.6g}", key=interval.estimate)
-    return interval_cell(interval)
+    return interval_cell(statistics.mean_interval(values))
 
 
 def own_cell(values: np.ndarray, nans: np.ndarray | None = None) -> Cell:
@@ -295,7 +292,7 @@ def among_cell(values: np.ndarray) -> Cell:
         return Cell("never", among)
     text, bounds = statistics.mean_interval(there).in_words()
     if there.size == 1:
-        return Cell(text, among)
+        return Cell(text, ", ".join(filter(None, [bounds, among])))
     spread = number(float(there.std(ddof=1)))
     return Cell(f"{text} ({spread})", f"{bounds}, {among}" if among else bounds)
 

@@ -9,7 +9,7 @@ import pytest
 
 from bojax.config import claims as schemas
 from bojax.config.component import registry
-from bojax.report import verdicts
+from bojax.report import statistics, verdicts
 from bojax.report.claims.evaluate import evaluate
 from bojax.report.claims.samples import MIN_RUNS
 from bojax.report.source import load
@@ -178,6 +178,56 @@ def test_too_few_runs_decide_nothing(tmp_path):
     entries = evaluate(load(write_results(tmp_path / "few", runs=MIN_RUNS - 1)))
     assert {entry["verdict"] for entry in entries} == {"inconclusive"}
     assert f"at least {MIN_RUNS}" in entries[0]["test"]["reason"]
+
+
+def test_booleans_that_hold_in_all_runs_have_an_interval_in_every_test(tmp_path):
+    """The bootstrap of equal values has no width, as if their share were known exactly."""
+    copy = write_results(tmp_path / "equal", runs=40)
+    table = pq.read_table(copy / "runs.parquet")
+    place, always = table.column_names.index("success"), pa.array(np.ones(table.num_rows, bool))
+    pq.write_table(table.set_column(place, "success", always), copy / "runs.parquet")
+    low, high = statistics.wilson(40, 40)
+    both, ratio = float(1 - low), float(1 / low)  # the upper bound of either share is 1
+    names = {"column": "success", "by": "variant"}
+    cases = [
+        ({"kind": "mean", "label": "kcbts", "above": 0.5}, [float(low), 1.0], "reproduced"),
+        ({"kind": "similar", "labels": ["kcbts", "random"], "margin": 0.2}, [-both, both], "reproduced"),
+        (
+            {"kind": "similar", "labels": ["kcbts", "random"], "factor": 1.05},
+            [1 / ratio, ratio],
+            "inconclusive",
+        ),
+        ({"kind": "ratio", "label": "kcbts", "to": "random", "expected": 2.0}, [1 / ratio, ratio], None),
+        ({"kind": "order", "greater": ["kcbts", "random"]}, [-both, both], "inconclusive"),
+        ({"kind": "order", "greater": ["kcbts", "random"], "margin": 0.2}, [0.2 - both, 0.2 + both], None),
+    ]
+    for number, (test, bounds, verdict) in enumerate(cases):
+        (place := tmp_path / str(number)).mkdir()
+        entry = judge(copy, place, {**names, **test})
+        assert entry["interval"] == pytest.approx(bounds), test
+        assert verdict in (None, entry["verdict"]), test
+        assert ("Wilson" if test["kind"] == "mean" else "Newcombe") in entry["test"]["method"]
+
+
+def test_orders_of_shares_allow_for_a_share_of_a_lead(folder, tmp_path):
+    """The tested sum has three shares: its interval is that of their weights."""
+    test = {"column": "success", "greater": ["sbo-9", "kcbts"], "margin": 0.5, "baseline": "random"}
+    entry = judge(folder, tmp_path, {"kind": "order", "by": "variant", **test})
+    points = {point.variant: point for point in load(folder).points}
+    flags = load(folder).paired([points[name] for name in ("sbo-9", "kcbts", "random")], "success")
+    found = statistics.paired_shares(flags, [1.0, -0.5, -0.5])
+    assert entry["interval"] == pytest.approx([found.low, found.high], rel=1e-9)
+
+
+@pytest.mark.parametrize(("runs", "method"), [(40, "Student's t"), (60, "percentile bootstrap")])
+def test_orders_of_means_say_which_interval_they_have(tmp_path, runs, method):
+    folder = write_results(tmp_path / "results", runs=runs)
+    entry = judge(folder, tmp_path, {"kind": "order", "column": "return", "greater": ["kcbts", "random"]})
+    points = {point.label: point for point in load(folder).points}
+    ours, theirs = load(folder).paired([points["kcbts"], points["random"]], "return").T
+    expected = statistics.mean_interval(ours - theirs)
+    assert entry["interval"] == pytest.approx([expected.low, expected.high])
+    assert method in entry["test"]["method"]
 
 
 def test_a_nan_is_a_reason_not_a_number(folder, tmp_path):

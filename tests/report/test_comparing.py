@@ -69,10 +69,10 @@ class TestStatistics:
     @pytest.mark.parametrize("is_paired", [False, True])
     def test_the_interval_of_a_probability_is_that_of_a_bootstrap(self, is_paired):
         random = np.random.default_rng(7)
-        common = random.normal(size=12)
+        common = random.normal(size=60)
         strata = [
-            (common + random.normal(0.5, 0.4, 12), common),
-            (random.normal(size=8), random.normal(size=8)),
+            (common + random.normal(0.5, 0.4, 60), common),
+            (random.normal(size=50), random.normal(size=50)),
         ]
         found = statistics.improvement_interval(strata, is_paired=is_paired)
         assert found.estimate == pytest.approx(np.mean([share_of_wins(*pair) for pair in strata]))
@@ -86,6 +86,26 @@ class TestStatistics:
             shares.append(np.mean(drawn))
         low, high = np.quantile(shares, [0.025, 0.975])
         assert (found.low, found.high) == pytest.approx((low, high), abs=0.06 * (high - low))
+
+    def test_the_interval_of_a_probability_of_few_runs_is_a_score_interval(self):
+        """A bound is where the difference from the share is 1.96 standard deviations (Newcombe 2006)."""
+        first, second = np.array([3.0, 5.0, 8.0, 9.0, 11.0]), np.array([1.0, 4.0, 5.0, 7.0])
+        found = statistics.improvement_interval([(first, second)], is_paired=False)
+        for bound in (found.low, found.high):
+            spread = (1 - bound) / (2 - bound) + bound / (1 + bound)
+            deviation = np.sqrt(bound * (1 - bound) * (1 + 3.5 * spread) / 20)
+            assert abs(found.estimate - bound) == pytest.approx(1.959964 * deviation)
+        apart = statistics.improvement_interval([(first + 20, second)], is_paired=True)
+        assert apart.estimate == apart.high == 1.0 and 0.5 < apart.low < 0.7
+        twice = statistics.improvement_interval([(first, second)] * 2, is_paired=False)
+        assert twice.estimate - twice.low == pytest.approx((found.estimate - found.low) / np.sqrt(2))
+
+    def test_a_single_run_has_no_interval(self):
+        for found in (
+            statistics.iqm_interval([[3.0], [1.0, 2.0]]),
+            statistics.improvement_interval([([3.0], [1.0, 2.0])], is_paired=False),
+        ):
+            assert np.isfinite(found.estimate) and np.isnan([found.low, found.high]).all()
 
     def test_many_runs_take_fewer_resamples_and_give_the_same(self):
         random = np.random.default_rng(1)
@@ -480,7 +500,7 @@ class TestPage:
         assert overall["b"][1].text == "100.0%"
         assert [overall[name][0].text for name in "ab"] == ["0.00", "1.00"]
 
-    @pytest.mark.parametrize(("values", "band"), [((0, 1), "Wilson"), ((0.25, 0.5), "bootstrap")])
+    @pytest.mark.parametrize(("values", "band"), [((0, 1), "Wilson"), ((0.25, 0.5), "Student&#39;s t")])
     def test_shares_of_episodes_are_no_successes_of_runs(self, tmp_path, values, band):
         rows = [f"{label},{run},1,{values[run]}" for label in "ab" for run in (0, 1)]
         (tmp_path / "x.csv").write_text("\n".join(["label,run,x,value", *rows]))
@@ -488,7 +508,7 @@ class TestPage:
         (caption, *_) = re.findall(
             r"<figcaption>(.*?)</figcaption>", page.read_text(encoding="utf-8"), re.DOTALL
         )
-        assert f"95% {band} bands" in caption
+        assert f"95% bands ({band})" in caption
 
     def test_curves_of_planning_may_begin_at_step_1(self, tmp_path):
         write_results(tmp_path / "parking", runs=4, recorded=1)

@@ -39,7 +39,9 @@ def test_a_curve_is_the_mean_of_its_runs():
 
 def test_words_name_the_quantity_the_runs_the_bands_and_the_ends():
     drawn = drawing(Panel("reward", "mean reward", [RISING]))
-    assert drawn.caption == ("Mean reward, with pointwise 95% bootstrap bands. By episode, 2 runs per curve.")
+    assert drawn.caption == (
+        "Mean reward, with pointwise 95% bands (Student's t). By episode, 2 runs per curve."
+    )
     assert drawn.alt == (
         "Line chart of the mean reward, by episode. First and last value of each curve: a 0 and 3.00."
     )
@@ -51,8 +53,8 @@ def test_two_panels_are_told_apart():
     )
     caption = drawing(Panel("reward", "mean reward", [RISING]), share).caption
     assert caption == (
-        "Above: mean reward, with pointwise 95% bootstrap bands. Below: share of runs that succeed, with "
-        "pointwise 95% Wilson bands. By episode, 2 runs per curve."
+        "Above: mean reward, with pointwise 95% bands (Student's t). Below: share of runs that succeed, with "
+        "pointwise 95% bands (Wilson). By episode, 2 runs per curve."
     )
 
 

@@ -37,6 +37,50 @@ def test_ratio_interval_agrees_with_scipys_paired_bootstrap():
     assert ours.high == pytest.approx(theirs.high, abs=0.03 * width)
 
 
+def test_few_runs_have_the_t_interval_of_scipy():
+    values = np.random.default_rng(0).exponential(size=8)
+    ours = statistics.mean_interval(values)
+    theirs = scipy.stats.t.interval(0.95, 7, values.mean(), scipy.stats.sem(values))
+    assert (ours.low, ours.high) == pytest.approx(theirs)
+    # A column with as many values has the same band, whatever other columns lack.
+    table = np.vstack([np.stack([values, values], axis=1), [[np.nan, 1.0]] * 60])
+    mean, low, high = statistics.mean_band(table)
+    assert (mean[0], low[0], high[0]) == pytest.approx((values.mean(), *theirs))
+    assert (low[1], high[1]) == pytest.approx(statistics.central(statistics.bootstrap_means(table[:, 1])))
+
+
+def test_the_ratio_of_few_runs_has_the_t_interval_of_its_logarithm():
+    """The jackknife's error of a smooth statistic is that of its linearisation, up to order 1 / n."""
+    random = np.random.default_rng(3)
+    denominator = random.gamma(20.0, size=40)
+    numerator = 1.5 * denominator + random.gamma(20.0, size=40)
+    ours = statistics.ratio_interval(numerator, denominator)
+    linear = numerator / numerator.mean() - denominator / denominator.mean()
+    half = scipy.stats.t.ppf(0.975, 39) * scipy.stats.sem(linear)
+    ratio = numerator.mean() / denominator.mean()
+    assert (ours.low, ours.high) == pytest.approx((ratio * np.exp(-half), ratio * np.exp(half)), rel=2e-3)
+
+
+# By number of runs: number of samples, and the least coverage of 95% intervals of an exponential mean in per
+# cent. The percentile bootstrap covers 78.9, 85.8, 90.5, 93.5 and 94.7, Student's t 88.5, 89.8, 92.0, 94.0
+# and 94.9. Three standard errors of the estimated coverage are left.
+COVERAGE = {5: (20_000, 87.7), 10: (20_000, 89.0), 20: (20_000, 91.3), 50: (600, 90.5), 200: (600, 92.0)}
+
+
+def test_intervals_of_a_skewed_mean_cover_it_as_often_as_the_documentation_says():
+    random = np.random.default_rng(0)
+    for size, (samples, least) in COVERAGE.items():
+        # Each column is a sample; the bands of columns are the intervals of their means.
+        _, low, high = statistics.mean_band(random.exponential(size=(size, samples)))
+        assert 100 * np.mean((low <= 1) & (high >= 1)) > least, size
+
+
+def test_a_single_run_has_no_interval():
+    for interval in (statistics.mean_interval([3.0]), statistics.ratio_interval([3.0], [2.0])):
+        assert np.isfinite(interval.estimate) and np.isnan([interval.low, interval.high]).all()
+    assert statistics.mean_interval([3.0]).in_words() == ("3", "(no interval)")
+
+
 def test_means_that_may_be_zero_have_no_ratio():
     values = np.random.default_rng(0).normal(0.1, 1.0, size=50)
     assert np.isnan(statistics.ratio_interval(values, values + 5).low)
@@ -66,6 +110,12 @@ def test_many_rows_are_resampled_in_groups_with_the_same_distribution(monkeypatc
     assert grouped.mean() == pytest.approx(values.mean(), rel=1e-3)
     assert grouped.std() == pytest.approx(single.std(), rel=0.08)
     assert scipy.stats.skew(grouped) == pytest.approx(scipy.stats.skew(single), abs=0.15)
+
+
+def test_sorted_rows_are_dealt_into_groups_as_different_as_unsorted_ones():
+    values = np.random.default_rng(0).exponential(size=20_000)
+    width = np.ptp(statistics.central(statistics.bootstrap_means(np.sort(values), resamples=2000)))
+    assert width == pytest.approx(2 * 1.96 * values.std() / np.sqrt(values.size), rel=0.06)
 
 
 def test_rare_events_stay_rare_events_in_groups():
@@ -112,6 +162,54 @@ def test_differences_of_shares_are_those_that_newcombe_printed(counts, bounds):
     assert interval.estimate == counts[0] / counts[1] - counts[2] / counts[3]
 
 
+def newcombe_paired(both, first, second, none):
+    """Method 10 of Newcombe (1998, Statistics in Medicine 17, pp. 2635-2650) as it is written there."""
+    n = both + first + second + none
+    ours, theirs = both + first, both + second
+    bounds = [scipy.stats.binomtest(hits, n).proportion_ci(method="wilson") for hits in (ours, theirs)]
+    below = [hits / n - bound.low for hits, bound in zip((ours, theirs), bounds, strict=True)]
+    above = [bound.high - hits / n for hits, bound in zip((ours, theirs), bounds, strict=True)]
+    margins = ours * (n - ours) * theirs * (n - theirs)
+    product = both * none - first * second
+    product = max(product - n / 2, 0) if product > 0 else product
+    phi = product / np.sqrt(margins) if margins else 0.0
+    difference = (first - second) / n
+    low = difference - np.sqrt(below[0] ** 2 - 2 * phi * below[0] * above[1] + above[1] ** 2)
+    return low, difference + np.sqrt(above[0] ** 2 - 2 * phi * above[0] * below[1] + below[1] ** 2)
+
+
+CELLS = [(36, 12, 2, 0), (20, 12, 2, 16), (40, 3, 9, 60), (53, 1, 0, 0), (54, 0, 0, 0), (0, 30, 0, 0)]
+
+
+@pytest.mark.parametrize("cells", CELLS)
+def test_differences_of_paired_shares_have_newcombes_interval(cells):
+    """The number of runs in which both hold, only the first, only the second, and neither."""
+    flags = np.repeat([[1, 1], [1, 0], [0, 1], [0, 0]], cells, axis=0)
+    interval = statistics.paired_shares(flags, [1, -1])
+    assert (interval.low, interval.high) == pytest.approx(newcombe_paired(*cells), abs=1e-12)
+    turned = statistics.paired_shares(flags, [-1, 1])
+    assert (-turned.high, -turned.low) == pytest.approx((interval.low, interval.high))
+
+
+def test_one_share_has_wilsons_interval_and_a_ratio_of_shares_that_of_their_logarithms():
+    flags = np.random.default_rng(0).random((40, 2)) < [0.6, 0.8]
+    one, wilson = statistics.paired_shares(flags[:, :1], [1.0]), statistics.share_interval(flags[:, 0])
+    assert (one.low, one.high) == pytest.approx((wilson.low, wilson.high))
+    ratio = statistics.paired_shares(np.repeat([[1, 1], [1, 0]], [25, 25], axis=0), [1, -1], is_ratio=True)
+    (low, high), (ones, _) = statistics.wilson(25, 50), statistics.wilson(50, 50)
+    # Shares 1 and 1/2, without correlation.
+    assert ratio.estimate == 2.0
+    assert np.log(2 / ratio.low) == pytest.approx(np.hypot(np.log(ones), np.log(2 * high)))
+    assert np.log(ratio.high / 2) == pytest.approx(np.log(0.5 / low))
+    assert np.isnan(statistics.paired_shares([[1, 0]], [1, -1], is_ratio=True).estimate)
+
+
+def test_shares_without_trials_have_no_difference():
+    for counts in ((0, 0, 1, 2), (1, 2, 0, 0)):
+        assert np.isnan(statistics.share_difference(*counts).estimate)
+    assert np.isnan(statistics.paired_shares(np.zeros((0, 2)), [1, -1]).estimate)
+
+
 @pytest.mark.parametrize("second", [(2.95, 0.38, 20), (1.0, 5.0, 2), (3.0, 0.0, 20)])
 def test_differences_of_means_agree_with_scipys_welch_test(second):
     first = (3.1, 0.6, 200)
@@ -131,6 +229,24 @@ def test_holm_tests_the_smallest_at_the_strictest_level_and_stops_at_the_first_k
     # 0.03 > 0.025 is kept, and so is 0.04 although 0.04 < 0.05.
     levels = statistics.holm_levels([0.04, 0.03], 0.05)
     np.testing.assert_allclose(levels, [0.025, 0.025])
+
+
+def test_a_hypothesis_without_a_p_value_counts_and_is_kept():
+    np.testing.assert_array_equal(statistics.holm_levels([np.nan, 0.01], 0.05), [np.nan, 0.025])
+
+
+def test_a_p_value_is_the_level_at_which_the_bound_passes_a_value():
+    """Of Student's t: the p-value of scipy's one-sided test."""
+    values = np.random.default_rng(0).normal(0.4, 1.0, 12)
+
+    def low(level):
+        return statistics.interval_of_means(lambda means: means, values, level).low
+
+    theirs = scipy.stats.ttest_1samp(values, 0.0, alternative="greater").pvalue
+    assert statistics.p_value(lambda level: low(level) > 0) == pytest.approx(theirs)
+    assert statistics.p_value(lambda level: low(level) > 100) == 1.0
+    flags = np.repeat([[True, False]], 1000, axis=0)
+    assert statistics.p_value(lambda level: statistics.paired_shares(flags, [1, -1], level).low > 0) < 1e-15
 
 
 def test_no_data_and_nan_have_no_interval():

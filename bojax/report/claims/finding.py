@@ -69,3 +69,10 @@ class Finding:
 def bootstrap(runs: int) -> str:
     """The bootstrap of a number of runs, in words."""
     return f"percentile bootstrap, {statistics.RESAMPLES:,} resamples of {statistics.resampled(runs)}"
+
+
+def interval_of(runs: int, *, is_share: bool = False) -> str:
+    """The kind of interval that a comparison of a number of runs has, in words."""
+    if is_share:
+        return "score intervals of paired shares (Newcombe 1998; Zou and Donner 2008)"
+    return bootstrap(runs) if runs >= statistics.FEW else "Student's t, by the jackknife"

@@ -6,7 +6,7 @@ from itertools import pairwise, product
 import numpy as np
 
 from bojax.report import statistics
-from bojax.report.claims.finding import Comparison, Finding, bootstrap
+from bojax.report.claims.finding import Comparison, Finding, interval_of
 from bojax.report.claims.samples import Measure, paired, stand_ins
 from bojax.report.claims.settings import Order
 from bojax.report.source import Results
@@ -26,42 +26,54 @@ def order(results: Results, test: Order) -> Finding:
     sign, tiers = (-1.0 if test.greater is None else 1.0), test.tiers
     points, chosen = stand_ins(results, test, measure, sign)
     table = paired(results, test, points, measure)
-    values = dict(zip(test.names, np.asarray(table, dtype=np.float64).T, strict=True))
+    is_share = measure.is_share(results)
+    numbers = np.asarray(table, dtype=np.float64)
+    values = dict(zip(test.names, numbers.T, strict=True))
+    pairs = [pair for above, below in pairwise(tiers) for pair in product(above, below)]
+    constant = 0.0 if baseline is not None else margin
 
-    def ahead(above: str, below: str) -> tuple[str, statistics.Floats]:
-        of = f"{above} - {below}" if sign > 0 else f"{below} - {above}"
-        return of, sign * (values[above] - values[below])
+    def sums(rows: statistics.Floats) -> statistics.Floats:
+        """Of rows with a value per name: what has to be positive in the mean, less the constant."""
+        column = dict(zip(test.names, rows.T, strict=True))
+        leads = [sign * (column[a] - column[b]) for a, b in pairs]
+        if baseline is not None:
+            leads = [
+                lead + margin * (sign * (column[b] - column[baseline]))
+                for lead, (_, b) in zip(leads, pairs, strict=True)
+            ]
+        return np.stack(leads, axis=1)
 
-    # Each pair: the difference of paired runs, and the allowance of the margin. The mean of their sum has to
-    # be positive.
-    told, differences, allowances = [], [], []
-    added = f"{'+' if margin > 0 else '-'} {abs(margin):g}"
-    for a, b in (pair for above, below in pairwise(tiers) for pair in product(above, below)):
-        of, difference = ahead(a, b)
-        allowance = np.full_like(difference, margin)
-        if margin and baseline is None:
-            of += f" {added}"
-        elif margin and baseline is not None:
-            lead, allowance = ahead(b, baseline)
-            of, allowance = f"{of} {added} ({lead})", margin * allowance
-        told.append(of)
-        differences.append(difference)
-        allowances.append(allowance)
-    sample = np.stack(differences, axis=1) + np.stack(allowances, axis=1)
-    estimates = sample.mean(axis=0)
-    is_share = table.dtype == bool
-    if is_share:
-        # One added run in each direction (Bonett and Price 2012), since few or no runs may differ.
-        allowed = np.mean(allowances, axis=1)
-        sample = np.vstack([sample, allowed + 1.0, allowed - 1.0])
-    means = statistics.bootstrap_means(sample)
-    low_levels = statistics.holm_levels((means <= 0).mean(axis=0), statistics.TAIL)
-    high_levels = statistics.holm_levels((means >= 0).mean(axis=0), statistics.TAIL)
+    sample = sums(numbers) + constant
+    weights = sums(np.eye(len(test.names))).T  # sums of unit vectors
+    means = np.zeros((0, len(pairs)))
+    is_resampled = not is_share and len(table) >= statistics.FEW
+    if is_resampled:
+        means = statistics.bootstrap_means(sample)
+
+    def bounds_at(level: float, pair: int) -> tuple[float, float]:
+        if is_resampled:
+            return statistics.central(means[:, pair], level)
+        if is_share:
+            found = statistics.paired_shares(numbers, weights[pair], level)
+            return found.low + constant, found.high + constant
+        found = statistics.interval_of_means(lambda means: means, sample[:, pair], level)
+        return found.low, found.high
+
+    if is_resampled:
+        above, below = (means <= 0).mean(axis=0), (means >= 0).mean(axis=0)
+    else:
+        each = range(len(pairs))
+        above = [statistics.p_value(lambda level, k=k: bounds_at(level, k)[0] > 0) for k in each]
+        below = [statistics.p_value(lambda level, k=k: bounds_at(level, k)[1] < 0) for k in each]
+    low_levels, high_levels = (statistics.holm_levels(each, statistics.TAIL) for each in (above, below))
     comparisons = []
-    for pair, of in enumerate(told):
-        low = float(np.quantile(means[:, pair], low_levels[pair]))
-        high = float(np.quantile(means[:, pair], 1 - high_levels[pair]))
-        comparisons.append(Comparison(of, statistics.Interval(float(estimates[pair]), low, high)))
+    for k, (a, b) in enumerate(pairs):
+        of = _difference(a, b, sign)
+        if margin:
+            allowance = f" ({_difference(b, baseline, sign)})" if baseline is not None else ""
+            of += f" {'+' if margin > 0 else '-'} {abs(margin):g}{allowance}"
+        low, high = bounds_at(low_levels[k], k)[0], bounds_at(high_levels[k], k)[1]
+        comparisons.append(Comparison(of, statistics.Interval(float(sample[:, k].mean()), low, high)))
     by_mean = sorted((name for tier in tiers for name in tier), key=lambda name: -sign * values[name].mean())
     return Finding.between(
         0.0,
@@ -71,7 +83,11 @@ def order(results: Results, test: Order) -> Finding:
         runs=len(table),
         method=f"mean difference of {measure} between paired runs{' plus the margin' if margin else ''}, "
         f"each pair of neighbours, one-sided at {statistics.TAIL:.1%} with Holm's correction over "
-        f"{counted(len(comparisons), 'pair')}, intervals at the corrected levels; {bootstrap(len(table))}"
-        f"{', one run added in each direction' if is_share else ''}",
+        f"{counted(len(comparisons), 'pair')}, intervals at the corrected levels; "
+        f"{interval_of(len(table), is_share=is_share)}",
         chosen=chosen,
     )
+
+
+def _difference(a: str, b: str, sign: float) -> str:
+    return f"{a} - {b}" if sign > 0 else f"{b} - {a}"

@@ -3,7 +3,7 @@
 import numpy as np
 
 from bojax.report import statistics
-from bojax.report.claims.finding import Comparison, Finding, bootstrap
+from bojax.report.claims.finding import Comparison, Finding, interval_of
 from bojax.report.claims.samples import Measure, Undecidable, paired, stand_ins
 from bojax.report.claims.settings import Ratio
 from bojax.report.source import Results
@@ -20,7 +20,10 @@ def ratio(results: Results, test: Ratio) -> Finding:
     measure, expected, factor = Measure.of(test), test.expected, 1.0 + test.tolerance
     points, chosen = stand_ins(results, test, measure)
     table = paired(results, test, points, measure)
-    interval = statistics.ratio_interval(table[:, 0], table[:, 1])
+    if is_share := measure.is_share(results):
+        interval = statistics.paired_shares(table, [1.0, -1.0], is_ratio=True)
+    else:
+        interval = statistics.ratio_interval(table[:, 0], table[:, 1])
     if not np.isfinite(interval.low):
         raise Undecidable(f"the means of {measure} are not clearly positive: their ratio is meaningless")
     low, high = expected / factor, expected * factor
@@ -37,6 +40,6 @@ def ratio(results: Results, test: Ratio) -> Finding:
         runs=len(table),
         method=f"ratio of the means of {measure} over paired runs, 95% interval against "
         f"[{number(low)}, {number(high)}]: {expected:g} up to a factor of {factor:g} on the same side of 1; "
-        f"the interval lies {side}; {bootstrap(len(table))}",
+        f"the interval lies {side}; {interval_of(len(table), is_share=is_share)}",
         chosen=chosen,
     )

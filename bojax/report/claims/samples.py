@@ -1,5 +1,6 @@
 """The data of a test: the points that its names refer to, and one number per run of each point."""
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -9,13 +10,15 @@ from numpy.typing import NDArray
 from typing_extensions import override
 
 from bojax.config.claims import Test, Window
+from bojax.report import statistics
+from bojax.report.claims.finding import interval_of
 from bojax.report.claims.settings import Measured
 from bojax.report.source import Point, Results
-from bojax.report.statistics import Floats
+from bojax.report.statistics import Floats, Interval
 from bojax.report.text import counted
 
 MIN_RUNS = 20
-"""Smallest number of runs for a verdict: percentile bootstrap intervals of fewer runs are too narrow."""
+"""Smallest number of runs for a verdict: intervals of fewer runs cover skewed variables too rarely."""
 
 
 class Undecidable(Exception):
@@ -57,6 +60,13 @@ class Measure:
         since = f", less that of {episodes_in(self.since)}" if isinstance(self.since, Window) else ""
         statistic = "mean" if self.statistic == "mean" else "standard deviation of"
         return f"{statistic} {self.column} of {episodes_in(self.place)}{since}"
+
+    def is_share(self, results: Results) -> bool:
+        """Whether its values are true or false: a Boolean of a run, or of a single episode."""
+        if isinstance(self.place, Window):
+            is_one = self.place.first == self.place.last and self.place.phase == "train"
+            return is_one and self.since is None and results.episodes[self.column].dtype == bool
+        return self.place is None and results.runs[self.column].dtype == bool
 
     def values(self, results: Results, point: Point, runs: NDArray[Any]) -> NDArray[Any]:
         """Its value in the runs of these indices; NaN if a run has none."""
@@ -130,6 +140,22 @@ def paired(results: Results, test: Test, points: Sequence[Point], measure: Measu
         table = table[np.isfinite(table).all(axis=1)]
     enough(len(table), "paired run" if len(points) > 1 else "run")
     return table
+
+
+def mean_of(results: Results, test: Test, point: Point, measure: Measure) -> tuple[Interval, int, str]:
+    """Interval of the mean of a measure over the runs of a point, number of these runs, and the method."""
+    values = paired(results, test, [point], measure)[:, 0]
+    parts = [dataclasses.replace(measure, since=None)]
+    if measure.since is not None:
+        parts.append(dataclasses.replace(measure, place=measure.since, since=None))
+    if not all(part.is_share(results) for part in parts):
+        return statistics.mean_interval(values), len(values), interval_of(len(values))
+    runs = results.runs_of(point)["run"]
+    flags = np.stack([part.values(results, point, runs) for part in parts], axis=1)
+    flags = flags[np.isfinite(flags.astype(np.float64)).all(axis=1)]
+    if len(parts) == 1:
+        return statistics.share_interval(flags[:, 0]), len(flags), "Wilson"
+    return statistics.paired_shares(flags, [1.0, -1.0]), len(flags), interval_of(len(flags), is_share=True)
 
 
 def by_episode(results: Results, point: Point, name: str, window: Window, runs: NDArray[Any]) -> Floats:

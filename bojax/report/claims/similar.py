@@ -5,7 +5,7 @@ from itertools import combinations
 import numpy as np
 
 from bojax.report import statistics
-from bojax.report.claims.finding import Comparison, Finding, bootstrap
+from bojax.report.claims.finding import Comparison, Finding, interval_of
 from bojax.report.claims.samples import Measure, Undecidable, paired, stand_ins
 from bojax.report.claims.settings import Similar
 from bojax.report.source import Results
@@ -24,13 +24,12 @@ def similar(results: Results, test: Similar) -> Finding:
     measure = Measure(test.column, test.step or test.window, test.since)
     spread = measure if spread_at is None else Measure(test.column, spread_at)
     points, chosen = stand_ins(results, test, measure)
+    is_share, is_ratio = measure.is_share(results) and spread_at is None, test.factor is not None
     at, later = (paired(results, test, points, each).astype(np.float64) for each in (measure, spread))
-    means = statistics.bootstrap_means(np.concatenate([at, later], axis=1))
-    resampled, spreads = means[:, : len(names)], np.ptp(means[:, len(names) :], axis=1)
-    scale = float(np.ptp(later.mean(axis=0)))
-    if spread_at is None:
-        spreads, scale = np.ones(len(means)), 1.0
-    elif not (spreads.min() > 0 and scale > 0):
+    table = np.concatenate([at, later], axis=1)
+    means = statistics.bootstrap_means(table)
+    spreads = np.ptp(np.vstack([table.mean(axis=0), means])[:, len(names) :], axis=1)
+    if spread_at is not None and not spreads.min() > 0:
         raise Undecidable(f"the means of {spread} do not differ: their range is 0")
     if test.factor is None:
         margin = test.margin or 0.0
@@ -39,15 +38,21 @@ def similar(results: Results, test: Similar) -> Finding:
     else:
         low, high, bounds = 1 / test.factor, test.factor, f"a factor of {test.factor:g}"
         compared, sign, compare = "ratios", "/", np.divide
-        if not resampled.min() > 0:
+        if not (at.mean(axis=0) if is_share else means[:, : len(names)]).min() > 0:
             raise Undecidable(f"the means of {measure} are not clearly positive: a ratio is meaningless")
     pairs = list(combinations(range(len(names)), 2))
     tail, ours = statistics.TAIL / len(pairs), at.mean(axis=0)
-    comparisons = []
-    for a, b in pairs:
-        ends = np.quantile(compare(resampled[:, a], resampled[:, b]) / spreads, [tail, 1 - tail])
-        interval = statistics.Interval(float(compare(ours[a], ours[b])) / scale, *map(float, ends))
-        comparisons.append(Comparison(f"{names[a]} {sign} {names[b]}", interval))
+
+    def between(a: int, b: int) -> statistics.Interval:
+        def compared_means(means: statistics.Floats) -> statistics.Floats:
+            spreads = 1.0 if spread_at is None else np.ptp(means[..., len(names) :], axis=-1)
+            return compare(means[..., a], means[..., b]) / spreads
+
+        if is_share:
+            return statistics.paired_shares(at[:, [a, b]], [1.0, -1.0], tail, is_ratio=is_ratio)
+        return statistics.interval_of_means(compared_means, table, tail, is_ratio=is_ratio, resampled=means)
+
+    comparisons = [Comparison(f"{names[a]} {sign} {names[b]}", between(a, b)) for a, b in pairs]
     unit = "" if spread_at is None else f", as a share of the range of {spread}"
     return Finding.between(
         low,
@@ -57,6 +62,6 @@ def similar(results: Results, test: Similar) -> Finding:
         runs=len(at),
         method=f"{compared} of the means of {measure}{unit}, within paired runs, simultaneous "
         f"95% intervals (Bonferroni over {counted(len(pairs), 'pair')}) against {bounds}; "
-        f"{bootstrap(len(at))}",
+        f"{interval_of(len(at), is_share=is_share)}",
         chosen=chosen,
     )

@@ -4,8 +4,8 @@ import numpy as np
 
 from bojax.config.claims import Window
 from bojax.report import statistics
-from bojax.report.claims.finding import Comparison, Finding, bootstrap
-from bojax.report.claims.samples import Measure, enough, episodes_in, finite, paired, stand_ins
+from bojax.report.claims.finding import Comparison, Finding, interval_of
+from bojax.report.claims.samples import Measure, enough, episodes_in, finite, mean_of, stand_ins
 from bojax.report.claims.settings import Trend
 from bojax.report.source import Point, Results
 
@@ -18,19 +18,19 @@ def trend(results: Results, test: Trend) -> Finding:
     (point,), chosen = stand_ins(results, test, Measure(test.column, test.last))
     if test.ended == "left-out":
         interval, runs = _change_of_active(results, test, point)
+        method = interval_of(runs)
         between = f"from {_place(test.first)} to the steps after it up to {test.last}"
         within = "of the active runs"
     else:
         measure = Measure(test.column, test.last, since=test.first)
-        changes = paired(results, test, [point], measure)[:, 0]
-        interval, runs = statistics.mean_interval(changes), len(changes)
+        interval, runs, method = mean_of(results, test, point, measure)
         between, within = f"from {_place(test.first)} to {_place(test.last)}", "within a run"
     return Finding.between(
         *((0.0, None) if test.direction == "rises" else (None, 0.0)),
         [Comparison(f"change of {test.label} {between}", interval)],
         runs=runs,
         method=f"mean change of {test.column} {between} {within}, 95% interval "
-        f"against 0 (the claim: it {test.direction}); {bootstrap(runs)}",
+        f"against 0 (the claim: it {test.direction}); {method}",
         chosen=chosen,
     )
 
@@ -50,8 +50,7 @@ def _change_of_active(results: Results, test: Trend, point: Point) -> tuple[stat
     def change(means: statistics.Floats) -> statistics.Floats:
         return means[..., 2] / means[..., 3] - means[..., 0] / means[..., 1]
 
-    low, high = statistics.central(change(statistics.bootstrap_means(table)))
-    return statistics.Interval(float(change(table.mean(axis=0))), low, high), runs.size
+    return statistics.interval_of_means(change, table), runs.size
 
 
 def _place(place: int | Window) -> str:

@@ -65,7 +65,8 @@ def compare(
     listed = f" ({joined(names)})" if len(names) <= MAX_POINTS else ""
     places = [task.name for task in tasks if task.name]
     where = f" on {joined(places)}" if places else ""
-    runs = ranged((len(each.series) for each in contenders), "run")
+    sizes = [len(each.series) for each in contenders]
+    runs = ranged(sizes, "run")
     worlds = tables.differing_worlds(tasks)
     in_words = joined(worlds) if 0 < len(worlds) <= 4 else f"{len(worlds)} settings of their worlds"
     caution = f" The contenders differ in {in_words}: their scores may not be comparable." if worlds else ""
@@ -78,6 +79,8 @@ def compare(
         f"{tables.rule(contenders[0], measure)}{caution}{tables.compiled_apart(results)}",
         counts=[],
         parts=parts,
+        methods=statistics.methods(sizes),
+        better="Newcombe" if min(sizes) < statistics.FEW else "bootstrap",
         overall=tables.overall(tasks, reference or tasks[0].reference.name, measure),
         settings=tables.settings(contenders),
         sources=tables.sources(results, contenders),
@@ -138,7 +141,10 @@ def _draw_curves(task: Task, measure: Measure, note: str) -> Drawing:
 
 def _draw_scores(task: Task, measure: Measure, note: str) -> Drawing:
     contenders, reference = task.contenders, task.reference
-    means = [statistics.mean_interval(each.scores) for each in contenders]
+    means = [
+        (statistics.share_interval if each.is_share else statistics.mean_interval)(each.scores)
+        for each in contenders
+    ]
     iqms = [statistics.iqm_interval([each.scores]) for each in contenders]
     unknown = statistics.mean_interval([])
     better = [
@@ -166,7 +172,7 @@ def _draw_scores(task: Task, measure: Measure, note: str) -> Drawing:
         figure=figure,
         title="Scores",
         caption=f"Mean and interquartile mean (IQM) of the score, the {_score(reference, measure)}, and the "
-        f"probability that a run is better than one of {reference.name}, with 95% bootstrap intervals.{note}",
+        f"probability that a run is better than one of {reference.name}, with 95% intervals.{note}",
         alt=f"Dot plots with intervals. {'; '.join(told)}.",
     )
 

@@ -80,7 +80,7 @@ def scores(task: Task, measure: Measure) -> tables.Table:
         cells = [
             tables.count_cell(each.scores.size),
             (tables.share_cell if each.is_share else tables.mean_cell)(each.scores),
-            tables.mean_cell(each.scores) if each.scores.size == 1 else tables.interval_cell(middle),
+            tables.interval_cell(middle),
         ]
         if each is reference:
             cells += [tables.Cell(MISSING)] * 3
@@ -122,7 +122,7 @@ def overall(tasks: Sequence[Task], reference: str, measure: Measure) -> tables.T
 
 
 def difference(contender: Contender, reference: Contender) -> Interval:
-    """Difference of the mean scores: bootstrap of paired runs, otherwise Welch's, or Newcombe's of shares.
+    """Difference of the mean scores: that of paired runs, otherwise Welch's; of shares, Newcombe's.
 
     NaN for fewer than two runs or a NaN among the scores.
     """
@@ -130,9 +130,13 @@ def difference(contender: Contender, reference: Contender) -> Interval:
     is_known = np.isfinite(first).all() and np.isfinite(second).all()
     if min(first.size, second.size) < 2 or not is_known:
         return statistics.mean_interval([])
+    is_share = contender.is_share and reference.is_share
     if contender.is_paired_with(reference):
-        return statistics.mean_interval(first - second)
-    if contender.is_share and reference.is_share:
+        both = np.stack([first, second], axis=1)
+        return (
+            statistics.paired_shares(both, [1, -1]) if is_share else statistics.mean_interval(first - second)
+        )
+    if is_share:
         hits = [(int(scores.sum()), scores.size) for scores in (first, second)]
         return statistics.share_difference(*hits[0], *hits[1])
     moments = [(float(scores.mean()), float(scores.std(ddof=1)), scores.size) for scores in (first, second)]

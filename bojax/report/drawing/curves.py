@@ -53,9 +53,7 @@ class Panel:
     label: str  # label of the vertical axis, with its unit
     quantity: str  # what the curves are, for captions: `mean return`
     curves: Sequence[Curve]  # one curve per setting
-    # Whether values are 0 or 1: their mean is then a percentage with a Wilson band, and otherwise has a
-    # bootstrap band.
-    is_share: bool = False
+    is_share: bool = False  # whether values are 0 or 1: their mean is then a percentage
     missing: str = ""  # sentence for the caption of a panel in which some runs lack values
 
     @cached_property
@@ -67,6 +65,12 @@ class Panel:
             if self.is_share and curve.x[0] == 0:
                 high[0] = 0.0  # no run can have succeeded before the first step: this is not an estimate
         return bands
+
+    @property
+    def method(self) -> str:
+        """How the bands are computed, in words."""
+        counts = (np.isfinite(curve.values).sum(axis=0) for curve in self.curves)
+        return "Wilson" if self.is_share else statistics.methods(np.concatenate([*counts]).tolist())
 
     @property
     def drawn(self) -> list[tuple[Curve, Band, dict[str, Any]]]:
@@ -124,8 +128,7 @@ class Chart:
         caption = []
         for panel, row in zip(panels, ("Above: ", "Below: "), strict=False):
             text = panel.quantity if len(panels) > 1 else panel.quantity[0].upper() + panel.quantity[1:]
-            method = "Wilson" if panel.is_share else "bootstrap"
-            caption.append(f"{row * (len(panels) > 1)}{text}, with pointwise 95% {method} bands.")
+            caption.append(f"{row * (len(panels) > 1)}{text}, with pointwise 95% bands ({panel.method}).")
         partial = [panel.missing for panel in panels if any(c.is_partial.any() for c, _, _ in panel.drawn)]
         absent = [curve.point.name for curve in self._named.curves if curve not in drawn]
         caption += [

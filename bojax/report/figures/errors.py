@@ -7,7 +7,7 @@ from matplotlib.lines import Line2D
 from bojax.report import style
 from bojax.report.drawing.base import Drawing, Undrawable, dot_plot, draw_intervals, drawn_points
 from bojax.report.source import Results
-from bojax.report.statistics import mean_interval, ratio_interval
+from bojax.report.statistics import mean_interval, methods, ratio_interval
 from bojax.report.text import number, ranged
 
 RANK = 110
@@ -39,10 +39,10 @@ def draw(results: Results) -> Drawing:
         axes.set_title(column.upper())
         listed = [f"{point.name} {number(mean.estimate)}" for point, mean in zip(points, means, strict=True)]
         told.append(f"{column.upper()}: {', '.join(listed)}")
-    runs = ranged((results.runs_of(point)["run"].size for point in points), "run")
+    counts = [results.runs_of(point)["run"].size for point in points]
     caption = (
-        f"Mean error of the final belief of {runs}, with its 95% bootstrap interval; "
-        f"smaller is better. {'. '.join(MEASURES[column] for column in columns)}.{note}"
+        f"Mean error of the final belief of {ranged(counts, 'run')}, with its 95% interval "
+        f"({methods(counts)}); smaller is better. {'. '.join(MEASURES[column] for column in columns)}.{note}"
     )
     if ratios and reference is not None:
         for axes, column in zip(grid[1], columns, strict=True):

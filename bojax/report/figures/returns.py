@@ -44,7 +44,7 @@ def draw(results: Results) -> Drawing:
         figure=figure,
         title="Distribution of returns",
         caption=f"{what.capitalize()} (dots, stacked where they coincide) and the mean with its 95% "
-        f"bootstrap interval (diamond and bar, below the dots).{note}",
+        f"interval ({statistics.methods(map(len, samples))}; diamond and bar, below the dots).{note}",
         alt=f"Dot plot of the {what}. Means: {', '.join(means)}.",
     )
 
