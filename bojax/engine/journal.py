@@ -19,7 +19,7 @@ from bojax.results.folder import RunFolder
 from bojax.results.leases import Attempts, Heartbeat
 from bojax.results.merge import RUNS, PointInfo, merge
 from bojax.results.parts import ChunkFolder, ChunkState
-from bojax.results.store import MANIFEST, ResultsError, write_json, write_table
+from bojax.results.store import ARRAYS, MANIFEST, ResultsError, fingerprint, write_json, write_table
 
 NaNs = dict[tuple[int, int], int]
 """Number of NaNs of each (point, run) that has any."""
@@ -58,6 +58,7 @@ class Journal:
         self._latency: dict[int, dict[int, Latency]] = {}
         self.planned = time.monotonic()
         self._times: dict[str, float] = {}
+        self._sha256: dict[str, str] = {}
         self._progress: dict[int, GroupProgress] = {}
 
     @property
@@ -142,10 +143,20 @@ class Journal:
         points = [PointInfo(p.index, p.label, p.variant, p.swept) for p in sweep.points]
         self.nans = merge(self.path, done, names, points, sweep.seed)
         write_table(self.path / "timings.parquet", timings(self._states()))
+        self._sha256 = self._checksums([*names, "timings"], done)
         self.note_seconds("merging", time.monotonic() - start)
         self.write_manifest("failed" if self.errors else "finished")
         self.close(finished=not self.errors)
         self.is_merged = True
+
+    def _checksums(self, tables: Collection[str], chunks: Collection[ChunkFolder]) -> dict[str, str]:
+        """SHA-256 of the merged tables and of the snapshots, by path in the results folder."""
+        found = {f"{name}.parquet": fingerprint(self.path / f"{name}.parquet") for name in tables}
+        for chunk in chunks:
+            found |= {
+                name: chunk.state.files[name] for name in chunk.saved() if name.startswith(f"{ARRAYS}/")
+            }
+        return {name: each["sha256"] for name, each in found.items() if each is not None}
 
     def close(self, *, finished: bool = False) -> None:
         """Send no more heartbeats, and release the folder; delete the working files of a finished sweep."""
@@ -171,6 +182,7 @@ class Journal:
             "chunks": [describe_chunk(*state, self.errors.get(state[0].index)) for state in states],
             "programs": programs_in(self.folder.choices),
             "nans": by_point,
+            "sha256": self._sha256,
         }
         write_json(self.path / MANIFEST, manifest)
 

@@ -131,6 +131,7 @@ class Manifest(Part):
     device: Any = None
     precision: Any = None
     programs: dict[str, str] = {}  # hashes of what XLA compiled for an accelerator; empty for a CPU
+    sha256: dict[str, str] = {}  # of tables and snapshots, by path in the folder; earlier versions lack it
 
     @property
     def run_seconds(self) -> float:

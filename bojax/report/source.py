@@ -18,11 +18,19 @@ from bojax.config.sweep import Report
 from bojax.experiments.settings import Learning, Planning
 from bojax.problems.settings import ProblemSettings
 from bojax.report.budgets import held
-from bojax.report.columns import Arrays, Columns, check_runs, read_columns, read_snapshot, where
+from bojax.report.columns import Arrays, Columns, read_columns, read_snapshot, where
 from bojax.report.manifest import Manifest, PointEntry, Unread, claims_of, experiment_of, read
 from bojax.report.text import distinct, printed
 from bojax.results.outline import Outline
-from bojax.results.store import ARRAYS, MANIFEST, WORK, ResultsError, array_file, read_manifest
+from bojax.results.store import (
+    ARRAYS,
+    MANIFEST,
+    WORK,
+    ResultsError,
+    array_file,
+    read_manifest,
+    require_unchanged,
+)
 
 _NOT_MEASURED = ("point", "run", "episode", "seed", "nans", "planned_return")
 
@@ -128,24 +136,21 @@ class Results:
     @cached_property
     def runs(self) -> Columns:
         """`runs.parquet`."""
-        return read_columns(self.folder, "runs", [point.index for point in self.points])
+        return read_columns(self.folder / "runs.parquet")
 
     @cached_property
     def steps(self) -> Columns:
         """`steps.parquet`; empty where the experiment has no steps."""
-        return self._rows_of_runs("steps")
+        return self._optional("steps")
 
     @cached_property
     def episodes(self) -> Columns:
         """`episodes.parquet`; empty where the experiment has no episodes."""
-        return self._rows_of_runs("episodes")
+        return self._optional("episodes")
 
-    def _rows_of_runs(self, name: str) -> Columns:
-        if not (self.folder / f"{name}.parquet").exists():
-            return Columns()
-        columns = read_columns(self.folder, name, [point.index for point in self.points])
-        check_runs(self.folder, name, columns, self.runs)
-        return columns
+    def _optional(self, name: str) -> Columns:
+        path = self.folder / f"{name}.parquet"
+        return read_columns(path) if path.exists() else Columns()
 
     def by_step(self, point: Point, column: str) -> NDArray[np.float64]:
         """A column of `steps.parquet` by run and step, `[runs, num_steps + 1]`; 0 at step 0.
@@ -267,7 +272,10 @@ class Results:
         for run in sorted(self.runs_of(point)["run"].tolist()) if self._snapshots else ():
             file = array_file(point.index, run, name, "end")
             if file in self._snapshots:
-                yield run, read_snapshot(self.folder / ARRAYS / file, name)
+                path, digest = self.folder / ARRAYS / file, self.manifest.sha256.get(f"{ARRAYS}/{file}")
+                if digest is not None:
+                    require_unchanged(path, digest)
+                yield run, read_snapshot(path, name)
 
     @cached_property
     def _snapshots(self) -> set[str]:
@@ -281,8 +289,9 @@ def load(folder: Path) -> Results:
     A line on standard error says if another version of bojax wrote it.
 
     Raises:
-        ResultsError: The folder is missing or holds no results, its manifest is damaged, or its sweep has not
-            finished. Damaged tables and snapshots raise it when they are read.
+        ResultsError: The folder is missing or holds no results, its manifest is damaged, its sweep has not
+            finished, or a table has changed since it was merged. Changed snapshots raise it when they are
+            read.
     """
     try:
         if not folder.is_dir():
@@ -302,6 +311,9 @@ def load(folder: Path) -> Results:
         print(
             printable(f"note: {folder} was written by bojax {writer}; this is {__version__}"), file=sys.stderr
         )
+    for path in sorted(folder.glob("*.parquet")):
+        if path.name in manifest.sha256:
+            require_unchanged(path, manifest.sha256[path.name])
     name = manifest.name or folder.name
     named = manifest.model_copy(update={"name": name, "title": manifest.title or name})
     return Results(folder, named, _points(manifest.points))

@@ -142,6 +142,14 @@ def fingerprint(path: Path) -> dict[str, Any] | None:
             return {"size": path.stat().st_size, "sha256": hashlib.file_digest(file, "sha256").hexdigest()}
 
 
+def require_unchanged(path: Path, sha256: str) -> None:
+    """Refuse a file whose SHA-256 differs from the one in the manifest, or that is no regular file."""
+    _require_file(path)
+    found = fingerprint(path)
+    if found is None or found["sha256"] != sha256:
+        raise ResultsError(f"{path}: damaged or edited: its SHA-256 is not the one in {MANIFEST}")
+
+
 def write_content(path: Path, content: str | bytes, *, durably: bool = True) -> None:
     """Write a file as `write_atomically` does; text is encoded as UTF-8."""
     encoded = content.encode() if isinstance(content, str) else content

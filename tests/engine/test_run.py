@@ -4,6 +4,7 @@ import errno
 import os
 import signal
 import threading
+from hashlib import sha256
 from pathlib import Path
 
 import jax
@@ -89,6 +90,12 @@ def test_arrays_of_the_recorded_runs(folder):
     with np.load(folder / "arrays" / "1-1-walk-end.npz") as arrays:
         assert arrays["position"].tolist() == [steps["x"][last], steps["y"][last]]
         assert arrays["start"].tolist() == [0.0, 1.0]
+
+
+def test_the_manifest_has_the_checksums_of_tables_and_arrays(folder):
+    files = [*folder.glob("*.parquet"), *folder.glob("arrays/*")]
+    found = {path.relative_to(folder).as_posix(): sha256(path.read_bytes()).hexdigest() for path in files}
+    assert read_manifest(folder)["sha256"] == found and len(found) == 9
 
 
 def test_manifest(folder):

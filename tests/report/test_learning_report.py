@@ -90,7 +90,7 @@ class TestTable:
         table = tables.outcomes(in_memory(runs, episodes={name: np.zeros((2, 1)) for name in runs}))
         place = table.headings.index("iterations")
         texts = [cells[place].text for _, cells in table.rows]
-        assert texts == ["4.0", MISSING, MISSING, "NaN"]
+        assert texts == ["4", MISSING, MISSING, "NaN"]
 
     def test_measures_of_planning_are_not_there(self, cells):
         assert not [heading for heading in cells["emu-q"] if "step 6" in heading or "exit" in heading]

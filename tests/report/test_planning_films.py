@@ -70,7 +70,7 @@ def planning_results(folder, problem, *, belief=False, frames=None, success=True
     common = {"point": 0, "label": "kcbts", "run": 3}
     end = {"success": success, "exits": 1, "nans": nans, "return": -6.0, "steps": STEPS}
     pq.write_table(pa.Table.from_pylist([common | end]), folder / "runs.parquet")
-    pq.write_table(pa.Table.from_pylist([common | row for row in reversed(rows)]), folder / "steps.parquet")
+    pq.write_table(pa.Table.from_pylist([common | row for row in rows]), folder / "steps.parquet")
     config = {"kind": "planning", "problem": problem.model_dump(mode="json"), "planner": {"kind": "kcbts"}}
     points = [{"index": 0, "label": "kcbts", "variant": "kcbts", "swept": {}, "config": config}]
     manifest = {"name": "made-up", "status": "finished", "points": points}

@@ -304,6 +304,7 @@ def test_a_slow_report_says_one_line_where_there_is_no_terminal(
 
 def test_many_runs_are_told_to_be_resampled_in_groups(tmp_path, monkeypatch):
     monkeypatch.setattr(statistics, "GROUPS", 10)
+    monkeypatch.setattr(statistics, "FEW", 20)
     folder = write_results(tmp_path / "results", runs=20, recorded=0, report=ONE)
     text = build_report(folder).read_text()
     assert "The bootstrap resamples 10 groups into which 20 runs were dealt." in text
