@@ -175,7 +175,8 @@ class Results:
 
         Args:
             by: Column of `runs` whose mean decides, with a minus sign if less is better: `"-rmse"`. By
-                default `report.rank_by`, or `"-steps_to_goal"` if a learner reached a goal, or `"return"`.
+                default `report.rank_by`, or `"-steps_to_goal"` if a learner reached a goal, or `"return"`, of
+                learners `"last_return"`.
 
         Raises:
             BojaxError: There is no such column of numbers.

@@ -144,8 +144,7 @@ def _parser(name: str) -> Parser:
         "--metric",
         type=column,
         metavar="COLUMN",
-        default="return",
-        help="column of runs.parquet (default: return)",
+        help="column of runs.parquet (default: return; of learners, last_return)",
     )
     parser.add_argument("--minimise", action="store_true", help="less is better")
     parser.add_argument(
@@ -211,11 +210,11 @@ def checked(args: argparse.Namespace) -> Task:
     rounds = _rounds(args.budget, args.batch, config.runs)
     # With a launcher, this process leaves the accelerators to the workers.
     device = config.engine.device if args.launcher == "inline" else "cpu"
-    _check_metric(args.metric, config, device)
+    metric = _metric(args.metric, config, device)
     return Task(
         config=config,
         ranges=ranges,
-        column=args.metric,
+        column=metric,
         is_least=args.minimise,
         batch=args.batch,
         rounds=rounds,
@@ -242,11 +241,14 @@ def _rounds(budget: int | None, batch: int, runs: int) -> int:
     return rounds
 
 
-def _check_metric(column: str, config: Sweep, device: Platform) -> None:
+def _metric(asked: str | None, config: Sweep, device: Platform) -> str:
+    """The column whose mean is the score: by default the return of a run, or of its last episode."""
     columns = _module(config.points[0].config, device).tables["runs"]
     known = [each.name for each in columns if each.dtype != "string"]
+    column = asked if asked is not None else "last_return" if "last_return" in known else "return"
     if column not in known:
         raise UsageError(f"bojax tune: --metric: got {column}; unknown column{allowed_names(column, known)}")
+    return column
 
 
 def _recompiled(

@@ -13,7 +13,7 @@ from pydantic import Field
 from bojax.config import catalog as _catalog  # noqa: F401 (registers every schema class)
 from bojax.config.axes import Combination, expand, read_axes, split_overrides
 from bojax.config.changed import changed_settings
-from bojax.config.claims import Claim, Explanation
+from bojax.config.claims import Claim, Explanation, Window
 from bojax.config.component import RECORDED, Component, Schema, Slot, merged
 from bojax.config.errors import (
     ConfigError,
@@ -435,6 +435,16 @@ def _value_at(config: Any, path: Sequence[str], written: Any) -> Any:
     return config if isinstance(config, bool | int | float | str) else written
 
 
+def _check_column(sweep: Sweep, column: str | None, where: str) -> None:
+    """Refuse the column `return` of the runs of learners, which have one return for each episode."""
+    is_learning = any(point.config.kind == "learning" for point in sweep.points)
+    if is_learning and column is not None and column.removeprefix("-") == "return":
+        renamed = column.replace("return", "last_return")
+        raise ConfigError(
+            f"{where}: got {shown(column)}; did you mean {shown(renamed)}, of the last episode?"
+        )
+
+
 def _check_claims(sweep: Sweep, file: str) -> None:
     """Refuse duplicate ids of claims, and references to labels or variants that the sweep does not have."""
     variants = {point.variant for point in sweep.points}
@@ -451,12 +461,17 @@ def _check_claims(sweep: Sweep, file: str) -> None:
                 f"{file}: report.figures: got {shown(name)}; allowed: {', '.join(figures)}"
                 f"{did_you_mean(name, figures)}"
             )
+    for key in ("rank_by", "column"):
+        _check_column(sweep, sweep.report.get(key), f"{file}: report.{key}")
     seen = set()
     for index, claim in enumerate(sweep.claims):
         where = f"{file}: claims.{index}"
         if claim.id in seen:
             raise ConfigError(f"{where}.id: got {shown(claim.id)}; allowed: a unique id")
         seen.add(claim.id)
+        values = dict(claim.test)
+        if not any(isinstance(value, Window) for value in values.values()):
+            _check_column(sweep, values.get("column"), f"{where}.test.column")
         known = {point.variant if claim.test.by == "variant" else point.label for point in sweep.points}
         for name in claim.test.names:
             if name not in known:

@@ -210,7 +210,7 @@ class LearningRun(Experiment):
     @override
     def summary(self, carry: RunState) -> dict[str, Scalar]:
         summary = {
-            "return": carry.last_return,
+            "last_return": carry.last_return,
             "planned_return": carry.planned_return,
             "success": carry.episodes_to_goal >= 0,
             "episodes": carry.episode,
@@ -403,7 +403,7 @@ class LearningRun(Experiment):
 
 
 _RUN_COLUMNS: Table = (
-    Column("return", "float64", "", "sum of the rewards of the last training episode"),
+    Column("last_return", "float64", "", "sum of the rewards of the last training episode"),
     Column(
         "planned_return",
         "float64",

@@ -8,6 +8,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from bojax.config.errors import did_you_mean
 from bojax.results.store import ResultsError, read_table
 
 
@@ -19,7 +20,7 @@ class Columns(dict[str, NDArray[Any]]):
     """A table as one array per column; a null is NaN in a column of numbers and None elsewhere."""
 
     def __missing__(self, name: str) -> NDArray[Any]:
-        raise NoColumn(f"the results have no column {name}")
+        raise NoColumn(f"the results have no column {name}{did_you_mean(name, self)}")
 
 
 def read_columns(path: Path) -> Columns:

@@ -59,10 +59,10 @@ def measure_of(results: Results, by: str | None = None) -> Measure:
     """The measure by which points are ranked: a column, with a minus sign if less is better, as `-rmse`.
 
     By default it is `report.rank_by`; without it `-steps_to_goal` if a learner reached a goal, and else
-    `return`.
+    `return`, or `last_return` of learners.
     """
     steps = results.runs.get("steps_to_goal", np.zeros(0)).astype(np.float64)
-    usual = "-steps_to_goal" if np.isfinite(steps).any() else "return"
+    usual = "-steps_to_goal" if np.isfinite(steps).any() else results.return_column
     by = next(name for name in (by, results.report.rank_by, usual) if name is not None)
     column = by.removeprefix("-")
     known = results.measured(results.runs)

@@ -152,6 +152,12 @@ class Results:
         path = self.folder / f"{name}.parquet"
         return read_columns(path) if path.exists() else Columns()
 
+    @property
+    def return_column(self) -> str:
+        """The column of `runs.parquet` that is the return of a run, or of its last training episode."""
+        # Earlier versions had `return` in learning, too.
+        return "last_return" if "last_return" in self.runs else "return"
+
     def by_step(self, point: Point, column: str) -> NDArray[np.float64]:
         """A column of `steps.parquet` by run and step, `[runs, num_steps + 1]`; 0 at step 0.
 

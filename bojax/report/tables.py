@@ -338,7 +338,7 @@ def _times(column: str, end: str) -> list[_Measure]:
 
 
 _LEARNING = [
-    _Measure("last training return", "return", mean_cell),
+    _Measure("last training return", "last_return", mean_cell),
     _Measure("success", "success", share_cell),
     *_times("episodes_to_goal", "episodes"),
     *_times("steps_to_goal", "steps"),

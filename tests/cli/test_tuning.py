@@ -270,6 +270,10 @@ def test_a_damaged_file_ends_in_one_line(tmp_path, undisturbed, capsys):
             ["chain", "learner.kappa=0:1", "--metric", "retrun"],
             "bojax tune: --metric: got retrun; unknown column",
         ),
+        (
+            ["chain", "learner.kappa=0:1", "--metric", "return"],
+            "bojax tune: --metric: got return; unknown column; allowed: ",
+        ),
         (["chain", "learner.kappa=0:1", "--budget", "63"], "bojax tune: --budget: got 63; allowed: >= 64"),
         (
             ["chain", "learner.kappa=0:1", "--budget", "640000"],
@@ -293,7 +297,18 @@ def test_mistakes(tmp_path, monkeypatch, capsys, words, message):
     assert main(["tune", *words]) == 2
     err = capsys.readouterr().err
     assert err.startswith(f"error: {message}") and err.count("\n") == 1
+    assert "return" not in words or 'did you mean "last_return"?' in err
     assert [path.name for path in tmp_path.iterdir()] == ["swept.yaml"]
+
+
+def test_the_metric_is_the_return_of_a_plan_or_of_the_last_episode(monkeypatch):
+    from bojax.cli import tuning
+
+    asked = []
+    monkeypatch.setattr(tuning, "search", lambda task, *_: asked.append(task) or 0)
+    for words in (["parking", "planner.exploration=1:100"], ["chain", "learner.kappa=0:1"]):
+        assert main(["tune", *words]) == 0
+    assert [task.column for task in asked] == ["return", "last_return"]
 
 
 def test_an_integer_that_fixes_a_shape_is_announced(tmp_path, monkeypatch):

@@ -273,3 +273,26 @@ class TestFiles:
             "direction": "falls",
             "ended": "kept",
         }
+
+    def test_the_return_of_a_learning_run_is_named_by_its_last_episode(self, write):
+        """One return of many is not the return; a window of episodes, and planning, have it."""
+        window = "window: {from: 1, to: 2}"
+        label = "axes: {learner: {emu-q: {}}}\nbase: {experiment: learning, env: chain}"
+
+        def load(head, test="", report=""):
+            claim = f"claims: [{{id: a, source: p. 1, claim: high, test: {{{test}}}}}]" if test else ""
+            write("x.yaml", f"{head}\n{claim}\n{report}")
+            return load_sweep("x.yaml")
+
+        mean = "kind: mean, label: emu-q, column: return, above: 0"
+        refused = [
+            ("x.yaml: claims.0.test.column", "last_return", {"test": mean}),
+            ("x.yaml: report.rank_by", "-last_return", {"report": "report: {rank_by: -return}"}),
+            ("x.yaml: report.column", "last_return", {"report": "report: {column: return}"}),
+        ]
+        for where, name, words in refused:
+            old = name.replace("last_", "")
+            with pytest.raises(ConfigError, match=f'^{where}: got "{old}"; did you mean "{name}"'):
+                load(label, **words)
+        load(label, f"{mean}, {window}")
+        load("base: {}\naxes: {planner: {kcbts: {}}}", mean.replace("emu-q", "kcbts"))

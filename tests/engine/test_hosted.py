@@ -124,7 +124,7 @@ def test_the_same_seed_gives_the_same_tables(finished, tmp_path):
 def test_a_number_that_is_none_ends_the_run_alone(tmp_path):
     assert run_sweep(sweep(kwargs={"breaks": "reward"}), tmp_path / "a", False, ["bojax"]) == 0
     runs = table(tmp_path / "a", "runs")
-    broken = np.isnan(np.asarray(runs["return"]))
+    broken = np.isnan(np.asarray(runs["last_return"]))
     assert broken.any()
     np.testing.assert_array_equal(np.asarray(runs["nans"]) > 0, broken)
 

@@ -232,7 +232,7 @@ def test_an_episode_of_one_step():
     history = History(run_of(corridor(cells=2), learner="epsilon-greedy", episodes=3, tests=0), lanes=1)
     assert history.rows()["length"].tolist() == [1, 1, 1]
     summary = history.summary()
-    assert (summary["episodes_to_goal"], summary["steps_to_goal"], summary["return"]) == (1, 1, 1.0)
+    assert (summary["episodes_to_goal"], summary["steps_to_goal"], summary["last_return"]) == (1, 1, 1.0)
 
 
 def test_the_numbers_of_a_run_are_those_of_its_rows():
@@ -240,7 +240,7 @@ def test_the_numbers_of_a_run_are_those_of_its_rows():
     firsts = set()
     for lane in range(8):
         rows, summary = history.rows(lane=lane, phase="train"), history.summary(lane)
-        assert summary["return"] == rows["return"][-1]
+        assert summary["last_return"] == rows["return"][-1]
         planned = history.rows("steps", lane=lane)["planned_reward"][-rows["length"][-1] :]
         assert summary["planned_return"] == pytest.approx(planned.mean(), rel=1e-12)
         assert summary["episodes"] == 6 and summary["steps"] == rows["length"].sum()
@@ -517,7 +517,7 @@ def test_a_number_that_is_none_ends_the_run_and_is_counted():
     assert rows["episode"].tolist() == [1] and np.isnan(rows["return"][0])
     assert rows["length"].tolist() == [2]
     assert not (rows["success"][0] or rows["terminated"][0] or rows["truncated"][0])
-    assert np.isnan(history.summary()["return"])
+    assert np.isnan(history.summary()["last_return"])
     assert bool(jax.vmap(run.is_done)(history.carry).all())
     assert np.all(np.isfinite(history.carry.learner.columns))
     assert np.asarray(history.carry.learner.visits)[0].sum() == 2
@@ -535,7 +535,7 @@ def test_a_number_that_is_none_in_one_lane_leaves_the_others_alone():
 
     returns = jax.jit(jax.vmap(one, axis_name=LANES))(poisoned, keys)
     assert float(returns[0, 0]) == 4.0 and np.isnan(returns[1, 0])
-    assert np.isnan(History(broken, lanes=1).summary()["return"])
+    assert np.isnan(History(broken, lanes=1).summary()["last_return"])
 
 
 def test_weights_that_are_no_number_are_counted_in_runs_that_are_not_recorded():
@@ -550,7 +550,7 @@ def test_weights_that_are_no_number_are_counted_in_runs_that_are_not_recorded():
     table = to_arrow((*KEYS, *run.tables["runs"]), {**keys, **runs})
     assert count_nans([table]) == {(0, 1): 1, (0, 2): 1}
     # Its other numbers are as before, so that a study of divergence has its rows.
-    assert np.all(np.isfinite(runs["return"])) and not np.any(after.is_done)
+    assert np.all(np.isfinite(runs["last_return"])) and not np.any(after.is_done)
     assert np.all(np.isfinite(records.tables["episodes"]["return"]))
     # That it happened is not forgotten.
     healed, _ = _advance(run, eqx.tree_at(lambda c: c.learner, after, carry.learner))

@@ -22,4 +22,4 @@ def test_a_learner_learns_and_is_tested(kind, check):
 
 
 def learned(run, carry):
-    return run.summary(carry)["return"], run.learner.policy_state(carry.learner)
+    return run.summary(carry)["last_return"], run.learner.policy_state(carry.learner)

@@ -317,7 +317,7 @@ def write_learning(
                 if run < recorded:
                     np.savez(folder / "arrays" / f"{index}-{run}-values-end.npz", **_value_maps())  # pyright: ignore
     keys = ["learner"] + (["env.length"] if lengths else [])
-    scores = ["return", "success", "episodes", "steps", "episodes_to_goal", "steps_to_goal"]
+    scores = ["last_return", "success", "episodes", "steps", "episodes_to_goal", "steps_to_goal"]
     target = ["reached", "episodes_to_target", "return_after_target", "nans"]
     _table(
         folder / "runs.parquet",

@@ -88,7 +88,7 @@ def test_csv_files_hold_every_number(car, points, tmp_path):
         [float(row["mean"]) for row in found], curve(points[1], "train/return").mean
     )
     scalars = {(row["point"], row["scalar"]): float(row["value"]) for row in rows["scalars"]}
-    assert scalars["emu-q", "return"] == points[0].scalars["return"]
+    assert scalars["emu-q", "last_return"] == points[0].scalars["last_return"]
     assert {"point": "emu-q", "setting": "learner.kind", "value": "emu-q"} in rows["settings"]
 
 
@@ -166,7 +166,7 @@ def test_wandb_writes_offline_runs_without_a_network(car, points, tmp_path, unre
         each = curve(point, "train/return")
         assert [row["episode"] for row in history] == each.x.tolist()
         assert [row["train/return"] for row in history] == pytest.approx(each.mean.tolist())
-        assert summary["final/return"] == pytest.approx(point.scalars["return"])
+        assert summary["final/last_return"] == pytest.approx(point.scalars["last_return"])
 
 
 def test_mlflow_reads_its_database_written_without_a_network(car, points, tmp_path, unreachable):
@@ -184,7 +184,7 @@ def test_mlflow_reads_its_database_written_without_a_network(car, points, tmp_pa
         history = sorted(client.get_metric_history(run.info.run_id, "train/return"), key=lambda m: m.step)
         assert [metric.step for metric in history] == each.x.tolist()
         assert [metric.value for metric in history] == pytest.approx(each.mean.tolist())
-        assert run.data.metrics["final/return"] == pytest.approx(point.scalars["return"])
+        assert run.data.metrics["final/last_return"] == pytest.approx(point.scalars["last_return"])
 
 
 class TestMistakes:

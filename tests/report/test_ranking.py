@@ -127,6 +127,14 @@ def test_an_unknown_column_is_refused_with_those_that_are_known(by):
         measure_of(grid(), by)
 
 
+def test_learners_have_the_return_of_their_last_episode(tmp_path):
+    results = load(write_learning(tmp_path / "car", runs=3, episodes=3))
+    results.runs["steps_to_goal"][:] = np.nan
+    assert measure_of(results) == Measure("last_return", is_least=False)
+    with pytest.raises(ResultsError, match=r'unknown column return; .* did you mean "last_return"\?'):
+        measure_of(results, "return")
+
+
 def test_the_setting_of_the_report_decides_unless_another_column_is_asked_for(tmp_path):
     results = load(write_monitoring(tmp_path / "a", report={"rank_by": "-rmse"}))
     assert measure_of(results) == Measure("rmse", is_least=True)

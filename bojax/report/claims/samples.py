@@ -100,8 +100,8 @@ def stand_ins(
     It has the best mean return, if runs have one return: in tests over episodes, and where `sign` is given,
     it has the best mean of the tested measure, the largest times `sign`.
     """
-    if sign is None and "return" in results.runs and not isinstance(measure.place, Window):
-        measure = Measure("return")
+    if sign is None and results.return_column in results.runs and not isinstance(measure.place, Window):
+        measure = Measure(results.return_column)
     found, chosen = [], {}
     for name in test.names:
         points = named(results, test, name)

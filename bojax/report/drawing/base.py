@@ -61,7 +61,7 @@ def drawn_points(results: Results, most: int = MAX_POINTS) -> tuple[tuple[Point,
         return points, ""
 
     def score(point: Point) -> float:
-        mean = float(np.mean(results.runs_of(point).get("return", np.zeros(1))))
+        mean = float(np.mean(results.runs_of(point).get(results.return_column, np.zeros(1))))
         return mean if np.isfinite(mean) else -np.inf
 
     labels = dict.fromkeys(point.label for point in points)

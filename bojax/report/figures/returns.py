@@ -17,7 +17,7 @@ _MAX_DOTS = 400
 def draw(results: Results) -> Drawing:
     """A swarm of dots per point; below it, the mean with its 95% interval."""
     points, note = drawn_points(results)
-    returns = [results.runs_of(point)["return"].astype(np.float64) for point in points]
+    returns = [results.runs_of(point)[results.return_column].astype(np.float64) for point in points]
     samples = [values[np.isfinite(values)] for values in returns]
     everything = np.concatenate(samples)
     if not everything.size:

@@ -27,9 +27,10 @@ def swept_panel(results: Results) -> tuple[Panel, str, str, str]:
     """
     over = _swept_number(results)
     asked = results.report.column
-    column = next((name for name in (asked or "steps_to_goal", "return") if name in results.runs), None)
+    usual = results.return_column
+    column = next((name for name in (asked or "steps_to_goal", usual) if name in results.runs), None)
     if column is None or asked not in (None, column):
-        raise Undrawable(f"runs.parquet has no {asked or 'return'}")
+        raise Undrawable(f"runs.parquet has no {asked or usual}")
     curves = curves_over(results, over, column)
     if not curves:
         raise Undrawable(f"no setting was run with several values of {over}")
