@@ -22,6 +22,11 @@ KINDS = {
     "disk": 24,
     "results": 150,
     "numbers": 60,
+    "environment": 80,
+    "caches": 80,
+    "terminals": 40,
+    "comparisons": 100,
+    "clusters": 80,
 }
 """Kinds of cases, each a module of this package, with how many are run by default."""
 

@@ -1,0 +1,125 @@
+"""Damaged, foreign and unwritable caches of programs: the bytes of any other run, and no entry runs code."""
+
+import functools
+import os
+import pickle
+import random
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+from tests.campaign.case import Outcome, fault_of
+from tests.campaign.process import Ended, run, scratch
+from tests.campaign.workloads import WORKLOADS, contents, difference, finished
+
+_WORKLOADS = ("tabular", "planning", "learner")
+_OTHER_USER = 12345
+
+
+class _Planted:
+    """A pickle that leaves a file where it is loaded."""
+
+    def __reduce__(self):
+        return os.mkdir, ("planted",)
+
+
+def check(seed: int) -> Outcome:
+    """Damage entries of a warm cache, or the right to use it, then run with it."""
+    draw = random.Random(f"caches {seed}")
+    name = draw.choice(_WORKLOADS)
+    with scratch() as place:
+        cache, kept = _warm(name)
+        shutil.rmtree(cache, ignore_errors=True)
+        shutil.copytree(kept, cache)  # at its own place: JAX's keys contain the path
+        tried = f"{name}: {_spoil(draw, cache)}"
+        ended = _run(name, cache, place)
+        fault = fault_of(ended, (0,)) or difference(contents(place / "out"), contents(finished(name)))
+        if (place / "planted").exists() or (place / "out" / "planted").exists():
+            fault = "an entry has run code"
+        return Outcome(tried, fault)
+
+
+@functools.cache
+def _warm(name: str) -> tuple[Path, Path]:
+    """The cache of a workload, and a copy of it."""
+    finished(name)
+    cache = Path(__file__).parents[2] / ".pytest_cache" / f"campaign-{os.getpid()}" / name
+    with scratch() as place:
+        ended = _run(name, cache, place)
+        assert ended.code == 0, ended.err
+    kept = cache.with_name(f"{name}-kept")
+    shutil.copytree(cache, kept)
+    return cache, kept
+
+
+def _run(name: str, cache: Path, place: Path) -> Ended:
+    def start() -> int:
+        os.environ["BOJAX_CACHE"] = str(cache)
+        return WORKLOADS[name].start(place / "out")()
+
+    return run(start, place, seconds=180.0)
+
+
+def _spoil(draw: random.Random, cache: Path) -> str:
+    if draw.random() < 0.3:
+        how = draw.choice(sorted(_FOLDERS))
+        _FOLDERS[how](cache)
+        return f"the folder {how}"
+    done = []
+    for _ in range(draw.choice([1, 1, 3, 20])):
+        entries = sorted(path for path in cache.rglob("*") if path.is_file() and not path.is_symlink())
+        if entries:
+            path, how = draw.choice(entries), draw.choice(sorted(_ENTRIES))
+            _ENTRIES[how](path, draw.choice(entries), draw)
+            done.append(f"{path.name[:24]} {how}")
+    return "; ".join(done[:3])
+
+
+def _flip(path: Path, _: Path, draw: random.Random) -> None:
+    content = bytearray(path.read_bytes())
+    if content:
+        content[draw.randrange(len(content))] ^= 1 << draw.randrange(8)
+    path.write_bytes(content)
+
+
+def _put(make: Callable[[Path], object]) -> Callable[[Path, Path, random.Random], None]:
+    def put(path: Path, _: Path, draw: random.Random) -> None:
+        del draw
+        path.unlink()
+        make(path)
+
+    return put
+
+
+_ENTRIES: dict[str, Callable[[Path, Path, random.Random], object]] = {
+    "flipped": _flip,
+    "emptied": lambda path, _, draw: path.write_bytes(b""),
+    "cut off": lambda path, _, draw: os.truncate(path, draw.randrange(path.stat().st_size + 1)),
+    "of another name": lambda path, other, draw: path.write_bytes(other.read_bytes()),
+    "of noise": lambda path, _, draw: path.write_bytes(draw.randbytes(1000)),
+    "a pickle": lambda path, _, draw: path.write_bytes(pickle.dumps(_Planted())),
+    "deleted": lambda path, _, draw: path.unlink(),
+    "a pipe": _put(lambda path: os.mkfifo(path)),
+    "a folder": _put(lambda path: path.mkdir()),
+    "a link to nothing": _put(lambda path: path.symlink_to("nothing")),
+    "an endless device": _put(lambda path: path.symlink_to("/dev/zero")),
+}
+
+
+def _of_another_user(cache: Path) -> None:
+    if os.geteuid() == 0:
+        os.chown(cache, _OTHER_USER, _OTHER_USER)
+
+
+_FOLDERS: dict[str, Callable[[Path], object]] = {
+    "deleted": lambda cache: shutil.rmtree(cache),
+    "a file": lambda cache: (shutil.rmtree(cache), cache.write_text("a file")),
+    "open to all": lambda cache: cache.chmod(0o777),
+    "read only": lambda cache: cache.chmod(0o555),
+    "of another user": _of_another_user,
+    "without programs": lambda cache: shutil.rmtree(cache / "programs"),
+    "with programs a file": lambda cache: (
+        shutil.rmtree(cache / "programs"),
+        (cache / "programs").write_text(""),
+    ),
+}
