@@ -10,7 +10,7 @@ import sys
 import threading
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias, TypeVar, runtime_checkable
 
@@ -66,9 +66,19 @@ def prepare(device: Platform) -> None:
         if reason := why_not_private(folder):
             _note(f"note: programs are not cached in {folder}: {reason}")
         else:
+            _drop_irregular(folder)
             jax.config.update("jax_compilation_cache_dir", str(folder))
     if setting("jax_persistent_cache_min_compile_time_secs") == _LEAST_SECONDS:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+
+
+def _drop_irregular(folder: Path) -> None:
+    """Delete entries of JAX's cache that are no regular files: JAX would wait for a pipe for ever."""
+    with suppress(OSError), os.scandir(folder) as entries:
+        for entry in entries:
+            is_odd = not entry.is_file(follow_symlinks=False) and not entry.is_dir(follow_symlinks=False)
+            if is_odd and entry.name.endswith("-cache"):
+                Path(entry.path).unlink(missing_ok=True)
 
 
 _LEAST_SECONDS = 1.0

@@ -350,6 +350,17 @@ def test_a_folder_that_others_can_write_to_is_not_used(tmp_path, mode):
     assert devices.why_not_private(folder) is None
 
 
+def test_pipes_and_links_among_the_entries_of_jax_are_deleted(tmp_path, monkeypatch):
+    monkeypatch.setenv("BOJAX_CACHE", str(tmp_path))
+    tmp_path.chmod(0o700)
+    os.mkfifo(tmp_path / "jit_add-1-cache")
+    (tmp_path / "jit_sub-1-cache").symlink_to("/dev/zero")
+    (tmp_path / "jit_mul-1-cache").write_bytes(b"whole")
+    jax.config.update("jax_compilation_cache_dir", None)
+    devices.prepare("cpu")
+    assert [path.name for path in tmp_path.glob("*-cache")] == ["jit_mul-1-cache"]
+
+
 def test_a_folder_of_another_user_is_not_used(tmp_path, monkeypatch):
     assert devices.why_not_private(tmp_path / "own") is None
     assert (tmp_path / "own").stat().st_mode & 0o777 == 0o700
