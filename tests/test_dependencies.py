@@ -105,7 +105,7 @@ def test_the_doctor_knows_every_extra_of_a_user():
 
 
 def test_the_version_is_the_same_everywhere():
-    changes = re.findall(r"^## (\S+)$", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    changes = re.findall(r"^## (\d\S*)$", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
     (cited,) = re.findall(r"^version: (\S+)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
     assert changes[0] == cited == bojax.__version__
 
