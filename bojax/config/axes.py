@@ -157,21 +157,23 @@ def _read_axis(name: str, values: Any, where: str, may_repeat: bool) -> list[Cho
                     f"{where}: got the name {shown(choice)}; allowed: a nonempty name without /"
                 )
         return [Choice(axis, choice, {} if value is None else value) for choice, value in values.items()]
-    seen = set()
-    for value in values:
+    firsts: dict[Hashable, int] = {}
+    for index, value in enumerate(values):
         if isinstance(value, dict):
             raise ConfigError(
                 f"{where}: got {shown(value)}; allowed: named subtrees, `{name}: {{NAME: {{...}}}}`"
             )
-        key = type(value), _hashable(value)
-        if key in seen and not may_repeat:
-            raise ConfigError(f"{where}: got {shown(value)} twice; allowed: distinct values")
-        seen.add(key)
+        first = firsts.setdefault(_hashable(value), index)
+        if first != index and not may_repeat:
+            raise ConfigError(
+                f"{where}: got {shown(values[first])} and {shown(value)}, which are equal; allowed: distinct "
+                "values"
+            )
     return [Choice(axis, None, value) for value in values]
 
 
 def _hashable(value: Any) -> Hashable:
-    """A hashable key for a YAML value; equal values have equal keys."""
+    """A hashable key for a YAML value; equal values have equal keys, as 1, 1.0 and true have."""
     if isinstance(value, list):
         return "list", *map(_hashable, value)
     if isinstance(value, dict):

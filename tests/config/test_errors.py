@@ -358,7 +358,7 @@ SWEEPS = {
     ),
     "a value twice": (
         "{base: {}, axes: {planner.depth: [1, 1]}}",
-        "s.yaml: axes.planner.depth: got 1 twice; allowed: distinct values",
+        "s.yaml: axes.planner.depth: got 1 and 1, which are equal; allowed: distinct values",
     ),
     "a point twice in a zip": (
         "{base: {}, combine: zip, axes: {planner.depth: [1, 1, 1], planner.iterations: [5, 6, 5]}}",
@@ -550,7 +550,7 @@ def test_an_unreadable_file(write, monkeypatch):
     def refuse(*args, **kwargs):
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(type(path), "read_bytes", refuse)
+    monkeypatch.setattr(type(path), "open", refuse)
     with pytest.raises(ConfigError) as raised:
         load_config("x.yaml")
     assert str(raised.value) == "x.yaml: cannot be read: Permission denied"

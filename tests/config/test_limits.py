@@ -5,6 +5,7 @@ import pytest
 from bojax.config.errors import ConfigError
 from bojax.config.limits import CHUNKS, POINTS, RUNS, Limit
 from bojax.config.sweep import load_config, load_sweep
+from bojax.config.yaml_file import parse
 
 
 def refusal(load, *words, **options) -> str:
@@ -65,9 +66,20 @@ def test_an_axis(write, monkeypatch, combine):
 
 
 def test_equal_values_of_any_type_are_found(write):
-    for values in ("[[1, 2], [1.0, 2]]", "[rbf, rbf]"):
+    for values, which in (
+        ("[[1, 2], [1.0, 2]]", "got [1, 2] and [1.0, 2]"),
+        ("[rbf, rbf]", 'got "rbf" and "rbf"'),
+        ("[2, 1, 1.0]", "got 1 and 1.0"),
+        ("[1e0, 0x1]", "got 1.0 and 1"),
+        ("[1, true]", "got 1 and true"),
+        ("[[{a: 1}], [{a: 1.0}]]", 'got [{"a": 1}] and [{"a": 1.0}]'),
+    ):
         write("s.yaml", f"{{base: {{}}, axes: {{planner.kernel.lengthscale: {values}}}}}")
-        assert "twice; allowed: distinct values" in refusal(load_sweep, "s.yaml")
+        assert f"{which}, which are equal; allowed: distinct values" in refusal(load_sweep, "s.yaml")
+        ones = [1] * len(parse(values, "s.yaml"))
+        axes = f"{{planner.kernel.lengthscale: {values}, problem.half_width: {ones}}}"
+        write("s.yaml", f"{{base: {{}}, combine: zip, axes: {axes}}}")
+        assert "are equal; allowed in a zip: distinct points" in refusal(load_sweep, "s.yaml")
 
 
 def test_only_the_first_unknown_key_is_described(write):
