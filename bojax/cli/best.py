@@ -3,12 +3,11 @@
 import dataclasses
 from collections.abc import Sequence
 
-import yaml
-
 from bojax.cli.parser import Parser, UsageError, column, integer, path
 from bojax.cli.running import resolved, run
 from bojax.config.errors import dotted, printable
 from bojax.config.sweep import load_config
+from bojax.config.yaml_file import dump
 
 _EXAMPLES = """\
   bojax best results/grid > best.yaml          the config of the point with the best mean return
@@ -47,7 +46,7 @@ def main(name: str, words: Sequence[str]) -> int:
     optimism = "; chosen by these same runs, so this mean is optimistic" if is_chosen else ""
     print(f"# {printable(best.point.name)}, {among} in {args.folder}")
     print(f"# {scored(measure, best)}{optimism}")
-    print(yaml.safe_dump(config, sort_keys=False, allow_unicode=True), end="", flush=True)
+    print(dump(config), end="", flush=True)
     if args.confirm is None:
         return 0
     place = f"{args.folder / MANIFEST}: points.{best.point.index}.config"

@@ -7,7 +7,8 @@ from typing import NoReturn
 
 from typing_extensions import override
 
-from bojax.config.errors import allowed_names, did_you_mean
+from bojax.config.errors import ConfigError, allowed_names, did_you_mean
+from bojax.config.yaml_file import parse
 
 ON_WINDOWS = "needs Linux or macOS, on Windows the Linux of WSL 2: see Installation in the documentation"
 """Why sweeps do not run on Windows itself: results folders are locked by a POSIX call."""
@@ -48,12 +49,15 @@ class Parser(argparse.ArgumentParser):
 
 
 def integer(text: str) -> int:
-    """Convert an argument to an integer."""
+    """Convert an argument to an integer, as written in YAML."""
     try:
-        return int(text)
-    except ValueError:
-        hint = f" (write {float(text):.0f})" if _is_integral(text) else ""
-        raise argparse.ArgumentTypeError(f"got {text}; allowed: an integer{hint}") from None
+        value = parse(text, "argument")
+    except ConfigError:
+        value = None
+    if type(value) is not int:
+        hint = f" (write {value:.0f})" if isinstance(value, float) and value.is_integer() else ""
+        raise argparse.ArgumentTypeError(f"got {text}; allowed: an integer{hint}")
+    return value
 
 
 def path(text: str) -> Path:
@@ -79,11 +83,3 @@ def one_of(names: Sequence[str]) -> Callable[[str], str]:
         return text
 
     return check
-
-
-def _is_integral(text: str) -> bool:
-    """Whether a text is an integer in the notation of floats, such as 1e3."""
-    try:
-        return float(text).is_integer()
-    except (ValueError, OverflowError):
-        return False

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import yaml
 
 from bojax.config.errors import printable
 from bojax.config.sweep import Sweep
 from bojax.config.tuning import described, value_at
+from bojax.config.yaml_file import dump
 from bojax.engine.program_cache import held
 from bojax.engine.remote import Launcher
 from bojax.engine.requests import Request, say_new
@@ -229,7 +229,7 @@ class _Rounds:
         point = next(
             point for point in results.points if tuple(point.swept[key] for key in self._keys) == best.values
         )
-        config = yaml.safe_dump(config_of(results, point), sort_keys=False, allow_unicode=True)
+        config = dump(config_of(results, point))
         write_content(self._folder / "best.yaml", config)
         mean, std = self._expected([each.values for each in self._tried])
         write_json(

@@ -16,7 +16,7 @@ from bojax.config.errors import printable
 from bojax.config.files import STANDARD_INPUT, SUFFIXES, display, find, shadowed
 from bojax.config.overrides import parse_overrides
 from bojax.config.sweep import Sweep, load_config, load_sweep
-from bojax.config.yaml_file import mapping_of
+from bojax.config.yaml_file import MAX_BYTES, mapping_of
 
 _DOTTED = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)+")
 
@@ -129,7 +129,7 @@ def resolved(sweep: Sweep) -> Sweep:
 
 def read_standard_input() -> dict[str, Any]:
     """The content of a YAML file on standard input."""
-    return mapping_of(sys.stdin.buffer.read(), "standard input")
+    return mapping_of(sys.stdin.buffer.read(MAX_BYTES + 1), "standard input")
 
 
 def run(

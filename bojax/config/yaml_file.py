@@ -1,7 +1,8 @@
 """A YAML reader that refuses duplicate keys and reports errors with file and line.
 
-PyYAML follows YAML 1.1, which reads `1e-5` as text, `no` as false and `1:30` as 90. This reader follows the
-core schema of YAML 1.2, which reads `1e-5` as a number, and `no` and `1:30` as text.
+PyYAML follows YAML 1.1, which reads `1e-5` as text, `no` as false, `1:30` as 90 and `017` as 15. This reader
+follows the core schema of YAML 1.2, which reads `1e-5` as a number, `no` and `1:30` as text, and `017` as 17;
+its octal numbers begin with `0o`.
 """
 
 import copy
@@ -33,7 +34,7 @@ _NUMBER = r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?"
 _PATTERNS = {
     "null": (r"~|null|Null|NULL|", ["~", "n", "N", ""]),
     "bool": (r"true|True|TRUE|false|False|FALSE", list("tTfF")),
-    "int": (r"[-+]?[0-9]+", list("-+0123456789")),
+    "int": (r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+", list("-+0123456789")),
     "float": (rf"{_NUMBER}|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)", list("-+.0123456789")),
     "merge": (r"<<", ["<"]),
 }
@@ -41,7 +42,8 @@ _PATTERNS = {
 
 
 def _int(text: str) -> int:
-    value = int(text) if len(text) < 40 else 2**64  # int() takes quadratic time for long texts
+    base = {"0o": 8, "0x": 16}.get(text[:2], 10)
+    value = int(text, base) if len(text) < 40 else 2**64  # int() takes quadratic time for long texts
     if not -(2**63) <= value < 2**63:
         raise ValueError("allowed: an integer between -2^63 and 2^63 - 1")
     return value
@@ -79,8 +81,18 @@ class _TooLarge(Exception):
     """More values than `MAX_NODES`."""
 
 
+class _Dumper(yaml.SafeDumper):
+    """A dumper that quotes text which YAML 1.1 or YAML 1.2 would read as another value."""
+
+
 for _name, (_pattern, _first) in _PATTERNS.items():
-    _Loader.add_implicit_resolver(_TAG + _name, re.compile(f"^(?:{_pattern})$"), _first)
+    for _class in (_Loader, _Dumper):
+        _class.add_implicit_resolver(_TAG + _name, re.compile(f"^(?:{_pattern})$"), _first)
+
+
+def dump(value: Any) -> str:
+    """The YAML text of plain values, which reads as equal values; keys keep their order."""
+    return yaml.dump(value, Dumper=_Dumper, sort_keys=False, allow_unicode=True)
 
 
 def read_mapping(path: Path, name: str) -> dict[str, Any]:
@@ -94,20 +106,23 @@ def read_mapping(path: Path, name: str) -> dict[str, Any]:
         ConfigError: The file is unreadable, empty or not YAML, holds no mapping, or has a duplicate key.
     """
     try:
-        size = path.stat().st_size
-        if size > MAX_BYTES:
-            raise ConfigError(
-                f"{name}: has {size / 2**20:.1f} MiB; allowed: at most {MAX_BYTES / 2**20:.0f} MiB of YAML, "
-                "which take about 40 s to read"
-            )
-        content = path.read_bytes()
+        with path.open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
     except OSError as error:
         raise ConfigError(f"{name}: cannot be read: {error.strerror}") from error
     return mapping_of(content, name)
 
 
 def mapping_of(content: bytes, name: str) -> dict[str, Any]:
-    """The mapping that the content of a YAML file holds, as `read_mapping`."""
+    """The mapping that the content of a YAML file holds, as `read_mapping`.
+
+    The content of a file that is too long may be cut off after `MAX_BYTES + 1` bytes.
+    """
+    if len(content) > MAX_BYTES:
+        raise ConfigError(
+            f"{name}: has more than {MAX_BYTES / 2**20:.0f} MiB; allowed: at most that much YAML, which "
+            "takes about 40 s to read"
+        )
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -8,12 +8,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pyarrow as pa
-import yaml
 from jaxtyping import PyTree
 from typing_extensions import override
 
 from bojax.config.files import EXPERIMENT
 from bojax.config.settings import Record
+from bojax.config.yaml_file import dump
 from bojax.experiments.base import Carry
 from bojax.numerics import checkpoint
 from bojax.results.parts import ChunkFolder, ChunkState
@@ -95,7 +95,7 @@ class FolderSink(Sink):
     @override
     def write_learner(self, point: int, run: int, learned: PyTree) -> None:
         folder = f"{LEARNERS}/{point}-{run}"
-        text = yaml.safe_dump(evaluation(self._configs[point]), sort_keys=False)
+        text = dump(evaluation(self._configs[point]))
         write_content(self._files.add(f"{folder}/{EXPERIMENT}"), text)
         checkpoint.save(self._files.add(f"{folder}/{LEARNED}"), learned)
 
