@@ -1,7 +1,8 @@
-"""Limits on the size of a sweep, derived from the memory that its points, runs and chunks take."""
+"""Limits on the size of what is asked for, derived from the memory that it takes."""
 
 import os
 from dataclasses import dataclass
+from pathlib import Path
 
 from bojax.config.errors import ConfigError
 
@@ -39,6 +40,19 @@ class Limit:
             )
 
 
+def read_within(limit: Limit, path: Path, where: str) -> bytes:
+    """The content of a file, which may be a pipe or a device that never ends.
+
+    Raises:
+        ConfigError: The content is longer than the limit; `where` names the file.
+        OSError: The file cannot be read.
+    """
+    with path.open("rb") as file:
+        content = file.read(limit.allowed + 1)
+    limit.check(len(content), where)
+    return content
+
+
 def _memory(num_bytes: int) -> str:
     """An amount of memory in the largest unit in which it is at least 1."""
     units = ("B", "KiB", "MiB", "GiB", "TiB", "PiB")
@@ -55,3 +69,9 @@ RUNS = Limit("runs in total", bytes_each=2_000, at_least=10_000_000)
 
 CHUNKS = Limit("chunks", bytes_each=3_000, at_least=100_000)
 """Chunks of a sweep: lanes and identity 0.6 kB, folder 0.5 kB, and an entry in the manifest."""
+
+TEXT = Limit("bytes of text", bytes_each=20, at_least=2**24)
+"""Text of a table, of curves, of JSON or of a robot. Short rows of numbers: 12 B a byte, as measured."""
+
+NUMBERS = Limit("numbers", bytes_each=16, at_least=2**24)
+"""Numbers of a table: the copy in 64 bits, and that of the field."""

@@ -5,6 +5,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from bojax.config.limits import NUMBERS, TEXT, read_within
 from bojax.text import one_line
 
 if TYPE_CHECKING:
@@ -28,10 +29,10 @@ def read_array(file: str) -> "np.ndarray":
             with np.errstate(over="ignore"):  # of the size that the header claims
                 table = np.load(path, allow_pickle=False, mmap_mode="r")
         elif path.suffix == ".csv":
-            first, _, rest = path.read_text().partition("\n")
-            if not (rest if not _is_numbers(first) else first).strip():
+            lines = _rows(read_within(TEXT, path, file).decode())
+            if not lines:
                 raise ValueError(f"{file}: holds no numbers")
-            table = np.loadtxt(path, delimiter=",", ndmin=2, skiprows=0 if _is_numbers(first) else 1)
+            table = np.loadtxt(lines, delimiter=",", ndmin=2)
         else:
             raise ValueError(f"{file}: the name has to end in .npy or .csv")
     except OSError as error:
@@ -46,6 +47,7 @@ def read_array(file: str) -> "np.ndarray":
         raise ValueError(
             f"{file}: holds {table.dtype} of shape {table.shape}; a table of real numbers is expected"
         )
+    NUMBERS.check(table.size, file)
     with np.errstate(over="ignore"):  # numbers beyond the range of float64 become infinite
         table = np.array(table, np.float64)
     bad = int((~np.isfinite(table)).sum())
@@ -56,7 +58,14 @@ def read_array(file: str) -> "np.ndarray":
 
 def sha256_of(file: str) -> str:
     """The SHA-256 of a file's content."""
-    return hashlib.sha256(Path(file).read_bytes()).hexdigest()
+    with Path(file).open("rb") as content:
+        return hashlib.file_digest(content, "sha256").hexdigest()
+
+
+def _rows(text: str) -> list[str]:
+    """The lines without comments, and without the header if there is one."""
+    lines = [line for line in (line.partition("#")[0] for line in text.splitlines()) if line.strip()]
+    return lines if not lines or _is_numbers(lines[0]) else lines[1:]
 
 
 def _is_numbers(line: str) -> bool:

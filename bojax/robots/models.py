@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from bojax.config.extras import MissingExtra
+from bojax.config.limits import TEXT, read_within
 from bojax.text import one_line
 
 try:
@@ -67,7 +68,7 @@ def from_file(path: str | Path) -> RobotModel:
     """
     path = Path(path)
     try:
-        return RobotModel(path.read_text("utf-8"), str(path.resolve()))
+        return RobotModel(read_within(TEXT, path, str(path)).decode(), str(path.resolve()))
     except (OSError, UnicodeDecodeError) as error:
         raise ValueError(f"{path}: {one_line(error)}") from error
 

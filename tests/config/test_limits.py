@@ -1,11 +1,18 @@
 """Sizes that exceed the memory are refused in one line, with the memory that they would take."""
 
+from pathlib import Path
+
+import numpy as np
 import pytest
 
 from bojax.config.errors import ConfigError
+from bojax.config.launching import SlurmConfig, load_launching
 from bojax.config.limits import CHUNKS, POINTS, RUNS, Limit
 from bojax.config.sweep import load_config, load_sweep
-from bojax.config.yaml_file import parse
+from bojax.config.yaml_file import parse, read_mapping
+from bojax.fields.data import read_array
+from bojax.report.comparing.curve_files import read_curves
+from bojax.robots.models import from_file
 
 
 def refusal(load, *words, **options) -> str:
@@ -24,6 +31,27 @@ def test_more_memory_allows_more():
         "x.yaml: things: got 11 things, which take about 11,264 PiB of memory; allowed: at most 10"
     )
     small.check(10, "x.yaml: things")
+
+
+def test_a_file_without_an_end_is_refused(monkeypatch):
+    text = Limit("bytes of text", 2**60, at_least=1000)
+    for name in ("report.comparing.curve_files", "robots.models"):
+        monkeypatch.setattr(f"bojax.{name}.TEXT", text)
+    for read in (
+        read_curves,
+        from_file,
+        lambda path: read_mapping(path, str(path)),
+        lambda path: load_launching(path, SlurmConfig),
+    ):
+        with pytest.raises(ConfigError, match=r"^/dev/zero: (got 1,001 bytes|has more than 4 MiB).*allowed"):
+            read(Path("/dev/zero"))
+
+
+def test_a_table_with_more_numbers_than_fit(tmp_path, monkeypatch):
+    monkeypatch.setattr("bojax.fields.data.NUMBERS", Limit("numbers", 2**60, at_least=10))
+    np.save(tmp_path / "a.npy", np.zeros((4, 3), np.int8))
+    with pytest.raises(ValueError, match=r"a\.npy: got 12 numbers, which take about .*at most 10"):
+        read_array(str(tmp_path / "a.npy"))
 
 
 def test_the_size_accepted_on_any_machine():

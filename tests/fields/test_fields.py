@@ -7,6 +7,7 @@ import pytest
 from scipy.interpolate import LinearNDInterpolator, RegularGridInterpolator
 
 from bojax.fields.closed_form import Bumps, Step
+from bojax.fields.data import read_array
 from bojax.fields.measured import GridField, ScatteredField
 
 EXTENT = (-1.0, 0.0, 3.0, 2.0)
@@ -103,6 +104,21 @@ def test_a_csv_file_with_names_is_the_same_grid(grid, tmp_path):
 def scattered(tmp_path, rows, **settings):
     np.save(tmp_path / "rows.npy", rows)
     return ScatteredField(str(tmp_path / "rows.npy"), f64(EXTENT), **settings)
+
+
+@pytest.mark.parametrize("text", ["", "\n\n", "# a\n# 1,2\n", "x,y\n", "# a\nx,y\n# b\n"])
+def test_a_csv_file_without_numbers(tmp_path, recwarn, text):
+    path = tmp_path / "empty.csv"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=r"empty\.csv: holds no numbers$"):
+        read_array(str(path))
+    assert not recwarn.list
+
+
+def test_comments_of_a_csv_file_are_skipped(tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text("# a field\nx,y\n1,2  # first\n\n3,4\n")
+    np.testing.assert_array_equal(read_array(str(path)), [[1, 2], [3, 4]])
 
 
 def test_of_scattered_measurements_a_plane_is_recovered(tmp_path):

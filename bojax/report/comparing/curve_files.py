@@ -1,6 +1,7 @@
 """Curves of other libraries from CSV files: one row per value, checked with one-line errors."""
 
 import csv
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +11,8 @@ import numpy as np
 import pydantic
 from pydantic import Field
 
-from bojax.config.errors import allowed_names, dotted, from_validation, shown
+from bojax.config.errors import ConfigError, allowed_names, dotted, from_validation, shown
+from bojax.config.limits import TEXT, read_within
 from bojax.report.statistics import Floats
 from bojax.results.store import ResultsError
 
@@ -45,8 +47,10 @@ def read_curves(path: Path) -> list[Rows]:
             or two rows have the same label, run and x; one line.
     """
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            return _parsed(path, csv.reader(file, strict=True))
+        text = read_within(TEXT, path, str(path)).decode("utf-8-sig")
+        return _parsed(path, csv.reader(io.StringIO(text, newline=""), strict=True))
+    except ConfigError:
+        raise
     except UnicodeDecodeError:
         raise ResultsError(f"{path}: cannot be read; allowed: CSV in UTF-8") from None
     except csv.Error as error:
