@@ -1,4 +1,4 @@
-"""`bojax list`: the names of all parts, configs and sweeps, and the settings of a part. Imports no JAX."""
+"""`bojax list`: the names of parts, configs, sweeps and reproductions, and the settings of a part. No JAX."""
 
 import shutil
 import textwrap
@@ -9,8 +9,9 @@ from bojax.cli.parser import Parser, UsageError
 from bojax.config.catalog import kinds, roles
 from bojax.config.component import Component
 from bojax.config.describe import settings_of, summary_of
-from bojax.config.errors import ConfigError, allowed_names, escaped, printable
+from bojax.config.errors import MAX_NAMES, ConfigError, allowed_names, escaped, printable
 from bojax.config.files import available, display
+from bojax.config.thesis import groups as reproductions
 from bojax.config.yaml_file import read_mapping
 
 _EXAMPLES = """\
@@ -21,8 +22,10 @@ _EXAMPLES = """\
 
 _FILES = ("configs", "sweeps")
 
-Members = Mapping[str, type[Component]] | Mapping[str, Path]
-"""What a group has, by name: parts, or files whose titles are read once they are shown."""
+_REPRODUCTIONS = "reproductions"
+
+Members = Mapping[str, type[Component]] | Mapping[str, Path] | Mapping[str, list[str]]
+"""What a group has, by name: parts, files whose titles are read once they are shown, or several sweeps."""
 
 
 def main(name: str, words: Sequence[str]) -> int:
@@ -52,6 +55,7 @@ def _groups() -> dict[str, Members]:
     """Every name with its part or file, by group, without empty groups."""
     groups: dict[str, Members] = {base.plural: kinds(role) for role, base in roles().items()}
     groups |= {folder: available(folder) for folder in _FILES}
+    groups[_REPRODUCTIONS] = reproductions()
     return {title: members for title, members in groups.items() if members}
 
 
@@ -76,6 +80,9 @@ def _about(name: str, groups: Mapping[str, Members]) -> list[str]:
             blocks.append(
                 f"{name}: a {folder[:-1]}, {display(path)}\n  {_title(path)}\n  bojax {command} {name}"
             )
+    if name in groups[_REPRODUCTIONS]:
+        names = _indented(", ".join(groups[_REPRODUCTIONS][name]))
+        blocks.append(f"{name}: the sweeps\n{names}\n  bojax reproduce {name}")
     if not blocks:
         names = {*groups, *(known for members in groups.values() for known in members)}
         raise UsageError(f"unknown name {name}{allowed_names(name, names)}")
@@ -100,11 +107,14 @@ def _article(role: str) -> str:
 
 
 def _group(title: str, members: Members) -> str:
-    rows = [
-        (name, _title(member) if isinstance(member, Path) else summary_of(member))
-        for name, member in members.items()
-    ]
+    rows = [(name, _summary(member)) for name, member in members.items()]
     return f"{title}\n{_table(rows)}"
+
+
+def _summary(member: type[Component] | Path | list[str]) -> str:
+    if isinstance(member, list):
+        return ", ".join(member) if len(member) <= MAX_NAMES else f"{len(member)} sweeps"
+    return _title(member) if isinstance(member, Path) else summary_of(member)
 
 
 def _table(rows: Sequence[Sequence[str]]) -> str:

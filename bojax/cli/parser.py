@@ -7,7 +7,7 @@ from typing import NoReturn
 
 from typing_extensions import override
 
-from bojax.config.errors import ConfigError, allowed_names, did_you_mean
+from bojax.config.errors import ConfigError, allowed_names, control_character, did_you_mean, shown
 from bojax.config.yaml_file import parse
 
 ON_WINDOWS = "needs Linux or macOS, on Windows the Linux of WSL 2: see Installation in the documentation"
@@ -42,10 +42,30 @@ class Parser(argparse.ArgumentParser):
         """Raise an error of argparse; for an unknown option, with the nearest name."""
         unknown = message.removeprefix("unrecognized arguments: ")
         if unknown != message:
-            name = unknown.split()[0].partition("=")[0]
-            options = [option for option in self._option_string_actions if option.startswith("--")]
-            message = f"unknown option {name}{did_you_mean(name, options)}"
+            message = f"unknown option {self._unknown(unknown.split()[0])}"
         raise UsageError(f"{message.removeprefix('argument ')} (see: {self.prog} --help)")
+
+    def _unknown(self, word: str) -> str:
+        """The name of an unknown option, and what may be meant."""
+        name, equals, value = word.partition("=")
+        if name in ("--gpu", "--gpus", "--cuda", "--cpu"):
+            return (
+                f"{name}; GPUs are used if JAX is installed for them (page Installation of the manual; "
+                "bojax doctor shows them); JAX_PLATFORMS=cpu in the environment uses none"
+            )
+        setting = name.lstrip("-")
+        if "key=value" in (self.usage or "") and ("." in setting or setting in _settings()):
+            return f"{name}; did you mean {setting}={value if equals else 'VALUE'}?"
+        options = [option for option in self._option_string_actions if option.startswith("--")]
+        return name + did_you_mean(name, options)
+
+
+def _settings() -> set[str]:
+    """The top-level keys of a config."""
+    from bojax.config.catalog import kinds
+    from bojax.config.settings import RESERVED
+
+    return {"experiment", *RESERVED}.union(*(schema.model_fields for schema in kinds("experiment").values()))
 
 
 def integer(text: str) -> int:
@@ -64,6 +84,8 @@ def path(text: str) -> Path:
     """Convert an argument to a path; an empty one, as of an unset variable of a shell, is refused."""
     if not text:
         raise argparse.ArgumentTypeError("got an empty name; allowed: a path")
+    if control_character(text, allows_breaks=False):
+        raise argparse.ArgumentTypeError(f"got {shown(text)}; allowed: a path on one line")
     return Path(text)
 
 

@@ -9,18 +9,13 @@ from pathlib import Path
 from bojax.cli.launching import LAUNCHING_USAGE, add_launching, check_launching, dry_run
 from bojax.cli.parser import Parser, UsageError, integer, path
 from bojax.cli.running import resolved, run
-from bojax.config.errors import did_you_mean, listed
-from bojax.config.files import available
-from bojax.config.sweep import is_alias, load_sweep
+from bojax.config.errors import ConfigError
+from bojax.config.sweep import load_sweep
+from bojax.config.thesis import ALL, sweeps_of
+from bojax.results.folder import is_unfinished, require_empty
 
 FOLDER = Path("results/reproduction")
 """Folder of reproductions without `--out`, each named after the time of its start."""
-
-CHAPTERS = {f"chapter{number}": f"{number}." for number in (3, 4, 5)}
-"""The chapters of the thesis with results, and how the numbers of their figures begin."""
-
-STUDY = "study-"
-"""Prefix of sweeps that answer a question which the thesis leaves open."""
 
 _DESCRIPTION = """\
 Run the sweeps of the thesis as one plan, and write the report of each sweep and one page with all claims. The
@@ -63,6 +58,8 @@ def main(name: str, words: Sequence[str]) -> int:
     sweeps = [load_sweep(sweep, (), args.runs, args.seed) for sweep in selected(args.ids)]
     names = [sweep.name for sweep in sweeps]
     out = args.out or (_newest(FOLDER, names) if args.resume else FOLDER / time.strftime("%Y%m%d-%H%M%S"))
+    if args.out and not args.resume:
+        require_empty(out, "give another --out, or --resume a reproduction")
     folders = [out / name for name in names]
     if args.dry_run:
         return dry_run(args, names, folders)
@@ -96,7 +93,7 @@ def _join(args: Namespace) -> int:
 
     out = args.out or FOLDER / time.strftime("%Y%m%d-%H%M%S")
     pages = [out] if out.suffix in (".html", ".md") else [out / TEXT, out / PAGE]
-    claims = joined_reproduction(pages, args.page, selected(["all"]), args.count_in)
+    claims = joined_reproduction(pages, args.page, selected([ALL]), args.count_in)
     print(f"{counted(len(claims), 'claim')}: {in_words(claims)}", file=sys.stderr)
     print(pages[-1])
     return 0
@@ -113,8 +110,6 @@ def selected(ids: Sequence[str]) -> list[str]:
     Raises:
         UsageError: An id means no sweep.
     """
-    names = [name for name, path in available("sweeps").items() if not is_alias(path)]
-    of_thesis = [name for name in names if not name.startswith(STUDY)]
     found: dict[str, None] = {}
     for each in ids:
         if "=" in each:
@@ -122,29 +117,11 @@ def selected(ids: Sequence[str]) -> list[str]:
                 f"bojax reproduce: got {each}; allowed: no settings, since those of the thesis are "
                 "reproduced; bojax sweep changes settings"
             )
-        if each == "all":
-            meant = _with_claims(of_thesis)
-        elif each in CHAPTERS:
-            meant = _with_claims([n for n in of_thesis if n.partition("-")[2].startswith(CHAPTERS[each])])
-        else:
-            meant = [n for n in names if n == each] or [n for n in names if _is_part_of(n, each)]
-        if not meant:
-            allowed = ["all", *CHAPTERS, *names]
-            raise UsageError(
-                f"bojax reproduce: got {each}; allowed: {listed(each, allowed)}{did_you_mean(each, allowed)}"
-            )
-        found |= dict.fromkeys(meant)
+        try:
+            found |= dict.fromkeys(sweeps_of(each))
+        except ConfigError as error:
+            raise UsageError(f"bojax reproduce: {error}") from error
     return list(found)
-
-
-def _is_part_of(name: str, figure: str) -> bool:
-    """Whether a sweep reproduces a part of a figure or table: `fig-5.5-mountain-car` or `fig-5.2a`."""
-    rest = name.removeprefix(figure)
-    return rest != name and figure[-1:].isdigit() and not rest[0].isdigit() and rest[0] != "."
-
-
-def _with_claims(names: Sequence[str]) -> list[str]:
-    return [name for name in names if load_sweep(name).claims]
 
 
 def _newest(folder: Path, names: Sequence[str]) -> Path:
@@ -153,8 +130,6 @@ def _newest(folder: Path, names: Sequence[str]) -> Path:
     A reproduction that ended before its page was written has finished sweeps only. Folders without any are
     those of other sweeps, or of a page that `--page` made.
     """
-    from bojax.results.folder import is_unfinished
-
     found = sorted(folder.iterdir(), reverse=True) if folder.is_dir() else []
     begun = [each for each in found if any((each / name).is_dir() for name in names)]
     if not begun:

@@ -195,7 +195,13 @@ def checked(args: argparse.Namespace) -> Task:
         raise UsageError(f"bojax tune: got {got}; allowed: one config (bojax list shows the names)")
     if not asked:
         got = next((word for word in overrides if _ALMOST.search(word)), "no range")
-        raise UsageError(f"bojax tune: got {got}; allowed: key=low:high with two numbers, such as {EXAMPLE}")
+        allowed = f"key=low:high with two numbers, such as {EXAMPLE}"
+        for word in overrides:
+            if "," in word and not set(word) & set("[{"):
+                got = word
+                allowed += "; compare several values by a sweep (axes: {KEY: [...]})"
+                break
+        raise UsageError(f"bojax tune: got {got}; allowed: {allowed}")
     for option, value, least in (("--batch", args.batch, 1), ("--confirm", args.confirm, 0)):
         if value < least:
             raise UsageError(f"bojax tune: {option}: got {value}; allowed: >= {least}")

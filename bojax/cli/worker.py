@@ -23,7 +23,7 @@ _EXAMPLES = """\
 
 
 def main(name: str, words: Sequence[str]) -> int:
-    """Run the command: 0; 1 if a chunk failed or nothing could be run; 128 and its number after a signal."""
+    """Run the command: 0; 1 if a chunk failed; 2 for a wrong input; 128 and its number after a signal."""
     args = _parser(name).parse_intermixed_args(list(words))
     from bojax.engine.signals import SIGNALS, StopRequest
 

@@ -38,7 +38,15 @@ class Schema(pydantic.BaseModel, frozen=True):
             name, names = unknown[0], [name for name in names if name != "kind"]
             role = getattr(cls, "role", "")
             owners = [kind for kind, schema in registry.get(role, {}).items() if name in schema.model_fields]
-            context = {"names": names, "others": len(unknown) - 1, "role": role, "kinds": owners}
+            fields = cls.model_fields.items()
+            mappings = [key for key, field in fields if role and get_origin(field.annotation) is dict]
+            context = {
+                "names": names,
+                "others": len(unknown) - 1,
+                "role": role,
+                "kinds": owners,
+                "open": mappings,
+            }
             error = PydanticCustomError("unknown_key", "unknown key", context)
             details = InitErrorDetails(type=error, loc=(name,), input=data[name])
             raise pydantic.ValidationError.from_exception_data(cls.__name__, [details])

@@ -24,6 +24,9 @@ MAX_MESSAGE = 400
 _CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
 
 
+_BREAK = re.compile(r"[\t\n\u2028\u2029]")
+
+
 class ConfigError(ValueError):
     """A user's mistake in a configuration; the message is one line.
 
@@ -43,12 +46,12 @@ def shown(value: Any) -> str:
     return text if len(text) <= MAX_SHOWN else text[: MAX_SHOWN - 3] + "..."
 
 
-def control_character(text: str) -> str | None:
+def control_character(text: str, *, allows_breaks: bool = True) -> str | None:
     """The first control character or unpaired surrogate of a text, quoted; None if it has none.
 
-    Tabs and line breaks are allowed.
+    Tabs and line breaks are allowed, unless `allows_breaks` is false.
     """
-    match = _CONTROL.search(text)
+    match = _CONTROL.search(text) or (None if allows_breaks else _BREAK.search(text))
     return match and shown(match[0])
 
 
@@ -163,7 +166,9 @@ def _message(line: Any, siblings: Sequence[str]) -> str:
         name, kinds = line["loc"][-1], context["kinds"]
         key = "experiment" if context["role"] == "experiment" else "kind"
         owners = f" (a setting of {key}={listed(name, kinds)})" if kinds else ""
-        return "unknown key" + owners + allowed_names(name, names)
+        return (
+            "unknown key" + owners + allowed_names(name, names) + _below(line["loc"], names, context["open"])
+        )
     if kind == "missing" and isinstance(line["loc"][-1], int):
         return f"missing; the list {shown(value)} is too short"
     if kind == "missing":
@@ -176,7 +181,7 @@ def _message(line: Any, siblings: Sequence[str]) -> str:
             what = f"this name has the role {' and '.join(context['roles'])}, not {context['role']}"
             if {context["role"], *context["roles"]} >= {"problem", "env"}:
                 what += "; planners need a problem, learners an env (experiment: learning)"
-        return got + what + allowed_names(context["kind"], context["names"])
+        return got + what + allowed_names(context["kind"], context["names"]) + _several(context["kind"])
     if kind == "literal_error":
         allowed = context["expected"].replace("'", '"')
         names = [name.strip('"') for name in allowed.replace(" or ", ", ").split(", ")]
@@ -188,8 +193,29 @@ def _message(line: Any, siblings: Sequence[str]) -> str:
         sign, key = (">=", "min_length") if kind == "too_short" else ("<=", "max_length")
         return got + f"allowed: {sign} {context[key]} entries"
     if kind in _EXPECTED:
-        if _EXPECTED[kind] == "an integer" and isinstance(value, float) and value.is_integer():
-            return got + f"allowed: an integer (write {value:.0f})"
-        return got + f"allowed: {_EXPECTED[kind]}"
+        if _EXPECTED[kind] == "an integer" and (whole := _whole(value)):
+            return got + f"allowed: an integer (write {whole})"
+        return got + f"allowed: {_EXPECTED[kind]}" + _several(value)
     message = one_line(line["msg"].removeprefix("Value error, "))
     return got + message
+
+
+def _whole(value: Any) -> str:
+    """The integer that is meant by 1e3, or by 1_000, which is text in YAML; empty if there is none."""
+    if isinstance(value, float) and value.is_integer():
+        return f"{value:.0f}"
+    is_grouped = isinstance(value, str) and re.fullmatch(r"[-+]?\d{1,3}(_\d{3})+", value, re.ASCII)
+    return value.replace("_", "") if is_grouped else ""
+
+
+def _several(value: Any) -> str:
+    """A hint for values with commas between them, which other programs take for a sweep."""
+    is_list = isinstance(value, str) and re.fullmatch(r"[\w.:+-]+(,[\w.:+-]+)+", value)
+    return "; several values are an axis of a sweep file (axes: {KEY: [...]})" if is_list else ""
+
+
+def _below(location: Location, names: Sequence[str], mappings: Sequence[str]) -> str:
+    """A hint for a key that was probably meant for a mapping of free keys, such as `kwargs`."""
+    if not mappings or did_you_mean(location[-1], names):
+        return ""
+    return f'; did you mean "{dotted((*location[:-1], mappings[0], location[-1]))}"?'

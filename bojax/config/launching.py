@@ -1,35 +1,45 @@
 """Settings of launchers, in the YAML file that `--cluster` names."""
 
 from pathlib import Path
-from typing import TypeVar
+from typing import Annotated, TypeVar
 
 import pydantic
 from pydantic import Field
 
 from bojax.config.component import Schema
-from bojax.config.errors import dotted, from_validation
+from bojax.config.errors import control_character, dotted, from_validation
 from bojax.config.files import display
 from bojax.config.yaml_file import read_mapping
+
+
+def _on_one_line(text: str) -> str:
+    if control_character(text, allows_breaks=False):
+        raise ValueError("allowed: text on one line")
+    return text
+
+
+_Word = Annotated[str, Field(min_length=1), pydantic.AfterValidator(_on_one_line)]
+"""A part of a line of the batch script."""
 
 
 class SlurmConfig(Schema, frozen=True):
     """Settings of `--launcher slurm`."""
 
     tasks: int = Field(default=1, ge=1, description="number of tasks of the array, each a worker")
-    partition: str | None = Field(default=None, description="partition; null for Slurm's default")
-    account: str | None = Field(
+    partition: _Word | None = Field(default=None, description="partition; null for Slurm's default")
+    account: _Word | None = Field(
         default=None, description="account that is charged; null for the user's default"
     )
-    time: str | None = Field(
+    time: _Word | None = Field(
         default=None, description="time limit of a task, as D-HH:MM:SS; null for the default"
     )
     gpus_per_task: int = Field(default=0, ge=0, description="number of GPUs of a task")
     cpus_per_task: int | None = Field(default=None, ge=1, description="number of cores of a task")
-    memory: str | None = Field(default=None, description="memory of a task, such as 32G")
-    options: tuple[str, ...] = Field(
+    memory: _Word | None = Field(default=None, description="memory of a task, such as 32G")
+    options: tuple[_Word, ...] = Field(
         default=(), strict=False, description="further options of sbatch, such as --constraint=h100"
     )
-    setup: tuple[str, ...] = Field(
+    setup: tuple[_Word, ...] = Field(
         default=(), strict=False, description="lines of shell before the worker, such as module load cuda"
     )
 

@@ -16,12 +16,14 @@ from bojax.config.changed import changed_settings
 from bojax.config.claims import Claim, Explanation, Window
 from bojax.config.component import RECORDED, Component, Schema, Slot, merged
 from bojax.config.errors import (
+    MAX_NAMES,
     ConfigError,
     Location,
     allowed_names,
     did_you_mean,
     dotted,
     from_validation,
+    listed,
     shown,
 )
 from bojax.config.figures import TABLES, figure_modules
@@ -30,6 +32,7 @@ from bojax.config.limits import RUNS
 from bojax.config.origin import Origin
 from bojax.config.overrides import SOURCE, Override, apply, parse_overrides
 from bojax.config.settings import RESERVED, EngineConfig, Record, Settings, split
+from bojax.config.thesis import groups
 from bojax.config.yaml_file import read_mapping
 
 _EXPERIMENT = pydantic.TypeAdapter(Annotated[Component, Slot("experiment")])
@@ -176,7 +179,7 @@ def load_sweep(
         ConfigError: The file or an override is invalid.
     """
     if isinstance(source, str):
-        given = find(source, "sweeps")
+        given = _find(source, "sweeps")
         path, mapping = _follow_alias(given)
     else:
         given = path = UNNAMED
@@ -190,6 +193,17 @@ def load_sweep(
     published, mapping = _follow_alias(published)
     original = _expand(published, mapping, sweep.name, sweep.name, [])
     return replace(sweep, changed=changed_settings(original, sweep))
+
+
+def _find(source: str, folder: str) -> Path:
+    """The file of a name or path; the name of a figure with several sweeps is refused with a hint."""
+    try:
+        return find(source, folder)
+    except ConfigError:
+        if source not in (meant := groups()):
+            raise
+        names = listed(source, meant[source]) if len(meant[source]) <= MAX_NAMES else "many sweeps"
+        raise ConfigError(f"{source}: stands for {names}; start with: bojax reproduce {source}") from None
 
 
 def _expand(
@@ -221,7 +235,7 @@ def load_config(
     source: Source, overrides: Sequence[str] = (), runs: int | None = None, seed: int | None = None
 ) -> Sweep:
     """The experiment of a file in `configs/`, as a sweep of one point; see `load_sweep`."""
-    path = find(source, "configs") if isinstance(source, str) else UNNAMED
+    path = _find(source, "configs") if isinstance(source, str) else UNNAMED
     file = display(path)
     mapping = read_mapping(path, file) if isinstance(source, str) else source
     if {"base", "axes", "alias"} & mapping.keys():
@@ -307,11 +321,6 @@ def _read_sweep(mapping: Mapping[str, Any], file: str, source: Source) -> tuple[
         raise from_validation(
             error, lambda location: f"{file}: {dotted(location)}", siblings=(*RESERVED, "base")
         ) from error
-
-
-def is_alias(path: Path) -> bool:
-    """Whether a file of a sweep is another name of a sweep."""
-    return "alias" in read_mapping(path, display(path))
 
 
 def _follow_alias(path: Path) -> tuple[Path, dict[str, Any]]:

@@ -104,9 +104,9 @@ def _sweep_of(folder: RunFolder, launch: Launch) -> Sweep:
 
 
 def guarded(work: Callable[[], int]) -> int:
-    """The exit code of a worker; an error that the user can act on becomes one line and the code 1."""
+    """The exit code of a worker; an error that the user can act on becomes one line and the error's code."""
     try:
         return work()
     except EXPECTED as error:
         print(printable(f"error: {error}"), file=sys.stderr)
-        return FAILURE
+        return getattr(error, "exit_code", FAILURE)

@@ -214,7 +214,7 @@ def choose_folder(name: str, out: Path | None, *, resume: bool) -> tuple[Path, b
 
     Raises:
         NothingToResume: There is no unfinished sweep.
-        ResultsError: The folder is not empty.
+        ResultsError: The folder is not empty, or lies in the results folder of another sweep.
     """
     if out is None and resume:
         return _newest_unfinished(ROOT / name), True
@@ -223,6 +223,9 @@ def choose_folder(name: str, out: Path | None, *, resume: bool) -> tuple[Path, b
     if resume and os.path.isdir(out) and (is_unfinished(out) or os.path.lexists(out / MANIFEST)):
         return out, True
     require_empty(out, "give another --out, or --resume an unfinished sweep")
+    for above in out.absolute().parents:
+        if os.path.lexists(above / MANIFEST):
+            raise ResultsError(f"{out}: lies in the results of another sweep, {above}; give another --out")
     return out, False
 
 

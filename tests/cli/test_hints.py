@@ -56,6 +56,58 @@ HINTS = {
         "got 1000.0; allowed: an integer (write 1000)",
     ),
     "a fraction": (["run", "parking", "planner.iterations=1.5"], "got 1.5; allowed: an integer\n"),
+    "groups of digits": (
+        ["run", "parking", "planner.iterations=1_000"],
+        'got "1_000"; allowed: an integer (write 1000)\n',
+    ),
+    "several kinds": (
+        ["run", "parking", "planner=kcbts,sbo"],
+        "several values are an axis of a sweep file (axes: {KEY: [...]})",
+    ),
+    "several numbers": (
+        ["run", "parking", "planner.iterations=50,100"],
+        'got "50,100"; allowed: an integer; several values are an axis of a sweep file',
+    ),
+    "several kinds to tune": (
+        ["tune", "parking", "planner=kcbts,sbo"],
+        "planner.exploration=0.1:10:log; compare several values by a sweep (axes: {KEY: [...]})",
+    ),
+    "a GPU": (
+        ["reproduce", "fig-4.6", "--gpu"],
+        "unknown option --gpu; GPUs are used if JAX is installed for them",
+    ),
+    "a setting with dashes": (
+        ["run", "parking", "--planner.iterations=50"],
+        "unknown option --planner.iterations; did you mean planner.iterations=50?",
+    ),
+    "a setting with dashes and a space": (
+        ["sweep", "parking", "--planner.iterations", "50"],
+        "did you mean planner.iterations=VALUE?",
+    ),
+    "a part with dashes": (["tune", "parking", "--planner=sbo"], "did you mean planner=sbo?"),
+    "no settings in this command": (["list", "--planner=x"], "unknown option --planner (see"),
+    "an argument of an environment": (
+        ["run", "mountain-car", "env={kind: gymnasium, id: A-v0}", "env.speed=3"],
+        'max_steps, success, success_reward; did you mean "env.kwargs.speed"?\n',
+    ),
+    "a misspelt setting of such an environment": (
+        ["run", "mountain-car", "env={kind: gymnasium, id: A-v0}", "env.max_step=3"],
+        'did you mean "max_steps"?\n',
+    ),
+    "a figure of several sweeps": (
+        ["sweep", "fig-5.3"],
+        "fig-5.3: stands for fig-5.3-cliff, fig-5.3-taxi; start with: bojax reproduce fig-5.3",
+    ),
+    "a table of several sweeps": (["run", "table-5.3"], "start with: bojax reproduce table-5.3"),
+    "a chapter": (
+        ["sweep", "chapter5"],
+        "chapter5: stands for many sweeps; start with: bojax reproduce chapter5",
+    ),
+    "a line break in a path": (
+        ["sweep", "parking", "--out", "a\nb"],
+        '--out: got "a\\nb"; allowed: a path on one line',
+    ),
+    "a tab in a path": (["report", "a\tb"], 'got "a\\tb"; allowed: a path on one line'),
     "a float for an option": (["run", "parking", "--runs", "1e3"], "allowed: an integer (write 1000)"),
 }
 

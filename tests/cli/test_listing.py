@@ -3,7 +3,7 @@
 import pytest
 
 from bojax.cli.main import main
-from bojax.config import catalog
+from bojax.config import catalog, thesis
 from bojax.config.files import available
 
 
@@ -21,7 +21,7 @@ def listed(capsys, monkeypatch):
 def test_every_name_is_listed_with_a_line(listed):
     out = listed()
     names = [kind for role in catalog.roles() for kind in catalog.kinds(role)]
-    names += [*available("configs"), *available("sweeps")]
+    names += [*available("configs"), *available("sweeps"), *thesis.groups()]
     lines = {
         line.split()[0]: line.split(maxsplit=1)[1:] for line in out.splitlines() if line.startswith("  ")
     }
@@ -48,6 +48,14 @@ def test_configs_and_sweeps_say_how_to_start_them(listed):
     assert "alias of fig-4.6" in out
 
 
+def test_names_of_reproduce_are_listed_with_their_sweeps(listed):
+    assert "\n  fig-5.3    fig-5.3-cliff, fig-5.3-taxi\n" in listed("reproductions")
+    out = " ".join(listed("table-5.3").split())
+    assert "table-5.3-reacher, table-5.3-single-pendulum" in out and out.endswith("bojax reproduce table-5.3")
+    for name, sweeps in thesis.groups().items():
+        assert len(sweeps) >= 1 and thesis.sweeps_of(name) == sweeps
+
+
 def test_a_group(listed):
     out = listed("planners")
     assert out.startswith("planners\n") and "kcbts" in out and "problems" not in out
@@ -58,4 +66,7 @@ def test_a_broken_file_does_not_hide_the_others(listed, tmp_path, monkeypatch):
     (tmp_path / "configs").mkdir()
     (tmp_path / "configs" / "mine.yaml").write_text("a: [")
     out = listed("configs")
+    (tmp_path / "sweeps").mkdir()
+    (tmp_path / "sweeps" / "fig-4.6.yaml").write_text("a: [")
+    assert "fig-4.6" in thesis.sweeps_of("chapter4"), "starting it reports the error"
     assert "(invalid: configs/mine.yaml" in out and "Robot parking" in out

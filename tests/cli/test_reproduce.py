@@ -62,6 +62,18 @@ def test_ids(ids, names):
     assert selected(ids) == names
 
 
+@pytest.mark.parametrize("file", ["manifest.json", "reproduction.html", "notes.txt"])
+def test_a_folder_with_content_is_refused(tmp_path, monkeypatch, capsys, file):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / file).write_text("")
+    assert main(["reproduce", "fig-4.6", "--out", "out"]) == 2
+    assert capsys.readouterr().err == (
+        "error: out: the folder is not empty; give another --out, or --resume a reproduction\n"
+    )
+    assert [path.name for path in (tmp_path / "out").iterdir()] == [file]
+
+
 @pytest.mark.parametrize("name", ["fig-4.66", "fig-", "chapter6", "", "parkin"])
 def test_an_unknown_id_is_one_line(capsys, name):
     assert main(["reproduce", name]) == 2

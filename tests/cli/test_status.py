@@ -103,7 +103,7 @@ def test_all_done_and_merged(folder, capsys):
 @pytest.mark.parametrize("command", ["status", "worker"])
 def test_a_folder_without_a_sweep(tmp_path, capsys, command):
     code = main([command, str(tmp_path)])
-    assert code == (2 if command == "status" else 1)
+    assert code == 2
     assert f"error: {tmp_path}: no unfinished sweep in this folder on " in capsys.readouterr().err
 
 

@@ -1,5 +1,6 @@
 """A sweep on Slurm's own daemons, which run on this machine: `slurm_cluster.sh` starts them."""
 
+import json
 import os
 import shutil
 import socket
@@ -11,7 +12,9 @@ from pathlib import Path
 import pytest
 
 from bojax.cli.main import main
-from bojax.config.launching import SlurmConfig
+from bojax.config.errors import ConfigError
+from bojax.config.launching import SlurmConfig, load_launching
+from bojax.engine.errors import EngineError
 from bojax.engine.launchers.slurm import Slurm
 from bojax.results.leases import Attempts
 from bojax.results.store import WORK
@@ -172,6 +175,17 @@ def test_the_script():
     )
 
 
+def test_the_folder_of_the_output_is_no_pattern():
+    lines = Slurm(SlurmConfig()).script("parking", [Path("/results/90%j")]).splitlines()
+    assert "#SBATCH --output=/results/90%%j/.work/slurm-%A_%a.out" in lines
+
+
+@pytest.mark.parametrize(("name", "folder"), [("a\n#SBATCH --nice", "/results"), ("a", "/results\ntouch x")])
+def test_a_line_break_does_not_get_into_the_script(name, folder):
+    with pytest.raises(EngineError, match="allowed: names and paths on one line"):
+        Slurm(SlurmConfig()).script(name, [Path(folder)])
+
+
 @pytest.fixture
 def here(tmp_path, monkeypatch) -> Path:
     monkeypatch.chdir(tmp_path)
@@ -259,6 +273,15 @@ MISTAKES = {
         'partition, setup, tasks, time; did you mean "tasks"?',
     ),
 }
+
+
+@pytest.mark.parametrize("name", ["partition", "account", "time", "memory", "options", "setup"])
+@pytest.mark.parametrize("text", ["a\nb", "a\tb", "a\u2028b", ""])
+def test_settings_are_lines_of_the_script(here, name, text):
+    value = [text] if name in ("options", "setup") else text
+    (here / "c.yaml").write_text(json.dumps({name: value}))
+    with pytest.raises(ConfigError, match=rf"^c\.yaml: {name}.*: got \".*; allowed: text (on|that)"):
+        load_launching(Path("c.yaml"), SlurmConfig)
 
 
 @pytest.mark.parametrize("case", MISTAKES)

@@ -256,7 +256,7 @@ def test_a_worker_that_differs_leaves_in_one_line(planned, capsys, monkeypatch, 
     before = sorted(planned.rglob("*"))
     monkeypatch.setattr(where, value)
     capsys.readouterr()
-    assert work_on(planned) == 1
+    assert work_on(planned) == 2
     line = one_line(capsys)
     assert "this worker does not fit the plan" in line and named in line
     assert line.endswith("; allowed: the same versions, on a device of the same kind")
@@ -264,11 +264,11 @@ def test_a_worker_that_differs_leaves_in_one_line(planned, capsys, monkeypatch, 
 
 
 def test_what_is_no_planned_sweep(tmp_path, planned, capsys):
-    assert work_on(tmp_path / "elsewhere") == 1
+    assert work_on(tmp_path / "elsewhere") == 2
     assert "elsewhere: no such folder on " in one_line(capsys)
     path = planned / WORK / "plan.json"
     path.write_text(path.read_text().replace('"seed": 3', '"seed": 4'))
-    assert work_on(planned) == 1
+    assert work_on(planned) == 2
     assert f"{path}: damaged" in one_line(capsys)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from bojax.results.folder import RunFolder, check_finished, check_plan, choose_folder, is_unfinished
-from bojax.results.store import ResultsError, read_manifest, write_json
+from bojax.results.store import MANIFEST, ResultsError, read_manifest, write_json
 
 PLAN = {"runs": 3, "config": {"planner": {"kind": "kcbts", "iterations": 300}}, "code": {"bojax": "a"}}
 
@@ -54,6 +54,15 @@ def test_a_folder_with_other_content_is_refused(tmp_path, resume):
     with pytest.raises(ResultsError, match="not empty") as error:
         choose_folder("parking", tmp_path, resume=resume)
     assert error.value.exit_code == 2
+
+
+@pytest.mark.parametrize("below", ["more", "arrays/more"])
+def test_a_folder_in_the_results_of_another_sweep_is_refused(tmp_path, below):
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results" / MANIFEST).write_text("{}")
+    with pytest.raises(ResultsError, match="lies in the results of another sweep, .*; give another --out"):
+        choose_folder("parking", tmp_path / "results" / below, resume=False)
+    assert choose_folder("parking", tmp_path / "more", resume=False) == (tmp_path / "more", False)
 
 
 def test_a_file_is_refused(tmp_path):

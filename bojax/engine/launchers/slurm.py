@@ -9,6 +9,7 @@ from pathlib import Path
 
 from typing_extensions import override
 
+from bojax.config.errors import control_character, shown
 from bojax.config.launching import SlurmConfig
 from bojax.engine.errors import EngineError
 from bojax.engine.remote import Launcher
@@ -92,14 +93,23 @@ class Slurm(Launcher):
             subprocess.run(["scancel", *self._job], capture_output=True, check=False)
 
     def script(self, name: str, folders: Sequence[Path]) -> str:
-        """The batch script of an array of workers for the sweeps in these folders."""
+        """The batch script of an array of workers for the sweeps in these folders.
+
+        Raises:
+            EngineError: A name or a path has a line break, which would end its line in the script.
+        """
         config, paths = self._config, [folder.absolute() for folder in folders]
+        for text in (name, str(Path.cwd()), sys.executable, *map(str, paths)):
+            if control_character(text, allows_breaks=False):
+                raise EngineError(
+                    f"--launcher slurm: got {shown(text)}; allowed: names and paths on one line"
+                )
         options = {
             "job-name": f"bojax-{name}".replace(", ", "-"),
             "array": f"0-{config.tasks - 1}",
             "open-mode": "append",
             "signal": f"B:USR2@{NOTICE_SECONDS}",
-            "output": paths[0] / WORK / OUTPUT.format("%A_%a"),
+            "output": Path(str(paths[0]).replace("%", "%%")) / WORK / OUTPUT.format("%A_%a"),
             "partition": config.partition,
             "account": config.account,
             "time": config.time,

@@ -1,0 +1,64 @@
+"""The names by which `bojax reproduce` starts the sweeps of a figure, a table, a chapter or the thesis."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+from bojax.config.errors import ConfigError, did_you_mean, listed
+from bojax.config.files import available, display
+from bojax.config.yaml_file import read_mapping
+
+ALL = "all"
+"""Name of all sweeps with claims of the thesis."""
+
+CHAPTERS = {f"chapter{number}": f"{number}." for number in (3, 4, 5)}
+"""The chapters of the thesis with results, and how the numbers of their figures begin."""
+
+STUDY = "study-"
+"""Prefix of sweeps that answer a question which the thesis leaves open."""
+
+_FIGURE = re.compile(r"(?:fig|table)-\d+\.\d+(?=\D)")
+
+
+def sweeps_of(name: str) -> list[str]:
+    """The sweeps that a name stands for: itself, or those of a figure, a table, a chapter or the thesis.
+
+    Raises:
+        ConfigError: The name stands for no sweep.
+    """
+    sweeps = _sweeps()
+    if name == ALL or name in CHAPTERS:
+        of_thesis = [each for each in sweeps if not each.startswith(STUDY) and "claims" in sweeps[each]]
+        return [each for each in of_thesis if each.partition("-")[2].startswith(CHAPTERS.get(name, ""))]
+    meant = [name] if name in sweeps else [each for each in sweeps if _is_part_of(each, name)]
+    if not meant:
+        allowed = [ALL, *CHAPTERS, *sweeps]
+        raise ConfigError(f"got {name}; allowed: {listed(name, allowed)}{did_you_mean(name, allowed)}")
+    return meant
+
+
+def groups() -> dict[str, list[str]]:
+    """The names of figures, tables and chapters, and `all`, which stand for several sweeps, with these."""
+    sweeps = _sweeps()
+    figures = dict.fromkeys(match[0] for name in sweeps if (match := _FIGURE.match(name)))
+    names = [name for name in figures if name not in sweeps]
+    return {name: sweeps_of(name) for name in (*names, *CHAPTERS, ALL)}
+
+
+def _sweeps() -> dict[str, dict[str, Any]]:
+    """The content of all sweeps by name, without aliases."""
+    contents = {name: _content(path) for name, path in available("sweeps").items()}
+    return {name: content for name, content in contents.items() if "alias" not in content}
+
+
+def _content(path: Path) -> dict[str, Any]:
+    try:
+        return read_mapping(path, display(path))
+    except ConfigError:
+        return {"claims": []}  # the sweep is not left out: starting it reports the error
+
+
+def _is_part_of(name: str, figure: str) -> bool:
+    """Whether a sweep reproduces a part of a figure or table: `fig-5.5-mountain-car` or `fig-5.2a`."""
+    rest = name.removeprefix(figure)
+    return rest != name and figure[-1:].isdigit() and not rest[0].isdigit() and rest[0] != "."
