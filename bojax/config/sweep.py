@@ -28,7 +28,7 @@ from bojax.config.errors import (
 )
 from bojax.config.figures import TABLES, figure_modules
 from bojax.config.files import STANDARD_INPUT, SUFFIXES, available, display, find, shipped
-from bojax.config.limits import RUNS
+from bojax.config.limits import RUNS, check_counts
 from bojax.config.origin import Origin
 from bojax.config.overrides import SOURCE, Override, apply, parse_overrides
 from bojax.config.settings import RESERVED, EngineConfig, Record, Settings, split
@@ -404,6 +404,7 @@ def _assemble(
             config = validate_experiment(raw)
         except pydantic.ValidationError as error:
             raise from_validation(error, locate, siblings=(*RESERVED, "experiment")) from error
+        check_counts(config, locate)
         points.append(_point(index, config, combination))
     try:
         values = Settings.model_validate(settings)

@@ -12,6 +12,7 @@ from bojax.engine.build import build
 from bojax.engine.chunks import Chunk, Layout, choose_layout, cut
 from bojax.engine.devices import Device, on_cpu, suited
 from bojax.engine.groups import StaticGroup, nodes_with, static_groups
+from bojax.engine.memory import check_memory
 from bojax.engine.provenance import code_hashes, device_description, versions
 from bojax.experiments.base import Experiment
 
@@ -60,7 +61,7 @@ def make_plan(sweep: "Sweep", devices: Sequence[Device]) -> Plan:
         devices: The devices of this process, of which the sweep uses those that are `suited`.
 
     Raises:
-        ConfigError: A point cannot be built, or there are too many chunks.
+        ConfigError: A point cannot be built or needs too much memory, or there are too many chunks.
         ResultsError: A saved learner cannot be read.
     """
     modules = _modules(sweep)
@@ -94,6 +95,9 @@ def _modules(sweep: "Sweep") -> list[Experiment]:
 def _make_plan(sweep: "Sweep", modules: Sequence[Experiment], device: Mapping[str, Any]) -> Plan:
     with on_cpu():  # the numbers of a point become NumPy arrays, which go to the device group by group
         groups = static_groups(modules)
+    for group in groups:
+        first = group.points[0]
+        check_memory(modules[first], sweep.points[first].config, functools.partial(sweep.locate, first))
     layouts = [
         choose_layout(
             modules[group.points[0]],

@@ -9,6 +9,7 @@ from pydantic import Field
 from typing_extensions import override
 
 from bojax.config.component import RECORDED, Component
+from bojax.config.limits import CELLS, square
 from bojax.fields.data import read_array, sha256_of
 
 Pair = Annotated[tuple[float, float], Field(strict=False)]
@@ -175,7 +176,7 @@ class Scattered(_Measured, frozen=True):
     target: ClassVar[str] = "bojax.fields.measured:ScatteredField"
 
     kind: Literal["scattered"] = "scattered"
-    resolution: int = Field(
+    resolution: Annotated[int, CELLS.bound(square)] = Field(
         default=101,
         ge=2,
         description="points on each side of the grid onto which the measurements are interpolated",

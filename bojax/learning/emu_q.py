@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 from typing_extensions import override
 
+from bojax.config.limits import ENTRIES
 from bojax.envs.base import Action, Observation
 from bojax.envs.spaces import Box, Space
 from bojax.learning.actions import even_actions, refined_action
@@ -58,6 +59,7 @@ class EMUQ(Learner):
     @override
     def check_spaces(self, observation_space: Space, action_space: Space) -> None:
         self.features.check_spaces(observation_space, action_space)
+        ENTRIES.check(self.features.count(observation_space, action_space) ** 2, "learner.features")
 
     @override
     def init(

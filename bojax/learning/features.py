@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Key
 from typing_extensions import override
 
+from bojax.config.limits import FEATURES
 from bojax.envs.base import Action, Observation
 from bojax.envs.spaces import Discrete, Space
 from bojax.models.features import FourierBasis, RandomFourier, Sampling
@@ -231,6 +232,12 @@ class FeatureSpec(eqx.Module):
         """
         del observation_space, action_space
 
+    def count(self, observation_space: Space, action_space: Space) -> int:
+        """The number of features that `draw` draws for these spaces."""
+        key, dtype = jax.random.key(0), jnp.float32
+        drawn = jax.eval_shape(lambda key: self.draw(key, observation_space, action_space, dtype), key)
+        return drawn.num_features
+
     @abc.abstractmethod
     def draw(
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, dtype: jnp.dtype
@@ -254,6 +261,10 @@ class RandomFourierSpec(FeatureSpec):
     kernel: Literal["rbf", "matern12", "matern32", "matern52"] = eqx.field(static=True)
     sampling: Sampling = eqx.field(static=True)
     form: Literal["cos-sin", "phase"] = eqx.field(static=True)
+
+    @override
+    def count(self, observation_space: Space, action_space: Space) -> int:
+        return self.num_features
 
     @override
     def draw(
@@ -299,6 +310,14 @@ class FourierBasisSpec(FeatureSpec):
     """
 
     order: int = eqx.field(static=True)
+
+    @override
+    def check_spaces(self, observation_space: Space, action_space: Space) -> None:
+        FEATURES.check(self.count(observation_space, action_space), "learner.features.order")
+
+    @override
+    def count(self, observation_space: Space, action_space: Space) -> int:
+        return (self.order + 1) ** (observation_space.num_dims + action_space.num_dims)
 
     @override
     def draw(

@@ -6,6 +6,7 @@ from pydantic import Field
 from typing_extensions import override
 
 from bojax.config.component import Component, Slot
+from bojax.config.limits import LEVELS
 
 
 class FeatureSettings(Component, frozen=True):
@@ -293,7 +294,7 @@ class VIME(LearnerSettings, frozen=True):
         ge=1,
         description="longest episode; of a longer one, only its first steps are learned from",
     )
-    policy_units: tuple[Annotated[int, Field(ge=1)], ...] = Field(
+    policy_units: Annotated[tuple[Annotated[int, Field(ge=1)], ...], LEVELS.bound(len)] = Field(
         default=(64, 32), strict=False, description="number of tanh units of each hidden layer of the policy"
     )
     initial_deviation: float = Field(
@@ -363,7 +364,7 @@ class _QNetworks(LearnerSettings, frozen=True):
         description="share by which the slow copy of the networks approaches them in each gradient step",
     )
     width: int = Field(default=64, ge=1, description="number of units of a hidden layer")
-    depth: int = Field(default=2, ge=1, description="number of hidden layers")
+    depth: Annotated[int, LEVELS.bound()] = Field(default=2, ge=1, description="number of hidden layers")
     batch_size: int = Field(default=32, ge=1, description="number of transitions of a gradient step")
     train_every: int = Field(
         default=4,

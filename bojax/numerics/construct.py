@@ -58,11 +58,16 @@ def construct(component: Component, dtype: str, locate: Locate = dotted, path: L
         return cls(**arguments)
     except ValueError as error:
         name, _, rest = one_line(error).partition(": ")
-        is_setting = name in type(component).model_fields
-        where = locate((*path, name)) if is_setting else locate(path) or component.kind
+        below = name.split(".")
+        is_setting = below[0] in type(component).model_fields
+        where = locate((*path, *below)) if is_setting else locate(path) or component.kind
         raise ConfigError(f"{where}: {rest if is_setting else one_line(error)}") from error
     except KeyboardInterrupt:
         raise
+    except (MemoryError, jax.errors.JaxRuntimeError) as error:
+        raise ConfigError(
+            f"{locate(path) or component.kind}: its arrays cannot be made ({one_line(error)})"
+        ) from error
     except BaseException as error:  # a user's class may raise anything
         if not IMPORT_PATH.fullmatch(component.kind):
             raise

@@ -6,6 +6,7 @@ from pydantic import Field
 
 from bojax.acquisition.settings import UpperConfidenceBound
 from bojax.config.component import Component, Slot
+from bojax.config.limits import LEVELS
 from bojax.models.settings import RBF
 from bojax.motions.settings import (
     ContinuousMotions,
@@ -37,7 +38,9 @@ _Continuous = Annotated[Component, Slot("motions", only=ContinuousMotions), _Fam
 
 class _TreeSearch(PlannerSettings, frozen=True):
     iterations: int = Field(default=300, ge=1, description="simulations per plan")
-    depth: int = Field(default=3, ge=1, description="actions from the root to the horizon")
+    depth: Annotated[int, LEVELS.bound()] = Field(
+        default=3, ge=1, description="actions from the root to the horizon"
+    )
     exploration: float = Field(
         default=300.0,
         ge=0,

@@ -8,6 +8,7 @@ from pydantic import Field
 from typing_extensions import override
 
 from bojax.config.component import Component, Slot
+from bojax.config.limits import CELLS, square
 from bojax.fields.settings import Blocks, Box, Bumps, Step, proper_box
 from bojax.models.settings import RBF, ConstantMean, Matern32, Scaled, ZeroMean
 from bojax.problems.vehicles.settings import Exact, Quadrotor, WheeledRobot
@@ -143,7 +144,11 @@ _PoseNoise = Annotated[
     Annotated[tuple[_Spread, _Spread], Field(strict=False)] | None,
     Field(description="standard deviations of a pose measurement, [m, rad]; null: exact measurements"),
 ]
-_Resolution = Annotated[int, Field(ge=2, description="points per side of the grid of the error measures")]
+_Resolution = Annotated[
+    int,
+    Field(ge=2, description="points per side of the grid of the error measures"),
+    CELLS.bound(square),
+]
 _Weighting = Annotated[
     Literal["gradient", "gradient-norm", "value"],
     Field(description="weights of wrmse: the gradient as printed in (3.7), its norm, or the value"),

@@ -1,5 +1,8 @@
 """Sizes that exceed the memory are refused in one line, with the memory that they would take."""
 
+import json
+import random
+from functools import reduce
 from pathlib import Path
 
 import numpy as np
@@ -7,12 +10,14 @@ import pytest
 
 from bojax.config.errors import ConfigError
 from bojax.config.launching import SlurmConfig, load_launching
-from bojax.config.limits import CHUNKS, POINTS, RUNS, Limit
+from bojax.config.limits import CHUNKS, POINTS, RUNS, Limit, counts_of
 from bojax.config.sweep import load_config, load_sweep
 from bojax.config.yaml_file import parse, read_mapping
 from bojax.fields.data import read_array
 from bojax.report.comparing.curve_files import read_curves
 from bojax.robots.models import from_file
+from tests.drawn import drawn_experiment
+from tests.parts import FILES
 
 
 def refusal(load, *words, **options) -> str:
@@ -28,9 +33,29 @@ def test_more_memory_allows_more():
     with pytest.raises(ConfigError) as raised:
         small.check(11, "x.yaml: things")
     assert str(raised.value) == (
-        "x.yaml: things: got 11 things, which take about 11,264 PiB of memory; allowed: at most 10"
+        "x.yaml: things: got 11 things, which take about 11 EiB of memory; allowed: at most 10"
     )
     small.check(10, "x.yaml: things")
+
+
+def test_integers_of_all_schemas_have_a_limit(tmp_path, monkeypatch, write):
+    monkeypatch.chdir(tmp_path)
+    for name, text in FILES.items():
+        (tmp_path / name).write_text(text)
+    settings = set()
+    for seed in range(60):
+        experiment = drawn_experiment(random.Random(seed))
+        for path, _, _ in counts_of(experiment):
+            part = reduce(getattr, path[:-1], experiment)
+            if (part.kind, path[-1]) in settings or isinstance(getattr(part, path[-1]), tuple):
+                continue
+            settings.add((part.kind, path[-1]))
+            tree = experiment.model_dump(mode="json")
+            reduce(dict.__getitem__, path[:-1], tree)[path[-1]] = 10**10
+            write("x.yaml", json.dumps({"experiment": tree.pop("kind"), **tree}))
+            message = refusal(load_config, "x.yaml")
+            assert path[-1] in message and ("10,000,000,000" in message or "10000000000" in message)
+    assert len(settings) > 60
 
 
 def test_a_file_without_an_end_is_refused(monkeypatch):
