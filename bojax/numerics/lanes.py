@@ -107,7 +107,7 @@ def lane_by_lane_on_cpu(function: Callable[..., T], *arguments: Any) -> T:
     in_turn = jax.custom_batching.custom_vmap(compute)
 
     @in_turn.def_vmap
-    def _(num_lanes: int, is_batched: Sequence[bool], *leaves: Array):
+    def _(num_lanes: int, is_batched: Sequence[bool], *leaves: ArrayLike):
         del num_lanes
         axes = [0 if batched else None for batched in is_batched]
         # A batch of one lane, in which the axis has a name.
@@ -117,7 +117,7 @@ def lane_by_lane_on_cpu(function: Callable[..., T], *arguments: Any) -> T:
             rest = iter(own)
             return one(*(next(rest) if batched else x for x, batched in zip(leaves, is_batched, strict=True)))
 
-        own = [x[:, None] for x, batched in zip(leaves, is_batched, strict=True) if batched]
+        own = [jnp.asarray(x)[:, None] for x, batched in zip(leaves, is_batched, strict=True) if batched]
         results = jax.tree.map(lambda x: x[:, 0], jax.lax.map(lane, own))
         return results, jax.tree.map(lambda _: True, results)
 

@@ -129,6 +129,12 @@ def _halvings(start, offset):
     return {"x": x + offset, "count": count}
 
 
+def test_a_constant_may_be_an_array_of_numpy():
+    offset = np.zeros((), np.float32)
+    compute = jax.vmap(lambda x: lane_by_lane_on_cpu(_halvings, x, offset), axis_name=LANES)
+    np.testing.assert_array_equal(compute(np.asarray([3.0, 5.0], np.float32))["x"], [0.75, 0.625])
+
+
 @pytest.mark.parametrize("backend", ["cpu", "gpu"])
 def test_a_cpu_computes_lane_by_lane(backend, monkeypatch):
     monkeypatch.setattr(jax, "default_backend", lambda: backend)
