@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bojax.config.limits import NUMBERS, TEXT, read_within
+from bojax.models.settings import GREATEST
 from bojax.text import one_line
 
 if TYPE_CHECKING:
@@ -53,6 +54,8 @@ def read_array(file: str) -> "np.ndarray":
     bad = int((~np.isfinite(table)).sum())
     if bad:
         raise ValueError(f"{file}: {bad} of {table.size} numbers are not finite")
+    if (largest := np.abs(table).max()) > GREATEST:
+        raise ValueError(f"{file}: got {largest:g}; allowed: numbers up to {GREATEST:g} in magnitude")
     return table
 
 

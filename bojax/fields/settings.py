@@ -11,6 +11,7 @@ from typing_extensions import override
 from bojax.config.component import RECORDED, Component
 from bojax.config.limits import CELLS, square
 from bojax.fields.data import read_array, sha256_of
+from bojax.models.settings import GREATEST
 
 Pair = Annotated[tuple[float, float], Field(strict=False)]
 Box = Annotated[tuple[float, float, float, float], Field(strict=False)]
@@ -136,6 +137,8 @@ class _Measured(FieldSettings, frozen=True):
     @pydantic.field_validator("extent")
     @classmethod
     def _proper_extent(cls, extent: Any) -> Any:
+        if max(map(abs, extent)) > GREATEST:
+            raise ValueError(f"allowed: numbers up to {GREATEST:g} in magnitude")
         return proper_box(extent)
 
     @pydantic.model_validator(mode="after")

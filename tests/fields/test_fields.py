@@ -9,6 +9,8 @@ from scipy.interpolate import LinearNDInterpolator, RegularGridInterpolator
 from bojax.fields.closed_form import Bumps, Step
 from bojax.fields.data import read_array
 from bojax.fields.measured import GridField, ScatteredField
+from bojax.fields.settings import Scattered
+from tests.parts import FILES
 
 EXTENT = (-1.0, 0.0, 3.0, 2.0)
 
@@ -113,6 +115,16 @@ def test_a_csv_file_without_numbers(tmp_path, recwarn, text):
     with pytest.raises(ValueError, match=r"empty\.csv: holds no numbers$"):
         read_array(str(path))
     assert not recwarn.list
+
+
+def test_a_measurement_whose_square_would_overflow(tmp_path):
+    path = tmp_path / "rows.csv"
+    path.write_text("x,y,value\n0,0,1\n1e300,0,2\n0,1,3\n")
+    with pytest.raises(ValueError, match=r"rows\.csv: got 1e\+300; allowed: numbers up to 1e\+15"):
+        read_array(str(path))
+    path.write_text(FILES["rows.csv"])
+    with pytest.raises(ValueError, match=r"numbers up to 1e\+15 in magnitude"):
+        Scattered(file=str(path), extent=(0.0, 0.0, 1e300, 1.0))
 
 
 def test_comments_of_a_csv_file_are_skipped(tmp_path):

@@ -145,6 +145,8 @@ MISTAKES = {
     "half a run": (GOOD + "b,0.5,3,1\n", 'line 6: run: got "0.5"; allowed: an integer'),
     "a negative run": (GOOD + "b,-1,3,1\n", 'line 6: run: got "-1"; allowed: >= 0'),
     "a negative x": (GOOD + "b,0,-3,1\n", 'line 6: x: got "-3"; allowed: >= 0'),
+    "a step beyond whole numbers": (GOOD + "b,0,1e300,1\n", 'line 6: x: got "1e300"; allowed: <= '),
+    "a huge value": (GOOD + "b,0,3,-1e300\n", 'line 6: value: got "-1e300"; allowed: >= -1e+75'),
     "a duplicate": (GOOD + "b,0,2.0,1\n", "line 6: x: got 2 of run 0 of b twice; allowed: once"),
     "runs of other lengths": (
         GOOD + "b,1,1,5\n",

@@ -45,7 +45,14 @@ def test_more_labels_than_colours_do_not_look_alike():
 
 
 @pytest.mark.parametrize(
-    ("last", "ticks"), [(1, [0, 1]), (5, range(6)), (15, range(0, 16, 3)), (50, range(0, 51, 10))]
+    ("last", "ticks"),
+    [
+        (1, [0, 1]),
+        (5, range(6)),
+        (15, range(0, 16, 3)),
+        (50, range(0, 51, 10)),
+        (2**53, range(0, 2**53, 2 * 10**15)),
+    ],
 )
 def test_step_ticks_are_even_and_reach_the_end(last, ticks):
     assert step_ticks(last) == list(ticks)

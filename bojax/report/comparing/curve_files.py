@@ -24,8 +24,8 @@ class _Row(pydantic.BaseModel):
     label: Annotated[str, Field(min_length=1)]
     task: Annotated[str, Field(min_length=1)] = ""
     run: Annotated[int, Field(ge=0, lt=2**31)]
-    x: Annotated[pydantic.FiniteFloat, Field(ge=0)]
-    value: pydantic.FiniteFloat
+    x: Annotated[pydantic.FiniteFloat, Field(ge=0, le=2**53)]  # beyond, two steps can be one number
+    value: Annotated[pydantic.FiniteFloat, Field(ge=-1e75, le=1e75)]  # fourth powers are finite
 
 
 @dataclass(frozen=True)
