@@ -44,7 +44,7 @@ class Kernel(eqx.Module):
 
     def stretched(self, unit: Float[Array, ""] | Float[Array, "D"]) -> "Kernel":
         """The covariance k(x / unit, y / unit), whose inputs are in other units."""
-        return Stretched(self, unit)
+        return _Stretched(self, unit)
 
     def scaled(self, variance: Float[Array, ""]) -> "Kernel":
         """The covariance variance * k(x, y), whose values are in other units."""
@@ -152,7 +152,7 @@ class Scaled(Kernel):
         return Scaled(self.kernel, self.variance * variance)
 
 
-class Stretched(Kernel):
+class _Stretched(Kernel):
     """A kernel of inputs in other units, k(x / unit, y / unit), for kernels without a lengthscale."""
 
     kernel: Kernel

@@ -27,7 +27,7 @@ claims:
 - id: %s/higher
   source: Fig. 5.2, p. 100
   claim: the first is above the second
-  test: {kind: order, column: return, by: variant, greater: [bold, timid]}
+  test: {kind: order, column: last_return, by: variant, greater: [bold, timid]}
 axes:
   learner:
     bold: {epsilon: 0.9}
