@@ -134,7 +134,7 @@ def _of_learning(run: Mapping, episodes: Mapping[str, np.ndarray], steps: Mappin
         "success": bool(successes.any()) == run["success"],
         "episodes to the goal": run["episodes_to_goal"] == first,
         "the return of the last training episode": np.isclose(
-            run["return"], episodes["return"][train][-1], rtol=1e-4
+            run["last_return"], episodes["return"][train][-1], rtol=1e-4
         ),
         "each episode has an end": np.all(episodes["length"] >= 1),
     }
