@@ -80,8 +80,9 @@ def _about(name: str, groups: Mapping[str, Members]) -> list[str]:
             blocks.append(
                 f"{name}: a {folder[:-1]}, {display(path)}\n  {_title(path)}\n  bojax {command} {name}"
             )
-    if name in groups[_REPRODUCTIONS]:
-        names = _indented(", ".join(groups[_REPRODUCTIONS][name]))
+    sweeps = groups[_REPRODUCTIONS].get(name)
+    if isinstance(sweeps, list):
+        names = _indented(", ".join(sweeps))
         blocks.append(f"{name}: the sweeps\n{names}\n  bojax reproduce {name}")
     if not blocks:
         names = {*groups, *(known for members in groups.values() for known in members)}

@@ -204,8 +204,9 @@ def _whole(value: Any) -> str:
     """The integer that is meant by 1e3, or by 1_000, which is text in YAML; empty if there is none."""
     if isinstance(value, float) and value.is_integer():
         return f"{value:.0f}"
-    is_grouped = isinstance(value, str) and re.fullmatch(r"[-+]?\d{1,3}(_\d{3})+", value, re.ASCII)
-    return value.replace("_", "") if is_grouped else ""
+    if isinstance(value, str) and re.fullmatch(r"[-+]?\d{1,3}(_\d{3})+", value, re.ASCII):
+        return value.replace("_", "")
+    return ""
 
 
 def _several(value: Any) -> str:
