@@ -158,11 +158,11 @@ def _confirmed(tuning: Tuning, fresh: Results) -> Table:
     keys = [each.key for each in tuning.ranges]
     standings = ranking(fresh, tuning.measure)
     for standing in standings:
-        index, values = standing.point.index, [standing.point.swept[key] for key in keys]
+        values = [standing.point.swept[key] for key in keys]
         expected = {tuple(tuning.points[i].values): place for place, i in enumerate(tuning.order, start=1)}
         place = expected.get(tuple(map(float, values)))
         name = f"{place} of {len(tuning.order)}" if place else "as written in the config"
-        cells = [Cell(name, key=index), *score_cells(standing, standings[0])]
+        cells = [Cell(name, key=place or ""), *score_cells(standing, standings[0])]
         rows.append([*cells, *map(setting_cell, values)])
     headings = ["in the search", tuning.measure.words, LAG, *keys]
     caption = (

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -91,6 +92,11 @@ def test_a_search_writes_its_rounds_the_best_config_and_fresh_runs(undisturbed):
     assert fresh.manifest.seed == 1 and len(fresh.points) == 4
     assert list(fresh.points[0].swept.values()) == tuning.best.values
     assert list(fresh.points[-1].swept.values()) == [0.1, 0.99]  # as written in the config
+    cells = re.findall(
+        r'"in the search" data-sort="(.*?)"><span>(.*?)<', (undisturbed / "report.html").read_text()
+    )
+    assert len(cells) == 4  # sorted by their place in the search
+    assert all(key == (text.split(" of ")[0] if " of " in text else "") for key, text in cells)
     page = (undisturbed / "report.html").read_text()
     assert "as written in the config" in page and "learner.learning_rate" in page
 
