@@ -160,7 +160,7 @@ def _draw_scores(task: Task, measure: Measure, note: str) -> Drawing:
         draw_intervals(axes, points, intervals)
         axes.xaxis.set_major_formatter(lambda value, _: _tick(value))
         axes.set_title(title)
-    grid[0, 2].set_xlim(-0.03, 1.03)
+    grid[0, 2].set_xlim(-0.06, 1.06)
     grid[0, 2].set_xticks([0, 0.5, 1], ["0", "50", "100%"])
     grid[0, 2].axvline(0.5, color="#9A9A9A", linewidth=0.8, zorder=0.5)
     told = [
