@@ -13,9 +13,12 @@ for (const image of document.querySelectorAll("img[data-curves]")) {
     svg { display: block; width: 100%; height: auto; }
     [role=button] { cursor: pointer; outline: none; }
     rect { fill: transparent; }
-    [role=button]:hover rect { fill: #8884; }
-    [role=button]:focus-visible rect { stroke: #4ba3e3; stroke-width: 1.5; }
-    @media screen { [aria-pressed=false] { opacity: .5; } .hidden { visibility: hidden; } }`;
+    @media screen {
+      [role=button]:hover rect { fill: #8884; }
+      [role=button]:focus-visible rect { stroke: #4ba3e3; stroke-width: 1.5; }
+      [aria-pressed=false] { opacity: .5; }
+      .hidden { visibility: hidden; }
+    }`;
   const figure = set(document.createElement("div"), {class: "curves", role: "group", "aria-label": image.alt});
   figure.attachShadow({mode: "open"}).append(style, svg);
   image.replaceWith(figure);
@@ -41,6 +44,7 @@ for (const image of document.querySelectorAll("img[data-curves]")) {
       toggle();
     });
   });
+  if (!svg.querySelector("[role=button]")) continue;
   const hint = set(document.createElement("span"), {class: "hint"});
   hint.textContent = " Select a name to hide or show its curve.";
   figure.parentElement.querySelector("figcaption").append(hint);
