@@ -117,6 +117,8 @@ def page():
         settings=None,
         sources=[],
         provenance=[],
+        methods="",
+        better="",
         footer="",
     )
 
