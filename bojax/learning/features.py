@@ -234,7 +234,7 @@ class FeatureSpec(eqx.Module):
 
     def count(self, observation_space: Space, action_space: Space) -> int:
         """The number of features that `draw` draws for these spaces."""
-        key, dtype = jax.random.key(0), jnp.float32
+        key, dtype = jax.random.key(0), jnp.dtype(jnp.float32)
         drawn = jax.eval_shape(lambda key: self.draw(key, observation_space, action_space, dtype), key)
         return drawn.num_features
 
