@@ -258,9 +258,12 @@ def load(key: str | None) -> Traced | None:
     content = None if key is None else _read(key)
     if content is None:
         return None
-    names, num_carried = json.loads(content)
-    programs = {name: program for name in names if (program := load_program(key, name)) is not None}
-    return (programs, programs[names[0]].inputs[:num_carried]) if len(programs) == len(names) else None
+    try:
+        names, num_carried = json.loads(content)
+        programs = {name: program for name in names if (program := load_program(key, name)) is not None}
+        return (programs, programs[names[0]].inputs[:num_carried]) if len(programs) == len(names) else None
+    except Exception:  # of the format of another version
+        return None
 
 
 def is_saved(key: str | None) -> bool:
@@ -300,10 +303,12 @@ def compiled(key: str | None, name: str, program: Program, device: Device) -> tu
     own = f"{name}_{key[:_TAG_DIGITS]}" if key else name
     kept = set[Path]()
     for path in _entries_of(own) if key else ():
-        if _read(path.name) == _hash_of(path):
+        content = _hash_of(path)
+        if content is not None and _read(path.name) == content:
             kept.add(path)
         else:
-            path.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):  # a folder, or one that is mounted for reading
+                path.unlink()
     with _counting_hits() as hits:
         made = program.compile(own, device)
     if key and not hits:
@@ -336,10 +341,10 @@ def _write(name: str, content: bytes) -> bool:
             try:
                 file.write(_checksum(name, content) + content)
                 file.flush()
+                os.replace(file.name, folder / name)
             except OSError:  # a full disk must not be filled further
                 os.unlink(file.name)
                 raise
-        os.replace(file.name, folder / name)
     except OSError:  # the next sweep compiles again
         return False
     return True

@@ -152,7 +152,7 @@ def test_programs_that_jax_has_kept_are_saved_without_a_compilation(cache):
     jax.tree.map(np.testing.assert_array_equal, found, expected)
 
 
-@pytest.mark.parametrize("damage", ["cut off", "flipped", "a pipe", "without a hash"])
+@pytest.mark.parametrize("damage", ["cut off", "flipped", "a pipe", "without a hash", "a folder"])
 def test_a_damaged_entry_of_jax_is_compiled_anew_and_replaced(cache, damage):
     # A full disk, or a kill at the wrong moment: JAX never replaces an entry, and verifies no hash.
     expected = advanced(programs_of(group_of()))
@@ -164,6 +164,9 @@ def test_a_damaged_entry_of_jax_is_compiled_anew_and_replaced(cache, damage):
         os.mkfifo(entry)
     elif damage == "without a hash":
         (cache / entry.name).unlink()
+    elif damage == "a folder":
+        entry.unlink()
+        entry.mkdir()
     else:
         flipped = whole[:middle] + bytes([whole[middle] ^ 1]) + whole[middle + 1 :]
         entry.write_bytes({"cut off": whole[:middle], "flipped": flipped}[damage])
@@ -171,8 +174,10 @@ def test_a_damaged_entry_of_jax_is_compiled_anew_and_replaced(cache, damage):
     before = batch.compile_counts.copy()
     found = advanced(programs_of(group_of()))
     assert batch.compile_counts - before == {"advance": 1}
-    assert entry.is_file() and entry.stat().st_size > middle
     jax.tree.map(np.testing.assert_array_equal, found, expected)
+    if damage == "a folder":  # nothing is deleted that is no entry
+        return
+    assert entry.is_file() and entry.stat().st_size > middle
     before = batch.compile_counts.copy()
     programs_of(group_of())
     assert not batch.compile_counts - before
@@ -331,6 +336,21 @@ def test_a_damaged_entry_is_not_used_and_replaced(compiled, entries, damage):
     jax.tree.map(np.testing.assert_array_equal, found, expected)
     key, _, name = entry.name.partition("-")
     assert program_cache.load_program(key, name) is not None
+
+
+@pytest.mark.parametrize("content", [b"\x80\x04", b"5", b"[[], 0]", b'[["no-such"], 1]'])
+def test_an_index_with_other_content_is_not_used_and_replaced(compiled, entries, content):
+    group = entries[0].name
+    assert program_cache._write(group, content)  # with a right checksum
+    assert program_cache.load(group) is None
+    jax.tree.map(np.testing.assert_array_equal, advanced(programs_of(group_of())), advanced(compiled[0]))
+    assert program_cache.load(group) is not None
+
+
+def test_an_entry_that_cannot_be_replaced_leaves_nothing_behind(cache):
+    (cache / "key").mkdir(parents=True)
+    assert not program_cache.save("key", [], 0)
+    assert files(cache) == [cache / "key"]
 
 
 class Planted:
