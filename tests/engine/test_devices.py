@@ -149,6 +149,16 @@ def test_flags_with_which_no_program_runs_are_one_line(tmp_path, capsys):
         assert line.startswith(f"error: JAX_{given}") and not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("command", [["run", "chain"], ["tune", "chain", "learner.discount=0.1:0.2"]])
+def test_variables_that_jax_refuses_are_one_line(tmp_path, command):
+    command = [sys.executable, "-m", "bojax", *command, "--out", str(tmp_path / "out")]
+    environment = {**os.environ, "JAX_ENABLE_X64": "maybe"}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    (line,) = done.stderr.splitlines()
+    assert done.returncode == 2 and line.startswith("error: JAX refuses") and "JAX_ENABLE_X64" in line
+    assert not (tmp_path / "out").exists()
+
+
 def test_cache_folder(monkeypatch, tmp_path):
     monkeypatch.setenv("BOJAX_CACHE", str(tmp_path))
     assert cache_folder() == tmp_path
