@@ -97,7 +97,7 @@ def place_of(tag: str, platform: str, lanes: int) -> Path | None:
 def recall(place: Path | None) -> float | None:
     """The seconds of a run; None if they are not known."""
     with contextlib.suppress(OSError, ValueError):
-        return float(place.read_text()) if place is not None else None
+        return float(place.read_text()) if place is not None and place.is_file() else None
 
 
 def remember(place: Path | None, seconds: float) -> None:
@@ -105,5 +105,6 @@ def remember(place: Path | None, seconds: float) -> None:
     if place is not None:
         with contextlib.suppress(OSError):
             place.parent.mkdir(parents=True, exist_ok=True)
+            place.unlink(missing_ok=True)  # a pipe would block
             place.write_text(f"{seconds:.6g}\n")
             program_cache.drop_unused(place.parent)

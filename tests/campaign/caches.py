@@ -15,7 +15,7 @@ from tests.campaign.workloads import WORKLOADS, contents, difference, finished
 
 _WORKLOADS = ("tabular", "planning", "learner")
 _OTHER_USER = 12345
-_IS_OF_ENGINE = re.compile(r"[0-9a-f]{16}-")
+_IS_OF_ENGINE = re.compile(r"_[0-9a-f]{16}-")
 """In the name of an entry: the tag of a group of runs."""
 
 
