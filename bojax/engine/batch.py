@@ -95,7 +95,7 @@ class Functions:
     """
 
     def __init__(self, group: StaticGroup):
-        self.group, self.tag = group, program_cache.tag_of(group)
+        self.group = group
         self.init = TracedOnce(partial(_init, group))
         self.fill = partial(_fill, self.init)
         self.advance = _in_lanes(_advance, group)

@@ -10,22 +10,20 @@ from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from bojax.engine import paces, program_cache
+from bojax.engine import program_cache
 from bojax.engine.ahead import POLL_SECONDS, Ahead, Stopped
 from bojax.engine.batch import Functions, Programs
 from bojax.engine.chunks import Chunk, Layout
 from bojax.engine.devices import Device, of_platform, turn_of
-from bojax.engine.forecast import ChunkProgress, GroupProgress
 from bojax.engine.groups import StaticGroup
 from bojax.engine.hosted import Hosted
-from bojax.engine.progress import SweepProgress
+from bojax.engine.progress import GroupProgress, SweepProgress
 from bojax.engine.runner import ChunkRunner, Limits, Segment
 from bojax.engine.share import Share
 from bojax.engine.sinks import Sink
 from bojax.experiments.base import Experiment
 from bojax.numerics.cores import usable_cores
 from bojax.results.leases import Standing
-from bojax.results.parts import ChunkState
 from bojax.results.store import ResultsError
 
 COMPILE_THREADS = 8, 16
@@ -48,9 +46,6 @@ With Python's 5 ms, a worker waits so long behind tracing after each call of a p
 LOOK_EVERY = 10.0
 """Time between two looks at the chunks of other processes, in durations of a look."""
 
-LOADING = 1.0
-"""Seconds in which programs are loaded that an earlier sweep has compiled, for the forecast."""
-
 PATIENCE = 10.0
 """Seconds after a requested stop after which chunks that still run are named."""
 
@@ -70,11 +65,10 @@ class GroupTask:
         limits: When a chunk pauses.
         share: Where the chunks come from, and where their rows go.
         recorded_runs: Number of recorded runs of each point.
-        config: Config of a point, as plain values; for the forecast.
         elsewhere: Chunks that other processes have taken.
         running: Number of chunks that threads of this process have taken.
         recorded: Largest number of recorded runs of a chunk.
-        pace: Where the seconds of a run are kept.
+        progress: When it is compiled and run.
     """
 
     group: StaticGroup
@@ -87,7 +81,6 @@ class GroupTask:
     limits: Limits
     share: Share
     recorded_runs: int = 0
-    config: Mapping[str, Any] = field(default_factory=dict)
     elsewhere: list[Chunk] = field(default_factory=list)
     running: int = field(default=0, init=False)
 
@@ -97,29 +90,13 @@ class GroupTask:
             (int((chunk.runs < self.recorded_runs).sum()) for chunk in (*self.chunks, *self.elsewhere)),
             default=0,
         )
-        self.pace = paces.place_of(self.functions.tag, self.platform, self.layout.lanes)
-        compilation, run = paces.reference(self.config, self.platform, self.layout)
-        self.progress = GroupProgress(
-            self.name,
-            self.experiment.max_advances,
-            platform=self.platform,
-            programs=len(self.layout.widths),
-            expected_compilation=compilation,
-            expected_run=paces.recall(self.pace) or run,
-        )
-        for chunk in (*self.chunks, *self.elsewhere):
-            self.progress.chunks[chunk.index] = _progress_of(chunk, ChunkState(), self.experiment)
+        self.progress = GroupProgress(self.name)
 
     @property
     def most_steps(self) -> int:
         """Upper bound of the environment steps that are left, of all runs together."""
         num_runs = sum(chunk.num_runs for chunk in (*self.chunks, *self.elsewhere))
         return num_runs * self.experiment.max_advances * self.experiment.steps_per_advance
-
-    @property
-    def has_begun(self) -> bool:
-        """Whether a chunk has been taken in this process."""
-        return self.running > 0 or self.progress.advances > 0
 
     @property
     def kind(self) -> type[Programs]:
@@ -202,8 +179,6 @@ class _Executor:
         self._saved: set[GroupTask] = set()
         for task in self._tasks:
             widths = task.layout.widths
-            if self._is_saved(task, task.layout.lanes):
-                task.progress.expected_compilation = LOADING
             if len(self._devices_of(task)) > 1 and all(self._is_saved(task, width) for width in widths):
                 self._saved.add(task)
         self._request_ahead()
@@ -368,15 +343,11 @@ class _Executor:
     def _take(self, device: Device) -> tuple[GroupTask, Chunk] | None:
         """The next chunk of a group whose programs are compiled for a device.
 
-        Groups with the programs for all their numbers of lanes come first: they will not wait for any. In a
-        sweep, each group has a first chunk before any has a second, so that the forecast knows its pace.
+        Groups with the programs for all their numbers of lanes come first: they will not wait for any.
         """
         with self._changed:
             while ready := [task for task in self._free(device) if self._is_ready(task, device)]:
-                ready = [task for task in ready if self._is_complete(task)] or ready
-                first = ready[0]
-                new = (task for task in ready if task.share is first.share and not task.has_begun)
-                task = next(new, first)
+                task = next((task for task in ready if self._is_complete(task)), ready[0])
                 if self._stop():
                     return None
                 try:
@@ -468,7 +439,6 @@ class _Executor:
             elif standing is Standing.FREE:
                 task.chunks.append(chunk)
             else:
-                self._progress.end_chunk(task.progress, chunk.index)
                 self._progress.add([], runs_done=chunk.num_runs if standing is Standing.DONE else 0)
         task.elsewhere = left
         self._request_ahead()
@@ -487,7 +457,7 @@ class _Executor:
 
     def _runner(self, task: GroupTask, chunk: Chunk, sink: Sink, device: Device) -> ChunkRunner:
         def report(segment: Segment) -> None:
-            self._progress.segment(task.progress, chunk.index, segment)
+            self._progress.segment(task.progress, segment)
 
         def programs(width: int) -> Programs:
             if self._ahead.is_ready((task, device, width)):
@@ -498,17 +468,9 @@ class _Executor:
         def stop() -> bool:
             return self._stop() or task.share.is_stolen(chunk)
 
-        state = task.progress.chunks[chunk.index] = _progress_of(chunk, sink.state, task.experiment)
-        state.begun = time.monotonic()
+        self._progress.add([], runs_done=sink.state.num_ended)
         limits = Limits(task.limits.segment_seconds, task.limits.checkpoint_seconds, stop)
-        return ChunkRunner(
-            chunk,
-            task.experiment,
-            programs,
-            sink,
-            limits,
-            report,
-        )
+        return ChunkRunner(chunk, task.experiment, programs, sink, limits, report)
 
     def _release(self, task: GroupTask, chunk: Chunk, sink: Sink | None, *, has_failed: bool) -> None:
         if sink is not None and not has_failed:
@@ -518,10 +480,7 @@ class _Executor:
                 self.error = problem
         with self._changed:
             task.running -= 1
-            if has_failed or (sink is not None and sink.state.is_done):
-                if not self._stop():
-                    self._progress.end_chunk(task.progress, chunk.index)
-            else:
+            if not has_failed and (sink is None or not sink.state.is_done):
                 task.elsewhere.append(chunk)
             self._end_if_done(task)
             self._changed.notify_all()
@@ -529,8 +488,6 @@ class _Executor:
     def _end_if_done(self, task: GroupTask) -> None:
         if task.chunks or task.running or task.elsewhere or self._stop():
             return
-        if task.progress.seconds_per_run is not None:
-            paces.remember(task.pace, task.progress.seconds_per_run)
         self._drop_programs(task)
         self._ended.put(task)
         self._request_ahead()
@@ -557,8 +514,7 @@ class _Executor:
         except ResultsError as problem:
             self.error = problem
             return
-        num_runs = sum(chunk.num_runs for chunk in chunks)
-        self._progress.say(f"failed: {task.name}, {num_runs} runs: {message}")
+        self._progress.failed(task.progress, sum(chunk.num_runs for chunk in chunks), message)
 
     def _fail_all(self, task: GroupTask, error: BaseException) -> None:
         """Fail the chunks of a group that cannot be compiled, except those that other processes run."""
@@ -574,18 +530,4 @@ class _Executor:
             self._fail(task, taken, error)
         if self.error is not None:
             return
-        for chunk in taken:
-            self._progress.end_chunk(task.progress, chunk.index)
         self._end_if_done(task)
-
-
-def _progress_of(chunk: Chunk, state: ChunkState, experiment: Experiment) -> ChunkProgress:
-    layout, is_new = chunk.layout, state.checkpoint is None
-    if is_new:
-        lanes, live = layout.lanes, min(layout.lanes, chunk.num_runs)
-        waiting = chunk.num_runs - live
-    else:
-        lanes, live = len(state.lanes), sum(1 for run in state.lanes if run >= 0)
-        waiting = chunk.num_runs - state.next_run
-    runs = chunk.num_runs if is_new else 0
-    return ChunkProgress(lanes, layout.widths[-1], live, waiting, experiment.max_advances, runs=runs)

@@ -9,11 +9,11 @@ from typing import Any
 from bojax.config.saved_sweep import saved
 from bojax.engine.choices import programs_in
 from bojax.engine.chunks import Chunk
-from bojax.engine.forecast import GroupProgress
 from bojax.engine.groups import StaticGroup
 from bojax.engine.latency import Latency
 from bojax.engine.manifest import describe_chunk, describe_groups, describe_sweep, outline_of, timings
 from bojax.engine.plan import Plan, plain
+from bojax.engine.progress import GroupProgress
 from bojax.engine.share import FolderShare
 from bojax.results.folder import RunFolder
 from bojax.results.leases import Attempts, Heartbeat
@@ -195,7 +195,6 @@ class Journal:
             "lanes_per_device": self.plan.layouts[group.index].lanes,
             "compile_seconds": sum(beat.compile_seconds.get(str(group.index), 0.0) for beat in heartbeats),
             "times": self._times_of(group),
-            "paces": self._paces_of(group),
             "latency_seconds": {str(point): each.median for point, each in latency.items()},
             "latency_range": {str(point): [each.least, each.largest] for point, each in latency.items()},
         }
@@ -206,18 +205,12 @@ class Journal:
         if progress is None:
             return {}
         times = {
-            "compiling": progress.compiling_since,
+            "compiling": progress.compiling,
             "compiled": progress.compiled,
             "begun": progress.begun,
             "ended": progress.ended,
         }
         return {name: round(at - self.planned, 1) for name, at in times.items() if at is not None}
-
-    def _paces_of(self, group: StaticGroup) -> dict[str, float]:
-        """Seconds of the compilation and of a run of a group, as far as this process has measured them."""
-        progress = self._progress.get(group.index)
-        paces = {"compilation": progress.compile_seconds, "run": progress.seconds_per_run} if progress else {}
-        return {name: float(f"{seconds:.4g}") for name, seconds in paces.items() if seconds is not None}
 
     def _states(self) -> list[tuple[Chunk, ChunkState]]:
         return [(chunk, self.state(chunk)) for chunk in self.plan.chunks]

@@ -85,11 +85,6 @@ def key_of(group: StaticGroup, device: Device, *details: object) -> str | None:
     return content[:_TAG_DIGITS] + hashlib.sha256(repr(parts).encode()).hexdigest()[:48]
 
 
-def tag_of(group: StaticGroup) -> str:
-    """A short name of the content of a group, the same in every process and version; "" for foreign code."""
-    return (_digest_of(group) or "")[:8]
-
-
 def _digest_of(group: StaticGroup, *others: object) -> str | None:
     """Hash of the content of a group and of other values; None if something may change unseen."""
     if any(node.calls_process for node in nodes_with(group.static, "calls_process").values()):

@@ -2,23 +2,42 @@
 
 import threading
 import time
-from collections import defaultdict
-from collections.abc import Mapping, Sequence
-from types import MappingProxyType, TracebackType
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import TracebackType
 
 from rich.console import Console
 
 from bojax.engine.bar import Bar
-from bojax.engine.clock import Clock
-from bojax.engine.forecast import GroupProgress, forecast
 from bojax.engine.runner import Segment
 from bojax.text import duration
 
 RECENT_SECONDS = 10.0
-"""Time over which the pace is averaged."""
+"""Time over which the steps per second are averaged."""
 
 TICK_SECONDS = 2.0
 """Time after which the progress is shown again if nothing has happened."""
+
+
+@dataclass(eq=False)
+class GroupProgress:
+    """When a static group was compiled and run by this process, by `time.monotonic`; None before.
+
+    Attributes:
+        name: Name of the group.
+        compiling: When its compilation began.
+        compiled: When its compilation ended.
+        begun: When its first segment began.
+        ended: When its last segment ended.
+        has_failed: Whether its programs or some of its runs have failed.
+    """
+
+    name: str
+    compiling: float | None = None
+    compiled: float | None = None
+    begun: float | None = None
+    ended: float | None = None
+    has_failed: bool = False
 
 
 class SweepProgress:
@@ -29,32 +48,17 @@ class SweepProgress:
     Args:
         title: Name of the sweep.
         num_runs: Number of runs of the whole sweep.
-        workers: Number of chunks that run side by side on each platform.
-        threads: Number of compilations side by side.
-        clock: Measures what compilations and chunks take.
         console: Console to write to; standard error by default.
     """
 
-    def __init__(
-        self,
-        title: str,
-        num_runs: int,
-        *,
-        workers: Mapping[str, int] = MappingProxyType({"cpu": 1}),
-        threads: int = 1,
-        clock: Clock | None = None,
-        console: Console | None = None,
-    ):
+    def __init__(self, title: str, num_runs: int, *, console: Console | None = None):
         self._bar = Bar(title, num_runs, console or Console(stderr=True, highlight=False))
         self._num_runs = num_runs
-        self._workers, self._threads = workers, threads
-        self._clock = clock or Clock()
-        self._advanced = defaultdict(float)  # wall time of segments, by platform
-        self._start = self._shown = time.monotonic()
         self._groups: list[GroupProgress] = []
-        self._runs_done = 0
+        self._earlier = self._finished = self._failed = 0  # runs of earlier processes and of this one
         self._steps = self._issued = 0
         self._recent: list[tuple[float, float, int]] = []  # start, end and steps of segments
+        self._shown = time.monotonic()
         self._lock = threading.RLock()
 
     def __enter__(self) -> "SweepProgress":
@@ -72,16 +76,15 @@ class SweepProgress:
             self._bar.say(text)
 
     def add(self, groups: Sequence[GroupProgress], runs_done: int = 0) -> None:
-        """Add groups that have unfinished chunks, and count runs that earlier processes finished."""
+        """Add groups that have unfinished chunks, and count runs that other processes finished."""
         with self._lock:
             self._groups += groups
-            self._runs_done += runs_done
+            self._earlier += runs_done
 
     def compiling(self, group: GroupProgress) -> None:
         """Report that the compilation of a group has started."""
         with self._lock:
-            self._note()
-            group.compiling_since = time.monotonic()
+            group.compiling = time.monotonic()
             if not self._bar.is_live:
                 self.say(f"compiling {group.name} ...")
             self._show()
@@ -89,9 +92,7 @@ class SweepProgress:
     def compiled(self, group: GroupProgress, seconds: float) -> None:
         """Report that the compilation of a group has ended."""
         with self._lock:
-            self._note()
             group.compiled = time.monotonic()
-            group.compile_seconds = self._clock.between(group.compiled - seconds, group.compiled)
             self.say(f"compiled {group.name} in {seconds:.1f} s")
             self._show()
 
@@ -99,91 +100,68 @@ class SweepProgress:
         """Report that a single run is being timed."""
         self.say(f"timing a single run of {what} ...")
 
-    def segment(self, group: GroupProgress, chunk: int, segment: Segment) -> None:
+    def segment(self, group: GroupProgress, segment: Segment) -> None:
         """Report that a segment of a chunk has ended."""
         with self._lock:
-            self._note()
-            now = group.ended = time.monotonic()
+            group.ended = now = time.monotonic()
             start = now - segment.seconds
-            seconds = self._clock.between(start, now)
-            self._advanced[group.platform] += segment.seconds
-            group.finished += segment.finished
-            group.lane_advances += segment.lane_advances
-            group.seconds += seconds
-            group.advances += segment.advances
-            state = group.chunks[chunk]
-            state.lanes, state.live, state.waiting = segment.lanes, segment.live, segment.waiting
-            state.advances_left = segment.advances_left
-            state.seconds_per_advance = seconds / max(1, segment.advances)
-            state.seconds += seconds
-            self._runs_done += segment.finished
-            self._steps += segment.active_steps
-            self._issued += segment.issued_steps
             if group.begun is None:
                 group.begun = start
+            self._finished += segment.finished
+            self._steps += segment.active_steps
+            self._issued += segment.issued_steps
             self._recent.append((start, now, segment.active_steps))
             self._show()
 
-    def end_chunk(self, group: GroupProgress, chunk: int) -> None:
-        """Report that a chunk has ended or failed."""
+    def failed(self, group: GroupProgress, num_runs: int, reason: str) -> None:
+        """Report that runs of a group have failed."""
         with self._lock:
-            self._note()
-            state = group.chunks.get(chunk)
-            if state is not None and state.begun is not None and group.platform == "cpu":
-                state.seconds = self._clock.between(state.begun, time.monotonic())
-            group.end(chunk)
+            group.has_failed = True
+            self._failed += num_runs
+            self.say(f"failed: {group.name}, {num_runs} runs: {reason}")
 
     def tick(self) -> None:
         """Show the progress if it has not been shown for a while: the time left changes meanwhile."""
         with self._lock:
-            self._note()
             if time.monotonic() - self._shown >= TICK_SECONDS:
                 self._show()
 
     def describe(self) -> str:
-        """The progress in one line, of which a narrow terminal cuts the end."""
+        """The progress in one line; a narrow terminal cuts off its end."""
         busy = self._steps / self._issued if self._issued else 1.0
-        text = f"{self._runs_done}/{self._num_runs} runs"
+        text = f"{self._earlier + self._finished}/{self._num_runs} runs"
         if (left := self.seconds_left()) is not None:
             text += f", {duration(left)} left"
         if rate := self._rate():
             text += f", {_si(rate)} steps/s, lanes {busy:.0%} busy"
-        compiling = sum(1 for group in self._groups if group.chunks and group.compile_seconds is None)
-        if compiling:
-            text += f", {compiling} of {len(self._groups)} programs to compile"
+        if waiting := len(self._to_compile()):
+            text += f", {waiting} of {len(self._groups)} programs to compile"
         return text
 
     def seconds_left(self) -> float | None:
-        """Forecast of the time left, s; None if nothing tells."""
-        return forecast(
-            self._groups,
-            now=time.monotonic(),
-            workers=self._workers,
-            threads=self._threads,
-            clock=self._clock,
-        )
+        """Estimate of the time left, s; None before a run has ended in this process.
 
-    def describe_times(self) -> str:
-        """In one line, where the time has gone since the first group was added."""
-        with self._lock:
-            passed = max(time.monotonic() - self._start, 1e-9)
-            ends = [group.compiled for group in self._groups if group.compiled is not None]
-            compiled = "no group was ready"
-            if ends:
-                compiled = f"the last group was ready after {duration(max(ends) - self._start)}"
-            busy = []
-            for platform, number in self._workers.items():
-                seconds = self._advanced[platform]
-                where = f"on the {platform} " if len(self._workers) > 1 else ""
-                busy.append(f"{where}{seconds / (passed * number):.0%} of the time")
-            return f"ran for {duration(passed)}: {compiled}, runs advanced {', '.join(busy)}"
+        The larger of two estimates, each at the mean pace of this process so far:
 
-    def _note(self) -> None:
-        """Note how many threads were busy: with compilations, or with chunks whose programs are there."""
-        waiting = [group for group in self._groups if group.compile_seconds is None]
-        compiling = sum(1 for group in waiting if group.compiling_since is not None)
-        ready = sum(len(group.chunks) for group in self._groups if group.compile_seconds is not None)
-        self._clock.note(compiling + min(ready, sum(self._workers.values())))
+            runs left * (time since the first run began) / (runs that ended here)
+            programs left * (time since the first compilation began) / (programs compiled here)
+
+        Runs of earlier processes are neither left nor a measure of the pace, and failed runs are not left.
+        The estimate is wrong to the extent that the runs or programs left differ from those that have ended.
+        """
+        if not self._finished:
+            return None
+        now, done = time.monotonic(), self._earlier + self._finished
+        left = max(0, self._num_runs - done - self._failed)
+        begun = min((each.begun for each in self._groups if each.begun is not None), default=now)
+        estimate = left * (now - begun) / self._finished
+        since = min((each.compiling for each in self._groups if each.compiling is not None), default=now)
+        if compiled := sum(1 for group in self._groups if group.compiled is not None):
+            estimate = max(estimate, len(self._to_compile()) * (now - since) / compiled)
+        return estimate
+
+    def _to_compile(self) -> list[GroupProgress]:
+        return [group for group in self._groups if group.compiled is None and not group.has_failed]
 
     def _rate(self) -> float:
         """Steps per second of the last segments."""
@@ -194,7 +172,7 @@ class SweepProgress:
 
     def _show(self) -> None:
         self._shown = time.monotonic()
-        self._bar.show(self._runs_done, self.describe())
+        self._bar.show(self._earlier + self._finished, self.describe())
 
 
 def _si(value: float) -> str:

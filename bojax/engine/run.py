@@ -143,7 +143,7 @@ def _execute(
     ended = [journal for journal in journals if not left[journal]]  # killed before it was merged
     for journal in ended:
         latencies.compile(journal)
-    with progress_of([journal.share for journal in journals], tasks, workers) as progress:
+    with progress_of([journal.share for journal in journals], tasks) as progress:
         for task in execute(tasks, workers, progress, stop.__bool__):
             journal = journal_of[task]
             left[journal] -= 1
@@ -152,8 +152,6 @@ def _execute(
                 latencies.compile(journal)
             if not left[journal] and several and not journal.plan.sweep.engine.latency:
                 conclude(journal, progress.say, finish)  # while the other sweeps run
-        if several and tasks:
-            progress.say(progress.describe_times())
         latencies.measure(progress)
     for journal in ended if not stop else ():
         if not journal.is_merged:

@@ -39,24 +39,12 @@ class Segment:
 
     Attributes:
         finished: Number of runs that finished.
-        lanes: Number of lanes at its end.
-        live: Number of unfinished runs in lanes.
-        waiting: Number of runs that wait for a lane.
-        advances: Number of advances of all lanes together.
-        lane_advances: Number of advances of unfinished runs.
-        advances_left: Upper bound of the advances that the runs in lanes still need.
         active_steps: Number of environment steps.
         issued_steps: Number of steps if all lanes had always been busy.
         seconds: Wall time, without waiting for a program.
     """
 
     finished: int
-    lanes: int
-    live: int
-    waiting: int
-    advances: int
-    lane_advances: int
-    advances_left: int
     active_steps: int
     issued_steps: int
     seconds: float
@@ -166,7 +154,7 @@ class ChunkRunner:
         """Advance the lanes for some seconds."""
         state, repack = self._state, self._chunk.layout.repack
         start, first_advance, self._waited = time.perf_counter(), state.advances, 0.0
-        finished = lane_advances = active_steps = issued_steps = num_bytes = 0
+        finished = active_steps = issued_steps = num_bytes = 0
         while True:
             left = self._limits.segment_seconds - (time.perf_counter() - start - self._waited)
             most = MOST_ADVANCES - (state.advances - first_advance)
@@ -187,7 +175,6 @@ class ChunkRunner:
             state.advances += len(made.records)
             num_bytes += made.num_bytes
             self._rounds.append((lanes, recorded, made.records))
-            lane_advances += int((lanes != EMPTY).sum()) * len(made.statuses)
             for status in made.statuses:
                 steps = np.where(lanes == EMPTY, 0, status.active_steps)
                 active_steps += int(steps.sum())
@@ -202,20 +189,7 @@ class ChunkRunner:
         jax.block_until_ready(self._carry)
         seconds = time.perf_counter() - start - self._waited
         state.segments.append([len(state.lanes), active_steps, seconds])
-        occupied = self._map != EMPTY
-        youngest = int(np.max(np.asarray(state.started)[occupied], initial=0))
-        return Segment(
-            finished=finished,
-            lanes=len(state.lanes),
-            live=int(occupied.sum()),
-            waiting=self._chunk.num_runs - state.next_run,
-            advances=state.advances - first_advance,
-            lane_advances=lane_advances,
-            advances_left=max(0, self._experiment.max_advances - (state.advances - youngest)),
-            active_steps=active_steps,
-            issued_steps=issued_steps,
-            seconds=seconds,
-        )
+        return Segment(finished, active_steps, issued_steps, seconds)
 
     def _check_end(self, is_done: np.ndarray) -> None:
         """Raise if a run should have ended."""

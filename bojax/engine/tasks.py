@@ -4,9 +4,8 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 
 from bojax.engine.chunks import Chunk
-from bojax.engine.clock import Clock
-from bojax.engine.devices import Device, of_platform, workers_of
-from bojax.engine.execute import GroupTask, compile_threads
+from bojax.engine.devices import Device, workers_of
+from bojax.engine.execute import GroupTask
 from bojax.engine.progress import SweepProgress
 from bojax.engine.runner import Limits
 from bojax.engine.share import FolderShare
@@ -48,10 +47,8 @@ def tasks_of(
                 limits=Limits(engine.segment_seconds, engine.checkpoint_seconds, stop),
                 share=share,
                 recorded_runs=plan.sweep.record.runs,
-                config=plan.content["points"][group.points[0]]["config"],
             )
         )
-        tasks[-1].progress.is_timed = engine.latency
     return tasks
 
 
@@ -70,23 +67,12 @@ def longest_first(sweeps: Iterable[Sequence[GroupTask]]) -> list[GroupTask]:
     ]
 
 
-def progress_of(
-    shares: Sequence[FolderShare], tasks: Sequence[GroupTask], workers: Sequence[Device]
-) -> SweepProgress:
+def progress_of(shares: Sequence[FolderShare], tasks: Sequence[GroupTask]) -> SweepProgress:
     """The progress of sweeps, with the runs that are done."""
     num_runs = sum(chunk.num_runs for share in shares for chunk in share.plan.chunks)
     waiting = sum(chunk.num_runs for task in tasks for chunk in (*task.chunks, *task.elsewhere))
-    side_by_side = {device.platform: len(of_platform(set(workers), device.platform)) for device in workers}
-    if "cpu" in side_by_side:  # workers of an accelerator take turns
-        side_by_side["cpu"] = len(of_platform(workers, "cpu"))
-    shares_cores = all(task.platform == "cpu" and not task.is_exclusive for task in tasks)
-    progress = SweepProgress(
-        f"{len(shares)} sweeps" if len(shares) > 1 else shares[0].plan.sweep.name,
-        num_runs,
-        workers=side_by_side,
-        threads=compile_threads(),
-        clock=Clock(shares_cores=shares_cores),
-    )
+    title = f"{len(shares)} sweeps" if len(shares) > 1 else shares[0].plan.sweep.name
+    progress = SweepProgress(title, num_runs)
     progress.add([task.progress for task in tasks], runs_done=num_runs - waiting)
     return progress
 

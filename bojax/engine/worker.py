@@ -76,7 +76,7 @@ def run_worker(folders: Sequence[Path], options: WorkerOptions, stop: Callable[[
         several = len(shares) > 1
         tasks = [task for share in shares for task in tasks_of(share, stop, name_sweep=several, start=start)]
         workers = workers_for(tasks, devices, options.cores)
-        with progress_of(shares, tasks, workers) as progress:
+        with progress_of(shares, tasks) as progress:
             for _ in execute(tasks, workers, progress, stop, waits=options.waits):
                 pass
     except ResultsError as error:

@@ -57,6 +57,11 @@ class ChunkState:
     segments: list[list[float]] = field(default_factory=list)
     files: dict[str, dict[str, Any]] = field(default_factory=dict)
 
+    @property
+    def num_ended(self) -> int:
+        """Number of runs that have ended."""
+        return self.next_run - sum(1 for run in self.lanes if run >= 0)
+
     def finish(self) -> None:
         """Note that the chunk is done; what only a resumed chunk needs is dropped."""
         self.is_done, self.checkpoint, self.lanes, self.started = True, None, [], []

@@ -19,7 +19,7 @@ import pytest
 from jax.experimental.compilation_cache import compilation_cache
 
 from bojax.config.sweep import load_config, load_sweep
-from bojax.engine import batch, devices, execute, paces, program_cache
+from bojax.engine import batch, devices, program_cache
 from bojax.engine.batch import Functions, Programs
 from bojax.engine.build import build
 from bojax.engine.chunks import SHORTEST_ON_CPU
@@ -469,36 +469,3 @@ def test_only_rows_of_recorded_lanes_leave_the_device():
         for name, column in kept["steps"].items():
             assert len(column) == (2 if lanes else 0)
             np.testing.assert_array_equal(column[: len(lanes)], np.asarray(tables["steps"][name])[lanes])
-
-
-def test_what_a_run_took_is_remembered_by_the_next_sweep(tmp_path, monkeypatch):
-    made = []
-
-    class Noted(execute.GroupProgress):
-        def __init__(self, *arguments, **options):
-            super().__init__(*arguments, **options)
-            made.append(self)
-
-    monkeypatch.setattr(execute, "GroupProgress", Noted)
-    sweep = load_config("chain", ["episodes=2"], 2 * SHORTEST_ON_CPU, None)
-    for name in ("first", "second"):
-        assert run_sweep(sweep, tmp_path / name) == 0
-    first, second = made
-    assert second.expected_run == pytest.approx(first.seconds_per_run, rel=1e-4)
-    assert first.expected_compilation > execute.LOADING == second.expected_compilation
-    rows = [(tmp_path / name / "runs.parquet").read_bytes() for name in ("first", "second")]
-    assert rows[0] == rows[1]
-
-
-def test_what_a_run_took_may_be_unknown(tmp_path):
-    place = paces.place_of("tag", "cpu", 8)
-    assert place is not None and place != paces.place_of("tag", "cpu", 16)
-    assert paces.recall(place) is None
-    paces.remember(place, 0.25)
-    assert paces.recall(place) == 0.25
-    place.write_text("")
-    assert paces.recall(place) is None
-    assert paces.place_of("", "cpu", 8) is None  # foreign code, of which groups have no tag
-    (tmp_path / "file").touch()
-    paces.remember(tmp_path / "file" / "place", 1.0)  # cannot be written
-    assert paces.recall(None) is None
