@@ -13,7 +13,7 @@ from isolated import run_isolated
 from options import make_parser, positive
 
 INTEGRATORS = ("euler", "rk4", "implicitfast")
-IMPLS = {"jax": "MJX in JAX", "pallas": "MJX as a kernel", "c": "C MuJoCo", "warp": "MuJoCo Warp"}
+IMPLS = {"jax": "MJX in JAX", "pallas": "MJX as a kernel", "c": "C MuJoCo"}
 """Implementations of the physics, and their names."""
 ROBOTS = ("hopper", "reacher", "jaco", "wheeled-robot", "quadrotor", "lunar-lander")
 
@@ -21,7 +21,7 @@ EXAMPLES = """\
   python benchmarks/bench_robots.py                                   all robots
   python benchmarks/bench_robots.py --robots hopper --lanes 256 2048  lanes at once
   python benchmarks/bench_robots.py --robots hopper --settings 4/8/rk4 3/6/euler
-  python benchmarks/bench_robots.py --robots hopper --impls warp      one implementation
+  python benchmarks/bench_robots.py --robots hopper --impls pallas    one implementation
 """
 
 
@@ -50,7 +50,7 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
         "--impls",
         nargs="+",
         choices=IMPLS,
-        help="implementations of the physics (jax and c; on a GPU pallas too, and with warp-lang warp)",
+        help="implementations of the physics (jax and c; on a GPU pallas too)",
     )
     parser.add_argument("--steps", type=positive, default=20, help="actions of a run (20)")
     parser.add_argument("--no-peer", action="store_true", help="do not time C MuJoCo")

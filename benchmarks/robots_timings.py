@@ -1,6 +1,5 @@
 """The timings of bench_robots.py, run in a process with its own cores."""
 
-import importlib.util
 import sys
 from typing import Any
 
@@ -62,9 +61,7 @@ def fields(row: Row) -> tuple:
 
 def default_impls() -> list[str]:
     """The implementations that are fast on this device."""
-    if not on_gpu():
-        return ["jax", "c"]
-    return ["jax", "pallas", "c", "warp"] if importlib.util.find_spec("warp") else ["jax", "pallas", "c"]
+    return ["jax", "pallas", "c"] if on_gpu() else ["jax", "c"]
 
 
 def simulator_of(robot: str, setting: str, impl: str = "jax") -> Simulator:

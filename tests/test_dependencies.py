@@ -22,12 +22,12 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 EXTRAS = {
     extra: [Requirement(text) for text in texts] for extra, texts in PROJECT["optional-dependencies"].items()
 }
-DISTRIBUTIONS = {"warp": ["warp-lang"], "mlflow": ["mlflow-skinny"]}
+DISTRIBUTIONS = {"mlflow": ["mlflow-skinny"]}
 DISTRIBUTIONS |= dict(importlib.metadata.packages_distributions())
 """By the name of a module, the distributions that bring it; those of extras need not be installed."""
 
 REQUIRED = [Requirement(text) for text in PROJECT["dependencies"]]
-PINNED = ("robots", "robots-cuda", "ray", "gym", "brax", "tensorboard", "wandb", "mlflow", "test")
+PINNED = ("robots", "ray", "gym", "brax", "tensorboard", "wandb", "mlflow", "test")
 """Extras whose versions are pinned; the others are chosen by the machine, or are not needed by the tests."""
 
 

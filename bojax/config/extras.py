@@ -4,7 +4,6 @@ OPTIONAL = {
     "gym": ("gymnasium", "environments of Gymnasium"),
     "brax": ("brax", "environments of Brax"),
     "robots": ("mujoco", "simulated robots and their films"),
-    "robots-cuda": ("warp", "robots on an NVIDIA GPU by MuJoCo Warp"),
     "ray": ("ray", "--launcher ray"),
     "tensorboard": ("tensorboardX", "bojax export --to tensorboard"),
     "wandb": ("wandb", "bojax export --to wandb"),

@@ -53,7 +53,6 @@ PACKAGES = (
     "numpy",
     "optax",
     "scipy",
-    "warp-lang",
 )
 """Packages, with their versions in the key, whose classes and functions a cached group may contain."""
 

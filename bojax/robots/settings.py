@@ -37,11 +37,11 @@ class MJX(PhysicsSettings, frozen=True):
     integrator: Literal["euler", "rk4", "implicitfast"] | None = Field(
         default=None, description="integration scheme"
     )
-    impl: Literal["auto", "jax", "pallas", "c", "warp"] = Field(
+    impl: Literal["auto", "jax", "pallas", "c"] = Field(
         default="auto",
         description="implementation of the steps: MJX in JAX as a program of XLA, MJX as one kernel, "
-        "C MuJoCo, or MuJoCo Warp; auto is c on a CPU, for models with contacts, pallas on an NVIDIA GPU, "
-        "for models that can be a kernel, and otherwise jax, or c for models that MJX refuses",
+        "or C MuJoCo; auto is c on a CPU, for models with contacts, pallas on an NVIDIA GPU, for models "
+        "that can be a kernel, and otherwise jax, or c for models that MJX refuses",
     )
 
 

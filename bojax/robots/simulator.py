@@ -22,7 +22,6 @@ from bojax.robots.c_mujoco import CSteps
 from bojax.robots.lane_steps import LaneSteps
 from bojax.robots.mjx_kernel import KernelSteps
 from bojax.robots.models import MjModel, RobotModel, mujoco
-from bojax.robots.mujoco_warp import WarpSteps
 from bojax.robots.newton import Search, constrained, has_clipped_forces, search_at_ends, search_by_points
 from bojax.robots.small_factors import small_factors
 from bojax.text import one_line
@@ -64,7 +63,7 @@ class Physics(eqx.Module):
     iterations: int | None = eqx.field(static=True)
     ls_iterations: int | None = eqx.field(static=True)
     integrator: Literal["euler", "rk4", "implicitfast"] | None = eqx.field(static=True)
-    impl: Literal["auto", "jax", "pallas", "c", "warp"] = eqx.field(static=True)
+    impl: Literal["auto", "jax", "pallas", "c"] = eqx.field(static=True)
 
 
 class Simulator(eqx.Module):
@@ -87,7 +86,6 @@ class Simulator(eqx.Module):
         """Compile the model.
 
         Raises:
-            MissingExtra: The settings ask for Warp, which is not installed.
             ValueError: MuJoCo or MJX refuse the model, it cannot be simulated by a kernel of Pallas, or the
                 settings ask for one on a CPU.
         """
@@ -102,7 +100,7 @@ class Simulator(eqx.Module):
         return _compiled(*self._key)
 
     @property
-    def impl(self) -> Literal["jax", "pallas", "c", "warp"]:
+    def impl(self) -> Literal["jax", "pallas", "c"]:
         """The implementation of the steps.
 
         `auto` is `c` on a CPU, for models with contacts; `jax` is as fast there without contacts. It is
@@ -177,7 +175,7 @@ class Simulated(eqx.Module):
     @property
     def calls_process(self) -> bool:
         """Whether compiled programs call functions of this process."""
-        return self.simulator.impl in ("c", "warp")
+        return self.simulator.impl == "c"
 
 
 @functools.cache
@@ -186,18 +184,14 @@ def _stepping(
     iterations: int | None,
     ls_iterations: int | None,
     integrator: str | None,
-    impl: Literal["jax", "pallas", "c", "warp"],
+    impl: Literal["jax", "pallas", "c"],
     substeps: int,
 ) -> Any:
     """Several simulation steps under constant controls, traced once for all programs that call it."""
     key = model, iterations, ls_iterations, integrator
     if impl == "jax":
         return _steps_of(*key, substeps, search_at_ends)
-    if impl == "pallas":
-        return _in_lanes(_kernel_steps(*key, substeps))
-    return _in_lanes(
-        CSteps(_compiled(*key), substeps) if impl == "c" else WarpSteps(_checked(*key), substeps)
-    )
+    return _in_lanes(_kernel_steps(*key, substeps) if impl == "pallas" else CSteps(_compiled(*key), substeps))
 
 
 @functools.cache

@@ -1,9 +1,7 @@
 """`Simulator` against C MuJoCo, on every model that comes with bojax, and what it refuses."""
 
 import functools
-import importlib.util
 import re
-import sys
 
 import equinox as eqx
 import jax
@@ -13,10 +11,8 @@ import numpy as np
 import pytest
 
 import bojax.robots.simulator
-from bojax.config.extras import MissingExtra
 from bojax.engine.build import build
 from bojax.numerics.kernels import kernels_run_here
-from bojax.robots import mujoco_warp
 from bojax.robots.car import car_model
 from bojax.robots.jaco import jaco_model
 from bojax.robots.models import RobotModel, from_file, packaged
@@ -41,9 +37,8 @@ each_model = pytest.mark.parametrize("name", by_tier(MODELS, normal=["jaco", "qu
 
 LANES, STEPS = 8, 20
 
-NEEDS_WARP = pytest.mark.skipif(importlib.util.find_spec("warp") is None, reason="needs warp-lang")
 NEEDS_GPU = pytest.mark.skipif(not kernels_run_here(), reason="needs an NVIDIA GPU")
-IMPLS = ["jax", "c", pytest.param("pallas", marks=NEEDS_GPU), pytest.param("warp", marks=NEEDS_WARP)]
+IMPLS = ["jax", "c", pytest.param("pallas", marks=NEEDS_GPU)]
 
 
 @functools.cache
@@ -301,14 +296,6 @@ def test_what_no_implementation_can_simulate_is_refused_by_all(impl):
     assert Simulator(build(MJX(), "float32"), RobotModel(slider(sleep="init")), substeps=1).impl == "jax"
 
 
-def test_warp_that_is_not_installed_says_so_in_a_line(monkeypatch):
-    monkeypatch.setitem(sys.modules, "warp", None)
-    mujoco_warp.load.cache_clear()
-    expected = r"^warp-lang is not installed; install .* -e '\.\[robots-cuda\]'$"
-    with pytest.raises(MissingExtra, match=expected):
-        Simulator(build(MJX(impl="warp"), "float32"), RobotModel(slider("<!-- no warp -->")), substeps=1)
-
-
 @pytest.mark.parametrize(
     ("impl", "name", "platform", "expected"),
     [
@@ -323,7 +310,6 @@ def test_warp_that_is_not_installed_says_so_in_a_line(monkeypatch):
         ("auto", None, "gpu", "pallas"),
         ("auto", "noslip", "gpu", "c"),
         ("auto", "noslip", "tpu", "c"),
-        ("warp", "hopper", "gpu", "warp"),
         ("jax", "hopper", "cpu", "jax"),
     ],
 )
