@@ -6,7 +6,7 @@ import functools
 import itertools
 import sys
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -37,6 +37,23 @@ _INTEGRATORS = {
     "rk4": mujoco.mjtIntegrator.mjINT_RK4,
     "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
 }
+
+
+class ConfiguredModel(NamedTuple):
+    """A model with the settings that its compiled form depends on, by which compiled models are cached.
+
+    Attributes:
+        model: The robot and its world.
+        iterations: Maximum number of iterations of the solver; None keeps the value of the model, here and
+            below.
+        ls_iterations: Maximum number of iterations of its line search.
+        integrator: Integration scheme.
+    """
+
+    model: RobotModel
+    iterations: int | None = None
+    ls_iterations: int | None = None
+    integrator: str | None = None
 
 
 class RobotState(eqx.Module):
@@ -97,7 +114,7 @@ class Simulator(eqx.Module):
     @property
     def mujoco_model(self) -> MjModel:
         """The compiled model of C MuJoCo, with the same settings."""
-        return _compiled(*self._key)
+        return _compiled(self._configured)
 
     @property
     def impl(self) -> Literal["jax", "pallas", "c"]:
@@ -111,9 +128,9 @@ class Simulator(eqx.Module):
             return self.physics.impl
         if jax.default_backend() == "cpu" and _has_contacts(self.mujoco_model):
             return "c"
-        if kernels_run_here() and _can_be_a_kernel(*self._key, self.substeps):
+        if kernels_run_here() and _can_be_a_kernel(self._configured, self.substeps):
             return "pallas"
-        return "jax" if _is_for_mjx(*self._key) else "c"
+        return "jax" if _is_for_mjx(self._configured) else "c"
 
     @property
     def time_step(self) -> float:
@@ -141,16 +158,16 @@ class Simulator(eqx.Module):
 
     @property
     def _advance(self) -> Any:
-        return _stepping(*self._key, self.impl, self.substeps)
+        return _stepping(self._configured, self.impl, self.substeps)
 
     @property
     def _sites(self) -> Any:
         return _locating(self.model)
 
     @property
-    def _key(self) -> tuple[RobotModel, int | None, int | None, str | None]:
+    def _configured(self) -> ConfiguredModel:
         physics = self.physics
-        return self.model, physics.iterations, physics.ls_iterations, physics.integrator
+        return ConfiguredModel(self.model, physics.iterations, physics.ls_iterations, physics.integrator)
 
 
 class Simulated(eqx.Module):
@@ -179,28 +196,20 @@ class Simulated(eqx.Module):
 
 
 @functools.cache
-def _stepping(
-    model: RobotModel,
-    iterations: int | None,
-    ls_iterations: int | None,
-    integrator: str | None,
-    impl: Literal["jax", "pallas", "c"],
-    substeps: int,
-) -> Any:
+def _stepping(configured: ConfiguredModel, impl: Literal["jax", "pallas", "c"], substeps: int) -> Any:
     """Several simulation steps under constant controls, traced once for all programs that call it."""
-    key = model, iterations, ls_iterations, integrator
     if impl == "jax":
-        return _steps_of(*key, substeps, search_at_ends)
-    return _in_lanes(_kernel_steps(*key, substeps) if impl == "pallas" else CSteps(_compiled(*key), substeps))
+        return _steps_of(configured, substeps, search_at_ends)
+    if impl == "pallas":
+        return _in_lanes(_kernel_steps(configured, substeps))
+    return _in_lanes(CSteps(_compiled(configured), substeps))
 
 
 @functools.cache
-def _is_for_mjx(
-    model: RobotModel, iterations: int | None, ls_iterations: int | None, integrator: str | None
-) -> bool:
+def _is_for_mjx(configured: ConfiguredModel) -> bool:
     """Whether MJX can simulate the model; if not, standard error has the reason, once."""
     try:
-        _in_mjx(model, iterations, ls_iterations, integrator)
+        _in_mjx(configured)
     except ValueError as error:
         print(f"note: physics.impl: auto is c, since {error}", file=sys.stderr)
         return False
@@ -208,47 +217,26 @@ def _is_for_mjx(
 
 
 @functools.cache
-def _can_be_a_kernel(
-    model: RobotModel,
-    iterations: int | None,
-    ls_iterations: int | None,
-    integrator: str | None,
-    substeps: int,
-) -> bool:
+def _can_be_a_kernel(configured: ConfiguredModel, substeps: int) -> bool:
     """Whether a kernel can simulate the model; if not, `KernelSteps` has the reason."""
     try:
-        _kernel_steps(model, iterations, ls_iterations, integrator, substeps)
+        _kernel_steps(configured, substeps)
     except ValueError:
         return False
     return True
 
 
 @functools.cache
-def _kernel_steps(
-    model: RobotModel,
-    iterations: int | None,
-    ls_iterations: int | None,
-    integrator: str | None,
-    substeps: int,
-) -> KernelSteps:
+def _kernel_steps(configured: ConfiguredModel, substeps: int) -> KernelSteps:
     """The steps of MJX as a kernel."""
-    key = model, iterations, ls_iterations, integrator
-    advance = _steps_of(*key, substeps, search_by_points)
-    return KernelSteps(_compiled(*key), substeps, lambda *x: advance(RobotState(*x[:3]), x[3]))
+    advance = _steps_of(configured, substeps, search_by_points)
+    return KernelSteps(_compiled(configured), substeps, lambda *x: advance(RobotState(*x[:3]), x[3]))
 
 
-def _steps_of(
-    model: RobotModel,
-    iterations: int | None,
-    ls_iterations: int | None,
-    integrator: str | None,
-    substeps: int,
-    search: Search,
-) -> Any:
+def _steps_of(configured: ConfiguredModel, substeps: int, search: Search) -> Any:
     """The steps of MJX for a lane."""
-    key = model, iterations, ls_iterations, integrator
-    put, data = _in_mjx(*key)
-    step = _step_of(_compiled(*key), search)
+    put, data = _in_mjx(configured)
+    step = _step_of(_compiled(configured), search)
     # A kernel takes the functions of the library apart itself.
     factors = small_factors if search is search_at_ends else contextlib.nullcontext
 
@@ -317,17 +305,15 @@ def _has_contacts(model: MjModel) -> bool:
 
 
 @functools.cache
-def _compiled(
-    model: RobotModel, iterations: int | None, ls_iterations: int | None, integrator: str | None
-) -> MjModel:
+def _compiled(configured: ConfiguredModel) -> MjModel:
     """The model of C MuJoCo, whose state has nothing but what `RobotState` has."""
-    spec = model.spec()
-    if iterations is not None:
-        spec.option.iterations = iterations
-    if ls_iterations is not None:
-        spec.option.ls_iterations = ls_iterations
-    if integrator is not None:
-        spec.option.integrator = _INTEGRATORS[integrator]
+    spec = configured.model.spec()
+    if configured.iterations is not None:
+        spec.option.iterations = configured.iterations
+    if configured.ls_iterations is not None:
+        spec.option.ls_iterations = configured.ls_iterations
+    if configured.integrator is not None:
+        spec.option.integrator = _INTEGRATORS[configured.integrator]
     try:
         compiled = spec.compile()
     except ValueError as error:
@@ -339,11 +325,9 @@ def _compiled(
     return compiled
 
 
-def _checked(
-    model: RobotModel, iterations: int | None, ls_iterations: int | None, integrator: str | None
-) -> MjModel:
+def _checked(configured: ConfiguredModel) -> MjModel:
     """The model of C MuJoCo, if MJX ignores nothing of it."""
-    compiled = _compiled(model, iterations, ls_iterations, integrator)
+    compiled = _compiled(configured)
     if ignored := _ignored(compiled):
         raise ValueError(f"MJX cannot simulate the model: {ignored}")
     return compiled
@@ -363,11 +347,9 @@ def _skeleton(model: RobotModel) -> MjModel:
 
 
 @functools.cache
-def _in_mjx(
-    model: RobotModel, iterations: int | None, ls_iterations: int | None, integrator: str | None
-) -> tuple[Any, Any]:
+def _in_mjx(configured: ConfiguredModel) -> tuple[Any, Any]:
     """The model and the data of MJX in JAX; created once, outside of any trace."""
-    return _put(_checked(model, iterations, ls_iterations, integrator))
+    return _put(_checked(configured))
 
 
 def _put(compiled: MjModel) -> tuple[Any, Any]:

@@ -14,6 +14,7 @@ from bojax.robots.models import RobotModel, packaged
 from bojax.robots.newton import search_at_ends
 from bojax.robots.settings import MJX
 from bojax.robots.simulator import (
+    ConfiguredModel,
     RobotState,
     Simulator,
     _can_be_a_kernel,
@@ -52,7 +53,7 @@ MODELS = {"pendulum": PENDULUM} | {
 
 @functools.cache
 def steps(name):
-    return _kernel_steps(MODELS[name], None, None, None, SUBSTEPS)
+    return _kernel_steps(ConfiguredModel(MODELS[name]), SUBSTEPS)
 
 
 def driven(name):
@@ -76,7 +77,7 @@ def scanned(advance, qpos, qvel, controls):
 def test_a_kernel_is_xlas_program(name):
     arrays = driven(name)
     found = scanned(_in_lanes(steps(name)), *arrays)
-    expected = scanned(_steps_of(MODELS[name], None, None, None, SUBSTEPS, search_at_ends), *arrays)
+    expected = scanned(_steps_of(ConfiguredModel(MODELS[name]), SUBSTEPS, search_at_ends), *arrays)
     np.testing.assert_allclose(found.qpos, expected.qpos, atol=1e-5)
     np.testing.assert_allclose(found.qvel, expected.qvel, rtol=1e-3, atol=1e-3)
     assert np.abs(found.qpos - arrays[0]).max() > 1e-2
@@ -85,7 +86,7 @@ def test_a_kernel_is_xlas_program(name):
 @pytest.mark.parametrize("name", by_tier(["jaco", "quadrotor"], normal=["quadrotor"]))
 def test_a_kernel_is_c_mujoco(name):
     """After one step and after twenty; `test_simulator` compares XLA's program in the same way."""
-    advance = _in_lanes(_kernel_steps(test_simulator.MODELS[name], None, None, None, 1))
+    advance = _in_lanes(_kernel_steps(ConfiguredModel(test_simulator.MODELS[name]), 1))
 
     def lane(qpos, qvel, controls):
         def step(state, control):
@@ -112,9 +113,9 @@ def test_a_model_that_is_too_large_is_refused(monkeypatch):
     with pytest.raises(
         ValueError, match='got "pallas"; a kernel cannot simulate the model .too many scalars'
     ):
-        _kernel_steps(PENDULUM, None, None, None, SUBSTEPS + 1)
-    assert not _can_be_a_kernel(PENDULUM, None, None, None, SUBSTEPS + 1)
-    assert _can_be_a_kernel(PENDULUM, None, None, None, SUBSTEPS)
+        _kernel_steps(ConfiguredModel(PENDULUM), SUBSTEPS + 1)
+    assert not _can_be_a_kernel(ConfiguredModel(PENDULUM), SUBSTEPS + 1)
+    assert _can_be_a_kernel(ConfiguredModel(PENDULUM), SUBSTEPS)
 
 
 def test_a_kernel_needs_a_gpu(monkeypatch):
