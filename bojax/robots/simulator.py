@@ -19,11 +19,11 @@ from bojax.numerics.kernels import kernels_run_here
 from bojax.numerics.lanes import batched_together
 from bojax.numerics.third_party import plain_jax, silenced, standard_jax
 from bojax.robots.c_mujoco import CSteps
+from bojax.robots.kernel.small_factors import small_factors
+from bojax.robots.kernel.steps import KernelSteps
 from bojax.robots.lane_steps import LaneSteps
-from bojax.robots.mjx_kernel import KernelSteps
 from bojax.robots.models import MjModel, RobotModel, mujoco
 from bojax.robots.newton import Search, constrained, has_clipped_forces, search_at_ends, search_by_points
-from bojax.robots.small_factors import small_factors
 from bojax.text import one_line
 
 try:

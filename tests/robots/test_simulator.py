@@ -319,7 +319,9 @@ def test_the_implementation_that_auto_stands_for(monkeypatch, impl, name, platfo
     monkeypatch.setattr(bojax.robots.simulator, "kernels_run_here", lambda: platform == "gpu")
     noslip = RobotModel(slider(option="<option noslip_iterations='3'/>"))
     too_large = MODELS["car"], noslip
-    monkeypatch.setattr(bojax.robots.simulator, "_can_be_a_kernel", lambda model, *_: model not in too_large)
+    monkeypatch.setattr(
+        bojax.robots.simulator, "_can_be_a_kernel", lambda configured, _: configured.model not in too_large
+    )
     monkeypatch.setattr(bojax.robots.simulator, "_stepping", lambda *_: None)
     model = ({"noslip": noslip, None: RobotModel(slider())} | MODELS)[name]
     assert Simulator(build(MJX(impl=impl), "float32"), model, substeps=1).impl == expected

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 from typing_extensions import override
 
-from bojax.numerics.scalars import NotScalar, ScalarProgram
+from bojax.robots.kernel.scalars import NotScalar, ScalarProgram
 from bojax.robots.lane_steps import LaneSteps
 from bojax.robots.models import MjModel
 

@@ -7,7 +7,7 @@ import pytest
 import scipy.linalg
 
 from bojax.numerics.third_party import plain_jax
-from bojax.robots.small_factors import small_factors
+from bojax.robots.kernel.small_factors import small_factors
 
 
 @pytest.mark.parametrize("rows", [1, 6, 11, 17])

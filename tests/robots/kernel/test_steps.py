@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-import bojax.robots.mjx_kernel
+import bojax.robots.kernel.steps
 import bojax.robots.simulator
 from bojax.engine.build import build
 from bojax.numerics.third_party import standard_jax
@@ -109,7 +109,7 @@ def test_a_kernel_is_c_mujoco(name):
 
 def test_a_model_that_is_too_large_is_refused(monkeypatch):
     steps("pendulum")  # kept, so that the limit does not apply to it
-    monkeypatch.setattr(bojax.robots.mjx_kernel, "_MOST_SCALARS", 100)
+    monkeypatch.setattr(bojax.robots.kernel.steps, "_MOST_SCALARS", 100)
     with pytest.raises(
         ValueError, match='got "pallas"; a kernel cannot simulate the model .too many scalars'
     ):

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bojax.numerics.scalars import NotScalar, ScalarProgram
+from bojax.robots.kernel.scalars import NotScalar, ScalarProgram
 
 X = np.random.default_rng(0).normal(size=(4, 3))
 INDEX = np.array([[2, 0], [1, 1]])
