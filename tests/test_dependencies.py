@@ -27,7 +27,7 @@ DISTRIBUTIONS |= dict(importlib.metadata.packages_distributions())
 """By the name of a module, the distributions that bring it; those of extras need not be installed."""
 
 REQUIRED = [Requirement(text) for text in PROJECT["dependencies"]]
-PINNED = ("robots", "ray", "gym", "brax", "tensorboard", "wandb", "mlflow", "test")
+PINNED = ("ray", "gym", "tensorboard", "wandb", "mlflow", "test")
 """Extras whose versions are pinned; the others are chosen by the machine, or are not needed by the tests."""
 
 
@@ -95,7 +95,7 @@ def test_every_declared_package_is_pinned_to_a_version_that_is_allowed(constrain
 
 
 def test_the_doctor_knows_every_extra_of_a_user():
-    others = {"cuda12", "cuda13", "test", "bench", "notebook", "docs"}
+    others = {"cuda12", "cuda13", "test", "bench", "notebook", "docs", "robots", "brax"}
     assert OPTIONAL.keys() == EXTRAS.keys() - others
     page = (ROOT / "docs" / "installation.md").read_text()
     for extra, (module, _) in OPTIONAL.items():
@@ -115,4 +115,4 @@ def test_commands_that_install_extras_work_in_a_clone():
     texts = {path: path.read_text() for path in TEXTS}
     assert [path for path, text in texts.items() if re.search(r"pip install \S*bojax", text)] == []
     named = {extra for text in texts.values() for extra in re.findall(r"pip install -e '\.\[(\w+)\]'", text)}
-    assert {"gym", "robots", "brax"} <= named <= EXTRAS.keys()
+    assert {"gym", "ray"} <= named <= EXTRAS.keys()

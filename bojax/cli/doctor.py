@@ -26,6 +26,10 @@ _PACKAGES = (
     "equinox",
     "jaxtyping",
     "optax",
+    "orbax-checkpoint",
+    "mujoco",
+    "mujoco-mjx",
+    "brax",
     "numpy",
     "scipy",
     "pyarrow",
@@ -183,14 +187,11 @@ def _films() -> Iterator[Finding]:
         "ok" if has_ffmpeg else "note", "GIF and MP4" if has_ffmpeg else "GIF only; MP4 needs ffmpeg"
     )
     try:
-        version = importlib.metadata.version("mujoco")
         name = backend() or "its default backend"
-    except importlib.metadata.PackageNotFoundError:  # a line of `extras` says so
-        return
     except CannotDraw as error:
         yield Finding("note", str(error))
         return
-    yield Finding("ok", f"robots: MuJoCo {version} draws with {name.upper() if name in BACKENDS else name}")
+    yield Finding("ok", f"robots: MuJoCo draws with {name.upper() if name in BACKENDS else name}")
 
 
 def _results() -> Iterator[Finding]:

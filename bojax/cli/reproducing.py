@@ -22,8 +22,7 @@ Run the sweeps of the thesis as one plan, and write the report of each sweep and
 page has the number of the thesis, the number found here and the verdict side by side.
 
 ID is a sweep (fig-4.6), a figure or table with several sweeps (fig-5.5, table-5.3), chapter3, chapter4,
-chapter5, or all: every sweep with claims of the thesis. Studies are run by name. Sweeps whose extra is not
-installed are skipped.
+chapter5, or all: every sweep with claims of the thesis. Studies are run by name.
 
 --page runs nothing: it makes the page from results of several commands, of whatever age and machine. DIR is a
 results folder, or a folder above some. The newest results of each sweep count, and are judged by the claims
@@ -66,22 +65,19 @@ def main(name: str, words: Sequence[str]) -> int:
     if not args.out:  # so that the printed command resumes this folder
         words = [*words, "--out", str(out)]
     start = time.monotonic()
-    skipped: dict[str, str] = {}
     code = run(
         [resolved(sweep) for sweep in sweeps],
         folders,
         args.resume,
         ["bojax", name, *words],
         launching=args,
-        skipped=skipped,
     )
-    if code not in (0, 1) or not all(_is_merged(folder, skipped) for folder in folders):
+    if code not in (0, 1) or not all((folder / "manifest.json").exists() for folder in folders):
         return code
 
     from bojax.report.reproduction import reproduction
 
-    sources = [folder for folder in folders if folder.name not in skipped]
-    print(reproduction(out, sources, time.monotonic() - start, skipped))
+    print(reproduction(out, folders, time.monotonic() - start))
     return code
 
 
@@ -97,11 +93,6 @@ def _join(args: Namespace) -> int:
     print(f"{counted(len(claims), 'claim')}: {in_words(claims)}", file=sys.stderr)
     print(pages[-1])
     return 0
-
-
-def _is_merged(folder: Path, skipped: dict[str, str]) -> bool:
-    """Whether a sweep has results; one that was submitted to Slurm has none yet."""
-    return folder.name in skipped or (folder / "manifest.json").exists()
 
 
 def selected(ids: Sequence[str]) -> list[str]:

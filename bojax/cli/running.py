@@ -140,7 +140,6 @@ def run(
     *,
     exits: bool = True,
     launching: Namespace | None = None,
-    skipped: dict[str, str] | None = None,
 ) -> int:
     """Run resolved sweeps and write their reports.
 
@@ -151,7 +150,6 @@ def run(
         command: The command line, for the manifests and for the hint on how to resume.
         exits: Whether a second signal ends the process at once.
         launching: The options of `add_launching`; None runs the chunks in this process, on all devices.
-        skipped: As for `bojax.engine.run.run_sweeps`.
 
     Returns:
         The exit code, as `bojax.engine.run.run_sweeps`.
@@ -184,7 +182,6 @@ def run(
             resume,
             command,
             finish=reports.write,
-            skipped=skipped,
             exits=exits,
             launcher=launcher,
             indices=devices,

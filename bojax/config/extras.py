@@ -2,8 +2,6 @@
 
 OPTIONAL = {
     "gym": ("gymnasium", "environments of Gymnasium"),
-    "brax": ("brax", "environments of Brax"),
-    "robots": ("mujoco", "simulated robots and their films"),
     "ray": ("ray", "--launcher ray"),
     "tensorboard": ("tensorboardX", "bojax export --to tensorboard"),
     "wandb": ("wandb", "bojax export --to wandb"),

@@ -96,7 +96,6 @@ def run_remotely(
     targets: Sequence[Target],
     command: Sequence[str],
     finish: Callable[[Path], Any],
-    skipped: dict[str, str] | None,
     stop: StopRequest,
     launcher: Launcher,
 ) -> int:
@@ -108,7 +107,6 @@ def run_remotely(
         targets: The sweeps with their folders.
         command: The command line.
         finish: Called with the results folder of each finished sweep.
-        skipped: Receives the names of sweeps whose extra is not installed, and the reasons.
         stop: Whether a stop is requested.
         launcher: Starts the workers.
     """
@@ -116,7 +114,7 @@ def run_remotely(
     names = ", ".join(target.sweep.name for target in targets)
     launcher.check(names)
     # What is wrong with a sweep shows before the launch.
-    unfinished = plan_unfinished(targets, jax.devices("cpu")[:1], finish, skipped)
+    unfinished = plan_unfinished(targets, jax.devices("cpu")[:1], finish)
     remotes = [_Remote(target.sweep, _open(target)) for target, _ in unfinished]
     try:
         return _run(remotes, names, command, finish, stop, launcher) if remotes else 0

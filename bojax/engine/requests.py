@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bojax.config.errors import printable
-from bojax.config.extras import MissingExtra
 from bojax.engine.devices import Device, of_platform
 from bojax.engine.plan import Plan, make_plan
 from bojax.results.folder import (
@@ -88,7 +87,6 @@ def plan_unfinished(
     targets: Sequence[Target],
     devices: Sequence[Device],
     finish: Callable[[Path], Any],
-    skipped: dict[str, str] | None,
 ) -> list[tuple[Target, Plan]]:
     """Plan all sweeps, and return those that are not finished yet, with their plans.
 
@@ -96,24 +94,14 @@ def plan_unfinished(
         targets: The sweeps with their folders.
         devices: The devices of this process.
         finish: Called with the results folder of each sweep that is finished already.
-        skipped: Receives the names of sweeps whose extra is not installed, and the reasons. If None, such a
-            sweep is an error.
 
     Raises:
         ConfigError: A sweep cannot be built.
-        MissingExtra: The extra of a sweep is not installed.
         ResultsError: A finished sweep is another one, or a saved learner cannot be read.
     """
     unfinished = []
     for target in targets:
-        try:
-            plan = make_plan(target.sweep, _devices_of(target, devices))
-        except MissingExtra as error:
-            if skipped is None:
-                raise
-            skipped[target.sweep.name] = str(error)
-            print(f"{target.sweep.name}: skipped: {error}", file=sys.stderr)
-            continue
+        plan = make_plan(target.sweep, _devices_of(target, devices))
         if target.is_resumed and not is_unfinished(target.path):
             check_finished(target.path, plan.content)
             drop_leftovers(target.path)

@@ -30,7 +30,6 @@ def run_sweeps(
     resume: bool,
     command: Sequence[str],
     finish: Callable[[Path], Any] = lambda _: None,
-    skipped: dict[str, str] | None = None,
     *,
     exits: bool = True,
     launcher: Launcher | None = None,
@@ -46,8 +45,6 @@ def run_sweeps(
         resume: Continue unfinished sweeps, each in its `out` or in the newest unfinished folder of its name.
         command: The command line, for the manifests and for the hint on how to resume.
         finish: Called with the results folder of each finished sweep, for instance to write a report.
-        skipped: Receives the names of sweeps whose extra is not installed, and the reasons. If None, such a
-            sweep is an error.
         exits: Whether a second signal ends the process at once.
         launcher: Starts workers that run the chunks; None to run them in this process.
         indices: Indices of the devices that this process uses; None for all.
@@ -62,10 +59,10 @@ def run_sweeps(
             targets = choose_targets(requests, resume=resume)
             if launcher is not None:
                 planned()
-                return run_remotely(targets, command, finish, skipped, stop, launcher)
+                return run_remotely(targets, command, finish, stop, launcher)
             prepare(device)
             devices = choose(find_devices(device), indices)
-            return _run(targets, devices, command, finish, skipped, stop, planned)
+            return _run(targets, devices, command, finish, stop, planned)
     except (ConfigError, ResultsError, EngineError) as error:
         print(printable(f"error: {error}"), file=sys.stderr)
         return error.exit_code
@@ -76,7 +73,6 @@ def _run(
     devices: Sequence[Device],
     command: Sequence[str],
     finish: Callable[[Path], Any],
-    skipped: dict[str, str] | None,
     stop: StopRequest,
     planned: Callable[[], Any],
 ) -> int:
@@ -89,7 +85,7 @@ def _run(
             is_resumed=target.is_resumed,
             may_rename=target.may_rename,
         )
-        for target, plan in plan_unfinished(targets, devices, finish, skipped)
+        for target, plan in plan_unfinished(targets, devices, finish)
     ]
     for journal in journals:
         journal.note_seconds("planning", journals[0].planned - start)

@@ -10,16 +10,12 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 from typing_extensions import override
 
-from bojax.config.extras import MissingExtra
 from bojax.envs.base import Env, TimeStep
 from bojax.envs.spaces import Box
 from bojax.numerics.third_party import plain_jax, silenced, standard_jax
 
-try:
-    with silenced():
-        import brax.envs as brax_envs
-except ImportError as error:
-    raise MissingExtra("brax", "brax") from error
+with silenced():
+    import brax.envs as brax_envs
 
 
 class BraxEnv(Env):

@@ -260,7 +260,7 @@ Bounds = float | Annotated[tuple[float, ...], Field(strict=False, min_length=1)]
 
 
 class Brax(Environment, frozen=True):
-    """An environment of Brax, compiled (extra `brax`)."""
+    """An environment of Brax, compiled."""
 
     target: ClassVar[str] = "bojax.envs.brax:BraxEnv"
 

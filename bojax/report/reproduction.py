@@ -2,7 +2,7 @@
 
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -114,17 +114,15 @@ class Row:
         return cls(sweep, claim, int(chapter), order, reference, page[1] if page else "", other)
 
 
-def reproduction(
-    folder: Path, sources: Sequence[Path], seconds: float, skipped: Mapping[str, str] = {}
-) -> Path:
+def reproduction(folder: Path, sources: Sequence[Path], seconds: float) -> Path:
     """Write `reproduction.html` and `reproduction.md`, which has the same content without links to reports.
 
     The sources are results folders, each with the `claims.json` of its report. A folder that is missing,
-    unfinished or damaged becomes one line of the page, as does each skipped sweep, by name with the reason.
+    unfinished or damaged becomes one line of the page.
     `seconds` is the wall time of the command that ran them. The explanations of the sweeps
     (`report.explanations`) follow the tables, also if the results were made before they were written.
     """
-    sweeps, gaps = [], list(skipped.items())
+    sweeps, gaps = [], []
     for source in map(Path, sources):
         try:
             results = load(source)

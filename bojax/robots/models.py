@@ -7,14 +7,10 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from bojax.config.extras import MissingExtra
 from bojax.config.limits import TEXT, read_within
 from bojax.text import one_line
 
-try:
-    mujoco: Any = importlib.import_module("mujoco")  # MuJoCo has no type stubs
-except ImportError as error:
-    raise MissingExtra("mujoco", "robots") from error
+mujoco: Any = importlib.import_module("mujoco")  # MuJoCo has no type stubs
 
 MjModel: TypeAlias = Any
 """A compiled model of C MuJoCo."""

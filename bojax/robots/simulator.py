@@ -14,7 +14,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from bojax.config.extras import MissingExtra
 from bojax.numerics.kernels import kernels_run_here
 from bojax.numerics.lanes import batched_together
 from bojax.numerics.third_party import plain_jax, silenced, standard_jax
@@ -26,11 +25,8 @@ from bojax.robots.models import MjModel, RobotModel, mujoco
 from bojax.robots.newton import Search, constrained, has_clipped_forces, search_at_ends, search_by_points
 from bojax.text import one_line
 
-try:
-    with silenced():
-        from mujoco import mjx
-except ImportError as error:
-    raise MissingExtra("mujoco-mjx", "robots") from error
+with silenced():
+    from mujoco import mjx
 
 _INTEGRATORS = {
     "euler": mujoco.mjtIntegrator.mjINT_EULER,

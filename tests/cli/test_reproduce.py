@@ -15,10 +15,8 @@ from bojax.cli import background
 from bojax.cli.main import main
 from bojax.cli.parser import UsageError
 from bojax.cli.reproducing import _newest, selected
-from bojax.config.extras import MissingExtra
 from bojax.config.files import available
 from bojax.config.sweep import load_sweep
-from bojax.engine.plan import make_plan
 
 SMALL = """\
 base: {experiment: learning, env: chain, learner: {kind: epsilon-greedy}, episodes: 2, runs: 2}
@@ -183,16 +181,3 @@ def test_a_missing_report_is_an_error(reproduced, tmp_path, monkeypatch, capfd):
         "error: the report of out/fig-9.1a cannot be written" in error
         and "bojax report out/fig-9.1a" in error
     )
-
-
-def test_a_sweep_without_its_extra_is_skipped(two, capfd, monkeypatch):
-    def plan(sweep, devices):
-        if sweep.name == "fig-9.1a":
-            raise MissingExtra("mujoco-mjx", "robots")
-        return make_plan(sweep, devices)
-
-    monkeypatch.setattr("bojax.engine.requests.make_plan", plan)
-    assert main(["reproduce", "fig-9.1", "--out", "out"]) == 0
-    assert "fig-9.1a: skipped: mujoco-mjx is not installed" in capfd.readouterr().err
-    text = Path("out/reproduction.md").read_text()
-    assert "mujoco-mjx is not installed" in text and "1 claim, tested by 1 sweep" in text

@@ -165,7 +165,6 @@ def test_where_no_run_was_recorded_this_is_told(tmp_path, capsys):
 @pytest.fixture
 def rendering():
     """MuJoCo's drawing, where this machine can."""
-    pytest.importorskip("mujoco")
     from bojax.report.animations import rendering
 
     try:
@@ -276,7 +275,6 @@ BASE = f"""
 
 @pytest.mark.parametrize("xml", [BASE, PUCK])
 def test_positions_are_a_pose_only_where_a_body_is_free(tmp_path, xml):
-    pytest.importorskip("mujoco")
     (tmp_path / "model.xml").write_text(xml)
     frames = np.full((ROOM, 3, 7), np.nan)
     half = np.sqrt(0.5)  # a heading of pi / 2, or angles of wheels
@@ -297,7 +295,6 @@ class TestWithoutAScreen:
     @pytest.fixture
     def works(self, monkeypatch):
         """Let only these ways work, and note which were tried."""
-        pytest.importorskip("mujoco")
         from bojax.report.animations import rendering
 
         def install(*names):
@@ -343,7 +340,6 @@ class TestWithoutAScreen:
         assert findings[-1].state == "note" and "apt install" in findings[-1].text
 
     def test_a_probe_that_fails_is_no_way(self, monkeypatch):
-        pytest.importorskip("mujoco")
         from bojax.report.animations.rendering import _works
 
         assert not _works("no-such-thing")

@@ -68,7 +68,6 @@ class Renderer:
 
     Raises:
         CannotDraw: Nothing on this machine can render.
-        MissingExtra: MuJoCo is not installed.
         ValueError: MuJoCo refuses the model.
     """
 
