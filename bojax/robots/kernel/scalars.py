@@ -69,7 +69,9 @@ class ScalarProgram:
         traced = jax.make_jaxpr(function)(*examples)
         tracing = _Tracing(most)
         arguments = [tracing.inputs(v.aval) for v in traced.jaxpr.invars]
-        results = tracing.evaluate(traced.jaxpr, traced.consts, arguments)
+        # The caller may be traced itself, but known numbers are computed now.
+        with jax.ensure_compile_time_eval():
+            results = tracing.evaluate(traced.jaxpr, traced.consts, arguments)
         self.inputs = _elements(arguments)
         if not self.inputs:
             raise NotScalar("no arguments, whose shape the results could have")
@@ -80,52 +82,28 @@ class ScalarProgram:
         return _computed(self.outputs, dict(zip(self.inputs, values, strict=True)))
 
 
-def _integers(of_floats: Callable[..., Any], of_integers: Callable[..., Any]) -> Callable[..., Any]:
-    """A quotient, or a remainder, that follows XLA for integers, without an exception for a divisor of 0."""
-
-    def compute(x: Any, y: Any) -> Any:
-        if not np.issubdtype(x.dtype, np.integer):
-            return of_floats(x, y)
-        # Python's integers neither overflow nor lose digits; the result wraps around.
-        number = of_integers(int(x), int(y))
-        return np.asarray(number & ((1 << (8 * x.dtype.itemsize)) - 1), np.uint64).astype(x.dtype)
-
-    return compute
+def _by_jax(name: str) -> Callable[..., Any]:
+    """An operation of JAX on known operands, for cases that NumPy decides otherwise."""
+    return lambda *operands: np.asarray(getattr(lax, name)(*operands))
 
 
-def _quotient(x: int, y: int) -> int:
-    return -1 if y == 0 else abs(x) // abs(y) * (1 if (x < 0) == (y < 0) else -1)
-
-
-def _remainder(x: int, y: int) -> int:
-    return x if y == 0 else x - y * _quotient(x, y)
-
-
-def _sign(x: Any) -> Any:
-    return np.where(x > 0, 1, np.where(x < 0, -1, x))
-
-
-def _maximum(x: Any, y: Any) -> Any:
-    """The larger number; 0 is larger than -0."""
-    return x + y if x == 0 and y == 0 else np.maximum(x, y)
-
-
-def _minimum(x: Any, y: Any) -> Any:
-    """The smaller number; -0 is smaller than 0."""
-    return -(-x - y) if x == 0 and y == 0 else np.minimum(x, y)
+def _of_floats(name: str, compute: Callable[..., Any]) -> Callable[..., Any]:
+    """An operation of NumPy on floats; on integers that of JAX, which divides by 0 without an exception."""
+    return lambda x, y: (compute if np.issubdtype(x.dtype, np.floating) else _by_jax(name))(x, y)
 
 
 _UFUNCS: dict[str, Callable[..., Any]] = {
     "add": np.add,
     "sub": np.subtract,
     "mul": np.multiply,
-    "div": _integers(np.divide, _quotient),
-    "rem": _integers(np.fmod, _remainder),
+    "div": _of_floats("div", np.divide),
+    "rem": _of_floats("rem", np.fmod),
     "neg": np.negative,
     "abs": np.abs,
-    "sign": _sign,
-    "max": _maximum,
-    "min": _minimum,
+    "sign": _by_jax("sign"),
+    # 0 is larger than -0, and the operand that is not a number is the result.
+    "max": _by_jax("max"),
+    "min": _by_jax("min"),
     "floor": np.floor,
     "ceil": np.ceil,
     "square": np.square,
@@ -172,10 +150,10 @@ class _Tracing:
 
     def inputs(self, aval: Any) -> np.ndarray:
         """An array of which nothing is known: an argument, or what a loop carries."""
-        found = np.empty(aval.shape, object)
-        for at in np.ndindex(found.shape):
-            found[at] = Scalar(next(self._numbers), self._level, (), None, np.dtype(aval.dtype))
-        return found
+        dtype = np.dtype(aval.dtype)
+        return _each(
+            lambda _: Scalar(next(self._numbers), self._level, (), None, dtype), np.empty(aval.shape)
+        )
 
     def apply(self, name: str, compute: Callable[..., Any], operands: Sequence[Any], dtype: Any) -> Any:
         """An elementwise operation on scalars, or its result if that is known."""
@@ -197,11 +175,7 @@ class _Tracing:
 
     def elementwise(self, name: str, arrays: Sequence[np.ndarray], dtype: Any) -> np.ndarray:
         compute = _operation(name)
-        arrays = np.broadcast_arrays(*arrays)
-        found = np.empty(arrays[0].shape, object)
-        for at in np.ndindex(found.shape):
-            found[at] = self.apply(name, compute, [x[at] for x in arrays], dtype)
-        return _tidy(found, dtype)
+        return _tidy(_each(lambda *x: self.apply(name, compute, x, dtype), *arrays), dtype)
 
     def total(self, name: str, parts: Sequence[Any], dtype: Any) -> Any:
         """The sum of scalars by pairs, or another associative operation of them."""
@@ -262,18 +236,16 @@ class _Tracing:
 
     def converted(self, x: np.ndarray, new: np.dtype) -> np.ndarray:
         """An array of another type."""
+        convert = functools.partial(lax.convert_element_type, new_dtype=new)
         if x.dtype != object:
-            return _converted(x, new)
-        found = np.empty(x.shape, object)
-        for at in np.ndindex(x.shape):
-            if not isinstance(x[at], Scalar):
-                found[at] = _converted(np.asarray(x[at]), new)[()]
-            elif x[at].dtype == new:
-                found[at] = x[at]
-            else:
-                convert = functools.partial(lax.convert_element_type, new_dtype=new)
-                found[at] = self.apply(f"to {new}", convert, [x[at]], new)
-        return _tidy(found, new)
+            return np.asarray(convert(x))
+
+        def one(e: Any) -> Any:
+            if not isinstance(e, Scalar):
+                return new.type(convert(e))
+            return e if e.dtype == new else self.apply(f"to {new}", convert, [e], new)
+
+        return _tidy(_each(one, x), new)
 
     def _split(self, eqn: Any, x: np.ndarray) -> list[np.ndarray]:
         return np.split(x, np.cumsum(eqn.params["sizes"])[:-1], eqn.params["axis"])
@@ -291,30 +263,21 @@ class _Tracing:
     def _unstack(self, eqn: Any, x: np.ndarray) -> list[np.ndarray]:
         return [np.asarray(part) for part in np.moveaxis(x, eqn.params["axis"], 0)]
 
-    def _reduce(self, eqn: Any, x: np.ndarray, name: str, empty: Any) -> np.ndarray:
+    def _reduce(self, eqn: Any, x: np.ndarray, name: str, empty: Callable[[Any], Any]) -> np.ndarray:
         dtype, axes = eqn.outvars[0].aval.dtype, tuple(eqn.params["axes"])
         rest = [i for i in range(x.ndim) if i not in axes]
         size = math.prod(x.shape[i] for i in axes)
         x = x.transpose(*rest, *axes).reshape(*(x.shape[i] for i in rest), size)
         found = np.empty(x.shape[:-1], object)
         for at in np.ndindex(found.shape):
-            found[at] = self.total(name, list(x[at]) or [np.dtype(dtype).type(empty)], dtype)
+            found[at] = self.total(name, list(x[at]) or [np.dtype(dtype).type(empty(dtype))], dtype)
         return _tidy(found, dtype)
 
-    def _reduce_sum(self, eqn: Any, x: np.ndarray) -> np.ndarray:
-        return self._reduce(eqn, x, "add", 0.0)
-
-    def _reduce_max(self, eqn: Any, x: np.ndarray) -> np.ndarray:
-        return self._reduce(eqn, x, "max", _bounds(eqn.outvars[0].aval.dtype)[0])
-
-    def _reduce_min(self, eqn: Any, x: np.ndarray) -> np.ndarray:
-        return self._reduce(eqn, x, "min", _bounds(eqn.outvars[0].aval.dtype)[1])
-
-    def _reduce_and(self, eqn: Any, x: np.ndarray) -> np.ndarray:
-        return self._reduce(eqn, x, "and", True)
-
-    def _reduce_or(self, eqn: Any, x: np.ndarray) -> np.ndarray:
-        return self._reduce(eqn, x, "or", False)
+    _reduce_sum = functools.partialmethod(_reduce, name="add", empty=lambda dtype: 0)
+    _reduce_max = functools.partialmethod(_reduce, name="max", empty=lambda dtype: _bounds(dtype)[0])
+    _reduce_min = functools.partialmethod(_reduce, name="min", empty=lambda dtype: _bounds(dtype)[1])
+    _reduce_and = functools.partialmethod(_reduce, name="and", empty=lambda dtype: True)
+    _reduce_or = functools.partialmethod(_reduce, name="or", empty=lambda dtype: False)
 
     def _dot_general(self, eqn: Any, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         aval, ((lc, rc), (lb, rb)) = eqn.outvars[0].aval, eqn.params["dimension_numbers"]
@@ -416,11 +379,8 @@ class _Tracing:
             found[i] = self.apply(name, _operation(name), [found[i], update], aval.dtype) if name else update
         return _tidy(found[:-1].reshape(x.shape), aval.dtype)
 
-    def _scatter_add(self, eqn: Any, *arrays: np.ndarray) -> np.ndarray:
-        return self._scatter(eqn, *arrays, name="add")
-
-    def _scatter_mul(self, eqn: Any, *arrays: np.ndarray) -> np.ndarray:
-        return self._scatter(eqn, *arrays, name="mul")
+    _scatter_add = functools.partialmethod(_scatter, name="add")
+    _scatter_mul = functools.partialmethod(_scatter, name="mul")
 
     # ---- loops
 
@@ -485,13 +445,15 @@ class _Tracing:
             )
 
         whole = self.scalar([*starts, *free], compute, np.float32)
-        found, index = [], itertools.count()
-        for aval in avals:
-            array = np.empty(aval.shape, object)
-            for at in np.ndindex(array.shape):
-                array[at] = self.scalar([whole], operator.itemgetter(next(index)), aval.dtype)
-            found.append(array)
-        return found
+        index = itertools.count()
+
+        def result(aval: Any) -> np.ndarray:
+            def one(_: Any) -> Scalar:
+                return self.scalar([whole], operator.itemgetter(next(index)), aval.dtype)
+
+            return _each(one, np.empty(aval.shape))
+
+        return [result(aval) for aval in avals]
 
 
 def _selected(which: Any, *cases: Any) -> Any:
@@ -589,17 +551,6 @@ def _bounds(dtype: np.dtype) -> tuple[Any, Any]:
     return -np.inf, np.inf
 
 
-def _converted(x: np.ndarray, new: np.dtype) -> np.ndarray:
-    """Known numbers of another type; integers that are out of range become the nearest one, and NaN 0."""
-    if not (np.issubdtype(x.dtype, np.floating) and np.issubdtype(new, np.integer)):
-        return x.astype(new)
-    limits = np.iinfo(new)
-    x = np.where(np.isnan(x), 0, x)
-    is_low, is_high = x <= float(limits.min), x >= float(limits.max)
-    found = np.where(is_low | is_high, 0, x).astype(new)
-    return np.where(is_high, limits.max, np.where(is_low, limits.min, found)).astype(new)
-
-
 def _opened(traced: Any) -> tuple[Any, Sequence[Any]]:
     """A traced function and its constants."""
     return (traced.jaxpr, traced.consts) if hasattr(traced, "jaxpr") else (traced, ())
@@ -607,9 +558,15 @@ def _opened(traced: Any) -> tuple[Any, Sequence[Any]]:
 
 def _objects(x: np.ndarray) -> np.ndarray:
     """A copy with NumPy's scalars or those of the program as elements."""
-    found = np.empty(x.shape, object)
-    for at in np.ndindex(x.shape):
-        found[at] = x[at]
+    return _each(lambda e: e, x)
+
+
+def _each(function: Callable[..., Any], *arrays: np.ndarray) -> np.ndarray:
+    """The array of what a function returns for the elements of arrays."""
+    arrays = np.broadcast_arrays(*arrays)
+    found = np.empty(arrays[0].shape, object)
+    for at in np.ndindex(found.shape):
+        found[at] = function(*(x[at] for x in arrays))
     return found
 
 
