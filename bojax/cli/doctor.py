@@ -180,7 +180,7 @@ def _figures() -> Iterator[Finding]:
 def _films() -> Iterator[Finding]:
     from matplotlib.animation import FFMpegWriter
 
-    from bojax.report.animations.rendering import BACKENDS, CannotDraw, backend
+    from bojax.films.rendering import BACKENDS, CannotDraw, backend
 
     has_ffmpeg = FFMpegWriter.isAvailable()
     yield Finding(

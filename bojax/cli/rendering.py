@@ -23,8 +23,8 @@ def main(name: str, words: Sequence[str]) -> int:
     from rich.console import Console
     from rich.progress import Progress
 
-    from bojax.report.animations.choose import choose_film
-    from bojax.report.animations.film import render, write_still
+    from bojax.films.choose import choose_film
+    from bojax.films.film import render, write_still
     from bojax.report.source import load
     from bojax.results.store import ResultsError
     from bojax.text import error_line

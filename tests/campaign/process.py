@@ -55,8 +55,8 @@ def import_all() -> None:
     for name in (
         "engine.worker",
         "report.build",
-        "report.animations.choose",
-        "report.animations.film",
+        "films.choose",
+        "films.film",
         "config.external",
     ):
         importlib.import_module(f"bojax.{name}")

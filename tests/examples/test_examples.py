@@ -158,7 +158,7 @@ def test_a_command_of_the_pages_runs(words, folder):
 
 def _render(folder, model) -> None:
     """Draw a film of a user's robot, where this machine can draw."""
-    from bojax.report.animations.rendering import CannotDraw, backend
+    from bojax.films.rendering import CannotDraw, backend
 
     try:
         backend()

@@ -12,12 +12,12 @@ import pytest
 
 from bojax.cli.main import main
 from bojax.engine.build import build
+from bojax.films.robot_worlds import car_world
 from bojax.motions.base import place, tightest_radius
 from bojax.motions.settings import KernelTrajectories, Splines
 from bojax.problems.settings import RobotParking
 from bojax.problems.vehicles.settings import WheeledRobot
 from bojax.problems.vehicles.wheeled_robot import FRAME_EVERY
-from bojax.report.animations.robot_worlds import car_world
 from bojax.results.outline import Outline
 from bojax.robots.car import car_model, car_parameters
 from tests.compiling import REPEATABLY

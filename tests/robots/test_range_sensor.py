@@ -8,7 +8,7 @@ import pytest
 
 from bojax.fields.blocks import Blocks
 from bojax.fields.closed_form import Bumps
-from bojax.report.animations.robot_worlds import quadrotor_world
+from bojax.films.robot_worlds import quadrotor_world
 from bojax.results.outline import Outline
 from bojax.robots.range_sensor import cone, ranges
 

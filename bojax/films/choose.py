@@ -3,10 +3,10 @@
 from pathlib import Path
 
 from bojax.experiments.settings import Planning
-from bojax.report.animations.film import Film
-from bojax.report.animations.learning import LearningFilm
-from bojax.report.animations.planning import PlanningFilm
-from bojax.report.animations.recorded import choose_drive, choose_episode
+from bojax.films.film import Film
+from bojax.films.learning import LearningFilm
+from bojax.films.planning import PlanningFilm
+from bojax.films.recorded import choose_drive, choose_episode
 from bojax.report.manifest import Unread
 from bojax.report.source import Results
 from bojax.results.store import ResultsError

@@ -13,7 +13,7 @@ from typing_extensions import override
 
 from bojax.envs import lander_geometry as geometry
 from bojax.envs import settings
-from bojax.report.animations.rendering import Renderer
+from bojax.films.rendering import Renderer
 from bojax.report.statistics import Floats
 from bojax.results.store import ResultsError
 

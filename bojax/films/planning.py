@@ -17,9 +17,9 @@ from PIL import Image
 from typing_extensions import override
 
 from bojax.config.component import External
-from bojax.report.animations.film import MAX_FRAMES, SLOWEST, STILL, Film, blank, photograph
-from bojax.report.animations.recorded import Drive, Leg
-from bojax.report.animations.scenes import RobotScene
+from bojax.films.film import MAX_FRAMES, SLOWEST, STILL, Film, blank, photograph
+from bojax.films.recorded import Drive, Leg
+from bojax.films.scenes import RobotScene
 from bojax.report.drawing.domains import draw_outline
 from bojax.report.drawing.maps import QUIET, draw_map
 from bojax.report.drawing.smooth import smooth
@@ -213,7 +213,7 @@ def _fit(axes: Axes, drive: Drive) -> None:
 
 def _robot_of(drive: Drive, path: Path | None) -> "tuple[RobotModel, bool]":
     """The model of the robot, and whether its body is free."""
-    from bojax.report.animations.robot_worlds import VEHICLES, compiled, is_free
+    from bojax.films.robot_worlds import VEHICLES, compiled, is_free
 
     problem = drive.point.problem
     settings = problem.params if isinstance(problem, External) else vars(problem)

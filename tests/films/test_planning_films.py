@@ -14,17 +14,17 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from bojax.cli.main import main
+from bojax.films.choose import choose_film
+from bojax.films.film import MAX_FRAMES, render
+from bojax.films.planning import MAX_IMAGES_PER_STEP, PlanningFilm, _Map
+from bojax.films.recorded import choose_drive
 from bojax.motions.base import place as placed
 from bojax.problems.settings import Parking, TwoPits
-from bojax.report.animations.choose import choose_film
-from bojax.report.animations.film import MAX_FRAMES, render
-from bojax.report.animations.planning import MAX_IMAGES_PER_STEP, PlanningFilm, _Map
-from bojax.report.animations.recorded import choose_drive
 from bojax.report.source import load
 from bojax.report.style import settings
 from bojax.results.store import ResultsError
+from tests.films.test_learning_films import learning_results
 from tests.report.synthetic import write_results
-from tests.report.test_animations import learning_results
 
 STEPS, SAMPLES, ROOM = 4, 5, 6
 ARC = np.array([[0.2, 0.02, 0.2], [0.4, 0.08, 0.4], [0.6, 0.18, 0.6], [0.7, 0.26, 0.8], [0.8, 0.4, 1.0]])
@@ -144,7 +144,7 @@ def test_the_belief_is_that_before_the_plan(tmp_path, name):
 
 
 def test_results_without_plans_are_drawn_too(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("bojax.report.animations.planning.MAX_IMAGES_PER_STEP", 2)
+    monkeypatch.setattr("bojax.films.planning.MAX_IMAGES_PER_STEP", 2)
     folder = write_results(tmp_path / "results", runs=2)
     assert main(["render", str(folder), "--point", "3", "--run", "1"]) == 0
     assert capsys.readouterr().out.splitlines()[0] == str(folder / "animations" / "gps-abt-run1.gif")
@@ -165,7 +165,7 @@ def test_where_no_run_was_recorded_this_is_told(tmp_path, capsys):
 @pytest.fixture
 def rendering():
     """MuJoCo's drawing, where this machine can."""
-    from bojax.report.animations import rendering
+    from bojax.films import rendering
 
     try:
         rendering.backend()
@@ -295,7 +295,7 @@ class TestWithoutAScreen:
     @pytest.fixture
     def works(self, monkeypatch):
         """Let only these ways work, and note which were tried."""
-        from bojax.report.animations import rendering
+        from bojax.films import rendering
 
         def install(*names):
             tried = []
@@ -308,7 +308,7 @@ class TestWithoutAScreen:
         rendering._working.cache_clear()
 
     def test_osmesa_where_egl_fails(self, works, monkeypatch):
-        from bojax.report.animations.rendering import backend
+        from bojax.films.rendering import backend
 
         monkeypatch.delenv("MUJOCO_GL", raising=False)
         tried = works("osmesa")
@@ -340,7 +340,7 @@ class TestWithoutAScreen:
         assert findings[-1].state == "note" and "apt install" in findings[-1].text
 
     def test_a_probe_that_fails_is_no_way(self, monkeypatch):
-        from bojax.report.animations.rendering import _works
+        from bojax.films.rendering import _works
 
         assert not _works("no-such-thing")
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from bojax.films.robot_worlds import VEHICLES, WALL_HEIGHT
 from bojax.problems.settings import Parking, SpaceModelling, TwoPits
-from bojax.report.animations.robot_worlds import VEHICLES, WALL_HEIGHT
 from bojax.results.outline import Outline
 from bojax.robots.models import mujoco
 

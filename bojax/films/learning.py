@@ -12,9 +12,9 @@ from PIL import Image
 from typing_extensions import override
 
 from bojax.config.component import External
-from bojax.report.animations.film import FASTEST, MAX_FRAMES, SLOWEST, STILL, Film, blank, photograph
-from bojax.report.animations.recorded import Episode
-from bojax.report.animations.scenes import SCENES, RobotScene, Scene
+from bojax.films.film import FASTEST, MAX_FRAMES, SLOWEST, STILL, Film, blank, photograph
+from bojax.films.recorded import Episode
+from bojax.films.scenes import SCENES, RobotScene, Scene
 from bojax.report.style import BLUE, FAINT, INK, drawn_text
 from bojax.report.text import file_name
 from bojax.results.store import ResultsError
@@ -91,7 +91,7 @@ def _drawn(episode: Episode, model: Path | None) -> tuple[str, Callable[[Axes], 
     assert env is not None
     kind = env.kind
     if model is not None or (kind not in SCENES and episode.frames.shape[1] > 0):
-        from bojax.report.animations.robot_worlds import ENVS, compiled
+        from bojax.films.robot_worlds import ENVS, compiled
 
         if model is not None or kind in ENVS:
             robot = compiled(model, lambda: ENVS[kind](env))

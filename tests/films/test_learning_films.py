@@ -16,11 +16,11 @@ from PIL import Image
 from bojax.cli.main import main
 from bojax.config.component import registry
 from bojax.envs import settings as envs
-from bojax.report.animations.choose import choose_film
-from bojax.report.animations.film import MAX_FRAMES, blank, render
-from bojax.report.animations.learning import frames_of
-from bojax.report.animations.recorded import choose_episode
-from bojax.report.animations.scenes import SCENES
+from bojax.films.choose import choose_film
+from bojax.films.film import MAX_FRAMES, blank, render
+from bojax.films.learning import frames_of
+from bojax.films.recorded import choose_episode
+from bojax.films.scenes import SCENES
 from bojax.report.build import build_report
 from bojax.report.source import load
 from bojax.report.style import settings

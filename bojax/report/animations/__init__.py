@@ -1,1 +1,0 @@
-"""Animations of recorded runs, drawn from the files of a results folder."""
