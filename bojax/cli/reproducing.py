@@ -75,7 +75,7 @@ def main(name: str, words: Sequence[str]) -> int:
     if code not in (0, 1) or not all((folder / "manifest.json").exists() for folder in folders):
         return code
 
-    from bojax.report.reproduction import reproduction
+    from bojax.claims.reproduction import reproduction
 
     print(reproduction(out, folders, time.monotonic() - start))
     return code
@@ -83,7 +83,7 @@ def main(name: str, words: Sequence[str]) -> int:
 
 def _join(args: Namespace) -> int:
     """Make the page from results that are there."""
-    from bojax.report.reproduction import PAGE, TEXT, joined_reproduction
+    from bojax.claims.reproduction import PAGE, TEXT, joined_reproduction
     from bojax.report.text import counted
     from bojax.report.verdicts import in_words
 

@@ -13,7 +13,7 @@ class Test(Registered, frozen=True):
 
     Attributes:
         target: The function that makes the test, `package.module:function`. It takes the results and these
-            settings, and returns a `bojax.report.claims.finding.Finding`.
+            settings, and returns a `bojax.report.findings.Finding`.
     """
 
     role: ClassVar[str] = "test"

@@ -9,9 +9,9 @@ import numpy as np
 from bojax.config.component import External
 from bojax.config.figures import TABLES, figure_modules
 from bojax.report import style
-from bojax.report.claims.evaluate import evaluate
 from bojax.report.drawing.base import Drawing, Undrawable
 from bojax.report.figures import draw, ranked
+from bojax.report.findings import evaluate
 from bojax.report.manifest import Unread
 from bojax.report.page import render
 from bojax.report.source import Results, load

@@ -11,7 +11,7 @@ from pydantic import Field
 from bojax.config.claims import Cause
 from bojax.config.errors import printable
 from bojax.config.sweep import published_report
-from bojax.report.claims.finding import Verdict
+from bojax.report.findings import Verdict
 from bojax.report.manifest import Count, Manifest, Part, validated
 from bojax.report.statistics import Interval
 from bojax.report.text import MISSING, counted, joined, plain
@@ -103,7 +103,7 @@ class TestedClaim(Part):
         """A sentence, without its full stop, for each label that one of several variants represents."""
         test = self.test
         extreme = "least" if test.kind == "order" and test.greater is None else "greatest"
-        # The rule is that of `stand_ins` of `bojax.report.claims.samples`.
+        # The rule is that of `stand_ins` of `bojax.claims.samples`.
         is_own = test.kind == "order" or isinstance(test.window or test.to, dict)
         column = test.column if is_own else "return"
         return [

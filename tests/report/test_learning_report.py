@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bojax.claims.samples import by_episode
 from bojax.config.claims import Window
 from bojax.report import tables
 from bojax.report.build import build_report
-from bojax.report.claims.samples import by_episode
 from bojax.report.columns import Columns
 from bojax.report.drawing.base import Undrawable
 from bojax.report.drawing.curves import Chart, Curve, Panel

@@ -1,24 +1,87 @@
-"""Verdicts on the claims of a sweep: each is decided by the statistical test that the claim names.
+"""The findings of the tests of claims, and the entries of `claims.json` made of them.
 
 A claim is `reproduced` or `not reproduced` where an interval excludes the opposite, and otherwise
 `inconclusive`. It is also `inconclusive`, with the reason, where data are missing or too few, or where the
-test fails.
+test fails. The tests are the functions that the settings of a test name, see `bojax.claims`.
 """
 
 import importlib
-from dataclasses import astuple
-from typing import Any
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import astuple, dataclass, field
+from typing import Any, Literal
 
 import numpy as np
 
 from bojax.config.claims import Claim, Test
-from bojax.report.claims.finding import Finding
-from bojax.report.claims.samples import Undecidable
+from bojax.report import statistics
 from bojax.report.columns import NoColumn
 from bojax.report.manifest import Unread
 from bojax.report.source import Results
 from bojax.results.store import ResultsError
 from bojax.text import error_line
+
+Verdict = Literal["reproduced", "not reproduced", "inconclusive"]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One statement behind a claim, with its estimate and interval."""
+
+    of: str
+    interval: statistics.Interval
+
+
+@dataclass(frozen=True)
+class Finding:
+    """The result of a test."""
+
+    ours: float | str  # the counterpart of the claim's `thesis`: a number or a text
+    verdict: Verdict  # decided by the comparisons
+    comparisons: list[Comparison]  # every statement tested
+    decisive: Comparison  # the comparison whose interval represents the claim in `claims.json`
+    runs: int  # runs per setting
+    method: str  # the test in words
+    # The variant that represents each label with several variants
+    chosen: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def between(
+        cls,
+        low: float | None,
+        high: float | None,
+        comparisons: Sequence[Comparison],
+        *,
+        ours: float | str | None = None,
+        runs: int,
+        method: str,
+        chosen: Mapping[str, str],
+    ) -> "Finding":
+        """The result of a test whose quantities all have to lie between two bounds, None for no bound.
+
+        The claim is reproduced if all of them do, and not reproduced if one of them does not. The decisive
+        interval is the one that is furthest outside then, and otherwise the one that is least far inside.
+        Without `ours`, the estimate of the only quantity is the counterpart of `thesis`.
+        """
+        low, high = -math.inf if low is None else low, math.inf if high is None else high
+        intervals = [comparison.interval for comparison in comparisons]
+        if all(low < each.low and each.high < high for each in intervals):
+            verdict = "reproduced"
+        elif any(each.high < low or each.low > high for each in intervals):
+            verdict = "not reproduced"
+        else:
+            verdict = "inconclusive"
+        if verdict == "not reproduced":
+            room = [-max(low - each.high, each.low - high) for each in intervals]
+        else:
+            room = [min(each.low - low, high - each.high) for each in intervals]
+        decisive = comparisons[room.index(min(room))]
+        ours = decisive.interval.estimate if ours is None else ours
+        return cls(ours, verdict, list(comparisons), decisive, runs, method, chosen)
+
+
+class Undecidable(Exception):
+    """The data do not allow a test; the message says why."""
 
 
 def evaluate(results: Results) -> list[dict[str, Any]]:

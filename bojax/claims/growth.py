@@ -4,11 +4,11 @@ from typing import Any
 
 import numpy as np
 
+from bojax.claims.samples import bootstrap, enough, most_present, named
+from bojax.claims.settings import Growth
 from bojax.report import growth as laws
 from bojax.report import statistics
-from bojax.report.claims.finding import Comparison, Finding, Verdict, bootstrap
-from bojax.report.claims.samples import Undecidable, enough, most_present, named
-from bojax.report.claims.settings import Growth
+from bojax.report.findings import Comparison, Finding, Undecidable, Verdict
 from bojax.report.source import Results
 from bojax.report.statistics import Floats
 from bojax.report.text import counted, percent

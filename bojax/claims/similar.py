@@ -4,10 +4,10 @@ from itertools import combinations
 
 import numpy as np
 
+from bojax.claims.samples import Measure, interval_of, paired, stand_ins
+from bojax.claims.settings import Similar
 from bojax.report import statistics
-from bojax.report.claims.finding import Comparison, Finding, interval_of
-from bojax.report.claims.samples import Measure, Undecidable, paired, stand_ins
-from bojax.report.claims.settings import Similar
+from bojax.report.findings import Comparison, Finding, Undecidable
 from bojax.report.source import Results
 from bojax.report.text import counted, number
 

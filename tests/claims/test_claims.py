@@ -7,11 +7,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from bojax.claims.samples import MIN_RUNS
 from bojax.config import claims as schemas
 from bojax.config.component import registry
 from bojax.report import statistics, verdicts
-from bojax.report.claims.evaluate import evaluate
-from bojax.report.claims.samples import MIN_RUNS
+from bojax.report.findings import evaluate
 from bojax.report.source import load
 from tests.report.synthetic import CLAIMS, edit_manifest, write_results
 

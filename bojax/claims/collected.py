@@ -15,7 +15,7 @@ from bojax.config import sweep as config
 from bojax.config.changed import changed_settings
 from bojax.config.claims import Claim, Test
 from bojax.config.errors import listed
-from bojax.report.claims.evaluate import evaluate
+from bojax.report.findings import evaluate
 from bojax.report.manifest import ClaimEntry, Unread, validated
 from bojax.report.source import Results, load
 from bojax.report.verdicts import CLAIMS, TestedClaim

@@ -1,9 +1,9 @@
 """Test of a share: whether enough runs have a property, or few enough."""
 
+from bojax.claims.samples import Measure, enough, episodes_in, in_any, stand_ins
+from bojax.claims.settings import Share
 from bojax.report import statistics
-from bojax.report.claims.finding import Comparison, Finding
-from bojax.report.claims.samples import Measure, Undecidable, enough, episodes_in, in_any, stand_ins
-from bojax.report.claims.settings import Share
+from bojax.report.findings import Comparison, Finding, Undecidable
 from bojax.report.source import Results
 from bojax.report.text import counted
 

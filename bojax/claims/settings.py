@@ -72,7 +72,7 @@ class OfOneLabel(Test, frozen=True):
 class Order(Measured, frozen=True):
     """Whether the means of a column are in the given order, each above the next (paired by run)."""
 
-    target: ClassVar[str] = "bojax.report.claims.order:order"
+    target: ClassVar[str] = "bojax.claims.order:order"
 
     kind: Literal["order"] = "order"
     greater: tuple[_Tier, ...] | None = Field(
@@ -125,7 +125,7 @@ class Order(Measured, frozen=True):
 class Ratio(Measured, frozen=True):
     """Whether the ratio of two means of a column is the expected one, up to a factor (paired by run)."""
 
-    target: ClassVar[str] = "bojax.report.claims.ratio:ratio"
+    target: ClassVar[str] = "bojax.claims.ratio:ratio"
 
     kind: Literal["ratio"] = "ratio"
     label: str = Field(description="label or variant whose mean is the numerator")
@@ -161,7 +161,7 @@ _Place = Annotated[
 class Similar(Measured, frozen=True):
     """Whether means differ by less than a margin or a factor: of runs, over episodes, or at a step."""
 
-    target: ClassVar[str] = "bojax.report.claims.similar:similar"
+    target: ClassVar[str] = "bojax.claims.similar:similar"
 
     kind: Literal["similar"] = "similar"
     labels: tuple[str, ...] = Field(
@@ -201,7 +201,7 @@ class Similar(Measured, frozen=True):
 class Share(OfOneLabel, frozen=True):
     """Whether the share of runs with a property is above or below a threshold (Wilson interval)."""
 
-    target: ClassVar[str] = "bojax.report.claims.share:share"
+    target: ClassVar[str] = "bojax.claims.share:share"
 
     kind: Literal["share"] = "share"
     column: str = Field(description="a column of runs.parquet; a run counts if its value is true or not zero")
@@ -225,7 +225,7 @@ class Share(OfOneLabel, frozen=True):
 class Mean(Measured, OfOneLabel, frozen=True):
     """Whether the mean of a column is above or below a threshold, or between two."""
 
-    target: ClassVar[str] = "bojax.report.claims.mean:mean"
+    target: ClassVar[str] = "bojax.claims.mean:mean"
 
     kind: Literal["mean"] = "mean"
     above: float | None = Field(default=None, description="threshold that the mean exceeds")
@@ -243,7 +243,7 @@ class Mean(Measured, OfOneLabel, frozen=True):
 class Trend(OfOneLabel, frozen=True):
     """Whether the mean of a column rises or falls between two steps, or between two windows of episodes."""
 
-    target: ClassVar[str] = "bojax.report.claims.trend:trend"
+    target: ClassVar[str] = "bojax.claims.trend:trend"
 
     kind: Literal["trend"] = "trend"
     column: str = Field(description="a column of steps.parquet, or of episodes.parquet")
@@ -270,7 +270,7 @@ class Trend(OfOneLabel, frozen=True):
 class Agrees(OfOneLabel, frozen=True):
     """Whether our mean or share of runs agrees with a printed one: the difference may be 0."""
 
-    target: ClassVar[str] = "bojax.report.claims.agrees:agrees"
+    target: ClassVar[str] = "bojax.claims.agrees:agrees"
 
     kind: Literal["agrees"] = "agrees"
     column: str = Field(
@@ -307,7 +307,7 @@ class Latency(Test, frozen=True):
     The sweep has to measure it: `engine: {latency: true}`.
     """
 
-    target: ClassVar[str] = "bojax.report.claims.latency:latency"
+    target: ClassVar[str] = "bojax.claims.latency:latency"
 
     kind: Literal["latency"] = "latency"
     labels: tuple[str, ...] = Field(
@@ -342,7 +342,7 @@ class Latency(Test, frozen=True):
 class Growth(OfOneLabel, frozen=True):
     """Whether the mean of a column grows with a swept number by the expected law rather than by another."""
 
-    target: ClassVar[str] = "bojax.report.claims.growth:growth"
+    target: ClassVar[str] = "bojax.claims.growth:growth"
 
     kind: Literal["growth"] = "growth"
     column: str = Field(description="a column of runs.parquet with positive means")

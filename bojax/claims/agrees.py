@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from bojax.claims.samples import Measure, enough, most_present, stand_ins
+from bojax.claims.settings import Agrees
 from bojax.report import statistics
-from bojax.report.claims.finding import Comparison, Finding
-from bojax.report.claims.samples import Measure, enough, most_present, stand_ins
-from bojax.report.claims.settings import Agrees
+from bojax.report.findings import Comparison, Finding
 from bojax.report.source import Results
 from bojax.report.text import counted, number, percent
 

@@ -5,10 +5,10 @@ from itertools import pairwise, product
 
 import numpy as np
 
+from bojax.claims.samples import Measure, interval_of, paired, stand_ins
+from bojax.claims.settings import Order
 from bojax.report import statistics
-from bojax.report.claims.finding import Comparison, Finding, interval_of
-from bojax.report.claims.samples import Measure, paired, stand_ins
-from bojax.report.claims.settings import Order
+from bojax.report.findings import Comparison, Finding
 from bojax.report.source import Results
 from bojax.report.text import counted, number
 

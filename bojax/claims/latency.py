@@ -2,10 +2,10 @@
 
 from itertools import pairwise
 
+from bojax.claims.samples import named
+from bojax.claims.settings import Latency
 from bojax.report import statistics
-from bojax.report.claims.finding import Comparison, Finding
-from bojax.report.claims.samples import Undecidable, named
-from bojax.report.claims.settings import Latency
+from bojax.report.findings import Comparison, Finding, Undecidable
 from bojax.report.source import Results
 from bojax.report.text import number
 

@@ -5,11 +5,11 @@ import re
 
 import pytest
 
+from bojax.claims.collected import collected
+from bojax.claims.reproduction import joined_reproduction
 from bojax.cli.main import main
 from bojax.config.sweep import load_published, published_name
 from bojax.report.build import build_report
-from bojax.report.collected import collected
-from bojax.report.reproduction import joined_reproduction
 from bojax.results.store import ResultsError
 from tests.report.synthetic import edit_manifest, write_results
 

@@ -9,20 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
+from bojax.claims.settings import Measured
 from bojax.config.claims import Test, Window
 from bojax.report import statistics
-from bojax.report.claims.finding import interval_of
-from bojax.report.claims.settings import Measured
+from bojax.report.findings import Undecidable
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats, Interval
 from bojax.report.text import counted
 
 MIN_RUNS = 20
 """Smallest number of runs for a verdict: intervals of fewer runs cover skewed variables too rarely."""
-
-
-class Undecidable(Exception):
-    """The data do not allow a test; the message says why."""
 
 
 @dataclass(frozen=True)
@@ -224,3 +220,15 @@ def episodes_in(window: Window) -> str:
     first, last = window.first, window.last
     origin = "" if window.counted_from == "start" else ", counted from the first success"
     return f"{tests}episode{f' {first}' if first == last else f's {first} to {last}'}{origin}"
+
+
+def bootstrap(runs: int) -> str:
+    """The bootstrap of a number of runs, in words."""
+    return f"percentile bootstrap, {statistics.RESAMPLES:,} resamples of {statistics.resampled(runs)}"
+
+
+def interval_of(runs: int, *, is_share: bool = False) -> str:
+    """The kind of interval that a comparison of a number of runs has, in words."""
+    if is_share:
+        return "score intervals of paired shares (Newcombe 1998; Zou and Donner 2008)"
+    return bootstrap(runs) if runs >= statistics.FEW else "Student's t, by the jackknife"

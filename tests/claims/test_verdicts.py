@@ -8,10 +8,10 @@ import numpy as np
 import pydantic
 import pytest
 
+from bojax.claims.samples import MIN_RUNS
 from bojax.config.component import registry
 from bojax.report import statistics
-from bojax.report.claims.evaluate import decide, evaluate
-from bojax.report.claims.samples import MIN_RUNS, Undecidable
+from bojax.report.findings import Undecidable, decide, evaluate
 from bojax.report.manifest import Group
 from tests.report.synthetic import in_memory
 

@@ -1,8 +1,8 @@
 """Test of a mean: whether it is above or below a threshold, or between two."""
 
-from bojax.report.claims.finding import Comparison, Finding
-from bojax.report.claims.samples import Measure, mean_of, stand_ins
-from bojax.report.claims.settings import Mean
+from bojax.claims.samples import Measure, mean_of, stand_ins
+from bojax.claims.settings import Mean
+from bojax.report.findings import Comparison, Finding
 from bojax.report.source import Results
 
 

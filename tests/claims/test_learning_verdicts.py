@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from bojax.claims.samples import MIN_RUNS
 from bojax.config.component import registry
 from bojax.report import statistics
-from bojax.report.claims.evaluate import evaluate
-from bojax.report.claims.samples import MIN_RUNS, Undecidable
+from bojax.report.findings import Undecidable, evaluate
+from tests.claims.test_verdicts import judge, rates
 from tests.report.synthetic import in_memory
-from tests.report.test_verdicts import judge, rates
 
 FIRST, LAST = {"from": 1, "to": 10}, {"from": 21, "to": 30}
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from bojax.report.collected import collected
+from bojax.claims.collected import collected
 from bojax.report.manifest import Manifest
 from bojax.report.source import Results, load
 from bojax.report.template import fill
@@ -138,7 +138,7 @@ def joined_reproduction(
 ) -> list[TestedClaim]:
     """Write pages on the newest results of each of some sweeps in several folders, and return their claims.
 
-    The claims are those of this version, and decided by its tests, see `bojax.report.collected`. Sweeps may
+    The claims are those of this version, and decided by its tests, see `bojax.claims.collected`. Sweeps may
     have been made by different commands, revisions, devices and versions: the page then says which by which.
 
     Pages are `.html` or `.md`, and say which of the named sweeps have no results, if most have. Other pages,

@@ -7,10 +7,10 @@ import sys
 
 import pytest
 
+from bojax.claims.reproduction import reproduction
 from bojax.cli.main import main
 from bojax.config.sweep import published_report
 from bojax.report.build import build_report
-from bojax.report.reproduction import reproduction
 from bojax.results.store import ResultsError
 from tests.report.synthetic import edit_manifest, write_results
 from tests.report.test_report import Page
@@ -365,7 +365,7 @@ claims:
 def test_the_page_is_made_without_jax_and_without_matplotlib(tmp_path):
     folder = write(tmp_path / "fig-3.1", [claim("a", "Fig. 3.1")])
     code = (
-        "import sys, pathlib; from bojax.report.reproduction import reproduction; "
+        "import sys, pathlib; from bojax.claims.reproduction import reproduction; "
         f"reproduction(pathlib.Path({str(tmp_path)!r}), [pathlib.Path({str(folder)!r})], 1.0); "
         "print([name for name in ('jax', 'equinox', 'matplotlib') if name in sys.modules])"
     )

@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from bojax.claims.samples import Measure, interval_of, paired, stand_ins
+from bojax.claims.settings import Ratio
 from bojax.report import statistics
-from bojax.report.claims.finding import Comparison, Finding, interval_of
-from bojax.report.claims.samples import Measure, Undecidable, paired, stand_ins
-from bojax.report.claims.settings import Ratio
+from bojax.report.findings import Comparison, Finding, Undecidable
 from bojax.report.source import Results
 from bojax.report.text import number
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 
+from bojax.claims.samples import Measure, enough, episodes_in, finite, interval_of, mean_of, stand_ins
+from bojax.claims.settings import Trend
 from bojax.config.claims import Window
 from bojax.report import statistics
-from bojax.report.claims.finding import Comparison, Finding, interval_of
-from bojax.report.claims.samples import Measure, enough, episodes_in, finite, mean_of, stand_ins
-from bojax.report.claims.settings import Trend
+from bojax.report.findings import Comparison, Finding
 from bojax.report.source import Point, Results
 
 

@@ -1,1 +1,0 @@
-"""Claims of the thesis, tested on the results of a sweep."""
