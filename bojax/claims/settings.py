@@ -125,7 +125,7 @@ class Order(Measured, frozen=True):
 class Ratio(Measured, frozen=True):
     """Whether the ratio of two means of a column is the expected one, up to a factor (paired by run)."""
 
-    target: ClassVar[str] = "bojax.claims.ratio:ratio"
+    target: ClassVar[str] = "bojax.claims.means:ratio"
 
     kind: Literal["ratio"] = "ratio"
     label: str = Field(description="label or variant whose mean is the numerator")
@@ -161,7 +161,7 @@ _Place = Annotated[
 class Similar(Measured, frozen=True):
     """Whether means differ by less than a margin or a factor: of runs, over episodes, or at a step."""
 
-    target: ClassVar[str] = "bojax.claims.similar:similar"
+    target: ClassVar[str] = "bojax.claims.means:similar"
 
     kind: Literal["similar"] = "similar"
     labels: tuple[str, ...] = Field(
@@ -201,7 +201,7 @@ class Similar(Measured, frozen=True):
 class Share(OfOneLabel, frozen=True):
     """Whether the share of runs with a property is above or below a threshold (Wilson interval)."""
 
-    target: ClassVar[str] = "bojax.claims.share:share"
+    target: ClassVar[str] = "bojax.claims.means:share"
 
     kind: Literal["share"] = "share"
     column: str = Field(description="a column of runs.parquet; a run counts if its value is true or not zero")
@@ -225,7 +225,7 @@ class Share(OfOneLabel, frozen=True):
 class Mean(Measured, OfOneLabel, frozen=True):
     """Whether the mean of a column is above or below a threshold, or between two."""
 
-    target: ClassVar[str] = "bojax.claims.mean:mean"
+    target: ClassVar[str] = "bojax.claims.means:mean"
 
     kind: Literal["mean"] = "mean"
     above: float | None = Field(default=None, description="threshold that the mean exceeds")
@@ -243,7 +243,7 @@ class Mean(Measured, OfOneLabel, frozen=True):
 class Trend(OfOneLabel, frozen=True):
     """Whether the mean of a column rises or falls between two steps, or between two windows of episodes."""
 
-    target: ClassVar[str] = "bojax.claims.trend:trend"
+    target: ClassVar[str] = "bojax.claims.means:trend"
 
     kind: Literal["trend"] = "trend"
     column: str = Field(description="a column of steps.parquet, or of episodes.parquet")

@@ -74,7 +74,7 @@ def test_an_exception_in_a_test_leaves_its_claim_open(tmp_path, monkeypatch):
     def fail(results, test):
         raise ZeroDivisionError("of my own")
 
-    monkeypatch.setattr("bojax.claims.share.share", fail)
+    monkeypatch.setattr("bojax.claims.means.share", fail)
     folder = write_results(tmp_path / "results", runs=20, recorded=0, report=ONE)
     build_report(folder)
     found = {claim["id"]: claim for claim in json.loads((folder / "claims.json").read_text())}
