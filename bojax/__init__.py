@@ -1,8 +1,7 @@
 """A batch experiment engine in JAX for Bayesian optimisation in planning and reinforcement learning.
 
-Importing this package imports no JAX and changes no global flag. The functions `run`, `sweep`, `load`,
-`plot_gp` and `plot_search` and their classes are imported when they are first used; `__init__.pyi` declares
-them.
+Importing this package imports no JAX and changes no global flag. Its functions, which
+`__init__.pyi` declares, are imported when they are first used.
 """
 
 import importlib
@@ -13,6 +12,7 @@ __version__ = "0.1.0"
 _HOMES = {
     "run": "start",
     "sweep": "start",
+    "part": "parts",
     "load": "results",
     "plot_gp": "plots",
     "plot_search": "plots",

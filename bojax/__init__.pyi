@@ -1,5 +1,6 @@
 from bojax.api.errors import BojaxError as BojaxError
 from bojax.api.errors import Interrupted as Interrupted
+from bojax.api.parts import part as part
 from bojax.api.plots import plot_gp as plot_gp
 from bojax.api.plots import plot_search as plot_search
 from bojax.api.results import Picture as Picture

@@ -2,13 +2,12 @@
 
 from brax.training.agents.ars import train as ars
 
-from bojax.engine.build import build
+import bojax
 from bojax.envs.brax import BojaxEnv
-from bojax.envs.settings import SinglePendulum
 
-pendulum = SinglePendulum(reward="classic", classic_ends_at_goal=False)
+pendulum = bojax.part("single-pendulum", reward="classic", classic_ends_at_goal=False)
 _, _, metrics = ars.train(
-    BojaxEnv(build(pendulum, dtype="float32")),
+    BojaxEnv(pendulum),
     num_timesteps=8000,
     episode_length=50,
     number_of_directions=8,

@@ -13,12 +13,10 @@ from brax.training.agents.ppo import train as ppo
 from brax.training.agents.sac import networks as sac_networks
 from brax.training.agents.sac import train as sac
 
-from bojax.engine.build import build
+import bojax
 from bojax.envs.brax import BojaxEnv
-from bojax.envs.robots.settings import Reacher
-from bojax.envs.settings import MountainCar
 
-ENVS = {"mountain-car": MountainCar, "reacher": Reacher}
+ENVS = ("mountain-car", "reacher")
 SIZES = (64, 64)  # units of the hidden layers
 TRAIN = {
     "ppo": partial(
@@ -65,7 +63,7 @@ with args.csv.open("w", newline="") as file:
     table = csv.writer(file)
     table.writerow(["task", "label", "run", "x", "value"])
     for task, reward, name in itertools.product(args.envs, ("goal-only", "classic"), TRAIN):
-        env = BojaxEnv(build(ENVS[task](reward=reward), dtype="float32"))
+        env = BojaxEnv(bojax.part(task, reward=reward))
         label = f"{name} ({reward})"
         for run in range(args.runs):
             rows = []

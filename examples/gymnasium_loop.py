@@ -2,11 +2,10 @@
 
 import numpy as np
 
-from bojax.engine.build import build
+import bojax
 from bojax.envs.gymnasium import GymnasiumEnv
-from bojax.envs.settings import MountainCar
 
-env = GymnasiumEnv(build(MountainCar(), dtype="float32"))
+env = GymnasiumEnv(bojax.part("mountain-car"))
 observation, _ = env.reset(seed=0)
 num_steps, is_over = 0, False
 while not is_over:

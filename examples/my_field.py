@@ -1,15 +1,12 @@
 """Monitor a field of my own: the errors of kCBTS on a ridge, in 8 runs at once."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Scalar
 
-from bojax.engine.build import build
+import bojax
 from bojax.experiments.planning import PlanningEpisode
 from bojax.fields.base import Field
-from bojax.planning.settings import KCBTS
-from bojax.problems.settings import Monitoring
 
 
 class Ridge(Field):
@@ -24,9 +21,8 @@ class Ridge(Field):
 
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
-    problem = build(Monitoring(max_steps=10))
-    problem = eqx.tree_at(lambda p: p.field, problem, Ridge(jnp.asarray(1.0)))
-    episode = PlanningEpisode(problem, build(KCBTS(iterations=50, exploration=100.0)))
+    problem = bojax.part("monitoring", field=Ridge(jnp.asarray(1.0)), max_steps=10)
+    episode = PlanningEpisode(problem, bojax.part("kcbts", iterations=50, exploration=100.0))
 
     def run(key):
         """One episode, as its row of `runs.parquet`."""

@@ -7,10 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from bojax.engine.build import build
+import bojax
 from bojax.motions.base import place
-from bojax.planning.settings import SBO
-from bojax.problems.settings import Monitoring
 
 
 def drive(path):
@@ -20,7 +18,7 @@ def drive(path):
 
 
 jax.config.update("jax_enable_x64", True)
-problem, planner = build(Monitoring(max_steps=10)), build(SBO(iterations=30, depth=2))
+problem, planner = bojax.part("monitoring", max_steps=10), bojax.part("sbo", iterations=30, depth=2)
 plan = eqx.filter_jit(planner.plan)
 key = jax.random.key(0)
 belief = problem.prior(key, problem.reset(key), planner.motions.num_samples)

@@ -8,14 +8,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 
-from bojax.engine.build import build
+import bojax
 from bojax.engine.training import train
 from bojax.envs.control import ControlStep
 from bojax.envs.robots.base import RobotTask
 from bojax.envs.robots.settings import Robot
 from bojax.envs.spaces import Box
 from bojax.robots.models import RobotModel, from_file
-from bojax.robots.settings import MJX
 from bojax.robots.simulator import Physics, RobotState
 
 POCKET = 0.6, 0.6  # m
@@ -71,7 +70,7 @@ class AirTable(RobotTask):
 
 
 if __name__ == "__main__":
-    env = AirTable(jnp.asarray(0.2, jnp.float32), build(MJX(), "float32"), 5, 100, "goal-only")
+    env = AirTable(jnp.asarray(0.2, jnp.float32), bojax.part("mjx"), 5, 100, "goal-only")
     learner = {"kind": "emu-q", "features": {"num_features": 100, "action_lengthscale": 1.0}}
     training = train(env, learner, episodes=5, runs=4)
     print("episodes to the pocket:", training.runs["episodes_to_goal"].to_pylist())

@@ -3,13 +3,11 @@
 import equinox as eqx
 import jax
 
-from bojax.engine.build import build
+import bojax
 from bojax.motions.base import place
-from bojax.planning.settings import KCBTS
-from bojax.problems.settings import Parking
 
 jax.config.update("jax_enable_x64", True)
-problem, planner = build(Parking()), build(KCBTS(iterations=100))
+problem, planner = bojax.part("parking"), bojax.part("kcbts", iterations=100)
 key_start, key_reading, key_plan = jax.random.split(jax.random.key(0), 3)
 world = problem.reset(key_start)  # the true pose: x, y in m, heading in rad
 belief = problem.prior(key_reading, world, num_samples=10)  # of the planner: a noisy reading of the pose

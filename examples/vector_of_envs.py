@@ -3,12 +3,11 @@
 import jax
 import numpy as np
 
-from bojax.engine.build import build
+import bojax
 from bojax.envs.gymnasium_vector import GymnasiumVectorEnv
 from bojax.envs.gymnax import GymnaxEnv
-from bojax.envs.settings import MountainCar
 
-car = build(MountainCar(), dtype="float32")
+car = bojax.part("mountain-car")
 
 
 def pump(velocity):

@@ -39,11 +39,14 @@ def kinds(role: str) -> dict[str, type[Component]]:
 def named(role: str, part: Any) -> Component:
     """The settings of a part that is given as in a config, by its name or as a mapping.
 
+    Messages name a setting by its dotted path in a config.
+
     Raises:
         ConfigError: There is no such part, or its settings are wrong.
     """
     slot: Any = Annotated[Component, Slot(role)]
+    above = () if role == "experiment" else (role,)
     try:
         return pydantic.TypeAdapter(slot).validate_python(part)
     except pydantic.ValidationError as error:
-        raise from_validation(error, lambda location: dotted((role, *location))) from error
+        raise from_validation(error, lambda location: dotted((*above, *location)) or role) from error

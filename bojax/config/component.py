@@ -137,9 +137,26 @@ class External(Component, frozen=True):
 
     @property
     @override
-    def imported_module(self) -> tuple[str, str]:
+    def imported_module(self) -> tuple[str, str] | None:
         """The module of the import path."""
         return self.kind.partition(":")[0], "kind"
+
+
+class Built(External, frozen=True):
+    """A part given as an object, which Python code has built.
+
+    Attributes:
+        kind: `package.module:Class` of the object.
+        value: The object.
+    """
+
+    value: Any
+
+    @property
+    @override
+    def imported_module(self) -> None:
+        """None: the class is there already."""
+        return None
 
 
 class Slot:
@@ -147,7 +164,8 @@ class Slot:
 
     The field accepts a component, an identifier (`parking` means `{kind: parking}`), an import path, or a
     mapping with `kind` and settings. Settings that the mapping omits are taken from the default of the field
-    if its kind is the same, otherwise from the defaults of the kind.
+    if its kind is the same, otherwise from the defaults of the kind. From Python, it also accepts an object
+    of the base class of the role.
 
     Attributes:
         role: Role of the component.
@@ -177,6 +195,8 @@ class Slot:
         if isinstance(value, Registered):
             return self._checked(value)
         kinds = registry.get(self.role, {})
+        if (built := self._built(value)) is not None:
+            return built
         kind = value.get("kind") if isinstance(value, Mapping) else value
         if isinstance(kind, str) and IMPORT_PATH.fullmatch(kind):
             params = {name: setting for name, setting in dict(_mapping(value)).items() if name != "kind"}
@@ -197,6 +217,19 @@ class Slot:
         if self.only and not is_external and component.kind not in self._allowed_kinds():
             raise self._unknown_kind(component.kind)
         return component
+
+    def _built(self, value: Any) -> Built | None:
+        """An object that the slot accepts: of a built-in class of the role, or of its base class."""
+        name = f"{type(value).__module__}:{type(value).__qualname__}"
+        if name.startswith("builtins:"):  # a name, a mapping, or a mistake
+            return None
+        kinds: dict[str, Any] = registry.get(self.role, {})
+        same = [kind for kind, schema in kinds.items() if getattr(schema, "target", "") == name]
+        if same and not set(same) & set(self._allowed_kinds()):
+            raise self._unknown_kind(same[0])
+        protocol = next((getattr(schema, "protocol", "") for schema in kinds.values()), "")
+        is_accepted = same or (protocol and isinstance(value, import_target(protocol)))
+        return Built(kind=name, slot=self.role, value=value) if is_accepted else None
 
     def _allowed_kinds(self) -> list[str]:
         """The built-in kinds that this slot accepts."""

@@ -18,8 +18,8 @@ import pyarrow as pa
 from rich.console import Console
 from typing_extensions import override
 
-from bojax.config.catalog import named, roles
-from bojax.config.component import Component, import_target
+from bojax.config.catalog import named
+from bojax.config.component import Component
 from bojax.engine.build import build
 from bojax.engine.chunks import choose_layout, cut
 from bojax.engine.devices import choose, find_devices, suited, workers_of
@@ -117,23 +117,11 @@ def train(
         ValueError: A number is too small, or the learner does not support the spaces of the environment.
         ConfigError: The settings are invalid.
     """
-    for name, number, least in (("episodes", episodes, 1), ("runs", runs, 1), ("tests", tests, 0)):
-        if number < least:
-            raise ValueError(f"{name}: got {number}; allowed: >= {least}")
-    experiment = LearningRun(
-        env=_part("env", env, dtype),
-        learner=_part("learner", learner, dtype),
-        schedule=_part("schedule", schedule, dtype),
-        target_return=None,
-        episodes=episodes,
-        starts="per-episode",
-        stop=stop,
-        tests=tests,
-        tests_learn=False,
-        map_episodes=(),
-        map_resolution=2,
-        saved=None,
-    )
+    if runs < 1:
+        raise ValueError(f"runs: got {runs}; allowed: >= 1")
+    parts = {"env": env, "learner": learner, "schedule": schedule}
+    settings = {"episodes": episodes, "stop": stop, "tests": tests}
+    experiment = build(named("experiment", {"kind": "learning", **parts, **settings}), dtype)
     sinks = _run(experiment, runs, seed, callback)
     tables = {
         name: pa.concat_tables(part for sink in sinks for part in sink.tables[name]).drop_columns("point")
@@ -191,9 +179,3 @@ def _run(experiment: LearningRun, runs: int, seed: int, callback: Callback | Non
     if share.errors:
         raise share.errors[0]
     return [share.sinks[chunk.index] for chunk in chunks]
-
-
-def _part(role: str, part: Any, dtype: Literal["float64", "float32"]) -> Any:
-    if isinstance(part, import_target(roles()[role].protocol)):
-        return part
-    return build(named(role, part), dtype)

@@ -8,7 +8,7 @@ from typing import Any, get_args
 import jax
 import jax.numpy as jnp
 
-from bojax.config.component import IMPORT_PATH, Component, External, import_target
+from bojax.config.component import IMPORT_PATH, Built, Component, External, import_target
 from bojax.config.errors import ConfigError, Location, dotted, shown
 from bojax.text import error_at_line, one_line
 
@@ -31,6 +31,8 @@ def construct(component: Component, dtype: str, locate: Locate = dotted, path: L
     Raises:
         ConfigError: A constructor rejects its settings.
     """
+    if isinstance(component, Built):
+        return component.value
     if isinstance(component, External):
         raise ConfigError(
             f"{locate(path) or component.slot}: got {component.kind}; allowed: a name, or an object of the "

@@ -5,58 +5,44 @@ import inspect
 import pkgutil
 import re
 
-import pytest
-
 import bojax
 from bojax.config.catalog import kinds, roles
 from bojax.config.component import import_target
-from bojax.engine.build import build
-from tests.parts import FILES, REQUIRED
 
-COMPONENTS = [(role, kind, schema) for role in roles() for kind, schema in kinds(role).items()]
-each_schema = pytest.mark.parametrize("schema", [pytest.param(s, id=f"{r}-{k}") for r, k, s in COMPONENTS])
+SCHEMAS = [schema for role in roles() for schema in kinds(role).values()]
 
 WITHOUT_PARTS = ("bojax.cli", "bojax.report")
 """Packages without parts of a role."""
 
 
-@each_schema
-def test_schema_and_constructor_take_the_same_settings(schema):
-    configured = set(schema.model_fields) - {"kind"}
-    parameters = inspect.signature(import_target(schema.target)).parameters
-    if schema.role == "experiment":
-        configured -= {"dtype"}  # how to build it, which its constructor need not know
-    required = {name for name, parameter in parameters.items() if parameter.default is parameter.empty}
-    assert configured <= set(parameters)
-    assert required <= configured
+def test_schema_and_constructor_take_the_same_settings():
+    for schema in SCHEMAS:
+        configured = set(schema.model_fields) - {"kind"}
+        parameters = inspect.signature(import_target(schema.target)).parameters
+        if schema.role == "experiment":
+            configured -= {"dtype"}  # how to build it, which its constructor need not know
+        required = {name for name, parameter in parameters.items() if parameter.default is parameter.empty}
+        assert required <= configured <= set(parameters), schema
 
 
-@each_schema
-def test_the_defaults_of_every_part_build(schema, write):
-    for name, text in FILES.items():
-        write(name, text)
-    kind = schema.model_fields["kind"].default
-    assert isinstance(build(schema(**REQUIRED.get(kind, {}))), import_target(schema.target))
+def test_a_class_names_its_schema_and_does_not_repeat_it():
+    for schema in SCHEMAS:
+        docstring = inspect.getdoc(import_target(schema.target))
+        (line,) = re.findall(r"^Settings: (.+)$", docstring, re.MULTILINE)
+        assert f"`{schema.__module__}." in line and re.search(rf"\b{schema.__name__}`", line)
+        attributes = docstring.partition("Attributes:\n")[2]
+        told = set(re.findall(r"^ {4}(\w+):", attributes, re.MULTILINE)) & set(schema.model_fields)
+        assert not told, schema
 
 
-@each_schema
-def test_a_class_names_its_schema_and_does_not_repeat_it(schema):
-    docstring = inspect.getdoc(import_target(schema.target))
-    (line,) = re.findall(r"^Settings: (.+)$", docstring, re.MULTILINE)
-    assert f"`{schema.__module__}." in line and re.search(rf"\b{schema.__name__}`", line)
-    attributes = docstring.partition("Attributes:\n")[2]
-    assert not set(re.findall(r"^ {4}(\w+):", attributes, re.MULTILINE)) & set(schema.model_fields)
+def test_every_part_and_every_setting_says_what_it_means():
+    for schema in SCHEMAS:
+        assert schema.target.startswith("bojax.") and schema.__doc__.strip().endswith(".")
+        for name, field in schema.model_fields.items():
+            assert name == "kind" or field.description, (schema, name)
 
 
-@each_schema
-def test_every_setting_says_what_it_means(schema):
-    for name, field in schema.model_fields.items():
-        assert name == "kind" or field.description
-
-
-@pytest.fixture(scope="module")
-def classes():
-    """All concrete public classes of the package."""
+def test_every_concrete_class_of_a_role_has_a_schema():
     names = [module.name for module in pkgutil.walk_packages(bojax.__path__, "bojax.")]
     modules = [
         importlib.import_module(name)
@@ -64,12 +50,9 @@ def classes():
         if not name.startswith(WITHOUT_PARTS) and not name.endswith("__main__")
     ]
     found = {part for module in modules for part in vars(module).values() if isinstance(part, type)}
-    public = {part for part in found if not part.__name__.startswith("_")}
-    return {part for part in public if part.__module__.startswith("bojax.") and not inspect.isabstract(part)}
-
-
-@pytest.mark.parametrize("role", [role for role, base in roles().items() if base.protocol])
-def test_every_concrete_class_of_a_role_has_a_schema(role, classes):
-    protocol = import_target(roles()[role].protocol)
-    targets = {import_target(schema.target) for schema in kinds(role).values()}
-    assert {part for part in classes if issubclass(part, protocol)} == targets
+    ours = {part for part in found if part.__module__.startswith("bojax.")}
+    classes = {part for part in ours if not part.__name__.startswith("_") and not inspect.isabstract(part)}
+    for role, base in roles().items():
+        if base.protocol:
+            targets = {import_target(schema.target) for schema in kinds(role).values()}
+            assert {part for part in classes if issubclass(part, import_target(base.protocol))} == targets
