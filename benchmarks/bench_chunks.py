@@ -85,10 +85,10 @@ def _make(folder: Path, chunks: int) -> dict[str, float]:
     journal, seconds = _journal(folder, chunks, is_resumed=False)
     journal.open()
     parts.sync = store.sync = lambda *paths: None  # a power failure loses nothing of value here
-    share = journal.share
+    storage = journal.launch()
     tables = journal.plan.modules[0].tables
     for chunk in journal.plan.chunks:
-        sink = share.take(chunk)
+        sink = storage.open(chunk)
         assert sink is not None
         for number, is_last in ((0, False), (1, True)):
             rows = {}
@@ -103,7 +103,7 @@ def _make(folder: Path, chunks: int) -> dict[str, float]:
             sink.write_part(rows)
             sink.state.segments.append([QUEUE, 100, 0.01])
         sink.finish()
-        share.release(chunk, sink)
+        storage.close(chunk, sink)
     journal.close()
     return {"plan_cpu_seconds": seconds}
 

@@ -79,7 +79,9 @@ def launcher_of(args: Namespace, *, waits: bool = False) -> tuple["Launcher | No
 
 
 def dry_run(args: Namespace, names: Sequence[str], folders: Sequence[Path]) -> int:
-    """Print the script that would be submitted to Slurm.
+    """Print the script that would be submitted to Slurm, with a share for each task.
+
+    The number of shares of a submission also depends on the groups of the sweeps, which are not built here.
 
     Args:
         args: The options.
@@ -88,5 +90,6 @@ def dry_run(args: Namespace, names: Sequence[str], folders: Sequence[Path]) -> i
     """
     from bojax.engine.launchers.slurm import Slurm
 
-    print(Slurm(load_launching(args.cluster, SlurmConfig)).script(", ".join(names), folders), end="")
+    config = load_launching(args.cluster, SlurmConfig)
+    print(Slurm(config).script(", ".join(names), folders, config.tasks), end="")
     return 0

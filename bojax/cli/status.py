@@ -34,21 +34,21 @@ def describe(folder: Path) -> tuple[list[str], bool]:
         ResultsError: The folder is not that of a sweep.
     """
     from bojax.results.folder import is_unfinished
-    from bojax.results.status import Held, status_of
+    from bojax.results.status import OpenAttempt, status_of
     from bojax.results.store import MANIFEST, OUTPUT, WORK, read_manifest
 
     if not is_unfinished(folder) and os.path.lexists(folder / MANIFEST):
         return [f"{folder}: {read_manifest(folder).get('status')}"], False
     status = status_of(folder)
 
-    def lines(kind: str, held: Sequence[Held]) -> list[str]:
+    def lines(kind: str, attempts: Sequence[OpenAttempt]) -> list[str]:
         shown = [
             f"{kind}: chunk {each.chunk} ({each.runs} runs), attempt {each.attempt}, {each.owner}, "
-            f"for {duration(each.age)}"
-            + (f", silent for {duration(each.silence)}" if each.silence < float("inf") else "")
-            for each in held[:MOST_LINES]
+            f"for {duration(each.age)}, "
+            + ("its process is gone" if each.is_gone else f"last wrote {duration(each.silence)} ago")
+            for each in attempts[:MOST_LINES]
         ]
-        return shown + [f"{kind}: {len(held) - MOST_LINES} more"] * (len(held) > MOST_LINES)
+        return shown + [f"{kind}: {len(attempts) - MOST_LINES} more"] * (len(attempts) > MOST_LINES)
 
     failed = [f"failed: chunk {chunk}: {reason}" for chunk, reason in status.failed.items()]
     more = [f"failed: {len(failed) - MOST_LINES} more"] * (len(failed) > MOST_LINES)

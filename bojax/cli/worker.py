@@ -1,8 +1,6 @@
-"""`bojax worker`: runs chunks of sweeps that another process has started and will merge."""
+"""`bojax worker`: runs a share of the chunks of sweeps, which another process merges."""
 
-import os
 import signal
-import subprocess
 import sys
 from argparse import ArgumentTypeError
 from collections.abc import Sequence
@@ -14,11 +12,11 @@ if TYPE_CHECKING:
     from bojax.engine.signals import StopRequest
 
 REQUEUE = signal.SIGUSR2
-"""The signal that the batch script of Slurm asks for when the time limit is near."""
+"""The signal that Slurm sends when the time limit is near; the batch script requeues the task then."""
 
 _EXAMPLES = """\
-  bojax worker results/parking/big                 beside the driver, or on another machine with this folder
-  bojax worker results/parking/big --devices 1     on the second GPU only
+  bojax worker results/parking/big                 all chunks that are left
+  bojax worker results/parking/big --share 1/4     the second quarter of them, on this or another machine
 """
 
 
@@ -41,12 +39,7 @@ def main(name: str, words: Sequence[str]) -> int:
 
 
 def _stopped(stop: "StopRequest") -> int:
-    """Requeue the task if Slurm asked for it, and return the exit code of the signal."""
-    job = os.environ.get("SLURM_JOB_ID")
-    if stop.signum == REQUEUE and job:
-        # Slurm ends this process, and starts the task again once there is a node.
-        subprocess.run(["scontrol", "requeue", job], check=False)
-    print("stopped; other workers or --resume go on", file=sys.stderr)
+    print("stopped at a checkpoint; a worker with this share, or --resume, goes on", file=sys.stderr)
     return stop.exit_code
 
 
@@ -79,9 +72,9 @@ def _parser(name: str) -> Parser:
     parser = Parser(
         prog=f"bojax {name}",
         usage=f"bojax {name} DIR... [--devices I,J] [--cores N] [--share NUMBER/COUNT]",
-        description="Run chunks of sweeps that `bojax sweep` or `bojax reproduce` has started, on this\n"
-        "machine or on another one that shares their folders. Several workers share the chunks; the\n"
-        "process that started the sweeps merges them.",
+        description="Run chunks of sweeps that `bojax sweep` or `bojax reproduce` has started and no longer\n"
+        "runs, on this machine or on another one that shares their folders. Each worker runs a share of\n"
+        "the chunks. The command that started the sweeps merges them, with --resume.",
         examples=_EXAMPLES,
     )
     parser.add_argument("folders", nargs="+", type=path, metavar="DIR", help="results folder of the sweep")
@@ -94,6 +87,6 @@ def _parser(name: str) -> Parser:
         type=_share,
         default=(0, 1),
         metavar="NUMBER/COUNT",
-        help="which of several workers this is, from 0: they start with different chunks",
+        help="which share of the chunks to run, from 0: 1/4 is the second of four (default: all)",
     )
     return parser

@@ -37,11 +37,6 @@ class EngineConfig(Schema, frozen=True):
     )
     segment_seconds: float = Field(default=2.0, gt=0, description="time between progress reports, s")
     checkpoint_seconds: float = Field(default=60.0, gt=0, description="time between checkpoints, s")
-    lease_seconds: float = Field(
-        default=60.0,
-        gt=0,
-        description="time without a sign of life of a process after which others take over its chunks, s",
-    )
     latency: bool = Field(
         default=False, description="whether the latency of a single run is measured at the end"
     )

@@ -4,9 +4,8 @@ import contextlib
 import queue
 import sys
 import threading
-import time
 from collections import deque
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,11 +18,10 @@ from bojax.engine.groups import StaticGroup
 from bojax.engine.hosted import Hosted
 from bojax.engine.progress import GroupProgress, SweepProgress
 from bojax.engine.runner import ChunkRunner, Limits, Segment
-from bojax.engine.share import Share
 from bojax.engine.sinks import Sink
+from bojax.engine.storage import Storage
 from bojax.experiments.base import Experiment
 from bojax.numerics.cores import usable_cores
-from bojax.results.leases import Standing
 from bojax.results.store import ResultsError
 
 COMPILE_THREADS = 8, 16
@@ -43,8 +41,6 @@ SWITCH_SECONDS = 5e-4
 With Python's 5 ms, a worker waits so long behind tracing after each call of a program.
 """
 
-LOOK_EVERY = 10.0
-"""Time between two looks at the chunks of other processes, in durations of a look."""
 
 PATIENCE = 10.0
 """Seconds after a requested stop after which chunks that still run are named."""
@@ -61,13 +57,11 @@ class GroupTask:
         seed: Seed of the sweep.
         layout: How the runs are advanced.
         platform: Platform of the devices that they are planned for.
-        chunks: Chunks that may be free.
+        chunks: Chunks that no thread has taken yet.
         limits: When a chunk pauses.
-        share: Where the chunks come from, and where their rows go.
-        recorded_runs: Number of recorded runs of each point.
-        elsewhere: Chunks that other processes have taken.
-        running: Number of chunks that threads of this process have taken.
+        storage: Where the rows of the chunks go.
         recorded: Largest number of recorded runs of a chunk.
+        running: Number of chunks that threads have taken.
         progress: When it is compiled and run.
     """
 
@@ -79,23 +73,18 @@ class GroupTask:
     platform: str
     chunks: deque[Chunk]
     limits: Limits
-    share: Share
-    recorded_runs: int = 0
-    elsewhere: list[Chunk] = field(default_factory=list)
+    storage: Storage
+    recorded: int = 0
     running: int = field(default=0, init=False)
 
     def __post_init__(self):
         self.functions = Functions(self.group)
-        self.recorded = max(
-            (int((chunk.runs < self.recorded_runs).sum()) for chunk in (*self.chunks, *self.elsewhere)),
-            default=0,
-        )
         self.progress = GroupProgress(self.name)
 
     @property
     def most_steps(self) -> int:
         """Upper bound of the environment steps that are left, of all runs together."""
-        num_runs = sum(chunk.num_runs for chunk in (*self.chunks, *self.elsewhere))
+        num_runs = sum(chunk.num_runs for chunk in self.chunks)
         return num_runs * self.experiment.max_advances * self.experiment.steps_per_advance
 
     @property
@@ -125,8 +114,6 @@ def execute(
     workers: Sequence[Device],
     progress: SweepProgress,
     stop: Callable[[], bool],
-    *,
-    waits: bool = True,
 ) -> Iterator[GroupTask]:
     """Run the chunks of all tasks, and yield each task when all its chunks are done or have failed.
 
@@ -137,15 +124,13 @@ def execute(
         workers: The device of each worker thread.
         progress: Where progress is reported.
         stop: Whether a stop is requested.
-        waits: Whether to wait for chunks that other processes run. Otherwise it ends once all chunks that
-            are left are run by processes that have been seen to be alive.
 
     Raises:
         ResultsError: A sink cannot be written or read. All other chunks are paused first.
     """
     before = sys.getswitchinterval()
     sys.setswitchinterval(min(before, SWITCH_SECONDS))
-    executor = _Executor(tasks, workers, progress, stop, waits)
+    executor = _Executor(tasks, workers, progress, stop)
     try:
         yield from executor.ended()
     finally:
@@ -162,10 +147,8 @@ class _Executor:
         workers: Sequence[Device],
         progress: SweepProgress,
         stop: Callable[[], bool],
-        waits: bool,
     ):
         self.error: BaseException | None = None
-        self._waits, self._looking, self._next_look = waits, threading.Lock(), 0.0
         self._tasks, self._devices, self._progress = list(tasks), list(dict.fromkeys(workers)), progress
         self._turns = {device: turn_of(device) for device in self._devices}
         self._is_closed = False
@@ -282,14 +265,14 @@ class _Executor:
             task.seed,
             recorded=task.recorded,
             wider=task.layout.wider(width),
-            choices=task.share.choices,
+            choices=task.storage.choices,
             started=lambda: self._progress.compiling(task.progress) if is_shown else None,
         )
         with self._changed:  # a compilation may end after the sweep has ended
             if not self._is_closed:
                 if is_shown:
                     self._progress.compiled(task.progress, programs.compile_seconds)
-                task.share.note_compiled(task.group, programs.compile_seconds)
+                task.storage.note_compiled(task.group, programs.compile_seconds)
         return programs
 
     def _programs(self, task: GroupTask, device: Device, width: int) -> Programs:
@@ -323,7 +306,7 @@ class _Executor:
             sink: Sink | None = None
             has_failed = False
             try:
-                sink = task.share.take(chunk)
+                sink = task.storage.open(chunk)
                 if sink is not None:
                     runner = self._runner(task, chunk, sink, device)
                     runner.advance()
@@ -333,7 +316,7 @@ class _Executor:
                 pass
             except ResultsError as problem:  # of the folder, which all chunks write to
                 has_failed, self.error = True, problem
-                task.share.abandon(chunk)
+                task.storage.abandon(chunk)
             except BaseException as error:  # user's code may raise anything; a thread gets no Ctrl-C
                 has_failed = True
                 self._fail(task, [chunk], error)
@@ -367,10 +350,9 @@ class _Executor:
         """
         with self._changed:
             tasks = of_platform(self._tasks, device.platform)
-            free, is_elsewhere = self._free(device), any(task.elsewhere for task in tasks)
-            is_left = is_elsewhere or any(task.chunks for task in tasks)
-            if not is_left or self._stop():
+            if not any(task.chunks for task in tasks) or self._stop():
                 return False
+            free = self._free(device)
             if any(self._is_ready(task, device) for task in free):
                 return True
             unknown = [
@@ -382,68 +364,17 @@ class _Executor:
                 for other in self._devices_of(task)
                 if self._is_ready(task, other)
             ]
-            if not found and (free or not is_elsewhere):
+            if not found:
                 self._changed.wait(POLL_SECONDS)
                 return True
-        if found:
-            task, other = next((each for each in found if self._is_complete(each[0])), found[0])
-            self._load(task, device, task.layout.lanes, other)
-            return True
-        if not self._look_elsewhere() and not self._waits:
-            return False
-        with self._changed:
-            self._changed.wait(POLL_SECONDS)
+        task, other = next((each for each in found if self._is_complete(each[0])), found[0])
+        self._load(task, device, task.layout.lanes, other)
         return True
 
     def _free(self, device: Device) -> list[GroupTask]:
         """The groups of which a chunk can be run on a device."""
         tasks = of_platform(self._tasks, device.platform)
         return [task for task in tasks if task.chunks and not (task.is_exclusive and task.running)]
-
-    def _look_elsewhere(self) -> bool:
-        """Look at the chunks of other processes; False if all that are left are run by living processes."""
-        if not self._looking.acquire(blocking=False):
-            return True
-        try:
-            start = time.monotonic()
-            if start < self._next_look:
-                return True
-            with self._changed:
-                held = [(task, list(task.elsewhere)) for task in self._tasks if task.elsewhere]
-            for share in dict.fromkeys(task.share for task, _ in held):
-                share.look()
-            standings = {chunk: task.share.standing(chunk) for task, chunks in held for chunk in chunks}
-            with self._changed:
-                for task, _ in held:
-                    self._move(task, standings)
-            self._next_look = time.monotonic() + LOOK_EVERY * (time.monotonic() - start)
-            return not all(
-                standings[chunk] is Standing.HELD and task.share.is_alive(chunk)
-                for task, chunks in held
-                for chunk in chunks
-                if standings[chunk] not in (Standing.DONE, Standing.FAILED)
-            )
-        except ResultsError as problem:
-            self.error = problem
-            return True
-        finally:
-            self._looking.release()
-
-    def _move(self, task: GroupTask, standings: Mapping[Chunk, Standing]) -> None:
-        """Move chunks of other processes that are free to the tasks, and drop those that have ended."""
-        left = []
-        for chunk in task.elsewhere:
-            standing = standings.get(chunk, Standing.HELD)
-            if standing is Standing.HELD:
-                left.append(chunk)
-            elif standing is Standing.FREE:
-                task.chunks.append(chunk)
-            else:
-                self._progress.add([], runs_done=chunk.num_runs if standing is Standing.DONE else 0)
-        task.elsewhere = left
-        self._request_ahead()
-        self._end_if_done(task)
-        self._changed.notify_all()
 
     def _is_ready(self, task: GroupTask, device: Device) -> bool:
         return self._ahead.is_ready((task, device, task.layout.lanes))
@@ -465,28 +396,23 @@ class _Executor:
             with self._turns[device].away():
                 return self._programs(task, device, width)
 
-        def stop() -> bool:
-            return self._stop() or task.share.is_stolen(chunk)
-
         self._progress.add([], runs_done=sink.state.num_ended)
-        limits = Limits(task.limits.segment_seconds, task.limits.checkpoint_seconds, stop)
+        limits = Limits(task.limits.segment_seconds, task.limits.checkpoint_seconds, self._stop)
         return ChunkRunner(chunk, task.experiment, programs, sink, limits, report)
 
     def _release(self, task: GroupTask, chunk: Chunk, sink: Sink | None, *, has_failed: bool) -> None:
         if sink is not None and not has_failed:
             try:
-                task.share.release(chunk, sink)
+                task.storage.close(chunk, sink)
             except ResultsError as problem:
                 self.error = problem
         with self._changed:
             task.running -= 1
-            if not has_failed and (sink is None or not sink.state.is_done):
-                task.elsewhere.append(chunk)
             self._end_if_done(task)
             self._changed.notify_all()
 
     def _end_if_done(self, task: GroupTask) -> None:
-        if task.chunks or task.running or task.elsewhere or self._stop():
+        if task.chunks or task.running or self._stop():
             return
         self._drop_programs(task)
         self._ended.put(task)
@@ -510,24 +436,17 @@ class _Executor:
 
     def _fail(self, task: GroupTask, chunks: Sequence[Chunk], error: BaseException) -> None:
         try:
-            message = task.share.fail(chunks, error)
+            message = task.storage.fail(chunks, error)
         except ResultsError as problem:
             self.error = problem
             return
         self._progress.failed(task.progress, sum(chunk.num_runs for chunk in chunks), message)
 
     def _fail_all(self, task: GroupTask, error: BaseException) -> None:
-        """Fail the chunks of a group that cannot be compiled, except those that other processes run."""
+        """Fail the chunks of a group that cannot be compiled."""
         chunks = list(task.chunks)
         task.chunks.clear()
-        try:
-            taken = [chunk for chunk in chunks if task.share.take(chunk) is not None]
-        except ResultsError as problem:
-            self.error = problem
-            return
-        task.elsewhere += set(chunks).difference(taken)
-        if taken:
-            self._fail(task, taken, error)
+        self._fail(task, chunks, error)
         if self.error is not None:
             return
         self._end_if_done(task)

@@ -1,6 +1,5 @@
 """The journal of a sweep: its results folder while it runs, what is done, and what failed."""
 
-import contextlib
 import time
 from collections.abc import Collection, Mapping
 from pathlib import Path
@@ -14,12 +13,12 @@ from bojax.engine.latency import Latency
 from bojax.engine.manifest import describe_chunk, describe_groups, describe_sweep, outline_of, timings
 from bojax.engine.plan import Plan, plain
 from bojax.engine.progress import GroupProgress
-from bojax.engine.share import FolderShare
+from bojax.engine.storage import FolderStorage, compile_seconds
+from bojax.results.attempts import AttemptRegistry
 from bojax.results.folder import RunFolder
-from bojax.results.leases import Attempts, Heartbeat
 from bojax.results.merge import RUNS, PointInfo, merge
 from bojax.results.parts import ChunkFolder, ChunkState
-from bojax.results.store import ARRAYS, MANIFEST, ResultsError, fingerprint, write_json, write_table
+from bojax.results.store import ARRAYS, MANIFEST, fingerprint, write_json, write_table
 
 NaNs = dict[tuple[int, int], int]
 """Number of NaNs of each (point, run) that has any."""
@@ -49,7 +48,7 @@ class Journal:
         """
         self.plan, self.folder, self._command = plan, RunFolder(path), command
         self._is_resumed, self._may_rename = is_resumed, may_rename
-        self._share: FolderShare | None = None
+        self._attempts: AttemptRegistry | None = None
         self.errors: dict[int, str] = {}
         self.is_merged = False
         self.nans: NaNs = {}
@@ -67,13 +66,18 @@ class Journal:
         return self.folder.path
 
     @property
-    def share(self) -> FolderShare:
-        """The chunks, once the folder is open; this process may run some."""
-        assert self._share is not None
-        return self._share
+    def attempts(self) -> AttemptRegistry:
+        """The attempts at the chunks, once the folder is open."""
+        assert self._attempts is not None
+        return self._attempts
+
+    @property
+    def left(self) -> list[Chunk]:
+        """The chunks that are neither done nor failed, as far as known."""
+        return [chunk for chunk in self.plan.chunks if not self.attempts.has_ended(chunk.name)]
 
     def open(self, *, retry: bool = True) -> None:
-        """Create the results folder, or reopen it, and begin to send heartbeats.
+        """Create the results folder, or reopen it.
 
         Args:
             retry: Whether chunks that have failed are tried again.
@@ -86,25 +90,29 @@ class Journal:
         else:
             self.folder.create(self.plan.content, may_rename=self._may_rename)
         self.folder.describe(self.plan.device)
+        self._attempts = AttemptRegistry(self.folder.work, self.path)
         self._verify(retry=retry)
-        launch = self.folder.launch(plain(saved(self.plan.sweep)))
-        self._share = FolderShare.join(self.plan, self.folder, launch, is_driver=True)
         self.write_manifest("running")
 
+    def launch(self) -> FolderStorage:
+        """Begin a launch in which this process owns all chunks that are left."""
+        left = [chunk.index for chunk in self.left]
+        launch = self.folder.launch(plain(saved(self.plan.sweep)), left)
+        return FolderStorage(self.plan, self.folder, launch, self.attempts)
+
     def _verify(self, *, retry: bool) -> None:
-        """Read the committed files of earlier processes, and delete outcomes that do not fit them."""
-        attempts = Attempts(self.folder.work)
-        attempts.look()
+        """Read the committed files of earlier processes, and forget endings that do not fit them."""
+        attempts = self.attempts
         for chunk in self.plan.chunks:
-            if chunk.name not in attempts.newest:
+            if not attempts.newest(chunk.name):
                 continue
-            files = attempts.committed(chunk.name, self.path)
+            files = attempts.committed(chunk.name)
             if files is not None:
                 self._files[chunk.index] = files
-            if chunk.name in attempts.complete and not self.state(chunk).is_done:
-                attempts.unmark(chunk.name, attempts.complete[chunk.name], "done")
+            if chunk.name in attempts.done and not self.state(chunk).is_done:
+                attempts.forget(chunk.name, "done")
             if chunk.name in attempts.failed and retry:
-                attempts.unmark(chunk.name, attempts.failed[chunk.name], "failed")
+                attempts.forget(chunk.name, "failed")
 
     def state(self, chunk: Chunk) -> ChunkState:
         """The progress of a chunk, as of the last time that its files were read."""
@@ -126,16 +134,16 @@ class Journal:
         """Write the tables from the chunks that are done, and close the folder."""
         start = time.monotonic()
         sweep = self.plan.sweep
-        attempts = self.share.leases.attempts
+        attempts = self.attempts
         attempts.look()
         self.errors = {
             chunk.index: attempts.reason(chunk.name)
             for chunk in self.plan.chunks
-            if chunk.name in attempts.failed and chunk.name not in attempts.complete
+            if chunk.name in attempts.failed and chunk.name not in attempts.done
         }
         for chunk in self.plan.chunks:
-            if chunk.name in attempts.newest and not self.state(chunk).is_done:
-                files = attempts.committed(chunk.name, self.path)
+            if attempts.newest(chunk.name) and not self.state(chunk).is_done:
+                files = attempts.committed(chunk.name)
                 if files is not None:
                     self._files[chunk.index] = files
         done = [self._files[chunk.index] for chunk in self.plan.chunks if self.state(chunk).is_done]
@@ -159,26 +167,23 @@ class Journal:
         return {name: each["sha256"] for name, each in found.items() if each is not None}
 
     def close(self, *, finished: bool = False) -> None:
-        """Send no more heartbeats, and release the folder; delete the working files of a finished sweep."""
-        if self._share is not None:
-            self._share.leases.close()
+        """Release the folder; delete the working files of a finished sweep."""
         self.folder.close(finished=finished)
 
     def write_manifest(self, status: str) -> None:
         """Write `manifest.json`."""
         plan, states = self.plan, self._states()
-        if self._share is not None:
-            with contextlib.suppress(ResultsError):
-                self._share.leases.beat()  # with the seconds of compilation
         by_point: dict[str, int] = {}
         for (point, _), count in sorted(self.nans.items()):
             by_point[str(point)] = by_point.get(str(point), 0) + count
-        heartbeats = Attempts(self.folder.work).heartbeats().values()
+        compiled = compile_seconds(self.folder.work)
         manifest = {
             **describe_sweep(plan.sweep, plan.content, self._outlines, self._command, status),
             "device": plan.device,
             "times": self._times,
-            "groups": describe_groups([self._facts(group, heartbeats) for group in plan.groups], states),
+            "groups": describe_groups(
+                [self._facts(group, compiled.get(str(group.index), 0.0)) for group in plan.groups], states
+            ),
             "chunks": [describe_chunk(*state, self.errors.get(state[0].index)) for state in states],
             "programs": programs_in(self.folder.choices),
             "nans": by_point,
@@ -186,14 +191,14 @@ class Journal:
         }
         write_json(self.path / MANIFEST, manifest)
 
-    def _facts(self, group: StaticGroup, heartbeats: Collection[Heartbeat]) -> dict[str, Any]:
+    def _facts(self, group: StaticGroup, compile_seconds: float) -> dict[str, Any]:
         """What is known of a group besides its advances."""
         latency = self._latency.get(group.index, {})
         return {
             "name": self.plan.name(group),
             "points": list(group.points),
             "lanes_per_device": self.plan.layouts[group.index].lanes,
-            "compile_seconds": sum(beat.compile_seconds.get(str(group.index), 0.0) for beat in heartbeats),
+            "compile_seconds": compile_seconds,
             "times": self._times_of(group),
             "latency_seconds": {str(point): each.median for point, each in latency.items()},
             "latency_range": {str(point): [each.least, each.largest] for point, each in latency.items()},

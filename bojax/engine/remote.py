@@ -20,7 +20,6 @@ from bojax.engine.plan import plain, plan_made_elsewhere
 from bojax.engine.requests import Target, plan_unfinished
 from bojax.engine.signals import StopRequest
 from bojax.results.folder import RunFolder, check_plan
-from bojax.results.leases import Standing
 from bojax.results.status import status_of
 from bojax.results.store import MANIFEST, ResultsError, read_json
 
@@ -35,6 +34,21 @@ TELL_SECONDS = 10.0
 
 LATE_SECONDS = 60.0
 """Time after which a file of a worker is visible here: NFS keeps what it knows of a folder for so long."""
+
+
+SHARES_PER_WORKER = 4
+"""Maximum number of shares for each worker. At the end, a worker is without work for a share at most."""
+
+
+def num_shares(workers: int, groups: int) -> int:
+    """Number of shares that the chunks of a launch are divided into, each run by one worker at a time.
+
+    A worker that has finished a share is given another one by Ray or Slurm, so that more shares than workers
+    balance the load. Every share compiles the programs of its groups, and shares that follow one another hold
+    whole groups where there are more groups than shares: so there are no more shares than groups, unless a
+    worker would have none.
+    """
+    return min(SHARES_PER_WORKER * workers, max(workers, groups))
 
 
 class Launcher(abc.ABC):
@@ -60,9 +74,18 @@ class Launcher(abc.ABC):
             EngineError: The launcher is missing on this machine, or refuses its settings.
         """
 
+    def has_begun(self, folders: Sequence[Path]) -> bool:
+        """Whether workers of an earlier launch still run these sweeps, so that none are started."""
+        return False
+
     @abc.abstractmethod
-    def start(self, name: str, folders: Sequence[Path]) -> None:
+    def start(self, name: str, folders: Sequence[Path], groups: int) -> None:
         """Start workers for the sweeps in these folders, or give these sweeps to those that wait for work.
+
+        Args:
+            name: Names of the sweeps.
+            folders: Their folders, in which the launch has been written.
+            groups: Number of static groups of all sweeps.
 
         Raises:
             EngineError: They cannot be started.
@@ -89,6 +112,7 @@ class _Remote:
 
     sweep: "Sweep"
     path: Path
+    groups: int
     journal: Journal | None = None
 
 
@@ -115,7 +139,7 @@ def run_remotely(
     launcher.check(names)
     # What is wrong with a sweep shows before the launch.
     unfinished = plan_unfinished(targets, jax.devices("cpu")[:1], finish)
-    remotes = [_Remote(target.sweep, _open(target)) for target, _ in unfinished]
+    remotes = [_Remote(target.sweep, _open(target), len(plan.groups)) for target, plan in unfinished]
     try:
         return _run(remotes, names, command, finish, stop, launcher) if remotes else 0
     finally:
@@ -125,7 +149,7 @@ def run_remotely(
 
 
 def _open(target: Target) -> Path:
-    """Write what workers need to know, and return the results folder."""
+    """Create the results folder, or check that it belongs to the sweep, and return it."""
     folder, sweep = RunFolder(target.path), plain(saved(target.sweep))
     if target.is_resumed:
         try:
@@ -135,7 +159,6 @@ def _open(target: Target) -> Path:
         check_plan(folder.path, before, now)
     else:
         folder.create(None, may_rename=target.may_rename)
-    folder.launch(sweep)
     folder.close(finished=False)
     return folder.path
 
@@ -170,7 +193,11 @@ def _run(
             _conclude(remote, finish)
     if waiting:
         try:
-            launcher.start(names, [remote.path for remote in waiting])
+            folders = [remote.path for remote in waiting]
+            if not launcher.has_begun(folders):
+                for remote in waiting:
+                    _launch(remote)
+                launcher.start(names, folders, sum(remote.groups for remote in waiting))
             if not launcher.is_awaited:
                 folders = shlex.join(map(str, paths))
                 print(f"progress:  bojax status {folders}\nto merge:  {resuming(command, paths)}")
@@ -202,13 +229,18 @@ def _plan(remote: _Remote, command: Sequence[str]) -> None:
     remote.journal = journal
 
 
+def _launch(remote: _Remote) -> None:
+    """Write what workers need to know: the sweep, and the chunks that are left."""
+    left = None if remote.journal is None else [chunk.index for chunk in remote.journal.left]
+    RunFolder(remote.path).launch(plain(saved(remote.sweep)), left)
+
+
 def _has_ended(remote: _Remote) -> bool:
     """Whether all chunks are done or have failed."""
     if remote.journal is None:
         return False
-    share = remote.journal.share
-    share.look()
-    return all(share.standing(chunk) in (Standing.DONE, Standing.FAILED) for chunk in share.plan.chunks)
+    remote.journal.attempts.look()
+    return not remote.journal.left
 
 
 def _conclude(remote: _Remote, finish: Callable[[Path], Any]) -> None:

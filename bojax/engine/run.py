@@ -128,7 +128,11 @@ def _execute(
 ) -> None:
     """Run the chunks of all sweeps; merge and finish each sweep once its chunks are done."""
     several = len(journals) > 1
-    by_sweep = {journal: tasks_of(journal.share, stop.__bool__, name_sweep=several) for journal in journals}
+    storages = {journal.launch(): journal for journal in journals}
+    by_sweep = {
+        journal: tasks_of(storage, journal.plan.chunks, stop.__bool__, name_sweep=several)
+        for storage, journal in storages.items()
+    }
     journal_of = {task: journal for journal, tasks in by_sweep.items() for task in tasks}
     tasks = longest_first(by_sweep.values())
     for task, journal in journal_of.items():
@@ -139,7 +143,8 @@ def _execute(
     ended = [journal for journal in journals if not left[journal]]  # killed before it was merged
     for journal in ended:
         latencies.compile(journal)
-    with progress_of([journal.share for journal in journals], tasks) as progress:
+    owned = {storage: journal.plan.chunks for storage, journal in storages.items()}
+    with progress_of(owned, tasks) as progress:
         for task in execute(tasks, workers, progress, stop.__bool__):
             journal = journal_of[task]
             left[journal] -= 1

@@ -1,38 +1,38 @@
-"""The tasks of a process in a sweep: its static groups, each with the chunks that are not done."""
+"""The tasks of a process: the static groups of its sweeps, each with the chunks that it still has to run."""
 
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from bojax.engine.chunks import Chunk
 from bojax.engine.devices import Device, workers_of
 from bojax.engine.execute import GroupTask
 from bojax.engine.progress import SweepProgress
 from bojax.engine.runner import Limits
-from bojax.engine.share import FolderShare
-from bojax.results.leases import Standing
+from bojax.engine.storage import FolderStorage
 
 
 def tasks_of(
-    share: FolderShare, stop: Callable[[], bool], *, name_sweep: bool = False, start: float = 0.0
+    storage: FolderStorage, chunks: Sequence[Chunk], stop: Callable[[], bool], *, name_sweep: bool = False
 ) -> list[GroupTask]:
     """The groups of a sweep that have chunks to run.
 
     Args:
-        share: The chunks.
+        storage: Where the rows of the chunks go.
+        chunks: The chunks that this process owns; those that have ended are left out.
         stop: Whether a stop is requested.
         name_sweep: Whether messages name the sweep.
-        start: Where the process starts, as a fraction of the chunks from 0 to 1; the chunks before it come
-            last. Workers that start apart seldom want the same chunk, and each compiles few groups.
     """
-    plan, engine = share.plan, share.plan.sweep.engine
-    standings = {chunk: share.standing(chunk) for chunk in plan.chunks}
-    left = [chunk for chunk, standing in standings.items() if standing in (Standing.FREE, Standing.HELD)]
-    first = int(start * len(left))
+    plan, engine = storage.plan, storage.plan.sweep.engine
     by_group: dict[int, deque[Chunk]] = {}
-    for chunk in left[first:] + left[:first]:
+    for chunk in storage.unfinished(chunks):
         by_group.setdefault(chunk.group, deque()).append(chunk)
+    recorded = dict.fromkeys(by_group, 0)  # of all chunks, so that all processes have the same programs
+    for chunk in plan.chunks:
+        if chunk.group in recorded:
+            found = int((chunk.runs < plan.sweep.record.runs).sum())
+            recorded[chunk.group] = max(recorded[chunk.group], found)
     tasks = []
-    for index, chunks in by_group.items():
+    for index, own in by_group.items():
         group = plan.groups[index]
         tasks.append(
             GroupTask(
@@ -40,13 +40,12 @@ def tasks_of(
                 experiment=plan.experiment(group),
                 name=f"{plan.sweep.name}: {plan.name(group)}" if name_sweep else plan.name(group),
                 seed=plan.sweep.seed,
-                layout=chunks[0].layout,
+                layout=own[0].layout,
                 platform=plan.device["platform"],
-                chunks=deque(chunk for chunk in chunks if standings[chunk] is Standing.FREE),
-                elsewhere=[chunk for chunk in chunks if standings[chunk] is Standing.HELD],
+                chunks=own,
                 limits=Limits(engine.segment_seconds, engine.checkpoint_seconds, stop),
-                share=share,
-                recorded_runs=plan.sweep.record.runs,
+                storage=storage,
+                recorded=recorded[index],
             )
         )
     return tasks
@@ -67,11 +66,16 @@ def longest_first(sweeps: Iterable[Sequence[GroupTask]]) -> list[GroupTask]:
     ]
 
 
-def progress_of(shares: Sequence[FolderShare], tasks: Sequence[GroupTask]) -> SweepProgress:
-    """The progress of sweeps, with the runs that are done."""
-    num_runs = sum(chunk.num_runs for share in shares for chunk in share.plan.chunks)
-    waiting = sum(chunk.num_runs for task in tasks for chunk in (*task.chunks, *task.elsewhere))
-    title = f"{len(shares)} sweeps" if len(shares) > 1 else shares[0].plan.sweep.name
+def progress_of(owned: Mapping[FolderStorage, Sequence[Chunk]], tasks: Sequence[GroupTask]) -> SweepProgress:
+    """The progress of sweeps, with the runs that are done.
+
+    Args:
+        owned: The chunks of each sweep that this process owns.
+        tasks: The groups that have chunks to run.
+    """
+    num_runs = sum(chunk.num_runs for chunks in owned.values() for chunk in chunks)
+    waiting = sum(chunk.num_runs for task in tasks for chunk in task.chunks)
+    title = f"{len(owned)} sweeps" if len(owned) > 1 else next(iter(owned)).plan.sweep.name
     progress = SweepProgress(title, num_runs)
     progress.add([task.progress for task in tasks], runs_done=num_runs - waiting)
     return progress

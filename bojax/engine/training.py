@@ -27,8 +27,8 @@ from bojax.engine.execute import GroupTask, execute
 from bojax.engine.groups import static_groups
 from bojax.engine.progress import SweepProgress
 from bojax.engine.runner import Limits
-from bojax.engine.share import MemoryShare
 from bojax.engine.sinks import MemorySink
+from bojax.engine.storage import MemoryStorage
 from bojax.envs.base import Env
 from bojax.envs.spaces import Box
 from bojax.experiments.learning import LearningRun
@@ -161,7 +161,7 @@ def _run(experiment: LearningRun, runs: int, seed: int, callback: Callback | Non
         return MemorySink(saved_learners=runs) if callback is None else _Sink(runs, callback, lock)
 
     chunks = cut(group, range(runs), layout, [{}], {})
-    share = MemoryShare(sink)
+    storage = MemoryStorage(sink)
     task = GroupTask(
         group=group,
         experiment=experiment,
@@ -170,12 +170,12 @@ def _run(experiment: LearningRun, runs: int, seed: int, callback: Callback | Non
         layout=layout,
         platform=devices[0].platform,
         chunks=deque(chunks),
-        limits=Limits(float("inf") if callback is None else 0.0, float("inf"), lambda: bool(share.errors)),
-        share=share,
+        limits=Limits(float("inf") if callback is None else 0.0, float("inf"), lambda: bool(storage.errors)),
+        storage=storage,
     )
     quiet = SweepProgress("train", runs, console=Console(quiet=True))
-    for _ in execute([task], workers_of(devices), quiet, lambda: bool(share.errors)):
+    for _ in execute([task], workers_of(devices), quiet, lambda: bool(storage.errors)):
         pass
-    if share.errors:
-        raise share.errors[0]
-    return [share.sinks[chunk.index] for chunk in chunks]
+    if storage.errors:
+        raise storage.errors[0]
+    return [storage.sinks[chunk.index] for chunk in chunks]

@@ -1,4 +1,4 @@
-"""A worker: a process that runs chunks of planned sweeps, started by hand or by a launcher on any machine.
+"""A worker: a process that runs its share of the chunks of sweeps, started by hand or by a launcher.
 
 Workers and driver share only the results folder. A worker makes the plan of the sweep from the settings in
 the folder, for its own device. The first worker commits its plan; a worker whose plan differs ends.
@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import pydantic
 
@@ -16,15 +17,19 @@ from bojax.config.errors import ConfigError, printable
 from bojax.config.external import resolve
 from bojax.config.saved_sweep import loaded
 from bojax.config.sweep import Sweep
+from bojax.engine.chunks import Chunk
 from bojax.engine.devices import choose, find_devices, prepare
 from bojax.engine.errors import FAILURE, EngineError
 from bojax.engine.execute import execute
 from bojax.engine.plan import make_plan
-from bojax.engine.share import FolderShare
+from bojax.engine.storage import FolderStorage
 from bojax.engine.tasks import progress_of, tasks_of, workers_for
+from bojax.results.attempts import AttemptRegistry
 from bojax.results.folder import Launch, RunFolder
 from bojax.results.store import ResultsError
 from bojax.text import error_line
+
+Item = TypeVar("Item")
 
 EXPECTED = (ConfigError, ResultsError, EngineError, ImportError)
 """Errors that the user can act on, told in one line."""
@@ -37,57 +42,67 @@ class WorkerOptions:
     Attributes:
         devices: Indices of the devices; None for all.
         cores: Number of cores of a CPU; None for all that the process may run on.
-        number: Number of this worker among those of a launch, from 0.
-        count: Number of workers of the launch.
-        waits: Whether it stays while other workers run chunks, to take over chunks of lost workers.
+        number: Number of the share, from 0.
+        count: Number of shares that the chunks of the launch are divided into.
     """
 
     devices: Sequence[int] | None = None
     cores: int | None = None
     number: int = 0
     count: int = 1
-    waits: bool = False
 
 
 def run_worker(folders: Sequence[Path], options: WorkerOptions, stop: Callable[[], bool]) -> int:
-    """Run chunks until each has ended or is run by a living process; return 0, or 1 if a chunk failed here.
+    """Run a share of the chunks; return 0, or 1 if a chunk failed here.
 
-    After a requested stop, the chunks that run are paused at a checkpoint, and their leases are given back.
+    After a requested stop, the chunks that run are paused at a checkpoint. Sweeps that have ended meanwhile
+    are left out.
 
     Raises:
         ConfigError: The sweep cannot be built on this machine.
         EngineError: There is no such device.
-        ResultsError: A folder is not that of a planned sweep, belongs to another kind of device or other
+        ResultsError: No folder is that of a planned sweep, one belongs to another kind of device or other
             versions, or cannot be written.
     """
     opened = [RunFolder(folder.absolute()) for folder in folders]
-    launches = [folder.launched() for folder in opened]
-    sweeps = [_sweep_of(folder, launch) for folder, launch in zip(opened, launches, strict=True)]
+    left = [(index, folder) for index, folder in enumerate(opened) if folder.work.is_dir()]
+    launches = [(index, folder, folder.launched()) for index, folder in left or [(0, opened[0])]]
+    sweeps = [_sweep_of(folder, launch) for _, folder, launch in launches]
     prepare(sweeps[0].engine.device)
     devices = choose(find_devices(sweeps[0].engine.device), options.devices)
-    shares: list[FolderShare] = []
+    owned: dict[FolderStorage, Sequence[Chunk]] = {}
     try:
-        for folder, launch, sweep in zip(opened, launches, sweeps, strict=True):
+        for (index, folder, launch), sweep in zip(launches, sweeps, strict=True):
             os.chdir(launch.folder)
             plan = make_plan(resolve(sweep), devices)
             folder.join(plan.content, plan.device)
-            shares.append(FolderShare.join(plan, folder, launch))
-        start = options.number / options.count
-        several = len(shares) > 1
-        tasks = [task for share in shares for task in tasks_of(share, stop, name_sweep=several, start=start)]
+            storage = FolderStorage(plan, folder, launch, AttemptRegistry(folder.work, folder.path))
+            chunks = plan.chunks if launch.left is None else [plan.chunks[chunk] for chunk in launch.left]
+            owned[storage] = share_of(chunks, (options.number + index) % options.count, options.count)
+        several = len(owned) > 1
+        tasks = [
+            task
+            for storage, chunks in owned.items()
+            for task in tasks_of(storage, chunks, stop, name_sweep=several)
+        ]
         workers = workers_for(tasks, devices, options.cores)
-        with progress_of(shares, tasks) as progress:
-            for _ in execute(tasks, workers, progress, stop, waits=options.waits):
+        with progress_of(owned, tasks) as progress:
+            for _ in execute(tasks, workers, progress, stop):
                 pass
     except ResultsError as error:
-        if not all(folder.work.is_dir() for folder in opened):
+        if not all(folder.work.is_dir() for _, folder, _ in launches):
             print("the sweep has ended", file=sys.stderr)
             return 0
         raise error
-    finally:
-        for share in shares:
-            share.leases.close()
-    return FAILURE if any(share.failures for share in shares) else 0
+    return FAILURE if any(storage.failures for storage in owned) else 0
+
+
+def share_of(chunks: Sequence[Item], number: int, count: int) -> Sequence[Item]:
+    """The chunks of one of several shares, which differ by one chunk at most.
+
+    They follow one another, so that all shares together compile `count - 1` groups more than once at most.
+    """
+    return chunks[number * len(chunks) // count : (number + 1) * len(chunks) // count]
 
 
 def _sweep_of(folder: RunFolder, launch: Launch) -> Sweep:

@@ -7,12 +7,11 @@ import secrets
 import shutil
 import socket
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from bojax.results.leases import Attempts
 from bojax.results.store import (
     MANIFEST,
     WORK,
@@ -27,7 +26,7 @@ from bojax.results.store import (
 
 ROOT = Path("results")
 _PLAN = "plan.json"
-_SWEEP = "sweep.json"
+_LAUNCH = "launch.json"
 _DEVICE = "device.json"
 _LOCK = "lock"
 _DONE = f"{WORK}-done"
@@ -40,14 +39,16 @@ class Launch:
     """What a worker needs to know of a sweep.
 
     Attributes:
-        number: Number of the launch: 1, and one more each time that the sweep is resumed.
+        identity: Identifies the launch: the start of the sweep, or one resumption.
         folder: The working directory of the command, in which files and modules of the sweep are looked up.
         sweep: The sweep as plain values.
+        left: Indices of the chunks that are divided among the workers of the launch; None for all.
     """
 
-    number: int
+    identity: str
     folder: str
     sweep: dict[str, Any]
+    left: list[int] | None = None
 
 
 class NothingToResume(ResultsError):
@@ -151,11 +152,11 @@ class RunFolder:
         """The description that `describe` wrote, for a driver on a machine that may have no such device."""
         return read_checked_json(self.work / _DEVICE)
 
-    def launch(self, sweep: Mapping[str, Any]) -> Launch:
-        """Write what workers need to know of the sweep."""
-        number = 1 + max((beat.launch for beat in Attempts(self.work).heartbeats().values()), default=0)
-        launch = Launch(number, str(Path.cwd()), dict(sweep))
-        path = self.work / _SWEEP
+    def launch(self, sweep: Mapping[str, Any], left: Sequence[int] | None = None) -> Launch:
+        """Write what workers need to know of the sweep, and which chunks they divide among them."""
+        chunks = None if left is None else list(left)
+        launch = Launch(secrets.token_hex(6), str(Path.cwd()), dict(sweep), chunks)
+        path = self.work / _LAUNCH
         if path.is_dir() and not path.is_symlink():  # damaged
             shutil.rmtree(path, ignore_errors=True)
         write_checked_json(path, asdict(launch))
@@ -167,7 +168,7 @@ class RunFolder:
         Raises:
             ResultsError: There is nothing, or it is damaged.
         """
-        path = self.work / _SWEEP
+        path = self.work / _LAUNCH
         if not self.work.is_dir():
             what = "no unfinished sweep in this folder" if self.path.is_dir() else "no such folder"
             raise ResultsError(

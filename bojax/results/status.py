@@ -1,7 +1,7 @@
 """The status of a sweep, read from its folder alone: the chunks done, running, lost and failed."""
 
+import contextlib
 import itertools
-import math
 import os
 import tempfile
 import time
@@ -10,25 +10,28 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from bojax.results.attempts import AttemptRegistry, is_gone
 from bojax.results.folder import RunFolder
-from bojax.results.leases import Attempts, is_gone
-from bojax.results.store import ResultsError
+
+SILENT_CHECKPOINTS = 5.0
+"""Times `checkpoint_seconds` after which a chunk whose files do not change counts as lost."""
 
 SAMPLES = 50
 """Number of finished chunks of a group from which the time of the others is estimated."""
 
 
 @dataclass(frozen=True)
-class Held:
-    """A chunk that a process has taken.
+class OpenAttempt:
+    """An attempt at a chunk that has not ended.
 
     Attributes:
         chunk: Index of the chunk.
         runs: Number of its runs.
         attempt: Number of the attempt.
-        owner: Name of the process.
-        age: Seconds since it was taken.
-        silence: Seconds since the last heartbeat of the process.
+        owner: The process, as `HOST-PID`.
+        age: Seconds since it began.
+        silence: Seconds since it last wrote a file.
+        is_gone: Whether its owner was a process of this machine that has ended.
     """
 
     chunk: int
@@ -37,6 +40,7 @@ class Held:
     owner: str
     age: float
     silence: float
+    is_gone: bool
 
 
 @dataclass
@@ -50,9 +54,9 @@ class Status:
         runs: Number of runs.
         done: Number of chunks that are done.
         runs_done: Number of their runs.
-        paused: Number of chunks that were begun and given back.
+        paused: Number of chunks that wait at a checkpoint.
         running: The chunks that run.
-        lost: The chunks whose process was lost; the next worker takes them over.
+        lost: The chunks whose owner is gone, or has written nothing for `SILENT_CHECKPOINTS`.
         failed: The reason of each failed chunk, by index.
         seconds_left: Forecast of the time left with the present number of processes; None if unknown.
     """
@@ -64,8 +68,8 @@ class Status:
     done: int = 0
     runs_done: int = 0
     paused: int = 0
-    running: list[Held] = field(default_factory=list)
-    lost: list[Held] = field(default_factory=list)
+    running: list[OpenAttempt] = field(default_factory=list)
+    lost: list[OpenAttempt] = field(default_factory=list)
     failed: dict[int, str] = field(default_factory=dict)
     seconds_left: float | None = None
 
@@ -92,8 +96,7 @@ class Status:
 def status_of(folder: Path) -> Status:
     """The state of the unfinished sweep in a results folder.
 
-    How long a process has been silent is measured by the clock of the file system, not by that of this
-    machine or of the process.
+    Times are measured by the clock of the file system, not by that of this machine or of the process.
 
     Raises:
         ResultsError: There is no unfinished sweep.
@@ -106,23 +109,27 @@ def status_of(folder: Path) -> Status:
     status.device = plan["device"]["kind"]
     runs_of = list(_runs_of_chunks(plan))
     status.chunks, status.runs = len(runs_of), sum(runs for _, runs in runs_of)
-    attempts = Attempts(run_folder.work)
-    attempts.look()
-    now, seconds = _now(run_folder.work), float(launch.sweep["engine"]["lease_seconds"])
+    attempts = AttemptRegistry(run_folder.work, folder)
+    now = _now(run_folder.work)
+    most_silence = SILENT_CHECKPOINTS * float(launch.sweep["engine"]["checkpoint_seconds"])
     left: dict[int, int] = {}
     samples: dict[int, list[tuple[str, int]]] = {}
-    indices = {_index(name): name for name in attempts.newest}
+    indices = {_index(name): name for name in attempts.begun()}
     for index, (group, runs) in enumerate(runs_of):
         name = indices.get(index, "")
-        if name in attempts.complete:
+        if name in attempts.done:
             status.done, status.runs_done = status.done + 1, status.runs_done + runs
             samples.setdefault(group, []).append((name, runs))
             continue
         left[group] = left.get(group, 0) + runs
         if name in attempts.failed:
             status.failed[index] = attempts.reason(name)
+        elif name and attempts.paused.get(name) == attempts.newest(name):
+            status.paused += 1
         elif name:
-            _add(status, attempts, name, runs, now, seconds)
+            found = _open_attempt(attempts, name, runs, now)
+            is_lost = found.is_gone or found.silence > most_silence
+            (status.lost if is_lost else status.running).append(found)
     pace = {group: _seconds_per_run(attempts, found) for group, found in samples.items()}
     if pace:
         usual = sum(pace.values()) / len(pace)
@@ -131,25 +138,20 @@ def status_of(folder: Path) -> Status:
     return status
 
 
-def _add(status: Status, attempts: Attempts, name: str, runs: int, now: float, seconds: float) -> None:
-    """Add a chunk that a process has taken, and not ended."""
-    number = attempts.newest[name]
-    path = attempts.path(name, number)
-    try:
-        lease = attempts.lease(name, number)
-        heartbeat = attempts.heartbeat(lease.owner) if lease else None
-        age = now - os.stat(path / "lease.json" if lease else path).st_mtime
-        silence = now - attempts.heard(lease.owner) if lease and heartbeat else math.inf
-    except (OSError, ResultsError):  # damaged, or ended meanwhile
-        status.paused += 1
-        return
-    if lease is not None and lease.is_released:
-        status.paused += 1
-        return
-    owner = lease.owner if lease else "an unknown process"
-    held = Held(_index(name), runs, number, owner, max(0.0, age), max(0.0, silence))
-    is_lost = heartbeat is None or silence > seconds or is_gone(heartbeat.process)
-    (status.lost if is_lost else status.running).append(held)
+def _open_attempt(attempts: AttemptRegistry, name: str, runs: int, now: float) -> OpenAttempt:
+    number = attempts.newest(name)
+    path, attempt = attempts.path(name, number), attempts.attempt(name, number)
+    times = []
+    for file in (path / "attempt.json", path / "state.json", path):
+        try:
+            with file.open() if file != path else contextlib.nullcontext():  # renews what NFS knows of it
+                times.append(os.stat(file).st_mtime)
+        except OSError:  # not written yet, or ended meanwhile
+            continue
+    owner = "an unknown process" if attempt is None else attempt.owner
+    began, wrote = min(times, default=now), max(times, default=now)
+    has_ended = attempt is not None and is_gone(attempt.process)
+    return OpenAttempt(_index(name), runs, number, owner, now - began, max(0.0, now - wrote), has_ended)
 
 
 def _runs_of_chunks(plan: Mapping[str, Any]) -> Iterator[tuple[int, int]]:
@@ -160,10 +162,10 @@ def _runs_of_chunks(plan: Mapping[str, Any]) -> Iterator[tuple[int, int]]:
             yield group, min(layout["queue"], runs - start)
 
 
-def _seconds_per_run(attempts: Attempts, chunks: Sequence[tuple[str, int]]) -> float:
+def _seconds_per_run(attempts: AttemptRegistry, chunks: Sequence[tuple[str, int]]) -> float:
     seconds = runs = 0.0
     for name, of_chunk in itertools.islice(chunks, SAMPLES):
-        noted = attempts.outcome(name, attempts.complete[name], "done").get("seconds")
+        noted = attempts.note(name, "done").get("seconds")
         if isinstance(noted, int | float):
             seconds, runs = seconds + noted, runs + of_chunk
     return seconds / runs if runs else 0.0

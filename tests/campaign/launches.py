@@ -1,14 +1,12 @@
-"""Sweeps of 24 chunks that drivers and workers share while both are lost: the bytes are those of one process.
+"""Sweeps of 24 chunks whose drivers and workers are lost: the bytes are those of one process.
 
-A case is run by processes; by processes each of which sees the folder through a mount of its own, like nodes
-that share it by NFS; by Ray's actors on two nodes; or by an array of Slurm, where these are installed. Faults
-hit when a random share of the chunks has begun, so that a slow machine sees them at the same points as a
-quick one.
+A case is run by Ray's actors on two nodes; by an array of Slurm; or, where these are not installed, by a
+driver and two workers that are started by hand. Faults hit when a random share of the chunks has begun, so
+that a slow machine sees them at the same points as a quick one, and while a chunk runs.
 """
 
 import abc
 import atexit
-import dataclasses
 import functools
 import importlib.util
 import os
@@ -18,41 +16,38 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 from typing_extensions import override
 
-from bojax.results.leases import Attempts, is_gone
+from bojax.results.attempts import AttemptRegistry, is_gone
 from bojax.results.store import MANIFEST, WORK, ResultsError, read_json
 from tests.campaign.case import Outcome, raised
 from tests.campaign.process import Child, Ended, scratch
 from tests.campaign.workloads import ROOT, WORKLOADS, contents, difference, finished
 
 CHUNKS = 24
-_PATIENCE = 400.0
+_PATIENCE = 300.0
 """Seconds after which a process is taken to hang, on a busy machine."""
 
 _MOST_RESUMES = 12
-
-_LATE = 1.0
-"""Seconds for which a mount may not see what others have written."""
 
 
 def check(seed: int) -> Outcome:
     """Disturb a sweep at moments that follow from the seed, and resume it until it is finished."""
     draw = random.Random(f"launches {seed}")
-    kind = {0: _Ray, 5: _Slurm, 7: _Mounts}.get(seed % 10, _Processes)
+    kind = (_Processes, _Ray, _Slurm)[seed % 3]
     kind = kind if kind.is_installed() else _Processes
     wanted = contents(finished("shared"))
     with scratch() as place:
         launch = kind(place, draw)
         try:
-            launch.begin()
-            for mark in sorted(draw.uniform(0, CHUNKS) for _ in range(draw.randint(*kind.faults))):
+            launch.drive(resume=False)
+            for mark in sorted(draw.uniform(0, CHUNKS) for _ in range(draw.randint(1, 3))):
                 launch.wait_for(mark)
-                time.sleep(draw.uniform(0.0, 0.2))
                 launch.disturb()
             launch.finish()
             fault = launch.fault or difference(contents(launch.out), wanted)
@@ -63,12 +58,6 @@ def check(seed: int) -> Outcome:
 
 class _Launch(abc.ABC):
     """A sweep that several processes run."""
-
-    faults = (2, 5)
-    """Bounds of the number of faults."""
-
-    lease = 0.5
-    """Seconds without a heartbeat after which a lease ends, as the workload sets it."""
 
     def __init__(self, place: Path, draw: random.Random):
         self.place, self.out, self.fault = place, place / "out", ""
@@ -90,8 +79,8 @@ class _Launch(abc.ABC):
         return {
             "worker killed": lambda: self._signal_one(signal.SIGKILL),
             "worker paused": self._pause,
-            "worker paused to the end": self._pause_to_the_end,
             "driver killed": self._kill_driver,
+            "worker paused to the end, driver killed": self._pause_to_the_end,
         }
 
     @property
@@ -99,17 +88,13 @@ class _Launch(abc.ABC):
         """What was tried, in words."""
         return f"{type(self).__name__[1:].lower()}: {', '.join(self._tried)}"
 
-    def begin(self) -> None:
-        """Start the sweep."""
-        self.drive(resume=False)
-
     def disturb(self) -> None:
         """Let something go wrong, unless the sweep is over."""
-        if self.is_finished:
-            return
         name, act = self._draw.choice(sorted(self.actions().items()))
-        self._tried.append(f"{name} at {self.begun()}")
-        act()
+        running = len(self._workers())
+        if running and not self.is_finished:
+            self._tried.append(f"{name} at {self.begun()} while {running} ran")
+            act()
 
     @property
     def is_finished(self) -> bool:
@@ -120,23 +105,24 @@ class _Launch(abc.ABC):
             return False
         return done and not (self.out / WORK).exists()
 
-    def attempts(self) -> Attempts:
-        """The attempts at each chunk; none if there is no working folder."""
-        found = Attempts(self.out / WORK)
+    def attempts(self) -> AttemptRegistry | None:
+        """The attempts at each chunk; None if there is no working folder."""
         try:
-            found.look()
+            return AttemptRegistry(self.out / WORK, self.out)
         except ResultsError:
-            pass
-        return found
+            return None
 
     def begun(self) -> int:
         """Number of chunks that have begun."""
-        return CHUNKS if self.is_finished else len(self.attempts().newest)
+        attempts = self.attempts()
+        return CHUNKS * self.is_finished if attempts is None else len(attempts.begun())
 
     def wait_for(self, mark: float) -> None:
-        """Wait until a number of chunks has begun, or nothing happens any more."""
+        """Wait until a number of chunks has begun and one runs, or nothing happens any more."""
         deadline = time.monotonic() + _PATIENCE
-        while self.begun() < mark and self.is_running() and time.monotonic() < deadline:
+        while self.is_running() and time.monotonic() < deadline:
+            if self.begun() >= mark and self._workers():
+                return
             time.sleep(0.02)
 
     def is_running(self) -> bool:
@@ -188,11 +174,16 @@ class _Launch(abc.ABC):
         return child
 
     def _workers(self) -> list[int]:
-        """Processes, other than drivers, that hold a share of the folder and are alive."""
-        beats = self.attempts().heartbeats().values() if (self.out / WORK).is_dir() else ()
-        found = [int(beat.process[2]) for beat in beats if beat.process and not is_gone(beat.process)]
-        drivers = [self._driver.pid] if self._driver else []
-        return sorted(set(found) - set(drivers) - set(self._paused))
+        """Processes, other than drivers, that run a chunk at this moment."""
+        attempts, found = self.attempts(), set[int]()
+        for chunk in attempts.begun() if attempts is not None else ():
+            assert attempts is not None
+            number = attempts.newest(chunk)
+            attempt = attempts.attempt(chunk, number)
+            has_ended = attempts.has_ended(chunk) or attempts.paused.get(chunk) == number
+            if not has_ended and attempt and attempt.process and not is_gone(attempt.process):
+                found.add(int(attempt.process[2]))
+        return sorted(found - {self._driver.pid if self._driver else 0} - set(self._paused))
 
     def _signal_one(self, number: int) -> list[int]:
         """Send a signal to one of the workers, and return it; none if there is none."""
@@ -208,12 +199,13 @@ class _Launch(abc.ABC):
 
     def _pause(self) -> None:
         for pid in self._signal_one(signal.SIGSTOP):
-            time.sleep(self._draw.uniform(0.2, 4.0) * self.lease)
+            time.sleep(self._draw.uniform(0.2, 4.0))
             _send(pid, signal.SIGCONT)
 
     def _pause_to_the_end(self) -> None:
-        if not self._paused:  # two would be all workers of Ray or Slurm
+        if not self._paused:  # two would be all workers
             self._paused += self._signal_one(signal.SIGSTOP)
+            self._kill_driver()
 
     def _kill_driver(self) -> None:
         if self._driver is not None:
@@ -222,7 +214,7 @@ class _Launch(abc.ABC):
 
 
 class _Processes(_Launch):
-    """A driver that runs chunks itself, and two workers that are replaced when they are lost."""
+    """Two workers of a launch that a driver has begun; or, later, a driver that runs all chunks itself."""
 
     @staticmethod
     @override
@@ -231,121 +223,32 @@ class _Processes(_Launch):
 
     @override
     def drive(self, *, resume: bool) -> None:
-        self._driver = self._start(self.sweep(self.seen(), resume=resume))
-
-    def sweep(self, out: Path, *, resume: bool) -> Callable[[], int]:
-        """A function that runs the sweep in a folder."""
-        return WORKLOADS["shared"].start(out, resume=resume)
-
-    def seen(self) -> Path:
-        """The results folder as the next process sees it."""
-        return self.out
-
-    @override
-    def begin(self) -> None:
-        super().begin()
-        while not (self.out / WORK / "sweep.json").exists() and self.is_running():
+        self._driver = self._start(WORKLOADS["shared"].start(self.out, resume=resume))
+        while not (self.out / WORK / "launch.json").exists() and self.is_running() and not resume:
             time.sleep(0.01)
-        for _ in range(2):
-            self._join()
+        if not resume:
+            self._kill_driver()
+            for number in range(2):
+                self._join(number)
 
     @override
     def actions(self) -> dict[str, Callable[[], object]]:
+        number = self._draw.randrange(2)
         return {
             **super().actions(),
             "worker stopped": lambda: self._signal_one(signal.SIGTERM),
-            "driver stopped": self._stop_driver,
-            "driver paused": self._pause_driver,
+            "worker started beside": lambda: self._join(number),
         }
 
-    @override
-    def disturb(self) -> None:
-        super().disturb()
-        if self._draw.random() < 0.5 and self._driver is not None and self._driver.poll() is not None:
-            self.drive(resume=True)
-        if (self.out / WORK).is_dir():
-            self._join()
-
-    def _stop_driver(self) -> None:
-        assert self._driver is not None
-        self._children[self._driver] = True
-        self._driver.send(signal.SIGTERM)
-        self._driver.wait(self._driver.wall + _PATIENCE)
-
-    def _pause_driver(self) -> None:
-        assert self._driver is not None
-        self._driver.send(signal.SIGSTOP)
-        time.sleep(self._draw.uniform(0.2, 4.0) * self.lease)
-        self._driver.send(signal.SIGCONT)
-
-    def _join(self) -> None:
+    def _join(self, number: int) -> None:
         from bojax.cli.main import main
 
-        out = str(self.seen())
-        self._start(lambda: main(["worker", out, "--cores", "1"]))
-
-
-class _Mounts(_Processes):
-    """The same, where each process is on a node of its own: it sees what others write a second late.
-
-    A mount of bindfs keeps entries of folders, also missing ones, and attributes of files, as NFS does.
-    """
-
-    lease = 4 * _LATE
-
-    def __init__(self, place: Path, draw: random.Random):
-        super().__init__(place, draw)
-        self._mounts: list[Path] = []
-
-    @staticmethod
-    @override
-    def is_installed() -> bool:
-        return os.geteuid() == 0 and shutil.which("bindfs") is not None and Path("/dev/fuse").exists()
-
-    @override
-    def sweep(self, out: Path, *, resume: bool) -> Callable[[], int]:
-        shared = WORKLOADS["shared"]
-        patient = dataclasses.replace(shared, words=(*shared.words, f"engine.lease_seconds={self.lease}"))
-        return patient.start(out, resume=resume)
-
-    @override
-    def seen(self) -> Path:
-        folder = self.place / f"node-{len(self._mounts)}"
-        folder.mkdir()
-        (self.place / "shared").mkdir(exist_ok=True)
-        self.out = self.place / "shared" / "out"
-        caching = ",".join(f"{kind}_timeout={_LATE}" for kind in ("attr", "entry", "negative"))
-        subprocess.run(["bindfs", "-o", caching, self.place / "shared", folder], check=True)
-        self._mounts.append(folder)
-        return folder / "out"
-
-    @override
-    def _start(self, function: Callable[[], int], *, is_limited: bool = True) -> Child:
-        def elsewhere() -> int:
-            import bojax.results.leases
-
-            # Processes of other machines cannot be looked up: their leases end with their heartbeats alone.
-            bojax.results.leases.process_identity = lambda pid: None
-            return function()
-
-        return super()._start(elsewhere, is_limited=is_limited)
-
-    @override
-    def _workers(self) -> list[int]:
-        alive = [child.pid for child in self._children if child.poll() is None and child is not self._driver]
-        return sorted(set(alive) - set(self._paused))
-
-    @override
-    def close(self) -> None:
-        super().close()
-        for folder in self._mounts:
-            subprocess.run(["umount", "-l", folder], check=True)
+        words = ["worker", str(self.out), "--cores", "1", "--share", f"{number}/2"]
+        self._start(lambda: main(words))
 
 
 class _Ray(_Launch):
     """Actors on two nodes, one of which may be lost."""
-
-    faults = (1, 3)
 
     @staticmethod
     @override
@@ -369,9 +272,7 @@ class _Ray(_Launch):
 
 
 class _Slurm(_Launch):
-    """An array of two tasks."""
-
-    faults = (1, 3)
+    """An array of two tasks at a time."""
 
     @staticmethod
     @override
@@ -391,7 +292,7 @@ class _Slurm(_Launch):
 
     @override
     def is_running(self) -> bool:
-        return super().is_running() or len(self._tasks()) > len(self._paused)
+        return super().is_running() or bool(self._tasks())
 
     @override
     def actions(self) -> dict[str, Callable[[], object]]:
@@ -399,42 +300,44 @@ class _Slurm(_Launch):
             "task requeued": lambda: self._slurm("scontrol", "requeue"),
             "task near its limit": lambda: self._slurm("scancel", "--signal=USR2", "--batch"),
             "task cancelled": lambda: self._slurm("scancel"),
+            "node lost": self._lose_node,
         }
         return {**super().actions(), **own}
+
+    def _lose_node(self) -> None:
+        node = f"NodeName={socket.gethostname().split('.')[0]}"
+        _run("scontrol", "update", node, "State=DOWN", "Reason=lost")
+        time.sleep(2.0)
+        _run("scontrol", "update", node, "State=RESUME")
 
     @override
     def settle(self) -> None:
         super().settle()
         deadline = time.monotonic() + _PATIENCE
-        while time.monotonic() < deadline and self.is_running():
-            attempts = self.attempts()
-            if len(set(attempts.complete) | set(attempts.failed)) == CHUNKS:
-                return
+        while time.monotonic() < deadline and self._tasks():
+            if self._paused and len(self._tasks()) <= len(self._paused):
+                for task in self._tasks():  # what a user would do with a task that hangs
+                    _run("scancel", task)
             time.sleep(0.2)
 
     @override
     def close(self) -> None:
         for task in self._tasks():
-            subprocess.run(["scancel", task], check=False)
+            _run("scancel", task)
         super().close()
 
-    def _tasks(self) -> list[str]:
-        """The tasks of this sweep that run; one that waits after it was requeued may wait for minutes."""
-        shown = subprocess.run(
-            ["squeue", "-h", "-r", "-t", "R,CG", "-o", "%i %Z"], capture_output=True, text=True
-        )
-        pending = subprocess.run(
-            ["squeue", "-h", "-r", "-t", "PD", "-o", "%i %Z %r"], capture_output=True, text=True
-        )
-        lines = [
-            *shown.stdout.splitlines(),
-            *(x for x in pending.stdout.splitlines() if "BeginTime" not in x),
-        ]
-        return [line.split()[0] for line in lines if line.split()[1] == str(self.place)]
+    def _tasks(self, states: str = "R,CG,PD") -> list[str]:
+        """The tasks of this sweep."""
+        shown = _run("squeue", "-h", "-r", "-t", states, "-o", "%i %Z").splitlines()
+        return [line.split()[0] for line in shown if line.split()[1] == str(self.place)]
 
     def _slurm(self, *words: str) -> None:
-        if tasks := self._tasks():
-            subprocess.run([*words, self._draw.choice(tasks)], check=False, capture_output=True)
+        if tasks := self._tasks("R"):
+            _run(*words, self._draw.choice(tasks))
+
+
+def _run(*words: str) -> str:
+    return subprocess.run(words, check=False, capture_output=True, text=True).stdout
 
 
 def _send(pid: int, number: int) -> None:
@@ -488,7 +391,7 @@ def _ray_server() -> subprocess.Popen[str]:
 
 @functools.cache
 def _slurm_cluster() -> Path:
-    folder = Path(_scratch_folder())
+    folder = Path(tempfile.mkdtemp(prefix="bojax-slurm-"))
     script = ROOT / "tests" / "engine" / "slurm_cluster.sh"
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
@@ -497,9 +400,3 @@ def _slurm_cluster() -> Path:
     subprocess.run([script, folder, "start"], check=True, timeout=120, env=environment)
     atexit.register(subprocess.run, [script, folder, "stop"])
     return folder
-
-
-def _scratch_folder() -> str:
-    import tempfile
-
-    return tempfile.mkdtemp(prefix="bojax-slurm-")

@@ -1,7 +1,9 @@
 """`bojax status` and `bojax worker`: what they print and refuse. Running chunks is tested in tests/engine."""
 
+import json
 import os
 import signal
+import socket
 import sys
 import time
 import types
@@ -12,8 +14,8 @@ from typing_extensions import override
 
 from bojax.cli.main import main
 from bojax.engine import signals
+from bojax.results.attempts import AttemptRegistry
 from bojax.results.folder import RunFolder
-from bojax.results.leases import Leases
 from bojax.results.store import write_json
 
 PLAN = {
@@ -30,15 +32,9 @@ NAMES = [f"chunk-{index:05d}-0123456789ab" for index in range(5)]
 def folder(tmp_path):
     run_folder = RunFolder(tmp_path / "out")
     run_folder.create(None)
-    run_folder.launch({"name": "parking", "engine": {"lease_seconds": 60.0}})
+    run_folder.launch({"name": "parking", "engine": {"checkpoint_seconds": 60.0}})
     run_folder.close(finished=False)
     return run_folder
-
-
-def worker(folder: RunFolder, owner: str) -> Leases:
-    leases = Leases(folder.work, folder.path, launch=1, seconds=60.0, owner=owner)
-    leases.beat()
-    return leases
 
 
 def status(folder: RunFolder, capsys) -> tuple[int, list[str]]:
@@ -61,38 +57,40 @@ def test_a_task_of_slurm_that_ended_before_its_worker_began(folder, capsys):
 
 def test_chunks_of_every_kind(folder, capsys):
     folder.join(PLAN, {})
-    a, b = worker(folder, "node1-7"), worker(folder, "node2-9")
-    done = a.take(NAMES[0])
+    attempts = AttemptRegistry(folder.work, folder.path)
+    done, running, silent, failed, gone = (attempts.begin(name, "launch") for name in NAMES)
     done.write_part({"steps": pa.table({"x": [1]})})
     done.commit()
-    a.finish(NAMES[0], {"seconds": 40.0})
-    for leases, name in ((a, NAMES[1]), (b, NAMES[2]), (a, NAMES[3])):
-        leases.take(name)
-    a.fail(NAMES[3], "boom")
-    long_ago = os.stat(folder.work).st_mtime - 200
-    os.utime(folder.work / "worker-node2-9.json", (long_ago, long_ago))
+    attempts.end(done, "done", {"seconds": 40.0})
+    attempts.end(failed, "failed", {"error": "boom"})
+    long_ago = os.stat(folder.work).st_mtime - 400
+    for path in (silent.path / "attempt.json", silent.path):
+        os.utime(path, (long_ago, long_ago))
+    record = json.loads((gone.path / "attempt.json").read_text())
+    process = record["process"]
+    (gone.path / "attempt.json").write_text(json.dumps({**record, "process": [*process[:3], "0"]}))
     code, lines = status(folder, capsys)
     assert code == 1
     assert lines[0] == (
-        f"{folder.path}: parking on H200: 1 of 5 chunks done, 8 of 30 runs, "
-        "1 running, 1 lost, 1 failed, 1 waiting"
+        f"{folder.path}: parking on H200: 1 of 5 chunks done, 8 of 30 runs, 1 running, 2 lost, 1 failed"
     )
-    assert lines[1].startswith("running: chunk 1 (8 runs), attempt 1, node1-7, for ")
-    assert lines[2].startswith("lost: chunk 2 (4 runs), attempt 1, node2-9, for ")
-    assert "silent for 3 min 2" in lines[2]
-    assert lines[3] == "failed: chunk 3: boom"
-    assert lines[4] == "about 1 min 50 s left with 1 at a time"  # 22 runs of 5 s
+    me = f"{socket.gethostname()}-{os.getpid()}"
+    assert lines[1].startswith(f"running: chunk 1 (8 runs), attempt 1, {me}, for ")
+    assert lines[1].endswith(" ago")
+    assert lines[2].startswith("lost: chunk 2 (4 runs), attempt 1, ")
+    assert "last wrote 6 min 4" in lines[2]
+    assert lines[3].startswith("lost: chunk 4 (2 runs), ") and lines[3].endswith(", its process is gone")
+    assert lines[4] == "failed: chunk 3: boom"
+    assert lines[5] == "about 1 min 50 s left with 1 at a time"  # 22 runs of 5 s
     assert not list(folder.work.glob(".now*"))
 
 
 def test_all_done_and_merged(folder, capsys):
     folder.join({**PLAN, "groups": [[0]], "layouts": [{"queue": 8}], "runs": 4}, {})
-    a = worker(folder, "node1-7")
-    a.take(NAMES[0])
-    a.give_back(NAMES[0])
+    attempts = AttemptRegistry(folder.work, folder.path)
+    attempts.end(attempts.begin(NAMES[0], "launch"), "paused", {})
     assert ", 1 paused" in status(folder, capsys)[1][0]
-    a.take(NAMES[0])
-    a.finish(NAMES[0], {})
+    attempts.end(attempts.begin(NAMES[0], "launch"), "done", {})
     _, lines = status(folder, capsys)
     assert "1 of 1 chunks done, 4 of 4 runs" in lines[0] and "--resume" in lines[1]
     write_json(folder.path / "manifest.json", {"status": "finished"})
@@ -121,8 +119,8 @@ def test_mistakes_of_a_worker(tmp_path, capsys, words, message):
     assert message in capsys.readouterr().err
 
 
-def test_a_worker_that_is_asked_to_requeue_while_it_imports_does_so(tmp_path, capsys, monkeypatch):
-    made, commands = [], []
+def test_a_worker_that_is_told_of_its_time_limit_while_it_imports_stops(tmp_path, capsys, monkeypatch):
+    made = []
 
     class Request(signals.StopRequest):
         @override
@@ -141,8 +139,5 @@ def test_a_worker_that_is_asked_to_requeue_while_it_imports_does_so(tmp_path, ca
 
     monkeypatch.setattr(signals, "StopRequest", Request)
     monkeypatch.setitem(sys.modules, "bojax.engine.worker", Importing("bojax.engine.worker"))
-    monkeypatch.setattr("subprocess.run", lambda words, **_: commands.append(words))
-    monkeypatch.setenv("SLURM_JOB_ID", "7")
     assert main(["worker", str(tmp_path)]) == 128 + signal.SIGUSR2
-    assert commands == [["scontrol", "requeue", "7"]] and len(made) == 1
-    assert capsys.readouterr().err == "stopped; other workers or --resume go on\n"
+    assert len(made) == 1 and capsys.readouterr().err.startswith("stopped at a checkpoint; ")

@@ -63,6 +63,7 @@ def plan_toy(out: Path, *points: dict, **settings) -> None:
         may_rename=False,
     )
     journal.open()
+    journal.launch()
     journal.close()
 
 

@@ -22,6 +22,6 @@ class Here(Launcher):
     def check(self, name):
         return
 
-    def start(self, name, folders):
+    def start(self, name, folders, groups):
         self.num_started += 1
         assert self._work(folders) == 0

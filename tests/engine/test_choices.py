@@ -15,7 +15,7 @@ from bojax.engine import choices
 from bojax.engine.choices import XLA_FOLDER, Choices, compile_again, fingerprint, programs_in
 from bojax.engine.errors import EngineError
 from bojax.engine.program_cache import Program
-from bojax.engine.share import FolderShare
+from bojax.engine.storage import FolderStorage
 from bojax.results.store import ResultsError, read_checked_json, read_manifest
 from tests.engine.drive import run_sweep
 from tests.engine.test_program_cache import caching_in
@@ -151,7 +151,7 @@ def test_a_sweep_keeps_its_choices_and_its_manifest_names_what_was_compiled(tmp_
         made.append(Choices(share.folder.choices))
         return made[-1]
 
-    monkeypatch.setattr(FolderShare, "choices", property(choices_of, lambda *_: None))
+    monkeypatch.setattr(FolderStorage, "choices", property(choices_of, lambda *_: None))
     sweep = load_config("chain", ["episodes=2"], 4, None)
     assert run_sweep(sweep, tmp_path / "first") == run_sweep(sweep, tmp_path / "second") == 0
     first, second = (read_manifest(tmp_path / name)["programs"] for name in ("first", "second"))

@@ -20,7 +20,7 @@ from bojax.cli.main import main
 from bojax.config.launching import RayConfig
 from bojax.engine.errors import EngineError
 from bojax.engine.launchers import ray_actors
-from bojax.results.leases import Attempts
+from bojax.results.attempts import AttemptRegistry
 from bojax.results.store import WORK
 
 SWEEP = """\
@@ -28,7 +28,7 @@ base: cliff-walking
 axes: {env.slip: [0.01, 0.1, 0.2]}
 runs: 20
 record: {runs: 0}
-engine: {segment_seconds: 0.2, checkpoint_seconds: 0.2, lease_seconds: 3}
+engine: {segment_seconds: 0.2, checkpoint_seconds: 0.2}
 """
 """One group of four chunks."""
 
@@ -85,14 +85,20 @@ def workers_with_checkpoints(out: Path) -> list[int]:
     """The processes that have committed something."""
     if not (out / WORK).is_dir():
         return []
-    attempts = Attempts(out / WORK)
-    attempts.look()
-    leases = [
-        attempts.lease(chunk, number)
-        for chunk, number in attempts.newest.items()
-        if list(attempts.path(chunk, number).glob("checkpoint-*"))
-    ]
-    return sorted({int(lease.owner.rsplit("-", 2)[1]) for lease in leases if lease and not lease.is_released})
+    attempts = AttemptRegistry(out / WORK, out)
+    found = []
+    for chunk in attempts.begun():
+        number = attempts.newest(chunk)
+        attempt = attempts.attempt(chunk, number)
+        is_open = attempts.paused.get(chunk) != number and not attempts.has_ended(chunk)
+        if (
+            is_open
+            and attempt
+            and attempt.process
+            and list(attempts.path(chunk, number).glob("checkpoint-*"))
+        ):
+            found.append(int(attempt.process[2]))
+    return sorted(set(found))
 
 
 @pytest.mark.ray
@@ -124,7 +130,7 @@ def test_a_driver_that_is_interrupted_stops_its_actors(cluster, tmp_path):
     text, _ = driver.communicate(timeout=120)
     assert driver.returncode == 143, text
     assert "interrupted; to resume:\n  bojax sweep sweep.yaml" in text
-    assert not workers_with_checkpoints(out)  # all leases are given back
+    assert not workers_with_checkpoints(out)  # all chunks are paused
 
 
 @pytest.mark.ray
@@ -174,7 +180,7 @@ def test_a_cluster_loses_its_only_node(tmp_path):
 
 def test_a_cluster_that_does_not_answer_any_more_is_given_up(monkeypatch, capsys):
     launcher = ray_actors.Ray(RayConfig())
-    launcher._running["call"] = 0
+    launcher._calls["call"] = 0, 0
     with socket.socket() as unused:
         unused.bind(("127.0.0.1", 0))
         launcher._address = f"127.0.0.1:{unused.getsockname()[1]}"
@@ -221,7 +227,7 @@ def test_a_worker_that_cannot_run_tells_why(monkeypatch):
     fake = types.SimpleNamespace(wait=lambda calls, **_: (calls, []), get=fail, exceptions=kinds)
     monkeypatch.setitem(sys.modules, "ray", fake)
     launcher = ray_actors.Ray(RayConfig())
-    launcher._running["call"] = 0
+    launcher._calls["call"] = 0, 0
     with pytest.raises(
         EngineError, match="--launcher ray: a worker cannot run: ModuleNotFoundError: no bojax$"
     ):

@@ -404,10 +404,11 @@ def test_a_copied_chunk_is_refused(copy, capsys):
 @pytest.mark.parametrize("is_folder", [False, True])
 def test_what_no_number_depends_on_may_be_damaged(copy, undamaged, is_folder):
     first, second = (next((copy / WORK).glob(pattern)) for pattern in (FIRST, SECOND))
-    (worker,) = (copy / WORK).glob("worker-*.json")
+    (compiled,) = (copy / WORK).glob("compiled-*.json")
     (done,) = (copy / WORK).glob("chunk-*.done")
-    for path in (worker, done, second / "lease.json", copy / WORK / "sweep.json"):
-        path.write_text('{"beats": 7}')
+    (copy / WORK / f"{second.name[:-2]}-{10**30}").mkdir()  # an attempt that nobody can count up to
+    for path in (compiled, done, second / "attempt.json", copy / WORK / "launch.json"):
+        path.write_text('{"launch": 7}')
         if is_folder:
             path.unlink()
             path.mkdir()

@@ -24,9 +24,8 @@ from bojax.engine.progress import SweepProgress
 from bojax.engine.requests import Request, choose_targets
 from bojax.engine.run import run_sweeps
 from bojax.engine.runner import ChunkRunner
-from bojax.engine.share import FolderShare
+from bojax.results.attempts import AttemptRegistry
 from bojax.results.folder import RunFolder
-from bojax.results.leases import Leases
 from bojax.results.store import WORK, ResultsError, read_manifest, read_table
 from tests.engine.drive import NEEDS_CPU, contents, run_toy, start_toy
 from tests.tiers import by_tier
@@ -565,7 +564,7 @@ def test_new_folders_begin_and_a_note_says_that_nothing_is_resumed(tmp_path, cap
 
 
 @pytest.mark.usefixtures("compiles_anew")
-@pytest.mark.parametrize("moment", ["take", "finish", "fail"])
+@pytest.mark.parametrize("moment", ["begin", "end", "fail"])
 def test_a_full_disk_stops_the_sweep(tmp_path, capsys, monkeypatch, moment):
     def full(*_):
         raise ResultsError("the disk is full", exit_code=1)
@@ -573,7 +572,7 @@ def test_a_full_disk_stops_the_sweep(tmp_path, capsys, monkeypatch, moment):
     with monkeypatch.context() as patch:
         if moment == "fail":
             patch.setattr(program_cache, "compiled", lambda *_: 1 / 0)
-        patch.setattr(Leases, moment, full)
+        patch.setattr(AttemptRegistry, "end" if moment == "fail" else moment, full)
         assert run_toy(tmp_path / "toy") == 1
     assert errors(capsys) == ["error: the disk is full"]
     assert all(chunk["status"] != "failed" for chunk in read_manifest(tmp_path / "toy")["chunks"])

@@ -1,4 +1,4 @@
-"""Several processes share a sweep through its folder: the bytes are those of one that ran it alone."""
+"""Workers run shares of a sweep, and are lost: the bytes are those of one process that ran it alone."""
 
 import contextlib
 import shutil
@@ -8,18 +8,15 @@ import sys
 import time
 from pathlib import Path
 
-import jax
 import pytest
 
 from bojax.engine import batch
-from bojax.engine.batch import Functions, Programs
-from bojax.engine.plan import make_plan
+from bojax.engine.remote import num_shares
 from bojax.engine.requests import Request
 from bojax.engine.run import run_sweeps
-from bojax.engine.runner import ChunkRunner, Limits
-from bojax.engine.share import FolderShare
+from bojax.engine.worker import share_of
+from bojax.results.attempts import AttemptRegistry
 from bojax.results.folder import RunFolder
-from bojax.results.leases import Attempts, Leases
 from bojax.results.store import WORK, read_manifest, read_table
 from tests.engine.drive import NEEDS_CPU, contents, plan_toy, run_toy, start_worker, work_on
 from tests.engine.here import Here
@@ -27,7 +24,7 @@ from tests.tiers import by_tier
 from tests.toy import toy_sweep
 
 POINTS = ({"scale": 1.0, "max_length": 80}, {"scale": 2.0, "max_length": 80}, {"max_length": 30})
-SWEEP = {"points": POINTS, "runs": 8, "lanes_per_device": 2, "lease_seconds": 0.5}
+SWEEP = {"points": POINTS, "runs": 8, "lanes_per_device": 2}
 """Two static groups, the first of two chunks."""
 
 pytestmark = pytest.mark.usefixtures("kept_toys")
@@ -72,10 +69,8 @@ def often(plans, tmp_path) -> Path:
     return Path(shutil.copytree(plans["often"], tmp_path / "toy"))
 
 
-def attempts_of(out: Path) -> Attempts:
-    attempts = Attempts(out / WORK)
-    attempts.look()
-    return attempts
+def attempts_of(out: Path) -> AttemptRegistry:
+    return AttemptRegistry(out / WORK, out)
 
 
 def merged(out: Path) -> dict[str, bytes]:
@@ -96,19 +91,27 @@ def test_a_worker_computes_and_the_driver_merges(planned, alone):
     assert not (planned / WORK).exists()
 
 
+def test_shares_are_even_and_hold_whole_groups():
+    for chunks, count in ((7, 3), (8, 4), (2, 5), (0, 2)):
+        shares = [share_of(list(range(chunks)), number, count) for number in range(count)]
+        assert [chunk for share in shares for chunk in share] == list(range(chunks))
+        assert max(map(len, shares)) - min(map(len, shares)) <= 1
+    # Four shares for each worker, but none for less than a group, unless a worker would have none.
+    assert [num_shares(2, groups) for groups in (1, 5, 68)] == [2, 5, 8]
+
+
 @NEEDS_CPU
 @pytest.mark.bits
-def test_workers_start_with_different_chunks(planned, alone, monkeypatch):
-    taken = []
-    take = Leases.take
-
-    def noted(self, chunk):
-        taken.append(chunk.split("-")[1])
-        return take(self, chunk)
-
-    monkeypatch.setattr(Leases, "take", noted)
-    assert work_on(planned, number=1, count=2, cores=1) == 0
-    assert sorted(taken) == ["00000", "00001", "00002"] and taken.index("00001") < taken.index("00000")
+def test_shares_are_divided_anew_on_resumption(planned, alone):
+    """Each worker runs its own chunks only, and a launch divides those that are left."""
+    assert work_on(planned, number=1, count=3) == 0
+    (first,) = attempts_of(planned).done
+    assert first.startswith("chunk-00001-")
+    assert work_on(planned, number=1, count=3) == 0  # started again: nothing is left of this share
+    RunFolder(planned).launch(RunFolder(planned).launched().sweep, [0, 2])
+    assert work_on(planned, number=1, count=2) == 0
+    assert [name.split("-")[1] for name in sorted(attempts_of(planned).done)] == ["00001", "00002"]
+    assert work_on(planned, number=0, count=2) == 0
     assert merged(planned) == alone
 
 
@@ -127,7 +130,7 @@ def stopping_after(segments: int):
 @pytest.mark.bits
 def test_a_worker_goes_on_where_others_stopped(often, alone):
     rounds = 0
-    while len(attempts_of(often).complete) < 3:
+    while len(attempts_of(often).done) < 3:
         assert work_on(often, stop=stopping_after(120), cores=1) == 0
         rounds += 1
     assert rounds > 2
@@ -147,19 +150,6 @@ def has_checkpoint(out: Path) -> bool:
 
 
 @pytest.mark.bits
-def test_a_paused_worker_loses_its_chunk_and_wakes_up(often, alone):
-    paused = start_worker(often, "--cores", "1")
-    wait_until(lambda: has_checkpoint(often), paused)
-    paused.send_signal(signal.SIGSTOP)
-    assert work_on(often) == 0  # takes over what the paused one held, once its heartbeats have stopped
-    attempts = attempts_of(often)
-    assert len(attempts.complete) == 3 and 2 in attempts.complete.values()
-    paused.send_signal(signal.SIGCONT)
-    assert paused.wait(60) == 0
-    assert merged(often) == alone
-
-
-@pytest.mark.bits
 @pytest.mark.parametrize("number", by_tier([signal.SIGKILL, signal.SIGTERM], normal=[signal.SIGKILL]))
 def test_a_driver_takes_over_from_a_worker(often, alone, number):
     worker = start_worker(often)
@@ -172,67 +162,24 @@ def test_a_driver_takes_over_from_a_worker(often, alone, number):
 
 
 @pytest.mark.bits
-def test_a_driver_and_a_worker_side_by_side(tmp_path, alone, monkeypatch):
-    """The driver waits for the chunks of the worker, and merges them with its own."""
-    out = tmp_path / "toy"
-    plan_here(out, **OFTEN)
-    worker = start_worker(out, "--cores", "1")
-    wait_until(lambda: has_checkpoint(out), worker)
-    monkeypatch.setattr("bojax.engine.tasks.workers_of", lambda devices, _: list(devices))
-    assert run_here(out, resume=True, **OFTEN) == 0
-    assert worker.wait(60) == 0
-    assert contents(out) == alone
-
-
-def shared(out: Path, clock) -> FolderShare:
-    """The share of a process whose clock and heartbeats a test moves."""
-    given = {**SWEEP, **OFTEN}
-    plan = make_plan(toy_sweep(*given.pop("points"), **given), jax.devices()[:1])
-    leases = Leases(out / WORK, out, launch=1, seconds=60.0, clock=clock)
-    leases.beat()
-    leases.look()
-    return FolderShare(plan, RunFolder(out), leases)
+def test_a_paused_worker_wakes_up_when_others_have_run_its_chunks(often, alone):
+    paused = start_worker(often, "--cores", "1")
+    wait_until(lambda: has_checkpoint(often), paused)
+    paused.send_signal(signal.SIGSTOP)
+    assert work_on(often) == 0
+    assert len(attempts_of(often).done) == 3 and 2 in attempts_of(often).done.values()
+    paused.send_signal(signal.SIGCONT)
+    assert paused.wait(60) == 0
+    assert merged(often) == alone
 
 
 @pytest.mark.bits
-@pytest.mark.slow
-def test_a_zombie_that_commits_late(often, alone):
-    """A scripted clock: a process is paused in the middle of every chunk, and ends it after the thief."""
-    now = 0.0
-    victim, thief = (shared(often, lambda: now) for _ in range(2))
-    programs = {}
-
-    def run(share, chunk, sink, most=10**9) -> ChunkRunner:
-        def compiled(width):
-            if (chunk.group, width) not in programs:
-                functions = Functions(plan.groups[chunk.group])
-                device = jax.devices()[0]
-                programs[chunk.group, width] = Programs(functions, device, width, 3, recorded=4)
-            return programs[chunk.group, width]
-
-        segments = []
-        limits = Limits(1e-6, 1e-6, lambda: len(segments) >= most)
-        experiment = plan.experiment(plan.groups[chunk.group])
-        runner = ChunkRunner(chunk, experiment, compiled, sink, limits, segments.append)
-        runner.advance()
-        runner.finish()
-
-    plan = victim.plan
-    for chunk in plan.chunks:
-        paused = victim.take(chunk)
-        run(victim, chunk, paused, most=3)
-        thief.look()
-        assert thief.take(chunk) is None
-        now += 60.0
-        stolen = thief.take(chunk)
-        assert stolen.state.advances == 3 == paused.state.advances
-        run(thief, chunk, stolen)
-        thief.release(chunk, stolen)
-        run(victim, chunk, paused)
-        victim.leases.beat()
-        assert victim.is_stolen(chunk) and paused.state.is_done
-        victim.release(chunk, paused)
-    assert merged(often) == alone
+def test_a_driver_runs_all_chunks_beside_a_worker_of_an_earlier_launch(often, alone):
+    worker = start_worker(often, "--cores", "1")
+    wait_until(lambda: has_checkpoint(often), worker)
+    assert run_here(often, resume=True) == 0
+    assert worker.wait(60) == 0
+    assert contents(often) == alone
 
 
 def one_line(capsys) -> str:
@@ -283,8 +230,7 @@ def test_a_worker_whose_disk_is_full_leaves_its_chunks_to_others(planned, alone,
         assert work_on(planned) == 1
     assert "the disk is full" in one_line(capsys)
     attempts = attempts_of(planned)
-    leases = [attempts.lease(chunk, number) for chunk, number in attempts.newest.items()]
-    assert leases and all(lease and lease.is_released for lease in leases) and not attempts.failed
+    assert attempts.begun() and len(attempts.paused) == len(attempts.begun()) and not attempts.failed
     assert work_on(planned) == 0
     assert merged(planned) == alone
 
@@ -326,13 +272,13 @@ def test_a_failed_chunk_does_not_stop_the_others_and_is_told(planned, alone, cap
         assert work_on(planned) == 1
         assert work_on(planned) == 0  # a failure is not tried again by another worker
     attempts = attempts_of(planned)
-    assert len(attempts.complete) == 1 and len(attempts.failed) == 2
+    assert len(attempts.done) == 1 and len(attempts.failed) == 2
     assert run_here(planned, resume=True) == 0
     assert contents(planned) == alone
 
 
 def test_the_sweep_ends_while_a_worker_runs(planned, capsys, monkeypatch):
-    """The chunk was stolen, and the driver has merged the sweep and deleted the working folder."""
+    """Another launch has run its chunk and merged the sweep."""
     from bojax.results.parts import ChunkFolder
 
     def gone(self):
@@ -356,7 +302,7 @@ def test_a_driver_that_was_lost_before_it_launched_its_workers(tmp_path, alone, 
     out = tmp_path / "toy"
     (out / WORK).mkdir(parents=True)
     if content is not None:
-        (out / WORK / "sweep.json").write_text(content)
+        (out / WORK / "launch.json").write_text(content)
     given = dict(SWEEP)
     sweep = toy_sweep(*given.pop("points"), **given)
     assert run_sweeps([Request(sweep, out)], True, ["bojax"], launcher=HERE) == 0
@@ -365,7 +311,7 @@ def test_a_driver_that_was_lost_before_it_launched_its_workers(tmp_path, alone, 
 
 @pytest.mark.bits
 def test_another_sweep_is_refused_where_only_the_plan_is_left(planned, alone, capsys):
-    (planned / WORK / "sweep.json").write_text("{}")
+    (planned / WORK / "launch.json").write_text("{}")
     points = [
         ({"runs": 9}, "runs: 8 -> 9"),
         ({"points": POINTS[:2]}, "points: a list of 3 -> a list of 2"),
@@ -386,8 +332,8 @@ class Late(Here):
         super().__init__(lambda folders: work_on(*folders, cores=1))
         self.out, self.looks_left = out, looks
 
-    def start(self, name, folders):
-        super().start(name, folders)
+    def start(self, name, folders, groups):
+        super().start(name, folders, groups)
         for path in (self.out / WORK).glob("*.done"):
             path.rename(path.with_suffix(".late"))
 

@@ -1,9 +1,9 @@
 """Ray: one long-lived actor for each GPU, or for some cores each, on a cluster that runs already.
 
-An actor is a worker like any other: it takes chunks from the folder, compiles each program once, and stays
-until no chunk is left. The rounds of a search are run by the same actors. Ray starts an actor again if its
-process or node is lost. It outlives the driver: a driver that is started again finds the actors by their
-names.
+An actor runs one share of the chunks after the other: the driver gives the next share to the next idle actor.
+The rounds of a search are run by the same actors. Ray starts an actor again if its process or node is lost;
+its share goes to the next idle actor. Actors outlive the driver: a driver that is started again finds them by
+their names, and ends what the earlier one has asked of them.
 """
 
 import functools
@@ -16,6 +16,7 @@ import socket
 import sys
 import threading
 import time
+from collections import deque
 from collections.abc import Sequence
 from concurrent.futures import Future
 from pathlib import Path
@@ -27,7 +28,7 @@ from bojax.config.errors import printable
 from bojax.config.extras import MissingExtra
 from bojax.config.launching import RayConfig
 from bojax.engine.errors import FAILURE, EngineError
-from bojax.engine.remote import Launcher
+from bojax.engine.remote import Launcher, num_shares
 from bojax.text import error_line
 
 NAMESPACE = "bojax"
@@ -63,11 +64,14 @@ class Ray(Launcher):
     def __init__(self, config: RayConfig):
         self._config = config
         self._actors: dict[int, Any] = {}
-        self._running: dict[Any, int] = {}
-        self._errors: dict[int, str] = {}
+        self._calls: dict[Any, tuple[int, int | None]] = {}  # the actor and the share of each pending call
+        self._idle: list[int] = []
+        self._shares: deque[int] = deque()
+        self._refusing: set[int] = set()
         self._has_connected = False
         self._address: str | None = None
         self._lost_since: float | None = None
+        self._touched = 0.0
 
     @override
     def check(self, name: str) -> None:
@@ -94,17 +98,20 @@ class Ray(Launcher):
         self._shape(ray.cluster_resources(), len(ray.nodes()))  # refuses settings that do not fit the cluster
 
     @override
-    def start(self, name: str, folders: Sequence[Path]) -> None:
+    def start(self, name: str, folders: Sequence[Path], groups: int) -> None:
         ray = _ray()
         self._paths = [str(folder.absolute()) for folder in folders]
-        self._errors.clear()
-        self._count, self._options, self._cores = self._shape(ray.cluster_resources(), len(ray.nodes()))
+        workers, self._options, self._cores = self._shape(ray.cluster_resources(), len(ray.nodes()))
+        self._count = num_shares(workers, groups)
+        self._shares = deque(range(self._count))
+        self._calls, self._idle, self._refusing = {}, [], set()
         # Actors of an earlier driver may hold the GPUs, also those for which there is no node any more.
         prefix = self._name("")
         names = importlib.import_module("ray.util").list_named_actors()
         found = {int(name.removeprefix(prefix)) for name in names if name.startswith(prefix)}
         is_first = not self._actors
-        for number in sorted(found | set(range(self._count))):
+        for number in sorted(found | set(range(workers))):
+            self._actors[number] = self._actor(number)
             self._call(number)
         if is_first:
             print(f"{len(self._actors)} workers on Ray", file=sys.stderr)
@@ -115,23 +122,25 @@ class Ray(Launcher):
         identity = hashlib.sha256("\n".join(paths).encode()).hexdigest()[:12]
         return f"bojax-{identity}-{number}"
 
-    def _call(self, number: int) -> None:
-        """Give an actor its work; it is started unless an earlier driver or round has started it."""
-        actor = (
-            _ray()
-            .remote(_Actor)
-            .options(
-                name=self._name(number),
-                get_if_exists=True,
-                lifetime="detached",
-                max_restarts=-1,
-                max_concurrency=4,
-                **self._options,
-            )
-            .remote()
-        )
-        self._actors[number] = actor
-        self._running[actor.work.remote(self._paths, number, self._count, self._cores)] = number
+    def _actor(self, number: int) -> Any:
+        """An actor; it is started unless an earlier driver or round has started it."""
+        options = {
+            "name": self._name(number),
+            "get_if_exists": True,
+            "lifetime": "detached",
+            "max_restarts": -1,
+            "max_concurrency": 4,
+            **self._options,
+        }
+        return _ray().remote(_Actor).options(**options).remote()
+
+    def _call(self, number: int, share: int | None = None) -> None:
+        """Let an actor run a share, or without one, let it say when it is idle."""
+        actor = self._actors[number]
+        if share is None:
+            self._calls[actor.rest.remote()] = number, None
+        else:
+            self._calls[actor.work.remote(self._paths, share, self._count, self._cores)] = number, share
 
     def _shape(self, resources: dict[str, float], num_nodes: int) -> tuple[int, dict[str, Any], int | None]:
         """Number of actors, what each needs, and its number of cores."""
@@ -152,22 +161,36 @@ class Ray(Launcher):
             return not self._is_over(reason)
         self._lost_since = None
         ray = _ray()
-        ended, _ = ray.wait(list(self._running), num_returns=len(self._running), timeout=0.0)
+        ended, _ = ray.wait(list(self._calls), num_returns=len(self._calls), timeout=0.0)
         for call in ended:
-            number = self._running.pop(call)
+            number, share = self._calls.pop(call)
             try:
-                if error := ray.get(call):
-                    self._errors[number] = error
-                    print(printable(f"a worker has left: {error}"), file=sys.stderr)
-            except ray.exceptions.RayError as error:
-                is_lost = isinstance(error, ray.exceptions.RayActorError) and not error.actor_init_failed
+                error = ray.get(call)
+            except ray.exceptions.RayError as problem:
+                is_lost = isinstance(problem, ray.exceptions.RayActorError) and not problem.actor_init_failed
                 if not is_lost:
-                    lines = str(error).strip().splitlines() or [error_line(error)]
+                    lines = str(problem).strip().splitlines() or [error_line(problem)]
                     reason = f"--launcher ray: a worker cannot run: {lines[-1]}"  # the end of Ray's traceback
-                    raise EngineError(reason, FAILURE) from error
-                self._call(number)  # Ray has started it again, or will
-        self.all_refused = set(self._errors) == set(self._actors)
-        return bool(self._running)
+                    raise EngineError(reason, FAILURE) from problem
+                self._actors[number] = self._actor(number)  # Ray has started it again, or will
+                self._call(number)
+            else:
+                if not error:
+                    self._idle.append(number)
+                    continue
+                self._refusing.add(number)
+                print(printable(f"a worker has left: {error}"), file=sys.stderr)
+            if share is not None:
+                self._shares.appendleft(share)
+        while self._shares and self._idle:
+            self._call(self._idle.pop(), self._shares.popleft())
+        if time.monotonic() - self._touched > IDLE_SECONDS / 4:
+            self._touched = time.monotonic()
+            for number in self._idle:
+                self._actors[number].touch.remote()
+        self.all_refused = self._refusing == set(self._actors)
+        is_busy = any(share is not None for _, share in self._calls.values())
+        return not self.all_refused and (bool(self._shares) or is_busy)
 
     def _is_over(self, reason: str) -> bool:
         """Whether a cluster that is lost has been so for `LOST_SECONDS`; it is given up then."""
@@ -177,7 +200,7 @@ class Ray(Launcher):
         print(f"error: --launcher ray: the cluster at {self._address} {reason}", file=sys.stderr)
         self._has_connected, self.all_refused = False, True
         self._actors.clear()
-        self._running.clear()
+        self._calls.clear()
         return True
 
     def _lost(self) -> str | None:
@@ -204,13 +227,13 @@ class Ray(Launcher):
         if told:
             heard, _ = ray.wait(list(told), num_returns=len(told), timeout=HEAR_SECONDS)
             alive = {told[call] for call in heard}  # others may wait for a node that is gone
-            calls = [call for call, number in self._running.items() if number in alive]
+            calls = [call for call, (number, _) in self._calls.items() if number in alive]
             if calls:
                 ray.wait(calls, num_returns=len(calls), timeout=STOP_SECONDS)
         for actor in self._actors.values():
             ray.kill(actor)
         self._actors.clear()
-        self._running.clear()
+        self._calls.clear()
         if self._has_connected:
             self._has_connected = False
             ray.shutdown()
@@ -221,28 +244,46 @@ class _Actor:
 
     def __init__(self):
         self._is_stopping = False
+        self._newest = 0
         self._one = threading.Lock()
         self._timer = self._wait_for_work()
 
-    def work(self, folders: Sequence[str], number: int, count: int, cores: int | None) -> str | None:
-        """Run chunks until all have ended; a second call waits for the first.
+    def work(self, folders: Sequence[str], share: int, count: int, cores: int | None) -> str | None:
+        """Run a share of the chunks.
 
         Returns:
             The error for which the worker left early, in one line; None if there was none.
         """
         from bojax.engine.worker import EXPECTED, WorkerOptions, run_worker
 
-        error = None
+        error, newest = None, self._newest
         with self._one:
             self._timer.cancel()
-            options = WorkerOptions(None, cores, number, count, waits=True)
+            options = WorkerOptions(None, cores, share, count)
+
+            def stop() -> bool:
+                return self._is_stopping or self._newest != newest
+
             try:
-                run_worker([Path(folder) for folder in folders], options, self._stops)
+                run_worker([Path(folder) for folder in folders], options, stop)
             except EXPECTED as problem:
                 error = f"{socket.gethostname()}: {problem}"
             finally:
                 self._timer = self._wait_for_work()
         return error
+
+    def rest(self) -> None:
+        """Stop what an earlier driver has asked for at a checkpoint, and return once nothing runs."""
+        self._newest += 1
+        with self._one:
+            return
+
+    def touch(self) -> None:
+        """Keep an actor without work, which may be given the share of a lost one."""
+        if self._one.acquire(blocking=False):
+            self._timer.cancel()
+            self._timer = self._wait_for_work()
+            self._one.release()
 
     def _wait_for_work(self) -> threading.Timer:
         timer = threading.Timer(IDLE_SECONDS, self._leave)
@@ -258,9 +299,6 @@ class _Actor:
     def stop(self) -> None:
         """Make `work` stop at a checkpoint."""
         self._is_stopping = True
-
-    def _stops(self) -> bool:
-        return self._is_stopping
 
 
 def _connect(address: str) -> None:

@@ -1,5 +1,6 @@
 """Slurm: one array of workers, submitted by `sbatch`."""
 
+import contextlib
 import shlex
 import subprocess
 import sys
@@ -12,8 +13,8 @@ from typing_extensions import override
 from bojax.config.errors import control_character, shown
 from bojax.config.launching import SlurmConfig
 from bojax.engine.errors import EngineError
-from bojax.engine.remote import Launcher
-from bojax.results.store import OUTPUT, WORK, write_content
+from bojax.engine.remote import Launcher, num_shares
+from bojax.results.store import OUTPUT, WORK, ResultsError, read_json, write_content, write_json
 
 SCRIPT = "slurm.sh"
 """The script of the last submission, in the results folder."""
@@ -28,11 +29,33 @@ STOP_SECONDS = 60.0
 """Time in which the tasks of a cancelled array have to reach a checkpoint."""
 
 
+JOB = "slurm-job.json"
+"""The file in `.work` that names the last submission."""
+
+RUN = """\
+trap 'kill -USR2 "$worker"' USR2  # Slurm's notice before the time limit goes to this shell alone
+trap : TERM
+{worker} --share "$SLURM_ARRAY_TASK_ID/{shares}" &
+worker=$!
+wait "$worker" && code=0 || code=$?
+while kill -0 "$worker" 2> /dev/null; do wait "$worker" && code=0 || code=$?; done  # after a trap
+case $code in
+    140) scontrol requeue "$SLURM_JOB_ID" ;;  # USR2: stopped at a checkpoint
+    129 | 130 | 143) ;;  # asked to stop
+    *) [ "$code" -gt 128 ] && [ "${{SLURM_RESTART_COUNT:-0}}" -eq 0 ] && scontrol requeue "$SLURM_JOB_ID" ;;
+esac
+exit "$code"
+"""
+"""The end of the script. Slurm starts a task again whose node was lost. A worker that died of a signal is
+started again once, with the same share."""
+
+
 class Slurm(Launcher):
     """Submits an array and returns, or waits for it.
 
-    A task that nears its time limit, or whose node fails, is started again by Slurm. A cancelled task stops
-    at a checkpoint, and is not started again.
+    Each task of the array runs a share of the chunks, and `tasks` of them at a time. A task that nears its
+    time limit, or whose node or worker is lost, is started again. A cancelled task stops at a checkpoint, and
+    is not started again.
 
     Args:
         config: The settings.
@@ -47,19 +70,35 @@ class Slurm(Launcher):
 
     @override
     def check(self, name: str) -> None:
-        _sbatch(self.script(name, [Path("results")]), "--test-only")
+        _sbatch(self.script(name, [Path("results")], self._config.tasks), "--test-only")
 
     @override
-    def start(self, name: str, folders: Sequence[Path]) -> None:
+    def has_begun(self, folders: Sequence[Path]) -> bool:
+        with contextlib.suppress(ResultsError, TypeError):
+            self._job = [str(word) for word in read_json(folders[0] / WORK / JOB)]
+            self._ask()
+        if self._job:
+            self._say(
+                f"job {self._job[-1]} still runs these sweeps; nothing is submitted (to stop it: scancel)"
+            )
+        return bool(self._job)
+
+    @override
+    def start(self, name: str, folders: Sequence[Path], groups: int) -> None:
         self._cancel()
-        text = self.script(name, folders)
+        shares = num_shares(self._config.tasks, groups)
+        text = self.script(name, folders, shares)
         for folder in folders:
             write_content(folder / SCRIPT, text)
         job, _, cluster = _sbatch(text, "--parsable").partition(";")  # a site may have several clusters
         self._job = [f"--clusters={cluster}", job] if cluster else [job]
+        for folder in folders:
+            write_json(folder / WORK / JOB, self._job)
         self._next_question = time.monotonic() + ASK_SECONDS
-        told = f"submitted job {job} of {self._config.tasks} tasks"
-        print(told, file=sys.stderr if self.is_awaited else sys.stdout)
+        self._say(f"submitted job {job} of {shares} tasks, {min(shares, self._config.tasks)} at a time")
+
+    def _say(self, text: str) -> None:
+        print(text, file=sys.stderr if self.is_awaited else sys.stdout)
 
     @override
     def keep(self) -> bool:
@@ -92,8 +131,13 @@ class Slurm(Launcher):
         if self.is_awaited and self._job:
             subprocess.run(["scancel", *self._job], capture_output=True, check=False)
 
-    def script(self, name: str, folders: Sequence[Path]) -> str:
+    def script(self, name: str, folders: Sequence[Path], shares: int) -> str:
         """The batch script of an array of workers for the sweeps in these folders.
+
+        Args:
+            name: Names of the sweeps.
+            folders: Their folders.
+            shares: Number of shares that the chunks are divided into.
 
         Raises:
             EngineError: A name or a path has a line break, which would end its line in the script.
@@ -106,7 +150,7 @@ class Slurm(Launcher):
                 )
         options = {
             "job-name": f"bojax-{name}".replace(", ", "-"),
-            "array": f"0-{config.tasks - 1}",
+            "array": f"0-{shares - 1}%{config.tasks}",
             "open-mode": "append",
             "signal": f"B:USR2@{NOTICE_SECONDS}",
             "output": Path(str(paths[0]).replace("%", "%%")) / WORK / OUTPUT.format("%A_%a"),
@@ -130,8 +174,7 @@ class Slurm(Launcher):
                 *(f"#SBATCH {option}" for option in ["--requeue", *given, *config.options]),
                 *config.setup,
                 f"cd {shlex.quote(str(Path.cwd()))} || exit 1",
-                f'exec {shlex.join(worker)} --share "$SLURM_ARRAY_TASK_ID/{config.tasks}"',
-                "",
+                RUN.format(worker=shlex.join(worker), shares=shares),
             ]
         )
 

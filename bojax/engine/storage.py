@@ -1,0 +1,192 @@
+"""Where a process reads the state of its chunks and writes their rows: a results folder, or memory."""
+
+import abc
+import contextlib
+import os
+import secrets
+import socket
+import threading
+import traceback
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from typing_extensions import override
+
+from bojax.engine.choices import Choices
+from bojax.engine.chunks import Chunk
+from bojax.engine.errors import EngineError, out_of_memory
+from bojax.engine.groups import StaticGroup
+from bojax.engine.plan import Plan
+from bojax.engine.sinks import FolderSink, MemorySink, Sink
+from bojax.results.attempts import AttemptRegistry
+from bojax.results.folder import Launch, RunFolder
+from bojax.results.parts import ChunkFolder
+from bojax.results.store import ResultsError, read_json, write_content, write_json
+from bojax.text import error_line
+
+COMPILED = "compiled-{}.json"
+"""Name of the file in which a process notes its seconds of compilation, by index of the group."""
+
+
+class Storage(abc.ABC):
+    """Where the rows of the chunks of a process go. Its methods may be called from any thread.
+
+    Attributes:
+        choices: The choices of XLA that belong to the plan; None for a CPU, or if nothing is kept.
+    """
+
+    choices: Choices | None = None
+
+    @abc.abstractmethod
+    def open(self, chunk: Chunk) -> Sink | None:
+        """Return where the rows of a chunk go; None if it is done, or has failed.
+
+        Raises:
+            ResultsError: A file of the chunk cannot be read or written.
+        """
+
+    @abc.abstractmethod
+    def close(self, chunk: Chunk, sink: Sink) -> None:
+        """Note that a chunk is done, or has been paused at a checkpoint."""
+
+    def abandon(self, chunk: Chunk) -> None:
+        """Note that a chunk cannot go on here, since its files cannot be written."""
+        return
+
+    @abc.abstractmethod
+    def fail(self, chunks: Sequence[Chunk], error: BaseException) -> str:
+        """Note that chunks have failed, and return the reason in one line."""
+
+    @abc.abstractmethod
+    def note_compiled(self, group: StaticGroup, seconds: float) -> None:
+        """Note the seconds of a compilation."""
+
+
+class MemoryStorage(Storage):
+    """Keeps the rows in memory, and writes no files.
+
+    Args:
+        new_sink: Makes a place for the rows of a chunk.
+
+    Attributes:
+        sinks: What the chunks have produced, by index.
+        errors: The errors of chunks that failed.
+    """
+
+    def __init__(self, new_sink: Callable[[], MemorySink] = MemorySink):
+        self.sinks: dict[int, MemorySink] = {}
+        self.errors: list[BaseException] = []
+        self._new_sink = new_sink
+
+    @override
+    def open(self, chunk: Chunk) -> Sink:
+        if chunk.index not in self.sinks:
+            self.sinks[chunk.index] = self._new_sink()
+        return self.sinks[chunk.index]
+
+    @override
+    def close(self, chunk: Chunk, sink: Sink) -> None:
+        return
+
+    @override
+    def fail(self, chunks: Sequence[Chunk], error: BaseException) -> str:
+        self.errors.append(error)
+        return error_line(error)
+
+    @override
+    def note_compiled(self, group: StaticGroup, seconds: float) -> None:
+        return
+
+
+class FolderStorage(Storage):
+    """Attempts at chunks in a results folder.
+
+    Args:
+        plan: The plan.
+        folder: The folder.
+        launch: The launch in which this process owns the chunks.
+        attempts: The attempts at the chunks.
+
+    Attributes:
+        plan: The plan.
+        folder: The folder.
+        failures: Number of chunks that failed in this process.
+    """
+
+    def __init__(self, plan: Plan, folder: RunFolder, launch: Launch, attempts: AttemptRegistry):
+        self.plan, self.folder, self._launch, self._attempts = plan, folder, launch, attempts
+        if plan.device["platform"] != "cpu":
+            self.choices = Choices(folder.choices)
+        self.failures = 0
+        self._configs = [point["config"] for point in plan.content["points"]]
+        self._open: dict[Chunk, ChunkFolder] = {}
+        self._owner = f"{socket.gethostname()}-{os.getpid()}-{secrets.token_hex(3)}"
+        self._compiled: dict[int, float] = defaultdict(float)
+        self._lock = threading.Lock()
+
+    def unfinished(self, chunks: Sequence[Chunk]) -> list[Chunk]:
+        """The chunks that are neither done nor failed."""
+        return [chunk for chunk in chunks if not self._attempts.has_ended(chunk.name)]
+
+    @override
+    def open(self, chunk: Chunk) -> Sink | None:
+        files = self._attempts.begin(chunk.name, self._launch.identity)
+        if files is None:
+            return None
+        self._open[chunk] = files
+        return FolderSink(files, self._configs, self.plan.sweep.record)
+
+    @override
+    def close(self, chunk: Chunk, sink: Sink) -> None:
+        if not sink.state.is_done:
+            return self.abandon(chunk)
+        seconds = sum(seconds for _, _, seconds in sink.state.segments)
+        return self._attempts.end(self._open.pop(chunk), "done", {"seconds": seconds})
+
+    @override
+    def abandon(self, chunk: Chunk) -> None:
+        files = self._open.pop(chunk, None)
+        if files is not None:
+            with contextlib.suppress(ResultsError):  # without the note, it counts as lost
+                self._attempts.end(files, "paused", {})
+
+    @override
+    def fail(self, chunks: Sequence[Chunk], error: BaseException) -> str:
+        """Note that chunks have failed, and return the reason in one line.
+
+        The traceback of an unexpected error is kept in a file.
+        """
+        known = error if isinstance(error, EngineError) else out_of_memory(error, chunks[0].layout.lanes)
+        message = str(known or error_line(error))
+        if known is None and not isinstance(error, ResultsError):
+            stack = self.folder.work / f"error-{chunks[0].index:05d}.txt"
+            text = "".join(traceback.format_exception(error))
+            write_content(stack, text.encode(errors="backslashreplace"))
+            message += f" (traceback in {stack})"
+        for chunk in chunks:
+            files = self._open.pop(chunk, None) or self._attempts.begin(chunk.name, self._launch.identity)
+            if files is not None:
+                self._attempts.end(files, "failed", {"error": message})
+        self.failures += len(chunks)
+        return message
+
+    @override
+    def note_compiled(self, group: StaticGroup, seconds: float) -> None:
+        with (
+            self._lock,
+            contextlib.suppress(ResultsError),
+        ):  # the disk is full; whoever writes rows will say so
+            self._compiled[group.index] += seconds
+            path = self.folder.work / COMPILED.format(self._owner)
+            write_json(path, dict(self._compiled), durably=False)
+
+
+def compile_seconds(work: Path) -> dict[str, float]:
+    """Seconds of compilation of all processes that have worked in a folder, by index of the group."""
+    total: dict[str, float] = defaultdict(float)
+    for path in work.glob(COMPILED.format("*")):
+        with contextlib.suppress(ResultsError, ValueError, TypeError, AttributeError):  # damaged
+            for group, seconds in read_json(path).items():
+                total[group] += float(seconds)
+    return total
