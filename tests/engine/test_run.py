@@ -24,6 +24,7 @@ from bojax.engine.progress import SweepProgress
 from bojax.engine.requests import Request, choose_targets
 from bojax.engine.run import run_sweeps
 from bojax.engine.runner import ChunkRunner
+from bojax.engine.storage import FolderStorage
 from bojax.results.attempts import AttemptRegistry
 from bojax.results.folder import RunFolder
 from bojax.results.store import WORK, ResultsError, read_manifest, read_table
@@ -462,7 +463,7 @@ def test_an_error_of_a_worker_thread_is_not_taken_for_the_end(tmp_path, monkeypa
     def fail(self, chunk, sink):
         raise RuntimeError("a bug")
 
-    monkeypatch.setattr(FolderShare, "release", fail)
+    monkeypatch.setattr(FolderStorage, "close", fail)
     with pytest.raises(RuntimeError, match="a bug"):
         run_toy(tmp_path / "toy", {"scale": 1.0}, runs=2)
 
