@@ -54,14 +54,14 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     return parser.parse_args(argv)
 
 
-def _journal(folder: Path, chunks: int, *, is_resumed: bool) -> tuple[Any, float]:
-    """The journal of the sweep, and the processor time that the plan took."""
+def _sweep_run(folder: Path, chunks: int, *, is_resumed: bool) -> tuple[Any, float]:
+    """The sweep in its folder, and the processor time that the plan took."""
     import jax
 
     from bojax.config.sweep import load_sweep
     from bojax.engine.devices import prepare
-    from bojax.engine.journal import Journal
     from bojax.engine.plan import make_plan
+    from bojax.engine.sweep_run import SweepRun
 
     prepare("cpu")
     content = {
@@ -72,7 +72,7 @@ def _journal(folder: Path, chunks: int, *, is_resumed: bool) -> tuple[Any, float
     sweep, devices = load_sweep(content), jax.devices("cpu")[:1]
     seconds, plan = _timed(lambda: make_plan(sweep, devices))
     assert len(plan.chunks) == chunks
-    return Journal(plan, folder, "many chunks", is_resumed=is_resumed, may_rename=False), seconds
+    return SweepRun(plan, folder, "many chunks", is_resumed=is_resumed, may_rename=False), seconds
 
 
 def _make(folder: Path, chunks: int) -> dict[str, float]:
@@ -82,12 +82,12 @@ def _make(folder: Path, chunks: int) -> dict[str, float]:
     from bojax.results import parts, store
     from bojax.results.tables import KEYS, to_arrow
 
-    journal, seconds = _journal(folder, chunks, is_resumed=False)
-    journal.open()
+    run, seconds = _sweep_run(folder, chunks, is_resumed=False)
+    run.open()
     parts.sync = store.sync = lambda *paths: None  # a power failure loses nothing of value here
-    storage = journal.launch()
-    tables = journal.plan.modules[0].tables
-    for chunk in journal.plan.chunks:
+    storage = run.launch()
+    tables = run.plan.modules[0].tables
+    for chunk in run.plan.chunks:
         sink = storage.open(chunk)
         assert sink is not None
         for number, is_last in ((0, False), (1, True)):
@@ -104,16 +104,16 @@ def _make(folder: Path, chunks: int) -> dict[str, float]:
             sink.state.segments.append([QUEUE, 100, 0.01])
         sink.finish()
         storage.close(chunk, sink)
-    journal.close()
+    run.close()
     return {"plan_cpu_seconds": seconds}
 
 
 def _merge(folder: Path, chunks: int) -> dict[str, float]:
-    journal, _ = _journal(folder, chunks, is_resumed=True)
+    run, _ = _sweep_run(folder, chunks, is_resumed=True)
     before = _megabytes()
     start = time.perf_counter()
-    opened, _ = _timed(journal.open)
-    merged, _ = _timed(journal.merge)
+    opened, _ = _timed(run.open)
+    merged, _ = _timed(lambda: run.conclude(print, bool))
     return {
         "open_cpu_seconds": opened,
         "merge_cpu_seconds": merged,

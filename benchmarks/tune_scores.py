@@ -23,8 +23,8 @@ from bojax.cli.tuning import Task
 from bojax.config.sweep import load_config
 from bojax.config.tuning import Range, described
 from bojax.engine.program_cache import held
-from bojax.engine.requests import Request
 from bojax.engine.run import run_sweeps
+from bojax.engine.targets import Request
 from bojax.engine.tuning import Search, Values
 from bojax.report.ranking import Measure
 from bojax.report.source import load

@@ -19,8 +19,8 @@ from bojax.config.tuning import described, value_at
 from bojax.config.yaml_file import dump
 from bojax.engine.program_cache import held
 from bojax.engine.remote import Launcher
-from bojax.engine.requests import Request, say_new
 from bojax.engine.run import run_sweeps
+from bojax.engine.targets import Request, say_new
 from bojax.engine.tuning import Search, Values
 from bojax.report.progress import report
 from bojax.report.ranking import Measure, config_of, ranking, scored

@@ -163,8 +163,8 @@ def run(
         if name_of_launcher(launching) == "inline" and len({sweep.engine.device for sweep in sweeps}) == 1:
             start_early(sweeps[0].engine.device)
         from bojax.engine.bar import is_read_by_a_process
-        from bojax.engine.requests import Request
         from bojax.engine.run import run_sweeps
+        from bojax.engine.targets import Request
     if stop:
         print("interrupted", file=sys.stderr)
         return stop.exit_code

@@ -23,7 +23,7 @@ from bojax.engine.progress import SweepProgress
 from bojax.text import error_line
 
 if TYPE_CHECKING:
-    from bojax.engine.journal import Journal
+    from bojax.engine.sweep_run import SweepRun
 
 LEAST_ADVANCES, MOST_ADVANCES = 6, 10
 """Minimum and maximum number of advances over which the median is taken.
@@ -56,15 +56,15 @@ class Latencies:
 
     def __init__(self, devices: Sequence[Device], stop: Callable[[], bool]):
         self._devices, self._stop = devices, stop
-        self._asked: list[tuple[Journal, StaticGroup, list[int]]] = []
+        self._asked: list[tuple[SweepRun, StaticGroup, list[int]]] = []
 
     @cached_property
     def _ahead(self) -> "Ahead[SingleRun]":
         return Ahead(compile_threads(), threading.Condition(threading.RLock()), self._stop)
 
-    def compile(self, journal: "Journal") -> None:
+    def compile(self, sweep_run: "SweepRun") -> None:
         """Compile what a sweep asks for, in threads."""
-        plan = journal.plan
+        plan = sweep_run.plan
         if not plan.sweep.engine.latency:
             return
         (device, *_) = of_platform(self._devices, plan.device["platform"])
@@ -73,24 +73,24 @@ class Latencies:
             points = sorted(set(group.points) & set(firsts.values()))
             if points and not plan.experiment(group).is_hosted:
                 self._ahead.request(len(self._asked), partial(SingleRun, group, plan.sweep.seed, device))
-                self._asked.append((journal, group, points))
+                self._asked.append((sweep_run, group, points))
 
     def measure(self, progress: SweepProgress) -> None:
-        """Measure the latencies, and note them in the journals. A failure leaves the results complete."""
+        """Measure the latencies, and note them. A failure leaves the results complete."""
         if not self._asked:
             return
         progress.say("waiting for the programs of single runs, to measure their latency ...")
         for index in range(len(self._asked)):
             with contextlib.suppress(BaseException):  # told below; a Ctrl-C is a requested stop
                 self._ahead.wait(index)
-        for index, (journal, group, points) in enumerate(self._asked):
+        for index, (sweep_run, group, points) in enumerate(self._asked):
             if self._stop():
                 break
-            name = journal.plan.name(group)
+            name = sweep_run.plan.name(group)
             progress.timing(name)
             try:
                 run = self._ahead.wait(index)
-                journal.note_latency(group, {point: run.latency(point) for point in points})
+                sweep_run.note_latency(group, {point: run.latency(point) for point in points})
             except BaseException as error:
                 progress.say(f"latency of {name} not measured: {error_line(error)}")
         self._ahead.close()

@@ -4,8 +4,6 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-import pyarrow as pa
-
 from bojax.config.errors import ConfigError
 from bojax.engine.chunks import Chunk, digest
 from bojax.engine.devices import setting
@@ -16,8 +14,6 @@ from bojax.text import error_line
 
 if TYPE_CHECKING:
     from bojax.config.sweep import Sweep
-
-_TIMINGS = ("group", "point", "chunk", "segment", "lanes", "active_steps", "seconds")
 
 States = Sequence[tuple[Chunk, ChunkState]]
 """Every chunk of the sweep with its state."""
@@ -101,13 +97,3 @@ def describe_chunk(chunk: Chunk, state: ChunkState, error: str | None) -> dict[s
         "status": "failed" if error else "done" if state.is_done else "unfinished",
         "error": error,
     }
-
-
-def timings(states: States) -> pa.Table:
-    """One row per segment; `point` is -1 for a chunk with several points."""
-    rows = [
-        (chunk.group, chunk.point, chunk.index, number, int(lanes), int(steps), float(seconds))
-        for chunk, state in states
-        for number, (lanes, steps, seconds) in enumerate(state.segments)
-    ]
-    return pa.table({name: [row[i] for row in rows] for i, name in enumerate(_TIMINGS)})

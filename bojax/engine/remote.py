@@ -12,13 +12,12 @@ from typing import TYPE_CHECKING, Any
 import jax
 
 from bojax.config.saved_sweep import saved
-from bojax.engine.conclude import conclude, interrupt, resuming
 from bojax.engine.devices import prepare
 from bojax.engine.errors import FAILURE, EngineError
-from bojax.engine.journal import Journal
 from bojax.engine.plan import plain, plan_made_elsewhere
-from bojax.engine.requests import Target, plan_unfinished
 from bojax.engine.signals import StopRequest
+from bojax.engine.sweep_run import SweepRun, ended, resuming
+from bojax.engine.targets import Target, plan_unfinished
 from bojax.results.folder import RunFolder, check_plan
 from bojax.results.status import status_of
 from bojax.results.store import MANIFEST, ResultsError, read_json
@@ -108,12 +107,12 @@ class Launcher(abc.ABC):
 
 @dataclass(eq=False)
 class _Remote:
-    """A sweep that workers run; its journal is there once a worker has planned it."""
+    """A sweep that workers run; open once a worker has planned it."""
 
     sweep: "Sweep"
     path: Path
     groups: int
-    journal: Journal | None = None
+    run: SweepRun | None = None
 
 
 def run_remotely(
@@ -144,8 +143,8 @@ def run_remotely(
         return _run(remotes, names, command, finish, stop, launcher) if remotes else 0
     finally:
         for remote in remotes:
-            if remote.journal is not None:
-                remote.journal.close()
+            if remote.run is not None:
+                remote.run.close()
 
 
 def _open(target: Target) -> Path:
@@ -206,46 +205,43 @@ def _run(
         finally:
             if waiting:
                 launcher.close()
-    journals = [remote.journal for remote in remotes if remote.journal is not None]
-    if stop:
-        interrupt(journals, command)
-        return stop.exit_code
-    if any(not journal.is_merged for journal in journals) or len(journals) < len(remotes):
+    runs = [remote.run for remote in remotes if remote.run is not None]
+    if not stop and (len(runs) < len(remotes) or any(run.merged is None for run in runs)):
         raise EngineError(f"the workers have ended early; to go on: {resuming(command, paths)}", FAILURE)
-    return FAILURE if any(journal.errors for journal in journals) else 0
+    return ended(runs, command, stop)
 
 
 def _plan(remote: _Remote, command: Sequence[str]) -> None:
-    """Open the journal of a sweep that a worker has planned."""
+    """Open a sweep that a worker has planned."""
     folder = RunFolder(remote.path)
     content = folder.plan()
-    if content is None or remote.journal is not None:
+    if content is None or remote.run is not None:
         return
     plan = plan_made_elsewhere(remote.sweep, content, folder.device())
-    journal = Journal(plan, remote.path, shlex.join(command), is_resumed=True, may_rename=False)
+    run = SweepRun(plan, remote.path, shlex.join(command), is_resumed=True, may_rename=False)
     # Failures are told before they are tried again.
     manifest = remote.path / MANIFEST
-    journal.open(retry=manifest.exists() and read_json(manifest).get("status") == "failed")
-    remote.journal = journal
+    run.open(retry=manifest.exists() and read_json(manifest).get("status") == "failed")
+    remote.run = run
 
 
 def _launch(remote: _Remote) -> None:
     """Write what workers need to know: the sweep, and the chunks that are left."""
-    left = None if remote.journal is None else [chunk.index for chunk in remote.journal.left]
+    left = None if remote.run is None else [chunk.index for chunk in remote.run.left]
     RunFolder(remote.path).launch(plain(saved(remote.sweep)), left)
 
 
 def _has_ended(remote: _Remote) -> bool:
     """Whether all chunks are done or have failed."""
-    if remote.journal is None:
+    if remote.run is None:
         return False
-    remote.journal.attempts.look()
-    return not remote.journal.left
+    remote.run.attempts.look()
+    return not remote.run.left
 
 
 def _conclude(remote: _Remote, finish: Callable[[Path], Any]) -> None:
-    assert remote.journal is not None
-    conclude(remote.journal, lambda text: print(text, file=sys.stderr), finish)
+    assert remote.run is not None
+    remote.run.conclude(lambda text: print(text, file=sys.stderr), finish)
 
 
 def _wait(

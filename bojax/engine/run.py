@@ -9,15 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 from bojax.config.errors import ConfigError, printable
 from bojax.config.settings import Platform
-from bojax.engine.conclude import conclude, interrupt
 from bojax.engine.devices import Device, choose, find_devices, prepare
-from bojax.engine.errors import FAILURE, EngineError
+from bojax.engine.errors import EngineError
 from bojax.engine.execute import execute
-from bojax.engine.journal import Journal
 from bojax.engine.latency import Latencies
 from bojax.engine.remote import Launcher, run_remotely
-from bojax.engine.requests import Request, Target, choose_targets, plan_unfinished
 from bojax.engine.signals import StopRequest
+from bojax.engine.sweep_run import SweepRun, ended
+from bojax.engine.targets import Request, Target, choose_targets, plan_unfinished
 from bojax.engine.tasks import longest_first, progress_of, tasks_of, workers_for
 from bojax.results.store import ResultsError
 
@@ -76,9 +75,10 @@ def _run(
     stop: StopRequest,
     planned: Callable[[], Any],
 ) -> int:
+    """Plan the sweeps, run those that are not finished, and return the exit code."""
     start = time.monotonic()
-    journals = [
-        Journal(
+    runs = [
+        SweepRun(
             plan,
             target.path,
             shlex.join(command),
@@ -87,10 +87,18 @@ def _run(
         )
         for target, plan in plan_unfinished(targets, devices, finish)
     ]
-    for journal in journals:
-        journal.note_seconds("planning", journals[0].planned - start)
+    for run in runs:
+        run.note_seconds("planning", runs[0].planned - start)
     planned()
-    return carry_out(journals, devices, command, finish, stop) if journals else 0
+    try:
+        for run in runs:
+            run.open()
+        if runs:
+            _execute(runs, devices, finish, stop)
+        return ended(runs, command, stop) if runs else 0
+    finally:
+        for run in runs:
+            run.close()
 
 
 def _common_device(sweeps: Sequence["Sweep"]) -> Platform:
@@ -102,58 +110,37 @@ def _common_device(sweeps: Sequence["Sweep"]) -> Platform:
     return sweeps[0].engine.device
 
 
-def carry_out(
-    journals: Sequence[Journal],
-    devices: Sequence[Device],
-    command: Sequence[str],
-    finish: Callable[[Path], Any],
-    stop: StopRequest,
-) -> int:
-    """Run planned sweeps, the only step that writes files, and return the exit code."""
-    try:
-        for journal in journals:
-            journal.open()
-        _execute(journals, devices, finish, stop)
-        if stop:
-            interrupt(journals, command)
-            return stop.exit_code
-        return FAILURE if any(journal.errors for journal in journals) else 0
-    finally:
-        for journal in journals:
-            journal.close()
-
-
 def _execute(
-    journals: Sequence[Journal], devices: Sequence[Device], finish: Callable[[Path], Any], stop: StopRequest
+    runs: Sequence[SweepRun], devices: Sequence[Device], finish: Callable[[Path], Any], stop: StopRequest
 ) -> None:
     """Run the chunks of all sweeps; merge and finish each sweep once its chunks are done."""
-    several = len(journals) > 1
-    storages = {journal.launch(): journal for journal in journals}
+    several = len(runs) > 1
+    storages = {run.launch(): run for run in runs}
     by_sweep = {
-        journal: tasks_of(storage, journal.plan.chunks, stop.__bool__, name_sweep=several)
-        for storage, journal in storages.items()
+        run: tasks_of(storage, run.plan.chunks, stop.__bool__, name_sweep=several)
+        for storage, run in storages.items()
     }
-    journal_of = {task: journal for journal, tasks in by_sweep.items() for task in tasks}
+    run_of = {task: run for run, tasks in by_sweep.items() for task in tasks}
     tasks = longest_first(by_sweep.values())
-    for task, journal in journal_of.items():
-        journal.note_progress(task.group, task.progress)
-    left = {journal: len(tasks) for journal, tasks in by_sweep.items()}
+    for task, run in run_of.items():
+        run.note_progress(task.group, task.progress)
+    left = {run: len(tasks) for run, tasks in by_sweep.items()}
     workers = workers_for(tasks, devices)
     latencies = Latencies(devices, stop.__bool__)
-    ended = [journal for journal in journals if not left[journal]]  # killed before it was merged
-    for journal in ended:
-        latencies.compile(journal)
-    owned = {storage: journal.plan.chunks for storage, journal in storages.items()}
+    done = [run for run in runs if not left[run]]  # killed before it was merged
+    for run in done:
+        latencies.compile(run)
+    owned = {storage: run.plan.chunks for storage, run in storages.items()}
     with progress_of(owned, tasks) as progress:
         for task in execute(tasks, workers, progress, stop.__bool__):
-            journal = journal_of[task]
-            left[journal] -= 1
-            if not left[journal]:
-                ended.append(journal)
-                latencies.compile(journal)
-            if not left[journal] and several and not journal.plan.sweep.engine.latency:
-                conclude(journal, progress.say, finish)  # while the other sweeps run
+            run = run_of[task]
+            left[run] -= 1
+            if not left[run]:
+                done.append(run)
+                latencies.compile(run)
+            if not left[run] and several and not run.plan.sweep.engine.latency:
+                run.conclude(progress.say, finish)  # while the other sweeps run
         latencies.measure(progress)
-    for journal in ended if not stop else ():
-        if not journal.is_merged:
-            conclude(journal, lambda text: print(text, file=sys.stderr), finish)
+    for run in done if not stop else ():
+        if run.merged is None:
+            run.conclude(lambda text: print(text, file=sys.stderr), finish)

@@ -1,4 +1,4 @@
-"""Merging of the parts of all chunks into the tables of a results folder."""
+"""Merging: the committed parts of all chunks become the tables of a results folder."""
 
 import json
 import os
@@ -12,14 +12,26 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from bojax.results.attempts import AttemptRegistry
 from bojax.results.parts import ChunkFolder
-from bojax.results.store import explained, read_footer, read_table, write_tables
+from bojax.results.store import (
+    ARRAYS,
+    WORK,
+    explained,
+    fingerprint,
+    read_footer,
+    read_table,
+    write_table,
+    write_tables,
+)
 from bojax.results.tables import count_nans, sort_rows
 
-RUNS = "runs"
+RUNS, TIMINGS = "runs", "timings"
 
 HELD_ROWS = 1 << 20
 """Number of rows that are collected before the complete ones among them are written."""
+
+_TIMINGS = ("group", "point", "chunk", "segment", "lanes", "active_steps", "seconds")
 
 
 @dataclass(frozen=True)
@@ -32,19 +44,97 @@ class PointInfo:
     swept: Mapping[str, Any]
 
 
+@dataclass(frozen=True)
+class ChunkInfo:
+    """A chunk: the name of its attempts, and what `timings.parquet` says of it; `point` is -1 for several."""
+
+    name: str
+    index: int
+    group: int
+    point: int
+
+
+@dataclass(frozen=True)
+class Merged:
+    """What merging has found.
+
+    Attributes:
+        files: The committed files of each chunk that has any, by index of the chunk.
+        errors: Why chunks have failed, by index.
+        nans: Number of NaNs of each (point, run) that has any.
+        num_ignoring: Number of runs whose belief left out samples.
+        sha256: SHA-256 of the tables and of the snapshots, by path in the results folder.
+    """
+
+    files: Mapping[int, ChunkFolder]
+    errors: Mapping[int, str]
+    nans: Mapping[tuple[int, int], int]
+    num_ignoring: int
+    sha256: Mapping[str, str]
+
+
 def merge(
-    folder: Path, chunks: Sequence[ChunkFolder], names: Iterable[str], points: Sequence[PointInfo], seed: int
-) -> dict[tuple[int, int], int]:
-    """Write every table, move snapshots and learners, and return the NaN counts `{(point, run): count}`.
+    folder: Path, chunks: Sequence[ChunkInfo], names: Iterable[str], points: Sequence[PointInfo], seed: int
+) -> Merged:
+    """Write every table from the chunks that are done, and move their snapshots and learners.
 
     The tables depend only on the rows of the parts, which are sorted: an interrupted and resumed sweep gives
     the same bytes as an uninterrupted one.
 
+    Args:
+        folder: The results folder.
+        chunks: All chunks of the sweep.
+        names: Names of the tables.
+        points: All points of the sweep.
+        seed: Seed of the sweep.
+
     Raises:
         ResultsError: A committed file is missing or has changed; in this case nothing is written.
     """
-    parts = {name: [part for chunk in chunks for part in chunk.parts(name)] for name in names}
-    moves = [(chunk.committed(name), folder / name) for chunk in chunks for name in chunk.saved()]
+    attempts = AttemptRegistry(folder / WORK, folder)
+    files = committed_files(attempts, {chunk.index: chunk.name for chunk in chunks})
+    done = [
+        files[chunk.index] for chunk in chunks if chunk.index in files and files[chunk.index].state.is_done
+    ]
+    parts = {name: [part for each in done for part in each.parts(name)] for name in dict.fromkeys(names)}
+    moves = [(each.committed(name), folder / name) for each in done for name in each.saved()]
+    nans = _write_tables(folder, parts, points, seed)
+    write_table(folder / f"{TIMINGS}.parquet", _timings(chunks, files))
+    for source, target in moves:
+        if source != target:  # otherwise an earlier merge has moved it
+            with explained(target):
+                _move(source, target)
+    return Merged(
+        files=files,
+        errors={
+            chunk.index: attempts.reason(chunk.name)
+            for chunk in chunks
+            if chunk.name in attempts.failed and chunk.name not in attempts.done
+        },
+        nans=nans,
+        num_ignoring=_num_ignoring_samples(folder),
+        sha256=_checksums(folder, [*parts, TIMINGS], done),
+    )
+
+
+def committed_files(attempts: AttemptRegistry, chunks: Mapping[int, str]) -> dict[int, ChunkFolder]:
+    """The committed files of each chunk that has any, by its index.
+
+    Args:
+        attempts: The attempts.
+        chunks: Names of the chunks, by index.
+
+    Raises:
+        ResultsError: A committed file is missing or has changed.
+    """
+    found = {index: attempts.committed(name) for index, name in chunks.items() if attempts.newest(name)}
+    return {index: files for index, files in found.items() if files is not None}
+
+
+def _write_tables(
+    folder: Path, parts: Mapping[str, Sequence[Path]], points: Sequence[PointInfo], seed: int
+) -> dict[tuple[int, int], int]:
+    """Write every table, and return the number of NaNs of each (point, run) that has any."""
     nans: dict[tuple[int, int], int] = {}
 
     def merged(name: str) -> Iterator[pa.Table]:
@@ -56,15 +146,29 @@ def merge(
     for name in sorted(parts, key=lambda name: name == RUNS):  # last, since it has the NaNs of all tables
         if parts[name]:
             write_tables(folder / f"{name}.parquet", merged(name))
-    for source, target in moves:
-        if source != target:  # otherwise an earlier merge has moved it
-            with explained(target):
-                _move(source, target)
     return nans
 
 
-def runs_ignoring_samples(folder: Path) -> int:
-    """Number of runs of a merged sweep whose belief left out samples; 0 if none counts them."""
+def _timings(chunks: Iterable[ChunkInfo], files: Mapping[int, ChunkFolder]) -> pa.Table:
+    """One row per segment; `point` is -1 for a chunk with several points."""
+    rows = [
+        (chunk.group, chunk.point, chunk.index, number, int(lanes), int(steps), float(seconds))
+        for chunk in chunks
+        if chunk.index in files
+        for number, (lanes, steps, seconds) in enumerate(files[chunk.index].state.segments)
+    ]
+    return pa.table({name: [row[i] for row in rows] for i, name in enumerate(_TIMINGS)})
+
+
+def _checksums(folder: Path, tables: Iterable[str], chunks: Iterable[ChunkFolder]) -> dict[str, str]:
+    """SHA-256 of the merged tables and of the snapshots, by path in the results folder."""
+    found = {f"{name}.parquet": fingerprint(folder / f"{name}.parquet") for name in tables}
+    for chunk in chunks:
+        found |= {name: chunk.state.files[name] for name in chunk.saved() if name.startswith(f"{ARRAYS}/")}
+    return {name: each["sha256"] for name, each in found.items() if each is not None}
+
+
+def _num_ignoring_samples(folder: Path) -> int:
     path, column = folder / f"{RUNS}.parquet", "ignored_samples"
     if not path.is_file() or column not in read_footer(path).schema.names:
         return 0

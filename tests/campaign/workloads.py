@@ -163,8 +163,8 @@ def _start(workload: Workload, out: Path, resume: bool, report: bool) -> int:
         # Patched by name, where the command line imports it: a report takes longer than these sweeps.
         bojax.report.build.build_report = lambda folder, *_: folder / "report.html"
     if not workload.words:
-        from bojax.engine.requests import Request
         from bojax.engine.run import run_sweeps
+        from bojax.engine.targets import Request
         from tests.toy import toy_sweep
 
         sweep = toy_sweep(

@@ -29,16 +29,16 @@ def run_sweep(
     sweep, out: Path | None, resume: bool = False, command: list[str] = COMMAND, devices=None
 ) -> int:
     """Run or resume a sweep, by default on one device; the exit code."""
-    from bojax.engine.requests import Request
     from bojax.engine.run import run_sweeps
+    from bojax.engine.targets import Request
 
     return run_sweeps([Request(sweep, out)], resume, command, indices=devices)
 
 
 def run_toys(out: Path, *, resume: bool = False, **sweeps: dict) -> int:
     """Run or resume several toy sweeps as one plan, in folders of their names; the exit code."""
-    from bojax.engine.requests import Request
     from bojax.engine.run import run_sweeps
+    from bojax.engine.targets import Request
     from tests.toy import toy_sweep
 
     requests = []
@@ -51,20 +51,20 @@ def run_toys(out: Path, *, resume: bool = False, **sweeps: dict) -> int:
 
 def plan_toy(out: Path, *points: dict, **settings) -> None:
     """Start a toy sweep that is left to workers."""
-    from bojax.engine.journal import Journal
     from bojax.engine.plan import make_plan
+    from bojax.engine.sweep_run import SweepRun
     from tests.toy import toy_sweep
 
-    journal = Journal(
+    run = SweepRun(
         make_plan(toy_sweep(*points, **settings), jax.devices()[:1]),
         out,
         "bojax sweep toy",
         is_resumed=False,
         may_rename=False,
     )
-    journal.open()
-    journal.launch()
-    journal.close()
+    run.open()
+    run.launch()
+    run.close()
 
 
 def work_on(*folders: Path, stop=bool, **options) -> int:

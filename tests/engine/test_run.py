@@ -17,14 +17,14 @@ from bojax.config.limits import Limit
 from bojax.engine import batch, chunks, execute, program_cache
 from bojax.engine.chunks import Layout
 from bojax.engine.devices import Turn
-from bojax.engine.journal import Journal
 from bojax.engine.latency import Latencies
 from bojax.engine.plan import make_plan
 from bojax.engine.progress import SweepProgress
-from bojax.engine.requests import Request, choose_targets
 from bojax.engine.run import run_sweeps
 from bojax.engine.runner import ChunkRunner
 from bojax.engine.storage import FolderStorage
+from bojax.engine.sweep_run import SweepRun
+from bojax.engine.targets import Request, choose_targets
 from bojax.results.attempts import AttemptRegistry
 from bojax.results.folder import RunFolder
 from bojax.results.store import WORK, ResultsError, read_manifest, read_table
@@ -541,10 +541,10 @@ def test_finished_sweeps_among_those_to_resume_are_left_out(tmp_path, monkeypatc
 
 def test_threads_for_latencies_start_only_if_a_latency_is_asked_for():
     plan = make_plan(toy_sweep(), jax.devices()[:1])
-    journal = Journal(plan, Path("toy"), "bojax", is_resumed=False, may_rename=False)
+    run = SweepRun(plan, Path("toy"), "bojax", is_resumed=False, may_rename=False)
     before = threading.active_count()
     latencies = Latencies(jax.devices(), bool)
-    latencies.compile(journal)
+    latencies.compile(run)
     latencies.measure(SweepProgress("toy", 1))
     assert threading.active_count() == before
 

@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -16,7 +17,7 @@ from bojax.config.errors import ConfigError
 from bojax.config.launching import SlurmConfig, load_launching
 from bojax.engine.errors import EngineError
 from bojax.engine.launchers.slurm import Slurm
-from bojax.results.attempts import AttemptRegistry
+from bojax.results.attempts import AttemptRegistry, is_gone
 from bojax.results.store import WORK
 
 SCRIPT = Path(__file__).with_name("slurm_cluster.sh")
@@ -110,10 +111,18 @@ def has_checkpoint(out: Path) -> bool:
     return any((out / WORK).glob("chunk-00000-*/checkpoint-*"))
 
 
+def running(out: Path) -> list[int]:
+    """The processes that run chunks."""
+    attempts = AttemptRegistry(out / WORK, out)
+    left = [chunk for chunk in attempts.begun() if not attempts.has_ended(chunk)]
+    found = [attempts.attempt(chunk, attempts.newest(chunk)) for chunk in left]
+    return [int(each.process[2]) for each in found if each and each.process and not is_gone(each.process)]
+
+
 @pytest.mark.slow
 @pytest.mark.slurm
 def test_signals_and_a_second_array(cluster, place, alone):
-    """Near the time limit, tasks checkpoint and start again; cancelled ones checkpoint and do not."""
+    """Tasks near their limit, and those whose worker dies, start again; cancelled ones do not."""
     out = place / "out"
     job = on_slurm(place, "out")
     assert "#SBATCH --signal=B:USR2@120" in (out / "slurm.sh").read_text()
@@ -124,7 +133,10 @@ def test_signals_and_a_second_array(cluster, place, alone):
     wait_until(lambda: states(job) == {"CANCELLED"})
     assert not any((out / WORK).glob("*.failed"))
     second = on_slurm(place, "out", "--resume")  # what is left
-    assert second != job
+    assert second != job and not on_slurm(place, "out", "--resume")  # its tasks have not ended
+    wait_until(lambda: running(out))
+    os.kill(running(out)[0], signal.SIGKILL)
+    wait_until(lambda: "Restarts=1" in shown(second))
     wait_until(lambda: states(second) == {"COMPLETED"})
     assert len(AttemptRegistry(out / WORK, out).done) == 4
     assert not on_slurm(place, "out", "--resume")

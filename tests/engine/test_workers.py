@@ -12,8 +12,8 @@ import pytest
 
 from bojax.engine import batch
 from bojax.engine.remote import num_shares
-from bojax.engine.requests import Request
 from bojax.engine.run import run_sweeps
+from bojax.engine.targets import Request
 from bojax.engine.worker import share_of
 from bojax.results.attempts import AttemptRegistry
 from bojax.results.folder import RunFolder

@@ -1,0 +1,228 @@
+"""A sweep in its results folder while it runs: what is left, how it ends, and its manifest."""
+
+import shlex
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from bojax.config.errors import printable
+from bojax.config.saved_sweep import saved
+from bojax.engine.choices import programs_in
+from bojax.engine.chunks import Chunk
+from bojax.engine.errors import FAILURE
+from bojax.engine.groups import StaticGroup
+from bojax.engine.latency import Latency
+from bojax.engine.manifest import describe_chunk, describe_groups, describe_sweep, outline_of
+from bojax.engine.plan import Plan, plain
+from bojax.engine.progress import GroupProgress
+from bojax.engine.signals import StopRequest
+from bojax.engine.storage import FolderStorage, compile_seconds
+from bojax.results.attempts import AttemptRegistry
+from bojax.results.folder import RunFolder
+from bojax.results.merge import RUNS, ChunkInfo, Merged, PointInfo, committed_files, merge
+from bojax.results.parts import ChunkFolder, ChunkState
+from bojax.results.store import MANIFEST, write_json
+
+
+class SweepRun:
+    """A sweep in its results folder, from its first file to its last.
+
+    Attributes:
+        plan: The plan of the sweep.
+        folder: The working files in the results folder.
+        attempts: The attempts at the chunks, once the folder is open.
+        merged: What merging has found; None before.
+        planned: Time at which the object was created.
+    """
+
+    attempts: AttemptRegistry
+
+    def __init__(self, plan: Plan, path: Path, command: str, *, is_resumed: bool, may_rename: bool):
+        """Create an object, without writing anything.
+
+        Args:
+            plan: The plan of the sweep.
+            path: The results folder.
+            command: The command line, for the manifest.
+            is_resumed: Whether the folder holds an unfinished sweep; otherwise it is created.
+            may_rename: Whether a new folder whose name is taken gets a number appended to the name.
+        """
+        self.plan, self.folder, self._command = plan, RunFolder(path), command
+        self._is_resumed, self._may_rename = is_resumed, may_rename
+        self.merged: Merged | None = None
+        self._outlines = [outline_of(module) for module in plan.modules]
+        self._files: Mapping[int, ChunkFolder] = {}
+        self._latency: dict[int, dict[int, Latency]] = {}
+        self.planned = time.monotonic()
+        self._times: dict[str, float] = {}
+        self._progress: dict[int, GroupProgress] = {}
+
+    @property
+    def path(self) -> Path:
+        """The results folder."""
+        return self.folder.path
+
+    @property
+    def left(self) -> list[Chunk]:
+        """The chunks that are neither done nor failed, as of the last look at the folder."""
+        return [chunk for chunk in self.plan.chunks if not self.attempts.has_ended(chunk.name)]
+
+    @property
+    def has_failed(self) -> bool:
+        """Whether the sweep is merged without some of its chunks."""
+        return self.merged is not None and bool(self.merged.errors)
+
+    def open(self, *, retry: bool = True) -> None:
+        """Create the results folder, or reopen it and verify what earlier processes have committed.
+
+        Args:
+            retry: Whether chunks that have failed are tried again.
+
+        Raises:
+            ResultsError: The folder belongs to another sweep, or a committed file is missing or has changed.
+        """
+        if self._is_resumed:
+            self.folder.resume(self.plan.content)
+        else:
+            self.folder.create(self.plan.content, may_rename=self._may_rename)
+        self.folder.describe(self.plan.device)
+        self.attempts = AttemptRegistry(self.folder.work, self.path)
+        self._files = committed_files(self.attempts, {chunk.index: chunk.name for chunk in self.plan.chunks})
+        for chunk in self.plan.chunks:
+            if chunk.name in self.attempts.done and not self._state(chunk).is_done:
+                self.attempts.forget(chunk.name, "done")
+            if chunk.name in self.attempts.failed and retry:
+                self.attempts.forget(chunk.name, "failed")
+        self.write_manifest("running")
+
+    def launch(self) -> FolderStorage:
+        """Begin a launch in which this process owns all chunks that are left."""
+        left = [chunk.index for chunk in self.left]
+        launch = self.folder.launch(plain(saved(self.plan.sweep)), left)
+        return FolderStorage(self.plan, self.folder, launch, self.attempts)
+
+    def note_latency(self, group: StaticGroup, seconds: Mapping[int, Latency]) -> None:
+        """Note the latency of a single run of points of a group."""
+        self._latency[group.index] = dict(seconds)
+
+    def note_seconds(self, stage: str, seconds: float) -> None:
+        """Note the wall time of a stage of the command, for the manifest."""
+        self._times[stage] = round(seconds, 1)
+
+    def note_progress(self, group: StaticGroup, progress: GroupProgress) -> None:
+        """Note when a group is compiled and run, also later than now."""
+        self._progress[group.index] = progress
+
+    def conclude(self, say: Callable[[str], Any], finish: Callable[[Path], Any]) -> None:
+        """Merge the sweep, say how it ended, and finish it unless a chunk has failed.
+
+        Args:
+            say: Prints a line.
+            finish: Called with the results folder of a finished sweep.
+        """
+        merged = self._merge()
+        if merged.nans:
+            say(f"warning: {len(merged.nans)} runs contain NaN: see column nans of runs.parquet")
+        if merged.num_ignoring:
+            what = "runs left out samples: see column ignored_samples of runs.parquet"
+            say(f"warning: {merged.num_ignoring} {what}")
+        print(self.path)
+        if merged.errors:
+            reasons = dict.fromkeys(merged.errors.values())
+            failed = f"{len(merged.errors)} of {len(self.plan.chunks)} chunks failed"
+            advice = "run again with --resume to retry them, or without it if you change the code"
+            say(printable(f"error: {failed}: {'; '.join(reasons)}: {advice}"))
+        else:
+            finish(self.path)
+
+    def _merge(self) -> Merged:
+        """Write the tables and the manifest, and close the folder."""
+        start, sweep = time.monotonic(), self.plan.sweep
+        names = [RUNS, *(name for module in self.plan.modules for name in module.tables)]
+        points = [PointInfo(p.index, p.label, p.variant, p.swept) for p in sweep.points]
+        chunks = [ChunkInfo(c.name, c.index, c.group, c.point) for c in self.plan.chunks]
+        merged = merge(self.path, chunks, names, points, sweep.seed)
+        self.merged, self._files = merged, merged.files
+        self.note_seconds("merging", time.monotonic() - start)
+        self.write_manifest("failed" if merged.errors else "finished")
+        self.close(finished=not merged.errors)
+        return merged
+
+    def close(self, *, finished: bool = False) -> None:
+        """Release the folder; delete the working files of a finished sweep."""
+        self.folder.close(finished=finished)
+
+    def write_manifest(self, status: str) -> None:
+        """Write `manifest.json`."""
+        plan, merged = self.plan, self.merged
+        states = [(chunk, self._state(chunk)) for chunk in plan.chunks]
+        errors = merged.errors if merged else {}
+        nans: dict[str, int] = {}
+        for (point, _), count in sorted(merged.nans.items()) if merged else ():
+            nans[str(point)] = nans.get(str(point), 0) + count
+        compiled = compile_seconds(self.folder.work)
+        facts = [self._facts(group, compiled.get(str(group.index), 0.0)) for group in plan.groups]
+        manifest = {
+            **describe_sweep(plan.sweep, plan.content, self._outlines, self._command, status),
+            "device": plan.device,
+            "times": self._times,
+            "groups": describe_groups(facts, states),
+            "chunks": [describe_chunk(*state, errors.get(state[0].index)) for state in states],
+            "programs": programs_in(self.folder.choices),
+            "nans": nans,
+            "sha256": merged.sha256 if merged else {},
+        }
+        write_json(self.path / MANIFEST, manifest)
+
+    def _state(self, chunk: Chunk) -> ChunkState:
+        """The progress of a chunk, as of the last time that its files were read."""
+        return self._files[chunk.index].state if chunk.index in self._files else ChunkState()
+
+    def _facts(self, group: StaticGroup, compile_seconds: float) -> dict[str, Any]:
+        """What is known of a group besides its advances."""
+        latency = self._latency.get(group.index, {})
+        return {
+            "name": self.plan.name(group),
+            "points": list(group.points),
+            "lanes_per_device": self.plan.layouts[group.index].lanes,
+            "compile_seconds": compile_seconds,
+            "times": self._times_of(group),
+            "latency_seconds": {str(point): each.median for point, each in latency.items()},
+            "latency_range": {str(point): [each.least, each.largest] for point, each in latency.items()},
+        }
+
+    def _times_of(self, group: StaticGroup) -> dict[str, float]:
+        """Seconds from the end of planning to what this process has done of a group."""
+        progress = self._progress.get(group.index)
+        if progress is None:
+            return {}
+        times = {
+            "compiling": progress.compiling,
+            "compiled": progress.compiled,
+            "begun": progress.begun,
+            "ended": progress.ended,
+        }
+        return {name: round(at - self.planned, 1) for name, at in times.items() if at is not None}
+
+
+def resuming(command: Sequence[str], paths: Sequence[Path]) -> str:
+    """The command that resumes the sweeps in results folders."""
+    given = list(command)
+    if len(paths) == 1 and not any(word == "--out" or word.startswith("--out=") for word in given):
+        given += ["--out", str(paths[0])]
+    if "--resume" not in given:
+        given.append("--resume")
+    return shlex.join(given)
+
+
+def ended(runs: Sequence[SweepRun], command: Sequence[str], stop: StopRequest) -> int:
+    """The exit code of a command. If it was interrupted, note this and print the command that resumes it."""
+    if not stop:
+        return FAILURE if any(run.has_failed for run in runs) else 0
+    for run in runs:
+        if run.merged is None:
+            run.write_manifest("interrupted")
+    print(f"interrupted; to resume:\n  {resuming(command, [run.path for run in runs])}", file=sys.stderr)
+    return stop.exit_code
