@@ -162,7 +162,7 @@ def toy_sweep(
         runs=runs,
         seed=seed,
         record=Record(runs=record),
-        engine=EngineConfig(**{"latency": False, **engine}),
+        engine=EngineConfig(**engine),
         report=dict(report),
         claims=(),
         base={"experiment": "toy", **settings[0]},

@@ -41,8 +41,9 @@ def latency(results: Results, test: Latency) -> Finding:
         comparisons,
         ours=ours,
         runs=1,
-        method="median time of an advance of a single run on this machine, and the range of the measured "
-        f"times, which contains it with at least 97% confidence, against {claimed}",
+        method=f"median time of an advance of a single run on a {results.latency.kind}, "
+        f"{results.latency.written[:10]}, and the range of the measured times, which contains it with 99% "
+        f"confidence, against {claimed}",
         chosen={},
     )
 
@@ -52,9 +53,10 @@ def _measured(results: Results, test: Latency, name: str) -> statistics.Interval
     points = named(results, test, name)
     if len(points) > 1:
         raise Undecidable(f"several settings of {name}: test them by variant")
-    key = str(points[0].index)
-    for group in results.manifest.groups:
-        median, ends = (group.latency_seconds or {}).get(key), (group.latency_range or {}).get(key)
-        if median is not None and ends is not None:
-            return statistics.Interval(median, *ends)
-    raise Undecidable(f"the latency of {name} was not measured: set engine.latency to true")
+    seconds = results.latency.seconds.get(str(points[0].index))
+    if seconds is None:
+        folder = results.folder
+        raise Undecidable(
+            f"the latency of {name} was not measured: run `bojax bench latency {folder}`, then report again"
+        )
+    return statistics.Interval(*seconds)

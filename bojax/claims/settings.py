@@ -304,7 +304,7 @@ class Agrees(OfOneLabel, frozen=True):
 class Latency(Test, frozen=True):
     """Whether an advance of a single run takes less than a time, or how several compare.
 
-    The sweep has to measure it: `engine: {latency: true}`.
+    `bojax bench latency DIR` measures it for a results folder.
     """
 
     target: ClassVar[str] = "bojax.claims.latency:latency"

@@ -13,6 +13,7 @@ from bojax.config.files import shipped
 _EXAMPLES = """\
   bojax bench          all benchmarks
   bojax bench kcbts    one benchmark
+  bojax bench latency results/table-4.1-times    one benchmark with an argument
 """
 
 _PREFIX = "bench_"
@@ -22,7 +23,7 @@ def main(name: str, words: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     parser = Parser(
         prog=f"bojax {name}",
-        usage=f"bojax {name} [NAME ...]",
+        usage=f"bojax {name} [NAME ...] | {name} NAME ARGUMENT ...",
         description="Run benchmarks: ./benchmarks/bench_NAME.py, or those of the repository of bojax.\n"
         "Their options are those of the scripts: python benchmarks/bench_NAME.py --help",
         examples=_EXAMPLES,
@@ -34,12 +35,15 @@ def main(name: str, words: Sequence[str]) -> int:
         raise UsageError(
             "no benchmarks found; run this command in a clone of bojax, which has them in benchmarks/"
         )
-    for wanted in args.names:
+    names, arguments = args.names, []
+    if len(names) > 1 and names[1] not in benchmarks:
+        names, arguments = names[:1], names[1:]
+    for wanted in names:
         if wanted not in benchmarks:
             raise UsageError(f"unknown benchmark {wanted}{allowed_names(wanted, benchmarks)}")
-    if not args.names:
+    if not names:
         print("benchmarks: " + ", ".join(benchmarks), flush=True)
-    codes = [_load(benchmarks[wanted]).main([]) for wanted in args.names or benchmarks]
+    codes = [_load(benchmarks[wanted]).main(arguments) for wanted in names or benchmarks]
     return max(codes)
 
 

@@ -37,9 +37,6 @@ class EngineConfig(Schema, frozen=True):
     )
     segment_seconds: float = Field(default=2.0, gt=0, description="time between progress reports, s")
     checkpoint_seconds: float = Field(default=60.0, gt=0, description="time between checkpoints, s")
-    latency: bool = Field(
-        default=False, description="whether the latency of a single run is measured at the end"
-    )
 
 
 class Settings(Schema, frozen=True):

@@ -69,7 +69,7 @@ def describe_sweep(
 
 
 def describe_groups(groups: Sequence[Mapping[str, Any]], states: States) -> list[dict[str, Any]]:
-    """Seconds and steps of the static groups: compilation, advances, latency of a single run.
+    """Seconds and steps of the static groups: compilation and advances.
 
     Args:
         groups: What is known of each group besides its advances.

@@ -96,10 +96,6 @@ class SweepProgress:
             self.say(f"compiled {group.name} in {seconds:.1f} s")
             self._show()
 
-    def timing(self, what: str) -> None:
-        """Report that a single run is being timed."""
-        self.say(f"timing a single run of {what} ...")
-
     def segment(self, group: GroupProgress, segment: Segment) -> None:
         """Report that a segment of a chunk has ended."""
         with self._lock:

@@ -12,7 +12,6 @@ from bojax.config.settings import Platform
 from bojax.engine.devices import Device, choose, find_devices, prepare
 from bojax.engine.errors import EngineError
 from bojax.engine.execute import execute
-from bojax.engine.latency import Latencies
 from bojax.engine.remote import Launcher, run_remotely
 from bojax.engine.signals import StopRequest
 from bojax.engine.sweep_run import SweepRun, ended
@@ -126,21 +125,13 @@ def _execute(
         run.note_progress(task.group, task.progress)
     left = {run: len(tasks) for run, tasks in by_sweep.items()}
     workers = workers_for(tasks, devices)
-    latencies = Latencies(devices, stop.__bool__)
-    done = [run for run in runs if not left[run]]  # killed before it was merged
-    for run in done:
-        latencies.compile(run)
     owned = {storage: run.plan.chunks for storage, run in storages.items()}
     with progress_of(owned, tasks) as progress:
         for task in execute(tasks, workers, progress, stop.__bool__):
             run = run_of[task]
             left[run] -= 1
-            if not left[run]:
-                done.append(run)
-                latencies.compile(run)
-            if not left[run] and several and not run.plan.sweep.engine.latency:
+            if not left[run] and several:
                 run.conclude(progress.say, finish)  # while the other sweeps run
-        latencies.measure(progress)
-    for run in done if not stop else ():
-        if run.merged is None:
+    for run in runs if not stop else ():
+        if not left[run] and run.merged is None:  # also one that was killed before it was merged
             run.conclude(lambda text: print(text, file=sys.stderr), finish)

@@ -13,7 +13,6 @@ from bojax.engine.choices import programs_in
 from bojax.engine.chunks import Chunk
 from bojax.engine.errors import FAILURE
 from bojax.engine.groups import StaticGroup
-from bojax.engine.latency import Latency
 from bojax.engine.manifest import describe_chunk, describe_groups, describe_sweep, outline_of
 from bojax.engine.plan import Plan, plain
 from bojax.engine.progress import GroupProgress
@@ -54,7 +53,6 @@ class SweepRun:
         self.merged: Merged | None = None
         self._outlines = [outline_of(module) for module in plan.modules]
         self._files: Mapping[int, ChunkFolder] = {}
-        self._latency: dict[int, dict[int, Latency]] = {}
         self.planned = time.monotonic()
         self._times: dict[str, float] = {}
         self._progress: dict[int, GroupProgress] = {}
@@ -102,10 +100,6 @@ class SweepRun:
         left = [chunk.index for chunk in self.left]
         launch = self.folder.launch(plain(saved(self.plan.sweep)), left)
         return FolderStorage(self.plan, self.folder, launch, self.attempts)
-
-    def note_latency(self, group: StaticGroup, seconds: Mapping[int, Latency]) -> None:
-        """Note the latency of a single run of points of a group."""
-        self._latency[group.index] = dict(seconds)
 
     def note_seconds(self, stage: str, seconds: float) -> None:
         """Note the wall time of a stage of the command, for the manifest."""
@@ -182,15 +176,12 @@ class SweepRun:
 
     def _facts(self, group: StaticGroup, compile_seconds: float) -> dict[str, Any]:
         """What is known of a group besides its advances."""
-        latency = self._latency.get(group.index, {})
         return {
             "name": self.plan.name(group),
             "points": list(group.points),
             "lanes_per_device": self.plan.layouts[group.index].lanes,
             "compile_seconds": compile_seconds,
             "times": self._times_of(group),
-            "latency_seconds": {str(point): each.median for point, each in latency.items()},
-            "latency_range": {str(point): [each.least, each.largest] for point, each in latency.items()},
         }
 
     def _times_of(self, group: StaticGroup) -> dict[str, float]:

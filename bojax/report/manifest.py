@@ -95,8 +95,21 @@ class Group(Part):
     compile_seconds: float | None = None
     run_seconds: float | None = None
     active_steps: Count | None = None
-    latency_seconds: dict[str, float | None] | None = None
-    latency_range: dict[str, Annotated[list[float], Field(min_length=2, max_length=2)]] | None = None
+
+
+class Latency(Part):
+    """What `bojax bench latency` has measured in a results folder."""
+
+    config_hash: str | None = None
+    written: Text = ""
+    device: dict[str, Any] = {}
+    # Median, least and largest seconds of an advance of a single run, by index of the point.
+    seconds: dict[str, Annotated[list[float], Field(min_length=3, max_length=3)]] = {}
+
+    @property
+    def kind(self) -> str:
+        """The kind of the device."""
+        return line(self.device.get("kind") or "device")
 
 
 class Chunk(Part):

@@ -19,7 +19,16 @@ from bojax.experiments.settings import Learning, Planning
 from bojax.problems.settings import ProblemSettings
 from bojax.report.budgets import held
 from bojax.report.columns import Arrays, Columns, read_columns, read_snapshot, where
-from bojax.report.manifest import Manifest, PointEntry, Unread, claims_of, experiment_of, read
+from bojax.report.manifest import (
+    Latency,
+    Manifest,
+    PointEntry,
+    Unread,
+    claims_of,
+    experiment_of,
+    read,
+    validated,
+)
 from bojax.report.text import distinct, printed
 from bojax.results.outline import Outline
 from bojax.results.store import (
@@ -28,9 +37,13 @@ from bojax.results.store import (
     WORK,
     ResultsError,
     array_file,
+    read_json,
     read_manifest,
     require_unchanged,
 )
+
+LATENCY = "latency.json"
+"""File of a results folder that `bojax bench latency` writes."""
 
 _NOT_MEASURED = ("point", "run", "episode", "seed", "nans", "planned_return")
 
@@ -151,6 +164,21 @@ class Results:
     def _optional(self, name: str) -> Columns:
         path = self.folder / f"{name}.parquet"
         return read_columns(path) if path.exists() else Columns()
+
+    @cached_property
+    def latency(self) -> Latency:
+        """The latency of single runs; without any seconds if it was not measured.
+
+        Raises:
+            ResultsError: The file is damaged, or was measured for other settings.
+        """
+        path = self.folder / LATENCY
+        if not path.exists():
+            return Latency()
+        found = validated(Latency, read_json(path), str(path))
+        if found.config_hash != self.manifest.config_hash:
+            raise ResultsError(f"{path}: measured for other settings than those of this folder")
+        return found
 
     @property
     def return_column(self) -> str:

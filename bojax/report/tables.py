@@ -20,7 +20,7 @@ BY_STEP = 6
 """Step by which early success is counted unless `report.by_step` is given (thesis, p. 100)."""
 
 LATENCY = "latency at batch 1"
-"""Heading of the column of `speeds` that only a sweep with `engine.latency` has."""
+"""Heading of the column of `speeds` that only results with a measured latency have."""
 
 
 @dataclass(frozen=True)
@@ -179,21 +179,21 @@ def count_nan_runs(results: Results, point: Point) -> int:
 def speeds(results: Results) -> Table | None:
     """One row per static group of the manifest; None where it has no timings.
 
-    The latency of a group is that of its points at batch 1. Without `engine.latency` there is no such column.
+    The latency of a group is that of its points at batch 1. If it was not measured there is no such column.
     """
-    points = {point.index: point for point in results.points}
+    points, known = {point.index: point for point in results.points}, results.latency.seconds
     unit = ["steps (plans) per second", "search iterations per second"]
     if any(point.is_learning for point in results.points):
         unit = ["environment steps per second"]
     rows = []
     for group in results.manifest.groups:
         members = [points[index] for index in group.points or [] if index in points]
-        run, steps, known = group.run_seconds, group.active_steps, group.latency_seconds or {}
+        run, steps = group.run_seconds, group.active_steps
         rate = steps / run if steps and run else None
         planners = [getattr(point.experiment, "planner", None) for point in members]
         iterations = {getattr(planner, "iterations", None) for planner in planners}
         per_step = iterations.pop() if len(iterations) == 1 else None
-        latencies = dict.fromkeys(seconds(known.get(str(point.index))) for point in members)
+        latencies = dict.fromkeys(seconds(known.get(str(point.index), (None,))[0]) for point in members)
         texts = [
             ", ".join(text for text in latencies if text != MISSING) or MISSING,
             MISSING if group.lanes_per_device is None else plain(group.lanes_per_device),

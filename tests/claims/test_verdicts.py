@@ -12,7 +12,7 @@ from bojax.claims.samples import MIN_RUNS
 from bojax.config.component import registry
 from bojax.report import statistics
 from bojax.report.findings import Undecidable, decide, evaluate
-from bojax.report.manifest import Group
+from bojax.report.manifest import Latency
 from tests.report.synthetic import in_memory
 
 ORDER = {"kind": "order", "column": "value"}
@@ -67,11 +67,8 @@ class TestLatency:
     @pytest.fixture
     def results(self):
         results = normal(dict.fromkeys(self.TIMES, 0.0))
-        for point in results.points:
-            median, *ends = self.TIMES[point.name]
-            key = str(point.index)
-            group = Group(points=[point.index], latency_seconds={key: median}, latency_range={key: ends})
-            results.manifest.groups.append(group)
+        seconds = {str(point.index): list(self.TIMES[point.name]) for point in results.points}
+        results.__dict__["latency"] = Latency(seconds=seconds)
         return results
 
     @pytest.mark.parametrize(
@@ -119,7 +116,7 @@ class TestLatency:
         assert [each.of for each in finding.comparisons] == [f"{name} / {first}" for name in others]
 
     def test_without_a_measurement_nothing_is_said(self):
-        with pytest.raises(Undecidable, match="set engine.latency to true"):
+        with pytest.raises(Undecidable, match="not measured: run `bojax bench latency "):
             judge(normal({"a": 0.0}), {"kind": "latency", "labels": ["a"], "below": 1.0})
 
     @pytest.mark.parametrize("test", [{"labels": ["a"]}, {"labels": ["a", "b"], "below": 1.0}])

@@ -144,6 +144,8 @@ class TestBench:
         assert main(["bench", "one"]) == 0
         assert capsys.readouterr().out == "one []\n"
         assert main(["bench", "two-words"]) == 3
+        assert main(["bench", "one", "results/a", "b"]) == 0
+        assert capsys.readouterr().out == "two_words []\none ['results/a', 'b']\n"
 
     @pytest.mark.usefixtures("benchmarks")
     def test_all_of_them(self, capsys):

@@ -19,7 +19,7 @@ def test_parts_bounds_and_nulls():
     assert settings["discount"] == "number > 0, <= 1"
     engine = {setting.name: (setting.type, setting.default) for setting in settings_of(EngineConfig)}
     assert engine["lanes_per_device"] == ("integer >= 1 | null", "null")
-    assert engine["latency"] == ("true | false", "false")
+    assert engine["segment_seconds"] == ("number > 0", "2")
 
 
 def test_the_summary_is_the_first_line():

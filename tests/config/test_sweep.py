@@ -226,13 +226,15 @@ class TestFiles:
     """Bases and aliases."""
 
     def test_a_base_by_name_and_by_path(self, write):
-        write("configs/mine.yaml", "{planner: sbo, runs: 3, seed: 4, engine: {device: cpu, latency: false}}")
+        write(
+            "configs/mine.yaml", "{planner: sbo, runs: 3, seed: 4, engine: {device: cpu, segment_seconds: 3}}"
+        )
         write("sweeps/a.yaml", "{base: mine}")
         write("sweeps/b.yaml", "{base: ../configs/mine.yaml, runs: 5, engine: {device: auto}}")
         first, second = load_sweep("a"), load_sweep("b")
         assert first.points == second.points and first.points[0].label == "sbo"
         assert (first.runs, first.seed, second.runs, second.seed) == (3, 4, 5, 4)
-        assert second.engine == EngineConfig(device="auto", latency=False)
+        assert second.engine == EngineConfig(device="auto", segment_seconds=3.0)
 
     def test_a_base_is_not_the_sweep_of_the_same_name(self, write):
         write("configs/same.yaml", "planner: sbo")

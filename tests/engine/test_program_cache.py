@@ -24,7 +24,6 @@ from bojax.engine.batch import Functions, Programs
 from bojax.engine.build import build
 from bojax.engine.chunks import SHORTEST_ON_CPU
 from bojax.engine.groups import static_groups
-from bojax.engine.latency import SingleRun
 from bojax.engine.runner import ChunkRunner
 from bojax.envs.robots.base import RobotTask
 from tests.engine.drive import run_sweep
@@ -131,13 +130,6 @@ def test_loaded_programs_are_neither_traced_nor_compiled_and_give_the_same_bits(
     assert jax.tree.structure(first) == jax.tree.structure(second)
     for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True):
         assert np.asarray(a).tobytes() == np.asarray(b).tobytes()
-
-
-def test_the_programs_of_a_single_run_are_loaded_too(monkeypatch):
-    SingleRun(group_of(), 0, DEVICE)
-    monkeypatch.setattr(SingleRun, "_trace", lambda *_: pytest.fail("traced"))
-    latency = SingleRun(group_of(), 0, DEVICE).latency(0)
-    assert 0 < latency.least <= latency.median <= latency.largest
 
 
 def test_programs_that_jax_has_kept_are_saved_without_a_compilation(cache):

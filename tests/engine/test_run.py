@@ -17,13 +17,9 @@ from bojax.config.limits import Limit
 from bojax.engine import batch, chunks, execute, program_cache
 from bojax.engine.chunks import Layout
 from bojax.engine.devices import Turn
-from bojax.engine.latency import Latencies
-from bojax.engine.plan import make_plan
-from bojax.engine.progress import SweepProgress
 from bojax.engine.run import run_sweeps
 from bojax.engine.runner import ChunkRunner
 from bojax.engine.storage import FolderStorage
-from bojax.engine.sweep_run import SweepRun
 from bojax.engine.targets import Request, choose_targets
 from bojax.results.attempts import AttemptRegistry
 from bojax.results.folder import RunFolder
@@ -41,9 +37,9 @@ pytestmark = pytest.mark.usefixtures("kept_toys")
 def folder(tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("sweep") / "toy"
     before = batch.compile_counts.copy()
-    assert run_toy(out, runs=RUNS, latency=True) == 0
+    assert run_toy(out, runs=RUNS) == 0
     # Two static groups: the points that differ in a number share one.
-    names = "empty", "fill", "advance", "summary", "snapshot", "single_init", "single_advance"
+    names = "empty", "fill", "advance", "summary", "snapshot"
     each = {name: 2 for name in names}
     assert batch.compile_counts - before == each
     return out
@@ -110,10 +106,6 @@ def test_manifest(folder):
         assert group["compile_seconds"] > 0 and group["run_seconds"] > 0
         times = [group["times"][name] for name in ("compiling", "compiled", "begun", "ended")]
         assert 0 <= times[0] and times == sorted(times)
-        assert list(group["latency_seconds"]) == [str(point) for point in group["points"]]
-        assert all(0 < seconds < 1 for seconds in group["latency_seconds"].values())
-        for point, (least, largest) in group["latency_range"].items():
-            assert least <= group["latency_seconds"][point] <= largest
     assert all(chunk["status"] == "done" for chunk in manifest["chunks"])
     assert manifest["device"]["platform"] == jax.default_backend() and manifest["precision"]["x64"]
     assert not (folder / WORK).exists()
@@ -537,16 +529,6 @@ def test_finished_sweeps_among_those_to_resume_are_left_out(tmp_path, monkeypatc
     assert "note: results/first: no unfinished sweep to resume" in captured.err
     assert Path(captured.out.strip()).parent == Path("results/second")
     assert run_sweeps(requests, True, []) == 2
-
-
-def test_threads_for_latencies_start_only_if_a_latency_is_asked_for():
-    plan = make_plan(toy_sweep(), jax.devices()[:1])
-    run = SweepRun(plan, Path("toy"), "bojax", is_resumed=False, may_rename=False)
-    before = threading.active_count()
-    latencies = Latencies(jax.devices(), bool)
-    latencies.compile(run)
-    latencies.measure(SweepProgress("toy", 1))
-    assert threading.active_count() == before
 
 
 def test_new_folders_begin_and_a_note_says_that_nothing_is_resumed(tmp_path, capsys):

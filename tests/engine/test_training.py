@@ -31,7 +31,7 @@ def test_it_is_the_run_of_a_config(trained, tmp_path):
     config.write_text(
         "{experiment: learning, env: {kind: chain, length: 4, max_length: 4, max_steps: 40}, "
         "learner: additive, runs: 3, seed: 5, episodes: 3, tests: 1, dtype: float64, "
-        "schedule: {kind: budget, episodes: 2}, engine: {latency: false}}"
+        "schedule: {kind: budget, episodes: 2}}"
     )
     assert run_sweep(load_config(str(config)), tmp_path / "out", False, ["bojax"]) == 0
     for name, table in (("runs", trained.runs), ("episodes", trained.episodes)):

@@ -186,13 +186,19 @@ def write_results(folder: Path, *, runs: int = 40, recorded: int = 8, report: di
                 "compile_seconds": 7.25,
                 "run_seconds": 1.5 + index,
                 "active_steps": 12_345,
-                "latency_seconds": {str(index): 0.0123 * (1 + index)},
             }
             for index, point in enumerate(points)
         ],
         "chunks": [{"chunk": 0, "status": "done", "error": None}],
     }
     (folder / "manifest.json").write_text(json.dumps(manifest))
+    latency = {
+        "config_hash": manifest["config_hash"],
+        "device": {"kind": "cpu"},
+        "written": "2026-11-25T12:00:00+0000",
+        "seconds": {str(index): [0.0123 * (1 + index)] * 3 for index in range(len(points))},
+    }
+    (folder / "latency.json").write_text(json.dumps(latency))
     return folder
 
 

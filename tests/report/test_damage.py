@@ -145,7 +145,6 @@ MANIFESTS = [
     (lambda m: m["claims"][2].update(test=[]), "claims[2].test: got []; allowed: a mapping"),
     (lambda m: m.update(groups=[3]), "groups[0]: got 3; allowed: a mapping"),
     (lambda m: m["groups"][0].update(run_seconds="2 s"), "groups[0].run_seconds: got"),
-    (lambda m: m["groups"][0].update(latency_seconds=[1.0]), "groups[0].latency_seconds: got [1.0]"),
     (lambda m: m.update(chunks=[{"error": 5}]), "chunks[0].error: got 5; allowed: text"),
     (lambda m: m.update(versions="1.0"), "versions: got"),
     (lambda m: m.update(git=["97d835b"]), "git: got"),
@@ -163,6 +162,18 @@ def test_manifests_of_other_types_are_refused(tmp_path, edit, told):
     edit_manifest(folder, edit)
     message = refusal(folder)
     assert str(folder / "manifest.json") in message and told in message
+
+
+def test_latencies_that_are_damaged_or_of_other_settings_are_refused(tmp_path):
+    folder = write_results(tmp_path / "results", runs=2, recorded=0)
+    for content, told in {
+        '{"seconds": {"0": [1.0]}}': "seconds.0: got [1.0]",
+        '{"config_hash": "other"}': "measured for other settings than those of this folder",
+        '{"seconds": ': "was it truncated?",
+    }.items():
+        (folder / "latency.json").write_text(content)
+        message = refusal(folder)
+        assert str(folder / "latency.json") in message and told in message
 
 
 def test_a_manifest_that_is_a_list_is_refused(tmp_path):
