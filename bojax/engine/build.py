@@ -5,13 +5,12 @@ from typing import Any, Literal
 
 import equinox as eqx
 import jax
-from jaxtyping import PyTree
 
 from bojax.config.component import Component
 from bojax.config.errors import ConfigError, dotted
 from bojax.engine.devices import setting
+from bojax.engine.learners import load_learner
 from bojax.experiments.settings import Learning
-from bojax.numerics.checkpoint import restore
 from bojax.numerics.construct import Locate, construct
 
 
@@ -34,14 +33,8 @@ def build(
         )
     if isinstance(component, Learning) and component.saved is not None:
         run = build(component.model_copy(update={"saved": None}), dtype, locate)
-        return eqx.tree_at(lambda r: r.saved, run, _load(component.saved, run), is_leaf=lambda x: x is None)
+        # A saved learner has the shapes of one without transitions.
+        structure = jax.eval_shape(lambda key: run.new_learner(key, capacity=0), jax.random.key(0))
+        state = load_learner(Path(component.saved), component.saved_run, structure)
+        return eqx.tree_at(lambda r: r.saved, run, state, is_leaf=lambda x: x is None)
     return construct(component, dtype, locate)
-
-
-def _load(folder: str, run: Any) -> PyTree:
-    """The state of a saved learner, in the structure that this run expects."""
-    structure = jax.eval_shape(lambda key: run.new_learner(key, capacity=0), jax.random.key(0))
-    advice = (
-        "a saved learner loads only with the same kind of learner, features and spaces of the environment"
-    )
-    return restore(Path(folder), structure, advice)

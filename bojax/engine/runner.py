@@ -20,6 +20,7 @@ from bojax.engine.errors import FAILURE, EngineError
 from bojax.engine.segments import Rows, fetch_rows, run_advances
 from bojax.engine.sinks import Sink
 from bojax.experiments.base import Experiment
+from bojax.results.store import ResultsError
 from bojax.results.tables import KEYS, to_arrow
 
 AT_END = "end"
@@ -98,6 +99,15 @@ class ChunkRunner:
 
         The rows of the last segment are left to `finish`, which does not need the device.
         """
+        try:
+            self._advance()
+        except BaseException:
+            with contextlib.suppress(ResultsError):
+                self._sink.wait()  # nothing is written once the chunk is given back
+            raise
+        self._carry = None
+
+    def _advance(self) -> None:
         self._start()
         saved = time.monotonic()
         while self._is_unfinished and not self._limits.stop():
@@ -109,11 +119,11 @@ class ChunkRunner:
             if self._is_unfinished and (self._limits.stop() or is_due):
                 self._sink.save(self._carry)
                 saved = time.monotonic()
-        self._carry = None
 
     def finish(self) -> None:
         """Write what is left, and note that the chunk is done, if it is."""
         if self._is_unfinished:
+            self._sink.wait()
             return
         if self._rounds:
             self._write()

@@ -1,8 +1,8 @@
 """Sinks: where the rows, snapshots, learners and checkpoints of a chunk go."""
 
 import abc
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 
 import jax
 import jax.numpy as jnp
@@ -11,19 +11,14 @@ import pyarrow as pa
 from jaxtyping import PyTree
 from typing_extensions import override
 
-from bojax.config.files import EXPERIMENT
 from bojax.config.settings import Record
-from bojax.config.yaml_file import dump
+from bojax.engine import learners
 from bojax.experiments.base import Carry
 from bojax.numerics import checkpoint
-from bojax.results.parts import ChunkFolder, ChunkState
-from bojax.results.store import LEARNERS, write_content
+from bojax.results.parts import ChunkFolder, ChunkState, Staged
 
-LEARNED = "learner.npz"
-"""File of a saved learner's arrays, next to the config that evaluates the learner."""
-
-EVALUATION_EPISODES = 20
-"""Number of episodes of an evaluation; `episodes=` overrides it."""
+_COMMITS = ThreadPoolExecutor(16, "commit")
+"""Threads that commit checkpoints while the devices go on; each waits for Orbax and for the disk."""
 
 
 class Sink(abc.ABC):
@@ -56,7 +51,11 @@ class Sink(abc.ABC):
 
     @abc.abstractmethod
     def save(self, carry: Carry) -> None:
-        """Save a checkpoint."""
+        """Save a checkpoint, possibly in the background; the carry may be given away at once."""
+
+    def wait(self) -> None:
+        """Wait until the last checkpoint is saved."""
+        return
 
     @abc.abstractmethod
     def load(self, structure: PyTree[jax.ShapeDtypeStruct]) -> Carry:
@@ -72,18 +71,20 @@ class FolderSink(Sink):
 
     Args:
         files: The working folder, opened.
-        configs: Resolved config of each point.
         record: Which runs are recorded.
     """
 
-    def __init__(self, files: ChunkFolder, configs: Sequence[Mapping[str, Any]], record: Record):
-        self._files, self._configs = files, configs
+    def __init__(self, files: ChunkFolder, record: Record):
+        self._files, self._learned = files, learners.Learned()
         self.state = files.state
         self.recorded_runs = record.runs
         self.saved_learners = record.runs if record.learners else 0
+        self._commit: Future[None] | None = None
 
     @override
     def write_part(self, tables: dict[str, pa.Table]) -> None:
+        if self._commit is not None and self._commit.done():
+            self.wait()  # tells of a full disk before the next checkpoint
         self._files.write_part(tables)
 
     @override
@@ -94,25 +95,42 @@ class FolderSink(Sink):
 
     @override
     def write_learner(self, point: int, run: int, learned: PyTree) -> None:
-        folder = f"{LEARNERS}/{point}-{run}"
-        text = dump(evaluation(self._configs[point]))
-        write_content(self._files.add(f"{folder}/{EXPERIMENT}"), text)
-        checkpoint.save(self._files.add(f"{folder}/{LEARNED}"), learned)
+        self._learned.add(point, run, learned)
 
     @override
     def save(self, carry: Carry) -> None:
-        checkpoint.save(self._files.add_checkpoint(), carry)
-        self._files.commit()
+        self.wait()
+        saved = [checkpoint.save(self._files.add_checkpoint(), checkpoint.arrays(carry))]
+        saved += self._save_learners()
+        self._commit = _COMMITS.submit(self._end, saved, self._files.stage())
+
+    def _save_learners(self) -> list[Callable[[], None]]:
+        if not self._learned:
+            return []
+        content, self._learned = self._learned.stacked(), learners.Learned()
+        return [checkpoint.save(self._files.add_learners(), content)]
+
+    def _end(self, saved: list[Callable[[], None]], staged: Staged) -> None:
+        for wait in saved:
+            wait()
+        self._files.commit(staged)
+
+    @override
+    def wait(self) -> None:
+        commit, self._commit = self._commit, None
+        if commit is not None:
+            commit.result()
 
     @override
     def load(self, structure: PyTree[jax.ShapeDtypeStruct]) -> Carry:
-        assert self.state.checkpoint is not None
-        return checkpoint.restore(self._files.committed(self.state.checkpoint), structure)
+        return checkpoint.restore(self._files.checkpoint(), structure)
 
     @override
     def finish(self) -> None:
+        self.wait()
+        saved = self._save_learners()
         self.state.finish()
-        self._files.commit()
+        self._end(saved, self._files.stage())
 
 
 class MemorySink(Sink):
@@ -165,10 +183,3 @@ class MemorySink(Sink):
 def _copy(carry: Carry) -> Carry:
     """A copy, since an advance takes over the buffers of its carry."""
     return jax.tree.map(jnp.copy, carry)
-
-
-def evaluation(config: Mapping[str, Any]) -> dict[str, Any]:
-    """The config that evaluates a learner saved by an experiment of the given config."""
-    kept = {name: value for name, value in config.items() if name not in ("kind", "target_return", "tests")}
-    changed = {"saved": LEARNED, "schedule": "exploit", "episodes": EVALUATION_EPISODES, "stop": "never"}
-    return {"experiment": config["kind"], **kept, **changed, "map_episodes": []}

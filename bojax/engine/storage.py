@@ -119,7 +119,6 @@ class FolderStorage(Storage):
         if plan.device["platform"] != "cpu":
             self.choices = Choices(folder.choices)
         self.failures = 0
-        self._configs = [point["config"] for point in plan.content["points"]]
         self._open: dict[Chunk, ChunkFolder] = {}
         self._owner = f"{socket.gethostname()}-{os.getpid()}-{secrets.token_hex(3)}"
         self._compiled: dict[int, float] = defaultdict(float)
@@ -135,7 +134,7 @@ class FolderStorage(Storage):
         if files is None:
             return None
         self._open[chunk] = files
-        return FolderSink(files, self._configs, self.plan.sweep.record)
+        return FolderSink(files, self.plan.sweep.record)
 
     @override
     def close(self, chunk: Chunk, sink: Sink) -> None:

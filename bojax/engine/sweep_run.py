@@ -13,6 +13,7 @@ from bojax.engine.choices import programs_in
 from bojax.engine.chunks import Chunk
 from bojax.engine.errors import FAILURE
 from bojax.engine.groups import StaticGroup
+from bojax.engine.learners import merge_learners
 from bojax.engine.manifest import describe_chunk, describe_groups, describe_sweep, outline_of
 from bojax.engine.plan import Plan, plain
 from bojax.engine.progress import GroupProgress
@@ -138,6 +139,8 @@ class SweepRun:
         points = [PointInfo(p.index, p.label, p.variant, p.swept) for p in sweep.points]
         chunks = [ChunkInfo(c.name, c.index, c.group, c.point) for c in self.plan.chunks]
         merged = merge(self.path, chunks, names, points, sweep.seed)
+        done = [files for files in merged.files.values() if files.state.is_done]
+        merge_learners(self.path, done, [point["config"] for point in self.plan.content["points"]])
         self.merged, self._files = merged, merged.files
         self.note_seconds("merging", time.monotonic() - start)
         self.write_manifest("failed" if merged.errors else "finished")

@@ -91,8 +91,9 @@ class Learning(ExperimentSettings, frozen=True):
     )
     map_resolution: int = Field(default=48, ge=2, description="number of cells of a map along each dimension")
     saved: str | None = Field(
-        default=None, description="file of a saved learner to start from; null for a new learner"
+        default=None, description="folder of saved learners to start from; null for a new learner"
     )
+    saved_run: int = Field(default=0, ge=0, description="run whose learner is taken from saved")
 
     @pydantic.model_validator(mode="after")
     def _target_is_tested(self) -> "Learning":

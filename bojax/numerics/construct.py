@@ -14,6 +14,9 @@ from bojax.text import error_at_line, one_line
 
 Locate = Callable[[Location], str]
 
+HOW_TO_BUILD = ("dtype", "saved_run")
+"""Settings of an experiment that say how it is built; its constructor need not accept them."""
+
 
 def construct(component: Component, dtype: str, locate: Locate = dotted, path: Location = ()) -> Any:
     """The object that a component describes.
@@ -44,8 +47,8 @@ def construct(component: Component, dtype: str, locate: Locate = dotted, path: L
     arguments = {}
     for name in type(component).model_fields:
         left_out = name in component.constructor_defaults and name not in component.model_fields_set
-        # `dtype` is how to build an experiment, not a setting that its constructor has to accept.
-        if name == "kind" or left_out or (name == "dtype" and name not in accepted):
+        is_for_build = name in HOW_TO_BUILD and name not in accepted
+        if name == "kind" or left_out or is_for_build:
             continue
         value = getattr(component, name)
         if isinstance(value, Component):

@@ -15,7 +15,6 @@ import pyarrow.parquet as pq
 from bojax.results.attempts import AttemptRegistry
 from bojax.results.parts import ChunkFolder
 from bojax.results.store import (
-    ARRAYS,
     WORK,
     explained,
     fingerprint,
@@ -76,7 +75,7 @@ class Merged:
 def merge(
     folder: Path, chunks: Sequence[ChunkInfo], names: Iterable[str], points: Sequence[PointInfo], seed: int
 ) -> Merged:
-    """Write every table from the chunks that are done, and move their snapshots and learners.
+    """Write every table from the chunks that are done, and move their snapshots.
 
     The tables depend only on the rows of the parts, which are sorted: an interrupted and resumed sweep gives
     the same bytes as an uninterrupted one.
@@ -97,7 +96,7 @@ def merge(
         files[chunk.index] for chunk in chunks if chunk.index in files and files[chunk.index].state.is_done
     ]
     parts = {name: [part for each in done for part in each.parts(name)] for name in dict.fromkeys(names)}
-    moves = [(each.committed(name), folder / name) for each in done for name in each.saved()]
+    moves = [(each.committed(name), folder / name) for each in done for name in each.snapshots()]
     nans = _write_tables(folder, parts, points, seed)
     write_table(folder / f"{TIMINGS}.parquet", _timings(chunks, files))
     for source, target in moves:
@@ -164,7 +163,7 @@ def _checksums(folder: Path, tables: Iterable[str], chunks: Iterable[ChunkFolder
     """SHA-256 of the merged tables and of the snapshots, by path in the results folder."""
     found = {f"{name}.parquet": fingerprint(folder / f"{name}.parquet") for name in tables}
     for chunk in chunks:
-        found |= {name: chunk.state.files[name] for name in chunk.saved() if name.startswith(f"{ARRAYS}/")}
+        found |= {name: chunk.state.files[name] for name in chunk.snapshots()}
     return {name: each["sha256"] for name, each in found.items() if each is not None}
 
 

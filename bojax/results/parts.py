@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -28,7 +29,8 @@ from bojax.results.store import (
 )
 
 _PART = re.compile(r"part-\d{6,}-(.+)\.parquet")
-_CHECKPOINT = "checkpoint-"
+_CHECKPOINT, _LEARNERS = "checkpoint-", f"{LEARNERS}-"
+"""Prefixes of the folders that Orbax writes."""
 
 
 @dataclass
@@ -41,7 +43,7 @@ class ChunkState:
         lanes: For each lane at the checkpoint, the index of its run in the chunk; -1 for none.
         started: For each lane, the number of advances at which its run started.
         next_run: Index of the next run that waits for a lane.
-        checkpoint: Name of the checkpoint to resume from; None before the first and after the last.
+        checkpoint: Folder of the checkpoint to resume from; None before the first and after the last.
         is_done: Whether the parts hold all rows of the chunk.
         segments: `[lanes, active steps, seconds]` of each segment.
         files: Size and SHA-256 of every committed file, by path in the folder of the chunk.
@@ -66,9 +68,29 @@ class ChunkState:
         """Note that the chunk is done; what only a resumed chunk needs is dropped."""
         self.is_done, self.checkpoint, self.lanes, self.started = True, None, [], []
 
+    def copy(self) -> "ChunkState":
+        """A copy of the progress at this moment."""
+        lists = {"lanes": [*self.lanes], "started": [*self.started], "segments": [*self.segments]}
+        return replace(self, **lists)
+
+
+@dataclass(frozen=True)
+class Staged:
+    """What a commit covers.
+
+    Attributes:
+        state: The progress at that moment.
+        names: Files and folders that have been added since the last commit.
+    """
+
+    state: ChunkState
+    names: list[str]
+
 
 class ChunkFolder:
     """Part files `part-<number>-<table>.parquet`, snapshots, learners, checkpoints, and `state.json`.
+
+    Checkpoints, and the learners of each commit, are folders that Orbax writes.
 
     The state file is replaced atomically, after the files that it lists have been written. Other files are
     ignored and deleted. A listed file is verified by its checksum before it is used.
@@ -83,7 +105,7 @@ class ChunkFolder:
 
         Args:
             path: The folder.
-            results: The results folder, to which merging moves snapshots and learners.
+            results: The results folder, to which merging moves snapshots.
             chunk: Name of the chunk; that of the folder by default.
         """
         self.path = path
@@ -136,7 +158,7 @@ class ChunkFolder:
             except FileNotFoundError:
                 return False
         self.state = replace(other.state, files=dict(other.state.files))
-        self._write_state()
+        self._write_state(self.state)
         return True
 
     def write_part(self, tables: dict[str, pa.Table]) -> None:
@@ -159,30 +181,47 @@ class ChunkFolder:
         return self.path / name
 
     def add_checkpoint(self) -> Path:
-        """The path of the checkpoint after the current number of advances, which replaces the one before."""
-        self.state.checkpoint = f"{_CHECKPOINT}{self.state.advances:08d}.npz"
+        """The folder of a checkpoint after the current number of advances, which replaces the one before."""
+        self.state.checkpoint = f"{_CHECKPOINT}{self.state.advances:08d}"
         return self.add(self.state.checkpoint)
 
-    def commit(self) -> None:
-        """Commit all files added since the last commit; a checkpoint that is not the last one is dropped."""
-        state = self.state
-        state.files = {
+    def add_learners(self) -> Path:
+        """The folder of the learners of runs that have finished since the last commit."""
+        return self.add(f"{_LEARNERS}{self.state.advances:08d}")
+
+    def stage(self) -> Staged:
+        """What a commit covers that begins now, and ends after further files have been added."""
+        staged = Staged(self.state.copy(), self._new)
+        self._new = []
+        return staged
+
+    def commit(self, staged: Staged | None = None) -> None:
+        """Commit what is staged, by default everything; a checkpoint that is not the last one is dropped."""
+        state, names = (staged.state, staged.names) if staged else (self.state, self._new)
+        files = {
             name: found
-            for name, found in state.files.items()
-            if name == state.checkpoint or not name.startswith(_CHECKPOINT)
+            for name, found in self.state.files.items()
+            if _top(name) == state.checkpoint or not name.startswith(_CHECKPOINT)
         }
         with explained(self.path):
-            sync(*{folder for name in self._new for folder in self._folders(name)}, self.path)
-        for name in self._new:
-            found = fingerprint(self.path / name)
+            for name in names:
+                if (
+                    path := self.path / name
+                ).is_dir():  # Orbax leaves it to the system when this is on the disk
+                    sync(path, *path.rglob("*"))
+            sync(*{folder for name in names for folder in self._folders(name)}, self.path)
+        for path in [path for name in names for path in _files(self.path / name)]:
+            found = fingerprint(path)
             if found is None:
-                raise self._refusal(self.path / name, "missing")
-            state.files[name] = found
-        self._new.clear()
-        self._write_state()
+                raise self._refusal(path, "missing")
+            files[path.relative_to(self.path).as_posix()] = found
+        self.state.files = state.files = files
+        if staged is None:
+            self._new = []
+        self._write_state(state)
         with explained(self.path):
             sync(self.path)  # before the previous checkpoint is deleted
-        self._drop_checkpoints()
+            self._drop_trees()
 
     def committed(self, name: str) -> Path:
         """The path of a committed file, which merging may have moved to the results folder.
@@ -213,16 +252,40 @@ class ChunkFolder:
         """The committed parts of a table, in the order in which they were written."""
         yield from map(read_table, self.parts(name))
 
-    def saved(self) -> list[str]:
-        """Names of the committed snapshots and learners."""
-        return [name for name in self.state.files if name.startswith((f"{ARRAYS}/", f"{LEARNERS}/"))]
+    def snapshots(self) -> list[str]:
+        """Names of the committed snapshots."""
+        return [name for name in self.state.files if name.startswith(f"{ARRAYS}/")]
+
+    def checkpoint(self) -> Path:
+        """The folder of the committed checkpoint.
+
+        Raises:
+            ResultsError: A file of it is missing or has changed.
+        """
+        assert self.state.checkpoint is not None
+        return self._tree(self.state.checkpoint)
+
+    def learners(self) -> list[Path]:
+        """The committed folders of learners.
+
+        Raises:
+            ResultsError: A file of them is missing or has changed.
+        """
+        names = dict.fromkeys(map(_top, self.state.files))
+        return [self._tree(name) for name in names if name.startswith(_LEARNERS)]
+
+    def _tree(self, name: str) -> Path:
+        for file in self.state.files:
+            if _top(file) == name:
+                self.committed(file)
+        return self.path / name
 
     @property
     def _state_file(self) -> Path:
         return self.path / "state.json"
 
-    def _write_state(self) -> None:
-        write_checked_json(self._state_file, {"chunk": self._chunk, **vars(self.state)})
+    def _write_state(self, state: ChunkState) -> None:
+        write_checked_json(self._state_file, {"chunk": self._chunk, **vars(state)})
 
     def _read_state(self) -> ChunkState:
         try:
@@ -238,14 +301,20 @@ class ChunkFolder:
         with explained(self.path, "deleted"):
             for path in self.path.rglob("*"):
                 name = path.relative_to(self.path).as_posix()
-                is_ours = _PART.fullmatch(name) or name.startswith((f"{ARRAYS}/", f"{LEARNERS}/"))
+                is_ours = _PART.fullmatch(name) or name.startswith(f"{ARRAYS}/")
                 if is_ours and name not in self.state.files and not path.is_dir():
                     path.unlink()
-            self._drop_checkpoints()
+            self._drop_trees()
 
-    def _drop_checkpoints(self) -> None:
-        for path in self.path.glob(f"{_CHECKPOINT}*"):
-            if path.name != self.state.checkpoint and not path.is_dir():
+    def _drop_trees(self) -> None:
+        """Delete the folders of Orbax that are not committed, also those that it has not completed."""
+        kept = set(map(_top, self.state.files))
+        for path in [*self.path.glob(f"{_CHECKPOINT}*"), *self.path.glob(f"{_LEARNERS}*")]:
+            if path.name in kept:
+                continue
+            if path.is_dir() and not path.is_symlink():
+                shutil.rmtree(path)
+            else:
                 path.unlink()
 
     def _make_folders(self, name: str) -> None:
@@ -262,3 +331,13 @@ class ChunkFolder:
         return ResultsError(
             f"{path}: {what}; delete the folder {self.path} and resume to compute this chunk again"
         )
+
+
+def _top(name: str) -> str:
+    """The file or folder in the folder of a chunk to which a file belongs."""
+    return name.partition("/")[0]
+
+
+def _files(path: Path) -> list[Path]:
+    """A file, or all files in a folder."""
+    return sorted(file for file in path.rglob("*") if not file.is_dir()) if path.is_dir() else [path]

@@ -142,6 +142,17 @@ def fingerprint(path: Path) -> dict[str, Any] | None:
             return {"size": path.stat().st_size, "sha256": hashlib.file_digest(file, "sha256").hexdigest()}
 
 
+def fingerprints(folder: Path) -> dict[str, Any]:
+    """Size and SHA-256 of every file in a folder, by path in it.
+
+    Raises:
+        ResultsError: A file cannot be read.
+    """
+    with explained(folder, "read"):
+        files = sorted(path for path in folder.rglob("*") if not path.is_dir())
+    return {path.relative_to(folder).as_posix(): fingerprint(path) for path in files}
+
+
 def require_unchanged(path: Path, sha256: str) -> None:
     """Refuse a file whose SHA-256 differs from the one in the manifest, or that is no regular file."""
     _require_file(path)

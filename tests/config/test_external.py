@@ -95,7 +95,7 @@ def test_nothing_is_imported_before_it_is_resolved(resolved):
     assert not imports_code(resolve(sweep)) and "my_kernels" in sys.modules
 
 
-SAVED = "results/mine/learners/0-0/experiment.yaml"
+SAVED = "results/mine/learners/0/experiment.yaml"
 
 
 def test_a_module_that_a_saved_learner_names_is_printed_before_it_is_imported(resolved, write, capsys):
@@ -103,7 +103,7 @@ def test_a_module_that_a_saved_learner_names_is_printed_before_it_is_imported(re
     write("my_noisy/__init__.py", "import sys\nprint('runs', file=sys.stderr)\n")
     deep = write("my_noisy/deep.py", "from my_kernels import Configured as Mine\n")
     write(SAVED, kernel)
-    resolve(load_config("results/mine/learners/0-0"))
+    resolve(load_config("results/mine/learners/0"))
     assert capsys.readouterr().err == (
         f"importing my_noisy.deep ({deep}), named in {SAVED}: planner.kernel.kind\nruns\n"
     )

@@ -8,6 +8,7 @@ import re
 import bojax
 from bojax.config.catalog import kinds, roles
 from bojax.config.component import import_target
+from bojax.numerics.construct import HOW_TO_BUILD
 
 SCHEMAS = [schema for role in roles() for schema in kinds(role).values()]
 
@@ -20,7 +21,7 @@ def test_schema_and_constructor_take_the_same_settings():
         configured = set(schema.model_fields) - {"kind"}
         parameters = inspect.signature(import_target(schema.target)).parameters
         if schema.role == "experiment":
-            configured -= {"dtype"}  # how to build it, which its constructor need not know
+            configured -= {*HOW_TO_BUILD}  # which its constructor need not know
         required = {name for name, parameter in parameters.items() if parameter.default is parameter.empty}
         assert required <= configured <= set(parameters), schema
 

@@ -350,9 +350,16 @@ DAMAGES = {
         f"{FIRST}/arrays/0-0-walk-end.npz",
         lambda path: shutil.copy(path.with_name("0-1-walk-end.npz"), path),
     ),
-    "the checkpoint is missing": (f"{SECOND}/checkpoint-*", Path.unlink),
-    "the checkpoint is truncated": (f"{SECOND}/checkpoint-*", lambda path: os.truncate(path, 99)),
-    "a bit of the checkpoint is flipped": (f"{SECOND}/checkpoint-*", lambda path: flip(path, 0.5)),
+    "the checkpoint is missing": (f"{SECOND}/checkpoint-*", shutil.rmtree),
+    "a file of the checkpoint is missing": (f"{SECOND}/checkpoint-*/state/_METADATA", Path.unlink),
+    "the checkpoint is truncated": (
+        f"{SECOND}/checkpoint-*/state/manifest.ocdbt",
+        lambda path: os.truncate(path, 99),
+    ),
+    "a bit of the checkpoint is flipped": (
+        f"{SECOND}/checkpoint-*",
+        lambda path: flip(largest(path), 0.5),
+    ),
     "a digit of the state is changed": (
         f"{SECOND}/state.json",
         replace('"advances": [0-9]+', '"advances": 9'),
@@ -418,9 +425,8 @@ def test_what_no_number_depends_on_may_be_damaged(copy, undamaged, is_folder):
     (second / "part-000009-steps.parquet").mkdir()
     shutil.copy(first / "part-000000-steps.parquet", second / "part-000008-steps.parquet")  # not committed
     shutil.copy(first / "arrays" / "0-0-walk-end.npz", second / "arrays" / "1-9-walk-end.npz")
-    (second / "checkpoint-00000099.npz").write_text("stray")
-    (second / "learners" / "0-0").mkdir(parents=True)
-    (second / "learners" / "0-0" / "learner.npz").write_text("stray")
+    (second / "checkpoint-00000099").write_text("stray")
+    (second / "learners-00000099.orbax-checkpoint-tmp" / "state").mkdir(parents=True)
     assert run_sweep_here(copy, resume=True, **HALFWAY) == 0
     assert contents(copy) == contents(undamaged)
     assert not (copy / "learners").exists() and not list(copy.glob(".*"))
@@ -466,9 +472,7 @@ def test_working_files_gone(copy, capsys):
 
 def test_deleting_a_bad_chunk_mends_it(interrupted, undisturbed):
     (chunk,) = {path.parent for path in interrupted.glob(f"{WORK}/chunk-*/checkpoint-*")}
-    for path in sorted(chunk.rglob("*"), reverse=True):
-        path.unlink() if path.is_file() else path.rmdir()
-    chunk.rmdir()
+    shutil.rmtree(chunk)
     assert run_sweep_here(interrupted, resume=True) == 0
     assert contents(interrupted) == contents(undisturbed)
 

@@ -353,9 +353,9 @@ def test_full_disk_is_resumable(tmp_path, capsys, folder, monkeypatch):
 
 def test_full_disk_at_a_checkpoint(tmp_path, capsys, monkeypatch):
     def full(*_, **__):
-        raise OSError(errno.ENOSPC, "No space left on device")
+        raise ValueError("RESOURCE_EXHAUSTED: No space left on device [os_error_code='28']")
 
-    monkeypatch.setattr(np, "savez", full)
+    monkeypatch.setattr("orbax.checkpoint.v1.save_async", full)
     often = {"segment_seconds": 1e-6, "checkpoint_seconds": 1e-6}
     assert run_toy(tmp_path / "toy", {"max_length": 200}, **often) == 1
     (line,) = errors(capsys)

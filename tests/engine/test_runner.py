@@ -220,12 +220,12 @@ def test_stopped_and_resumed_from_a_folder_after_every_segment(name, tmp_path):
             files.open()
             if files.state.is_done:
                 break
-            run_for_a_segment(chunk, layout, FolderSink(files, [{}, {}], Record(runs=1)))
+            run_for_a_segment(chunk, layout, FolderSink(files, Record(runs=1)))
         folders.append(files)
     for table, rows in expected.items():
         parts = [part for files in folders for part in files.tables(table)]
         assert sort_rows(pa.concat_tables(parts)).equals(rows)
-    saved = sorted(name for files in folders for name in files.saved())
+    saved = sorted(name for files in folders for name in files.snapshots())
     assert saved == ["arrays/0-0-walk-end.npz", "arrays/1-0-walk-end.npz"]
 
 
@@ -246,13 +246,13 @@ def test_a_stop_during_the_wait_for_a_program_loses_nothing(tmp_path, missing):
         files.open()
         return files
 
-    sink = FolderSink(opened(), [{}, {}], Record(runs=0))
+    sink = FolderSink(opened(), Record(runs=0))
     limits = Limits(float("inf"), float("inf"), lambda: bool(stops))
     run(ChunkRunner(chunk, MODULES[0], without_one, sink, limits, begun.append))
     files = opened()
     assert stops and files.state.advances == sum(segment.advances for segment in begun) > 0
     again = []
-    sink = FolderSink(files, [{}, {}], Record(runs=0))
+    sink = FolderSink(files, Record(runs=0))
     run(ChunkRunner(chunk, MODULES[0], programs_of(layout), sink, NEVER, again.append))
     expected, once = run_in_memory(layout)
     assert sort_rows(pa.concat_tables(files.tables("runs"))).equals(expected["runs"])

@@ -170,7 +170,7 @@ def _render(folder, model) -> None:
 
 def _evaluate(folder) -> None:
     """A saved learner runs like any other config, and does not explore."""
-    assert main(["run", "out/learners/0-0", "episodes=3", "--out", "again"]) == 0
+    assert main(["run", "out/learners/0", "episodes=3", "--out", "again"]) == 0
     episodes = read_table(folder / "again" / "episodes.parquet")
     assert episodes["kappa"].to_pylist() == [0.0] * 3
 

@@ -13,8 +13,8 @@ from bojax.config.files import EXPERIMENT
 from bojax.config.places import look_up
 from bojax.config.sweep import load_config, load_sweep
 from bojax.engine.build import build
+from bojax.engine.learners import evaluation
 from bojax.engine.manifest import timings
-from bojax.engine.sinks import evaluation
 from bojax.experiments.settings import Learning
 from tests.examples.pages import PAGES, ROOT, blocks, commands, links
 

@@ -109,7 +109,8 @@ def test_merge_depends_on_the_rows_alone(tmp_path):
 def test_uncommitted_parts_are_ignored(tmp_path):
     chunk = make_chunk(tmp_path / "chunk", steps((0, 0, 1, 0.0)))
     chunk.write_part({"steps": steps((0, 0, 2, 0.0))})
-    (tmp_path / "chunk" / "checkpoint-00000007.npz").write_text("stray")
+    (tmp_path / "chunk" / "checkpoint-00000007").mkdir()
+    (tmp_path / "chunk" / "checkpoint-00000007" / "stray").write_text("stray")
     again = ChunkFolder(tmp_path / "chunk", tmp_path)
     again.open()
     assert [table.num_rows for table in again.tables("steps")] == [1]
@@ -156,30 +157,67 @@ def test_tables_whose_names_share_a_suffix_stay_separate(tmp_path):
     assert [table["step"].to_pylist() for table in chunk.tables("steps")] == [[1]]
 
 
-def test_snapshots_and_learners_are_moved_once(tmp_path):
-    def open_chunk():
-        chunk = ChunkFolder(tmp_path / "work" / "chunk", tmp_path)
+def test_snapshots_are_moved_once(tmp_path):
+    def open_chunk(name="chunk"):
+        chunk = ChunkFolder(tmp_path / "work" / name, tmp_path)
         chunk.open()
         return chunk
 
+    def moved():
+        with np.load(tmp_path / "arrays" / "0-1-walk-end.npz") as arrays:
+            return arrays["x"].tolist()
+
     chunk = open_chunk()
     chunk.write_snapshot(0, 1, "walk", "end", {"x": np.arange(3)})
-    chunk.add("learners/0-1/experiment.yaml").write_text("kind: learning")
     chunk.commit()
     for _ in range(2):  # a merge may be cut off, or repeated when failed chunks have been computed
         merge(tmp_path, [open_chunk()], [], POINTS, seed=0)
-        assert (tmp_path / "learners" / "0-1" / "experiment.yaml").read_text() == "kind: learning"
-    with np.load(tmp_path / "arrays" / "0-1-walk-end.npz") as arrays:
-        assert arrays["x"].tolist() == [0, 1, 2]
-    again = ChunkFolder(tmp_path / "work" / "again", tmp_path)  # the chunk was deleted and computed again
-    again.open()
-    again.add("learners/0-1/experiment.yaml").write_text("kind: again")
+        assert moved() == [0, 1, 2]
+    again = open_chunk("again")  # the chunk was deleted and computed again
+    again.write_snapshot(0, 1, "walk", "end", {"x": np.arange(4)})
     again.commit()
     merge(tmp_path, [again], [], POINTS, seed=0)
-    assert (tmp_path / "learners" / "0-1" / "experiment.yaml").read_text() == "kind: again"
-    (tmp_path / "arrays" / "0-1-walk-end.npz").write_bytes(b"")
+    assert moved() == [0, 1, 2, 3]
     with pytest.raises(ResultsError, match="0-1-walk-end.npz: changed"):
         open_chunk()
+
+
+def add_folder(chunk, text):
+    """Stage what Orbax would write."""
+    folder = chunk.add_checkpoint()
+    (folder / "state").mkdir(parents=True)
+    (folder / "state" / "array").write_text(text)
+    return chunk.stage()
+
+
+def test_the_checkpoint_before_stays_until_the_next_one_is_committed(tmp_path):
+    def read():
+        files = ChunkFolder(tmp_path / "chunk", tmp_path)
+        assert files.read()
+        return files.state.advances, (files.checkpoint() / "state" / "array").read_text()
+
+    chunk = ChunkFolder(tmp_path / "chunk", tmp_path)
+    chunk.open()
+    chunk.state.advances = 1
+    chunk.commit(add_folder(chunk, "first"))
+    chunk.write_part({"steps": steps((0, 0, 1, 0.0))})
+    chunk.state.advances = 2
+    second = add_folder(chunk, "second")
+    chunk.state.advances = 3  # the chunk goes on before the second one is committed
+    chunk.write_part({"steps": steps((0, 0, 2, 0.0))})
+    assert read() == (1, "first")
+    chunk.commit(second)
+    assert read() == (2, "second")
+    assert [path.name for path in tmp_path.glob("chunk/checkpoint-*")] == ["checkpoint-00000002"]
+    chunk.commit()
+    assert len(list(chunk.parts("steps"))) == 2
+
+    heir = ChunkFolder(tmp_path / "heir", tmp_path, "chunk")
+    heir.path.mkdir()
+    assert heir.inherit(chunk) and (heir.checkpoint() / "state" / "array").read_text() == "second"
+    (heir.checkpoint() / "state" / "array").write_text("2econd")  # the same file
+    with pytest.raises(ResultsError, match="checkpoint-00000002/state/array: changed"):
+        chunk.read()
 
 
 @pytest.mark.parametrize("damage", ["deleted", "flipped"])
