@@ -21,6 +21,7 @@ from bojax.results.store import (
     fingerprints,
     make_folder,
     read_checked_json,
+    sync,
     write_checked_json,
     write_content,
 )
@@ -86,10 +87,22 @@ def merge_learners(folder: Path, chunks: Iterable[ChunkFolder], configs: Sequenc
         with explained(target):
             if target.exists():
                 shutil.rmtree(target)
-        make_folder(target)
-        checkpoint.save(target / LEARNED, content)()
-        write_checked_json(_checksums(target / LEARNED), fingerprints(target / LEARNED))
+        write_learners(target, content)
         write_content(target / EXPERIMENT, dump(evaluation(configs[int(point)])))
+
+
+def write_learners(folder: Path, content: Mapping[str, Any]) -> None:
+    """Write the learners of a point, as `Learned.stacked` has them, with the checksums of their files.
+
+    Raises:
+        ResultsError: The folder cannot be written.
+    """
+    make_folder(folder)
+    tree = folder / LEARNED
+    checkpoint.save(tree, content)()
+    with explained(tree):
+        sync(tree, *tree.rglob("*"))
+    write_checked_json(_checksums(tree), fingerprints(tree))
 
 
 def load_learner(folder: Path, run: int, structure: PyTree[jax.ShapeDtypeStruct]) -> PyTree:
@@ -98,6 +111,10 @@ def load_learner(folder: Path, run: int, structure: PyTree[jax.ShapeDtypeStruct]
     Raises:
         ResultsError: There is none, a file has changed, or the structure is another one.
     """
+    if not folder.is_dir():
+        raise ResultsError(
+            f"{folder}: no such folder; allowed: the folder {LEARNED} of a point in {LEARNERS}/"
+        )
     if fingerprints(folder) != read_checked_json(_checksums(folder)):
         raise ResultsError(f"{folder}: damaged or edited: its files are not those in {_checksums(folder)}")
     content = checkpoint.read(folder)

@@ -19,6 +19,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, PyTree
 
 from bojax.results.store import ResultsError, explained
@@ -85,9 +86,9 @@ def restore(
 
 
 def fit(
-    found: Mapping[str, Array], structure: PyTree[jax.ShapeDtypeStruct], origin: Path, advice: str
+    found: Mapping[str, np.ndarray], structure: PyTree[jax.ShapeDtypeStruct], origin: Path, advice: str
 ) -> PyTree[Array]:
-    """Rebuild a tree from the arrays of `arrays`, as `restore` does from a folder.
+    """Rebuild a tree from what `arrays` has returned, as `restore` does from a folder.
 
     Raises:
         ResultsError: They are those of another structure.
@@ -112,7 +113,7 @@ def _compared(
     return targets
 
 
-def _rebuilt(found: Mapping[str, Array], structure: PyTree[jax.ShapeDtypeStruct]) -> PyTree[Array]:
+def _rebuilt(found: Mapping[str, Any], structure: PyTree[jax.ShapeDtypeStruct]) -> PyTree[Array]:
     def leaf_of(name: str, leaf: jax.ShapeDtypeStruct) -> Array:
         target = _target(leaf)
         values = found[name] if leaf.size else jnp.empty(target.shape, target.dtype)

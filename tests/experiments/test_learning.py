@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 import bojax.config.catalog  # noqa: F401 (registers every kind)
 from bojax.engine.build import build
 from bojax.engine.groups import static_groups
+from bojax.engine.learners import LEARNED, Learned, write_learners
 from bojax.envs.base import Env, TimeStep
 from bojax.envs.spaces import Box, Discrete
 from bojax.envs.tabular import TabularEnv
@@ -20,7 +21,6 @@ from bojax.experiments.learning import LearningRun
 from bojax.experiments.phases import PHASES
 from bojax.experiments.settings import Learning
 from bojax.learning.base import ExplorationState, Learner
-from bojax.numerics import checkpoint
 from bojax.numerics.lanes import LANES
 from bojax.results.store import ResultsError
 from bojax.results.tables import KEYS, count_nans, to_arrow
@@ -682,12 +682,20 @@ def learned(seed: int):
     return lane_of(history.carry.learner, 0)
 
 
+def saved(folder, *states) -> str:
+    """The folder of the learners of some runs."""
+    content = Learned()
+    for run, state in enumerate(states):
+        content.add(0, run, state)
+    write_learners(folder, content.stacked()["0"])
+    return str(folder / LEARNED)
+
+
 def test_saved_learners_enter_as_arrays_and_share_a_program(tmp_path):
     states = [learned(seed) for seed in (1, 2)]
     assert not np.array_equal(states[0].columns, states[1].columns)
-    for number, state in enumerate(states):
-        checkpoint.save(tmp_path / f"{number}.npz", state)
-    runs = [run_of(**EVALUATED, saved=str(tmp_path / f"{number}.npz")) for number in range(2)]
+    folder = saved(tmp_path, *states)
+    runs = [run_of(**EVALUATED, saved=folder, saved_run=number) for number in range(2)]
     for run, state in zip(runs, states, strict=True):
         begun = lane_of(_start(run, jax.random.split(jax.random.key(0), 1)), 0)
         np.testing.assert_array_equal(begun.learner.columns, state.columns)
@@ -696,7 +704,7 @@ def test_saved_learners_enter_as_arrays_and_share_a_program(tmp_path):
 
 
 def test_a_saved_learner_of_other_spaces_is_refused_in_one_line(tmp_path):
-    checkpoint.save(tmp_path / "learner.npz", learned(1))
+    folder = saved(tmp_path, learned(1))
     with pytest.raises(ResultsError, match="same kind of learner, features and spaces") as error:
-        run_of(**EVALUATED | {"env": CHAIN | {"max_length": 7}}, saved=str(tmp_path / "learner.npz"))
+        run_of(**EVALUATED | {"env": CHAIN | {"max_length": 7}}, saved=folder)
     assert "\n" not in str(error.value) and error.value.exit_code == 2
