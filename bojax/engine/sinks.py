@@ -111,8 +111,8 @@ class FolderSink(Sink):
         return [checkpoint.save(self._files.add_learners(), content)]
 
     def _end(self, saved: list[Callable[[], None]], staged: Staged) -> None:
-        for wait in saved:
-            wait()
+        for end in saved:
+            end()
         self._files.commit(staged)
 
     @override
@@ -128,9 +128,10 @@ class FolderSink(Sink):
     @override
     def finish(self) -> None:
         self.wait()
-        saved = self._save_learners()
+        for end in self._save_learners():
+            end()
         self.state.finish()
-        self._end(saved, self._files.stage())
+        self._files.commit()
 
 
 class MemorySink(Sink):

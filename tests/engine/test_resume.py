@@ -91,7 +91,7 @@ def test_several_sweeps_are_killed_in_the_second_and_resumed(tmp_path):
 
 @pytest.mark.bits
 def test_killed_where_runs_have_taken_lanes_and_moved_to_fewer(tmp_path, monkeypatch):
-    sweep: dict = {"points": ({"max_length": 400},), "runs": 8}
+    sweep: dict = {"points": ({"max_length": 60},), "runs": 8}
     monkeypatch.setattr("bojax.engine.plan.choose_layout", lambda *_: Layout(8, (4, 2), 1))
     undisturbed, killed = tmp_path / "undisturbed", tmp_path / "killed"
     assert run_sweep_here(undisturbed, **sweep) == 0

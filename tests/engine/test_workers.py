@@ -29,7 +29,7 @@ SWEEP = {"points": POINTS, "runs": 8, "lanes_per_device": 2}
 
 pytestmark = pytest.mark.usefixtures("kept_toys")
 
-OFTEN = {"segment_seconds": 1e-6, "checkpoint_seconds": 1e-6}
+OFTEN = {"segment_seconds": 1e-6, "checkpoint_seconds": 0.2}
 
 
 def run_here(out: Path, **settings) -> int:
@@ -65,7 +65,7 @@ def planned(plans, tmp_path) -> Path:
 
 @pytest.fixture
 def often(plans, tmp_path) -> Path:
-    """The same, where every advance leaves a checkpoint."""
+    """The same, where every advance is a segment, and checkpoints are frequent."""
     return Path(shutil.copytree(plans["often"], tmp_path / "toy"))
 
 
