@@ -145,6 +145,8 @@ class _Tracing:
         number = next(self._numbers)
         if number > self._most:
             raise NotScalar("too many scalars")
+        # An operation belongs to the innermost loop that changes one of its operands, not to the loop that
+        # it is written in: what a loop does not change is computed once, before it.
         level = max((x.level for x in operands if isinstance(x, Scalar)), default=0)
         return Scalar(number, level, operands, compute, np.dtype(dtype))
 
@@ -157,6 +159,8 @@ class _Tracing:
 
     def apply(self, name: str, compute: Callable[..., Any], operands: Sequence[Any], dtype: Any) -> Any:
         """An elementwise operation on scalars, or its result if that is known."""
+        # Folded here rather than left to the compiler: zeros of a model's sparse arrays must be known when
+        # products with them are met, and the time of Triton grows with the number of operations.
         if not any(isinstance(x, Scalar) for x in operands):
             if name == "select_n":
                 return _selected(*operands)
@@ -165,6 +169,7 @@ class _Tracing:
         simple = _simplified(name, operands, dtype)
         if simple is not None:
             return simple
+        # Scalars are compared by identity, known numbers by their bytes: 0 and -0 are equal as numbers.
         parts = (x if isinstance(x, Scalar) else (x.dtype, x.tobytes()) for x in operands)
         key = name, np.dtype(dtype), *parts
         if key not in self._found:
@@ -180,6 +185,7 @@ class _Tracing:
     def total(self, name: str, parts: Sequence[Any], dtype: Any) -> Any:
         """The sum of scalars by pairs, or another associative operation of them."""
         compute = _operation(name)
+        # By pairs, since a chain has a larger rounding error, and each addition waits for the one before.
         while len(parts) > 1:
             half = len(parts) // 2
             pairs = zip(parts[:half], parts[half : 2 * half], strict=True)
@@ -201,6 +207,7 @@ class _Tracing:
     def results(self, eqn: Any, arrays: list[np.ndarray]) -> list[np.ndarray]:
         """The results of one operation on arrays."""
         name, params, aval = eqn.primitive.name, eqn.params, eqn.outvars[0].aval
+        # Functions within functions (jit, custom derivatives) are evaluated in place; loops have rules below.
         for called in ("jaxpr", "call_jaxpr", "call"):
             if called in params and name not in ("scan", "while", "cond"):
                 return self.evaluate(*_opened(params[called]), arrays)
@@ -255,6 +262,7 @@ class _Tracing:
         if min(min(low, high) for low, high, _ in config) < 0:
             raise NotScalar("a negative pad")
         found = _objects(np.broadcast_to(value, aval.shape))
+        # Element k of x stands at low + k (1 + gap) of its axis.
         ends = (low + (size - 1) * (1 + gap) + 1 for (low, _, gap), size in zip(config, x.shape, strict=True))
         places = zip(config, ends, strict=True)
         found[tuple(slice(low, end, 1 + gap) for (low, _, gap), end in places)] = _objects(x)
@@ -292,11 +300,13 @@ class _Tracing:
             sizes = [math.prod(x.shape[i] for i in axes) for axes in (batch, rest, summed)]
             return x.transpose(*batch, *rest, *summed).reshape(sizes)
 
+        # Any contraction is a batch of products x y' of two matrices, rows times summed axes.
         x, y = matrices(x, lb, lc), matrices(y, rb, rc)
         times, found = _operation("mul"), np.empty((len(x), x.shape[1], y.shape[1]), object)
         for k, i, j in np.ndindex(found.shape):
             pairs = zip(x[k, i], y[k, j], strict=True)
             products = [self.apply("mul", times, pair, aval.dtype) for pair in pairs]
+            # Most entries of a robot's matrices are known zeros; the sum has the others only.
             products = [p for p in products if isinstance(p, Scalar) or p != 0]
             found[k, i, j] = self.total("add", products or [aval.dtype.type(0)], aval.dtype)
         return _tidy(found, aval.dtype).reshape(aval.shape)
@@ -305,6 +315,7 @@ class _Tracing:
         if a.ndim != 2:
             raise NotScalar("a batch of matrices")
         factor = _objects(np.zeros(a.shape, eqn.outvars[0].aval.dtype))
+        # Column by column, each from its diagonal downwards: row i of column j needs the columns before j.
         for j, i in itertools.combinations_with_replacement(range(len(a)), 2):
             rest = self._less(a[i, j], factor[i, :j], factor[j, :j])
             name, operands = ("sqrt", [rest]) if i == j else ("div", [rest, factor[j, j]])
@@ -318,6 +329,7 @@ class _Tracing:
         a = a.T if params["transpose_a"] else a
         is_lower = params["lower"] != params["transpose_a"]
         x = _objects(np.zeros(b.shape, eqn.outvars[0].aval.dtype))
+        # Forward substitution, or backward from the last row for an upper triangle.
         for i in range(len(a)) if is_lower else reversed(range(len(a))):
             before = slice(i) if is_lower else slice(i + 1, None)
             for j in range(x.shape[1]):
@@ -348,6 +360,7 @@ class _Tracing:
             low, high = _bounds(aval.dtype)
             is_signed = np.issubdtype(aval.dtype, np.signedinteger)
             fill = np.nan if np.issubdtype(aval.dtype, np.floating) else low if is_signed else high
+        # The fill value is appended: windows outside of the array have index -1, which is the last element.
         found = np.append(_objects(x).reshape(-1), np.dtype(aval.dtype).type(fill))[at]
         first = indices.ndim - 1
         found = np.moveaxis(found, range(first, found.ndim), numbers.offset_dims)
@@ -374,6 +387,7 @@ class _Tracing:
             (numbers.operand_batching_dims, numbers.scatter_indices_batching_dims),
             eqn.params["mode"] != GatherScatterMode.CLIP,
         )
+        # One element more than x takes the updates outside of it, at index -1, and is dropped.
         found = np.append(_objects(x).reshape(-1), aval.dtype.type(0))
         for i, update in zip(at.reshape(-1), updates.reshape(-1), strict=True):
             found[i] = self.apply(name, _operation(name), [found[i], update], aval.dtype) if name else update
@@ -388,6 +402,8 @@ class _Tracing:
         params = eqn.params
         first, second = params["cond_nconsts"], params["cond_nconsts"] + params["body_nconsts"]
         avals = [v.aval for v in eqn.outvars]
+        # Body and condition are taken apart once for all steps: nothing is known about the carry, even where
+        # the loop starts with known numbers.
         self._level += 1
         carry = [self.inputs(aval) for aval in avals]
         (go_on,) = self.evaluate(*_opened(params["cond_jaxpr"]), [*arrays[:first], *carry])
@@ -408,6 +424,8 @@ class _Tracing:
             return [*arrays[first:end], *empty]
         if eqn.params["reverse"] or end - first < len(avals):
             raise NotScalar("a scan with results of every step, or backwards")
+        # A scan becomes a while loop that counts its steps. Elements cannot be indexed by a computed number,
+        # so the row of a step is chosen from all rows by comparisons; the scans of MJX have few steps.
         integer = jax.ShapeDtypeStruct((), np.dtype(np.int32))
         self._level += 1
         step, carry, now = self.inputs(integer), [self.inputs(aval) for aval in avals], []
@@ -427,6 +445,8 @@ class _Tracing:
 
     def _loop(self, carry: Any, after: Any, go_on: Any, start: Any, avals: Any) -> list[np.ndarray]:
         level, self._level = self._level, self._level - 1
+        # What the loop reads from around it: the search stops at scalars of a lower level, which are computed
+        # outside, and enter the loop as values that its functions close over.
         free = _reachable([*after, go_on], carry, stop=lambda x: x.level < level)
         free = [x for x in free if x.level < level]
         starts = _elements(start, avals)
@@ -444,6 +464,8 @@ class _Tracing:
                 lambda state: _computed([go_on], inside(state))[0], one_more, values[: len(starts)]
             )
 
+        # The loop is one scalar, whose value is the tuple of the final carry; the results are its elements.
+        # Its own dtype is never read.
         whole = self.scalar([*starts, *free], compute, np.float32)
         index = itertools.count()
 
@@ -478,6 +500,7 @@ def _simplified(name: str, operands: Sequence[Any], dtype: Any) -> Any:
             continue
         if (name == "add" or (name == "sub" and is_second)) and known == 0:
             return other
+        # Not so in IEEE arithmetic if the other is infinite or NaN, or negative: see the module's deviations.
         if name == "mul" and known == 0:
             return np.dtype(dtype).type(0)
         if (name == "mul" or (name == "div" and is_second)) and known == 1:
@@ -602,6 +625,7 @@ def _windows(
     """
     if indices.dtype == object:
         raise NotScalar("indices that are computed")
+    # A gather of the elements' own flat indices tells which element each place of a window is.
     numbers, widths = np.arange(math.prod(shape)).reshape(shape), np.asarray(sizes)
     last = np.asarray(shape) - widths
     kept = sorted({*range(len(shape))} - {*dropped, *batching[0]})
@@ -626,6 +650,7 @@ def _reachable(roots: Iterable[Any], known: Iterable[Scalar], stop: Any = lambda
             found.add(x)
             if not stop(x):
                 waiting += x.operands
+    # Operands have smaller numbers, so that this is an order of computation.
     return sorted(found, key=lambda x: x.number)
 
 
