@@ -11,10 +11,8 @@ from scipy.interpolate import RectBivariateSpline
 
 from bojax.results.outline import Outline
 from bojax.results.store import ResultsError
-from bojax.robots.car import car_model
 from bojax.robots.jaco import jaco_model
 from bojax.robots.models import RobotModel, from_file, mujoco, packaged
-from bojax.robots.quadrotor import quadrotor_model
 
 Heights = NDArray[np.float64]
 """Heights in metres on a regular grid over the domain; the first axis is y, the second x, both increasing."""
@@ -34,7 +32,7 @@ def car_world(outline: Outline, ground: Heights | None = None) -> RobotModel:
     The camera `side` follows the robot, which is small compared with most domains.
     """
     del ground
-    spec = car_model().spec()
+    spec = packaged("car").spec()
     middle, half = _centred(outline.border or _DEFAULT_DOMAIN)
     floor = spec.geom("floor")
     floor.pos, floor.size = [*middle, 0.0], [*half, 0.1]
@@ -54,7 +52,7 @@ def quadrotor_world(outline: Outline, ground: Heights | None = None) -> RobotMod
     Blocks are boxes on a floor. Other fields are height fields, given by their recorded true values; without
     a field there is a floor. The camera `overview` sees the whole domain.
     """
-    spec = quadrotor_model().spec()
+    spec = packaged("quadrotor").spec()
     middle, half = _centred(outline.border or _DEFAULT_DOMAIN)
     radius = float(np.max(half))
     if ground is None or len(outline.blocks) > 0:

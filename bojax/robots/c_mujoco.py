@@ -8,10 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
-from typing_extensions import override
 
 from bojax.numerics.cores import usable_cores
-from bojax.robots.lane_steps import LaneSteps
 from bojax.robots.models import MjModel, mujoco
 
 _SPEC = sum(
@@ -23,7 +21,7 @@ _LANES_PER_THREAD = 8
 """Smallest number of lanes that a thread is worth: their steps take a tenth of a millisecond or more."""
 
 
-class CSteps(LaneSteps):
+class CSteps:
     """Steps in 64 bits, on all cores of the process.
 
     A lane depends on its own state and controls alone: its bits do not depend on the other lanes, nor on the
@@ -38,7 +36,6 @@ class CSteps(LaneSteps):
         self.model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
         self._unused = []
 
-    @override
     def __call__(
         self,
         qpos: Float[Array, "L Q"],
@@ -46,6 +43,7 @@ class CSteps(LaneSteps):
         qacc_warmstart: Float[Array, "L V"],
         control: Float[Array, "L U"],
     ) -> tuple[Float[Array, "L Q"], Float[Array, "L V"], Float[Array, "L V"]]:
+        """The state of every lane after the steps, in the order of `RobotState`; NaN where MuJoCo warned."""
         # In a single matrix: every array of a callback costs 25 us.
         before = jnp.concatenate([qpos, qvel, qacc_warmstart, control], axis=1)
         num_lanes, width = before.shape

@@ -1,14 +1,9 @@
-"""The MuJoCo model of the wheeled robot, and the parameters that its controller reads from it."""
+"""The parameters of the wheeled robot that its controller reads from its MuJoCo model."""
 
 from dataclasses import dataclass
 from math import tan
 
-from bojax.robots.models import MjModel, RobotModel, packaged
-
-
-def car_model() -> RobotModel:
-    """The robot on a floor."""
-    return packaged("car")
+from bojax.robots.models import MjModel
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,6 @@ from bojax.numerics.third_party import plain_jax, silenced, standard_jax
 from bojax.robots.c_mujoco import CSteps
 from bojax.robots.kernel.small_factors import small_factors
 from bojax.robots.kernel.steps import KernelSteps
-from bojax.robots.lane_steps import LaneSteps
 from bojax.robots.models import MjModel, RobotModel, mujoco
 from bojax.robots.newton import Search, constrained, has_clipped_forces, search_at_ends, search_by_points
 from bojax.text import one_line
@@ -226,7 +225,7 @@ def _can_be_a_kernel(configured: ConfiguredModel, substeps: int) -> bool:
 def _kernel_steps(configured: ConfiguredModel, substeps: int) -> KernelSteps:
     """The steps of MJX as a kernel."""
     advance = _steps_of(configured, substeps, search_by_points)
-    return KernelSteps(_compiled(configured), substeps, lambda *x: advance(RobotState(*x[:3]), x[3]))
+    return KernelSteps(_compiled(configured), lambda *x: advance(RobotState(*x[:3]), x[3]))
 
 
 def _steps_of(configured: ConfiguredModel, substeps: int, search: Search) -> Any:
@@ -265,8 +264,12 @@ def _locating(model: RobotModel) -> Any:
     return sites
 
 
-def _in_lanes(steps: LaneSteps) -> Any:
-    """The steps for a single robot; under any number of `vmap`s, all lanes are one call of `steps`."""
+def _in_lanes(steps: Callable[..., tuple[jax.Array, ...]]) -> Any:
+    """The steps for a single robot; under any number of `vmap`s, all lanes are one call of `steps`.
+
+    Its arguments are positions, velocities, initial accelerations and controls, with an axis of lanes; its
+    results are the first three after the steps.
+    """
 
     @jax.custom_batching.custom_vmap
     def advance_lanes(state: RobotState, control: jax.Array) -> RobotState:

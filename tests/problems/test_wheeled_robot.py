@@ -19,13 +19,14 @@ from bojax.problems.settings import RobotParking
 from bojax.problems.vehicles.settings import WheeledRobot
 from bojax.problems.vehicles.wheeled_robot import FRAME_EVERY
 from bojax.results.outline import Outline
-from bojax.robots.car import car_model, car_parameters
+from bojax.robots.car import car_parameters
+from bojax.robots.models import packaged
 from tests.compiling import REPEATABLY
 from tests.reference import pure_pursuit as reference
 
 SETTINGS = WheeledRobot()
 ROBOT = build(SETTINGS)
-MODEL = mujoco.MjModel.from_xml_string(car_model().xml)
+MODEL = mujoco.MjModel.from_xml_string(packaged("car").xml)
 MOTIONS = build(KernelTrajectories(first_angle=0.785, turn_angle=1.257))
 reset, estimate, pose_of = (jax.jit(jax.vmap(of)) for of in (ROBOT.reset, ROBOT.estimate, ROBOT.pose))
 NUM_LANES, QUIET = 16, 8

@@ -12,7 +12,7 @@ from bojax.engine.build import build
 from bojax.motions.splines import SplineSet
 from bojax.problems.vehicles.settings import Quadrotor
 from bojax.robots.flight import Reference, control, reference_trajectory
-from bojax.robots.quadrotor import quadrotor_model
+from bojax.robots.models import packaged
 from bojax.robots.quaternions import rotate_yaw, rotation_matrix, yaw_of
 
 STEP, PATH, REST = 0.01, 300, 250
@@ -39,7 +39,7 @@ def steer(airframe, reference, qpos, qvel):
 
 def fly(reference, qpos, qvel=(0.0,) * 6, push=None):
     """Positions and velocities before every step of C MuJoCo; `push` is a force in N over some steps."""
-    model = quadrotor_model().compiled()
+    model = packaged("quadrotor").compiled()
     data = mujoco.MjData(model)
     data.qpos, data.qvel = qpos, qvel
     states = []
@@ -154,7 +154,7 @@ def test_rotations_are_mujocos():
 
 
 def test_thrusts_make_the_force_and_torque_that_are_asked_for():
-    model = quadrotor_model().compiled()
+    model = packaged("quadrotor").compiled()
     data = mujoco.MjData(model)
     rng = np.random.default_rng(1)
     for _ in range(10):

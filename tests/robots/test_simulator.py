@@ -13,10 +13,8 @@ import pytest
 import bojax.robots.simulator
 from bojax.engine.build import build
 from bojax.numerics.kernels import kernels_run_here
-from bojax.robots.car import car_model
 from bojax.robots.jaco import jaco_model
 from bojax.robots.models import RobotModel, from_file, packaged
-from bojax.robots.quadrotor import quadrotor_model
 from bojax.robots.settings import MJX
 from bojax.robots.simulator import Simulator
 from tests.compiling import REPEATABLY
@@ -26,8 +24,8 @@ MODELS = {
     "hopper": packaged("hopper"),
     "reacher": packaged("reacher"),
     "jaco": jaco_model((1, 2)),
-    "car": car_model(),
-    "quadrotor": quadrotor_model(),
+    "car": packaged("car"),
+    "quadrotor": packaged("quadrotor"),
 }
 """Every packaged model, by the name that its tests get; one more is one more line."""
 

@@ -14,7 +14,7 @@ from bojax.numerics.angles import wrap_to_2pi
 from bojax.problems.vehicles.base import TrackingResult
 from bojax.problems.vehicles.simulated import SimulatedState, SimulatedVehicle, planar
 from bojax.robots.flight import Airframe, control, reference_trajectory
-from bojax.robots.quadrotor import quadrotor_model
+from bojax.robots.models import packaged
 from bojax.robots.quaternions import rotate_yaw, rotation_matrix
 from bojax.robots.simulator import Physics, RobotState, Simulator
 
@@ -41,7 +41,7 @@ class Quadrotor(SimulatedVehicle):
     @property
     @override
     def simulator(self) -> Simulator:
-        return Simulator(self.physics, quadrotor_model(), 1)
+        return Simulator(self.physics, packaged("quadrotor"), 1)
 
     @property
     def airframe(self) -> Airframe:

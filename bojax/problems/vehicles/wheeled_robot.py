@@ -12,7 +12,8 @@ from bojax.motions.base import Pose
 from bojax.problems.vehicles.base import TrackingResult
 from bojax.problems.vehicles.simulated import SimulatedState, SimulatedVehicle, planar
 from bojax.robots import pursuit
-from bojax.robots.car import CarParameters, car_model, car_parameters
+from bojax.robots.car import CarParameters, car_parameters
+from bojax.robots.models import packaged
 from bojax.robots.pursuit import PIECES, Route
 from bojax.robots.simulator import Physics, Simulator
 
@@ -48,7 +49,7 @@ class WheeledRobot(SimulatedVehicle):
     @property
     @override
     def simulator(self) -> Simulator:
-        return Simulator(self.physics, car_model(), self.substeps)
+        return Simulator(self.physics, packaged("car"), self.substeps)
 
     @property
     def parameters(self) -> CarParameters:

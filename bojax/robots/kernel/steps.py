@@ -7,17 +7,15 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
-from typing_extensions import override
 
 from bojax.robots.kernel.scalars import NotScalar, ScalarProgram
-from bojax.robots.lane_steps import LaneSteps
 from bojax.robots.models import MjModel
 
 _MOST_SCALARS = 40_000
 """Largest program that is compiled; that of the hopper has 11,000 scalars, which take 4 s."""
 
 
-class KernelSteps(LaneSteps):
+class KernelSteps:
     """Steps as one kernel for all lanes, in the arithmetic of `mjx.step`.
 
     In a program of XLA, a step of 256 hoppers by RK4 is 475 kernels of 1.6 us each on an H200. Here a call,
@@ -27,7 +25,6 @@ class KernelSteps(LaneSteps):
 
     Args:
         model: The compiled model.
-        substeps: Number of simulation steps of a call.
         steps: From positions, velocities, initial accelerations and controls of a lane to the first three
             after the steps.
 
@@ -35,8 +32,8 @@ class KernelSteps(LaneSteps):
         ValueError: The model is too large, or has parts that `ScalarProgram` does not know.
     """
 
-    def __init__(self, model: MjModel, substeps: int, steps: Callable[..., Any]):
-        self.model, self.substeps = model, substeps
+    def __init__(self, model: MjModel, steps: Callable[..., Any]):
+        self.model = model
         sizes = model.nq, model.nv, model.nv, model.nu
         state = (jax.ShapeDtypeStruct((size,), jnp.float32) for size in sizes)
         try:
@@ -45,7 +42,6 @@ class KernelSteps(LaneSteps):
             refused = f"a kernel cannot simulate the model ({error})"
             raise ValueError(f'physics.impl: got "pallas"; {refused}; use "jax"') from error
 
-    @override
     def __call__(
         self,
         qpos: Float[Array, "L Q"],
@@ -53,6 +49,7 @@ class KernelSteps(LaneSteps):
         qacc_warmstart: Float[Array, "L V"],
         control: Float[Array, "L U"],
     ) -> tuple[Float[Array, "L Q"], Float[Array, "L V"], Float[Array, "L V"]]:
+        """The state of every lane after the steps, in the order of `RobotState`."""
         program = self._program
         # Imported here, since it takes a second.
         pallas = importlib.import_module("jax.experimental.pallas")
