@@ -108,12 +108,12 @@ MISFITS = {
 }
 
 
-@pytest.mark.parametrize("broken", MISFITS, ids=lambda cls: cls.__name__)
-def test_a_misfit_is_named(broken):
-    with pytest.raises(ValueError) as error:
-        check_env(broken(jnp.float32(0.1)), jnp.float32)
-    assert str(error.value).startswith(f"{broken.__name__}: ")
-    assert MISFITS[broken] in str(error.value)
+def test_a_misfit_is_named():
+    for broken, message in MISFITS.items():
+        with pytest.raises(ValueError) as error:
+            check_env(broken(jnp.float32(0.1)), jnp.float32)
+        assert str(error.value).startswith(f"{broken.__name__}: ")
+        assert message in str(error.value)
 
 
 def test_a_python_number_in_place_of_an_array_is_named():
@@ -124,6 +124,6 @@ def test_a_python_number_in_place_of_an_array_is_named():
         check_env(env, jnp.float32)
 
 
-@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
-def test_an_environment_of_the_precision_of_the_run_passes(dtype):
-    check_env(Cart(jnp.asarray(0.1, dtype)), dtype)
+def test_an_environment_of_the_precision_of_the_run_passes():
+    for dtype in (jnp.float32, jnp.float64):
+        check_env(Cart(jnp.asarray(0.1, dtype)), dtype)

@@ -179,46 +179,32 @@ INTEGRAL = (
 CAN_SLEEP = "<option><flag sleep='enable'/></option>"
 
 
-@pytest.mark.parametrize(
-    ("xml", "reason"),
-    [
-        (CYLINDER_ON_BOX, r"MJX refuses the model: .*CYLINDER.*BOX.* not implemented"),
-        (slider(option="<option solver='PGS'/>"), "MJX refuses the model: .*PGS"),
-        ("<mujoco><worldbody>", "XML"),
-        ("<mujoco><worldbody><body><jont/></body></worldbody></mujoco>", "jont"),
-        (
-            "<mujoco><worldbody><body><joint/></body></worldbody></mujoco>",
-            "MuJoCo refuses the model: .*mass and inertia",
-        ),
-        ("", "XML"),
-        (slider(*PID), "MJX cannot simulate the model: plugins$"),
-        (slider(actuator="<general joint='x' dyntype='filter' dynprm='0.05'/>"), "activation of their own"),
-        (slider(actuator="<muscle joint='x' lengthrange='0.1 0.2'/>"), "activation of their own"),
-        (slider(actuator="<motor joint='x' delay='0.1' nsample='20'/>"), "delayed actuators"),
-        (slider(option="<option noslip_iterations='3'/>"), "noslip iterations"),
-        (slider(option=CAN_SLEEP), "sleeping bodies"),
-        (slider(option="<option integrator='discrete'/>"), "the integrator discrete"),
-    ],
-    ids=[
-        "collision",
-        "solver",
-        "cut-off",
-        "misspelt",
-        "massless",
-        "empty",
-        "plugin",
-        "filter",
-        "muscle",
-        "delay",
-        "noslip",
-        "sleep",
-        "integrator",
-    ],
-)
-def test_a_model_that_cannot_be_used_says_why_in_a_line(xml, reason):
-    with pytest.raises(ValueError, match=reason) as caught:
-        Simulator(build(MJX(impl="jax"), "float32"), RobotModel(xml), substeps=1)
-    assert "\n" not in str(caught.value) and len(str(caught.value)) > 10
+REFUSED = [
+    (CYLINDER_ON_BOX, r"MJX refuses the model: .*CYLINDER.*BOX.* not implemented"),
+    (slider(option="<option solver='PGS'/>"), "MJX refuses the model: .*PGS"),
+    ("<mujoco><worldbody>", "XML"),
+    ("<mujoco><worldbody><body><jont/></body></worldbody></mujoco>", "jont"),
+    (
+        "<mujoco><worldbody><body><joint/></body></worldbody></mujoco>",
+        "MuJoCo refuses the model: .*mass and inertia",
+    ),
+    ("", "XML"),
+    (slider(*PID), "MJX cannot simulate the model: plugins$"),
+    (slider(actuator="<general joint='x' dyntype='filter' dynprm='0.05'/>"), "activation of their own"),
+    (slider(actuator="<muscle joint='x' lengthrange='0.1 0.2'/>"), "activation of their own"),
+    (slider(actuator="<motor joint='x' delay='0.1' nsample='20'/>"), "delayed actuators"),
+    (slider(option="<option noslip_iterations='3'/>"), "noslip iterations"),
+    (slider(option=CAN_SLEEP), "sleeping bodies"),
+    (slider(option="<option integrator='discrete'/>"), "the integrator discrete"),
+]
+"""Models that MJX or MuJoCo refuse, and why."""
+
+
+def test_a_model_that_cannot_be_used_says_why_in_a_line():
+    for xml, reason in REFUSED:
+        with pytest.raises(ValueError, match=reason) as caught:
+            Simulator(build(MJX(impl="jax"), "float32"), RobotModel(xml), substeps=1)
+        assert "\n" not in str(caught.value) and len(str(caught.value)) > 10
 
 
 BY_C_ALONE = [
@@ -294,35 +280,39 @@ def test_what_no_implementation_can_simulate_is_refused_by_all(impl):
     assert Simulator(build(MJX(), "float32"), RobotModel(slider(sleep="init")), substeps=1).impl == "jax"
 
 
-@pytest.mark.parametrize(
-    ("impl", "name", "platform", "expected"),
-    [
-        ("auto", "reacher", "cpu", "jax"),
-        ("auto", "reacher", "gpu", "pallas"),
-        ("auto", "hopper", "cpu", "c"),
-        ("auto", "hopper", "gpu", "pallas"),
-        ("auto", "hopper", "tpu", "jax"),
-        ("auto", "car", "gpu", "jax"),
-        ("auto", "car", "cpu", "c"),
-        ("auto", None, "cpu", "jax"),
-        ("auto", None, "gpu", "pallas"),
-        ("auto", "noslip", "gpu", "c"),
-        ("auto", "noslip", "tpu", "c"),
-        ("jax", "hopper", "cpu", "jax"),
-    ],
-)
-def test_the_implementation_that_auto_stands_for(monkeypatch, impl, name, platform, expected):
+CHOICES = [
+    ("auto", "reacher", "cpu", "jax"),
+    ("auto", "reacher", "gpu", "pallas"),
+    ("auto", "hopper", "cpu", "c"),
+    ("auto", "hopper", "gpu", "pallas"),
+    ("auto", "hopper", "tpu", "jax"),
+    ("auto", "car", "gpu", "jax"),
+    ("auto", "car", "cpu", "c"),
+    ("auto", None, "cpu", "jax"),
+    ("auto", None, "gpu", "pallas"),
+    ("auto", "noslip", "gpu", "c"),
+    ("auto", "noslip", "tpu", "c"),
+    ("jax", "hopper", "cpu", "jax"),
+]
+"""Settings, models and platforms, and the implementation that they get."""
+
+
+def test_the_implementation_that_auto_stands_for(monkeypatch):
     """The car stands for models that cannot be a kernel, although it can."""
-    monkeypatch.setattr(jax, "default_backend", lambda: platform)
-    monkeypatch.setattr(bojax.robots.simulator, "kernels_run_here", lambda: platform == "gpu")
     noslip = RobotModel(slider(option="<option noslip_iterations='3'/>"))
     too_large = MODELS["car"], noslip
     monkeypatch.setattr(
         bojax.robots.simulator, "_can_be_a_kernel", lambda configured, _: configured.model not in too_large
     )
     monkeypatch.setattr(bojax.robots.simulator, "_stepping", lambda *_: None)
-    model = ({"noslip": noslip, None: RobotModel(slider())} | MODELS)[name]
-    assert Simulator(build(MJX(impl=impl), "float32"), model, substeps=1).impl == expected
+    for impl, name, platform, expected in CHOICES:
+        monkeypatch.setattr(jax, "default_backend", lambda platform=platform: platform)
+        monkeypatch.setattr(
+            bojax.robots.simulator, "kernels_run_here", lambda platform=platform: platform == "gpu"
+        )
+        model = ({"noslip": noslip, None: RobotModel(slider())} | MODELS)[name]
+        robot = Simulator(build(MJX(impl=impl), "float32"), model, substeps=1)
+        assert robot.impl == expected, (impl, name, platform)
 
 
 def test_what_is_no_fault_of_the_model_is_not_put_down_to_it(monkeypatch):
