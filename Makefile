@@ -3,19 +3,20 @@
 # make slow  the tests of a release: all cases of what `make test` tests by a case a path, claims of the thesis,
 #            and equal bits with XLA's default options
 # make check formatting, lints, types, layers
+# make smoke a sweep and a robot with the newest versions of all packages, with PYTHON=python3.13
 # make site  the documentation as a site, in ./site
 # EXTRA=cuda13 (or cuda12) installs JAX for an NVIDIA GPU; PYTHON=python3.12 picks the interpreter.
 PYTHON ?= python3
 EXTRA ?=
 BIN := .venv/bin
-PINS := constraints/$(shell $(PYTHON) -c 'import sys; print("py311" if sys.version_info < (3, 12) else "py312")').txt
+PINS = constraints/$(shell $(PYTHON) -c 'import sys; print("py311" if sys.version_info < (3, 12) else "py312")').txt
 STAMP := .venv/.bojax-$(if $(EXTRA),$(EXTRA),cpu)
 DEV_STAMP := .venv/.bojax-dev
 # pip itself would compile on one core, and tests of packages too; some packages hold files of Python 2.
-INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -c $(PINS) -e
+INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -c $(PINS) -e
 COMPILE := $(BIN)/python -m compileall -q -j 0 -x /tests/ .venv/lib > /dev/null 2>&1 || true
 
-.PHONY: run test slow check site format clean
+.PHONY: run test slow check smoke site format clean
 
 run: $(STAMP)
 	$(BIN)/bojax sweep sweeps/parking.yaml
@@ -31,6 +32,9 @@ check: $(DEV_STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports
 	$(BIN)/pyright
+
+smoke:
+	.ci/smoke $(PYTHON)
 
 site: $(DEV_STAMP)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
