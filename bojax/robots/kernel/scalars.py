@@ -244,15 +244,18 @@ class _Tracing:
     def converted(self, x: np.ndarray, new: np.dtype) -> np.ndarray:
         """An array of another type."""
         convert = functools.partial(lax.convert_element_type, new_dtype=new)
-        if x.dtype != object:
-            return np.asarray(convert(x))
+
+        def known(x: Any) -> Any:
+            # JAX takes the nearest integer for a float that is out of range, and 0 for NaN; NumPy any number.
+            is_cut = np.issubdtype(x.dtype, np.floating) and np.issubdtype(new, np.integer)
+            return np.asarray(convert(x)) if is_cut else x.astype(new)
 
         def one(e: Any) -> Any:
             if not isinstance(e, Scalar):
-                return new.type(convert(e))
+                return known(e)[()]
             return e if e.dtype == new else self.apply(f"to {new}", convert, [e], new)
 
-        return _tidy(_each(one, x), new)
+        return known(x) if x.dtype != object else _tidy(_each(one, x), new)
 
     def _split(self, eqn: Any, x: np.ndarray) -> list[np.ndarray]:
         return np.split(x, np.cumsum(eqn.params["sizes"])[:-1], eqn.params["axis"])
