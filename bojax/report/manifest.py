@@ -1,7 +1,7 @@
 """What a report reads of `manifest.json`: a schema, and the settings objects that were written into it.
 
-A wrong type or shape ends in one line. Settings that this version of bojax refuses, because another version
-wrote them, stay plain values (`Unread`): a report without them is better than none.
+A wrong type ends in one line. Settings that this version of bojax refuses, because another version wrote
+them, stay plain values (`Unread`): a report without them is better than none.
 """
 
 import hashlib
@@ -21,16 +21,11 @@ from bojax.report.text import MISSING, counted, line
 from bojax.results.outline import Outline
 from bojax.results.store import ResultsError
 
-MAX_DEPTH = 100
-"""Largest nesting depth of mappings and lists: far more than settings need, far less than Python can walk."""
-
 Count = Annotated[int, Field(ge=0, lt=2**53)]
+Pair = Annotated[list[Any], Field(min_length=2, max_length=2)]
+Bounds = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 T = TypeVar("T")
-Listed = Annotated[list[T], BeforeValidator(lambda value: [] if value is None else value)]
-"""A list, or null for an empty one."""
-Text = Annotated[str, BeforeValidator(lambda value: "" if value is None else value)]
-"""A text, or null for an empty one."""
 
 
 @dataclass(frozen=True)
@@ -41,10 +36,18 @@ class Unread:
     reason: str  # why they were refused, in one line
 
 
-class Part(pydantic.BaseModel):
-    """A mapping in a file that a report reads; keys that it does not know are kept."""
+class Recorded(pydantic.BaseModel):
+    """A mapping in a JSON file. Keys that it does not know are kept; null stands for the default of a key."""
 
     model_config = pydantic.ConfigDict(extra="allow", strict=True)
+
+    @pydantic.model_validator(mode="before")
+    @classmethod
+    def _without_nulls(cls, mapping: Any) -> Any:
+        if not isinstance(mapping, Mapping):
+            return mapping
+        optional = {key for key, field in cls.model_fields.items() if not field.is_required()}
+        return {key: value for key, value in mapping.items() if value is not None or key not in optional}
 
 
 def _outline(numbers: Any) -> Outline:
@@ -61,22 +64,22 @@ def _outline(numbers: Any) -> Outline:
 def _known(report: Any) -> Any:
     """The keys of `report` that this version knows and that are set."""
     if not isinstance(report, Mapping):
-        return report if report is not None else {}
+        return report
     return {key: value for key, value in report.items() if key in Report.model_fields and value is not None}
 
 
-class PointEntry(Part):
+class PointEntry(Recorded):
     """A point of the sweep."""
 
     index: Annotated[int, Field(ge=0, lt=2**31)]
     label: str
-    variant: str | None = None
-    swept: dict[str, Any] | None = None
-    config: dict[str, Any] | None = None
-    outline: Annotated[Outline, PlainValidator(_outline)] | None = None
+    variant: str = ""
+    swept: dict[str, Any] = {}
+    config: dict[str, Any] = {}
+    outline: Annotated[Outline | None, PlainValidator(_outline)] = None
 
 
-class ClaimEntry(Part):
+class ClaimEntry(Recorded):
     """A claim; `claims_of` turns it into settings."""
 
     id: str
@@ -86,18 +89,18 @@ class ClaimEntry(Part):
     test: dict[str, Any] | None = None
 
 
-class Group(Part):
+class Group(Recorded):
     """Times of a static group."""
 
-    points: list[int] | None = None
+    points: list[int] = []
     lanes_per_device: Count | None = None
     devices: Count | None = None
-    compile_seconds: float | None = None
+    compile_seconds: float = 0.0
     run_seconds: float | None = None
     active_steps: Count | None = None
 
 
-class Latency(Part):
+class Latency(Recorded):
     """What `bojax bench latency` has measured in a results folder."""
 
     config_hash: str | None = None
@@ -112,35 +115,32 @@ class Latency(Part):
         return line(self.device.get("kind") or "device")
 
 
-class Chunk(Part):
+class Chunk(Recorded):
     """A chunk of the sweep, with what went wrong."""
 
-    error: str | None = None
+    error: str = ""
 
 
-class Manifest(Part):
+class Manifest(Recorded):
     """The keys that are read; only `points` and `status` have to be there."""
 
     points: Annotated[list[PointEntry], Field(min_length=1)]
     status: Literal["running", "interrupted", "finished", "failed"]
-    name: Text = ""  # of a loaded folder, never empty
-    title: Text = ""  # of a loaded folder, never empty
+    name: str = ""  # of a loaded folder, never empty
+    title: str = ""  # of a loaded folder, never empty
     runs: Count | None = None
     seed: int | None = None
-    changed: Annotated[
-        dict[str, Annotated[list[Any], Field(min_length=2, max_length=2)]],
-        BeforeValidator(lambda value: {} if value is None else value),
-    ] = {}
+    changed: dict[str, Pair] = {}
     is_published: bool = True  # earlier versions did not record it
     report: Annotated[Report, BeforeValidator(_known)] = Report()
-    claims: Listed[ClaimEntry] = []
-    groups: Listed[Group] = []
-    chunks: Listed[Chunk] = []
-    command: Text = ""
-    written: Text = ""
+    claims: list[ClaimEntry] = []
+    groups: list[Group] = []
+    chunks: list[Chunk] = []
+    command: str = ""
+    written: str = ""
     config_hash: str | None = None
-    versions: dict[str, Any] | None = None
-    git: dict[str, Any] | None = None
+    versions: dict[str, Any] = {}
+    git: dict[str, Any] = {"revision": ""}
     device: Any = None
     precision: Any = None
     programs: dict[str, str] = {}  # hashes of what XLA compiled for an accelerator; empty for a CPU
@@ -154,7 +154,7 @@ class Manifest(Part):
     @property
     def compile_seconds(self) -> float:
         """Compile time of all groups."""
-        return sum(group.compile_seconds or 0 for group in self.groups)
+        return sum(group.compile_seconds for group in self.groups)
 
     @property
     def changes(self) -> list[tuple[str, str, str]]:
@@ -179,10 +179,9 @@ class Manifest(Part):
     @property
     def provenance(self) -> dict[str, str]:
         """What the results were made with and on, each in a line; empty where it is unknown."""
-        git = self.git or {"revision": ""}
-        changes = ", with uncommitted changes" if git.get("has_changes") else ""
+        changes = ", with uncommitted changes" if self.git.get("has_changes") else ""
         return {
-            "revision": f"{git.get('revision', MISSING)}{changes}",
+            "revision": f"{self.git.get('revision', MISSING)}{changes}",
             "device": line(self.device),
             "versions": line(self.versions),
             "precision": line(self.precision),
@@ -190,7 +189,7 @@ class Manifest(Part):
 
 
 def read(manifest: Any, path: str) -> Manifest:
-    """The content of the file `path`, of the types and shapes that a report relies on, its text encodable."""
+    """The content of the file `path`, of the types that a report relies on."""
     if not manifest.get("points"):
         raise ResultsError(f"{path}: points: missing or empty: not a results folder of bojax")
     checked = validated(Manifest, manifest, path)
@@ -202,16 +201,16 @@ def read(manifest: Any, path: str) -> Manifest:
 
 
 def validated(schema: type[T], content: Any, path: str) -> T:
-    """The content of a JSON file as a schema describes it, its text encodable."""
+    """The content of a JSON file as a schema describes it."""
     try:
-        return pydantic.TypeAdapter(schema).validate_python(_encodable(content, MAX_DEPTH, path))
+        return pydantic.TypeAdapter(schema).validate_python(content)
     except pydantic.ValidationError as error:
         raise ResultsError(str(from_validation(error, lambda place: f"{path}: {_indexed(place)}"))) from error
 
 
 def experiment_of(point: PointEntry) -> Component | Unread:
     """The experiment of a point."""
-    return _settings(partial(validate_experiment, is_recorded=True), point.config or {})
+    return _settings(partial(validate_experiment, is_recorded=True), point.config)
 
 
 def claims_of(manifest: Manifest) -> tuple[Claim | Unread, ...]:
@@ -224,18 +223,6 @@ def _settings(validate: Callable[[Any], T], mapping: Mapping[str, Any]) -> T | U
         return validate(mapping)
     except pydantic.ValidationError as error:
         return Unread(mapping, str(from_validation(error, lambda place: dotted(place) or "settings")))
-
-
-def _encodable(value: Any, depth: int, path: str) -> Any:
-    """A copy in which half a surrogate pair, which JSON can spell and no file can hold, is a mark instead."""
-    if isinstance(value, str):
-        return value.encode("utf-8", "replace").decode()
-    if isinstance(value, dict | list) and not depth:
-        raise ResultsError(f"{path}: nested more than {MAX_DEPTH} levels deep")
-    if isinstance(value, dict):
-        items = ((_encodable(key, depth, path), item) for key, item in value.items())
-        return {key: _encodable(item, depth - 1, path) for key, item in items}
-    return [_encodable(item, depth - 1, path) for item in value] if isinstance(value, list) else value
 
 
 def _indexed(place: tuple[int | str, ...]) -> str:

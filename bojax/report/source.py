@@ -1,5 +1,6 @@
 """The results folder as a report reads it: settings, tables and arrays."""
 
+import os
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -327,12 +328,9 @@ def load(folder: Path) -> Results:
             finished, or a table has changed since it was merged. Changed snapshots raise it when they are
             read.
     """
-    try:
-        if not folder.is_dir():
-            what = "a file, not a results folder" if folder.exists() else "no such results folder"
-            raise ResultsError(f"{_short(folder)}: {what}")
-    except (OSError, ValueError) as error:  # a name that no file can have
-        raise ResultsError(f"{_short(folder)}: no such results folder") from error
+    if not os.path.isdir(folder):  # unlike `Path.is_dir`, false for a name that no file can have
+        what = "a file, not a results folder" if os.path.exists(folder) else "no such results folder"
+        raise ResultsError(f"{_short(folder)}: {what}")
     if not (folder / MANIFEST).exists() and (newest := _newest_below(folder)):
         raise ResultsError(f"{folder}: not a results folder; the newest below it is {newest}")
     if (folder / WORK).is_dir() and not (folder / MANIFEST).exists():
@@ -340,7 +338,7 @@ def load(folder: Path) -> Results:
     manifest = read(read_manifest(folder), str(folder / MANIFEST))
     if manifest.status not in ("finished", "failed"):
         raise _unfinished(folder)
-    writer = (manifest.versions or {}).get("bojax", __version__)  # earlier versions did not always record it
+    writer = manifest.versions.get("bojax", __version__)  # earlier versions did not always record it
     if writer != __version__:
         print(
             printable(f"note: {folder} was written by bojax {writer}; this is {__version__}"), file=sys.stderr
@@ -375,7 +373,7 @@ def _points(entries: Sequence[PointEntry]) -> tuple[Point, ...]:
         experiment, variant = experiment_of(entry), entry.variant or entry.label
         problem = experiment.problem if isinstance(experiment, Planning) else None
         known = problem.outline if isinstance(problem, ProblemSettings) else Outline()
-        settings = entry.swept or {}, entry.config or {}, experiment, entry.outline or known
+        settings = entry.swept, entry.config, experiment, entry.outline or known
         points.append(Point(entry.index, entry.label, variant, variant, *settings))
     names = distinct_names(points)
     return tuple(replace(point, name=name) for point, name in zip(points, names, strict=True))

@@ -11,7 +11,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 from bojax.config.tuning import Range, described
 from bojax.report import style
 from bojax.report.drawing.base import Drawing, label_panels, panel_grid
-from bojax.report.manifest import Count, Part, validated
+from bojax.report.manifest import Count, Recorded, validated
 from bojax.report.page import provenance
 from bojax.report.ranking import Measure, ranking
 from bojax.report.source import Results, load
@@ -29,7 +29,7 @@ MOST_RANKED = 50  # number of points in the table
 _DOTS: Mapping[str, Any] = {"color": style.GREY, "markeredgewidth": 0}
 
 
-class TriedPoint(Part):
+class TriedPoint(Recorded):
     """A point of a search."""
 
     round: Count  # from 0
@@ -39,7 +39,7 @@ class TriedPoint(Part):
     std: float  # posterior standard deviation of the metric without noise
 
 
-class Slice(Part):
+class Slice(Recorded):
     """The posterior over one setting, the others as at the best point."""
 
     values: list[float]
@@ -47,7 +47,7 @@ class Slice(Part):
     std: list[float]
 
 
-class SearchPlan(Part):
+class SearchPlan(Recorded):
     """What the proposals and the scores of a search depend on."""
 
     config: dict[str, Any]
@@ -59,7 +59,7 @@ class SearchPlan(Part):
     seed: Count
 
 
-class Tuning(Part):
+class Tuning(Recorded):
     """A finished search."""
 
     plan: SearchPlan

@@ -4,15 +4,13 @@ import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
-
-from pydantic import Field
+from typing import Any, Literal
 
 from bojax.config.claims import Cause
 from bojax.config.errors import printable
 from bojax.config.sweep import published_report
 from bojax.report.findings import Verdict
-from bojax.report.manifest import Count, Manifest, Part, validated
+from bojax.report.manifest import Bounds, Count, Manifest, Recorded, validated
 from bojax.report.statistics import Interval
 from bojax.report.text import MISSING, counted, joined, plain
 from bojax.results.store import read_json
@@ -25,10 +23,8 @@ MARKS: dict[Verdict, str] = {
     "inconclusive": "?",
 }
 
-Bounds = Annotated[list[float], Field(min_length=2, max_length=2)]
 
-
-class ComparisonEntry(Part):
+class ComparisonEntry(Recorded):
     """One of the comparisons that decide a claim."""
 
     of: str
@@ -36,7 +32,7 @@ class ComparisonEntry(Part):
     interval: Bounds
 
 
-class TestEntry(Part):
+class TestEntry(Recorded):
     """The test of a claim, with its method and comparisons, or with the reason why it was not possible."""
 
     kind: Any = None
@@ -51,7 +47,7 @@ class TestEntry(Part):
     chosen: dict[str, str] = {}
 
 
-class TestedClaim(Part):
+class TestedClaim(Recorded):
     """A claim with its verdict; the properties are texts for pages."""
 
     id: str

@@ -162,8 +162,8 @@ def require_unchanged(path: Path, sha256: str) -> None:
 
 
 def write_content(path: Path, content: str | bytes, *, durably: bool = True) -> None:
-    """Write a file as `write_atomically` does; text is encoded as UTF-8."""
-    encoded = content.encode() if isinstance(content, str) else content
+    """Write a file as `write_atomically` does; text is encoded as UTF-8, unpaired surrogates as `?`."""
+    encoded = content.encode(errors="replace") if isinstance(content, str) else content
     write_atomically(path, lambda temporary: temporary.write_bytes(encoded), durably=durably)
 
 

@@ -100,9 +100,7 @@ def test_order_compares_equal_runs(entries, folder):
 
 def test_settings_that_do_not_differ_leave_an_order_open(folder, tmp_path):
     entry = judge(
-        folder,
-        tmp_path,
-        {"kind": "order", "by": "variant", "column": "seed", "greater": ["kcbts", "random"]},
+        folder, tmp_path, {"kind": "order", "by": "variant", "column": "seed", "greater": ["kcbts", "random"]}
     )
     assert entry["verdict"] == "inconclusive"
     assert entry["interval"] == [0.0, 0.0]

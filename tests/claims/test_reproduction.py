@@ -22,10 +22,7 @@ MANIFEST = {
     "title": "Title",
     "runs": 200,
     "points": [{"index": 0, "label": "a"}, {"index": 1, "label": "b"}],
-    "groups": [
-        {"compile_seconds": 7.25, "run_seconds": 1.5},
-        {"compile_seconds": 0.75, "run_seconds": None},
-    ],
+    "groups": [{"compile_seconds": 7.25, "run_seconds": 1.5}, {"compile_seconds": 0.75, "run_seconds": None}],
     "command": COMMAND,
     "written": "2026-01-02T10:01:35+0000",
     "versions": {"python": "3.12.3", "jax": "0.11.2"},
@@ -146,7 +143,7 @@ def test_changed_settings_are_marked_and_listed(tmp_path):
     page, text = pages(tmp_path, folders)
     assert "2 claims were tested with changed settings." in text
     assert [cells(text, f"statement {name}")[5] for name in "abc"] == [
-        *("reproduced, changed", "reproduced, changed", "reproduced"),
+        *("reproduced, changed", "reproduced, changed", "reproduced")
     ]
     assert cells(text, "planner.iterations") == ["`planner.iterations`", "300", "50", "fig-3.1 and fig-3.3"]
     assert page.text.count("changed") > 3 and page.loaded.count("#changed") == 2

@@ -28,10 +28,7 @@ LEARNING = ["learning-curves", "success-episodes", "solved-episodes", "steps-to-
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    report = {
-        "thesis": {"emu-q": {"success": "100%", "episodes_to_goal": "2.95 (0.38)"}},
-        "best_return": 1.0,
-    }
+    report = {"thesis": {"emu-q": {"success": "100%", "episodes_to_goal": "2.95 (0.38)"}}, "best_return": 1.0}
     folder = write_learning(tmp_path_factory.mktemp("learning") / "results", report=report)
     build_report(folder)
     return folder

@@ -245,14 +245,8 @@ def _truncate(name):
             lambda folder: edit_manifest(folder, lambda manifest: manifest.update(status="running")),
             "--resume",
         ),
-        (
-            lambda folder: edit_manifest(folder, lambda manifest: manifest.pop("points")),
-            "points",
-        ),
-        (
-            lambda folder: edit_manifest(folder, lambda manifest: manifest.update(points=[{}])),
-            "points[0]",
-        ),
+        (lambda folder: edit_manifest(folder, lambda manifest: manifest.pop("points")), "points"),
+        (lambda folder: edit_manifest(folder, lambda manifest: manifest.update(points=[{}])), "points[0]"),
         (lambda folder: (folder / "figures").write_text("in the way"), "figures"),
     ],
 )
