@@ -18,7 +18,7 @@ from bojax.api.given import path_of
 from bojax.config.errors import allowed_names
 from bojax.config.figures import figure_modules
 from bojax.report import source, style
-from bojax.report.drawing.base import Undrawable
+from bojax.report.drawing.base import FigureUnavailable
 from bojax.report.figures import draw, ranked
 from bojax.report.page import summary
 from bojax.report.ranking import best_of, config_of, measure_of
@@ -163,7 +163,7 @@ class Results:
                     drawing = draw(each, self._results)
                     png = drawing.files["png"]
                 return Picture(drawing.figure, drawing.title, drawing.caption, drawing.alt, png)
-            except Undrawable as problem:
+            except FigureUnavailable as problem:
                 reason = f"the figure {each} is not drawn: {problem}"
         raise BojaxError(f"{self.folder}: {reason}")
 

@@ -12,7 +12,7 @@ improvement, and the settings that differ. Runs of the same seed are paired by t
 A CSV file has one row per value and the columns label, run, x, value: x is the number of the episode, or the
 number of steps so far with --x step and in planning.
 
-Scores are taken at the largest step or episode that all contenders have, or at --at STEP. A run that its
+Scores are taken at the largest step or episode that all methods have, or at --at STEP. A run that its
 success ended keeps its last value; the page names runs that were cut off.
 """
 
@@ -102,10 +102,10 @@ def _parser(name: str) -> Parser:
         type=integer,
         metavar="STEP",
         help="step, or episode where that is the axis, up to which values count (default: the largest that "
-        "all contenders have)",
+        "all methods have)",
     )
     parser.add_argument(
-        "--reference", metavar="NAME", help="contender that others are compared with (default: the first)"
+        "--reference", metavar="NAME", help="method that others are compared with (default: the first)"
     )
     parser.add_argument(
         "--out",

@@ -9,7 +9,7 @@ import numpy as np
 from bojax.config.component import External
 from bojax.config.figures import TABLES, figure_modules
 from bojax.report import style
-from bojax.report.drawing.base import Drawing, Undrawable
+from bojax.report.drawing.base import Drawing, FigureUnavailable
 from bojax.report.figures import draw, ranked
 from bojax.report.findings import evaluate
 from bojax.report.manifest import Unread
@@ -62,7 +62,7 @@ def _figures(results: Results, at: Callable[[str], None]) -> tuple[dict[str, Dra
             with style.settings() as unwritten:
                 drawings[name] = draw(name, results).encoded()
             missing += unwritten
-        except Undrawable as reason:
+        except FigureUnavailable as reason:
             if asked:
                 notes.append(f"The figure {name} is not drawn: {reason}.")
         except ResultsError:

@@ -13,8 +13,8 @@ from bojax.cli.main import main
 from bojax.report import statistics
 from bojax.report.comparing import tables
 from bojax.report.comparing.build import compare
-from bojax.report.comparing.contenders import Measure, named, of_file, of_folder, scored, tasks_of
 from bojax.report.comparing.curve_files import Rows, read_curves
+from bojax.report.comparing.methods import Measure, named, of_file, of_folder, scored, tasks_of
 from bojax.report.source import load
 from bojax.results.store import ResultsError
 from tests.report.synthetic import edit_manifest, in_memory, write_learning, write_results
@@ -191,8 +191,8 @@ class TestCurveFiles:
         }
 
 
-def contenders_of(episodes, measure, lengths=None, success=None):
-    """Contenders of returns `[runs, episodes]` by name, NaN where a run had no such episode.
+def methods_of(episodes, measure, lengths=None, success=None):
+    """Methods of returns `[runs, episodes]` by name, NaN where a run had no such episode.
 
     `success` are the runs that a first success ended.
     """
@@ -207,7 +207,7 @@ def contenders_of(episodes, measure, lengths=None, success=None):
 
 
 def curves_of(path, runs, measure):
-    """Contenders of curves by label and run, pairs of places and values, scored."""
+    """Methods of curves by label and run, pairs of places and values, scored."""
     rows = [
         f"{label},{run},{x},{value}"
         for label, each in runs.items()
@@ -218,16 +218,16 @@ def curves_of(path, runs, measure):
     return scored(of_file(path, read_curves(path), measure, ""), measure)
 
 
-class TestContenders:
+class TestMethods:
     def test_a_score_is_the_mean_of_the_last_tenth(self):
         values = np.arange(40.0).reshape(2, 20)
-        (each,) = contenders_of({"a": values}, EPISODES)
+        (each,) = methods_of({"a": values}, EPISODES)
         assert each.scores == pytest.approx(values[:, -2:].mean(axis=1))
 
     def test_a_run_that_was_cut_off_scores_its_own_last_values_and_is_named(self):
         values = np.arange(40.0).reshape(2, 20)
         values[1, 10:] = np.nan
-        (each,) = contenders_of({"a": values}, EPISODES)
+        (each,) = methods_of({"a": values}, EPISODES)
         assert each.scores.tolist() == [18.5, 29.0]
         assert each.cut_off == [1]
 
@@ -235,7 +235,7 @@ class TestContenders:
         values = np.arange(40.0).reshape(2, 20)
         values[1, 10:] = np.nan
         for measure in (EPISODES, STEPS, replace(EPISODES, last=3)):
-            (each,) = contenders_of({"a": values}, measure, success={"a": [1]})
+            (each,) = methods_of({"a": values}, measure, success={"a": [1]})
             assert each.scores[1] == 29.0 and not each.cut_off
             assert each.curve.values[1, 9:].tolist() == [29.0] * 11
 
@@ -271,10 +271,10 @@ class TestContenders:
         (each,) = curves_of(tmp_path / "x.csv", {"a": runs}, STEPS)
         assert each.at == 1000 and each.cut_off == [3]
 
-    def test_contenders_whose_runs_all_succeeded_have_every_budget(self):
+    def test_methods_whose_runs_all_succeeded_have_every_budget(self):
         values = np.ones((3, 30))
         values[:, 6:] = np.nan
-        results = contenders_of(
+        results = methods_of(
             {"a": values, "b": np.ones((3, 30)), "c": values}, STEPS, success={"a": [0, 1, 2], "c": [0, 1]}
         )
         assert [each.budget for each in results] == [np.inf, 30, 6]
@@ -305,13 +305,13 @@ class TestContenders:
     def test_a_value_holds_from_the_end_of_its_episode(self):
         """Episodes of 2 and 3 steps in run 0, of 1 and 4 in run 1: both have made 5 steps."""
         values = np.array([[1.0, 2.0], [3.0, 4.0]])
-        (each,) = contenders_of({"a": values}, STEPS, np.array([2, 3, 1, 4]))
+        (each,) = methods_of({"a": values}, STEPS, np.array([2, 3, 1, 4]))
         assert each.curve.x.tolist() == [1, 2, 3, 4, 5]
         np.testing.assert_array_equal(each.curve.values, [[np.nan, 1, 1, 1, 2], [3, 3, 3, 3, 4]])
 
     def test_a_curve_by_step_ends_with_its_longest_run(self):
         values = np.array([[1.0, 2.0], [3.0, 4.0]])
-        (each,) = contenders_of({"a": values}, STEPS, np.array([2, 2, 10, 10]))
+        (each,) = methods_of({"a": values}, STEPS, np.array([2, 2, 10, 10]))
         assert each.curve.x[-1] == 20 and each.curve.values[:, -1].tolist() == [2, 4]
         assert each.cut_off == [0]
 
@@ -392,7 +392,7 @@ class TestTables:
         assert set(rows) == {"learner.kind", "seed"}
         assert [cell.text for cell in rows["seed"]] == ["0", "0", "0", "9", "9", "9"]
 
-    def test_contenders_in_different_worlds_are_compared_with_a_caution(self, tmp_path):
+    def test_methods_in_different_worlds_are_compared_with_a_caution(self, tmp_path):
         folders = [write_learning(tmp_path / name, runs=3) for name in ("a", "b")]
         found = named([each for folder in folders for each in of_folder(load(folder), EPISODES)])
         alike = tasks_of(found, EPISODES, None)
@@ -404,7 +404,7 @@ class TestTables:
 
         edit_manifest(folders[1], change)
         text = Page(compare(folders, [], tmp_path / "unlike").read_text()).text
-        assert "The contenders differ in env.reward: their scores may not be comparable." in text
+        assert "The methods differ in env.reward: their scores may not be comparable." in text
 
     def test_results_of_one_sweep_that_were_compiled_with_different_choices_are_named(self, tmp_path):
         folders = [write_learning(tmp_path / name, runs=3) for name in ("a", "b")]
@@ -434,7 +434,7 @@ def out(tmp_path_factory):
 
 
 class TestPage:
-    def test_it_has_every_contender_and_loads_nothing(self, out):
+    def test_it_has_every_method_and_loads_nothing(self, out):
         page = Page((out / "comparison.html").read_text(encoding="utf-8"))
         for name in (
             "emu-q",
@@ -471,7 +471,7 @@ class TestPage:
             assert path.read_bytes() == (tmp_path / "out" / path.relative_to(out)).read_bytes()
 
     @pytest.mark.parametrize(
-        ("at", "rule"), [(None, "the largest that all contenders have"), (4, "that of --at")]
+        ("at", "rule"), [(None, "the largest that all methods have"), (4, "that of --at")]
     )
     def test_it_states_the_rule_and_the_budgets_beside_the_scores(self, tmp_path, at, rule):
         ends = {("a", 0): 5, ("a", 1): 5, ("b", 0): 20, ("b", 1): 2}

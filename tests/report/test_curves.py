@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bojax.report import style
-from bojax.report.drawing.base import Undrawable
+from bojax.report.drawing.base import FigureUnavailable
 from bojax.report.drawing.curves import Chart, Curve, Panel, without_line
 from tests.report.synthetic import point_of
 
@@ -72,7 +72,7 @@ def test_a_curve_has_the_colour_of_its_setting_whichever_others_have_values():
 
 
 def test_without_any_value_there_is_no_figure():
-    with pytest.raises(Undrawable, match="no run has a finite value: mean reward"):
+    with pytest.raises(FigureUnavailable, match="no run has a finite value: mean reward"):
         chart(Panel("reward", "mean reward", [EMPTY]))
 
 

@@ -10,7 +10,7 @@ import pytest
 from bojax.config.errors import ConfigError
 from bojax.config.figures import figure_modules
 from bojax.config.sweep import load_sweep
-from bojax.report.drawing.base import Undrawable
+from bojax.report.drawing.base import FigureUnavailable
 from bojax.report.figures import draw, ranked
 from tests.report.synthetic import in_memory
 
@@ -25,7 +25,7 @@ def test_every_file_is_a_figure(name):
 @pytest.mark.parametrize("name", figure_modules())
 def test_results_that_lack_its_columns_do_not_allow_a_figure(name, episodes):
     results = in_memory({"a": {"other": np.zeros(3)}}, episodes=episodes)
-    with pytest.raises(Undrawable):
+    with pytest.raises(FigureUnavailable):
         draw(name, results)
 
 

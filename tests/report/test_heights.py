@@ -7,7 +7,7 @@ import pytest
 from matplotlib.patches import Rectangle
 
 from bojax.report import style
-from bojax.report.drawing.base import Undrawable
+from bojax.report.drawing.base import FigureUnavailable
 from bojax.report.drawing.maps import beliefs
 from bojax.report.figures import draw
 from bojax.report.source import load
@@ -77,7 +77,7 @@ def test_the_error_is_centred_and_props_are_outlined(results):
 def test_what_is_no_height_is_not_drawn_as_a_surface(tmp_path):
     other = load(write_monitoring(tmp_path / "point", sensor={"kind": "point"}))
     for name in ("surfaces", "error-map"):
-        with pytest.raises(Undrawable, match="no recorded map of heights"):
+        with pytest.raises(FigureUnavailable, match="no recorded map of heights"):
             drawing(other, name)
 
 

@@ -10,7 +10,7 @@ from bojax.config.claims import Window
 from bojax.report import tables
 from bojax.report.build import build_report
 from bojax.report.columns import Columns
-from bojax.report.drawing.base import Undrawable
+from bojax.report.drawing.base import FigureUnavailable
 from bojax.report.drawing.curves import Chart, Curve, Panel
 from bojax.report.exporting.content import exported
 from bojax.report.figures import draw
@@ -191,7 +191,7 @@ class TestCurves:
         results = load(folder)
         first = results.episodes["episode"] == 3
         results.episodes["success"] = results.episodes["success"] & first
-        with pytest.raises(Undrawable, match="more than one episode"):
+        with pytest.raises(FigureUnavailable, match="more than one episode"):
             drawn("solved-episodes", results)
 
     def test_maps_show_u_with_the_first_observation_to_the_right(self, folder):
@@ -226,19 +226,19 @@ class TestSweptNumber:
         assert drawn("sweep-curve", other).figure.axes[0].get_ylabel() == "mean episodes to goal"
 
     def test_without_a_number_there_is_no_such_figure(self, folder):
-        with pytest.raises(Undrawable, match="no number to draw over"):
+        with pytest.raises(FigureUnavailable, match="no number to draw over"):
             draw("sweep-curve", load(folder))
 
 
 @pytest.mark.parametrize("name", ["accumulated-reward", "success", "paths", "errors", "beliefs"])
 def test_figures_of_planning_are_not_drawn_of_learners(name, chains):
-    with pytest.raises(Undrawable):
+    with pytest.raises(FigureUnavailable):
         draw(name, chains)
 
 
 @pytest.mark.parametrize("name", [*LEARNING, "growth", "sweep-curve"])
 def test_figures_of_learning_are_not_drawn_of_planners(name, tmp_path):
-    with pytest.raises(Undrawable):
+    with pytest.raises(FigureUnavailable):
         draw(name, load(write_results(tmp_path / "results", runs=3)))
 
 

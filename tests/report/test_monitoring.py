@@ -12,7 +12,7 @@ from bojax.config.component import registry
 from bojax.config.sweep import Report
 from bojax.report import style
 from bojax.report.build import build_report
-from bojax.report.drawing.base import Undrawable
+from bojax.report.drawing.base import FigureUnavailable
 from bojax.report.drawing.domains import draw_outline, tick_outline
 from bojax.report.drawing.maps import beliefs, draw_map
 from bojax.report.figures import draw
@@ -84,7 +84,7 @@ class TestPaths:
         drawn = drawing(load(bare), "paths")
         assert not any(axes.images for axes in drawn.figure.axes)
         assert "true field" not in drawn.caption
-        with pytest.raises(Undrawable, match="no recorded belief"):
+        with pytest.raises(FigureUnavailable, match="no recorded belief"):
             drawing(load(bare), "beliefs")
 
     def test_a_robot_is_stopped_where_its_poses_repeat(self):
@@ -176,7 +176,7 @@ def test_steps_do_not_tell_when_a_run_succeeded_that_goes_on(folder, tmp_path):
     headings = outcomes(load(folder)).headings
     assert "success" in headings
     assert not [heading for heading in headings if "step" in heading]
-    with pytest.raises(Undrawable, match="does not end at success"):
+    with pytest.raises(FigureUnavailable, match="does not end at success"):
         drawing(load(folder), "success")
     unaimed = load(write_monitoring(tmp_path / "unaimed", target_area=None))
     assert "success" not in outcomes(unaimed).headings

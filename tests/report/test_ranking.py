@@ -9,7 +9,7 @@ import pytest
 from bojax.config.sweep import Report, load_config
 from bojax.report import statistics
 from bojax.report.build import build_report
-from bojax.report.drawing.base import Undrawable
+from bojax.report.drawing.base import FigureUnavailable
 from bojax.report.figures import heat_map, settings_
 from bojax.report.ranking import Measure, best_of, config_of, measure_of, ranking, scored
 from bojax.report.source import load
@@ -211,10 +211,12 @@ def test_the_map_is_of_the_first_two_numbers_or_of_those_that_the_report_names()
     assert "the best value is at depth 3 and kappa 1." in drawing.alt
     drawing = heat_map.draw(reported(grid(), heat_map=("planner.kappa", "planner.depth")))
     assert "kappa 1 and depth 3" in drawing.alt and "Frame: the best" in drawing.caption
-    with pytest.raises(Undrawable, match='planner.kapa is no swept number.*did you mean "planner.kappa"'):
+    with pytest.raises(
+        FigureUnavailable, match='kapa is no swept number.*did you mean "planner.kappa"'
+    ):
         heat_map.draw(reported(grid(), heat_map=("planner.kapa", "planner.depth")))
     results = reported(in_memory({"a": {"return": np.ones(3)}}))
-    with pytest.raises(Undrawable, match="needs two swept numbers"):
+    with pytest.raises(FigureUnavailable, match="needs two swept numbers"):
         heat_map.draw(results)
 
 

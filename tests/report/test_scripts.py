@@ -172,7 +172,7 @@ def test_only_columns_with_keys_have_buttons(browse, page):
                [...head.querySelectorAll("button")].map((button) => button.type)]));""",
     )
     assert [kinds for _, kinds in found[0]] == [["button"]] * 4 + [[]]
-    assert [text for text, _ in found[0]] == ["contender", "mean", "setting", "runs", "unsorted"]
+    assert [text for text, _ in found[0]] == ["method", "mean", "setting", "runs", "unsorted"]
     assert all(not kinds for _, kinds in found[1])  # without rows
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bojax.report.drawing.base import Undrawable
+from bojax.report.drawing.base import FigureUnavailable
 from bojax.report.drawing.curves import Curve
 from bojax.report.figures.settings_ import _short, curves_and_panels, marginals
 from bojax.report.figures.sweep_curve import readable
@@ -57,7 +57,7 @@ def test_of_many_named_points_the_last_names_are_a_panel():
 
 def test_a_sweep_of_names_alone_has_no_such_figure():
     points = [point_of(0, "sbo", "a", {"planner": "a"})]
-    with pytest.raises(Undrawable, match="no list"):
+    with pytest.raises(FigureUnavailable, match="no list"):
         curves_and_panels(points)
 
 

@@ -9,17 +9,17 @@ import numpy as np
 
 from bojax.report import statistics, style
 from bojax.report.comparing import tables
-from bojax.report.comparing.contenders import (
+from bojax.report.comparing.methods import (
     Axis,
-    Contender,
     Measure,
+    Method,
     Phase,
     Task,
-    contenders_of,
     measured_by,
+    methods_of,
     tasks_of,
 )
-from bojax.report.drawing.base import MAX_POINTS, Drawing, Undrawable, dot_plot, draw_intervals
+from bojax.report.drawing.base import MAX_POINTS, Drawing, FigureUnavailable, dot_plot, draw_intervals
 from bojax.report.drawing.curves import Chart, Panel
 from bojax.report.figures.learning_curves import limit
 from bojax.report.ranking import ENDS
@@ -52,8 +52,8 @@ def compare(
     """
     results = [load(folder) for folder in folders]
     measure = measured_by(results, metric, axis, phase, last, at)
-    contenders = contenders_of(results, files, measure)
-    tasks = tasks_of(contenders, measure, reference)
+    methods = methods_of(results, files, measure)
+    tasks = tasks_of(methods, measure, reference)
     images, parts = {}, []
     with style.settings():
         for number, task in enumerate(tasks, start=1):
@@ -61,29 +61,29 @@ def compare(
             drawings = _drawings(task, measure)
             images |= {f"{name}{suffix}": drawing.files for name, drawing in drawings.items()}
             parts.append((task.name, [*drawings.values()], tables.scores(task, measure)))
-    names = list(dict.fromkeys(each.name for each in contenders))
+    names = list(dict.fromkeys(each.name for each in methods))
     listed = f" ({joined(names)})" if len(names) <= MAX_POINTS else ""
     places = [task.name for task in tasks if task.name]
     where = f" on {joined(places)}" if places else ""
-    sizes = [len(each.series) for each in contenders]
+    sizes = [len(each.series) for each in methods]
     runs = ranged(sizes, "run")
     worlds = tables.differing_worlds(tasks)
     in_words = joined(worlds) if 0 < len(worlds) <= 4 else f"{len(worlds)} settings of their worlds"
-    caution = f" The contenders differ in {in_words}: their scores may not be comparable." if worlds else ""
+    caution = f" The methods differ in {in_words}: their scores may not be comparable." if worlds else ""
     page = fill(
         "comparison.html.j2",
         title=f"Comparison: {heading(measure.column)}{where}",
-        summary=f"{counted(len(names), 'contender')}{listed} of "
-        f"{counted(len({each.source for each in contenders}), 'source')}, {runs} each. The score of a run is "
-        f"the {_score(contenders[0], measure)}{', of which less is better' if measure.is_least else ''}."
-        f"{tables.rule(contenders[0], measure)}{caution}{tables.compiled_apart(results)}",
+        summary=f"{counted(len(names), 'method')}{listed} of "
+        f"{counted(len({each.source for each in methods}), 'source')}, {runs} each. The score of a run is "
+        f"the {_score(methods[0], measure)}{', of which less is better' if measure.is_least else ''}."
+        f"{tables.rule(methods[0], measure)}{caution}{tables.compiled_apart(results)}",
         counts=[],
         parts=parts,
         methods=statistics.methods(sizes),
         better="Newcombe" if min(sizes) < statistics.FEW else "bootstrap",
         overall=tables.overall(tasks, reference or tasks[0].reference.name, measure),
-        settings=tables.settings(contenders),
-        sources=tables.sources(results, contenders),
+        settings=tables.settings(methods),
+        sources=tables.sources(results, methods),
         provenance=[("command", command)] if command else [],
         footer="Written by bojax from the tables of these results.",
     )
@@ -95,23 +95,23 @@ def compare(
 
 def _drawings(task: Task, measure: Measure) -> dict[str, Drawing]:
     """The figures of a task by name, without those that cannot be drawn."""
-    best = sorted(task.contenders, key=lambda each: -measure.sign * np.nan_to_num(each.scores.mean()))
+    best = sorted(task.methods, key=lambda each: -measure.sign * np.nan_to_num(each.scores.mean()))
     best, note = best[:MAX_POINTS], ""
-    if len(task.contenders) > MAX_POINTS:
-        note = f" Of {len(task.contenders)} contenders, the {MAX_POINTS} with the best mean score are drawn."
-    shown = replace(task, contenders=[each for each in task.contenders if each in best])
+    if len(task.methods) > MAX_POINTS:
+        note = f" Of {len(task.methods)} methods, the {MAX_POINTS} with the best mean score are drawn."
+    shown = replace(task, methods=[each for each in task.methods if each in best])
     drawings = {}
     for name, draw in (("curves", _draw_curves), ("scores", _draw_scores)):
-        with suppress(Undrawable):
+        with suppress(FigureUnavailable):
             drawings[name] = draw(shown, measure, note)
     return drawings
 
 
 def _draw_curves(task: Task, measure: Measure, note: str) -> Drawing:
-    curves = [each.curve for each in task.contenders if each.curve is not None]
-    left_out = sum(int(each.has_nan.sum()) for each in task.contenders)
+    curves = [each.curve for each in task.methods if each.curve is not None]
+    left_out = sum(int(each.has_nan.sum()) for each in task.methods)
     if not curves:
-        raise Undrawable(f"{measure.column} has one value per run")
+        raise FigureUnavailable(f"{measure.column} has one value per run")
     # Means of several tests, and shares of episodes in a CSV file, lie between 0 and 1.
     is_share = measure.column == "success" and all(
         np.isin(each.values[np.isfinite(each.values)], (0.0, 1.0)).all() for each in curves
@@ -133,27 +133,26 @@ def _draw_curves(task: Task, measure: Measure, note: str) -> Drawing:
         details.append("A value holds from the end of its episode to that of the next.")
     if not is_share and limit(chart.axes[0], panel, []):
         details.append("Extreme values lie beyond the axis.")
-    if any(curve.x[-1] > task.contenders[0].at for curve in curves):
-        chart.axes[0].axvline(task.contenders[0].at, color=style.FAINT, linewidth=1.0, linestyle=(0, (4, 3)))
-        details.append(f"Dashed: {measure.unit} {task.contenders[0].at:,.10g}, up to which scores are taken.")
+    if any(curve.x[-1] > task.methods[0].at for curve in curves):
+        chart.axes[0].axvline(task.methods[0].at, color=style.FAINT, linewidth=1.0, linestyle=(0, (4, 3)))
+        details.append(f"Dashed: {measure.unit} {task.methods[0].at:,.10g}, up to which scores are taken.")
     return chart.drawing("Curves", " ".join(details), note)
 
 
 def _draw_scores(task: Task, measure: Measure, note: str) -> Drawing:
-    contenders, reference = task.contenders, task.reference
+    methods, reference = task.methods, task.reference
     means = [
         (statistics.share_interval if each.is_share else statistics.mean_interval)(each.scores)
-        for each in contenders
+        for each in methods
     ]
-    iqms = [statistics.iqm_interval([each.scores]) for each in contenders]
+    iqms = [statistics.iqm_interval([each.scores]) for each in methods]
     unknown = statistics.mean_interval([])
     better = [
-        unknown if each is reference else tables.improvement([(each, reference)], measure)
-        for each in contenders
+        unknown if each is reference else tables.improvement([(each, reference)], measure) for each in methods
     ]
     if not any(np.isfinite(interval.estimate) for interval in (*means, *iqms)):
-        raise Undrawable("no contender has scores of all its runs")
-    points = [each.point for each in contenders]
+        raise FigureUnavailable("no method has scores of all its runs")
+    points = [each.point for each in methods]
     figure, grid = dot_plot(points, 1, 3, ticks=2, spare=1.0, least=0.26)
     titles = ("mean", "IQM", "P(better)")
     for axes, title, intervals in zip(grid[0], titles, (means, iqms, better), strict=True):
@@ -166,7 +165,7 @@ def _draw_scores(task: Task, measure: Measure, note: str) -> Drawing:
     told = [
         f"{each.name}: mean {number(mean.estimate)}, IQM {number(middle.estimate)}"
         + (f", P(better) {percent(share.estimate)}" if each is not reference else "")
-        for each, mean, middle, share in zip(contenders, means, iqms, better, strict=True)
+        for each, mean, middle, share in zip(methods, means, iqms, better, strict=True)
     ]
     return Drawing(
         figure=figure,
@@ -183,10 +182,10 @@ def _tick(value: float) -> str:
     return minus(text)
 
 
-def _score(contender: Contender, measure: Measure) -> str:
+def _score(method: Method, measure: Measure) -> str:
     """What the score of a run is, in words."""
     words = heading(measure.column)
-    if not contender.has_curve:
+    if not method.has_curve:
         return f"{words}, or the budget where it is not reached" if measure.column in ENDS else words
     if measure.last is not None:
         return f"mean {words} of the last {counted(measure.last, 'value')} of the run up to the budget"

@@ -6,22 +6,22 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from bojax.report import statistics, tables
-from bojax.report.comparing.contenders import Contender, Measure, Task
+from bojax.report.comparing.methods import Measure, Method, Task
 from bojax.report.ranking import ENDS
 from bojax.report.source import Results
 from bojax.report.statistics import Floats, Interval
 from bojax.report.text import MISSING, counted, line, plain
 
-MOST_NAMED = 8  # runs of a contender that are listed by number
+MOST_NAMED = 8  # runs of a method that are listed by number
 
 
-def rule(contender: Contender, measure: Measure) -> str:
+def rule(method: Method, measure: Measure) -> str:
     """The rule by which runs of different length are compared, in sentences that follow another one."""
-    if not (contender.has_curve or measure.column in ENDS):
+    if not (method.has_curve or measure.column in ENDS):
         return ""
-    budget = "the largest that all contenders have" if measure.at is None else "that of --at"
+    budget = "the largest that all methods have" if measure.at is None else "that of --at"
     stated = f" The budget is {budget}."
-    if not contender.has_curve:
+    if not method.has_curve:
         return stated
     ended = "has ended" if measure.kind == "planning" else "a success has ended"
     return f"{stated} A run that {ended} keeps its last value, which is then its score."
@@ -29,11 +29,11 @@ def rule(contender: Contender, measure: Measure) -> str:
 
 def remarks(task: Task, measure: Measure) -> str:
     """The budget of a task, and the runs that ended before it or have no value by then, in sentences."""
-    first = task.contenders[0]
+    first = task.methods[0]
     if not (first.has_curve or measure.column in ENDS):
         return ""
-    cut = {each.name: each.cut_off for each in task.contenders}
-    late = {each.name: each.without_value for each in task.contenders}
+    cut = {each.name: each.cut_off for each in task.methods}
+    late = {each.name: each.without_value for each in task.methods}
     budget = f"{measure.unit} {first.at:,.10g}"
     counts = "their last values count" if first.has_curve else "the whole budget counts"
     told = [
@@ -47,7 +47,7 @@ def remarks(task: Task, measure: Measure) -> str:
 
 
 def _listed(runs: Mapping[str, Sequence[int]]) -> str:
-    """Runs of contenders, the first few by number."""
+    """Runs of methods, the first few by number."""
     parts = []
     for name, found in runs.items():
         if found:
@@ -57,25 +57,25 @@ def _listed(runs: Mapping[str, Sequence[int]]) -> str:
     return "; ".join(parts)
 
 
-def _budget_cell(contender: Contender, measure: Measure) -> tables.Cell:
-    """The budget at which a contender is scored, beside its own."""
-    at, own = f"{contender.at:,.10g}", contender.budget
-    if not contender.has_curve and measure.column not in ENDS:
+def _budget_cell(method: Method, measure: Measure) -> tables.Cell:
+    """The budget at which a method is scored, beside its own."""
+    at, own = f"{method.at:,.10g}", method.budget
+    if not method.has_curve and measure.column not in ENDS:
         return tables.Cell(f"{own:,.10g}" if np.isfinite(own) else "every run has ended", key=own)
-    if own == contender.at:
+    if own == method.at:
         return tables.Cell(at, key=own)
     return tables.Cell(f"{at} of {own:,.10g}" if np.isfinite(own) else f"{at}; every run has ended", key=own)
 
 
 def scores(task: Task, measure: Measure) -> tables.Table:
-    """One row per contender of a task: mean, interquartile mean, and comparison with the reference.
+    """One row per method of a task: mean, interquartile mean, and comparison with the reference.
 
     Where budgets differ, the row says so; the caption has the remarks on the budget.
     """
     rows, reference = [], task.reference
-    has_budgets = any(np.isfinite(each.budget) and each.budget != each.at for each in task.contenders)
-    has_cuts = any(each.cut_off for each in task.contenders)
-    for each in task.contenders:
+    has_budgets = any(np.isfinite(each.budget) and each.budget != each.at for each in task.methods)
+    has_cuts = any(each.cut_off for each in task.methods)
+    for each in task.methods:
         middle = statistics.iqm_interval([each.scores])
         cells = [
             tables.count_cell(each.scores.size),
@@ -104,9 +104,9 @@ def scores(task: Task, measure: Measure) -> tables.Table:
 def overall(tasks: Sequence[Task], reference: str, measure: Measure) -> tables.Table | None:
     """One row per name that every one of several tasks has; None if there are fewer than two.
 
-    Scores of a task are scaled so that the worst mean of a contender is 0 and the best is 1.
+    Scores of a task are scaled so that the worst mean of a method is 0 and the best is 1.
     """
-    of_task = [{each.name: each for each in task.contenders} for task in tasks]
+    of_task = [{each.name: each for each in task.methods} for task in tasks]
     shared = [name for name in of_task[0] if all(name in task for task in of_task)]
     if len(tasks) < 2 or len(shared) < 2:
         return None
@@ -121,17 +121,17 @@ def overall(tasks: Sequence[Task], reference: str, measure: Measure) -> tables.T
     return tables.Table(["IQM of scaled scores", f"P(better than {than})"], rows)
 
 
-def difference(contender: Contender, reference: Contender) -> Interval:
+def difference(method: Method, reference: Method) -> Interval:
     """Difference of the mean scores: that of paired runs, otherwise Welch's; of shares, Newcombe's.
 
     NaN for fewer than two runs or a NaN among the scores.
     """
-    first, second = contender.scores, reference.scores
+    first, second = method.scores, reference.scores
     is_known = np.isfinite(first).all() and np.isfinite(second).all()
     if min(first.size, second.size) < 2 or not is_known:
         return statistics.mean_interval([])
-    is_share = contender.is_share and reference.is_share
-    if contender.is_paired_with(reference):
+    is_share = method.is_share and reference.is_share
+    if method.is_paired_with(reference):
         both = np.stack([first, second], axis=1)
         return (
             statistics.paired_shares(both, [1, -1]) if is_share else statistics.mean_interval(first - second)
@@ -143,7 +143,7 @@ def difference(contender: Contender, reference: Contender) -> Interval:
     return statistics.welch_difference(moments[0], moments[1])
 
 
-def improvement(pairs: Sequence[tuple[Contender, Contender]], measure: Measure) -> Interval:
+def improvement(pairs: Sequence[tuple[Method, Method]], measure: Measure) -> Interval:
     """Probability that a run of the first is better than one of the second, over tasks."""
     strata = [(measure.sign * first.scores, measure.sign * second.scores) for first, second in pairs]
     return statistics.improvement_interval(
@@ -151,12 +151,12 @@ def improvement(pairs: Sequence[tuple[Contender, Contender]], measure: Measure) 
     )
 
 
-def settings(contenders: Sequence[Contender]) -> tables.Table | None:
+def settings(methods: Sequence[Method]) -> tables.Table | None:
     """One row per setting that differs among the results folders; None if none does."""
-    known = [each for each in contenders if each.point.config]
+    known = [each for each in methods if each.point.config]
     flat = [dict(tables.flatten(each.point.config)) | {"seed": plain(each.seed)} for each in known]
     keys = dict.fromkeys(key for each in flat for key in each)
-    several_tasks = len({each.task for each in contenders}) > 1
+    several_tasks = len({each.task for each in methods}) > 1
     names = [f"{each.name}, {each.task}" if several_tasks else each.name for each in known]
     rows = []
     for key in keys:
@@ -167,8 +167,8 @@ def settings(contenders: Sequence[Contender]) -> tables.Table | None:
 
 
 def differing_worlds(tasks: Sequence[Task]) -> list[str]:
-    """The settings of the environment or problem in which contenders of one task differ."""
-    found = [table for task in tasks if (table := settings(task.contenders)) is not None]
+    """The settings of the environment or problem in which methods of one task differ."""
+    found = [table for task in tasks if (table := settings(task.methods)) is not None]
     keys = dict.fromkeys(key for table in found for key, _ in table.rows)
     return [key for key in keys if key.startswith(("env.", "problem."))]
 
@@ -184,7 +184,7 @@ def compiled_apart(results: Sequence[Results]) -> str:
     return ""
 
 
-def sources(results: Sequence[Results], contenders: Sequence[Contender]) -> list[tuple[str, str]]:
+def sources(results: Sequence[Results], methods: Sequence[Method]) -> list[tuple[str, str]]:
     """Provenance of each results folder and CSV file, as path and text."""
     rows = []
     for each in results:
@@ -199,15 +199,15 @@ def sources(results: Sequence[Results], contenders: Sequence[Contender]) -> list
         }
         rows.append((str(each.folder), line(parts)))
     folders = {each.folder for each in results}
-    for path in dict.fromkeys(each.source for each in contenders if each.source not in folders):
-        labels = ", ".join(dict.fromkeys(each.name for each in contenders if each.source == path))
+    for path in dict.fromkeys(each.source for each in methods if each.source not in folders):
+        labels = ", ".join(dict.fromkeys(each.name for each in methods if each.source == path))
         rows.append((str(path), f"CSV: {labels}"))
     return rows
 
 
-def _scaled(contenders: Sequence[Contender], measure: Measure) -> list[Floats]:
+def _scaled(methods: Sequence[Method], measure: Measure) -> list[Floats]:
     """Scores with 0 for the worst and 1 for the best mean; NaN if the means are equal."""
-    signed = [measure.sign * each.scores for each in contenders]
+    signed = [measure.sign * each.scores for each in methods]
     means = [float(scores.mean()) for scores in signed]
     span = max(means) - min(means)
     return [(scores - min(means)) / (span or np.nan) for scores in signed]

@@ -21,7 +21,7 @@ MAX_POINTS = 12
 """Largest number of readable curves or panels; of more points, the best one of each label is drawn."""
 
 
-class Undrawable(Exception):
+class FigureUnavailable(Exception):
     """The results do not allow a figure; the message says why."""
 
 
@@ -56,7 +56,7 @@ def drawn_points(results: Results, most: int = MAX_POINTS) -> tuple[tuple[Point,
     """The points that a figure shows, and a sentence for its caption if some are left out."""
     points = tuple(results.run_points)
     if not points:
-        raise Undrawable("no point has a run")
+        raise FigureUnavailable("no point has a run")
     if len(points) <= most:
         return points, ""
 
@@ -77,7 +77,7 @@ def points_with(
     points, note = drawn_points(results, most)
     if found := [(point, kept) for point in points if (kept := recorded(point))]:
         return found, note
-    raise Undrawable(missing)
+    raise FigureUnavailable(missing)
 
 
 def panel_grid(

@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from bojax.report import statistics, style
-from bojax.report.drawing.base import Drawing, Undrawable
+from bojax.report.drawing.base import Drawing, FigureUnavailable
 from bojax.report.source import Point
 from bojax.report.statistics import Band, Floats
 from bojax.report.text import joined, number, percent, ranged
@@ -89,7 +89,7 @@ class Chart:
     def __init__(self, panels: Sequence[Panel], xlabel: str, *, is_swept: bool = False) -> None:
         """Draw panels over `step`, `episode` or a swept number; a panel may be drawn twice."""
         if not panels[0].drawn:
-            raise Undrawable(f"no run has a finite value: {panels[0].quantity}")
+            raise FigureUnavailable(f"no run has a finite value: {panels[0].quantity}")
         self._panels, self._xlabel = panels, xlabel
         self._named = max(panels, key=lambda panel: len(panel.drawn))
         self._points = [curve.point for curve, _, _ in self._named.drawn]

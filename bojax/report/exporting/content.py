@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bojax.report.comparing import contenders
+from bojax.report.comparing import methods
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats
 from bojax.report.tables import flatten
@@ -53,7 +53,7 @@ class ExportedPoint:
 
 def exported(results: Results) -> list[ExportedPoint]:
     """The points that have runs."""
-    kind = contenders.kind_of(results)
+    kind = methods.kind_of(results)
     points = []
     for point in results.run_points:
         about = {"runs": str(results.runs_of(point)["run"].size), "seed": plain(results.manifest.seed)}
@@ -67,7 +67,7 @@ def exported(results: Results) -> list[ExportedPoint]:
 
 def _scalars(results: Results, point: Point) -> dict[str, float]:
     runs, scalars = results.runs_of(point), {}
-    for name in contenders.columns_of(results):
+    for name in methods.columns_of(results):
         values = runs.get(name, np.empty(0)).astype(np.float64)
         there = values[np.isfinite(values)]
         if there.size:
@@ -80,10 +80,10 @@ def _scalars(results: Results, point: Point) -> dict[str, float]:
 
 def _curves(results: Results, point: Point, is_learning: bool) -> list[MeanCurve]:
     if not is_learning:
-        name = contenders.PLANNING_CURVE
+        name = methods.PLANNING_CURVE
         return [_mean_curve(name, "step", 0, results.by_step(point, name))] if name in results.steps else []
-    columns = [name for name in contenders.columns_of(results) if name in results.episodes]
-    phases = [phase for phase in contenders.PHASES if (results.episodes["phase"] == phase).any()]
+    columns = [name for name in methods.columns_of(results) if name in results.episodes]
+    phases = [phase for phase in methods.PHASES if (results.episodes["phase"] == phase).any()]
     return [
         _mean_curve(f"{phase}/{name}", "episode", 1, results.by_episode(point, name, phase))
         for phase in phases

@@ -2,8 +2,8 @@
 
 The module of a figure defines two names:
 
-- `draw(results)` returns a `bojax.report.drawing.base.Drawing`, or raises `Undrawable` with the reason why
-  these results do not allow the figure. A column that they lack is such a reason by itself.
+- `draw(results)` returns a `bojax.report.drawing.base.Drawing`, or raises `FigureUnavailable` with the reason
+  why these results do not allow the figure. A column that they lack is such a reason by itself.
 - `RANK` is its position on the page of a sweep that does not list its figures; the lowest comes first.
 """
 
@@ -12,7 +12,7 @@ from types import ModuleType
 
 from bojax.config.figures import figure_modules
 from bojax.report.columns import NoColumn
-from bojax.report.drawing.base import Drawing, Undrawable
+from bojax.report.drawing.base import Drawing, FigureUnavailable
 from bojax.report.source import Results
 
 
@@ -21,7 +21,7 @@ def draw(name: str, results: Results) -> Drawing:
     try:
         return _module(name).draw(results)
     except NoColumn as error:
-        raise Undrawable(str(error)) from None
+        raise FigureUnavailable(str(error)) from None
 
 
 def ranked() -> list[str]:

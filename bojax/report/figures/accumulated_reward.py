@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from bojax.report.drawing.base import Drawing, Undrawable, drawn_points
+from bojax.report.drawing.base import Drawing, FigureUnavailable, drawn_points
 from bojax.report.drawing.curves import Chart, Curve, Panel
 from bojax.report.source import Results
 from bojax.report.text import counted
@@ -13,7 +13,7 @@ RANK = 10
 def draw(results: Results) -> Drawing:
     """Every planner's mean accumulated reward, from 0 at step 0; a run that has ended keeps its value."""
     if any(point.is_learning for point in results.points):
-        raise Undrawable("a run of a learner has many episodes: learning-curves shows them")
+        raise FigureUnavailable("a run of a learner has many episodes: learning-curves shows them")
     points, note = drawn_points(results)
     curves, left_out = [], 0
     for point in points:

@@ -5,7 +5,7 @@ from typing import Any
 from matplotlib.lines import Line2D
 
 from bojax.report import style
-from bojax.report.drawing.base import Drawing, Undrawable, dot_plot, draw_intervals, drawn_points
+from bojax.report.drawing.base import Drawing, FigureUnavailable, dot_plot, draw_intervals, drawn_points
 from bojax.report.source import Results
 from bojax.report.statistics import mean_interval, methods, ratio_interval
 from bojax.report.text import number, ranged
@@ -27,7 +27,7 @@ def draw(results: Results) -> Drawing:
     points, note = drawn_points(results)
     columns = [column for column in MEASURES if column in results.runs]
     if not columns:
-        raise Undrawable(f"runs.parquet has none of {', '.join(MEASURES)}")
+        raise FigureUnavailable(f"runs.parquet has none of {', '.join(MEASURES)}")
     reference = results.reference
     ratios = [column for column in columns if any(results.thesis_ratio(point, column) for point in points)]
     # Labels of more ticks would touch each other in a third of the width.

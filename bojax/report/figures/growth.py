@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from bojax.report import style
-from bojax.report.drawing.base import Drawing, Undrawable
+from bojax.report.drawing.base import Drawing, FigureUnavailable
 from bojax.report.drawing.curves import Chart, Curve
 from bojax.report.figures.sweep_curve import swept_panel
 from bojax.report.growth import LAWS, Fit, errors_of, fit
@@ -21,7 +21,7 @@ def draw(results: Results) -> Drawing:
     panel, over, column, note = swept_panel(results)
     laws = [(curve, law) for curve in panel.curves if (law := nearest_law(curve)) is not None]
     if not laws:
-        raise Undrawable("a law of growth needs positive means at four values or more")
+        raise FigureUnavailable("a law of growth needs positive means at four values or more")
     chart = Chart([panel, panel], over, is_swept=True)
     linear, logarithmic = chart.axes
     for curve, law in laws:

@@ -11,7 +11,7 @@ from matplotlib.patches import Rectangle
 
 from bojax.config.errors import allowed_names
 from bojax.report import style
-from bojax.report.drawing.base import MAX_POINTS, Drawing, Undrawable, label_panels, panel_grid
+from bojax.report.drawing.base import MAX_POINTS, Drawing, FigureUnavailable, label_panels, panel_grid
 from bojax.report.drawing.maps import draw_scale
 from bojax.report.ranking import Measure, measure_of
 from bojax.report.source import Point, Results, swept_keys, swept_values
@@ -40,7 +40,7 @@ def draw(results: Results) -> Drawing:
     ]
     known = np.concatenate([each[np.isfinite(each)] for each in maps])
     if not known.size:
-        raise Undrawable("no point has a finite mean")
+        raise FigureUnavailable("no point has a finite mean")
     best = float(known.min() if measure.is_least else known.max())
     norm = Normalize(float(known.min()), float(known.max()) if np.ptp(known) else float(known.min()) + 1.0)
     # The colours of good values are light, whether more or less is better.
@@ -103,11 +103,11 @@ def _keys(results: Results, points: Sequence[Point]) -> tuple[str, str]:
     asked = results.report.heat_map or tuple(numeric[:2])
     unknown = [key for key in asked if key not in numeric]
     if unknown:
-        raise Undrawable(
+        raise FigureUnavailable(
             f"report.heat_map: {unknown[0]} is no swept number{allowed_names(unknown[0], numeric)}"
         )
     if len(set(asked)) < 2:
-        raise Undrawable("a map needs two swept numbers")
+        raise FigureUnavailable("a map needs two swept numbers")
     return asked[0], asked[1]
 
 

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 
 from bojax.report import style
 from bojax.report.budgets import KEPT
-from bojax.report.drawing.base import Drawing, Undrawable, drawn_points
+from bojax.report.drawing.base import Drawing, FigureUnavailable, drawn_points
 from bojax.report.drawing.curves import Chart, Curve, Panel
 from bojax.report.source import Results
 from bojax.report.statistics import Floats
@@ -32,7 +32,7 @@ def draw(results: Results) -> Drawing:
     episode; `report.best_return` is drawn as a line.
     """
     if results.num_episodes < 2:
-        raise Undrawable("no run had more than one episode")
+        raise FigureUnavailable("no run had more than one episode")
     points, note = drawn_points(results)
     rolling = results.report.rolling or 1
     panels = []

@@ -3,7 +3,7 @@
 import numpy as np
 
 from bojax.report import statistics, style
-from bojax.report.drawing.base import Drawing, Undrawable, drawn_points, set_rows
+from bojax.report.drawing.base import Drawing, FigureUnavailable, drawn_points, set_rows
 from bojax.report.source import Results
 from bojax.report.text import number
 
@@ -21,7 +21,7 @@ def draw(results: Results) -> Drawing:
     samples = [values[np.isfinite(values)] for values in returns]
     everything = np.concatenate(samples)
     if not everything.size:
-        raise Undrawable("no run has a finite return")
+        raise FigureUnavailable("no run has a finite return")
     edges = np.linspace(everything.min(), everything.max(), _BINS + 1)
     figure, grid = style.figure(0.95 + 0.62 * len(points))
     axes = grid[0, 0]

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from bojax.report import style
-from bojax.report.drawing.base import MAX_POINTS, Drawing, Undrawable, label_panels, panel_grid
+from bojax.report.drawing.base import MAX_POINTS, Drawing, FigureUnavailable, label_panels, panel_grid
 from bojax.report.ranking import measure_of
 from bojax.report.source import Point, Results, short_value, swept_keys, swept_values
 from bojax.report.text import distinct, is_number, number, printed, shortened
@@ -25,7 +25,7 @@ def draw(results: Results) -> Drawing:
     curves = list(dict.fromkeys(names))
     means = np.array([measure.values(results, point).mean() for point in points])
     if not np.isfinite(means).any():
-        raise Undrawable(f"no point has a finite {measure.words}")
+        raise FigureUnavailable(f"no point has a finite {measure.words}")
     columns = max(
         1,
         min(
@@ -95,7 +95,7 @@ def curves_and_panels(points: Sequence[Point]) -> tuple[list[str], list[str]]:
         key for key in swept if all(point.swept.get(key) in point.variant.split("/") for point in points)
     ]
     if len(named) == len(swept):
-        raise Undrawable("the sweep has no list of values")
+        raise FigureUnavailable("the sweep has no list of values")
     while True:
         curves = ["/".join(str(point.swept[key]) for key in named) or point.label for point in points]
         if not named or len(set(curves)) <= MAX_POINTS:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from bojax.report.budgets import KEPT
-from bojax.report.drawing.base import Drawing, Undrawable, drawn_points
+from bojax.report.drawing.base import Drawing, FigureUnavailable, drawn_points
 from bojax.report.drawing.curves import Chart, Curve, Panel
 from bojax.report.source import Results
 
@@ -19,7 +19,7 @@ def draw(results: Results) -> Drawing:
         solved = np.pad(solved, ((0, 0), (1, 0)))  # nothing is solved before the first episode
         curves.append(Curve.numbered(point, solved, first=0))
     if max(curve.values.max(initial=0.0) for curve in curves) < 2:
-        raise Undrawable("no run solved more than one episode: success-episodes shows when")
+        raise FigureUnavailable("no run solved more than one episode: success-episodes shows when")
     panel = Panel("episodes solved", "mean number of training episodes that have reached the goal", curves)
     details = KEPT if results.has_early_success else ""
     return Chart([panel], "episode").drawing("Episodes solved", details, note)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from bojax.report.budgets import within_budget
-from bojax.report.drawing.base import Drawing, Undrawable, drawn_points
+from bojax.report.drawing.base import Drawing, FigureUnavailable, drawn_points
 from bojax.report.drawing.curves import Chart, Curve, Panel
 from bojax.report.source import Results
 
@@ -14,7 +14,7 @@ def draw(results: Results) -> Drawing:
     """Success by step, of runs that end at success: each succeeds at its last step or never."""
     points, note = drawn_points(results)
     if not all(point.has_success and point.ends_at_success for point in points):
-        raise Undrawable(
+        raise FigureUnavailable(
             "a run of this problem does not end at success, so its steps do not tell when it succeeded"
         )
     x = np.arange(max(results.num_steps, results.runs["steps"].max()) + 1.0)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from bojax.report.budgets import within_budget
-from bojax.report.drawing.base import Drawing, Undrawable, drawn_points
+from bojax.report.drawing.base import Drawing, FigureUnavailable, drawn_points
 from bojax.report.drawing.curves import Chart, Curve, Panel
 from bojax.report.source import Results
 
@@ -13,7 +13,7 @@ RANK = 40
 def draw(results: Results) -> Drawing:
     """Success by episode; the axis ends soon after the last run that reaches the goal for the first time."""
     if not results.num_episodes:
-        raise Undrawable("the results have no episodes")
+        raise FigureUnavailable("the results have no episodes")
     points, note = drawn_points(results)
     when = [results.runs_of(point)["episodes_to_goal"].astype(np.float64) for point in points]
     latest = max(first[np.isfinite(first)].max(initial=1) for first in when)

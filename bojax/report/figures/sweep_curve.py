@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from bojax.report.drawing.base import MAX_POINTS, Drawing, Undrawable
+from bojax.report.drawing.base import MAX_POINTS, Drawing, FigureUnavailable
 from bojax.report.drawing.curves import Chart, Curve, Panel
 from bojax.report.ranking import ENDS
 from bojax.report.source import Point, Results, distinct_names, swept_keys, swept_values
@@ -30,10 +30,10 @@ def swept_panel(results: Results) -> tuple[Panel, str, str, str]:
     usual = results.return_column
     column = next((name for name in (asked or "steps_to_goal", usual) if name in results.runs), None)
     if column is None or asked not in (None, column):
-        raise Undrawable(f"runs.parquet has no {asked or usual}")
+        raise FigureUnavailable(f"runs.parquet has no {asked or usual}")
     curves = curves_over(results, over, column)
     if not curves:
-        raise Undrawable(f"no setting was run with several values of {over}")
+        raise FigureUnavailable(f"no setting was run with several values of {over}")
     quantity = f"mean {heading(column)}"
     missing = "Hollow markers: means over only those runs that have a value."
     curves, note = readable(curves, is_least=column in ENDS)
@@ -81,5 +81,5 @@ def _swept_number(results: Results) -> str:
     if over in numeric:
         return over
     if not numeric:
-        raise Undrawable("the sweep has no number to draw over")
-    raise Undrawable(f"report.over must name the number to draw over: one of {joined(numeric)}")
+        raise FigureUnavailable("the sweep has no number to draw over")
+    raise FigureUnavailable(f"report.over must name the number to draw over: one of {joined(numeric)}")

@@ -11,7 +11,7 @@ from matplotlib.ticker import MaxNLocator
 
 from bojax.envs.settings import EnvironmentSettings
 from bojax.report import style
-from bojax.report.drawing.base import Drawing, Undrawable
+from bojax.report.drawing.base import Drawing, FigureUnavailable
 from bojax.report.drawing.maps import draw_scale
 from bojax.report.source import Point, Results
 from bojax.report.statistics import Floats
@@ -98,7 +98,7 @@ def _rows(results: Results) -> list[_Row]:
                 known, values = episodes[kept][:MAX_COLUMNS].tolist(), maps[kept, 1][:MAX_COLUMNS]
                 rows.append(_Row(point, run, known, values, arrays["low"], arrays["high"]))
     if not rows:
-        raise Undrawable("no maps over two observations in arrays/; map_episodes records them")
+        raise FigureUnavailable("no maps over two observations in arrays/; map_episodes records them")
     points = list(dict.fromkeys(row.point.index for row in rows))
     if len(points) > 1:  # the first run of each point, rather than all runs of the first point
         rows = [next(row for row in rows if row.point.index == index) for index in points]

@@ -1,4 +1,4 @@
-"""The contenders of a comparison: points of results folders and labels of CSV files."""
+"""The methods of a comparison: points of results folders and labels of CSV files."""
 
 import math
 from collections.abc import Sequence
@@ -43,7 +43,7 @@ class Measure(ranking.Measure):
     # Number of the last values of a run whose mean is its score; None for those in its last tenth, and the
     # last one in planning
     last: int | None = None
-    at: int | None = None  # budget at which scores are taken; None for the largest that all contenders have
+    at: int | None = None  # budget at which scores are taken; None for the largest that all methods have
 
     @property
     def end(self) -> str:
@@ -57,7 +57,7 @@ class Measure(ranking.Measure):
 
 
 @dataclass(frozen=True, eq=False)
-class Contender:
+class Method:
     """A setting that is compared with others."""
 
     point: Point  # its name and colour
@@ -97,29 +97,29 @@ class Contender:
         """Its name, unique among those of its task."""
         return self.point.name
 
-    def is_paired_with(self, other: "Contender") -> bool:
+    def is_paired_with(self, other: "Method") -> bool:
         """Whether runs of equal index had the same random numbers, and both have the same runs."""
         return self.seed is not None and self.seed == other.seed and np.array_equal(self.run, other.run)
 
 
 @dataclass(frozen=True)
 class Task:
-    """The contenders on one problem or environment."""
+    """The methods on one problem or environment."""
 
     name: str  # empty if nothing says which
-    contenders: Sequence[Contender]
-    reference: Contender  # the one that others are compared with
+    methods: Sequence[Method]
+    reference: Method  # the one that others are compared with
 
 
-def tasks_of(contenders: Sequence[Contender], measure: Measure, reference: str | None) -> list[Task]:
-    """Contenders by task, with scores; the reference is the one of this name, otherwise the first."""
-    names = {each.name for each in contenders}
+def tasks_of(methods: Sequence[Method], measure: Measure, reference: str | None) -> list[Task]:
+    """Methods by task, with scores; the reference is the one of this name, otherwise the first."""
+    names = {each.name for each in methods}
     reference = None if reference is None else printed(reference)
     if reference is not None and reference not in names:
         raise ResultsError(f"--reference: got {reference}{allowed_names(reference, names)}")
     tasks = []
-    for name in dict.fromkeys(each.task for each in contenders):
-        members = scored([each for each in contenders if each.task == name], measure)
+    for name in dict.fromkeys(each.task for each in methods):
+        members = scored([each for each in methods if each.task == name], measure)
         chosen = next((each for each in members if each.name == reference), members[0])
         tasks.append(Task(printed(name) if name else "", members, chosen))
     return tasks
@@ -154,10 +154,10 @@ def measured_by(
     return Measure(metric.removeprefix("-"), metric.startswith("-"), kind, axis, phase, last, at)
 
 
-def contenders_of(results: Sequence[Results], files: Sequence[Path], measure: Measure) -> list[Contender]:
-    """The contenders of all folders and CSV files, whose tasks have to be among those of the folders."""
-    found = [contender for each in results for contender in of_folder(each, measure)]
-    known = list(dict.fromkeys(contender.task for contender in found))
+def methods_of(results: Sequence[Results], files: Sequence[Path], measure: Measure) -> list[Method]:
+    """The methods of all folders and CSV files, whose tasks have to be among those of the folders."""
+    found = [method for each in results for method in of_folder(each, measure)]
+    known = list(dict.fromkeys(method.task for method in found))
     for path in files:
         rows = read_curves(path)
         if found and results and not found[0].has_curve:
@@ -189,21 +189,21 @@ def columns_of(results: Results) -> list[str]:
     return list(dict.fromkeys([*found, *results.measured(results.episodes), *results.measured(results.runs)]))
 
 
-def of_folder(results: Results, measure: Measure) -> list[Contender]:
+def of_folder(results: Results, measure: Measure) -> list[Method]:
     """The points of a results folder that have runs, without scores."""
     known = columns_of(results)
     if measure.column not in known:
         raise ResultsError(
             f"{results.folder}: unknown metric {measure.column}{allowed_names(measure.column, known)}"
         )
-    contenders = []
+    methods = []
     has_curve = measure.column in ([PLANNING_CURVE] if measure.kind == "planning" else results.episodes)
     for point in results.run_points:
         runs = results.runs_of(point)
         of_runs = runs.get(measure.column, np.zeros(0))
         part = point.env or point.problem
-        contenders.append(
-            Contender(
+        methods.append(
+            Method(
                 point,
                 results.folder,
                 "" if part is None else part.kind,
@@ -215,9 +215,9 @@ def of_folder(results: Results, measure: Measure) -> list[Contender]:
                 is_share=not has_curve and of_runs.dtype.kind == "b",
             )
         )
-    if not contenders:
+    if not methods:
         raise ResultsError(f"{results.folder}: no run has been finished; allowed: at least one")
-    return contenders
+    return methods
 
 
 def _series(results: Results, point: Point, measure: Measure) -> list[Series]:
@@ -254,13 +254,13 @@ def _single_values(results: Results, point: Point, measure: Measure) -> list[Ser
     ]
 
 
-def of_file(path: Path, rows: Sequence[Rows], measure: Measure, task: str) -> list[Contender]:
+def of_file(path: Path, rows: Sequence[Rows], measure: Measure, task: str) -> list[Method]:
     """The labels of a CSV file, without scores; those without a task of their own have the given one.
 
     Raises:
         ResultsError: With episodes as the axis, runs of a label have different episodes.
     """
-    contenders = []
+    methods = []
     for number, each in enumerate(rows):
         name = printed(each.label)
         point = Point(number, name, name, name, {}, {}, Unread({}, str(path)), Outline())
@@ -269,8 +269,8 @@ def of_file(path: Path, rows: Sequence[Rows], measure: Measure, task: str) -> li
         is_final = measure.kind == "planning"
         series = [Series(x, values, float(x[-1]), is_final) for x, values in each.runs.values()]
         run, has_nan = np.asarray(list(each.runs)), np.zeros(len(series), bool)
-        contenders.append(Contender(point, path, each.task or task, run, series, has_nan))
-    return contenders
+        methods.append(Method(point, path, each.task or task, run, series, has_nan))
+    return methods
 
 
 def _check_equal_places(path: Path, rows: Rows) -> None:
@@ -285,9 +285,9 @@ def _check_equal_places(path: Path, rows: Rows) -> None:
             )
 
 
-def named(contenders: Sequence[Contender]) -> list[Contender]:
-    """The same contenders with names that are unique within each task: by their sources, or by a number."""
-    sources = list(dict.fromkeys(each.source for each in contenders))
+def named(methods: Sequence[Method]) -> list[Method]:
+    """The same methods with names that are unique within each task: by their sources, or by a number."""
+    sources = list(dict.fromkeys(each.source for each in methods))
     short = {
         source: source.name
         if [other.name for other in sources].count(source.name) == 1
@@ -295,8 +295,8 @@ def named(contenders: Sequence[Contender]) -> list[Contender]:
         for source in sources
     }
     renamed = []
-    for each in contenders:
-        twins = {other.source for other in contenders if (other.task, other.name) == (each.task, each.name)}
+    for each in methods:
+        twins = {other.source for other in methods if (other.task, other.name) == (each.task, each.name)}
         name = each.name if len(twins) == 1 else f"{each.name} ({printed(short[each.source])})"
         renamed.append(replace(each, point=replace(each.point, name=name)))
     for task in dict.fromkeys(each.task for each in renamed):
@@ -306,21 +306,21 @@ def named(contenders: Sequence[Contender]) -> list[Contender]:
     return renamed
 
 
-def scored(contenders: Sequence[Contender], measure: Measure) -> list[Contender]:
-    """Contenders of one task with their scores and curves.
+def scored(methods: Sequence[Method], measure: Measure) -> list[Method]:
+    """Methods of one task with their scores and curves.
 
-    Scores are those at the largest budget that all contenders have, or at `measure.at`.
+    Scores are those at the largest budget that all methods have, or at `measure.at`.
 
     Raises:
-        ResultsError: `measure.at` is beyond the budget of a contender, or before the first value of a run.
+        ResultsError: `measure.at` is beyond the budget of a method, or before the first value of a run.
     """
-    budget = common_budget([each.series for each in contenders])
+    budget = common_budget([each.series for each in methods])
     if measure.at is not None:
-        _check_place(contenders, measure)
+        _check_place(methods, measure)
         budget = float(measure.at)
-    longest = max(run.end for each in contenders for run in each.series)
+    longest = max(run.end for each in methods for run in each.series)
     found = []
-    for each in contenders:
+    for each in methods:
         if not each.has_curve:
             values = np.array([run.values[-1] for run in each.series], dtype=np.float64)
             scores = times_within(values, budget) if measure.column in ENDS else values
@@ -333,10 +333,10 @@ def scored(contenders: Sequence[Contender], measure: Measure) -> list[Contender]
     return found
 
 
-def _check_place(contenders: Sequence[Contender], measure: Measure) -> None:
+def _check_place(methods: Sequence[Method], measure: Measure) -> None:
     at = measure.at
     assert at is not None
-    for each in contenders:
+    for each in methods:
         if not each.has_curve and measure.column not in ENDS:
             raise ResultsError(f"--at: got {at}; {measure.column} has one value per run, at its end")
         if at > each.budget:
@@ -352,14 +352,14 @@ def _check_place(contenders: Sequence[Contender], measure: Measure) -> None:
             )
 
 
-def _curve(contender: Contender, measure: Measure, end: float) -> Curve:
+def _curve(method: Method, measure: Measure, end: float) -> Curve:
     """Values of the runs at common places up to a step or episode."""
     if measure.kind == "planning":
         places = np.arange(end + 1)
     elif measure.axis == "episode":
-        places = np.unique(np.concatenate([[end], *(run.x for run in contender.series)]))
+        places = np.unique(np.concatenate([[end], *(run.x for run in method.series)]))
     else:
         spacing = max(1.0, np.ceil(end / GRID))
         places = np.unique(np.append(np.arange(spacing, end + 1, spacing), end))
-    values = [run.at(places) for run, bad in zip(contender.series, contender.has_nan, strict=True) if not bad]
-    return Curve(contender.point, places, np.reshape(values, (-1, places.size)))
+    values = [run.at(places) for run, bad in zip(method.series, method.has_nan, strict=True) if not bad]
+    return Curve(method.point, places, np.reshape(values, (-1, places.size)))
