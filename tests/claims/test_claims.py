@@ -1,6 +1,7 @@
 import importlib
 import inspect
 import json
+from dataclasses import replace
 
 import numpy as np
 import pyarrow as pa
@@ -12,8 +13,9 @@ from bojax.config import claims as schemas
 from bojax.config.component import registry
 from bojax.report import statistics, verdicts
 from bojax.report.findings import evaluate
+from bojax.report.manifest import ClaimEntry
 from bojax.report.source import load
-from tests.report.synthetic import CLAIMS, edit_manifest, write_results
+from tests.report.synthetic import CLAIMS, write_results
 
 EXPECTED = {
     "order-holds": "reproduced",
@@ -36,15 +38,11 @@ def entries(folder):
     return {entry["id"]: entry for entry in evaluate(load(folder))}
 
 
-def judge(folder, tmp_path, test) -> dict:
-    """The entry of one claim with this test, on a copy of the folder's tables."""
-    copy = tmp_path / "copy"
-    copy.mkdir()
-    for name in ("runs.parquet", "steps.parquet", "manifest.json"):
-        (copy / name).write_bytes((folder / name).read_bytes())
-    claim = {"id": "x", "source": "s", "claim": "c", "thesis": None, "test": test}
-    edit_manifest(copy, lambda manifest: manifest.update(claims=[claim]))
-    return evaluate(load(copy))[0]
+def judge(folder, test) -> dict:
+    """The entry of one claim with this test on the results of a folder."""
+    results = load(folder)
+    claim = ClaimEntry(id="x", source="s", claim="c", test=test)
+    return evaluate(replace(results, manifest=results.manifest.model_copy(update={"claims": [claim]})))[0]
 
 
 def test_verdicts_of_clear_cases(entries):
@@ -63,25 +61,21 @@ def test_the_best_variant_stands_for_a_label(entries):
     assert entries["share-open"]["ours"] == pytest.approx(0.45)
 
 
-@pytest.mark.parametrize(
-    ("id", "test", "words"),
-    [
+def test_the_page_says_by_what_a_variant_was_chosen(entries):
+    for id, test, words in (
         ("order-holds", {}, "greatest mean return"),
         ("order-holds", {"greater": None, "less": ["sbo", "kcbts"], "column": "rmse"}, "least mean rmse"),
         ("share-open", {}, "greatest mean return"),
         ("share-open", {"window": {"from": 1, "to": 3}, "column": "length"}, "greatest mean length"),
-    ],
-)
-def test_the_page_says_by_what_a_variant_was_chosen(entries, id, test, words):
-    entry = {**entries[id], "test": {**entries[id]["test"], **test}}
-    (sentence,) = verdicts.TestedClaim.model_validate(entry).stand_ins
-    assert sentence == f"sbo is represented by sbo-9, the variant with the {words}"
+    ):
+        entry = {**entries[id], "test": {**entries[id]["test"], **test}}
+        (sentence,) = verdicts.TestedClaim.model_validate(entry).stand_ins
+        assert sentence == f"sbo is represented by sbo-9, the variant with the {words}"
 
 
-def test_a_variant_can_be_named_itself(folder, tmp_path):
+def test_a_variant_can_be_named_itself(folder):
     entry = judge(
         folder,
-        tmp_path,
         {"kind": "share", "by": "variant", "label": "sbo-5", "column": "success", "above": 0.0},
     )
     assert entry["ours"] == pytest.approx(0.25)
@@ -98,32 +92,30 @@ def test_order_compares_equal_runs(entries, folder):
     assert pair["interval"][0] < difference.mean() < pair["interval"][1]
 
 
-def test_settings_that_do_not_differ_leave_an_order_open(folder, tmp_path):
+def test_settings_that_do_not_differ_leave_an_order_open(folder):
     entry = judge(
-        folder, tmp_path, {"kind": "order", "by": "variant", "column": "seed", "greater": ["kcbts", "random"]}
+        folder, {"kind": "order", "by": "variant", "column": "seed", "greater": ["kcbts", "random"]}
     )
     assert entry["verdict"] == "inconclusive"
     assert entry["interval"] == [0.0, 0.0]
 
 
-def test_one_broken_pair_breaks_an_order(folder, tmp_path):
-    entry = judge(
-        folder, tmp_path, {"kind": "order", "column": "return", "greater": ["kcbts", "random", "sbo"]}
-    )
+def test_one_broken_pair_breaks_an_order(folder):
+    entry = judge(folder, {"kind": "order", "column": "return", "greater": ["kcbts", "random", "sbo"]})
     assert entry["verdict"] == "not reproduced"
     assert entry["interval"][1] < 0
 
 
-def test_trend_follows_the_direction(folder, tmp_path):
+def test_trend_follows_the_direction(folder):
     test = {"kind": "trend", "label": "random", "column": "accumulated_reward", "from": 1, "to": 15}
-    entry = judge(folder, tmp_path, {**test, "direction": "rises"})
+    entry = judge(folder, {**test, "direction": "rises"})
     assert entry["verdict"] == "not reproduced"
     assert entry["ours"] < -500
 
 
-def test_a_trend_may_leave_out_runs_that_have_ended(folder, tmp_path):
+def test_a_trend_may_leave_out_runs_that_have_ended(folder):
     test = {"kind": "trend", "label": "kcbts", "column": "accumulated_reward", "from": 4, "to": 14}
-    entry = judge(folder, tmp_path, {**test, "direction": "falls", "ended": "left-out"})
+    entry = judge(folder, {**test, "direction": "falls", "ended": "left-out"})
     rows = pq.read_table(folder / "steps.parquet").to_pylist()
     values = [(row["step"], row["accumulated_reward"]) for row in rows if row["label"] == "kcbts"]
     later = np.mean([value for step, value in values if 4 < step <= 14])
@@ -132,44 +124,28 @@ def test_a_trend_may_leave_out_runs_that_have_ended(folder, tmp_path):
     assert low < entry["ours"] < high and entry["runs"] == 40
 
 
-@pytest.mark.parametrize(
-    ("test", "reason"),
-    [
+def test_what_cannot_be_tested_is_inconclusive_and_says_why(folder):
+    trend = {"kind": "trend", "column": "accumulated_reward", "direction": "falls"}
+    for test, reason in (
         (
-            {
-                "kind": "trend",
-                "label": "random",
-                "column": "accumulated_reward",
-                "from": 14,
-                "to": 15,
-                "direction": "falls",
-                "ended": "left-out",
-            },
+            {**trend, "label": "random", "from": 14, "to": 15, "ended": "left-out"},
             "10 active runs: at least 20",
         ),
+        ({**trend, "label": "sbo", "from": 6, "to": 40}, "the longest took 15"),
         ({"kind": "share", "label": "cbts", "column": "success", "above": 0.5}, "no runs of cbts"),
         ({"kind": "share", "label": "sbo", "column": "parked", "above": 0.5}, "no column parked"),
         ({"kind": "order", "column": "rmse", "greater": ["sbo", "random"]}, "no column rmse"),
         (
-            {
-                "kind": "trend",
-                "label": "sbo",
-                "column": "accumulated_reward",
-                "from": 6,
-                "to": 40,
-                "direction": "falls",
-            },
-            "the longest took 15",
+            {"kind": "order", "column": "return", "greater": ["sbo", "random"], "margin": "wide"},
+            "margin: got",
         ),
         ({"kind": "spectrum"}, "unknown test"),
         ({"kind": "order", "greater": ["sbo", "random"]}, "column"),
-    ],
-)
-def test_what_cannot_be_tested_is_inconclusive_and_says_why(folder, tmp_path, test, reason):
-    entry = judge(folder, tmp_path, test)
-    assert entry["verdict"] == "inconclusive"
-    assert entry["ours"] is None and entry["interval"] is None
-    assert reason in entry["test"]["reason"]
+    ):
+        entry = judge(folder, test)
+        assert entry["verdict"] == "inconclusive"
+        assert entry["ours"] is None and entry["interval"] is None
+        assert reason in entry["test"]["reason"]
 
 
 def test_too_few_runs_decide_nothing(tmp_path):
@@ -199,18 +175,17 @@ def test_booleans_that_hold_in_all_runs_have_an_interval_in_every_test(tmp_path)
         ({"kind": "order", "greater": ["kcbts", "random"]}, [-both, both], "inconclusive"),
         ({"kind": "order", "greater": ["kcbts", "random"], "margin": 0.2}, [0.2 - both, 0.2 + both], None),
     ]
-    for number, (test, bounds, verdict) in enumerate(cases):
-        (place := tmp_path / str(number)).mkdir()
-        entry = judge(copy, place, {**names, **test})
+    for test, bounds, verdict in cases:
+        entry = judge(copy, {**names, **test})
         assert entry["interval"] == pytest.approx(bounds), test
         assert verdict in (None, entry["verdict"]), test
         assert ("Wilson" if test["kind"] == "mean" else "Newcombe") in entry["test"]["method"]
 
 
-def test_orders_of_shares_allow_for_a_share_of_a_lead(folder, tmp_path):
+def test_orders_of_shares_allow_for_a_share_of_a_lead(folder):
     """The tested sum has three shares: its interval is that of their weights."""
     test = {"column": "success", "greater": ["sbo-9", "kcbts"], "margin": 0.5, "baseline": "random"}
-    entry = judge(folder, tmp_path, {"kind": "order", "by": "variant", **test})
+    entry = judge(folder, {"kind": "order", "by": "variant", **test})
     points = {point.variant: point for point in load(folder).points}
     flags = load(folder).paired([points[name] for name in ("sbo-9", "kcbts", "random")], "success")
     found = statistics.paired_shares(flags, [1.0, -0.5, -0.5])
@@ -220,7 +195,7 @@ def test_orders_of_shares_allow_for_a_share_of_a_lead(folder, tmp_path):
 @pytest.mark.parametrize(("runs", "method"), [(40, "Student's t"), (60, "percentile bootstrap")])
 def test_orders_of_means_say_which_interval_they_have(tmp_path, runs, method):
     folder = write_results(tmp_path / "results", runs=runs)
-    entry = judge(folder, tmp_path, {"kind": "order", "column": "return", "greater": ["kcbts", "random"]})
+    entry = judge(folder, {"kind": "order", "column": "return", "greater": ["kcbts", "random"]})
     points = {point.label: point for point in load(folder).points}
     ours, theirs = load(folder).paired([points["kcbts"], points["random"]], "return").T
     expected = statistics.mean_interval(ours - theirs)
@@ -228,26 +203,22 @@ def test_orders_of_means_say_which_interval_they_have(tmp_path, runs, method):
     assert method in entry["test"]["method"]
 
 
-def test_a_nan_is_a_reason_not_a_number(folder, tmp_path):
-    copy = write_results(tmp_path / "nan", runs=40)
-    table = pq.read_table(copy / "runs.parquet")
-    returns = table["return"].to_numpy().copy()
-    returns[3] = np.nan
-    position = table.column_names.index("return")
-    pq.write_table(table.set_column(position, "return", pa.array(returns)), copy / "runs.parquet")
-    entry = evaluate(load(copy))[0]
+def test_a_nan_is_a_reason_not_a_number(folder):
+    results = load(folder)
+    results.runs["return"] = np.where(np.arange(results.runs["return"].size) == 3, np.nan, 1.0)
+    entry = evaluate(results)[0]
     assert entry["verdict"] == "inconclusive"
     assert "1 run of kcbts without a finite return" in entry["test"]["reason"]
 
 
-@pytest.mark.parametrize("schema", registry["test"].values(), ids=registry["test"])
-def test_the_function_of_every_test_takes_its_schema(schema):
-    module, _, name = schema.target.partition(":")
-    function = getattr(importlib.import_module(module), name)
-    assert inspect.signature(function).parameters["test"].annotation is schema
+def test_the_function_of_every_test_takes_its_schema():
+    for schema in registry["test"].values():
+        module, _, name = schema.target.partition(":")
+        function = getattr(importlib.import_module(module), name)
+        assert inspect.signature(function).parameters["test"].annotation is schema
 
 
-@pytest.mark.parametrize("claim", CLAIMS, ids=lambda claim: claim["id"])
-def test_claims_as_a_sweep_writes_them_give_the_verdict_of_the_file(folder, tmp_path, claim):
-    written = schemas.Claim.model_validate(claim).model_dump(mode="json")
-    assert judge(folder, tmp_path, written["test"])["verdict"] == EXPECTED[claim["id"]]
+def test_claims_as_a_sweep_writes_them_give_the_verdict_of_the_file(folder):
+    for claim in CLAIMS:
+        written = schemas.Claim.model_validate(claim).model_dump(mode="json")
+        assert judge(folder, written["test"])["verdict"] == EXPECTED[claim["id"]]

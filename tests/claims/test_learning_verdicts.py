@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 
 from bojax.claims.samples import MIN_RUNS
-from bojax.config.component import registry
-from bojax.report import statistics
 from bojax.report.findings import Undecidable, evaluate
-from tests.claims.test_verdicts import judge, rates
+from tests.claims.test_verdicts import NO, OPEN, YES, judge, seldom_decided
 from tests.report.synthetic import in_memory
 
 FIRST, LAST = {"from": 1, "to": 10}, {"from": 21, "to": 30}
@@ -35,19 +33,13 @@ class TestWindow:
         test = {"kind": "order", "column": "value", "window": LAST, "greater": ["a", "b"]}
         finding = judge(results, test)
         a, b = (results.by_episode(point, "value")[:, 20:30].mean(axis=1) for point in results.points)
-        assert finding.verdict == "reproduced"
+        assert finding.verdict == YES
         assert finding.decisive.interval.estimate == pytest.approx((a - b).mean())
         assert "mean value of episodes 21 to 30" in finding.method
-        assert judge(results, {**test, "greater": ["b", "a"]}).verdict == "not reproduced"
-
-    def test_where_they_do_not_differ_nothing_is_said(self):
-        results = learners({"a": 5.0, "b": 3.0})
-        test = {"kind": "order", "column": "value", "window": FIRST, "greater": ["a", "b"]}
-        assert judge(results, test).verdict == "inconclusive"
-
-    def test_without_a_window_it_is_the_column_of_the_run(self):
-        test = {"kind": "mean", "label": "a", "column": "value", "above": 6.0}
-        assert judge(learners({"a": 5.0}), test).ours == 7.0
+        assert judge(results, {**test, "greater": ["b", "a"]}).verdict == NO
+        assert judge(results, {**test, "window": FIRST}).verdict == OPEN  # where they do not differ
+        # Without a window it is the column of the run.
+        assert judge(results, {"kind": "mean", "label": "a", "column": "value", "above": 6.0}).ours == 7.0
 
     def test_tests_after_an_episode_are_averaged_and_kept_apart_from_training(self):
         runs = 30
@@ -55,29 +47,29 @@ class TestWindow:
         results = learners({"a": 0.0}, runs=runs, tests=tests)
         test = {"kind": "mean", "label": "a", "column": "value", "above": 2.0}
         assert judge(results, {**test, "window": {**LAST, "phase": "test"}}).ours == pytest.approx(3.0)
-        assert judge(results, {**test, "window": {**LAST, "phase": "train"}}).verdict == "not reproduced"
+        assert judge(results, {**test, "window": {**LAST, "phase": "train"}}).verdict == NO
 
     def test_what_has_changed_since_can_be_compared(self):
         results = learners({"a": 5.0, "b": 5.0, "c": 3.0})
         changed = {"column": "value", "window": LAST, "since": FIRST}
         alike = {"kind": "similar", "labels": ["a", "b"], "margin": 0.5, **changed}
-        assert judge(results, alike).verdict == "reproduced"
-        assert judge(results, {**alike, "labels": ["a", "c"]}).verdict == "not reproduced"
+        assert judge(results, alike).verdict == YES
+        assert judge(results, {**alike, "labels": ["a", "c"]}).verdict == NO
         risen = judge(results, {"kind": "mean", "label": "c", "above": 0.0, **changed})
-        assert risen.verdict == "reproduced" and risen.ours == pytest.approx(3.0, abs=0.2)
+        assert risen.verdict == YES and risen.ours == pytest.approx(3.0, abs=0.2)
 
     def test_a_ratio_of_means_over_episodes(self):
         test = {"kind": "ratio", "column": "value", "label": "a", "to": "b", "tolerance": 0.2, "window": LAST}
         results = learners({"a": 50.0, "b": 25.0})
-        assert judge(results, {**test, "expected": 2.0}).verdict == "reproduced"
-        assert judge(results, {**test, "expected": 1.5}).verdict == "not reproduced"
+        assert judge(results, {**test, "expected": 2.0}).verdict == YES
+        assert judge(results, {**test, "expected": 1.5}).verdict == NO
 
     def test_similar_over_episodes_may_be_a_share_of_a_spread(self):
         test = {"kind": "similar", "column": "value", "labels": ["a", "b", "c"], "window": FIRST}
         results = learners({"a": 0.0, "b": 5.0, "c": 20.0})
-        assert judge(results, {**test, "margin": 0.05, "spread_at": LAST}).verdict == "reproduced"
-        assert judge(results, {**test, "margin": 0.01, "spread_at": LAST}).verdict == "inconclusive"
-        assert judge(results, {**test, "window": LAST, "margin": 0.5}).verdict == "not reproduced"
+        assert judge(results, {**test, "margin": 0.05, "spread_at": LAST}).verdict == YES
+        assert judge(results, {**test, "margin": 0.01, "spread_at": LAST}).verdict == OPEN
+        assert judge(results, {**test, "window": LAST, "margin": 0.5}).verdict == NO
 
     def test_the_best_variant_of_a_label_is_the_best_in_these_episodes(self):
         swept = {"early": {"label": "a"}, "late": {"label": "a"}}
@@ -85,26 +77,22 @@ class TestWindow:
         test = {"kind": "order", "column": "value", "greater": ["a", "b"], "window": LAST}
         assert judge(results, test).chosen == {"a": "late"}
 
-    @pytest.mark.parametrize(
-        ("window", "reason"),
-        [
+    def test_episodes_that_are_missing_are_a_reason(self):
+        test = {"kind": "mean", "label": "a", "column": "value", "above": 0.0}
+        results = learners({"a": 1.0})
+        for window, reason in (
             ({"from": 1, "to": 31}, "no run has an episode 31: the last one is 30"),
             ({"from": 1, "to": 2, "phase": "test"}, "the last one is 0"),
-        ],
-    )
-    def test_episodes_that_nobody_had_are_a_reason(self, window, reason):
-        with pytest.raises(Undecidable, match=reason):
-            judge(
-                learners({"a": 1.0}),
-                {"kind": "mean", "label": "a", "column": "value", "window": window, "above": 0.0},
-            )
-
-    def test_runs_that_ended_before_are_a_reason_not_left_out(self):
+        ):
+            with pytest.raises(Undecidable, match=reason):
+                judge(results, {**test, "window": window})
+        with pytest.raises(Undecidable, match="no episodes"):
+            judge(numbers(np.ones(30)), {**test, "window": LAST})
         results = learners({"a": 1.0})
         values = results.episodes["value"]
         values[(results.episodes["run"] == 3) & (results.episodes["episode"] == 25)] = np.nan
         with pytest.raises(Undecidable, match="1 run of a without a finite mean value of episodes 21 to 30"):
-            judge(results, {"kind": "mean", "label": "a", "column": "value", "window": LAST, "above": 0.0})
+            judge(results, {**test, "window": LAST})
 
     def test_episodes_can_be_counted_from_the_first_success(self):
         runs, lengths = 40, np.full((40, 30), 500.0)
@@ -114,16 +102,10 @@ class TestWindow:
         results = in_memory({"a": {"value": np.zeros(runs)}}, episodes={"a": lengths})
         results.episodes["success"] = results.episodes["value"] < 500.0
         window = {"from": 3, "to": 4, "counted_from": "first-success"}
-        test = {
-            "kind": "mean",
-            "label": "a",
-            "column": "value",
-            "window": window,
-            "above": 274.0,
-            "below": 276.0,
-        }
+        test = {"kind": "mean", "label": "a", "column": "value", "window": window}
+        test |= {"above": 274.0, "below": 276.0}
         finding = judge(results, test)
-        assert finding.ours == 275.0 and finding.verdict == "reproduced" and finding.runs == runs
+        assert finding.ours == 275.0 and finding.verdict == YES and finding.runs == runs
         assert "episodes 3 to 4, counted from the first success" in finding.method
         fall = {"kind": "trend", "label": "a", "column": "value", "direction": "falls"}
         later = {**window, "from": 11, "to": 11}
@@ -150,17 +132,10 @@ class TestWindow:
         test = {"kind": "order", "column": "value", "window": LAST, "statistic": "sd"}
         finding = judge(results, {**test, "greater": ["w", "n"]})
         sd = {name: value[:, 20:30].std(axis=1, ddof=1) for name, value in values.items()}
-        assert finding.verdict == "reproduced"
+        assert finding.verdict == YES
         assert finding.decisive.interval.estimate == pytest.approx((sd["w"] - sd["n"]).mean())
         assert "standard deviation of value of episodes 21 to 30" in finding.method
-        assert judge(results, {**test, "greater": ["n", "w"]}).verdict == "not reproduced"
-
-    def test_planning_has_no_episodes(self):
-        with pytest.raises(Undecidable, match="no episodes"):
-            judge(
-                numbers(np.ones(30)),
-                {"kind": "mean", "label": "a", "column": "value", "window": LAST, "above": 0.0},
-            )
+        assert judge(results, {**test, "greater": ["n", "w"]}).verdict == NO
 
 
 class TestShareOfRunsInAWindow:
@@ -173,8 +148,8 @@ class TestShareOfRunsInAWindow:
     def test_a_run_counts_if_it_holds_in_any_of_the_episodes(self):
         test = {"kind": "share", "label": "a", "column": "value", "window": {"from": 1, "to": 3}}
         finding = judge(self.flags([1, 3, 4, 0]), {**test, "above": 0.2})
-        assert finding.ours == 0.5 and finding.verdict == "reproduced"
-        assert judge(self.flags([1, 3, 4, 0]), {**test, "above": 0.8}).verdict == "not reproduced"
+        assert finding.ours == 0.5 and finding.verdict == YES
+        assert judge(self.flags([1, 3, 4, 0]), {**test, "above": 0.8}).verdict == NO
 
     def test_a_run_may_end_at_its_success_but_not_before(self):
         results = self.flags([1, 2])
@@ -196,42 +171,39 @@ class TestShareOfRunsInAWindow:
 
 
 class TestMean:
-    @pytest.mark.parametrize(
-        ("bounds", "verdict"),
-        [
-            ({"above": 4.0}, "reproduced"),
-            ({"above": 5.0}, "inconclusive"),
-            ({"above": 6.0}, "not reproduced"),
-            ({"below": 6.0}, "reproduced"),
-            ({"below": 4.0}, "not reproduced"),
-            ({"above": 4.0, "below": 6.0}, "reproduced"),
-            ({"above": 5.0, "below": 6.0}, "inconclusive"),
-            ({"above": 1.0, "below": 4.0}, "not reproduced"),
-        ],
-    )
-    def test_it_lies_between_thresholds(self, bounds, verdict):
-        test = {"kind": "mean", "label": "a", "column": "value", "window": LAST, **bounds}
-        assert judge(learners({"a": 5.1}), test).verdict == verdict
+    def test_it_lies_between_thresholds(self):
+        results, test = (
+            learners({"a": 5.1}),
+            {"kind": "mean", "label": "a", "column": "value", "window": LAST},
+        )
+        for bounds, verdict in (
+            ({"above": 4.0}, YES),
+            ({"above": 5.0}, OPEN),
+            ({"above": 6.0}, NO),
+            ({"below": 6.0}, YES),
+            ({"below": 4.0}, NO),
+            ({"above": 4.0, "below": 6.0}, YES),
+            ({"above": 5.0, "below": 6.0}, OPEN),
+            ({"above": 1.0, "below": 4.0}, NO),
+        ):
+            assert judge(results, {**test, **bounds}).verdict == verdict, bounds
 
     def test_a_mean_on_its_threshold_is_seldom_decided(self, monkeypatch):
         def make(seed):
             return numbers(np.random.default_rng(seed).normal(3.0, 1.0, size=60))
 
-        found = rates(make, {"kind": "mean", "label": "a", "column": "value", "above": 3.0}, monkeypatch)
-        assert found["reproduced"] < 0.07 and found["not reproduced"] < 0.07
+        test = {"kind": "mean", "label": "a", "column": "value", "above": 3.0}
+        seldom_decided(make, test, monkeypatch)
 
 
 class TestTrendOverEpisodes:
     TEST = {"kind": "trend", "label": "a", "column": "value", "from": FIRST, "to": LAST}
 
-    @pytest.mark.parametrize(
-        ("end", "verdict"), [(5.0, "reproduced"), (0.0, "inconclusive"), (-5.0, "not reproduced")]
-    )
-    def test_a_mean_rises_or_falls_between_windows(self, end, verdict):
-        results = learners({"a": end})
-        assert judge(results, {**self.TEST, "direction": "rises"}).verdict == verdict
+    def test_a_mean_rises_or_falls_between_windows(self):
         back = {"from": LAST, "to": FIRST, "direction": "falls"}
-        assert judge(results, {**self.TEST, **back}).verdict == verdict
+        for end, verdict in ((5.0, YES), (0.0, OPEN), (-5.0, NO)):
+            for way in ({"direction": "rises"}, back):
+                assert judge(learners({"a": end}), {**self.TEST, **way}).verdict == verdict
 
     def test_the_change_is_paired_within_a_run(self):
         finding = judge(learners({"a": 1.0}, noise=0.1), {**self.TEST, "direction": "rises"})
@@ -243,25 +215,18 @@ class TestAgrees:
     MEAN = {"kind": "agrees", "label": "a", "column": "value", "mean": 2.95, "sd": 0.38, "runs": 20}
     SHARE = {"kind": "agrees", "label": "a", "column": "value", "share": 0.9, "runs": 20}
 
-    @pytest.mark.parametrize(
-        ("mean", "sd", "verdict"),
-        [
-            (2.95, 0.5, "reproduced"),
-            (3.5, 0.5, "not reproduced"),
-            (2.0, 0.5, "not reproduced"),
-            (2.95, 3.0, "inconclusive"),  # the interval is wider than the printed deviation
-        ],
-    )
-    def test_of_a_mean(self, mean, sd, verdict):
-        values = np.random.default_rng(1).normal(size=200)
-        values = mean + sd * (values - values.mean()) / values.std()
-        finding = judge(numbers(values), self.MEAN)
-        assert finding.verdict == verdict
-        assert finding.ours == pytest.approx(mean)
-
-    def test_the_tolerance_can_be_stated(self):
-        values = np.random.default_rng(1).normal(2.95, 0.5, size=200)
-        assert judge(numbers(values), {**self.MEAN, "tolerance": 0.1}).verdict == "inconclusive"
+    def test_of_a_mean(self):
+        noise = np.random.default_rng(1).normal(size=200)
+        noise = (noise - noise.mean()) / noise.std()
+        for mean, sd, more, verdict in (
+            (2.95, 0.5, {}, YES),
+            (3.5, 0.5, {}, NO),
+            (2.0, 0.5, {}, NO),
+            (2.95, 3.0, {}, OPEN),  # the interval is wider than the printed deviation
+            (2.95, 0.5, {"tolerance": 0.1}, OPEN),
+        ):
+            finding = judge(numbers(mean + sd * noise), {**self.MEAN, **more})
+            assert finding.verdict == verdict and finding.ours == pytest.approx(mean)
 
     def test_a_mean_over_successes_alone_is_not_compared_unless_allowed(self):
         values = np.random.default_rng(1).normal(2.95, 0.5, size=200)
@@ -275,38 +240,36 @@ class TestAgrees:
 
     def test_what_never_varies_agrees_exactly_or_not(self):
         test = {**self.MEAN, "mean": 1.0, "sd": 0.0, "tolerance": 0.1}
-        assert judge(numbers(np.ones(50)), test).verdict == "reproduced"
-        assert judge(numbers(np.full(50, 2.0)), test).verdict == "not reproduced"
+        assert judge(numbers(np.ones(50)), test).verdict == YES
+        assert judge(numbers(np.full(50, 2.0)), test).verdict == NO
 
     def test_a_printed_deviation_of_0_does_not_make_the_printed_mean_exact(self):
         # 5 of 200 runs need a second episode. That none of 20 printed runs did has a probability of 60%.
         values = np.where(np.arange(200) < 5, 2.0, 1.0)
         finding = judge(numbers(values), {**self.MEAN, "mean": 1.0, "sd": 0.0, "tolerance": 0.5})
         twin = judge(numbers(values), {**self.MEAN, "mean": 1.0, "sd": values.std(ddof=1), "tolerance": 0.5})
-        assert finding.verdict == "reproduced" and finding.decisive.interval == twin.decisive.interval
+        assert finding.verdict == YES and finding.decisive.interval == twin.decisive.interval
         assert "1.00 (sd 0, taken as ours, 20 runs)" in finding.method
 
-    @pytest.mark.parametrize(
-        ("hits", "verdict"), [(180, "reproduced"), (200, "not reproduced"), (80, "not reproduced")]
-    )
-    def test_of_a_share(self, hits, verdict):
+    def test_of_a_share(self):
         # 18 of 20 printed: their own interval is 70% to 97%.
-        finding = judge(numbers(np.arange(200) < hits), self.SHARE)
-        assert finding.verdict == verdict and finding.ours == hits / 200
+        for hits, more, verdict in (
+            (180, {}, YES),
+            (200, {}, NO),
+            (80, {}, NO),
+            (180, {"runs": 10}, OPEN),  # ten printed runs say little
+            (200, {"share": 1.0}, YES),
+        ):
+            finding = judge(numbers(np.arange(200) < hits), {**self.SHARE, **more})
+            assert finding.verdict == verdict and finding.ours == hits / 200
+        assert finding.decisive.interval.estimate == 0.0
 
-    @pytest.mark.parametrize(("share", "verdict"), [(0.95, "reproduced"), (0.8, "not reproduced")])
-    def test_fishers_exact_test_tells_shares_apart(self, share, verdict):
+    def test_fishers_exact_test_tells_shares_apart(self):
         # 19 of 20 and 200 of 200: p = 0.09, although Newcombe's interval of the difference excludes 0.
-        finding = judge(numbers(np.ones(200, dtype=bool)), {**self.SHARE, "share": share})
-        assert finding.verdict == verdict and finding.decisive.interval.low > 0
-        assert ("(p = 0.0909)" in finding.method) == (share == 0.95)
-
-    def test_ten_printed_runs_say_little_about_a_share(self):
-        assert judge(numbers(np.arange(200) < 180), {**self.SHARE, "runs": 10}).verdict == "inconclusive"
-
-    def test_all_of_all_agree(self):
-        finding = judge(numbers(np.ones(200, dtype=bool)), {**self.SHARE, "share": 1.0})
-        assert finding.verdict == "reproduced" and finding.decisive.interval.estimate == 0.0
+        for share, verdict in ((0.95, YES), (0.8, NO)):
+            finding = judge(numbers(np.ones(200, dtype=bool)), {**self.SHARE, "share": share})
+            assert finding.verdict == verdict and finding.decisive.interval.low > 0
+            assert ("(p = 0.0909)" in finding.method) == (share == 0.95)
 
     def test_equal_means_are_seldom_said_to_differ(self, monkeypatch):
         def make(seed):
@@ -318,8 +281,8 @@ class TestAgrees:
             printed = np.random.default_rng(1000 + seed).gamma(4.0, size=20)
             test = {**self.MEAN, "mean": printed.mean(), "sd": printed.std(ddof=1)}
             verdicts.append(judge(make(seed), test).verdict)
-        assert verdicts.count("not reproduced") / 200 < 0.09
-        assert verdicts.count("reproduced") / 200 > 0.8
+        assert verdicts.count(NO) / 200 < 0.09
+        assert verdicts.count(YES) / 200 > 0.8
 
 
 class TestGrowth:
@@ -342,13 +305,13 @@ class TestGrowth:
             runs_of[name] = {"value": mean * draw}
         return in_memory(runs_of, swept=names)
 
-    @pytest.mark.parametrize("expected", LAWS)
     @pytest.mark.parametrize("truth", LAWS)
-    def test_the_true_law_is_found(self, truth, expected):
+    def test_the_true_law_is_found(self, truth):
         results = self.chains(self.LAWS[truth], spread=0.5 if truth == "linear" else None)
-        finding = judge(results, {**self.TEST, "expected": expected})
-        assert finding.verdict == ("reproduced" if truth == expected else "not reproduced")
-        assert str(finding.ours).startswith(f"{truth}: ")
+        for expected in self.LAWS:
+            finding = judge(results, {**self.TEST, "expected": expected})
+            assert finding.verdict == (YES if truth == expected else NO)
+            assert str(finding.ours).startswith(f"{truth}: ")
 
     def test_coefficients_are_told(self):
         finding = judge(self.chains(lambda x: 4 + 3 * x, spread=0.01), self.TEST)
@@ -359,61 +322,49 @@ class TestGrowth:
     def test_between_two_laws_nothing_is_decided(self):
         # x to the 1.5 is as far from a line as from a parabola.
         verdicts = [judge(self.chains(lambda x: x**1.45, seed=seed), self.TEST).verdict for seed in range(4)]
-        assert verdicts.count("inconclusive") >= 2
+        assert verdicts.count(OPEN) >= 2
 
     def test_few_noisy_runs_decide_nothing(self):
         flat = self.chains(lambda x: 100 + 3 * x, runs=MIN_RUNS, spread=0.2, x=(2, 8, 14, 20))
-        assert judge(flat, self.TEST).verdict == "inconclusive"
+        assert judge(flat, self.TEST).verdict == OPEN
 
-    @pytest.mark.parametrize("law", [lambda x: 50.0 + 0 * x, lambda x: 50.0 - x])
-    def test_what_does_not_grow_has_no_law(self, law):
-        with pytest.raises(Undecidable, match="does not clearly grow"):
-            judge(self.chains(law, spread=0.1), self.TEST)
+    def test_what_does_not_grow_has_no_law(self):
+        for law in (lambda x: 50.0 + 0 * x, lambda x: 50.0 - x):
+            with pytest.raises(Undecidable, match="does not clearly grow"):
+                judge(self.chains(law, spread=0.1), self.TEST)
 
-    def test_few_runs_that_never_arrive_are_left_out_and_said(self):
+    def test_few_runs_that_never_arrive_are_left_out_and_said_and_many_are_a_reason(self):
         results = self.chains(self.LAWS["linear"])
         results.runs["value"][:8] = np.nan  # 4% of the runs of the shortest chain
         finding = judge(results, self.TEST)
-        assert finding.verdict == "reproduced" and "8 runs without a value left out" in finding.method
-
-    def test_many_that_never_arrive_are_a_reason(self):
-        results = self.chains(self.LAWS["linear"])
+        assert finding.verdict == YES and "8 runs without a value left out" in finding.method
         results.runs["value"][-20:] = np.nan
         with pytest.raises(Undecidable, match="20 of 200 runs of a at 20 have no value, more than 5%"):
             judge(results, self.TEST)
 
-    @pytest.mark.parametrize(
-        ("x", "over", "reason"),
-        [
+    def test_too_few_numbers_and_equal_ones_are_a_reason(self):
+        for x, over, reason in (
             ((2, 5, 8), "env.length", "3 values of env.length: at least 4"),
             ((2, 5, 8, 9), "env.width", "env.width is not a swept number of a"),
-        ],
-    )
-    def test_too_few_numbers_are_a_reason(self, x, over, reason):
-        with pytest.raises(Undecidable, match=reason):
-            judge(self.chains(self.LAWS["linear"], x=x), {**self.TEST, "over": over})
-
-    def test_settings_that_share_a_number_have_to_be_told_apart(self):
-        random = np.random.default_rng(0)
+        ):
+            with pytest.raises(Undecidable, match=reason):
+                judge(self.chains(self.LAWS["linear"], x=x), {**self.TEST, "over": over})
         swept = {f"a{i}": {"label": "a", "env.length": n} for i, n in enumerate((2, 2, 5, 8, 9))}
-        results = in_memory({name: {"value": random.random(30)} for name in swept}, swept=swept)
+        results = in_memory({name: {"value": np.arange(30.0)} for name in swept}, swept=swept)
         with pytest.raises(Undecidable, match="several settings of a have the same env.length"):
             judge(results, self.TEST)
 
 
-@pytest.mark.parametrize(
-    "test",
-    [
+def test_too_few_runs_and_missing_columns_say_so():
+    for test in (
         {"kind": "mean", "above": 0.0},
         {"kind": "agrees", "mean": 1.0, "sd": 1.0, "runs": 20},
         {"kind": "agrees", "share": 1.0, "runs": 20},
-    ],
-)
-def test_too_few_runs_and_missing_columns_say_so(test):
-    with pytest.raises(Undecidable, match=f"at least {MIN_RUNS}"):
-        judge(numbers(np.ones(MIN_RUNS - 1)), {"label": "a", "column": "value", **test})
-    with pytest.raises(Undecidable, match="no column speed"):
-        judge(numbers(np.ones(30)), {"label": "a", "column": "speed", **test})
+    ):
+        with pytest.raises(Undecidable, match=f"at least {MIN_RUNS}"):
+            judge(numbers(np.ones(MIN_RUNS - 1)), {"label": "a", "column": "value", **test})
+        with pytest.raises(Undecidable, match="no column speed"):
+            judge(numbers(np.ones(30)), {"label": "a", "column": "speed", **test})
 
 
 def test_entries_of_claims_hold_plain_numbers():
@@ -423,11 +374,5 @@ def test_entries_of_claims_hold_plain_numbers():
     ]
     values = 1 + 0.1 * np.random.default_rng(0).normal(size=40)
     entries = evaluate(in_memory({"a": {"value": values}}, claims=claims))
-    assert [entry["verdict"] for entry in entries] == ["reproduced", "reproduced"]
+    assert [entry["verdict"] for entry in entries] == [YES, YES]
     assert all(isinstance(bound, float) for entry in entries for bound in entry["interval"])
-
-
-def test_every_kind_is_one_function():
-    targets = [schema.target for schema in registry["test"].values()]
-    assert len(set(targets)) == len(targets)
-    assert statistics.LEVEL == 0.95
