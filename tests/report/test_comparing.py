@@ -36,20 +36,19 @@ def share_of_wins(first, second):
 
 
 class TestStatistics:
-    @pytest.mark.parametrize("size", [1, 2, 3, 4, 7, 8, 101])
-    def test_an_iqm_is_a_trimmed_mean(self, size):
-        values = np.random.default_rng(size).normal(size=size)
-        assert statistics.iqm_interval([values]).estimate == pytest.approx(stats.trim_mean(values, 0.25))
+    def test_an_iqm_is_a_trimmed_mean(self):
+        for size in (1, 2, 3, 4, 7, 8, 101):
+            values = np.random.default_rng(size).normal(size=size)
+            assert statistics.iqm_interval([values]).estimate == pytest.approx(stats.trim_mean(values, 0.25))
 
-    @pytest.mark.parametrize("sizes", [(9,), (12, 12), (5, 16, 11)])
-    def test_the_interval_of_an_iqm_is_that_of_a_stratified_bootstrap(self, sizes):
+    def test_the_interval_of_an_iqm_is_that_of_a_stratified_bootstrap(self):
         random = np.random.default_rng(3)
-        strata = [random.normal(3 * place, 1, size) for place, size in enumerate(sizes)]
-        found = statistics.iqm_interval(strata)
-        assert found.estimate == pytest.approx(stats.trim_mean(np.concatenate(strata), 0.25))
-        low, high = np.quantile(resampled_iqms(random, strata), [0.025, 0.975])
-        width = high - low
-        assert (found.low, found.high) == pytest.approx((low, high), abs=0.06 * width)
+        for sizes in ((9,), (12, 12), (5, 16, 11)):
+            strata = [random.normal(3 * place, 1, size) for place, size in enumerate(sizes)]
+            found = statistics.iqm_interval(strata)
+            assert found.estimate == pytest.approx(stats.trim_mean(np.concatenate(strata), 0.25))
+            low, high = np.quantile(resampled_iqms(random, strata), [0.025, 0.975])
+            assert (found.low, found.high) == pytest.approx((low, high), abs=0.06 * (high - low))
 
     def test_strata_keep_the_number_of_runs_of_each_task(self):
         """Runs without spread within tasks: pooled resamples would vary, stratified ones do not."""
@@ -100,12 +99,16 @@ class TestStatistics:
         twice = statistics.improvement_interval([(first, second)] * 2, is_paired=False)
         assert twice.estimate - twice.low == pytest.approx((found.estimate - found.low) / np.sqrt(2))
 
-    def test_a_single_run_has_no_interval(self):
+    def test_a_single_run_has_no_interval_and_no_value_or_nan_give_nan(self):
         for found in (
             statistics.iqm_interval([[3.0], [1.0, 2.0]]),
             statistics.improvement_interval([([3.0], [1.0, 2.0])], is_paired=False),
         ):
             assert np.isfinite(found.estimate) and np.isnan([found.low, found.high]).all()
+        for strata in ([], [[]], [[1.0, np.nan]]):
+            assert np.isnan(statistics.iqm_interval(strata).estimate)
+            pairs = [(values, [1.0]) for values in strata]
+            assert np.isnan(statistics.improvement_interval(pairs, is_paired=False).estimate)
 
     def test_many_runs_take_fewer_resamples_and_give_the_same(self):
         random = np.random.default_rng(1)
@@ -115,68 +118,59 @@ class TestStatistics:
         # The IQM of n normal values has about 1.09 / sqrt(n) as its standard deviation.
         assert error == pytest.approx(1.96 * 1.09 / np.sqrt(values.size), rel=0.15)
 
-    @pytest.mark.parametrize("strata", [[], [[]], [[1.0, np.nan]]])
-    def test_no_value_and_nan_give_nan(self, strata):
-        assert np.isnan(statistics.iqm_interval(strata).estimate)
-        pairs = [(values, [1.0]) for values in strata]
-        assert np.isnan(statistics.improvement_interval(pairs, is_paired=False).estimate)
-
 
 GOOD = "label,run,x,value\na,0,1,0.5\na,0,2,1.5\nb,0,1,2\nb,0,2,3\n"
 
-MISTAKES = {
-    "an empty file": ("", "is empty; allowed: the columns label, run, x, value and rows"),
-    "no rows": ("label,run,x,value\n", "has no rows; allowed: at least one below the header"),
-    "a missing column": (
-        "label,run,x\na,0,1\n",
-        "no column value; allowed: label, run, x, value, optionally",
-    ),
-    "a misspelt column": (
+MISTAKES = (
+    ("", "is empty; allowed: the columns label, run, x, value and rows"),
+    ("label,run,x,value\n", "has no rows; allowed: at least one below the header"),
+    ("label,run,x\na,0,1\n", "no column value; allowed: label, run, x, value, optionally"),
+    (
         "labl,run,x,value\na,0,1,2\n",
         'unknown column "labl"; allowed: label, run, task, value, x; did you mean "label"?',
     ),
-    "a column twice": ("label,run,x,x,value\n", 'two columns are called "x"; allowed: one'),
-    "too few cells": (GOOD + "b,0,3\n", "line 6: got 3 cells; allowed: 4, as in the header"),
-    "a NaN": (GOOD + "b,0,3,nan\n", 'line 6: value: got "nan"; allowed: a finite number'),
-    "an infinite value": (GOOD + "b,0,3,-inf\n", 'line 6: value: got "-inf"; allowed: a finite number'),
-    "an empty value": (GOOD + "b,0,3,\n", 'line 6: value: got ""; allowed: a number'),
-    "a word": (GOOD + "b,0,3,high\n", 'line 6: value: got "high"; allowed: a number'),
-    "no label": (GOOD + ",0,3,1\n", 'line 6: label: got ""; allowed: text that is not empty'),
-    "half a run": (GOOD + "b,0.5,3,1\n", 'line 6: run: got "0.5"; allowed: an integer'),
-    "a negative run": (GOOD + "b,-1,3,1\n", 'line 6: run: got "-1"; allowed: >= 0'),
-    "a negative x": (GOOD + "b,0,-3,1\n", 'line 6: x: got "-3"; allowed: >= 0'),
-    "a step beyond whole numbers": (GOOD + "b,0,1e300,1\n", 'line 6: x: got "1e300"; allowed: <= '),
-    "a huge value": (GOOD + "b,0,3,-1e300\n", 'line 6: value: got "-1e300"; allowed: >= -1e+75'),
-    "a duplicate": (GOOD + "b,0,2.0,1\n", "line 6: x: got 2 of run 0 of b twice; allowed: once"),
-    "runs of other lengths": (
+    ("label,run,x,x,value\n", 'two columns are called "x"; allowed: one'),
+    (GOOD + "b,0,3\n", "line 6: got 3 cells; allowed: 4, as in the header"),
+    (GOOD + "b,0,3,nan\n", 'line 6: value: got "nan"; allowed: a finite number'),
+    (GOOD + "b,0,3,-inf\n", 'line 6: value: got "-inf"; allowed: a finite number'),
+    (GOOD + "b,0,3,\n", 'line 6: value: got ""; allowed: a number'),
+    (GOOD + "b,0,3,high\n", 'line 6: value: got "high"; allowed: a number'),
+    (GOOD + ",0,3,1\n", 'line 6: label: got ""; allowed: text that is not empty'),
+    (GOOD + "b,0.5,3,1\n", 'line 6: run: got "0.5"; allowed: an integer'),
+    (GOOD + "b,-1,3,1\n", 'line 6: run: got "-1"; allowed: >= 0'),
+    (GOOD + "b,0,-3,1\n", 'line 6: x: got "-3"; allowed: >= 0'),
+    (GOOD + "b,0,1e300,1\n", 'line 6: x: got "1e300"; allowed: <= '),
+    (GOOD + "b,0,3,-1e300\n", 'line 6: value: got "-1e300"; allowed: >= -1e+75'),
+    (GOOD + "b,0,2.0,1\n", "line 6: x: got 2 of run 0 of b twice; allowed: once"),
+    (
         GOOD + "b,1,1,5\n",
         "x: run 1 of b has 1 row, run 0 has 2, and only one of them has x = 2; allowed: equal x in all runs",
     ),
-    "one label": ("label,run,x,value\na,0,1,0.5\n", None),
-    "an open quote": (
-        'label,run,x,value\n"a,0,1,2\n',
-        "cannot be read (unexpected end of data); allowed: CSV",
-    ),
-}
+    ("label,run,x,value\na,0,1,0.5\n", None),
+    ('label,run,x,value\n"a,0,1,2\n', "cannot be read (unexpected end of data); allowed: CSV"),
+)
+
+
+def refused(capsys, words, message, folder):
+    """A command ends in this line and writes nothing into a folder."""
+    before = sorted(folder.rglob("*"))
+    assert main(["compare", *words]) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and err.count("\n") == 1 and err.startswith(f"error: {message}"), err
+    assert sorted(folder.rglob("*")) == before
 
 
 class TestCurveFiles:
-    @pytest.mark.parametrize("case", MISTAKES)
-    def test_a_mistake_is_one_line_and_writes_nothing(self, case, tmp_path, monkeypatch, capsys):
+    def test_a_mistake_is_one_line_and_writes_nothing(self, tmp_path, monkeypatch, capsys):
         monkeypatch.chdir(tmp_path)
-        (tmp_path / "other.csv").write_text(MISTAKES[case][0])
-        assert main(["compare", "--csv", "other.csv"]) == 2
-        out, err = capsys.readouterr()
-        message = MISTAKES[case][1]
-        expected = "got one curve, a; allowed: two or more" if message is None else f"other.csv: {message}"
-        assert out == "" and err.count("\n") == 1 and err.startswith(f"error: {expected}"), err
-        assert [path.name for path in tmp_path.iterdir()] == ["other.csv"]
-
-    @pytest.mark.parametrize("content", [b"\xff\xfe\x00label", b"label,run,x,value\na,0,1,\xff\n"])
-    def test_a_file_that_is_no_text(self, content, tmp_path):
-        (tmp_path / "x.csv").write_bytes(content)
-        with pytest.raises(ResultsError, match="cannot be read|unknown column"):
-            read_curves(tmp_path / "x.csv")
+        for content, told in MISTAKES:
+            (tmp_path / "other.csv").write_text(content)
+            message = f"other.csv: {told}" if told else "got one curve, a; allowed: two or more"
+            refused(capsys, ["--csv", "other.csv"], message, tmp_path)
+        for content in (b"\xff\xfe\x00label", b"label,run,x,value\na,0,1,\xff\n"):
+            (tmp_path / "x.csv").write_bytes(content)
+            with pytest.raises(ResultsError, match="cannot be read|unknown column"):
+                read_curves(tmp_path / "x.csv")
 
     def test_rows_and_columns_may_have_any_order(self, tmp_path):
         (tmp_path / "x.csv").write_text(
@@ -470,21 +464,19 @@ class TestPage:
         for path in sorted(out.rglob("*.*")):
             assert path.read_bytes() == (tmp_path / "out" / path.relative_to(out)).read_bytes()
 
-    @pytest.mark.parametrize(
-        ("at", "rule"), [(None, "the largest that all methods have"), (4, "that of --at")]
-    )
-    def test_it_states_the_rule_and_the_budgets_beside_the_scores(self, tmp_path, at, rule):
+    def test_it_states_the_rule_and_the_budgets_beside_the_scores(self, tmp_path):
         ends = {("a", 0): 5, ("a", 1): 5, ("b", 0): 20, ("b", 1): 2}
         rows = [f"{label},{run},{x},1" for (label, run), end in ends.items() for x in range(1, end + 1)]
         (tmp_path / "x.csv").write_text("\n".join(["label,run,x,value", *rows]))
-        page = compare([], [tmp_path / "x.csv"], tmp_path / "out", axis="step", at=at)
-        text = page.read_text(encoding="utf-8")
-        assert f"up to the budget. The budget is {rule}." in Page(text).text
-        assert f"The budget of all scores is step {at or 5}. Cut off before it, without a success" in text
-        assert "so that their last values count: run 1 of b." in text
-        cells = re.findall(r'data-heading="(budget \(steps\)|runs cut off)".*?<span>(.*?)</span>', text)
-        budgets = ["4 of 5", "4 of 20"] if at else ["5", "5 of 20"]
-        assert [cell for _, cell in cells] == [budgets[0], "0", budgets[1], "1"]
+        for at, rule in ((None, "the largest that all methods have"), (4, "that of --at")):
+            page = compare([], [tmp_path / "x.csv"], tmp_path / f"out-{at}", axis="step", at=at)
+            text = page.read_text(encoding="utf-8")
+            assert f"up to the budget. The budget is {rule}." in Page(text).text
+            assert f"The budget of all scores is step {at or 5}. Cut off before it, without a succ" in text
+            assert "so that their last values count: run 1 of b." in text
+            cells = re.findall(r'data-heading="(budget \(steps\)|runs cut off)".*?<span>(.*?)</span>', text)
+            budgets = ["4 of 5", "4 of 20"] if at else ["5", "5 of 20"]
+            assert [cell for _, cell in cells] == [budgets[0], "0", budgets[1], "1"]
 
     def test_several_tasks_have_their_own_figures_and_a_table_over_all(self, tmp_path):
         lines = ["label,task,run,x,value"]
@@ -502,15 +494,14 @@ class TestPage:
         assert overall["b"][1].text == "100.0%"
         assert [overall[name][0].text for name in "ab"] == ["0.00", "1.00"]
 
-    @pytest.mark.parametrize(("values", "band"), [((0, 1), "Wilson"), ((0.25, 0.5), "Student&#39;s t")])
-    def test_shares_of_episodes_are_no_successes_of_runs(self, tmp_path, values, band):
-        rows = [f"{label},{run},1,{values[run]}" for label in "ab" for run in (0, 1)]
-        (tmp_path / "x.csv").write_text("\n".join(["label,run,x,value", *rows]))
-        page = compare([], [tmp_path / "x.csv"], tmp_path / "out", metric="success")
-        (caption, *_) = re.findall(
-            r"<figcaption>(.*?)</figcaption>", page.read_text(encoding="utf-8"), re.DOTALL
-        )
-        assert f"95% bands ({band})" in caption
+    def test_shares_of_episodes_are_no_successes_of_runs(self, tmp_path):
+        for values, band in (((0, 1), "Wilson"), ((0.25, 0.5), "Student&#39;s t")):
+            rows = [f"{label},{run},1,{values[run]}" for label in "ab" for run in (0, 1)]
+            (tmp_path / "x.csv").write_text("\n".join(["label,run,x,value", *rows]))
+            page = compare([], [tmp_path / "x.csv"], tmp_path / band[:2], metric="success")
+            text = page.read_text(encoding="utf-8")
+            caption = re.findall(r"<figcaption>(.*?)</figcaption>", text, re.DOTALL)[0]
+            assert f"95% bands ({band})" in caption
 
     def test_curves_of_planning_may_begin_at_step_1(self, tmp_path):
         write_results(tmp_path / "parking", runs=4, recorded=1)
@@ -543,9 +534,8 @@ class TestMistakes:
         edit_manifest(tmp_path / "newer", lambda m: m["points"][0]["config"].update(episodes="many"))
         return tmp_path
 
-    @pytest.mark.parametrize(
-        ("words", "message"),
-        [
+    def test_a_mistake_is_one_line_and_writes_nothing(self, here, capsys):
+        for words, message in (
             ([], "bojax compare: got none; allowed: results folders or --csv files"),
             (["car", "car"], "bojax compare: got car twice; allowed: distinct sources"),
             (["nowhere"], "nowhere: no such results folder"),
@@ -579,14 +569,8 @@ class TestMistakes:
             ),
             (["car", "--out", "parking"], "parking: the folder is not empty; give another --out"),
             (["car", "--out", "good.csv"], "good.csv: is not a folder; allowed: a new or empty folder"),
-        ],
-    )
-    def test_a_mistake_is_one_line_and_writes_nothing(self, here, capsys, words, message):
-        before = sorted(here.rglob("*"))
-        assert main(["compare", *words]) == 2
-        out, err = capsys.readouterr()
-        assert out == "" and err.count("\n") == 1 and err.startswith(f"error: {message}"), err
-        assert sorted(here.rglob("*")) == before
+        ):
+            refused(capsys, words, message, here)
 
     def test_a_good_command_writes_one_page(self, here, capsys):
         assert main(["compare", "car", "--csv", "good.csv", "--metric=-return", "--out", "out"]) == 0
