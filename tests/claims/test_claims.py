@@ -4,7 +4,6 @@ import json
 from dataclasses import replace
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -15,7 +14,7 @@ from bojax.report import statistics, verdicts
 from bojax.report.findings import evaluate
 from bojax.report.manifest import ClaimEntry
 from bojax.report.source import load
-from tests.report.synthetic import CLAIMS, write_results
+from tests.report.synthetic import CLAIMS, set_column, write_results
 
 EXPECTED = {
     "order-holds": "reproduced",
@@ -157,9 +156,7 @@ def test_too_few_runs_decide_nothing(tmp_path):
 def test_booleans_that_hold_in_all_runs_have_an_interval_in_every_test(tmp_path):
     """The bootstrap of equal values has no width, as if their share were known exactly."""
     copy = write_results(tmp_path / "equal", runs=40)
-    table = pq.read_table(copy / "runs.parquet")
-    place, always = table.column_names.index("success"), pa.array(np.ones(table.num_rows, bool))
-    pq.write_table(table.set_column(place, "success", always), copy / "runs.parquet")
+    set_column(copy, "success", True)
     low, high = statistics.wilson(40, 40)
     both, ratio = float(1 - low), float(1 / low)  # the upper bound of either share is 1
     names = {"column": "success", "by": "variant"}

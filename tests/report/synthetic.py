@@ -446,6 +446,16 @@ def _long(steps: dict[str, np.ndarray], names: list[str]) -> dict[str, np.ndarra
     }
 
 
+def set_column(folder: Path, name: str, values, table: str = "runs") -> None:
+    """Replace a column of a table, or append it; one value is that of all rows."""
+    path = folder / f"{table}.parquet"
+    rows = pq.read_table(path)
+    column = pa.array(np.broadcast_to(values, rows.num_rows))
+    is_new = name not in rows.column_names
+    place = rows.num_columns if is_new else rows.column_names.index(name)
+    pq.write_table((rows.add_column if is_new else rows.set_column)(place, name, column), path)
+
+
 def edit_manifest(folder: Path, edit) -> None:
     """Change the manifest in place."""
     path = folder / "manifest.json"

@@ -4,8 +4,6 @@ import re
 from dataclasses import replace
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from scipy import stats
 
@@ -17,7 +15,7 @@ from bojax.report.comparing.curve_files import Rows, read_curves
 from bojax.report.comparing.methods import Measure, named, of_file, of_folder, scored, tasks_of
 from bojax.report.source import load
 from bojax.results.store import ResultsError
-from tests.report.synthetic import edit_manifest, in_memory, write_learning, write_results
+from tests.report.synthetic import edit_manifest, in_memory, set_column, write_learning, write_results
 from tests.report.test_report import Page
 
 EPISODES = Measure("return", False, "learning", "episode")
@@ -512,11 +510,7 @@ class TestPage:
 
     def test_a_run_of_planning_with_a_nan_is_left_out_and_counted(self, tmp_path):
         folder = write_results(tmp_path / "parking", runs=4, recorded=1)
-        table = pq.read_table(folder / "runs.parquet")
-        nans = pa.array([1] + [0] * (table.num_rows - 1))
-        pq.write_table(
-            table.set_column(table.column_names.index("nans"), "nans", nans), folder / "runs.parquet"
-        )
+        set_column(folder, "nans", np.arange(4 * 5) == 0)
         page = Page(compare([folder], [], tmp_path / "out").read_text(encoding="utf-8"))
         assert "Left out: 1 run with a non-finite value." in page.text and "in 1 run" in page.text
 

@@ -211,9 +211,7 @@ def test_the_map_is_of_the_first_two_numbers_or_of_those_that_the_report_names()
     assert "the best value is at depth 3 and kappa 1." in drawing.alt
     drawing = heat_map.draw(reported(grid(), heat_map=("planner.kappa", "planner.depth")))
     assert "kappa 1 and depth 3" in drawing.alt and "Frame: the best" in drawing.caption
-    with pytest.raises(
-        FigureUnavailable, match='kapa is no swept number.*did you mean "planner.kappa"'
-    ):
+    with pytest.raises(FigureUnavailable, match='kapa is no swept number.*did you mean "planner.kappa"'):
         heat_map.draw(reported(grid(), heat_map=("planner.kapa", "planner.depth")))
     results = reported(in_memory({"a": {"return": np.ones(3)}}))
     with pytest.raises(FigureUnavailable, match="needs two swept numbers"):

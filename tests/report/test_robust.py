@@ -6,8 +6,6 @@ import warnings
 from xml.etree import ElementTree
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 
 from bojax.cli.main import main
@@ -18,17 +16,10 @@ from bojax.report.figures import draw
 from bojax.report.source import load
 from bojax.results.outline import Outline
 from bojax.results.store import ResultsError
-from tests.report.synthetic import edit_manifest, write_results
+from tests.report.synthetic import edit_manifest, set_column, write_results
 
 ONE = {"figures": ["returns"]}
 """A report with a single figure, where the text is what matters."""
-
-
-def set_returns(folder, value):
-    table = pq.read_table(folder / "runs.parquet")
-    values = pa.array(np.full(table.num_rows, value))
-    table = table.set_column(table.column_names.index("return"), "return", values)
-    pq.write_table(table, folder / "runs.parquet")
 
 
 def sweep_a_number(manifest):
@@ -37,17 +28,17 @@ def sweep_a_number(manifest):
         point["variant"] = point["label"]
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, 1e300, -1e17])
-def test_numbers_of_any_size_leave_a_page(tmp_path, value):
+def test_numbers_of_any_size_leave_a_page(tmp_path):
     folder = write_results(tmp_path / "results", runs=20, recorded=0)
-    set_returns(folder, value)
     edit_manifest(folder, sweep_a_number)
-    with np.errstate(all="ignore"):
-        text = build_report(folder).read_text()
-    assert "could not be drawn" not in text
-    names = {path.name for path in (folder / "figures").iterdir()}
-    assert ("returns.png" in names) == bool(np.isfinite(value))
-    assert "settings.png" in names or not np.isfinite(value)
+    for value in (np.nan, np.inf, 1e300, -1e17):
+        set_column(folder, "return", value)
+        with np.errstate(all="ignore"):
+            text = build_report(folder).read_text()
+        assert "could not be drawn" not in text
+        names = {path.name for path in (folder / "figures").iterdir()}
+        assert ("returns.png" in names) == bool(np.isfinite(value))
+        assert "settings.png" in names or not np.isfinite(value)
 
 
 def test_equal_returns_stand_where_they_are():
@@ -83,26 +74,11 @@ def test_an_exception_in_a_test_leaves_its_claim_open(tmp_path, monkeypatch):
     assert found["order-holds"]["verdict"] == "reproduced"
 
 
-def test_a_claim_with_a_margin_of_text_is_inconclusive(tmp_path):
-    folder = write_results(tmp_path / "results", runs=20, recorded=0, report=ONE)
-    edit_manifest(folder, lambda manifest: manifest["claims"][0]["test"].update(margin="wide"))
-    build_report(folder)
-    claim = json.loads((folder / "claims.json").read_text())[0]
-    assert claim["verdict"] == "inconclusive" and 'margin: got "wide"' in claim["test"]["reason"]
-
-
-@pytest.mark.parametrize(
-    "names", [[r"$\unknowncmd$", "$", "a_b^{", "&<b>"], ["line\nbreak", "tab\t\x07", "\ud800x"]]
-)
-def test_names_are_drawn_as_they_are(tmp_path, names):
+def test_names_are_drawn_as_they_are(tmp_path):
     folder = write_results(tmp_path / "results", runs=8, recorded=1)
-
-    def rename(manifest):
-        manifest["title"] = " ".join(names)
-        for point, name in zip(manifest["points"], names, strict=False):
-            point["variant"] = name
-
-    edit_manifest(folder, rename)
+    names = [r"$\unknowncmd$", "$", "a_b^{", "&<b>\nbreak\t\x07", "\ud800x"]
+    edit_manifest(folder, lambda m: [p.update(variant=v) for p, v in zip(m["points"], names, strict=True)])
+    edit_manifest(folder, lambda manifest: manifest.update(title=" ".join(names)))
     text = build_report(folder).read_text(encoding="utf-8")
     assert "could not be drawn" not in text
     assert {"returns.png", "paths.png"} <= {path.name for path in (folder / "figures").iterdir()}
@@ -142,25 +118,17 @@ def test_changed_settings_are_told_at_the_top_and_with_every_verdict(tmp_path):
     assert text.index("planner.iterations") < text.index('<h2 id="claims">')
     assert "<td>300</td><td>20</td>" in text and "<td>none</td><td>kind wheeled-robot</td>" in text
     assert text.count('<a href="#changed">settings changed</a>') == len(verdicts)
-
-
-def test_a_sweep_as_shipped_has_no_such_box(tmp_path):
-    folder = write_results(tmp_path / "results", runs=20, recorded=0, report=ONE)
+    edit_manifest(folder, lambda manifest: manifest.pop("changed"))
     text = build_report(folder).read_text()
     assert "Settings changed" not in text and "settings changed" not in text
     assert all(claim["changed"] == {} for claim in json.loads((folder / "claims.json").read_text()))
 
 
 def test_a_label_is_not_said_to_stand_for_itself(tmp_path):
-    folder = write_results(tmp_path / "results", runs=20, recorded=0)
-
-    def rename(manifest):
-        manifest["points"][2].update(variant="sbo", swept={})
-
-    edit_manifest(folder, rename)
+    folder = write_results(tmp_path / "results", runs=20, recorded=0, report=ONE)
+    edit_manifest(folder, lambda manifest: manifest["points"][2].update(variant="sbo", swept={}))
     text = build_report(folder).read_text()
-    assert "sbo is represented by sbo" not in text
-    assert "variant with the" not in text
+    assert "sbo is represented by sbo" not in text and "variant with the" not in text
 
 
 def test_without_latencies_the_page_does_not_speak_of_them(tmp_path):
@@ -196,14 +164,10 @@ def test_lines_on_maps_keep_their_colours():
     assert f'[style*="stroke: {style.INK}"]' not in drawn.replace("[id^=text_] [style", "")
 
 
-def test_the_summary_says_the_limit_of_an_episode(tmp_path):
+def test_the_summary_says_the_limit_of_an_episode_and_a_gallery_counts_no_nans(tmp_path):
     folder = write_results(tmp_path / "results", runs=4, recorded=0, report=ONE)
     edit_manifest(folder, lambda m: [p["config"]["problem"].update(max_steps=40) for p in m["points"]])
     assert "4 runs each of up to 40 steps" in build_report(folder).read_text()
-
-
-def test_a_gallery_has_no_column_of_nans(tmp_path):
-    folder = write_results(tmp_path / "results", runs=2, recorded=0, report=ONE)
     edit_manifest(folder, lambda m: [p.update(config={"kind": "trajectories"}) for p in m["points"]])
     assert "runs with NaN" not in build_report(folder).read_text()
 
@@ -224,14 +188,10 @@ def test_an_outline_is_drawn_and_the_legend_lists_what_is_drawn(tmp_path):
             point["config"]["problem"]["kind"] = "mine:Dock"
             point["outline"] = outline
 
-    def undeclare(manifest):
-        for point in manifest["points"]:
-            del point["outline"]
-
     edit_manifest(folder, declare)
     labels, patches = drawn_labels(folder)
     assert labels == ["success", "failure", "start", "obstacle", "goal"] and len(patches) == 5
-    edit_manifest(folder, undeclare)
+    edit_manifest(folder, lambda m: [point.pop("outline") for point in m["points"]])
     labels, patches = drawn_labels(folder)
     assert labels == ["success", "failure", "start"] and not patches
 
@@ -266,27 +226,23 @@ def test_the_intervals_hide_no_dots(tmp_path):
         assert heights.max() + 0.1 < bar < row + 0.6
 
 
-@pytest.mark.parametrize("below", ["1", "parking/1"])
-def test_a_folder_of_results_names_the_newest_below(tmp_path, capsys, below):
-    folder = tmp_path / "all" / below
-    folder.parent.mkdir(parents=True)
-    write_results(folder, runs=2, recorded=0)
-    assert main(["report", str(tmp_path / "all")]) == 2
-    error = capsys.readouterr().err
-    assert error == f"error: {tmp_path}/all: not a results folder; the newest below it is {folder}\n"
+def test_what_is_no_results_folder_is_told_in_a_line(tmp_path, capsys):
+    def refusal(name):
+        assert main(["report", str(tmp_path / name)]) == 2
+        error = capsys.readouterr().err
+        assert error.count("\n") == 1 and len(error) < 400
+        return error
 
-
-@pytest.mark.parametrize("name", ["nowhere", "x" * 5000, "a" * 100 + "/" + "b" * 300])
-def test_what_is_no_folder_is_told_in_a_line(tmp_path, capsys, name):
-    assert main(["report", str(tmp_path / name)]) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1 and len(error) < 300 and "no such results folder" in error
-
-
-def test_a_file_is_no_results_folder(tmp_path, capsys):
+    for name in ("nowhere", "x" * 5000, "a" * 100 + "/" + "b" * 300):
+        assert "no such results folder" in refusal(name)
     (tmp_path / "file").write_text("")
-    assert main(["report", str(tmp_path / "file")]) == 2
-    assert capsys.readouterr().err == f"error: {tmp_path}/file: a file, not a results folder\n"
+    assert refusal("file") == f"error: {tmp_path}/file: a file, not a results folder\n"
+    for above, below in (("one", "1"), ("two", "parking/1")):
+        folder = tmp_path / above / below
+        folder.parent.mkdir(parents=True)
+        write_results(folder, runs=2, recorded=0)
+        told = f"error: {tmp_path}/{above}: not a results folder; the newest below it is {folder}\n"
+        assert refusal(above) == told
 
 
 @pytest.mark.parametrize(("patience", "lines"), [(0.0, 1), (1e9, 0)])
