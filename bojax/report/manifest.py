@@ -95,7 +95,7 @@ class Group(Recorded):
     points: list[int] = []
     lanes_per_device: Count | None = None
     devices: Count | None = None
-    compile_seconds: float = 0.0
+    compile_seconds: float | None = None
     run_seconds: float | None = None
     active_steps: Count | None = None
 
@@ -154,7 +154,7 @@ class Manifest(Recorded):
     @property
     def compile_seconds(self) -> float:
         """Compile time of all groups."""
-        return sum(group.compile_seconds for group in self.groups)
+        return sum(group.compile_seconds or 0 for group in self.groups)
 
     @property
     def changes(self) -> list[tuple[str, str, str]]:
