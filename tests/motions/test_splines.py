@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from tests.motions.families import all_paths, cubic, paths_of, resampled, splines, wrapped
+from tests.motions.families import all_paths, cubic, paths_of, splines, wrapped
 
 
 @pytest.mark.parametrize("actions", [5, 9, 17])
@@ -60,9 +60,3 @@ def test_a_cubic_curve_ends_at_its_bearing_and_heading(params):
     bearing = 0.8 * params[0]
     assert np.arctan2(end[1], end[0]) == pytest.approx(bearing, abs=1e-12)
     assert wrapped(end[2] - 2.0 * bearing) == pytest.approx(1.5 * params[1], abs=1e-12)
-
-
-def test_without_a_second_parameter_a_cubic_curve_is_nearly_a_circular_arc():
-    path = np.asarray(paths_of(resampled(cubic(), 100), jnp.asarray([[0.5, 0.0]])))[0]
-    # On a circular arc that starts along the heading, the heading grows evenly, up to twice the bearing.
-    np.testing.assert_allclose(path[:, 2], 0.8 * np.arange(1, 101) / 100, atol=0.03)

@@ -1,7 +1,6 @@
 """Small planners and problems with every setting spelled out, and a search compiled once per structure."""
 
 import dataclasses
-from collections import Counter
 
 import equinox as eqx
 import jax
@@ -17,16 +16,16 @@ from bojax.fields.closed_form import Bumps
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import RBF, Scaled
 from bojax.models.means import ZeroMean
-from bojax.motions.kernel_trajectories import KernelTrajectories
-from bojax.motions.splines import CubicCurves, SplineSet
+from bojax.motions.splines import SplineSet
 from bojax.planning.cbts import ContinuousBeliefTreeSearch
 from bojax.planning.discrete import DiscreteTreeSearch
 from bojax.planning.gps_abt import PatternSearch
 from bojax.planning.myopic import MyopicPlanner
-from bojax.planning.random import RandomPlanner
 from bojax.problems.monitoring import FieldMonitoring
 from bojax.problems.objectives import GradientObjective, UncertaintyObjective, ValueObjective
 from bojax.problems.parking import Parking
+from tests.motions import families
+from tests.reference import parking as reference
 
 
 def f64(value):
@@ -41,35 +40,17 @@ ACQUISITIONS = {
 
 
 def kernel_trajectories(num_segments=3):
-    return KernelTrajectories(
-        length=f64(1.0),
-        first_angle=f64(0.3),
-        turn_angle=f64(1.0),
-        space_lengthscale=f64(0.5),
-        time_lengthscale=f64(0.7),
-        epsilon=f64(0.1),
-        delta=f64(1e-5),
-        num_segments=num_segments,
-        start="pose",
-        num_samples=6,
-    )
+    return dataclasses.replace(families.kernel(num_segments=num_segments), num_samples=6)
 
 
-def parking(bearing="world", exit_terminates=True, park_along_path=True, success_needs_bearing=False):
+def parking(distance_tolerance=0.25, heading_noise=0.02, position_noise=0.02, max_steps=15, **settings):
+    """Robot parking with the given settings; the others are the thesis's."""
+    values = vars(reference.Parking(distance_tolerance=distance_tolerance, **settings))
     return Parking(
-        half_width=f64(4.0),
-        distance_tolerance=f64(0.25),
-        heading_tolerance=f64(np.pi / 10.0),
-        bearing_tolerance=f64(np.pi / 10.0),
-        success_reward=f64(1000.0),
-        exit_reward=f64(-1000.0),
-        position_noise=f64(0.02),
-        heading_noise=f64(0.02),
-        max_steps=15,
-        bearing=bearing,
-        success_needs_bearing=success_needs_bearing,
-        exit_terminates=exit_terminates,
-        park_along_path=park_along_path,
+        **{name: f64(value) if isinstance(value, float) else value for name, value in values.items()},
+        position_noise=f64(position_noise),
+        heading_noise=f64(heading_noise),
+        max_steps=max_steps,
     )
 
 
@@ -146,7 +127,7 @@ FIELD_POSES = {
 
 
 def cubic_curves():
-    return CubicCurves(f64(1.0), f64(0.8), f64(1.5), 6)
+    return dataclasses.replace(families.cubic(), num_samples=6)
 
 
 def kcbts(
@@ -211,10 +192,6 @@ def gps_abt(iterations=60, depth=3, discount=1.0, exploration=10.0, heuristic="r
     )
 
 
-def random_planner():
-    return RandomPlanner(motions=SplineSet(f64(1.0), 5, 6))
-
-
 def myopic(actions=5, objective=None):
     return MyopicPlanner(SplineSet(f64(1.0), actions, 6), objective)
 
@@ -227,9 +204,6 @@ POSES = {
     "beside the lot": (0.3, 1.2, 4.6),
 }
 
-
-TRACES: Counter[str] = Counter()
-"""How often each program below was traced, and so compiled."""
 
 # These programs run for milliseconds: what costs time is to compile them. Not so on a GPU, where XLA of JAX
 # 0.11.2 makes wrong programs of them without optimisation: plans whose path is not that of their action.
@@ -246,7 +220,6 @@ def _fit(problem, x, y, count):
 @quick_jit
 def search(planner, key, problem, belief):
     """The tree, what the planner remembers, the child it recommends, and what it drew before."""
-    TRACES["search"] += 1
     key_begin, _ = jax.random.split(jax.random.clone(key))
     begun = planner.begin(key_begin, planner.discount.dtype)
     tree, memory = planner.search(key, problem, belief)
@@ -262,14 +235,12 @@ def path_of(motions, params):
 @quick_jit
 def plan(planner, key, problem, belief):
     """One plan."""
-    TRACES["plan"] += 1
     return planner.plan(key, problem, belief)
 
 
 @quick_jit
 def plans(planners, keys, problem, beliefs):
     """A batch of plans; every array of `planners` has a leading axis of lanes too."""
-    TRACES["plans"] += 1
     return eqx.filter_vmap(lambda planner, key, belief: planner.plan(key, problem, belief))(
         planners, keys, beliefs
     )

@@ -2,7 +2,6 @@
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 import pytest
 from jaxtyping import Array, Float, Key
 
@@ -70,19 +69,6 @@ def test_kcbts_finds_the_one_peak(acquisition, params):
     assert max(misses) < 0.1
 
 
-@pytest.mark.slow
-def test_refinement_comes_closer_to_the_peak():
-    target = path_of(kernel_trajectories(), f64(PARAMS["left"]))[-1, :2]
-    problem = Target(f64(0.0), f64(0.0), target)
-
-    def mean_miss(refine_steps):
-        planner = kcbts("log-ei", depth=1, iterations=60, max_actions=30, refine_steps=refine_steps)
-        keys = [jax.random.key(seed) for seed in range(8)]
-        return -np.mean([float(plan(planner, key, problem, f64(START)).reward) for key in keys])
-
-    assert mean_miss(10) < 0.75 * mean_miss(0)
-
-
 def test_gps_abt_finds_the_one_peak():
     target = path_of(kernel_trajectories(num_segments=2), f64((0.5, 0.4)))[-1, :2]
     problem = Target(f64(0.0), f64(0.0), target)
@@ -100,9 +86,3 @@ def test_two_steps_ahead_the_greedy_action_is_wrong(make):
         assert greedy.value == 1.0
         assert patient.path[-1, 1] < -0.1
         assert patient.value > 5.0
-
-
-def test_the_discount_can_make_greed_right():
-    problem = Detour(f64(0.0), f64(0.0))
-    result = plan(sbo(depth=2, iterations=120, discount=0.05), jax.random.key(0), problem, f64(START))
-    assert result.path[-1, 1] > 0.1

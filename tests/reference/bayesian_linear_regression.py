@@ -11,20 +11,6 @@ def posterior(features, targets, prior_precision, noise_precision):
     return noise_precision * covariance @ features.T @ targets, covariance
 
 
-def updated(mean, covariance, features, targets, noise_precision):
-    """The posterior with another posterior as its prior (2.21, and 2.22 with the inverse that it lacks)."""
-    features, targets = np.asarray(features), np.asarray(targets)
-    precision = np.linalg.inv(covariance)
-    new = np.linalg.inv(precision + noise_precision * features.T @ features)
-    return new @ (precision @ mean + noise_precision * features.T @ targets), new
-
-
-def predictive(mean, covariance, features, noise_precision):
-    """Mean and variance of an observation (2.17, 2.18)."""
-    features = np.asarray(features)
-    return features @ mean, 1.0 / noise_precision + np.einsum("nm,mk,nk->n", features, covariance, features)
-
-
 def negative_log_evidence(features, targets, prior_precision, noise_precision):
     """The negative log marginal likelihood, term by term as (2.23, 2.24) print it."""
     features, targets = np.asarray(features), np.asarray(targets)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tests.reference.node_gp import NodeGP
+from tests.reference.gaussian_process import GP, LinearMean
 
 
 def maximise(function, kernel, acquisition, noise_variance, num_initial, refine_steps, initial, candidates):
@@ -43,13 +43,11 @@ def best_point(kernel, acquisition, noise_variance, refine_steps):
 
     def find(x, y, candidates):
         values = (y - y.mean()) / (y.std() if np.ptp(y) > 0.0 else 1.0)
-        gp = NodeGP(kernel, noise_variance, len(x), x.shape[1])
-        for row in x:
-            gp.append(row)
+        gp = GP(kernel, LinearMean(), noise_variance, x, values)
 
         def score(points):
-            mean, variance = gp.predict(values, points)
-            return acquisition(mean, np.sqrt(variance), values.max())
+            mean, covariance = gp.predict(points)
+            return acquisition(mean, np.sqrt(np.maximum(np.diag(covariance), 0.0)), values.max())
 
         point, size = candidates[np.argmax(score(candidates))], 0.1
         for _ in range(refine_steps):

@@ -1,6 +1,7 @@
 """The same settings and the same random numbers for both: from a JAX planner to its reference."""
 
 import dataclasses
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -16,19 +17,14 @@ from bojax.planning.gps_abt import PatternSearch
 from bojax.problems import objectives
 from bojax.problems.field_belief import FieldBelief
 from bojax.problems.monitoring import FieldMonitoring
-from tests.reference import acquisition, field_gp, gps_abt, kcbts, mcts, monitoring, node_gp, parking
+from tests.reference import acquisition, gps_abt, kcbts, mcts, monitoring, parking
+from tests.reference import gaussian_process as gp
 
-PROFILES = {
-    kernels.RBF: node_gp.rbf,
-    kernels.Matern12: node_gp.matern12,
-    kernels.Matern32: node_gp.matern32,
-    kernels.Matern52: node_gp.matern52,
-}
-SLOPES = {
-    kernels.RBF: field_gp.rbf_slope,
-    kernels.Matern12: field_gp.matern12_slope,
-    kernels.Matern32: field_gp.matern32_slope,
-    kernels.Matern52: field_gp.matern52_slope,
+STATIONARY = {
+    kernels.RBF: (gp.rbf, gp.rbf_slope),
+    kernels.Matern12: (gp.matern12, gp.matern12_slope),
+    kernels.Matern32: (gp.matern32, gp.matern32_slope),
+    kernels.Matern52: (gp.matern52, gp.matern52_slope),
 }
 OBJECTIVES = {
     objectives.GradientObjective: "gradient",
@@ -58,11 +54,11 @@ def reference_belief(belief):
     if not isinstance(belief, FieldBelief):
         return np.asarray(belief)
     posterior, count = belief.posterior, int(belief.posterior.count)
-    kernel, mean = reference_field_kernel(posterior.kernel), reference_mean(posterior.mean)
+    kernel, mean = reference_kernel(posterior.kernel), reference_mean(posterior.mean)
     noise_variance = _noise_variance(posterior.kernel, posterior.noise_variance)
 
     def refit(x, y):
-        return field_gp.GP(kernel, mean, noise_variance, x, y)
+        return gp.GP(kernel, mean, noise_variance, x, y)
 
     x, y = (np.asarray(values)[:count] for values in (posterior.x, posterior.y))
     return monitoring.Belief(np.asarray(belief.pose), x, y, refit)
@@ -145,30 +141,25 @@ def reference_planner(planner, problem, memory, draws, problem_draws=None) -> mc
     raise TypeError(f"no reference of {type(planner).__name__}")
 
 
-def reference_kernel(kernel) -> node_gp.Kernel:
-    return node_gp.Kernel(PROFILES[type(kernel)], np.asarray(kernel.lengthscale))
-
-
-def reference_field_kernel(kernel):
-    """The same, with its gradient."""
+def reference_kernel(kernel):
+    """The same kernel, with its gradient."""
     match kernel:
         case kernels.Scaled():
-            return field_gp.Scaled(reference_field_kernel(kernel.kernel), float(kernel.variance))
+            return gp.Scaled(reference_kernel(kernel.kernel), float(kernel.variance))
         case kernels.Sum() | kernels.Product():
-            both = reference_field_kernel(kernel.first), reference_field_kernel(kernel.second)
-            return (field_gp.Sum if isinstance(kernel, kernels.Sum) else field_gp.Product)(*both)
-    slope, lengthscale = SLOPES[type(kernel)], np.asarray(kernel.lengthscale)
-    return field_gp.Stationary(PROFILES[type(kernel)], slope, lengthscale)
+            both = reference_kernel(kernel.first), reference_kernel(kernel.second)
+            return (gp.Sum if isinstance(kernel, kernels.Sum) else gp.Product)(*both)
+    return gp.Stationary(*STATIONARY[type(kernel)], np.asarray(kernel.lengthscale))
 
 
-def reference_mean(mean) -> field_gp.LinearMean:
+def reference_mean(mean) -> gp.LinearMean:
     match mean:
         case means.ZeroMean():
-            return field_gp.LinearMean(np.zeros(2), 0.0)
+            return gp.LinearMean()
         case means.ConstantMean():
-            return field_gp.LinearMean(np.zeros(2), float(mean.value))
+            return gp.LinearMean(bias=float(mean.value))
         case means.LinearMean():
-            return field_gp.LinearMean(np.asarray(mean.weights), float(mean.bias))
+            return gp.LinearMean(np.asarray(mean.weights), float(mean.bias))
     raise TypeError(f"no reference of {type(mean).__name__}")
 
 
@@ -180,11 +171,11 @@ def reference_objective(objective) -> monitoring.Objective:
 def reference_acquisition(function):
     match function:
         case functions.UpperConfidenceBound():
-            return acquisition.UpperConfidenceBound(float(function.kappa))
+            return partial(acquisition.upper_confidence_bound, kappa=float(function.kappa))
         case functions.ProbabilityOfImprovement():
-            return acquisition.ProbabilityOfImprovement(float(function.xi))
+            return partial(acquisition.probability_of_improvement, xi=float(function.xi))
         case functions.LogExpectedImprovement():
-            return acquisition.LogExpectedImprovement(float(function.xi))
+            return partial(acquisition.log_expected_improvement, xi=float(function.xi))
     raise TypeError(f"no reference of {type(function).__name__}")
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.stats import rankdata
 
+from tests.reference.gaussian_process import NodeGP
 from tests.reference.mcts import TreeSearch
-from tests.reference.node_gp import NodeGP
 
 
 class ContinuousBeliefTreeSearch(TreeSearch):

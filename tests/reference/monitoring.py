@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tests.reference.field_gp import GP
+from tests.reference.gaussian_process import GP
 from tests.reference.parking import place
 
 

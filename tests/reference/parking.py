@@ -1,77 +1,86 @@
-"""Robot parking: the outcome of a path (4.13)."""
+"""Robot parking: the outcome of a path (4.13), pose by pose, with the corrections that `Parking` states."""
 
-import math
 from dataclasses import dataclass
+from math import atan2, cos, hypot, pi, sin, sqrt
 
 import numpy as np
 
 
 @dataclass(frozen=True)
-class Parking:
-    """The problem as a planner knows it; a belief is a pose."""
+class Outcome:
+    """What a path leads to; `branch` names the line of (4.13) that paid."""
 
-    half_width: float
-    distance_tolerance: float
-    heading_tolerance: float
-    bearing_tolerance: float
-    success_reward: float
-    exit_reward: float
-    bearing: str
-    success_needs_bearing: bool
-    exit_terminates: bool
-    park_along_path: bool
+    branch: str
+    reward: float
+    terminated: bool
+    success: bool
+    exited: bool
+    last: int
+
+
+@dataclass(frozen=True)
+class Parking:
+    """The thesis's constants, and the choices that it leaves open; a belief is a pose."""
+
+    half_width: float = 4.0
+    distance_tolerance: float = 0.1
+    heading_tolerance: float = pi / 10
+    bearing_tolerance: float = pi / 10
+    success_reward: float = 1000.0
+    exit_reward: float = -1000.0
+    bearing: str = "world"
+    success_needs_bearing: bool = False
+    exit_terminates: bool = True
+    park_along_path: bool = True
 
     def drive(self, pose, path, draws=None):
-        """The pose, the reward and whether the episode is over after driving `path` from `pose`.
-
-        Without chance: nothing is drawn.
-        """
+        """The pose, the reward and whether the episode is over after driving `path`; nothing is drawn."""
         path = place(path, pose)
-        position = path[:, :2]
-        is_outside = np.abs(position).max(axis=1) > self.half_width
-        is_near = np.square(position).sum(axis=1) <= self.distance_tolerance**2
-        if not self.park_along_path:
-            is_near[:-1] = False
-        # Most paths meet neither the border nor the lot: only the others are followed pose by pose.
-        if is_outside.any() or is_near.any():
-            has_left = False
-            for i in np.flatnonzero(is_outside | is_near):
-                if is_near[i] and self.is_aligned(path[i]):
-                    return path[i], self.success_reward, True
-                if is_outside[i] and self.exit_terminates:
-                    return path[i], self.exit_reward, True
-                has_left |= is_outside[i]
-            if has_left and max(abs(pose[0]), abs(pose[1])) <= self.half_width:
-                return path[-1], self.exit_reward, False
-        return path[-1], self.shaped_reward(path[-1]), False
+        found = self.outcome(pose, path)
+        return path[found.last], found.reward, found.terminated
 
-    def is_aligned(self, pose):
-        """What a pose near the lot still needs to be parked."""
-        is_along = abs(math.sin(pose[2])) <= self.heading_tolerance
-        return is_along and (not self.success_needs_bearing or self.off_axis(pose) <= self.bearing_tolerance)
+    def outcome(self, start, path) -> Outcome:
+        """Drive through the poses of `path` until something ends it."""
+        exited = False
+        for index, pose in enumerate(path):
+            if not self.is_inside(pose):
+                if self.exit_terminates:
+                    return Outcome("exit", self.exit_reward, True, False, True, index)
+                exited = exited or self.is_inside(start)
+            if self.is_parked(pose) and (self.park_along_path or index == len(path) - 1):
+                return Outcome("parked", self.success_reward, True, True, exited, index)
+        branch, reward = ("exit", self.exit_reward) if exited else self.shaped(path[-1])
+        return Outcome(branch, reward, False, False, exited, len(path) - 1)
 
-    def shaped_reward(self, pose):
-        """(4.13) where the robot neither parked nor left."""
-        d_max = math.hypot(self.half_width, self.half_width)
-        off_axis, off_heading = self.off_axis(pose), abs(math.sin(pose[2]))
+    def is_inside(self, pose) -> bool:
+        return abs(pose[0]) <= self.half_width and abs(pose[1]) <= self.half_width
+
+    def is_parked(self, pose) -> bool:
+        if self.success_needs_bearing and self.off_axis(pose) > self.bearing_tolerance:
+            return False
+        return hypot(pose[0], pose[1]) <= self.distance_tolerance and not self.is_off_heading(pose)
+
+    def is_off_heading(self, pose) -> bool:
+        return abs(sin(pose[2])) > self.heading_tolerance
+
+    def off_axis(self, pose) -> float:
+        """|sin beta|: where the robot is seen from the lot, or the lot from the robot's heading."""
+        x, y, heading = pose
+        if x == 0.0 and y == 0.0:  # no bearing there
+            return 0.0
+        return abs(sin(atan2(y, x) if self.bearing == "world" else atan2(-y, -x) - heading))
+
+    def shaped(self, pose) -> tuple[str, float]:
+        """The first three lines of (4.13)."""
+        d_max, off_axis = sqrt(2.0) * self.half_width, self.off_axis(pose)
         if off_axis > self.bearing_tolerance:
-            return -off_axis - d_max - 1.0
-        if off_heading > self.heading_tolerance:
-            return -off_heading - d_max
-        return -math.hypot(pose[0], pose[1])
-
-    def off_axis(self, pose):
-        """|sin beta|."""
-        x, y, alpha = pose
-        if self.bearing == "robot":
-            return abs(math.sin(math.atan2(-y, -x) - alpha)) if x or y else 0.0
-        return abs(math.sin(math.atan2(y, x)))
+            return "off axis", -off_axis - d_max - 1.0
+        if self.is_off_heading(pose):
+            return "off heading", -abs(sin(pose[2])) - d_max
+        return "on axis", -hypot(pose[0], pose[1])
 
 
 def place(path, pose):
     """A path of the robot's frame, driven from `pose`."""
-    x, y, heading = pose
-    cos, sin = math.cos(heading), math.sin(heading)
-    placed = path @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    placed += pose
-    return placed
+    c, s = cos(pose[2]), sin(pose[2])
+    return path @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) + pose

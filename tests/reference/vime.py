@@ -97,23 +97,6 @@ class Model:
         return step**2 * sum(np.sum(g**2 * h) for g, h in terms)
 
 
-class Adam:
-    """Adam (Kingma and Ba 2015) with its default decays."""
-
-    def __init__(self, parameters, rate):
-        self.rate, self.number = rate, 0
-        self.first = [np.zeros_like(p) for p in parameters]
-        self.second = [np.zeros_like(p) for p in parameters]
-
-    def update(self, parameters, gradient):
-        self.number += 1
-        for p, g, m, v in zip(parameters, gradient, self.first, self.second, strict=True):
-            m += 0.1 * (g - m)
-            v += 0.001 * (g**2 - v)
-            mean, square = m / (1 - 0.9**self.number), v / (1 - 0.999**self.number)
-            p -= self.rate * mean / (np.sqrt(square) + 1e-8)
-
-
 def path_bonuses(model, noise, inputs, targets, step, largest):
     """The bonuses of a path, not normalised: the last step has that of the step before it.
 
