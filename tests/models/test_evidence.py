@@ -63,34 +63,6 @@ def test_explains_the_data_as_well_as_scikit_learn(name):
     assert np.all((np.asarray(learned) >= BOUNDS[0]) & (np.asarray(learned) <= BOUNDS[1]))
 
 
-@pytest.mark.slow
-def test_recovers_the_hyper_parameters_that_made_the_data():
-    # 12 draws of 25 points from one process; their joint evidence, so that chance averages out.
-    true = np.array([0.4, 2.0, 0.05])  # lengthscale, variance, noise variance
-    points = jnp.asarray(np.random.default_rng(2).uniform(-1.0, 1.0, (25, 2)))
-    prior = GaussianProcess.prior(
-        Scaled(RBF(jnp.asarray(true[0])), jnp.asarray(true[1])), jnp.asarray(0.0), 1, 2
-    )
-    values = jax.jit(lambda key: prior.sample(key, points, 12))(jax.random.key(1))
-    values = values + true[2] ** 0.5 * jax.random.normal(jax.random.key(2), values.shape)
-
-    def evidence(params):
-        lengthscale, variance, noise = params
-
-        def of_one(y):
-            gp = GaussianProcess.fit(Scaled(RBF(lengthscale), variance), noise, points, y)
-            return gp.log_marginal_likelihood()
-
-        return jnp.sum(jax.vmap(of_one)(values))
-
-    start = (jnp.asarray(1.0), jnp.asarray(1.0), jnp.asarray(1.0))
-    optimum = jax.jit(lambda key: maximise(evidence, start, key, num_starts=3))(jax.random.key(3))
-    assert optimum.has_converged
-    np.testing.assert_allclose(np.log(np.asarray(optimum.params)), np.log(true), atol=0.25)
-    slope = jax.jit(jax.grad(evidence))(optimum.params)
-    np.testing.assert_allclose(np.asarray(slope) * np.asarray(optimum.params), 0.0, atol=0.1)
-
-
 @pytest.fixture(scope="module")
 def lanes():
     """Posteriors of 25, 8, 1 and no observations with room for 25, in a batch, before and after."""
@@ -187,13 +159,6 @@ def test_a_start_that_meets_nan_never_wins():
     assert nowhere.value == -jnp.inf and nowhere.params["p"] == 1e-6
 
 
-def test_parameters_stay_within_their_bounds():
-    settings = {"num_starts": 2, "num_steps": 10, "bounds": (0.1, 5.0)}
-    best = jax.jit(lambda key: maximise(jnp.log, jnp.asarray(1.0), key, **settings))
-    optimum = best(jax.random.key(7))
-    assert 4.5 < optimum.params <= 5.0
-
-
 def test_known_noise_and_the_mean_are_held_fixed():
     x, y = (jnp.asarray(column) for column in data("waves"))
     mean, noises = ConstantMean(jnp.asarray(1.0)), jnp.full((25,), 0.02)
@@ -220,12 +185,3 @@ def test_a_prior_pulls_and_decides_where_the_data_are_silent():
 
     np.testing.assert_allclose(learned(0), 0.7, rtol=1e-3)
     assert 0.01 < abs(np.log(learned(25) / 0.7)) < 1.0
-
-
-@pytest.mark.slow
-def test_float32_learns_almost_as_well():
-    x, y = data("waves")
-    exact = learn(posterior(x, y), jax.random.key(0))[1]
-    gp, optimum = learn(posterior(x, y, dtype=jnp.float32), jax.random.key(0))
-    assert optimum.value.dtype == gp.noise_variance.dtype == jnp.float32
-    np.testing.assert_allclose(optimum.value, exact.value, atol=0.05)

@@ -14,6 +14,7 @@ from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import RBF, Matern12, Matern32, Matern52, Scaled
 from bojax.models.means import ConstantMean
 from bojax.numerics.linalg import noise_floor
+from tests.refusals import assert_refused
 from tests.tiers import by_tier
 
 KERNELS = {
@@ -76,43 +77,17 @@ def variances_along(gp: GaussianProcess, x, queries):
 
 
 @each_kernel
-@pytest.mark.parametrize("noise_variance", [1e-4, 0.01, 1.0])
-def test_one_observation_at_a_time_gives_the_batch_posterior(name, noise_variance):
+@pytest.mark.parametrize("noise_variance", [1e-4, 1.0])
+def test_one_observation_at_a_time_gives_the_batch_posterior_in_any_order(name, noise_variance):
     kernel, reference = KERNELS[name]
     x, y = observations(16)
-    mean, variance = predict(condition(prior(noise_variance, kernel=kernel), x, y), QUERIES)
     batch = GaussianProcessRegressor(reference, alpha=noise_variance, optimizer=None).fit(x, y)
     expected_mean, expected_std = batch.predict(QUERIES, return_std=True)
-    np.testing.assert_allclose(mean, expected_mean, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(variance, expected_std**2, rtol=0, atol=1e-9)
-
-
-@pytest.mark.parametrize("capacity", [7, 30])
-def test_equals_the_closed_form_with_a_lengthscale_for_each_dimension(capacity):
-    lengthscale, noise_variance = np.array([0.3, 1.2]), 0.05
-    x, y = observations(7)
-    gp = condition(prior(noise_variance, capacity, lengthscale=lengthscale), x, y)
-    mean, variance = predict(gp, QUERIES)
-
-    def k(a, b):
-        scaled = (np.asarray(a)[:, None, :] - np.asarray(b)[None, :, :]) / lengthscale
-        return np.exp(-0.5 * (scaled**2).sum(axis=-1))
-
-    inverse = np.linalg.inv(k(x, x) + noise_variance * np.eye(7))
-    expected_variance = 1.0 - np.einsum("mn,nk,mk->m", k(QUERIES, x), inverse, k(QUERIES, x))
-    np.testing.assert_allclose(mean, k(QUERIES, x) @ inverse @ np.asarray(y), atol=1e-12)
-    np.testing.assert_allclose(variance, expected_variance, atol=1e-12)
-    cholesky = np.linalg.cholesky(k(x, x) + noise_variance * np.eye(7))
-    np.testing.assert_allclose(gp.inverse_cholesky[:7, :7], np.linalg.inv(cholesky), atol=1e-11)
-
-
-def test_the_order_of_observations_does_not_matter():
-    x, y = observations(16)
-    order = np.random.default_rng(1).permutation(16)
-    forwards = predict(condition(prior(0.01), x, y), QUERIES)
-    shuffled = predict(condition(prior(0.01), x[order], y[order]), QUERIES)
-    for one, other in zip(forwards, shuffled, strict=True):
-        np.testing.assert_allclose(one, other, atol=1e-12)
+    for order in (np.arange(16), np.random.default_rng(1).permutation(16)):
+        posterior = condition(prior(noise_variance, kernel=kernel), x[order], y[order])
+        mean, variance = predict(posterior, QUERIES)
+        np.testing.assert_allclose(mean, expected_mean, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(variance, expected_std**2, rtol=0, atol=1e-9)
 
 
 @each_kernel
@@ -128,27 +103,6 @@ def test_the_variance_is_never_negative_and_never_grows(name, noise_variance, le
     assert np.all(variances[-1] < 1.0)
 
 
-def test_without_observations_the_posterior_is_the_prior():
-    mean, variance = predict(prior(0.01), QUERIES)
-    np.testing.assert_array_equal(mean, np.zeros(len(QUERIES)))
-    np.testing.assert_array_equal(variance, np.ones(len(QUERIES)))
-
-
-@pytest.mark.parametrize("noise_variance", [0.0, 0.25])
-def test_one_observation_shrinks_towards_the_prior_by_its_noise(noise_variance):
-    x, y = np.asarray([[0.2, -0.4]]), np.asarray([3.0])
-    mean, variance = predict(condition(prior(noise_variance), x, y), x)
-    np.testing.assert_allclose(mean, 3.0 / (1.0 + noise_variance), rtol=2.0 * noise_floor(x.dtype))
-    np.testing.assert_allclose(variance, 1.0 - 1.0 / (1.0 + noise_variance), atol=2.0 * noise_floor(x.dtype))
-
-
-def test_without_noise_the_mean_interpolates():
-    x, y = observations(16)
-    mean, variance = predict(condition(prior(0.0, kernel=Matern32), x, y), x)
-    np.testing.assert_allclose(mean, y, atol=50.0 * noise_floor(x.dtype))
-    np.testing.assert_allclose(variance, 0.0, atol=2.0 * noise_floor(x.dtype))
-
-
 def test_an_observation_beyond_the_capacity_leaves_no_trace():
     full = condition(prior(0.01), *observations(16))
     over = condition(full, *observations(16, seed=1))
@@ -158,54 +112,24 @@ def test_an_observation_beyond_the_capacity_leaves_no_trace():
 
 @pytest.mark.parametrize("name", ["rbf", "matern12"])  # the smoothest and the roughest
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
-@pytest.mark.parametrize("noise_variance", [0.0, 1e-6])
-@pytest.mark.parametrize("apart", [0.0, 1e-9])
-def test_points_observed_again_and_again_are_no_news(name, dtype, noise_variance, apart):
+@pytest.mark.parametrize("size", [1, 5])
+def test_points_observed_again_and_again_are_no_news(name, dtype, size):
     # A singular covariance matrix but for the noise: the worst that the factor can meet.
-    x, _ = observations(5)
-    x = np.tile(x, (6, 1)) + apart * np.random.default_rng(2).normal(size=(30, 2))
-    y = np.sin(3.0 * x[:, 0]) + x[:, 1]
-    x, y, queries = (np.asarray(a, dtype) for a in (x, y, QUERIES))
-    kernel = KERNELS[name][0](jnp.asarray(0.5, dtype))
-    gp = condition(GaussianProcess.prior(kernel, jnp.asarray(noise_variance, dtype), 30, num_dims=2), x, y)
-    mean, variance = predict(gp, np.concatenate([x, queries]))
-    np.testing.assert_allclose(mean[:30], y, atol=1e-2 if dtype == jnp.float32 else 1e-4)
-    assert np.all(variance[:30] <= 10.0 * (noise_variance + noise_floor(dtype)))
-    once = GaussianProcessRegressor(KERNELS[name][1], alpha=noise_floor(dtype), optimizer=None).fit(
-        x[:5], y[:5]
-    )
-    np.testing.assert_allclose(mean[30:], once.predict(QUERIES), atol=2e-2)
-
-
-def test_contradicting_observations_without_noise_give_their_mean():
-    x, y = np.asarray([[0.1, 0.2]] * 2), np.asarray([1.0, 2.0])
-    mean, variance = predict(condition(prior(0.0), x, y), x)
-    np.testing.assert_allclose(mean, 1.5, atol=1e-3)
-    np.testing.assert_allclose(variance, 0.0, atol=1e-9)
-
-
-def test_a_repeated_point_averages_out_its_noise():
-    x, values = np.asarray([[0.1, 0.2]] * 6), np.asarray([1.0, 2.0, 0.5, 1.5, 2.5, 1.5])
-    mean, variance = predict(condition(prior(0.3), x, values), x[:1])
-    np.testing.assert_allclose(mean, values.sum() / (6 + 0.3), rtol=1e-13)
-    np.testing.assert_allclose(variance, 0.3 / (6 + 0.3), rtol=1e-12)
-
-
-def test_a_batch_of_processes_is_a_loop():
-    noise, lengthscale = np.asarray([0.01, 0.1, 1.0]), np.asarray([0.2, 0.5, 1.0])
-    data = [observations(6, seed) for seed in range(3)]
-    x, y = (np.stack(column) for column in zip(*data, strict=True))
-
-    def posterior(lengthscale, noise_variance, x, y):
-        gp = GaussianProcess.prior(RBF(lengthscale), noise_variance, 6, num_dims=2)
-        return condition(gp, x, y).predict(QUERIES)
-
-    batched = jax.jit(jax.vmap(posterior))(lengthscale, noise, x, y)
-    one = jax.jit(posterior)
-    for lane in range(3):
-        alone = one(lengthscale[lane], noise[lane], x[lane], y[lane])
-        for expected, found in zip(alone, batched, strict=True):
-            np.testing.assert_allclose(found[lane], expected, atol=1e-13)
+    atol = 1e-2 if dtype == jnp.float32 else 1e-4
+    for noise_variance in (0.0, 1e-6):
+        for apart in (0.0, 1e-9):
+            x, _ = observations(5)
+            x = np.tile(x, (6, 1)) + apart * np.random.default_rng(2).normal(size=(30, 2))
+            y = np.sin(3.0 * x[:, 0]) + x[:, 1]
+            x, y, queries = (np.asarray(a, dtype) for a in (x, y, QUERIES))
+            kernel = KERNELS[name][0](jnp.asarray(0.5, dtype))
+            gp = GaussianProcess.prior(kernel, jnp.asarray(noise_variance, dtype), 30, num_dims=2)
+            gp = extend_by_blocks(gp, x.reshape(-1, size, 2), y.reshape(-1, size))
+            mean, variance = predict(gp, np.concatenate([x, queries]))
+            np.testing.assert_allclose(mean[:30], y, atol=atol)
+            assert np.all(variance[:30] <= 10.0 * (noise_variance + noise_floor(dtype)))
+            once = GaussianProcessRegressor(KERNELS[name][1], alpha=noise_floor(dtype), optimizer=None)
+            np.testing.assert_allclose(mean[30:], once.fit(x[:5], y[:5]).predict(QUERIES), atol=2e-2)
 
 
 @each_kernel
@@ -275,11 +199,6 @@ def test_rows_past_the_count_do_not_exist(num):
     np.testing.assert_allclose(evidence_of(gp), evidence, atol=1e-12)
 
 
-def test_a_batch_needs_room():
-    with pytest.raises(ValueError, match="capacity: got 3; allowed: >= 4, the number of observations"):
-        fit(RBF(jnp.asarray(0.5)), jnp.asarray(0.1), *observations(4), capacity=3)
-
-
 @pytest.mark.parametrize("name, capacity", [("rbf", 30), ("matern12", 30), ("product", 30), ("sum", 11)])
 def test_a_block_of_observations_is_one_after_the_other(name, capacity):
     # Five blocks of six points, some of them invalid; the smaller capacity is exceeded inside a block.
@@ -315,19 +234,6 @@ def test_what_the_first_observations_say_is_the_posterior_given_them_alone(name)
         np.testing.assert_allclose(found, predict(part, QUERIES), atol=1e-11)
 
 
-def test_a_block_of_points_observed_before_is_no_news():
-    x, y = observations(5)
-    gp = GaussianProcess.prior(RBF(jnp.asarray(0.5)), jnp.asarray(0.0), 40, num_dims=2)
-    for _ in range(4):
-        gp = extend(gp, np.tile(x, (2, 1)), np.tile(y, 2), np.ones(10, bool))
-    mean, variance = predict(gp, x)
-    np.testing.assert_allclose(mean, y, atol=1e-6)
-    # Each point was observed eight times.
-    np.testing.assert_allclose(variance, noise_floor(x.dtype) / 8.0, rtol=1e-3)
-    once = fit(gp.kernel, gp.noise_variance, x, y)
-    np.testing.assert_allclose(predict(gp, QUERIES), predict(once, QUERIES), atol=1e-6)
-
-
 def test_every_observation_may_have_its_own_noise():
     x, y = observations(12)
     noise = 10.0 ** np.random.default_rng(5).uniform(-3.0, 0.0, 12)
@@ -356,15 +262,6 @@ def test_the_gradient_of_the_mean_is_its_slope(name):
     for axis in range(2):
         above, below = (predict(gp, queries + sign * step[axis])[0] for sign in (1.0, -1.0))
         np.testing.assert_allclose(gradient[:, axis], (above - below) / 2e-6, atol=1e-7)
-
-
-def test_the_gradient_of_the_mean_has_a_closed_form():
-    lengthscale = jnp.asarray([0.3, 1.2])
-    gp = fit(RBF(lengthscale), jnp.asarray(0.05), *observations(16))
-    difference = np.asarray(gp.x)[None] - np.asarray(QUERIES)[:, None]
-    weighted = np.asarray(jax.jit(lambda gp: gp.kernel.gram(QUERIES, gp.x) * gp.weights()[None, :])(gp))
-    expected = (weighted[:, :, None] * difference).sum(axis=1) / np.asarray(lengthscale) ** 2
-    np.testing.assert_allclose(slopes(gp, QUERIES), expected, atol=1e-11)
 
 
 def test_the_evidence_has_the_gradient_of_scikit_learn():
@@ -409,51 +306,6 @@ def test_samples_of_one_function_agree_where_points_coincide(dtype):
     np.testing.assert_allclose(samples[:, 0, :5], np.tile(y[None], (50, 1)), atol=exact)
 
 
-@each_kernel
-@pytest.mark.parametrize("noise_variance", [0.0, 0.01])
-def test_a_vanishing_lengthscale_makes_every_point_an_island(name, noise_variance):
-    x, y = observations(16)
-    gp = fit(KERNELS[name][0](jnp.asarray(1e-6)), jnp.asarray(noise_variance), x, y)
-    mean, variance = predict(gp, x)
-    noise = max(noise_variance, noise_floor(x.dtype))
-    np.testing.assert_allclose(mean, y / (1.0 + noise), rtol=1e-11)
-    np.testing.assert_allclose(variance, 1.0 - 1.0 / (1.0 + noise), atol=1e-11)
-    elsewhere, prior_variance = predict(gp, QUERIES)
-    np.testing.assert_array_equal(elsewhere, 0.0)
-    np.testing.assert_array_equal(prior_variance, 1.0)
-
-
-@each_kernel
-@pytest.mark.parametrize("way", ["at once", "in blocks"])
-def test_an_endless_lengthscale_makes_the_field_constant(name, way):
-    # The posterior of one number observed 16 times.
-    x, y = observations(16)
-    kernel, noise = KERNELS[name][0](jnp.asarray(1e6)), jnp.asarray(0.25)
-    if way == "at once":
-        gp = fit(kernel, noise, x, y)
-    else:
-        gp = GaussianProcess.prior(kernel, noise, 16, 2)
-        for half in (slice(0, 8), slice(8, 16)):
-            gp = extend(gp, x[half], y[half], np.ones(8, bool))
-    mean, variance = predict(gp, QUERIES)
-    np.testing.assert_allclose(mean, y.sum() / (16 + 0.25), atol=1e-4)
-    np.testing.assert_allclose(variance, 0.25 / (16 + 0.25), atol=1e-4)
-
-
-@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
-@pytest.mark.parametrize("lengthscale", [1e-6, 0.5, 1e6])
-def test_factors_of_singular_matrices_are_finite(dtype, lengthscale):
-    # 60 points without noise, each of them three times.
-    x = np.tile(observations(20)[0], (3, 1)).astype(dtype)
-    y = np.sin(x[:, 0])
-    kernel, noise = RBF(jnp.asarray(lengthscale, dtype)), jnp.asarray(0.0, dtype)
-    empty = GaussianProcess.prior(kernel, noise, 60, num_dims=2)
-    blocks = extend_by_blocks(empty, x.reshape(6, 10, 2), y.reshape(6, 10))
-    for gp in (fit(kernel, noise, x, y), blocks):
-        for leaf in jax.tree.leaves((gp, predict(gp, np.asarray(QUERIES, dtype)))):
-            assert np.all(np.isfinite(leaf)) and leaf.dtype in (dtype, jnp.int32)
-
-
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_observations_that_are_not_finite_are_left_out_and_counted(bad):
     x, y = observations(6)
@@ -475,17 +327,16 @@ def test_outside_of_jit_what_would_be_left_out_is_refused():
     gp = prior(0.01, capacity=4).extend(*observations(3))
     x, y = observations(2, seed=1)
     holed = np.where(np.arange(2) == 1, np.nan, y)
-    for call, message in (
-        (lambda: gp.extend(x, holed), "ys: 1 of 2 numbers are not finite"),
-        (lambda: gp.extend(holed[:, None] * x, y), "xs: 2 of 4 numbers are not finite"),
-        (lambda: gp.update(x[0], -np.inf), "y: 1 of 1 numbers are not finite"),
-        (lambda: GaussianProcess.fit("rbf", 0.01, x, holed), "y: 1 of 2 numbers are not finite"),
-        (lambda: gp.extend(x, y), "ys: got 2 more beside 3; allowed: 4 observations, the capacity"),
-        (lambda: gp.update(x[0], y[0]).update(x[1], y[1]), "y: got 1 more beside 4; allowed: 4 obs"),
-    ):
-        with pytest.raises(ValueError, match=message) as caught:
-            call()
-        assert "\n" not in str(caught.value)
+    assert_refused(
+        [
+            (lambda: gp.extend(x, holed), "ys: 1 of 2 numbers are not finite"),
+            (lambda: gp.extend(holed[:, None] * x, y), "xs: 2 of 4 numbers are not finite"),
+            (lambda: gp.update(x[0], -np.inf), "y: 1 of 1 numbers are not finite"),
+            (lambda: GaussianProcess.fit("rbf", 0.01, x, holed), "y: 1 of 2 numbers are not finite"),
+            (lambda: gp.extend(x, y), "ys: got 2 more beside 3; allowed: 4 observations, the capacity"),
+            (lambda: gp.update(x[0], y[0]).update(x[1], y[1]), "y: got 1 more beside 4; allowed: 4 obs"),
+        ]
+    )
     masked = gp.extend(x, holed, [True, False])
     assert masked.count == 4 and np.all(np.isfinite(masked.y)) and masked.num_ignored == 0
 
@@ -508,38 +359,23 @@ def test_a_noise_variance_below_the_floor_is_raised_with_a_warning():
         prior(0.01).update(x[0], y[0], 0.0).extend(x[:2], y[:2], [True, True], [1.0, 0.5])
 
 
-def test_blocks_for_a_batch_of_processes_are_a_loop():
-    noise = np.asarray([0.01, 0.1, 1.0])
+def test_a_batch_of_processes_is_a_loop():
+    noise, lengthscale = np.asarray([0.01, 0.1, 1.0]), np.asarray([0.2, 0.5, 1.0])
     data = [observations(8, seed) for seed in range(3)]
     x, y = (np.stack(column) for column in zip(*data, strict=True))
     is_valid = np.random.default_rng(8).random((3, 8)) < 0.5
 
-    def posterior(noise_variance, x, y, is_valid):
-        gp = GaussianProcess.fit(RBF(jnp.asarray(0.5)), noise_variance, x[:4], y[:4], capacity=10)
-        gp = gp.extend(x, y, is_valid)
+    def posterior(lengthscale, noise_variance, x, y, is_valid):
+        gp = GaussianProcess.fit(RBF(lengthscale), noise_variance, x[:4], y[:4], capacity=11)
+        gp = condition(gp.extend(x, y, is_valid), x[:2], y[:2])
         return (*gp.predict(QUERIES), gp.log_marginal_likelihood(), gp.predict_gradient(QUERIES))
 
-    batched = jax.jit(jax.vmap(posterior))(noise, x, y, is_valid)
-    one = jax.jit(posterior)
+    lanes, one = (lengthscale, noise, x, y, is_valid), jax.jit(posterior)
+    batched = jax.jit(jax.vmap(posterior))(*lanes)
     for lane in range(3):
-        alone = one(noise[lane], x[lane], y[lane], is_valid[lane])
+        alone = one(*(each[lane] for each in lanes))
         for expected, found in zip(alone, batched, strict=True):
             np.testing.assert_allclose(found[lane], expected, atol=1e-11)
-
-
-@pytest.mark.parametrize("spread", [0.7, 1e-7])
-@pytest.mark.parametrize("seed", range(3))
-def test_without_noise_points_that_nearly_coincide_leave_a_finite_factor(seed, spread):
-    # Rounding makes the covariance of such points indefinite; floored pivots keep the factor finite.
-    rng = np.random.default_rng(seed)
-    points = spread * rng.random((25, 8, 2))
-    values = np.sin(points[..., 0]) + np.cos(points[..., 1])
-    gp = GaussianProcess.prior(RBF(jnp.asarray(1.0)), jnp.asarray(0.0), 200, 2)
-    gp = extend_by_blocks(gp, points, values)
-    mean, variance = predict(gp, points.reshape(-1, 2))
-    assert np.abs(gp.inverse_cholesky).max() < 1.01 / np.sqrt(noise_floor(jnp.float64))
-    np.testing.assert_allclose(mean, values.ravel(), atol=1e-3)
-    assert np.all((variance >= 0.0) & (variance < 1e-6))
 
 
 def paths(num: int, seed: int) -> np.ndarray:
@@ -607,20 +443,19 @@ def test_inputs_take_the_precision_of_the_kernel():
     assert {leaf.dtype for leaf in found} == {jnp.dtype("float32"), jnp.dtype("int32")}
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda gp: gp.predict([[1, 2, 3]]), r"xs: got shape \(1, 3\); allowed: \[points, 2\]"),
-        (lambda gp: gp.predict([1, 2]), r"xs: got shape \(2,\); allowed: \[points, 2\]"),
-        (lambda gp: gp.predict("here"), 'xs: got "here"; allowed: numbers'),
-        (lambda gp: gp.update([1], 0), r"x: got shape \(1,\); allowed: \[2\]"),
-        (lambda gp: GaussianProcess.fit("rbf", 0.1, [1, 2], [1]), r"y: got shape \(1,\); allowed: 2 numbers"),
-        (lambda gp: GaussianProcess.fit("rbf", 0.1, [[1], [2, 3]], [1, 2]), "x: got .*; allowed: numbers"),
-        (lambda gp: GaussianProcess.fit("rfb", 0.1, [1], [1]), 'unknown kernel; .*; did you mean "rbf"'),
-        (lambda gp: GaussianProcess.fit("my:Own", 0.1, [1], [1]), "my:Own; allowed: a name, or an object"),
-    ],
-)
-def test_inputs_of_the_wrong_kind_are_refused_in_one_line(call, message):
-    with pytest.raises(ValueError, match=message) as caught:
-        call(prior(0.1))
-    assert "\n" not in str(caught.value)
+def test_inputs_of_the_wrong_kind_are_refused_in_one_line():
+    gp, fit = prior(0.1), GaussianProcess.fit
+    too_many = "capacity: got 3; allowed: >= 4, the number of observations"
+    assert_refused(
+        [
+            (lambda: gp.predict([[1, 2, 3]]), r"xs: got shape \(1, 3\); allowed: \[points, 2\]"),
+            (lambda: gp.predict([1, 2]), r"xs: got shape \(2,\); allowed: \[points, 2\]"),
+            (lambda: gp.predict("here"), 'xs: got "here"; allowed: numbers'),
+            (lambda: gp.update([1], 0), r"x: got shape \(1,\); allowed: \[2\]"),
+            (lambda: fit("rbf", 0.1, [1, 2], [1]), r"y: got shape \(1,\); allowed: 2 numbers"),
+            (lambda: fit("rbf", 0.1, [[1], [2, 3]], [1, 2]), "x: got .*; allowed: numbers"),
+            (lambda: fit("rfb", 0.1, [1], [1]), 'unknown kernel; .*; did you mean "rbf"'),
+            (lambda: fit("my:Own", 0.1, [1], [1]), "my:Own; allowed: a name, or an object"),
+            (lambda: fit("rbf", 0.1, *observations(4), capacity=3), too_many),
+        ]
+    )
