@@ -85,11 +85,6 @@ def test_the_best_candidate_is_found_by_looking_at_each(acquisition):
         assert index == np.argmax(one_by_one)
 
 
-def test_of_equal_candidates_the_first_is_the_best():
-    index = best_of(ACQUISITIONS[0], posterior([], []), jnp.asarray(0.0), random_points())
-    assert index == 0
-
-
 def test_the_whitened_candidates_give_the_update_and_grow_by_a_row():
     gp, candidates = random_posterior(), random_points()
 
@@ -144,12 +139,6 @@ def test_refinement_climbs_to_a_border_and_stays():
     gp = posterior([[1.0, 0.0], [-1.0, 0.0]], [1.0, -1.0], RBF(jnp.asarray(3.0)))
     ends = refined(UpperConfidenceBound(jnp.asarray(0.0)), gp, jnp.asarray(1.0), random_points())
     np.testing.assert_allclose(ends, np.broadcast_to([1.0, 0.0], ends.shape), atol=2e-3)
-
-
-def test_refinement_without_steps_is_the_start():
-    starts = random_points()
-    ends = refined(ACQUISITIONS[0], random_posterior(), jnp.asarray(0.0), starts, num_steps=0)
-    np.testing.assert_array_equal(ends, starts)
 
 
 def test_where_the_posterior_is_flat_nothing_moves():

@@ -13,6 +13,7 @@ from bojax.acquisition.thompson import ThompsonSampling
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import RBF, Matern52, Scaled
 from bojax.models.means import ConstantMean
+from tests.refusals import assert_refused
 
 POINTS = jnp.asarray([[-0.7, 0.1], [0.1, 0.2], [0.3, -0.9]])
 NUM_DRAWS = 4000
@@ -86,12 +87,7 @@ def test_a_search_by_draws_finds_the_peak():
     assert not np.allclose(now, later)
 
 
-def test_a_number_is_neither_a_function_nor_thompson_sampling():
-    with pytest.raises(ValueError, match="acquisition: got 5; allowed: an instance of Acquisition"):
-        BayesianOptimisation("rbf", cast(Any, 5), 0.1, [0.0], [1.0], capacity=3)
-
-
-@pytest.mark.parametrize("number", [0, 3])
-def test_a_wrong_number_of_features_ends_in_one_line(number):
-    with pytest.raises(ValueError, match=r"^num_features: got .*; allowed: [^\n]*$"):
-        ThompsonSampling(number)
+def test_what_is_no_thompson_sampling_is_refused():
+    five = lambda: BayesianOptimisation("rbf", cast(Any, 5), 0.1, [0.0], [1.0], capacity=3)  # noqa: E731
+    odd = [(lambda n=n: ThompsonSampling(n), "^num_features: got .*; allowed: ") for n in (0, 3)]
+    assert_refused([(five, "acquisition: got 5; allowed: an instance of Acquisition"), *odd])
