@@ -45,15 +45,6 @@ def test_bumps_are_a_sum_of_gaussians():
     np.testing.assert_allclose(evaluate(BUMPS, f64(xs))[0], expected, atol=1e-14)
 
 
-def test_the_steepest_slope_of_a_bump_is_at_one_width():
-    bump = Bumps(f64([3.0]), f64([[0.0, 0.0]]), f64([0.5]))
-    x = np.linspace(0.0, 2.0, 2001)
-    _, gradients = evaluate(bump, f64(np.stack([x, 0.0 * x], axis=-1)))
-    slope = np.abs(gradients[:, 0])
-    assert x[np.argmax(slope)] == pytest.approx(0.5, abs=1e-3)
-    assert slope.max() == pytest.approx(0.6065 * 3.0 / 0.5, rel=1e-4)
-
-
 def test_a_step_rises_along_its_direction_and_only_along_it():
     along, across = np.array([np.cos(np.pi / 6), np.sin(np.pi / 6)]), np.array([-0.5, np.cos(np.pi / 6)])
     t = np.linspace(-2.0, 2.0, 41)
@@ -127,12 +118,6 @@ def test_a_measurement_whose_square_would_overflow(tmp_path):
         Scattered(file=str(path), extent=(0.0, 0.0, 1e300, 1.0))
 
 
-def test_comments_of_a_csv_file_are_skipped(tmp_path):
-    path = tmp_path / "table.csv"
-    path.write_text("# a field\nx,y\n1,2  # first\n\n3,4\n")
-    np.testing.assert_array_equal(read_array(str(path)), [[1, 2], [3, 4]])
-
-
 def test_of_scattered_measurements_a_plane_is_recovered(tmp_path):
     at = np.concatenate([points(40), [[-1.0, 0.0], [3.0, 0.0], [-1.0, 2.0], [3.0, 2.0]]])
     field = scattered(tmp_path, np.column_stack([at, at @ [2.0, -1.0] + 0.5]), resolution=21)
@@ -174,3 +159,8 @@ def test_the_precision_is_that_of_the_settings(tmp_path, grid):
     for part in evaluate(single, xs):
         assert part.dtype == jnp.float32
     np.testing.assert_allclose(evaluate(single, xs)[0], evaluate(grid, f64(xs))[0], atol=1e-5)
+
+
+def test_comments_of_a_csv_file_are_skipped(tmp_path):
+    (tmp_path / "table.csv").write_text("# a field\nx,y\n1,2  # first\n\n3,4\n")
+    np.testing.assert_array_equal(read_array(str(tmp_path / "table.csv")), [[1, 2], [3, 4]])

@@ -30,9 +30,3 @@ def test_only_the_gradient_objective_asks_for_gradients():
     for objective in (ValueObjective(KAPPA), UncertaintyObjective()):
         assert not objective.needs_gradient
         np.testing.assert_array_equal(objective(MEAN, VARIANCE, None), objective(MEAN, VARIANCE, GRADIENT))
-
-
-def test_where_all_is_known_and_flat_a_sample_is_worth_nothing():
-    zeros = jnp.zeros(3)
-    for objective in (GradientObjective(KAPPA), ValueObjective(KAPPA), UncertaintyObjective()):
-        np.testing.assert_array_equal(objective(zeros, zeros, jnp.zeros((3, 2))), zeros)

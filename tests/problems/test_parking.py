@@ -1,6 +1,5 @@
 """Robot parking against (4.13) written pose by pose, in every setting that the thesis leaves open."""
 
-import dataclasses
 import itertools
 from collections import Counter
 from math import pi
@@ -12,46 +11,28 @@ import pytest
 from scipy import stats
 
 from bojax.motions.base import place
-from bojax.problems.parking import Parking
 from tests.motions.families import FAMILIES, all_paths
-from tests.problems import parking_reference as reference
+from tests.planning.samples import parking
+from tests.reference.parking import Parking as ParkingReference
 
-DEFAULT = reference.Settings()
 D_MAX = 2.0**0.5 * 4.0
 
-SETTINGS = [
-    reference.Settings(
-        bearing=bearing,
-        success_needs_bearing=needs_bearing,
-        exit_terminates=terminates,
-        park_along_path=along,
-    )
-    for bearing, needs_bearing, terminates, along in itertools.product(
-        ("world", "robot"), (False, True), (False, True), (False, True)
-    )
-]
-
-
-def parking(settings: reference.Settings = DEFAULT, position_noise=0.02, heading_noise=0.03) -> Parking:
-    values = dataclasses.asdict(settings)
-    numbers = {name: jnp.asarray(v, jnp.float64) for name, v in values.items() if isinstance(v, float)}
-    choices = {name: v for name, v in values.items() if not isinstance(v, float)}
-    return Parking(
-        **numbers,
-        **choices,
-        position_noise=jnp.asarray(position_noise, jnp.float64),
-        heading_noise=jnp.asarray(heading_noise, jnp.float64),
-        max_steps=15,
-    )
+CHOICES = {
+    "bearing": ("world", "robot"),
+    "success_needs_bearing": (False, True),
+    "exit_terminates": (False, True),
+    "park_along_path": (False, True),
+}
 
 
 outcomes = jax.jit(lambda problem, starts, paths: jax.vmap(problem.outcome)(starts, paths))
 
 
-def outcome(settings: reference.Settings, path, start=(0.0, 0.0, 0.0)):
-    """What one path leads to."""
-    path = jnp.asarray(path, jnp.float64)
-    return jax.tree.map(lambda v: v[0].item(), outcomes(parking(settings), jnp.asarray([start]), path[None]))
+def outcome(pose, **settings):
+    """What a path of one pose leads to."""
+    path = jnp.asarray([[pose]], jnp.float64)
+    problem = parking(**{"distance_tolerance": 0.1} | settings)
+    return jax.tree.map(lambda v: v[0].item(), outcomes(problem, jnp.zeros((1, 3)), path))
 
 
 def driven_paths() -> tuple[np.ndarray, np.ndarray]:
@@ -79,20 +60,13 @@ def jumping_paths() -> tuple[np.ndarray, np.ndarray]:
     return rng.uniform(-4.4, 4.4, (500, 3)), np.where(rng.uniform(size=(500, 1, 1)) < 0.5, inside, paths)
 
 
-def describe(settings: reference.Settings) -> str:
-    return "-".join(
-        [settings.bearing]
-        + ["needs-bearing"] * settings.success_needs_bearing
-        + ["exit-ends"] * settings.exit_terminates
-        + ["along-path"] * settings.park_along_path
-    )
-
-
-@pytest.mark.parametrize("settings", SETTINGS, ids=describe)
-def test_outcomes_are_those_of_the_reward_written_pose_by_pose(settings):
+@pytest.mark.parametrize("choices", [*itertools.product(*CHOICES.values())], ids=str)
+def test_outcomes_are_those_of_the_reward_written_pose_by_pose(choices):
+    settings = dict(zip(CHOICES, choices, strict=True)) | {"distance_tolerance": 0.1}
     starts, paths = (np.concatenate(both) for both in zip(driven_paths(), jumping_paths(), strict=True))
-    found = outcomes(parking(settings), jnp.asarray(starts), jnp.asarray(paths))
-    expected = [reference.outcome(*each, settings) for each in zip(starts, paths, strict=True)]
+    found = outcomes(parking(**settings), jnp.asarray(starts), jnp.asarray(paths))
+    reference = ParkingReference(**settings)
+    expected = [reference.outcome(*each) for each in zip(starts, paths, strict=True)]
     np.testing.assert_allclose(found.reward, [result.reward for result in expected], atol=1e-12)
     for field in ("terminated", "success", "exited", "last"):
         np.testing.assert_array_equal(getattr(found, field), [getattr(result, field) for result in expected])
@@ -100,81 +74,30 @@ def test_outcomes_are_those_of_the_reward_written_pose_by_pose(settings):
     assert min(reached[name] for name in ("off axis", "off heading", "on axis", "exit", "parked")) >= 5
 
 
-def test_both_frames_of_the_bearing_matter():
-    starts, paths = driven_paths()
-    rewards = [
-        outcomes(parking(dataclasses.replace(DEFAULT, bearing=b)), jnp.asarray(starts), jnp.asarray(paths))
-        for b in ("world", "robot")
-    ]
-    assert np.mean(np.asarray(rewards[0].reward) != np.asarray(rewards[1].reward)) > 0.3
-
-
 def test_the_three_levels_of_the_reward():
-    off_axis = outcome(DEFAULT, [[2.0, 2.0, 0.0]])
-    off_heading = outcome(DEFAULT, [[2.0, 0.0, pi / 4]])
-    on_axis = outcome(DEFAULT, [[2.0, 0.0, 0.0]])
-    assert off_axis.reward == pytest.approx(-np.sin(pi / 4) - D_MAX - 1.0)
-    assert off_heading.reward == pytest.approx(-np.sin(pi / 4) - D_MAX)
-    assert on_axis.reward == pytest.approx(-2.0)
+    off_axis, off_heading, on_axis = (
+        outcome(pose).reward for pose in ([2.0, 2.0, 0.0], [2.0, 0.0, pi / 4], [2.0, 0.0, 0.0])
+    )
+    assert off_axis == pytest.approx(-np.sin(pi / 4) - D_MAX - 1.0)
+    assert off_heading == pytest.approx(-np.sin(pi / 4) - D_MAX)
+    assert on_axis == pytest.approx(-2.0)
     # Each level lies above all of the level before it.
-    assert -D_MAX - 2.0 <= off_axis.reward < -D_MAX - 1.0 <= off_heading.reward < -D_MAX <= on_axis.reward
+    assert -D_MAX - 2.0 <= off_axis < -D_MAX - 1.0 <= off_heading < -D_MAX <= on_axis
 
 
-def test_parking_at_the_tolerances_counts():
-    settings = dataclasses.replace(DEFAULT, distance_tolerance=0.125)
-    assert outcome(settings, [[0.125, 0.0, 0.0]]).success
-    assert not outcome(settings, [[0.125 + 1e-12, 0.0, 0.0]]).success
-    assert outcome(settings, [[0.0, 0.0, 0.0]]).success
-    assert outcome(settings, [[0.0, 0.0, pi]]).success  # the opposite heading has the same |sin alpha|
-    assert not outcome(settings, [[0.0, 0.0, pi / 2]]).success
-
-
-def test_the_border_belongs_to_the_domain():
-    assert not outcome(DEFAULT, [[4.0, -4.0, 0.0]]).exited
-    assert outcome(DEFAULT, [[4.0 + 1e-12, 0.0, 0.0]]).exited
-
-
-LOT, OUTSIDE, INSIDE = [0.0, 0.0, 0.0], [0.0, 5.0, 0.0], [2.0, 2.0, 0.0]
-
-
-def test_of_parking_and_leaving_the_earlier_wins():
-    parks_first = outcome(DEFAULT, [INSIDE, LOT, OUTSIDE, INSIDE])
-    assert (parks_first.reward, parks_first.success, parks_first.exited) == (1000.0, True, False)
-    assert (parks_first.terminated, parks_first.last) == (True, 1)
-    leaves_first = outcome(DEFAULT, [INSIDE, OUTSIDE, LOT, INSIDE])
-    assert (leaves_first.reward, leaves_first.success, leaves_first.exited) == (-1000.0, False, True)
-    assert (leaves_first.terminated, leaves_first.last) == (True, 1)
-
-
-def test_passing_through_the_lot_parks_only_if_it_counts():
-    path = [INSIDE, LOT, INSIDE]
-    assert outcome(DEFAULT, path).success
-    passing = outcome(dataclasses.replace(DEFAULT, park_along_path=False), path)
-    assert not passing.success and not passing.terminated
-    assert passing.reward == pytest.approx(-np.sin(pi / 4) - D_MAX - 1.0)
-    assert outcome(dataclasses.replace(DEFAULT, park_along_path=False), [INSIDE, LOT]).success
-
-
-def test_parking_beside_the_lot_may_need_its_bearing():
-    beside = [[0.0, 0.05, 0.0]]
-    assert outcome(DEFAULT, beside).success
-    assert not outcome(dataclasses.replace(DEFAULT, success_needs_bearing=True), beside).success
-
-
-def test_where_leaving_does_not_end_the_episode_each_leaving_path_pays():
-    settings = dataclasses.replace(DEFAULT, exit_terminates=False)
-    leaves = outcome(settings, [INSIDE, OUTSIDE], start=INSIDE)
-    assert (leaves.reward, leaves.exited, leaves.terminated, leaves.last) == (-1000.0, True, False, 1)
-    stays_outside = outcome(settings, [OUTSIDE, OUTSIDE], start=OUTSIDE)
-    assert not stays_outside.exited and stays_outside.reward > -20.0
-    returns = outcome(settings, [OUTSIDE, INSIDE], start=OUTSIDE)
-    assert not returns.exited and returns.reward == pytest.approx(-np.sin(pi / 4) - D_MAX - 1.0)
+def test_the_tolerances_and_the_border_count():
+    assert outcome([0.125, 0.0, 0.0], distance_tolerance=0.125).success
+    assert not outcome([0.125 + 1e-12, 0.0, 0.0], distance_tolerance=0.125).success
+    assert outcome([0.0, 0.0, 0.0]).success
+    assert outcome([0.0, 0.0, pi]).success  # the opposite heading has the same |sin alpha|
+    assert not outcome([0.0, 0.0, pi / 2]).success
+    assert not outcome([4.0, -4.0, 0.0]).exited
+    assert outcome([4.0 + 1e-12, 0.0, 0.0]).exited
 
 
 def test_starts_are_uniform_over_the_domain_and_all_headings():
-    settings = dataclasses.replace(DEFAULT, half_width=2.5)
     keys = jax.random.split(jax.random.key(0), 3000)
-    poses = np.asarray(jax.jit(jax.vmap(parking(settings).reset))(keys))
+    poses = np.asarray(jax.jit(jax.vmap(parking(half_width=2.5).reset))(keys))
     for axis, (low, width) in enumerate([(-2.5, 5.0), (-2.5, 5.0), (0.0, 2.0 * pi)]):
         assert stats.kstest(poses[:, axis], "uniform", args=(low, width)).pvalue > 1e-3
     assert np.abs(stats.spearmanr(poses).statistic - np.eye(3)).max() < 0.06

@@ -8,11 +8,10 @@ from scipy import stats
 
 from bojax.motions.base import place
 from tests.motions.families import FAMILIES, all_paths, wrapped
+from tests.planning.samples import parking
 from tests.problems.goal_disc import goal_disc
-from tests.problems.parking_reference import Settings
-from tests.problems.test_parking import parking
 
-PROBLEMS = {"parking": parking(), "parking-on": parking(Settings(exit_terminates=False)), "disc": goal_disc()}
+PROBLEMS = {"parking": parking(), "parking-on": parking(exit_terminates=False), "disc": goal_disc()}
 each_problem = pytest.mark.parametrize("name", PROBLEMS)
 
 NUM = 3000
@@ -58,15 +57,9 @@ def test_driving_is_the_outcome_of_the_placed_path(name):
     driven = np.take_along_axis(np.asarray(poses), index[..., None], axis=1)
     np.testing.assert_allclose(events.driven, driven, atol=1e-14)
     np.testing.assert_allclose(ends[:, :2], driven[:, -1, :2], atol=1e-14)
-    assert np.any(last < poses.shape[1] - 1) and np.any(np.asarray(expected.success))
-
-
-@each_problem
-def test_the_heading_of_the_world_is_wrapped(name):
-    worlds, paths = drives()
-    ends, _, events = execute(PROBLEMS[name], keys_of(0), worlds, paths)
     assert np.all(ends[:, 2] >= 0.0) and np.all(ends[:, 2] < 2.0 * np.pi)
     np.testing.assert_allclose(wrapped(np.asarray(ends[:, 2] - events.driven[:, -1, 2])), 0.0, atol=1e-12)
+    assert np.any(last < poses.shape[1] - 1) and np.any(np.asarray(expected.success))
 
 
 def test_readings_have_the_stated_standard_deviations():
@@ -79,12 +72,6 @@ def test_readings_have_the_stated_standard_deviations():
         for axis in range(3):
             assert stats.kstest(scaled[:, axis], "norm").pvalue > 1e-3
         assert np.abs(np.corrcoef(scaled.T) - np.eye(3)).max() < 0.07
-
-
-def test_without_noise_a_reading_is_the_pose():
-    problem = parking(position_noise=0.0, heading_noise=0.0)
-    ends, readings, _ = execute(problem, keys_of(0), *drives())
-    np.testing.assert_allclose(readings, ends, atol=1e-14)
 
 
 @each_problem
@@ -117,12 +104,3 @@ def test_simulating_is_driving_without_noise_until_the_end(name):
         if step == 0:
             np.testing.assert_allclose(found.node[running], poses[running], atol=1e-12)
     assert 0 < running.sum() < NUM
-
-
-def test_a_simulated_path_is_one_executed_from_a_perfect_reading():
-    problem = parking(position_noise=0.0, heading_noise=0.0)
-    worlds, paths = drives()
-    _, _, events = execute(problem, keys_of(0), worlds, paths)
-    found = simulate(problem, keys_of(1), worlds, paths[:, None])
-    np.testing.assert_allclose(found.rewards[:, 0], events.reward, atol=1e-12)
-    np.testing.assert_array_equal(found.terminated[:, 0], events.terminated)
