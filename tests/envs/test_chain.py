@@ -7,16 +7,9 @@ from pydantic import ValidationError
 
 from bojax.envs.settings import Chain
 from tests.envs.tables import branches, frequencies, part, tables
-from tests.reference.tabular import hitting_time, value_iteration
+from tests.reference.tabular import hitting_time
 
 LEFT, RIGHT = 0, 1
-
-
-def walk(length: int, right: float) -> float:
-    """Mean steps to the goal of a walk that takes action right with a probability."""
-    probability, to = tables(part(Chain(length=length, max_length=length)))
-    policy = np.tile([1.0 - right, right], (length, 1))
-    return hitting_time(probability, to.observation, to.terminated, policy, start=0)
 
 
 def test_action_left_moves_left_and_right_slips_with_probability_1_over_n():
@@ -47,30 +40,18 @@ def test_steps_follow_the_table():
 
 @pytest.mark.parametrize("length, steps", [(10, 190), (20, 816), (100, 21_628)])
 def test_a_random_walk_takes_about_twice_the_square_of_the_length(length, steps):
-    assert round(walk(length, right=0.5)) == steps
-
-
-def test_ties_broken_to_the_left_take_exponentially_long():
-    epsilon = 0.1
-    assert walk(5, right=epsilon / 2) == pytest.approx(376_300)
+    probability, to = tables(part(Chain(length=length, max_length=length)))
+    policy = np.full((length, 2), 0.5)
+    assert round(hitting_time(probability, to.observation, to.terminated, policy, start=0)) == steps
 
 
 def test_the_length_is_a_number_and_the_declared_space_is_not():
     short, long = part(Chain(length=5, max_length=20)), part(Chain(length=20, max_length=20))
     assert jax.tree.structure(short) == jax.tree.structure(long)
     assert short.observation_space.num == long.observation_space.num == 20
+    assert int(part(Chain(start=3)).reset(jax.random.key(0))) == 3
     own = branches(part(Chain(length=5, max_length=5)))
     assert {pair: outcomes for pair, outcomes in branches(short).items() if pair[0] < 5} == own
-
-
-def test_always_right_is_best():
-    probability, to = tables(part(Chain(length=8, max_length=8)))
-    q = value_iteration(probability, to.observation, to.reward, to.terminated, 0.95)
-    assert np.all(q[:7, RIGHT] > q[:7, LEFT])
-
-
-def test_an_episode_begins_where_it_is_told():
-    assert int(part(Chain(start=3)).reset(jax.random.key(0))) == 3
 
 
 @pytest.mark.parametrize("settings", [{"length": 21}, {"length": 5, "start": 4}])

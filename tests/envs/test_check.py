@@ -3,127 +3,82 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import pytest
 from jaxtyping import Array, Float
 
 from bojax.envs.base import Env, TimeStep
 from bojax.envs.check import check_env
 from bojax.envs.spaces import Box
+from tests.refusals import assert_refused
 
 
 class Cart(Env):
-    """A cart on a rail; each test breaks one method."""
+    """A cart on a rail; `broken` names what is wrong."""
 
     speed: Float[Array, ""]
+    broken: str = eqx.field(static=True, default="")
     max_steps: int = eqx.field(static=True, default=5)
 
     @property
     def observation_space(self):
-        return Box(-jnp.ones(1, self.speed.dtype), jnp.ones(1, self.speed.dtype))
+        one = jnp.ones(1, self.speed.dtype)
+        box = Box(-one, one)
+        if self.broken == "scalar bounds":
+            return eqx.tree_at(lambda box: box.low, box, self.speed)
+        return box
 
     @property
     def action_space(self):
-        return self.observation_space
+        one = jnp.ones(1, None if self.broken == "wide bounds" else self.speed.dtype)
+        return Box(-one, one)
 
     def reset(self, key):
-        return {"x": jax.random.uniform(key, (1,), self.speed.dtype)}
+        return {
+            "x": self.sped if self.broken == "misspelt" else jax.random.uniform(key, (1,), self.speed.dtype)
+        }
 
     def observe(self, state):
-        return state["x"]
+        return jnp.tile(state["x"], 2 if self.broken == "long observation" else 1)
 
     def step(self, key, state, action):
         x = state["x"] + self.speed * action
         no = jnp.zeros((), bool)
-        return {"x": x}, TimeStep(x, -jnp.sum(x), no, no, no)
+        result = TimeStep(x, -jnp.sum(x), no, no, no)
+        wrong = {
+            "wide reward": ("reward", jnp.where(no, 1.0, 0.0)),
+            "python reward": ("reward", 0.0),
+            "numeric end": ("terminated", result.reward),
+        }
+        if self.broken in wrong:
+            name, value = wrong[self.broken]
+            result = eqx.tree_at(lambda result: getattr(result, name), result, value)
+        states = {"wide state": {"x": x.astype(jnp.float64)}, "other state": x}
+        after = states.get(self.broken, {"x": x})
+        return after if self.broken == "no time step" else (after, result)
 
 
-class WideReward(Cart):
-    def step(self, key, state, action):
-        after, step = super().step(key, state, action)
-        return after, eqx.tree_at(lambda s: s.reward, step, jnp.where(step.success, 1.0, 0.0))
-
-
-class PythonReward(Cart):
-    def step(self, key, state, action):
-        after, step = super().step(key, state, action)
-        return after, eqx.tree_at(lambda s: s.reward, step, 0.0)
-
-
-class NumericEnd(Cart):
-    def step(self, key, state, action):
-        after, step = super().step(key, state, action)
-        return after, eqx.tree_at(lambda s: s.terminated, step, step.reward)
-
-
-class LongObservation(Cart):
-    def observe(self, state):
-        return jnp.concatenate([state["x"], state["x"]])
-
-
-class WideState(Cart):
-    def step(self, key, state, action):
-        after, step = super().step(key, state, action)
-        return {"x": after["x"].astype(jnp.float64)}, step
-
-
-class OtherState(Cart):
-    def step(self, key, state, action):
-        after, step = super().step(key, state, action)
-        return after["x"], step
-
-
-class NoTimeStep(Cart):
-    def step(self, key, state, action):
-        return super().step(key, state, action)[0]
-
-
-class ScalarBounds(Cart):
-    @property
-    def observation_space(self):
-        return eqx.tree_at(lambda box: box.low, super().observation_space, self.speed)
-
-
-class WideBounds(Cart):
-    @property
-    def action_space(self):
-        return Box(-jnp.ones(1), jnp.ones(1))
-
-
-class Misspelt(Cart):
-    def reset(self, key):
-        return {"x": self.sped}
-
-
+SINGLE = r"allowed: float32 of shape \("
 MISFITS = {
-    WideReward: "TimeStep.reward is float64 of shape (); allowed: float32 of shape (); use the dtype of",
-    PythonReward: "TimeStep.reward is float; allowed: float32 of shape (); use the dtype",
-    NumericEnd: "TimeStep.terminated is float32 of shape (); allowed: bool of shape ()",
-    LongObservation: "the observation of observe is float32 of shape (2,); allowed: float32 of shape (1,)",
-    WideState: "state['x'] of step is float64 of shape (1,); allowed: float32 of shape (1,)",
-    OtherState: "the states of reset and step differ in structure",
-    NoTimeStep: "step has to return the next state and a TimeStep",
-    ScalarBounds: "observation_space.low has shape ()",
-    WideBounds: "action_space.low is float64 of shape (1,)",
-    Misspelt: "a trial call failed: AttributeError: 'Misspelt' object has no attribute 'sped' (test_check",
+    "wide reward": rf"TimeStep.reward is float64 of shape \(\); {SINGLE}\); use the dtype of",
+    "python reward": rf"TimeStep.reward is float; {SINGLE}\); use the dtype",
+    "numeric end": r"TimeStep.terminated is float32 of shape \(\); allowed: bool of shape \(\)",
+    "long observation": rf"the observation of observe is float32 of shape \(2,\); {SINGLE}1,\)",
+    "wide state": rf"state\['x'\] of step is float64 of shape \(1,\); {SINGLE}1,\)",
+    "other state": "the states of reset and step differ in structure",
+    "no time step": "step has to return the next state and a TimeStep",
+    "scalar bounds": r"observation_space.low has shape \(\)",
+    "wide bounds": r"action_space.low is float64 of shape \(1,\)",
+    "misspelt": r"a trial call failed: AttributeError: 'Cart' object has no attribute 'sped' \(test_check",
 }
 
 
-def test_a_misfit_is_named():
-    for broken, message in MISFITS.items():
-        with pytest.raises(ValueError) as error:
-            check_env(broken(jnp.float32(0.1)), jnp.float32)
-        assert str(error.value).startswith(f"{broken.__name__}: ")
-        assert message in str(error.value)
-
-
-def test_a_python_number_in_place_of_an_array_is_named():
-    env = eqx.tree_at(lambda env: env.speed, Cart(jnp.float32(0.1)), 0.1)
-    with pytest.raises(
-        ValueError, match=r"^Cart.speed is a float; allowed: an array, as jnp.asarray\(0.1\)$"
-    ):
-        check_env(env, jnp.float32)
-
-
-def test_an_environment_of_the_precision_of_the_run_passes():
+def test_a_misfit_is_named_and_an_environment_that_fits_passes():
+    speed = jnp.float32(0.1)
+    assert_refused(
+        (lambda broken=broken: check_env(Cart(speed, broken), jnp.float32), f"^Cart: .*{message}")
+        for broken, message in MISFITS.items()
+    )
+    number = eqx.tree_at(lambda env: env.speed, Cart(speed), 0.1)
+    array = r"^Cart.speed is a float; allowed: an array, as jnp.asarray\(0.1\)$"
+    assert_refused([(lambda: check_env(number, jnp.float32), array)])
     for dtype in (jnp.float32, jnp.float64):
         check_env(Cart(jnp.asarray(0.1, dtype)), dtype)

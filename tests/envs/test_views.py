@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from jaxtyping import Array, Float
 
 from bojax.engine.build import build
@@ -122,20 +121,6 @@ def test_a_scan_of_the_view_of_gymnax_takes_our_steps_and_resets(make):
     np.testing.assert_allclose(info["final_observation"], last, rtol=1e-5, atol=1e-6)
 
 
-def test_the_parameters_of_the_view_can_be_batched():
-    view = GymnaxEnv(pendulum())
-    envs_ = [build(envs.SinglePendulum(max_torque=torque), "float32") for torque in (0.5, 2.0)]
-    params = jax.tree.map(lambda *leaves: jnp.stack(leaves), *envs_)
-
-    @jax.jit
-    def pushed(params):
-        _, state = view.reset(jax.random.key(0), params)
-        return view.step(jax.random.key(1), state, jnp.ones(1, jnp.float32), params)[0]
-
-    weak, strong = jax.vmap(pushed)(params)
-    assert not np.array_equal(weak, strong)
-
-
 def test_spaces_of_the_view():
     box, discrete = GymnaxEnv(pendulum()).action_space(), GymnaxEnv(chain()).action_space()
     assert (box.shape, box.n, GymnaxEnv(pendulum()).num_actions) == ((1,), None, 1)
@@ -167,18 +152,6 @@ def test_lanes_of_gymnasium_take_our_steps_and_are_reset_in_the_same_step(make):
             assert step[4].get("_final_obs", np.zeros(num_lanes, bool))[lane] == ended
             if ended:
                 np.testing.assert_allclose(step[4]["final_obs"][lane], final, rtol=1e-5, atol=1e-6)
-
-
-def test_gymnasiums_wrapper_counts_the_episodes():
-    vector = RecordEpisodeStatistics(GymnasiumVectorEnv(pendulum(), 4))
-    vector.reset(seed=0)
-    vector.action_space.seed(0)
-    lengths = []
-    for _ in range(4 * LIMIT):
-        *_, info = vector.step(vector.action_space.sample())
-        if "episode" in info:
-            lengths += info["episode"]["l"][info["_episode"]].tolist()
-    assert lengths and max(lengths) == LIMIT and min(lengths) >= 1
 
 
 def test_seeds_repeat_and_tell_lanes_apart():
