@@ -75,10 +75,3 @@ def test_the_baseline_in_single_precision_with_features_that_depend_on_each_othe
     baseline = fit(observations, steps, returns, valid)
     assert baseline.weights.dtype == jnp.float32
     np.testing.assert_allclose(predict(baseline, observations, steps), returns, atol=2e-2)
-
-
-def test_without_rows_the_baseline_is_zero():
-    observations, steps, returns = baseline_problem()
-    nothing = jnp.zeros(len(steps), bool)
-    arrays = (jnp.asarray(x) for x in (observations, steps.astype(np.int32), returns))
-    np.testing.assert_array_equal(fit(*arrays, nothing).weights, 0.0)

@@ -29,11 +29,8 @@ def test_the_best_action_is_taken(ties, best):
     assert choices(scores, ties)[best] == 1.0
 
 
-def test_the_first_of_several_best_actions_is_taken_where_that_is_asked_for():
+def test_of_several_best_actions_the_first_or_all_equally_often_are_taken():
     assert choices([0.0, 1.0, 1.0, 1.0], "first")[1] == 1.0
-
-
-def test_all_best_actions_are_equally_likely_and_no_other_is_taken():
     shares = choices([1.0, 0.0, 1.0, 1.0], "random")
     assert shares[1] == 0.0
     assert shares[[0, 2, 3]] == pytest.approx([1 / 3] * 3, abs=0.04)

@@ -17,11 +17,6 @@ def exploration_states(schema, num=12, reached=False, dtype="float64"):
     return np.asarray(found.scale), np.asarray(found.is_learning)
 
 
-def test_constant_explores_and_learns_always():
-    exploration, learns = exploration_states(settings.Constant())
-    assert np.all(exploration == 1.0) and np.all(learns)
-
-
 @pytest.mark.parametrize("rate", [0.0, 1e-3, 0.1, 1e4, 1e5])
 def test_decay_is_1_over_1_plus_c_t_with_t_the_episodes_before(rate):
     exploration, learns = exploration_states(settings.Decay(rate=rate))
@@ -38,23 +33,23 @@ def test_linear_falls_to_its_final_share_and_stays_there(final):
 
 
 @pytest.mark.parametrize("learns_without", [True, False])
-def test_a_budget_explores_then_does_not(learns_without):
-    exploration, learns = exploration_states(settings.Budget(episodes=3, learns_without=learns_without))
-    assert exploration.tolist() == [1.0] * 3 + [0.0] * 9
-    assert learns.tolist() == [True] * 3 + [learns_without] * 9
+def test_a_budget_explores_then_does_not_and_can_go_on_after_a_pause(learns_without):
+    for resume_after, again in ((None, [0.0] * 5), (4, [1.0] * 5)):
+        schema = settings.Budget(episodes=3, resume_after=resume_after, learns_without=learns_without)
+        exploration, learns = exploration_states(schema)
+        expected = [1.0] * 3 + [0.0] * 4 + again
+        assert exploration.tolist() == expected
+        assert learns.tolist() == [learns_without or share == 1.0 for share in expected]
 
 
-@pytest.mark.parametrize("learns_without", [True, False])
-def test_a_budget_can_go_on_after_a_pause(learns_without):
-    schema = settings.Budget(episodes=3, resume_after=4, learns_without=learns_without)
-    exploration, learns = exploration_states(schema)
-    assert exploration.tolist() == [1.0] * 3 + [0.0] * 4 + [1.0] * 5
-    assert learns.tolist() == [True] * 3 + [learns_without] * 4 + [True] * 5
-
-
-def test_a_budget_of_nothing_never_explores():
-    exploration, learns = exploration_states(settings.Budget(episodes=0))
-    assert not np.any(exploration) and not np.any(learns)
+def test_constant_explores_and_learns_always_and_exploit_never():
+    for schema, expected in (
+        (settings.Constant(), True),
+        (settings.Exploit(), False),
+        (settings.Budget(episodes=0), False),
+    ):
+        exploration, learns = exploration_states(schema)
+        assert np.all(exploration == expected) and np.all(learns == expected)
 
 
 @pytest.mark.parametrize("learns_after", [True, False])
@@ -64,8 +59,3 @@ def test_until_target_explores_while_the_target_is_not_reached(learns_after):
         exploration, learns = exploration_states(schema, reached=reached)
         assert np.all(exploration == (0.0 if reached else 1.0))
         assert np.all(learns == (learns_after or not reached))
-
-
-def test_exploit_does_neither():
-    exploration, learns = exploration_states(settings.Exploit())
-    assert not np.any(exploration) and not np.any(learns)

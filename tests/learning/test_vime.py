@@ -1,7 +1,5 @@
 """VIME: an iteration in plain NumPy, its pool and batches, and goals that it finds."""
 
-from typing import ClassVar
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,17 +7,13 @@ import numpy as np
 import pytest
 
 from bojax.engine.build import build
-from bojax.envs import settings as envs
-from bojax.envs.base import Env, TimeStep
-from bojax.envs.spaces import Box, Discrete
-from bojax.experiments.settings import Learning
+from bojax.envs.spaces import Box
 from bojax.learning.base import Episode, ExplorationState, Transition
-from bojax.learning.memory import Memory
-from bojax.learning.replay import ReplayPool
 from bojax.learning.settings import VIME
 from bojax.learning.trpo import TRPO, Samples
 from bojax.numerics.lanes import LANES
 from tests.reference import vime as reference
+from tests.reference.q_networks import Adam
 from tests.tiers import by_tier
 
 OBSERVATIONS = Box(jnp.asarray([-1.0, -2.0]), jnp.asarray([1.0, 4.0]))
@@ -127,7 +121,7 @@ def update_of_numpy(learner, model, adam, key, pool):
         parts = observations[chosen], actions[chosen], next_observations[chosen]
         inputs, outputs = standardised((observations, actions), *parts)
         draws = [part[number] for part in noise]
-        adam.update(model.parameters, model.loss(draws, inputs, outputs)[1])
+        adam(model.parameters, model.loss(draws, inputs, outputs)[1])
 
 
 def test_two_iterations_are_those_of_numpy():
@@ -141,7 +135,7 @@ def test_two_iterations_are_those_of_numpy():
     np.testing.assert_array_equal(first.medians, 0.0)
     observations, actions, rewards, next_observations = rows_of((0, 1), lengths[:2])
     model = numpy_model(learner, start)
-    adam = reference.Adam(model.parameters, float(learner.model_learning_rate))
+    adam = Adam(float(learner.model_learning_rate))
     pool = [observations, actions, next_observations]
     update_of_numpy(learner, model, adam, jax.random.key(1), pool)
     for got, wanted in zip(jax.tree.leaves(first.model), model.parameters, strict=True):
@@ -219,13 +213,6 @@ def numbered(number: int, length: int) -> Episode:
 SHORT = {"longest_episode": 4, "iteration_steps": 6}
 
 
-@pytest.mark.parametrize(("iteration_steps", "rows"), [(100, 108), (248, 256), (249, 512)])
-def test_a_large_batch_is_made_of_whole_chunks(iteration_steps, rows):
-    learner = build(VIME.model_validate({**SMALL, "iteration_steps": iteration_steps}))
-    state = eqx.filter_eval_shape(learner.init, jax.random.key(0), OBSERVATIONS, ACTIONS, 1000)
-    assert state.batch.steps.shape == (rows,)
-
-
 @pytest.mark.parametrize("pool_size", by_tier([1000, 20, 7], normal=[20]))
 def test_the_pool_keeps_the_latest_transitions_and_pairs_no_episodes(pool_size):
     learner, state = make(pool_size=pool_size, **SHORT)
@@ -252,21 +239,6 @@ def test_a_long_episode_is_cut_and_a_short_batch_waits():
     assert [int(s.batch.memory.count) for s in states] == [4, 5, 0]
     np.testing.assert_array_equal(states[1].batch.steps[:5], [0, 1, 2, 3, 0])
     np.testing.assert_array_equal(states[1].batch.is_last, [False] * 3 + [True] * 6)
-
-
-def test_a_pool_draws_all_of_its_rows_equally_often():
-    pool = eqx.tree_at(lambda p: p.added, ReplayPool.empty(9, jnp.zeros(2), jnp.zeros(1)), jnp.int32(5))
-    counts = np.bincount(pool.draw(jax.random.key(0), 50_000), minlength=9)
-    assert not counts[5:].any()
-    np.testing.assert_allclose(counts[:5] / 50_000, 0.2, atol=0.01)
-
-
-def test_a_pool_skips_what_is_not_kept():
-    memory = Memory.empty(3, jnp.zeros(2), jnp.zeros(1), jnp.dtype("float64"))
-    memory = eqx.tree_at(lambda m: m.count, memory, jnp.int32(2))
-    pool = ReplayPool.empty(4, jnp.zeros(2), jnp.zeros(1))
-    assert int(pool.add(memory, jnp.asarray(False)).size) == 0
-    assert int(pool.add(memory, jnp.asarray(True)).size) == 2
 
 
 def test_without_learning_nothing_changes():
@@ -301,20 +273,6 @@ def test_lanes_that_are_due_at_different_times_are_independent(axis_name):
             np.testing.assert_allclose(np.asarray(a)[lane], b, rtol=1e-7, atol=1e-9)
 
 
-def test_while_rewards_are_zero_the_weight_of_the_bonus_does_not_matter():
-    policies = []
-    for eta in (1e-4, 1.0):
-        learner, state = make(eta=eta)
-        states = learn(learner, state, (9, 9, 9, 9), reward=0.0)
-        first, second = (jax.tree.leaves(states[k].policy) for k in (1, 3))
-        for a, b in zip(first, jax.tree.leaves(state.policy), strict=True):
-            np.testing.assert_array_equal(a, b)  # without a bonus there is nothing to improve
-        assert not np.array_equal(first[0], second[0])
-        policies.append(second)
-    for a, b in zip(*policies, strict=True):
-        np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-6)
-
-
 def test_a_test_takes_the_most_probable_action():
     learner, state = make()
     *_, state = learn(learner, state, (9, 9))
@@ -343,61 +301,3 @@ def test_the_exported_state_acts_and_has_the_shapes_of_a_learner_without_capacit
     first, second = (act(jax.random.key(0), s, *arguments) for s in (state, exported))
     np.testing.assert_array_equal(first[0], second[0])
     np.testing.assert_array_equal(first[1], second[1])
-
-
-class Line(Env):
-    """Walk along a line from a wall at 0 to the goal at 1 within 30 steps."""
-
-    is_discrete: bool = eqx.field(static=True)
-    max_steps: ClassVar[int] = 30
-
-    @property
-    def observation_space(self):
-        return Box(jnp.zeros(1), jnp.ones(1))
-
-    @property
-    def action_space(self):
-        return Discrete(2) if self.is_discrete else Box(-jnp.ones(1), jnp.ones(1))
-
-    def reset(self, key):
-        return jnp.zeros(1)
-
-    def observe(self, state):
-        return state
-
-    def step(self, key, state, action):
-        if self.is_discrete:
-            action = 2.0 * action.astype(state.dtype)[None] - 1.0
-        after = jnp.maximum(state + 0.12 * jnp.clip(action, -1.0, 1.0), 0.0)
-        is_goal = after[0] >= 1.0
-        return after, TimeStep(after, is_goal.astype(after.dtype), is_goal, jnp.zeros((), bool), is_goal)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("is_discrete", [False, True], ids=["continuous", "discrete"])
-def test_it_finds_a_goal_and_returns_to_it(is_discrete):
-    learner = {"kind": "vime", "iteration_steps": 300, "longest_episode": 30, "max_kl": 0.02, "damping": 1e-3}
-    small = {"policy_units": [8], "model_units": 8, "model_updates": 20, "num_samples": 2, "min_pool": 100}
-    settings = Learning.model_validate(
-        {"env": "chain", "learner": learner | small, "episodes": 160, "dtype": "float64"}
-    )
-    run = eqx.tree_at(lambda r: r.env, build(settings), Line(is_discrete))
-    advance = eqx.filter_jit(eqx.filter_vmap(run.advance, axis_name=LANES))
-    with jax.debug_key_reuse(False):
-        carry = jax.vmap(run.init)(jax.random.split(jax.random.key(0), 6))
-        rows = []
-        for _ in range(settings.episodes):
-            carry, records = advance(carry)
-            rows.append(jax.tree.map(np.asarray, records.tables["episodes"]))
-    success = np.array([row["success"][:, 0] for row in rows])
-    assert success.any(axis=0).all()
-    assert success[:20].mean() < 0.5
-    assert (success[-20:].mean(axis=0) > 0.9).all()
-    steps, iterations = (jax.vmap(run.summary)(carry)[name] for name in ("steps", "iterations"))
-    assert (np.asarray(iterations) > 0).all() and (300 * iterations <= steps).all()
-
-
-def test_the_number_of_iterations_is_a_column_of_the_runs():
-    run = build(Learning(env=envs.Chain(), learner=VIME(**SMALL), episodes=5))
-    assert "iterations" in {column.name for column in run.tables["runs"]}
-    assert "iterations" in jax.eval_shape(lambda key: run.summary(run.init(key)), jax.random.key(0))
