@@ -51,10 +51,7 @@ def test_each_lane_is_that_of_a_loop_of_its_own(starts, is_own):
     growth, axis = (jnp.full(len(starts), 3), 0) if is_own else (jnp.asarray(3), None)
     found = jax.jit(jax.vmap(lane, (0, axis), axis_name=LANES))(jnp.asarray(starts), growth)
     np.testing.assert_array_equal(np.stack(found, axis=1), [collatz(int(start), 3) for start in starts])
-
-
-def test_a_lane_without_a_batch():
-    assert [int(x) for x in lane(jnp.asarray(27), jnp.asarray(3))] == list(collatz(27, 3))
+    assert [int(x) for x in lane(jnp.asarray(27), jnp.asarray(3))] == list(collatz(27, 3))  # without a batch
 
 
 @pytest.mark.parametrize(("lanes", "gathered"), [(LEAST, LEAST // SHARE), (LEAST - 1, 0)])

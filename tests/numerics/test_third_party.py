@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from bojax.config.extras import MissingExtra
 from bojax.numerics.third_party import silenced, standard_jax
 
 
@@ -56,9 +55,3 @@ def test_silence(capsys):
         warnings.warn("unmaintained", stacklevel=1)
     print("heard")
     assert capsys.readouterr() == ("heard\n", "")
-
-
-def test_a_missing_package_is_told_with_its_extra():
-    error = MissingExtra("gymnasium", "gym")
-    assert isinstance(error, ImportError) and error.exit_code == 2
-    assert str(error) == "gymnasium is not installed; install it in a clone of bojax: pip install -e '.[gym]'"
