@@ -203,19 +203,6 @@ def test_steps_say_where_they_were_taken_and_follow_each_other():
         assert after in (36, before, before + moves[action])
 
 
-def test_a_time_limit_cuts_an_episode_off_and_an_end_terminates_it():
-    late = History(
-        run_of(corridor(cells=6, max_steps=4), learner="epsilon-greedy", episodes=2, tests=0), lanes=1
-    )
-    assert late.rows()["length"].tolist() == [4, 4]
-    assert late.rows()["truncated"].all() and not late.rows()["terminated"].any()
-    assert late.summary()["success"] is False and late.summary()["episodes_to_goal"] == -1
-    just = History(
-        run_of(corridor(cells=5, max_steps=4), learner="epsilon-greedy", episodes=2, tests=0), lanes=1
-    )
-    assert just.rows()["terminated"].all() and not just.rows()["truncated"].any()
-
-
 @pytest.mark.parametrize("block, max_steps", [pytest.param(1, 4, marks=pytest.mark.slow), (3, 4), (16, 1)])
 def test_no_step_is_made_past_the_limit_whatever_the_block(block, max_steps):
     learner = {"kind": "epsilon-greedy", "block": block}
@@ -226,13 +213,14 @@ def test_no_step_is_made_past_the_limit_whatever_the_block(block, max_steps):
     assert len(history.rows("steps", lane=1)["step"]) == 3 * max_steps
     assert np.asarray(history.carry.learner.visits)[1].sum() == 3 * max_steps
     assert history.summary(1)["steps"] == 3 * max_steps
+    assert history.rows()["truncated"].all() and not history.rows()["terminated"].any()
+    assert history.summary()["success"] is False and history.summary()["episodes_to_goal"] == -1
 
 
-def test_an_episode_of_one_step():
-    history = History(run_of(corridor(cells=2), learner="epsilon-greedy", episodes=3, tests=0), lanes=1)
-    assert history.rows()["length"].tolist() == [1, 1, 1]
-    summary = history.summary()
-    assert (summary["episodes_to_goal"], summary["steps_to_goal"], summary["last_return"]) == (1, 1, 1.0)
+def test_an_end_within_the_limit_terminates_an_episode():
+    env = corridor(cells=5, max_steps=4)
+    rows = History(run_of(env, learner="epsilon-greedy", episodes=2, tests=0), lanes=1).rows()
+    assert rows["terminated"].all() and not rows["truncated"].any()
 
 
 def test_the_numbers_of_a_run_are_those_of_its_rows():
@@ -303,39 +291,6 @@ def test_tests_leave_the_learner_untouched(learner):
     assert tested.active_steps[:, 0].sum() == total
 
 
-class Drawing(Learner):
-    """A learner that only draws a number at the end of every episode; its state is their sum."""
-
-    block: int = eqx.field(static=True, default=4)
-
-    @property
-    def exploration_weight(self):
-        return jnp.ones(())
-
-    def init(self, key, observation_space, action_space, capacity):
-        return jnp.zeros(())
-
-    def act(self, key, state, observation, exploration):
-        return jnp.ones((), jnp.int32), state
-
-    def observe(self, key, state, transition, exploration, step_in_block):
-        return state
-
-    def end_episode(self, key, state, episode, exploration):
-        return state + jnp.where(exploration.is_learning, jax.random.uniform(key), 0.0)
-
-    def values(self, state, observation, action):
-        return state, state
-
-
-def test_the_number_of_tests_does_not_change_what_learning_draws():
-    runs = [run_of(env=CHAIN, tests=number) for number in (0, 2)]
-    runs = [eqx.tree_at(lambda run: run.learner, run, Drawing()) for run in runs]
-    alone, tested = (np.asarray(History(run).carry.learner) for run in runs)
-    np.testing.assert_array_equal(alone, tested)
-    assert len(set(alone.tolist())) == 3
-
-
 @pytest.mark.parametrize("starts", ["per-episode", "per-run"])
 def test_episodes_of_a_run_share_their_start_where_they_are_to(starts):
     run = run_of("single-pendulum", learner="rff-q", starts=starts)
@@ -372,20 +327,6 @@ def test_tests_learn_where_they_may_and_explore_in_no_case(learner):
         learned = rows["episode"] <= reached if reached > 0 else np.full(len(rows["episode"]), True)
         assert visits[lane] == rows["length"][learned].sum()
         assert np.all(rows["kappa"][rows["phase"] == 1] == 0.0)
-
-
-@pytest.mark.slow
-def test_tests_exploit():
-    # One arm pays after a test of both; a test takes it every time, however large epsilon is.
-    env = {"kind": "chain", "length": 3, "max_length": 3, "max_steps": 400}
-    run = run_of(env=env, learner={"kind": "epsilon-greedy", "epsilon": 1.0, "discount": 0.9}, episodes=30)
-    history = History(run, lanes=4)
-    late = [
-        np.mean(history.rows(phase=phase, lane=lane)["length"][-20:])
-        for phase in ("train", "test")
-        for lane in range(4)
-    ]
-    assert np.mean(late[4:]) < 5.0 < np.mean(late[:4])  # 4 and 10.5 steps in the mean
 
 
 def test_a_target_is_reached_once_all_tests_of_a_round_exceed_it():
@@ -469,13 +410,6 @@ def test_a_lane_does_not_depend_on_the_others(settings):
     assert not np.array_equal(mine[0], theirs[0])
 
 
-def test_lanes_and_episodes_differ():
-    history = History(run_of(env={"kind": "taxi", "max_steps": 40}, episodes=4, tests=0))
-    starts = [tuple(history.rows("steps", lane=lane)["observation_0"][::40]) for lane in range(3)]
-    assert len(set(starts)) == 3
-    assert all(len(set(lane)) > 1 for lane in starts)
-
-
 @pytest.mark.parametrize("dtype", by_tier(["float32", "float64"], normal=["float32"]))
 def test_a_run_computes_in_its_precision(dtype):
     run = run_of(env=CHAIN, dtype=dtype, target_return=0.0)
@@ -487,24 +421,6 @@ def test_a_run_computes_in_its_precision(dtype):
     assert floats == {jnp.dtype(dtype)}
     same = jax.tree.map(lambda a, b: (a.shape, a.dtype) == (b.shape, b.dtype), carry, after)
     assert all(jax.tree.leaves(same))
-
-
-def test_another_value_of_a_hyper_parameter_compiles_nothing():
-    traced = []
-
-    @eqx.filter_jit
-    def advance(run, carry):
-        traced.append(run)
-        return run.advance(carry)
-
-    for kappa, slip, rate in ((1.0, 0.1, 0.5), (0.3, 0.0, 3.0)):
-        run = run_of(
-            env=CLIFF | {"slip": slip},
-            learner={"kind": "exploration-values", "kappa": kappa, "discount": 1.0 - slip},
-            schedule={"kind": "decay", "rate": rate},
-        )
-        advance(run, run.init(jax.random.key(0)))
-    assert len(traced) == 1
 
 
 # What goes wrong.
@@ -522,20 +438,6 @@ def test_a_number_that_is_none_ends_the_run_and_is_counted():
     assert np.all(np.isfinite(history.carry.learner.columns))
     assert np.asarray(history.carry.learner.visits)[0].sum() == 2
     assert len(history.rows("steps")["step"]) == 2
-
-
-def test_a_number_that_is_none_in_one_lane_leaves_the_others_alone():
-    sound, broken = (run_of(corridor(poisoned=p), learner="epsilon-greedy", tests=0) for p in (-1.0, 2.0))
-    keys = jax.random.split(jax.random.key(0), 2)
-    poisoned = jnp.asarray([-1.0, 2.0])
-
-    def one(poison, key):
-        run = eqx.tree_at(lambda r: r.env.poisoned, sound, poison)
-        return run.advance(run.init(key))[1].tables["episodes"]["return"]
-
-    returns = jax.jit(jax.vmap(one, axis_name=LANES))(poisoned, keys)
-    assert float(returns[0, 0]) == 4.0 and np.isnan(returns[1, 0])
-    assert np.isnan(History(broken, lanes=1).summary()["last_return"])
 
 
 def test_weights_that_are_no_number_are_counted_in_runs_that_are_not_recorded():
@@ -573,13 +475,8 @@ def test_maps_are_those_of_their_episodes():
     assert np.all(np.isfinite(maps[0])) and np.all(np.isnan(maps[1]))
 
 
-def test_without_maps_nothing_is_kept():
-    assert default_history().carry.maps is None
-    assert default_history().run.snapshot(lane_of(default_history().carry, 0)) == {}
-
-
 class Plane(Learner):
-    """Q and U of a place are its coordinates: a learner whose maps are known."""
+    """Q and U of a place are its coordinates; the state is the sum of what it draws after episodes."""
 
     block: int = eqx.field(static=True, default=1)
 
@@ -596,46 +493,23 @@ class Plane(Learner):
     def observe(self, key, state, transition, exploration, step_in_block):
         return state
 
+    def end_episode(self, key, state, episode, exploration):
+        return state + jnp.where(exploration.is_learning, jax.random.uniform(key), 0.0)
+
     def values(self, state, observation, action):
         return observation[0], observation[1] + action[0]
 
 
-class Square(Corridor):
-    """The same corridor, seen as a point of a plane."""
-
-    @property
-    def observation_space(self):
-        return Box(jnp.asarray([0.0, -1.0, 0.0]), jnp.asarray([4.0, 3.0, 1.0]))
-
-    @property
-    def action_space(self):
-        return Box(jnp.asarray([-1.0]), jnp.asarray([3.0]))
-
-    def observe(self, state):
-        return jnp.zeros(3)
-
-    def step(self, key, state, action):
-        transition = self.outcome(state, jnp.int32(0), jnp.int32(0))
-        return state + 1, eqx.tree_at(lambda t: t.observation, transition, jnp.zeros(3))
-
-
-def test_a_map_of_a_box_spans_its_first_two_dimensions_at_the_middle_action():
-    run = run_of(episodes=1, tests=0, map_episodes=(1,), map_resolution=4)
-    env = Square(jnp.asarray(1.0), jnp.asarray(-1.0), 5, 10)
-    run = eqx.tree_at(lambda r: (r.env, r.learner), run, (env, Plane()))
-    carry, _ = _advance(run, _start(run, jax.random.split(jax.random.key(0), 1)))
-    q, u = np.asarray(carry.maps[0, 0])
-    assert q.shape == (4, 4)
-    assert np.array_equal(q, np.tile([[0.5], [1.5], [2.5], [3.5]], (1, 4)))
-    assert np.array_equal(u, np.tile([-0.5, 0.5, 1.5, 2.5], (4, 1)) + 1.0)
-
-
-class Strip(Square):
+class Strip(Corridor):
     """The same corridor along the first of two observations."""
 
     @property
     def observation_space(self):
         return Box(jnp.asarray([0.0, -1.0]), jnp.asarray([4.0, 3.0]))
+
+    @property
+    def action_space(self):
+        return Box(jnp.asarray([-1.0]), jnp.asarray([3.0]))
 
     def observe(self, state):
         return jnp.stack([state, jnp.zeros_like(state)]).astype(float)
@@ -645,30 +519,38 @@ class Strip(Square):
         return state + 1, eqx.tree_at(lambda t: t.observation, transition, self.observe(state + 1))
 
 
+def on_strip(run):
+    strip = Strip(jnp.asarray(1.0), jnp.asarray(-1.0), 5, 10)
+    return eqx.tree_at(lambda r: (r.env, r.learner), run, (strip, Plane()))
+
+
+def test_the_number_of_tests_does_not_change_what_learning_draws():
+    runs = [on_strip(run_of(episodes=3, tests=number)) for number in (0, 2)]
+    alone, tested = (np.asarray(History(run).carry.learner) for run in runs)
+    np.testing.assert_array_equal(alone, tested)
+    assert len(set(alone.tolist())) == 3
+
+
 def test_maps_of_a_plane_are_scored_where_the_run_was_and_where_it_was_not():
     run = run_of(episodes=3, tests=0, map_episodes=(1, 3), map_resolution=4)
-    run = eqx.tree_at(
-        lambda r: (r.env, r.learner), run, (Strip(jnp.asarray(1.0), jnp.asarray(-1.0), 5, 10), Plane())
-    )
+    scores = {"unseen_u", "start_u_change"}
+    assert not scores & {column.name for column in run.tables["runs"]}  # its observation is one number
+    run = on_strip(run)
+    assert scores <= {column.name for column in run.tables["runs"]}
     carry = _start(run, jax.random.split(jax.random.key(0), 1))
     assert np.all(np.isnan(carry.map_scores))
     carry, _ = _advance(run, carry)
+    # Over the first two dimensions, with the action in the middle of its range.
+    q, u = np.asarray(carry.maps[0, 0])
+    assert np.array_equal(q, np.tile([[0.5], [1.5], [2.5], [3.5]], (1, 4)))
+    assert np.array_equal(u, np.tile([-0.5, 0.5, 1.5, 2.5], (4, 1)) + 1.0)
     seen = np.zeros((4, 4), bool)
     seen[np.minimum(np.arange(carry.steps[0]), 3), 1] = True  # the second observation is always 0
     assert 1 < seen.sum()
     np.testing.assert_array_equal(carry.visits.seen[0], seen)
     np.testing.assert_array_equal(np.argwhere(carry.visits.starts[0]), [[0, 1]])
-    u = np.asarray(carry.maps[0, 0, 1])
     np.testing.assert_allclose(carry.map_scores[0, 0], [u[~seen].mean() - u[0, 1], u[0, 1]], rtol=1e-6)
     assert np.all(np.isnan(carry.map_scores[0, 1]))
-
-
-def test_the_scores_of_maps_are_columns_of_the_runs():
-    run = run_of(episodes=1, tests=0, map_episodes=(1,), map_resolution=4)
-    names = {column.name for column in run.tables["runs"]}
-    assert not names & {"unseen_u", "start_u_change"}  # a chain has one observation
-    plane = eqx.tree_at(lambda r: r.env, run, Strip(jnp.asarray(1.0), jnp.asarray(-1.0), 5, 10))
-    assert {"unseen_u", "start_u_change"} <= {column.name for column in plane.tables["runs"]}
 
 
 # Saved learners.
