@@ -357,3 +357,18 @@ def test_a_state_that_no_body_can_be_in_pays_nan():
     assert np.isnan(outcome(CLASSIC, height=5.0, velocity=(2000.0, 0.0))[0])
     assert np.isnan(outcome(envs.LunarLander(), height=5.0, velocity=(0.0, np.nan))[0])
     assert not np.isnan(outcome(CLASSIC, height=5.0, velocity=(30.0, 0.0))[0])
+
+
+def test_noise_scales_with_its_settings():
+    terrain = np.full(11, lander_geometry.PAD_HEIGHT)
+    states = jax.tree.map(lambda x: jnp.stack([x] * LANES), standing(terrain, height=6.0))
+    keys, full = jax.random.split(jax.random.key(4), LANES), jnp.ones((LANES, 2))
+
+    def spread(**settings):
+        env = build(envs.LunarLander(reward="classic", **settings))
+        return np.std(steps(env, jax.random.clone(keys), states, full)[1].observation[:, 2:6], axis=0)
+
+    assert np.all(spread() > 1e-4)
+    np.testing.assert_allclose(spread(dispersion=0.0), 0.0, atol=1e-12)
+    half, whole = (spread(dispersion=share, side_power=0.0) for share in (0.5, 1.0))
+    np.testing.assert_allclose(half, 0.5 * whole, rtol=0.02)

@@ -136,6 +136,13 @@ def test_readings_are_poses_with_noise(drives):
         assert np.all(np.abs(off).max(axis=(1, 2)) > 0.01)
 
 
+def test_readings_without_noise_are_those_with_a_noise_of_zero(drives):
+    (key, body, path, end, _), ride = drives[0]
+    few = jax.tree.map(lambda x: x[:2], (jax.random.clone(key), body, path, end))
+    exact = jax.jit(jax.vmap(lambda *lane: ROBOT.follow(*lane, None)), compiler_options=REPEATABLY)(*few)
+    np.testing.assert_allclose(exact.estimates, ride.estimates[:2], atol=1e-6)
+
+
 def test_it_stands_where_it_is_placed():
     poses = jnp.asarray([[0.3, -1.2, 0.0], [-1.0, 0.5, 2.5], [0.0, 0.0, 6.0]])
     bodies = reset(poses)
