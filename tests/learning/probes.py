@@ -11,6 +11,32 @@ from bojax.envs.spaces import Discrete
 from bojax.envs.tabular import TabularEnv
 
 
+class Bandit(TabularEnv):
+    """One state; each of two arms ends the episode and pays its reward."""
+
+    rewards: Float[Array, "2"]
+    max_steps: ClassVar[int] = 1
+    num_branches: ClassVar[int] = 1
+
+    @property
+    def observation_space(self):
+        return Discrete(1)
+
+    @property
+    def action_space(self):
+        return Discrete(2)
+
+    def reset(self, key):
+        return jnp.int32(0)
+
+    def probabilities(self, state, action):
+        return jnp.ones((1,), self.rewards.dtype)
+
+    def outcome(self, state, action, branch):
+        true = jnp.ones((), bool)
+        return TimeStep(jnp.int32(0), self.rewards[action], true, ~true, self.rewards[action] > 0)
+
+
 class Loop(TabularEnv):
     """Two states in turn, one action; the second state pays 1, and ends the episode if it is absorbing.
 
