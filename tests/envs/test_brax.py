@@ -15,7 +15,6 @@ from bojax.engine.build import build
 from bojax.envs import settings as envs
 from bojax.envs.brax import BojaxEnv, BraxEnv
 from bojax.numerics.third_party import plain_jax
-from tests.envs.test_gymnasium import Walk
 
 
 class Spring(brax_envs.Env):
@@ -172,8 +171,8 @@ def test_a_typed_key_begins_the_same_episode_as_a_raw_one():
 
 
 def test_brax_takes_vectors_only():
-    with pytest.raises(ValueError, match="Walk: Brax takes vectors as observations and actions"):
-        BojaxEnv(Walk())
+    with pytest.raises(ValueError, match="Chain: Brax takes vectors as observations and actions"):
+        BojaxEnv(build(envs.Chain()))
 
 
 def test_the_class_is_what_the_config_names():
