@@ -76,9 +76,10 @@ class LanderState(eqx.Module):
 def reset(push: Float[Array, "2"], terrain: Float[Array, "11"]) -> LanderState:
     """The lander at the top of the world after a force on its hull, in N, has acted for one step.
 
-    The force acts on the lander with folded legs, so that its horizontal component also turns the lander; the
-    legs are unfolded in the state returned.
+    The legs are unfolded in the state returned.
     """
+    # In Gym, the force acts in the first step, on the lander with folded legs: it acts on the hull's centre
+    # of mass, above that of the whole, so that its horizontal component turns the lander.
     lever = float(_HULL.centre[1] - _FOLDED.centre[1])
     height = geometry.HEIGHT + _HULL.mass * float(_HULL.centre[1]) / _MASS  # Gym's legs start at the origin
     return LanderState(
@@ -132,6 +133,7 @@ def separation(
     points: Float[Array, "*N 2"], terrain: Float[Array, "11"]
 ) -> tuple[Float[Array, "*N"], Float[Array, "*N 2"]]:
     """Signed distances of points from the plane of the terrain segment below them, in metres; its normals."""
+    # The plane of the segment below, not the nearest point of the terrain: a lookup in place of a search.
     spacing = geometry.WIDTH / (geometry.NUM_HEIGHTS - 1)
     segment = jnp.clip((points[..., 0] / spacing).astype(jnp.int32), 0, geometry.NUM_HEIGHTS - 2)
     height, slope = terrain[segment], (jnp.diff(terrain) / spacing)[segment]
@@ -149,12 +151,15 @@ def hull_touches_ground(state: LanderState) -> Bool[Array, ""]:
     peaks = jnp.stack([across, state.terrain], axis=-1)
     edges = jnp.roll(corners, -1, axis=0) - corners
     edges = edges / jnp.linalg.norm(edges, axis=-1, keepdims=True)
+    # The corners run anticlockwise: a peak inside the hull is to the left of every edge.
     inwards = _cross(edges[None], peaks[:, None] - corners[None])
     return jnp.any(distance < _TOUCH) | jnp.any(jnp.all(inwards > -_TOUCH, axis=-1))
 
 
 def step(state: LanderState, gravity: Float[Array, ""]) -> LanderState:
     """The state one time step later, under a downward gravity in m/s^2."""
+    # Box2D's order: gravity, then contact impulses by sweeps over the feet, each given the current others
+    # (sequential impulses), then positions by the new velocities (semi-implicit Euler).
     feet = _feet(state)
     right, left = (jax.tree.map(lambda x, side=side: x[side], feet) for side in range(2))
 
@@ -231,20 +236,27 @@ class _Foot(eqx.Module):
 
     def solve(self, motion: _Motion, impulses: Float[Array, "3"]) -> tuple[_Motion, Float[Array, "3"]]:
         """One sweep over the soft, the hard and the friction impulse, each given the current other two."""
+        # Impulses accumulate over the sweeps and the totals are clipped, not the changes, as in Box2D: a
+        # sweep may take back what an earlier one gave too much. Motion takes the difference each time.
         soft, hard, drag = impulses
         mass = _effective_mass(self.arm, self.normal)
+        # The motor bounds the soft impulse by the torque that friction leaves of it. A leg with too short a
+        # lever does not give: it is rigid, the soft impulse has no bound, and there is no hard one.
         gives = self.lever > _SHORT
         spare = jnp.maximum(TIME_STEP * _MOTOR_TORQUE - self.drag_lever * drag, 0.0)
         most = jnp.where(gives, spare / jnp.where(gives, self.lever, 1.0), jnp.inf)
 
+        # Soft: the foot's velocity with the leg turning at the motor's rate must not be into the ground.
         missing = self.soft_speed - self.slowest * self.lever - motion.along(self.normal, self.arm)
         after = jnp.clip(soft + mass * missing, 0.0, most)
         motion, soft = motion.after_impulse(self.arm, (after - soft) * self.normal), after
 
+        # Hard: the same with the leg turning as fast as its stop permits, without a bound.
         missing = self.hard_speed - self.fastest * self.lever - motion.along(self.normal, self.arm)
         after = jnp.where(gives, jnp.maximum(hard + mass * missing, 0.0), 0.0)
         motion, hard = motion.after_impulse(self.arm, (after - hard) * self.normal), after
 
+        # Friction holds the foot within Coulomb's cone of the impulses along the normal.
         along = _left(self.normal)
         speed = motion.along(along, self.arm) + self.joint_rate(motion) * self.drag_lever
         bound = _FOOT_FRICTION * (soft + hard)
@@ -267,6 +279,8 @@ class _Foot(eqx.Module):
 def _feet(state: LanderState) -> _Foot:
     """The right and the left foot, as one batch."""
     dtype = state.position.dtype
+    # The left leg is the mirror image of the right one: both are one batch, and of the four corners of each
+    # the lowest over the ground is the foot.
     mirror = jnp.asarray([[1.0, 1.0], [-1.0, 1.0]], dtype)
     outwards = mirror[:, 0]
     at_rest = jnp.asarray(geometry.LEG_CENTRE + geometry.LEG, dtype)
@@ -278,6 +292,8 @@ def _feet(state: LanderState) -> _Foot:
     distance = jnp.take_along_axis(distances, lowest[:, None], axis=1)[:, 0] - _GAP
     lever = outwards * _cross(corner, normal)
     gives = lever > _SHORT
+    # Above the ground, a foot may fall by its distance within the step; in the ground, a share of the depth
+    # is corrected (Box2D's Baumgarte factor).
     hard_speed = -jnp.where(distance > 0.0, distance, _RECOVERY * distance) / TIME_STEP
     return _Foot(
         arm=corner + (state.origin - state.position)[None],

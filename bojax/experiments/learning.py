@@ -183,9 +183,12 @@ class LearningRun(Experiment):
 
     @override
     def advance(self, carry: RunState) -> tuple[RunState, Records]:
+        # Lines 3-9 of Algorithm 5. A run that has ended begins an episode that is not active, which takes no
+        # steps.
         training = self.training(carry)
         episode = training.begin(carry.learner, *self.reset(carry, training), ~carry.is_done)
         episode = run_episode(training, episode)
+        # After the loop and not in a `cond` within it: a branch under `vmap` would refit in every step.
         learner = self.end_episode(carry, episode)
         tests = None
         if self.tests:
@@ -196,6 +199,8 @@ class LearningRun(Experiment):
                 episode = run_episode(test, episode)
                 return self.end_test(carry, number, episode), self.test_row(carry, number, episode)
 
+            # Tests that learn change the learner in turn. Others depend on nothing but the learner, and are
+            # one batch, which shares it.
             numbers = jnp.arange(1, self.tests + 1)
             if self.tests_learn:
                 learner, tests = jax.lax.scan(run_test, learner, numbers)
@@ -299,6 +304,7 @@ class LearningRun(Experiment):
             learner: The learner after the training episode and its tests.
             tests: Rows of the test episodes, in columns of `tests` values; None if there are none.
         """
+        # A finished run counts no episode: `active` masks its numbers, and its rows are not valid.
         active = ~carry.is_done
         number, steps = carry.episode + active.astype(jnp.int32), carry.steps + episode.length
         is_first = episode.success & (carry.episodes_to_goal < 0)
@@ -325,6 +331,8 @@ class LearningRun(Experiment):
         planned_return = jnp.where(jnp.isfinite(mean), mean, jnp.nan)
         maps, visits, map_scores = carry.maps, carry.visits, carry.map_scores
         if maps is not None:
+            # The map is computed after every episode and kept at `map_episodes`: lanes may be in different
+            # episodes.
             now = (number == jnp.asarray(self.map_episodes, jnp.int32)) & active
             found = self._map(learner)
             maps = jnp.where(now.reshape(-1, *[1] * (maps.ndim - 1)), found[None], maps)
@@ -341,6 +349,7 @@ class LearningRun(Experiment):
             outside=carry.outside + episode.outside,
             is_done=carry.is_done | done,
             last_return=jnp.where(active, episode.total, carry.last_return),
+            # NaN stays, so that the summary shows a learner that diverged at any time.
             planned_return=jnp.where(
                 active & ~jnp.isnan(carry.planned_return), planned_return, carry.planned_return
             ),

@@ -131,17 +131,23 @@ class PlanningEpisode(Experiment):
 
     @override
     def advance(self, carry: PlanningState) -> tuple[PlanningState, Records]:
+        # A finished lane advances with the others, since a branch would be computed in every lane; `_where`
+        # at the end keeps its old state, and its row is not valid.
         active = ~carry.is_done
         key = jax.random.fold_in(carry.key_planner, carry.step)
         plan = self.planner.plan(key, self.problem, carry.belief)
         # Counters 0 and 1 of the world's stream were used by `init`.
         key = jax.random.fold_in(carry.key_world, carry.step + 2)
         world, observation, events = self.problem.execute(key, carry.world, plan.path)
+        # The task's own objective (None), whatever the planner maximises: returns of planners are comparable.
+        # The belief is the one before the path, as in (3.2) and (4.11).
         reward = self.problem.reward(None, carry.belief, plan.path, events)
         belief = self.problem.update(carry.belief, plan.path, observation)
         failed = jnp.zeros((), bool) if events.failed is None else events.failed
         success, exited = events.success & ~failed, events.exited & ~failed
-        if events.failed is not None:  # a diverged step pays NaN and leaves the state unchanged
+        # A diverged step pays NaN and leaves the state unchanged. Where a simulation cannot diverge, there is
+        # nothing to select.
+        if events.failed is not None:
             reward = jnp.where(failed, jnp.nan, reward)
             world, belief = _where(~failed, (world, belief), (carry.world, carry.belief))
 

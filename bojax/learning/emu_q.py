@@ -92,6 +92,7 @@ class EMUQ(Learner):
         exploration: ExplorationState,
     ) -> tuple[Action, Float[Array, ""]]:
         """Line 6: argmax Q + kappa U over the candidates (5.10)."""
+        # A test has scale 0: then kappa is 0, and the policy is argmax Q.
         key_draw, key_ties = jax.random.split(key)
         model, kappa = self.model, exploration.scale * self.exploration_weight
         candidates, _ = model.actions(key_draw, state)
@@ -105,6 +106,7 @@ class EMUQ(Learner):
                 values = model.values(state.posterior, state.phi(observation, actions))
                 return values[:, Q] + kappa * values[:, U]
 
+            # The spacing that as many candidates would have on a regular grid.
             spacing = (space.high - space.low) / len(candidates) ** (1.0 / space.num_dims)
             action = refined_action(scores, action, space, spacing, self.refine_steps)
             expected = model.values(state.posterior, state.phi(observation, action[None]))[0, Q]
@@ -123,9 +125,11 @@ class EMUQ(Learner):
         model, features, posterior = self.model, state.features, state.posterior
         candidates, samples = model.actions(key, state)
         kappa = exploration.scale * self.exploration_weight
+        # A weight of 0 in place of a branch: the posterior of a lane that does not learn stays the same.
         weight = exploration.is_learning.astype(kappa.dtype)
 
-        # Line 8, the exploration reward. One product with the covariance serves lines 8 and 9.
+        # Line 8, the exploration reward (5.12). One product with the covariance serves line 8, whose
+        # variances are at s', and line 9, whose gain is at (s, a).
         phi = features(transition.observation, transition.action)
         phi_samples = jnp.concatenate([phi[None], state.phi(transition.next_observation, samples)])
         variances, product = posterior.variances_and_product(phi_samples)
@@ -137,7 +141,8 @@ class EMUQ(Learner):
         _, values = model.greedy_action(key, state, transition.next_observation, candidates, kappa, "first")
         target = model.td_target(transition.reward, bonus, values, transition.terminated)
 
-        # Lines 9 to 12, the covariance and both means, in gain form.
+        # Lines 9 to 12, the covariance and both means, in gain form: with k the gain of (5.22), m = S t
+        # becomes m += k (target - phi'm), so that neither t nor a product with the new S is needed.
         posterior = posterior.update(
             phi, target, sample_weight=weight, product=product, step_in_block=step_in_block
         )
@@ -151,6 +156,7 @@ class EMUQ(Learner):
         if self.refit == "none":
             return state
         state = eqx.tree_at(lambda s: s.memory, state, state.memory.add(episode, exploration.is_learning))
+        # A CPU refits one lane after the other: their numbers of sweeps and of transitions differ.
         kappa = exploration.scale * self.exploration_weight
         mean = lane_by_lane_on_cpu(Refit.__call__, self.refitter, key, state, kappa, exploration.is_learning)
         return eqx.tree_at(lambda s: s.posterior.mean, state, mean)
@@ -166,7 +172,7 @@ class EMUQ(Learner):
     @property
     @override
     def lanes_on_cpu(self) -> int:
-        # The covariances of more lanes do not fit into the cache of a core.
+        # The covariances of more lanes do not fit into a core's cache.
         return 8
 
     @override

@@ -90,6 +90,7 @@ class EMUQModel(eqx.Module):
 
     def values(self, posterior: BayesianLinearRegression, phi: Float[Array, "J M"]) -> Float[Array, "J 2"]:
         """Q and U: phi'm_Q and phi'm_U."""
+        # Both means share the features: one product with two columns.
         values = matmul(phi, posterior.mean)
         if not self.optimistic_u:
             return values
@@ -113,6 +114,8 @@ class EMUQModel(eqx.Module):
         else:
             # A single product: XLA fuses it with the features on a GPU, and does not store them.
             scores = matmul(phi, mean[:, Q] + kappa * mean[:, U])
+        # Q and U of the chosen action alone, with its features computed again: to keep those of all
+        # candidates would cost more than to compute one.
         action = actions[best_action(key, scores, ties)]
         return action, self.values(state.posterior, state.phi(observation, action[None]))[0]
 
@@ -133,7 +136,7 @@ class EMUQModel(eqx.Module):
     def exploration_reward(self, variance: Float[Array, "*N"]) -> Float[Array, "*N"]:
         """The exploration reward (5.12): the mean variance of Q at s' minus its maximum V_max = 1/alpha.
 
-        With `has_noise` the variance includes that of the noise, 1/beta.
+        With `has_noise` the variance includes the noise variance, 1/beta.
         """
         noise = 1.0 / self.noise_precision if self.has_noise else 0.0
         return variance + noise - 1.0 / self.prior_precision
@@ -158,6 +161,8 @@ class EMUQModel(eqx.Module):
             weight: 1, or 0 if the covariance is not going to be updated.
         """
         if self.reward_order == "after":
+            # The update subtracts r r' from S, and so (phi'r)^2 from the variance at phi: the covariance
+            # after it is not needed.
             row = posterior.row(phi[0], sample_weight=weight, product=product)
             variances = variances - matmul(phi, row) ** 2
         return variances[1:]
@@ -171,6 +176,7 @@ class EMUQModel(eqx.Module):
         capacity, number = variances.shape
         if not self.mixes_transitions or number == 1:
             return jnp.mean(variances, axis=1)
+        # Row-major K x count, read column by column: entry (k, n) of that reading is number k count + n.
         index, action = jnp.arange(capacity, dtype=jnp.int32), jnp.arange(number, dtype=jnp.int32)
         place = index[:, None] + action[None, :] * count
         return jnp.mean(variances.ravel().at[place].get(mode="fill", fill_value=0.0), axis=1)
@@ -185,6 +191,8 @@ class EMUQModel(eqx.Module):
         terminated: Bool[Array, ""],
     ) -> Float[Array, "2"]:
         """The TD targets r + gamma Q(s', a') and r_e + gamma U(s', a') (5.14)."""
+        # An absorbing state pays r_e in every step to come: r_e + gamma r_e / (1 - gamma) = r_e / (1 -
+        # gamma).
         q = jnp.where(terminated & self.terminal_q.is_("zero"), 0.0, next_values[Q])
         forever = jnp.where(self.terminal_u.is_("absorbing"), bonus / (1.0 - self.discount), 0.0)
         u = jnp.where(terminated & ~self.terminal_u.is_("bootstrap"), forever, next_values[U])

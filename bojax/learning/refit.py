@@ -3,19 +3,6 @@
 The covariance S stays the same; the TD targets are those of the current policy pi. The means are fitted
 either by sweeps, m <- beta S Phi'(r + gamma Phi_next m), or by solving the equations that the sweeps converge
 to, (I - beta gamma S Phi'Phi_next) m = beta S Phi'r.
-
-The direct solution is policy iteration: the equations of a policy are solved, then the policy becomes greedy
-for their solution, until a policy comes for the second time. The result is the solution that this policy is
-greedy for. If no action has changed, the iteration has converged; with one-hot features this always happens,
-since each policy has values at least as high as the one before. With other features, policies may cycle or
-change irregularly, as those of sweeps may. In a cycle, the first repeated policy follows from the policies
-alone. A comparison of the changes of the weights would not do: the two changes of a cycle of two policies are
-equal, and rounding would decide which of both is returned. The changes end an irregular iteration only, when,
-for the second time, the weights change no less than with the policy before.
-
-The matrices of two policies in succession differ little. The inverse for one policy is therefore kept as the
-preconditioner for the following policies, whose equations then take a few products with the features. If the
-products do not converge, the policy gets an inverse of its own, which is kept in turn.
 """
 
 from collections.abc import Callable
@@ -34,26 +21,16 @@ from bojax.numerics.lanes import any_lane, batched_together
 from bojax.numerics.linalg import gcr, inverse_matrix, matmul, matmul_on_tensor_cores, row_sums
 from bojax.numerics.stragglers import while_going
 
-NUM_STORED = 2048
-"""Largest number of transitions whose features are stored during a refit: the first ones of a run.
+# 8 MB a run for 500 features in float32. On a CPU, which stores the features of one run of a batch at a time,
+# refits of the reacher with 2,600 to 4,600 transitions take two thirds of their time with 2,048. With 8,192,
+# filling the arrays with zeros takes longer than a short refit.
+NUM_STORED, NUM_STORED_ON_CPU = 2048, 4096
+"""Largest number of transitions whose features are stored during a refit: the first ones of a run."""
 
-They take 8 MB a run for 500 features in float32. The features of later transitions are recomputed, a block at
-a time, whenever they are needed.
-"""
-
-NUM_STORED_ON_CPU = 4096
-"""The same on a CPU, which stores those of one run of a batch at a time.
-
-Refits of the reacher with 2,600 to 4,600 transitions take two thirds of the time that they take with 2,048.
-With 8,192, filling the arrays with zeros takes longer than a short refit.
-"""
-
+# The last block is padded. Blocks of 512, which need fewer launches on a GPU, take 2.8 times as long for 28
+# transitions on a CPU, and as long for 2,500.
 MOST_ON_CPU = 64
-"""Largest block on a CPU.
-
-The last block is padded. Blocks of 512, which need fewer launches on a GPU, take 2.8 times as long for 28
-transitions on a CPU, and as long for 2,500.
-"""
+"""Largest block on a CPU."""
 
 
 class _Rows(eqx.Module):
@@ -134,6 +111,8 @@ class _Transitions(eqx.Module):
         def recomputed(carry, memory, index, is_valid):
             return function(carry, _Rows(memory, index, is_valid, *_features(self.state, memory)))
 
+        # The first transitions are read from the arrays, later ones are computed again in every pass: stored,
+        # they would take gigabytes in a batch.
         memory, number = self.state.memory, len(self.phi)
         carry = memory.fold(stored, start, self.block, end=number)
         return memory.fold(recomputed, carry, self.block, first=number)
@@ -177,6 +156,8 @@ class _Candidates(eqx.Module):
 
         It gives the index of the chosen candidate, its phi'm_Q and phi'm_U, and its factor of U.
         """
+        # Features are bilinear: phi(s', a)'m = x(s')'split(m, y(a)). One product of x with a matrix gives Q
+        # and U of all candidates, and phi(s', a) is computed for none of them.
         weights = jax.vmap(self.split, 1, 2)(mean)
         weights = jnp.moveaxis(weights, 0, 1).reshape(weights.shape[1], -1)
 
@@ -243,6 +224,8 @@ class _Policy(eqx.Module):
             q_terms = rows.memory.rewards, model.q_discount(terminated)
             u_terms = model.u_terms(rows.of(bonus), factor, terminated)
             constants, discounts = (jnp.stack(pair, axis=1) for pair in zip(q_terms, u_terms, strict=True))
+            # The hash and the right-hand side of the equations come out of the same pass over the
+            # transitions.
             target = rows.valid(constants + discounts * values)
             salted = _salts(rows.index) * chosen.astype(jnp.uint32)[:, None]
             signature = signature + jnp.sum(rows.valid(salted), axis=0, dtype=jnp.uint32)
@@ -257,6 +240,7 @@ class _Policy(eqx.Module):
 
     def equations(self, is_u: Bool[Array, ""] | bool) -> "_Equations":
         """The equations of U if `is_u`, or else of Q."""
+        # Selected rather than branched on: lanes of a batch are at Q and at U at the same time.
         of_both = self.constants.T, self.discounts.T, self.targets
         terms = (jnp.where(is_u, both[U], both[Q]) for both in of_both)
         return _Equations(self.transitions, self.gain, self.candidates, self.chosen, *terms)
@@ -285,7 +269,7 @@ class _Equations(eqx.Module):
 
     def image(self, weights: Float[Array, "M"]) -> Float[Array, "M"]:
         """The right-hand side without the constants."""
-        # A product with phi(s', a') is one with x(s') alone.
+        # A product with phi(s', a') is one with x(s') alone, by the bilinearity of the features.
         split = self.candidates.split(weights)
 
         def visit(total, rows):
@@ -321,6 +305,7 @@ class _Equations(eqx.Module):
 
         They start from the weights m of `targets`.
         """
+        # `targets` was computed with the policy at its own weights, so that the first residual costs no pass.
         residual = matmul(self.gain, self.targets) - start
         return gcr(lambda m: m - self.image(m), inverse, start, residual, is_active)
 
@@ -350,9 +335,8 @@ class Refit(eqx.Module):
         Lines 14 and 15 fit Q, with a' chosen anew by Q + kappa U in every sweep or solution. Lines 16 and 17
         compute the exploration rewards (5.12) and fit U, with a' chosen once.
 
-        The thesis does not say over which actions the policy maximises. Every sweep draws candidates of its
-        own, as the published code does, which has no direct solution. A direct solution draws them once, so
-        that there are finitely many policies, and they usually stay the same after a few.
+        The thesis does not say over which actions the policy maximises: every sweep draws its own candidates,
+        as the published code does; a direct solution, which that code lacks, draws them once.
         """
         key_q, key_u = jax.random.split(key)
         transitions = _Transitions.of(state, _largest_block(self.block))
@@ -366,16 +350,19 @@ class Refit(eqx.Module):
 
         candidates = _Candidates.of(self.model, state, drawn, kappa)
         if self.is_direct:
+            # With one set of candidates there are finitely many policies, which usually settle after a few.
             return self._solve(partial(policy, candidates), mean, is_active)
 
+        # Lines 14-15: m_Q <- beta S Phi'(r + gamma Phi_next m_Q), with a' greedy for the current m_Q and m_U.
         def sweep(number, q):
             actions, _ = self.model.actions(jax.random.fold_in(key_q, number), state)
             anew = _Candidates.of(self.model, state, actions, kappa)
             return matmul(gain, policy(anew, mean.at[:, Q].set(q)).targets[Q])
 
         mean = mean.at[:, Q].set(self._until_converged(sweep, mean[:, Q], is_active))
-        # With a' fixed, a sweep is an affine map of the weights: one pass over the transitions is enough.
-        # Two products with vectors in every sweep take less time than the product of both matrices.
+        # Lines 16-17. With a' fixed, a sweep is an affine map of the weights: one pass over the transitions
+        # is enough. Two products with vectors in every sweep take less time than the product of both
+        # matrices.
         matrix, constant = policy(candidates, mean).equations(True).matrix_and_constant()
 
         def sweep_u(_, u):
@@ -391,7 +378,8 @@ class Refit(eqx.Module):
         groups = ys[:, None] if model.mixes_transitions else ys[None]
         forms = jax.vmap(lambda ys: features.mean_form(state.posterior.base, ys))(groups)
 
-        # Once a refit, x(s') is recomputed: to read what is stored would be a second loop in the program.
+        # Computed once a refit, so x(s') is computed again here: reading the stored part would put a second
+        # loop into the program.
         def visit(variances, rows, index, _):
             x = jax.vmap(features.state)(rows.next_observations)
             return jax.lax.dynamic_update_slice_in_dim(variances, _quadratic_forms(x, forms), index[0], 0)
@@ -414,6 +402,18 @@ class Refit(eqx.Module):
             is_active: Whether they may change.
         """
 
+        # Policy iteration: solve the equations of a policy, become greedy for the solution, until a policy
+        # comes for the second time; the result is the solution that this policy is greedy for. If no action
+        # has changed, the iteration has converged. With one-hot features it always does, since each policy
+        # has values at least as high as the one before; with others, policies may cycle or change
+        # irregularly. In a cycle, the first repeated policy follows from the policies alone, which are
+        # compared by their hashes. Changes of the weights would not do: the two changes of a cycle of two
+        # policies are equal, and rounding would decide which is returned. They end an irregular iteration
+        # only: `growths` counts how often the weights changed no less than with the policy before.
+        #
+        # All lanes take all steps together, each in a phase of its own: Q or U (`is_u`), a new policy or the
+        # same one again with an inverse of its own (not `is_similar`). One loop with masks serves both
+        # phases: Q and U in two loops would wait for the slowest lane twice, and compile the step twice.
         def step(loop):
             number, mean, change, growths, inverse, is_similar, seen, is_u, going = loop
             policy = policy_of(mean)
@@ -421,7 +421,10 @@ class Refit(eqx.Module):
             is_before = jnp.arange(self.max_sweeps, dtype=jnp.int32) < number
             is_u = is_u | jnp.any(is_before & jnp.all(seen == policy.signature[None], axis=1))
             equations = policy.equations(is_u)
-            # A loop of one step: where only a few lanes need an inverse, it is computed for those alone.
+            # The matrices of successive policies differ little: the inverse for one preconditions the
+            # equations of the next ones, which then take a few products with the features. It is renewed
+            # where they did not converge, and at the start. A loop of one step in place of a branch: if only
+            # a few lanes need an inverse, `while_going` computes it for those alone.
             inverse, _ = while_going(
                 lambda loop: loop[1],
                 lambda _, loop: (jnp.where(loop[1], equations.inverse(), loop[0]), jnp.zeros((), bool)),
@@ -430,7 +433,7 @@ class Refit(eqx.Module):
             before = jnp.where(is_u, mean[:, U], mean[:, Q])
             after, is_solved = equations.solution(inverse, before, going)
             # A solution that does not converge is discarded: the same policy then gets its own inverse, which
-            # serves the following policies too.
+            # also serves the following policies. With its own inverse, a solution is taken as it is.
             is_taken = going & (is_solved | ~is_similar)
             is_new = is_taken & (jnp.where(is_u, U, Q) == jnp.arange(2))
             mean = jnp.where(is_new[None, :], after[:, None], mean)
@@ -439,6 +442,8 @@ class Refit(eqx.Module):
             last_change, change = change, jnp.where(is_taken, jnp.linalg.norm(after - before), change)
             growths = growths + (is_taken & (change >= last_change)).astype(growths.dtype)
             is_end = ~(change > self.tolerance) | (growths == 2) | (number >= self.max_sweeps)
+            # The last solution of Q is followed by one of U, for the policy greedy for that Q; then the lane
+            # ends.
             is_last = is_taken & (is_u | is_end)
             is_u, going = is_u | is_last, going & ~(is_last & is_u)
             return number, mean, change, growths, inverse, is_taken | ~going, seen, is_u, going

@@ -25,7 +25,7 @@ _CHUNK = 256
 """Number of transitions whose gradients are computed at once."""
 
 _LEAST_DEVIATION = 1e-4
-"""Added to standard deviations by which observations and actions are divided, in units of half a range."""
+"""Added to the standard deviations that divide observations and actions, in units of half a range."""
 
 
 class VIMEState(eqx.Module):
@@ -76,17 +76,11 @@ class VIME(Learner):
       actions only, and the thesis says that states are normalised. Discrete ones are one-hot.
     - A row of the pool is a transition; in that code, it is a step of a path, and the next row may belong to
       the next path.
-    - The standard deviations by which the model's inputs and outputs are divided are increased by 1e-4
-      instead of 1e-8, with which single precision overflows where a component hardly changes.
+    - The standard deviations that divide the model's inputs and outputs are increased by 1e-4 instead of
+      1e-8, with which single precision overflows where a component hardly changes.
     - A policy update that violates the bound is discarded; that code keeps the last one that it tried.
 
     As long as all rewards are 0, eta has no effect, since advantages are standardised.
-
-    A lane keeps min(`pool_size`, capacity) rows of 2 D + A numbers in the pool, with D and A the sizes of
-    observations and actions, and min(`iteration_steps` + `longest_episode` - 1, capacity) rows of 2 D + A + 3
-    in the batch: 1.2 MB in single precision for 100 episodes of 500 steps on mountain car, and 5.6 MB on the
-    hopper. An iteration needs about 20 MB more for each lane that is advanced at the same time. It costs the
-    same however many lanes are due, so that a batch is slower where episodes end at different times.
 
     Settings: `bojax.learning.settings.VIME`.
     """
@@ -134,7 +128,10 @@ class VIME(Learner):
         policy = PolicyNetwork.draw(key_policy, size, self.policy_units, action_space, self.initial_deviation)
         sizes = size + input_size(action_space), self.model_units, size
         model = BayesianNetwork.draw(key_model, sizes, self.prior_deviation)
-        # At least one row: an empty array cannot be spread over devices.
+        # With D and A the sizes of observations and actions, a lane keeps 2 D + A numbers a row of the pool,
+        # and 2 D + A + 3 a row of the batch: in single precision 1.2 MB for 100 episodes of 500 steps on
+        # mountain car, and 5.6 MB on the hopper. An iteration needs about 20 MB more for each lane. At least
+        # one row: an empty array cannot be spread over devices.
         pool_size = max(1, min(self.pool_size, capacity))
         batch_size = max(1, min(self.iteration_steps + self.longest_episode - 1, capacity))
         if batch_size > _CHUNK:  # whole chunks: a remainder would be a program of its own
@@ -192,13 +189,15 @@ class VIME(Learner):
         weight = exploration.scale * self.eta
         # `vmap` batches the branches of a condition twice, but a function that is jitted there once.
         iterate = jax.jit(lambda: self._iterate(key, state, weight, is_due))
-        # An iteration costs as much as many episodes: none is computed if no lane of the device needs it.
+        # An iteration costs as much as many episodes: none is computed if no lane of the device needs it. If
+        # any does, all compute one, and `is_due` masks it: a batch is slower where episodes end at different
+        # times.
         return jax.lax.cond(any_lane(is_due), iterate, lambda: state)
 
     @property
     @override
     def lanes_on_cpu(self) -> int:
-        # The time of an iteration grows with the lanes, and so does its memory.
+        # Iteration time and memory grow with the number of lanes.
         return 16
 
     @override
@@ -230,6 +229,8 @@ class VIME(Learner):
         self, key: Key[Array, ""], state: VIMEState, weight: Float[Array, ""], is_due: Bool[Array, ""]
     ) -> VIMEState:
         """The state after an iteration if `is_due`, else unchanged."""
+        # In the order of the published code: bonuses by the model as it was during these episodes, then the
+        # policy, then the model. Rows past the count belong to an earlier batch and are masked throughout.
         key_bonus, key_model = jax.random.split(key)
         batch, memory = state.batch, state.batch.memory
         is_valid, is_last = batch.is_valid, batch.is_last
@@ -239,7 +240,9 @@ class VIME(Learner):
         rewards = jnp.where(is_valid, memory.rewards, 0.0)
         values = state.baseline.predict(inputs, batch.steps)
         errors = td_errors(rewards + weight * bonus, values, is_last, self.discount)
-        # One program of both sums, which takes seconds to compile.
+        # Returns are discounted sums of rewards without bonuses, advantages those of TD errors by gamma
+        # lambda (generalised advantage estimation). One program computes both, as it takes seconds to
+        # compile.
         returns, gains = jax.vmap(discounted_sums, in_axes=(0, None, 0))(
             jnp.stack([rewards, errors]),
             is_last,
@@ -249,10 +252,13 @@ class VIME(Learner):
         samples = Samples(inputs, self._drawn(state.actions, memory.actions), gains, is_valid)
         policy = self._trpo.improved(state.policy, _standardised(samples), is_due)
 
+        # The model is fitted with this iteration's transitions already in the pool.
         pool = state.pool.add(memory, is_due)
         model, optimiser = self._fit(key_model, state, pool)
         is_trained = is_due & (pool.size.astype(self.min_pool.dtype) >= self.min_pool)
 
+        # Selects of what is small. The pool and the batch mask their own writes: a select would copy them
+        # whole.
         small = policy, baseline, medians, state.iterations + 1
         before = state.policy, state.baseline, state.medians, state.iterations
         policy, baseline, medians, iterations = optax.tree.where(is_due, small, before)
@@ -277,6 +283,8 @@ class VIME(Learner):
         inputs, outputs = self._pairs(state, memory.observations, memory.actions, memory.next_observations)
         inputs, outputs = to_inputs(inputs, _LEAST_DEVIATION), to_outputs(outputs, _LEAST_DEVIATION)
 
+        # Each step has noise of its own, by its row number. In chunks: a gradient of every weight for each of
+        # thousands of steps at once would not fit into memory.
         def gain(row):
             number, inputs, outputs = row
             return state.model.information_gain(
@@ -289,10 +297,12 @@ class VIME(Learner):
 
         rows = jnp.arange(len(inputs), dtype=jnp.int32), inputs, outputs
         bonus = jnp.clip(jax.lax.map(gain, rows, batch_size=_CHUNK), 0.0, self.max_bonus)
+        # As in the published code, the last step of an episode takes the bonus of the step before it.
         before = jnp.append(bonus[:1], bonus[:-1])
         bonus = jnp.where(batch.is_last & (batch.steps > 0), before, bonus)
 
-        # There is no bonus in iteration 0.
+        # A ring of the last medians, from iteration 1 on: there is no bonus in iteration 0, whose write is
+        # past the end and dropped. Unused places are 0 and do not change the sum.
         iteration = state.iterations - 1
         place = jnp.where(iteration >= 0, iteration % self.num_medians, self.num_medians)
         medians = state.medians.at[place].set(_median(bonus, batch.is_valid), mode="drop")
@@ -305,6 +315,7 @@ class VIME(Learner):
         self, key: Key[Array, ""], state: VIMEState, pool: ReplayPool
     ) -> tuple[BayesianNetwork, optax.OptState]:
         """The model and the optimiser after the updates of an iteration, with batches from the pool."""
+        # All rows and all noise are drawn before the loop, which then contains arithmetic alone.
         key_rows, key_noise = jax.random.split(key)
         shape = self.model_updates, self.model_batch
         rows = pool.draw(key_rows, self.model_updates * self.model_batch)

@@ -30,18 +30,14 @@ class BayesianLinearRegression(eqx.Module):
     """The posterior N(mean, covariance) of the weights of a linear model (2.13).
 
     The covariance is `base - rows' rows`. With a block of 0, `rows` is empty and every update rewrites
-    `base`. With a larger block, an update stores a row and only reads `base`, which halves the memory
-    traffic; `flush` then subtracts all rows at once, with one rounding instead of `block` roundings. The
-    caller must call `flush` at least once every `block` updates: otherwise the oldest rows are lost. The
-    caller counts the updates, since a count that all runs of a batch share needs no branch in each run.
+    `base`. With a larger block, an update stores a row, and `flush` subtracts all rows at once. The caller
+    must call `flush` at least once every `block` updates: otherwise the oldest rows are lost.
 
     The noise variance has a floor, `covariance_floor` times the prior variance phi'phi / alpha of the
-    observed value. Below it, the rounding error of the covariance would be as large as the predictive
-    variance, and updates would diverge. `update` and `row` raise the noise variance of their observation to
-    this floor. `fit` and `update_batch` scale the noise variances of all observations by one factor, given by
-    the observation furthest below its floor, which preserves the relative weights of the observations. In
-    sequential updates at the floor, longer feature vectors therefore weigh less. Outside of compiled
-    functions, a warning names a noise variance that is raised.
+    observed value. `update` and `row` raise the noise variance of their observation to this floor. `fit` and
+    `update_batch` scale the noise variances of all observations by one factor, given by the observation
+    furthest below its floor. In sequential updates at the floor, longer feature vectors therefore weigh less.
+    Outside of compiled functions, a warning names a noise variance that is raised.
 
     An observation that is not finite is refused with an error. In a compiled function, whose numbers are not
     known, it is left out and counted.
@@ -85,7 +81,7 @@ class BayesianLinearRegression(eqx.Module):
             block: Maximum number of updates between two flushes; 0 applies every update at once.
 
         Raises:
-            ValueError: A number is too small.
+            ValueError: A count is below its minimum.
         """
         for name, number, least in (("num_features", num_features, 1), ("block", block, 0)):
             if number < least:
@@ -117,9 +113,7 @@ class BayesianLinearRegression(eqx.Module):
     ) -> "BayesianLinearRegression":
         """The posterior given all observations at once (2.14, 2.15); differentiable.
 
-        Computed from the triangular factor of the features stacked on the square root of the prior precision;
-        its condition number is the square root of that of the precision matrix. The arguments are those of
-        `prior` and `update`.
+        The arguments are as in `prior` and `update`.
 
         Raises:
             ValueError: An observation is not finite (unless compiled), or a shape is wrong.
@@ -129,6 +123,8 @@ class BayesianLinearRegression(eqx.Module):
         prior_precision = to_numbers("prior_precision", prior_precision, dtype)
         prior = cls.prior(num_features, prior_precision, noise_precision, block=block)
         features, targets, sample_weight, num_ignored = prior._seen(features, targets, sample_weight)
+        # By QR of the features stacked on sqrt(alpha) I, whose condition number is the square root of the
+        # precision matrix's (2.15). With R its factor, S = R^-1 R^-T and m = R^-1 Q'[t; 0].
         scale = jnp.sqrt(prior._precisions(features, sample_weight))
         factor, rotated = _triangular(
             _times_rows(scale, features), _times_rows(scale, targets), prior_precision
@@ -145,10 +141,8 @@ class BayesianLinearRegression(eqx.Module):
 
     @property
     def covariance(self) -> Float[Array, "M M"]:
-        """Covariance of the weights (2.15), including the updates since the last flush.
-
-        Symmetric up to rounding: not averaged with its transpose, which would cost a flush half of its time.
-        """
+        """Covariance of the weights (2.15), including the updates since the last flush."""
+        # Symmetric up to rounding: averaging it with its transpose would cost a flush half of its time.
         return self.base - matmul(self.rows.T, self.rows) if len(self.rows) else self.base
 
     def covariance_times(self, features: Float[Array, "*N M"]) -> Float[Array, "*N M"]:
@@ -162,10 +156,8 @@ class BayesianLinearRegression(eqx.Module):
     def variances_and_product(
         self, features: Float[Array, "N M"]
     ) -> tuple[Float[Array, "N"], Float[Array, "M"]]:
-        """The variances phi'S phi at feature vectors, and the product of the covariance with the first one.
-
-        Fewer products than in `covariance_times`: a row r of the block lowers a variance by (phi'r)^2.
-        """
+        """The variances phi'S phi at feature vectors, and the covariance times the first one."""
+        # Fewer products than in `covariance_times`: a row r of the block lowers a variance by (phi'r)^2.
         products = matmul_on_tensor_cores(features, self.base)
         variances, product = jnp.sum(features * products, axis=1), products[0]
         if len(self.rows):
@@ -181,7 +173,7 @@ class BayesianLinearRegression(eqx.Module):
         sample_weight: Float[Array, ""] | None = None,
         product: Float[Array, "M"] | None = None,
     ) -> Float[Array, "M"]:
-        """The row r by which `update` with the same arguments reduces the covariance, S - r r' (5.22).
+        """The row r that `update` with the same arguments subtracts from the covariance, S - r r' (5.22).
 
         The update reduces the variance at any features psi by (psi' r)^2.
         """
@@ -209,8 +201,7 @@ class BayesianLinearRegression(eqx.Module):
                 block.
             product: `covariance_times(features)`, if the caller has already computed it.
             step_in_block: Number of updates since the last flush, from 0 to `block` - 1, which is the row of
-                the block to write; preferably the same in every run of a batch. By default all rows move up
-                by one, which costs 3 to 5% of a step with several hundred features on a GPU.
+                the block to write; preferably the same in every run of a batch. By default all rows move up.
 
         Raises:
             ValueError: The observation is not finite (unless compiled), or a shape is wrong.
@@ -222,6 +213,10 @@ class BayesianLinearRegression(eqx.Module):
         *_, (weight,), num_ignored = self._seen(features[None, :], target[None], weight[None])
         row, gain = self._gain(features, weight, product)
         residual = jnp.where(weight > 0.0, target - matmul(features, self.mean), 0.0)
+        # A row of the block is written, and S of M x M numbers only read: half the memory traffic, and one
+        # rounding of S in a block instead of one an update. The place of the row comes from the caller, since
+        # a count in the state would differ between lanes and make the write a scatter. Without it, all rows
+        # move up, which costs 3 to 5% of a step with several hundred features on a GPU.
         base, rows = self.base, self.rows
         if not len(rows):
             base = base - row[:, None] * row[None, :]
@@ -241,8 +236,7 @@ class BayesianLinearRegression(eqx.Module):
     ) -> "BayesianLinearRegression":
         """The posterior after several more observations, as by an `update` with each of them in any order.
 
-        Also in gain form: the factorised matrix has the size of the batch, not of the model. The update is
-        applied to `base` at once and occupies no row of the block.
+        The update is applied to `base` at once and occupies no row of the block.
 
         Raises:
             ValueError: An observation is not finite (unless compiled), or a shape is wrong.
@@ -250,6 +244,8 @@ class BayesianLinearRegression(eqx.Module):
         features, targets = to_data(features, targets, self.mean.dtype)
         features, targets, sample_weight, num_ignored = self._seen(features, targets, sample_weight)
         scale = jnp.sqrt(self._precisions(features, sample_weight))
+        # Also in gain form: the factorised matrix I + Phi S Phi' (scaled) has the size of the batch, not of
+        # the model.
         scaled = _times_rows(scale, features)
         products = self.covariance_times(scaled)
         innovation = matmul(scaled, products.T) + jnp.eye(len(features), dtype=features.dtype)
@@ -309,6 +305,9 @@ class BayesianLinearRegression(eqx.Module):
 
     def _gain(self, features, sample_weight, product) -> tuple[Float[Array, "M"], Float[Array, "M"]]:
         """The row that reduces the covariance, and the gain that multiplies the residual."""
+        # The row r = S phi sqrt(beta / (1 + beta phi'S phi)): r r' is the term of (5.22), and the gain k of
+        # the mean is this vector times the square root once more. A weight of 0 makes both zero; features and
+        # product are cleared first, since 0 times NaN is NaN.
         if product is None:
             product = self.covariance_times(features)
         if sample_weight is None:
@@ -330,6 +329,8 @@ class BayesianLinearRegression(eqx.Module):
 
     def _excess(self, features, precision) -> Float[Array, ""]:
         """The floor of an observation's noise variance, divided by the noise variance."""
+        # Below the floor, the rounding error of the covariance is as large as the predictive variance, and
+        # updates diverge.
         prior_variance = jnp.sum(features * features) / self.prior_precision
         return precision * covariance_floor(features.dtype) * prior_variance
 
@@ -368,12 +369,9 @@ def maximise_evidence(
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """The prior precision and the noise precision of highest evidence: type-II maximum likelihood.
 
-    For a given ratio of the two precisions, the best noise variance has a closed form. Substituted into the
-    evidence, it leaves a function of the ratio, which costs O(M) once the singular values of the features are
-    known. The function is evaluated on a grid of ratios, from `covariance_floor` to its inverse in units of
-    the mean squared length of a row of features, and bisection on its derivative refines the best ratio. The
-    result is the global maximum within this range, up to the resolution of the grid; it needs no step size
-    and no starting point. A maximum beyond the range gives the nearer end of the range.
+    The result is the global maximum over ratios of both precisions from `covariance_floor` to its inverse, in
+    units of the mean squared length of a row of features, up to the resolution of a grid of ratios. A maximum
+    beyond this range gives the nearer end of the range.
 
     Raises:
         ValueError: There are no observations.
@@ -388,6 +386,10 @@ def maximise_evidence(
 def _maximise_evidence(
     features: Float[Array, "N M"], targets: Float[Array, "N"]
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
+    # For a given ratio of the precisions, the best noise variance has a closed form. Substituted into the
+    # evidence, it leaves a function of the ratio, which costs O(M) once the singular values of the features
+    # are known: a grid of ratios, then bisection on the derivative around the best one. No step size, no
+    # starting point.
     num_observations = len(targets)
     floor = covariance_floor(features.dtype)
     u, singular, _ = jnp.linalg.svd(features, full_matrices=False)

@@ -33,8 +33,8 @@ def log_normal_prior(
         kernel: Medians of the kernel's hyper-parameters.
         noise_variance: Median of the noise variance.
         spread: Standard deviation of the logarithms.
-        noise_spread_below: That of a noise variance below its median, if it differs: a large one lets the
-            noise vanish.
+        noise_spread_below: The same for a noise variance below its median, if it differs: a large one lets
+            the noise vanish.
     """
     medians = jax.tree.leaves((kernel, noise_variance))
 
@@ -83,8 +83,7 @@ def maximise(
 ) -> Optimum:
     """Maximise an objective over positive parameters.
 
-    L-BFGS works on unbounded variables; a sigmoid of a variable gives the logarithm of its parameter, within
-    the bounds. A step is accepted only if the objective rises: a search that meets NaN stops at its previous
+    By L-BFGS. A step is accepted only if the objective rises: a search that meets NaN stops at its previous
     point, and a search that starts at NaN is never chosen.
 
     Args:
@@ -100,6 +99,7 @@ def maximise(
     first, unravel = ravel_pytree(varied)
     low, high = (jnp.log(jnp.asarray(bound, first.dtype)) for bound in bounds)
 
+    # Unbounded variables: a sigmoid of a variable gives the logarithm of its parameter, within the bounds.
     def params_at(point: Float[Array, "P"]) -> PyTree:
         return eqx.combine(unravel(jnp.exp(low + (high - low) * jax.nn.sigmoid(point))), fixed)
 
@@ -126,15 +126,19 @@ def maximise(
             )
         value, gradient = (optax.tree_utils.tree_get(state, name) for name in ("value", "grad"))
         new = _Iterate(iterate.point + updates, value, gradient)
+        # L-BFGS with a failed line search may return a worse point or NaN: the search keeps its point and
+        # ends.
         is_better = is_active & new.is_finite() & (value < iterate.value)
         iterate = optax.tree.where(is_better, new, iterate)
         return iterate, state, number + 1, is_better & ~iterate.is_stationary()
 
     solver = optax.lbfgs()
+    # The first start is the given point itself. Starts keep off the ends, where the sigmoid has no gradient.
     away = jax.random.normal(key, (num_starts, first.shape[0]), first.dtype).at[0].set(0.0)
     share = (jnp.log(first)[None, :] + spread * away - low) / (high - low)
     starts = jax.scipy.special.logit(jnp.clip(share, EDGE, 1.0 - EDGE))
     results = jax.vmap(search)(starts)
+    # NaN must not win: argmin would return its index.
     values = jnp.where(jnp.isfinite(results.value), results.value, jnp.inf)
     best = jax.tree.map(lambda leaf: leaf[jnp.argmin(values)], results)
     is_finite = jnp.isfinite(best.value)
@@ -187,9 +191,8 @@ def relearn(
     Args:
         gp: The posterior; all hyper-parameters of its kernel must be positive.
         key: Random key of the other starting points.
-        learn_noise: Whether to learn the noise variance too.
-        learn_mean: Whether to learn a constant prior mean, in place of that of the process, which is
-            otherwise kept. For given hyper-parameters it has a closed form.
+        learn_noise: Whether to learn the noise variance.
+        learn_mean: Whether to learn a constant prior mean, in place of the mean of the process.
         log_prior: Log prior density of the hyper-parameters, added to the log evidence.
         noise_variances: Known noise variance of each observation, instead of a common one; not learned.
         num_starts: Number of starting points.
@@ -214,6 +217,7 @@ def _relearned(
     bounds: tuple[float, float],
 ) -> tuple[GaussianProcess, Optimum]:
     def refit(kernel: Kernel, noise_variance: Float[Array, ""]) -> GaussianProcess:
+        # For given hyper-parameters, the best constant mean has a closed form: the search does not vary it.
         fitted = gp.refitted(kernel, noise_variance, noise_variances)
         return fitted.with_constant_mean() if learn_mean else fitted
 

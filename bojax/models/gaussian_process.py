@@ -21,8 +21,8 @@ NO_MEAN = ZeroMean()
 class GaussianProcess(eqx.Module):
     """The posterior of a Gaussian process given `count` noisy observations (2.28-2.29, with a prior mean).
 
-    Rows past `count` are zero, in the data and in the factor, and drop out of every product. An update
-    appends one row to the inverse Cholesky factor and needs neither a triangular solve nor a refit.
+    Rows past `count` are zero, in the data and in the factor. An update appends one row to the inverse
+    Cholesky factor and needs neither a triangular solve nor a refit.
 
     An observation that is not finite, or beyond the capacity, is refused with an error. In a compiled
     function, whose numbers are not known, it is left out and counted.
@@ -133,6 +133,9 @@ class GaussianProcess(eqx.Module):
         noise_variances: Float[Array, "N"] | None = None,
     ) -> "GaussianProcess":
         """The posterior given the same observations under another kernel and other noise; differentiable."""
+        # Rows past `count` get a noise of 1 and no covariances: an identity block, which the factor leaves
+        # apart from the others, and which is then cleared. The capacity is fixed, so that the program is as
+        # well.
         is_held = self.is_held()
         both = is_held[:, None] & is_held[None, :]
         changed = eqx.tree_at(lambda gp: (gp.kernel, gp.noise_variance), self, (kernel, noise_variance))
@@ -146,6 +149,7 @@ class GaussianProcess(eqx.Module):
 
         With C = K + noise, it is 1' C^-1 y / 1' C^-1 1.
         """
+        # Both forms by whitened vectors, (L^-1 1)'(L^-1 y) over |L^-1 1|^2: no product with C^-1 itself.
         ones = matmul(self.inverse_cholesky, self.is_held().astype(self.y.dtype))
         size = jnp.sum(ones * ones)
         value = jnp.sum(ones * matmul(self.inverse_cholesky, self.y)) / jnp.where(size > 0.0, size, 1.0)
@@ -177,6 +181,8 @@ class GaussianProcess(eqx.Module):
     def _updated(
         self, x: Float[Array, "D"], y: Float[Array, ""], noise_variance: Float[Array, ""] | None
     ) -> "GaussianProcess":
+        # An observation that is not finite is written past the end, which drops it. Its x is cleared first:
+        # NaN would pass through the products below, even if their result is not stored.
         is_finite = jnp.isfinite(y) & jnp.all(jnp.isfinite(x))
         x = jnp.where(is_finite, x, 0.0)
         row = self.next_row(x, self.whiten(x[None, :])[:, 0], noise_variance)
@@ -216,6 +222,9 @@ class GaussianProcess(eqx.Module):
         is_valid: Bool[Array, "S"],
         noise_variances: Float[Array, "S"] | None,
     ) -> "GaussianProcess":
+        # The Schur complement of the old observations in the covariance of all: its Cholesky factor B
+        # continues L. An invalid observation has a unit row in it and a place past the end, so that the
+        # others do not see it.
         capacity = self.y.shape[0]
         given = jnp.sum(is_valid, dtype=self.count.dtype)
         is_valid = is_valid & jnp.isfinite(ys) & jnp.all(jnp.isfinite(xs), axis=1)
@@ -226,6 +235,7 @@ class GaussianProcess(eqx.Module):
         complement = jnp.where(both, self.kernel.gram(xs, xs) - matmul(whitened.T, whitened), 0.0)
         complement = complement + jnp.diag(jnp.where(is_valid, noise, 1.0))
         _, inverse = guarded_cholesky(complement, jnp.where(is_valid, noise, 0.0))
+        # The valid observations take successive places, whichever they are among the given ones.
         place = self.count + jnp.cumsum(is_valid, dtype=self.count.dtype) - 1
         at = jnp.where(is_valid, place, capacity)
         own = jnp.zeros((xs.shape[0], capacity), xs.dtype).at[:, at].set(inverse, mode="drop")
@@ -237,10 +247,10 @@ class GaussianProcess(eqx.Module):
     ) -> Float[Array, "M"]:
         """Noise variances of observations at `xs`, raised to the floor.
 
-        The floor is `noise_floor` times the prior variance at each point. It is added to the diagonal of the
-        covariance, since a floor of the pivots alone would give an L that factorises no matrix: a third
-        noise-free observation of the same point would make it diverge.
+        The floor is `noise_floor` times the prior variance at each point.
         """
+        # On the diagonal of the covariance: a floor of the pivots alone would give an L that factorises no
+        # matrix, and a third noise-free observation of the same point would make it diverge.
         noise_variances = self.noise_variance if noise_variances is None else noise_variances
         return jnp.maximum(noise_variances, noise_floor(xs.dtype) * self._prior_variance(xs))
 
@@ -260,6 +270,7 @@ class GaussianProcess(eqx.Module):
         [-l' L^-1, 1] / d. In exact arithmetic d^2 is at least the noise variance; a d^2 that rounding takes
         below it is raised to it.
         """
+        # Place `count` of the product is 0, as rows and columns past `count` are: the mask puts 1 there.
         row = -matmul(whitened, self.inverse_cholesky)
         return jnp.where(self._is_next(), 1.0, row) / self._next_pivot(x, whitened, noise_variance)
 
@@ -274,8 +285,7 @@ class GaussianProcess(eqx.Module):
         """The row that an observation at `x` appends to `whiten(xs)`.
 
         Existing rows never change. A caller that predicts at the same `xs` after every observation can keep
-        `whitened_xs` and append this row at the cost of N M products, instead of the N^2 M products and N M
-        covariances of `whiten`.
+        `whitened_xs` and append this row: N M products instead of N^2 M.
 
         Args:
             x: Input of the observation.
@@ -325,11 +335,9 @@ class GaussianProcess(eqx.Module):
     def predict_first(
         self, xs: Float[Array, "M D"], counts: Int[Array, "T"]
     ) -> tuple[Float[Array, "T M"], Float[Array, "T M"]]:
-        """The result of `predict` given only the first n observations, for each n in `counts`.
-
-        The inverse Cholesky factor is lower triangular, so that of the first n observations is its leading
-        block. Equations 2.28 and 2.29 are sums over the rows of the factor, truncated after n rows.
-        """
+        """The result of `predict` given only the first n observations, for each n in `counts`."""
+        # L^-1 is lower triangular: its leading block is the factor of the first n observations. (2.28) and
+        # (2.29) are sums over its rows, so that a cumulative sum holds the answers for every n.
         whitened = self.whiten(xs)
         parts = self.whitened_residuals()[:, None] * whitened, whitened * whitened
         nothing = jnp.zeros_like(whitened[:1])
@@ -354,17 +362,16 @@ class GaussianProcess(eqx.Module):
         whitened = self.whiten(xs)
         mean, variance = self.moments(xs, whitened)
         covariance = self.kernel.gram(xs, xs) - matmul(whitened.T, whitened)
+        # The diagonal equals the variances of `predict`, which are never negative.
         is_diagonal = jnp.eye(xs.shape[0], dtype=bool)
         return mean, jnp.where(is_diagonal, variance[None, :], covariance)
 
     def sample(
         self, key: Key[Array, ""], xs: Float[Array, "M D"] | Numbers, num: int
     ) -> Float[Array, "num M"]:
-        """Joint draws of the noise-free function at `xs`.
-
-        Computed from an eigendecomposition of the covariance. For points near each other, rounding makes some
-        eigenvalues slightly negative; they count as 0. A Cholesky factor would need jitter instead.
-        """
+        """Joint draws of the noise-free function at `xs`."""
+        # By eigenvalues: for points near each other, rounding makes some of them slightly negative, and they
+        # count as 0. A Cholesky factor would need jitter instead.
         mean, covariance = self.predict_covariance(xs)
         values, vectors = eigh(covariance)
         normal = jax.random.normal(key, (num, mean.shape[0]), mean.dtype)
@@ -372,6 +379,7 @@ class GaussianProcess(eqx.Module):
 
     def log_marginal_likelihood(self) -> Float[Array, ""]:
         """Log marginal likelihood of the observed values (2.30)."""
+        # log det C = -2 sum log diag(L^-1); places past `count` contribute log 1 and 0.
         whitened = self.whitened_residuals()
         pivots = jnp.where(self.is_held(), jnp.diagonal(self.inverse_cholesky), 1.0)
         constant = 0.5 * math.log(2.0 * math.pi) * self.count.astype(whitened.dtype)
@@ -441,6 +449,8 @@ def _all_at_once(
     noise_variances: Float[Array, "n"] | None,
 ) -> GaussianProcess:
     """The posterior given the finite observations among the given ones, which come first."""
+    # The finite observations move to the front in their order, so that `count` alone tells which rows are
+    # held.
     number = y.shape[0]
     is_held = is_given & jnp.isfinite(y) & jnp.all(jnp.isfinite(x), axis=1)
     order = jnp.argsort(~is_held, stable=True)

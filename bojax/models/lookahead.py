@@ -78,6 +78,8 @@ def look_ahead(
     """
     posterior, number = root.posterior, points.shape[0]
     kernel = posterior.kernel
+    # The number of real data differs between lanes, the arrays do not: all products run over the capacity,
+    # where the empty rows and columns of L^-1 are zero; the kernels for NVIDIA GPUs skip them.
     stage = jnp.arange(number, dtype=jnp.int32) // (number // num_stages)
     both = is_observed[:, None] & is_observed[None, :]
     num_given = number - number // num_stages  # no stage is conditioned on the last one
@@ -85,9 +87,10 @@ def look_ahead(
 
     at_data = posterior.inverse_cholesky, kernel.gram(posterior.x, points), posterior.count
     whitened = computed(kernels.whitened, _product, *at_data)  # V, [N, B]
-    covariance = kernel.gram(points, points) - matmul(whitened.T, whitened)
+    covariance = kernel.gram(points, points) - matmul(whitened.T, whitened)  # the Schur complement C
     noise = posterior.noise(points)
-    # A point that is not observed becomes independent of all others.
+    # A point that is not observed becomes independent of all others, with an innovation of 0: it does not
+    # change them, and no shape depends on how many samples a drive has taken.
     own = jnp.where(is_observed, noise, 1.0)
     joint = jnp.where(both, covariance, 0.0) + jnp.diag(own)
     least = jnp.where(is_observed, noise, 0.0)
@@ -96,12 +99,16 @@ def look_ahead(
     by_kernel, by_xla = (functools.partial(form, **how) for form in (kernels.conditioned, conditioned))
     shift, explained, imagined = computed(by_kernel, by_xla, joint, least, innovations)
 
+    # (2.28) and (2.29) with the real data, then the corrections by the imagined observations of earlier
+    # stages.
     mean = jax.vmap(posterior.mean)(points) + matmul(root.whitened, whitened) + shift
     variance = jnp.diagonal(covariance) - explained
     gradient = None
     if imagined is not None:
-        # All of V and zeros, since a part of V would be copied first. A product with the rows of L^-1 as
-        # stored takes a third of the time of a product with L^-T.
+        # The mean as a weighted sum of kernels at the real data and at the imagined observations, which can
+        # be differentiated at each point: weights (K + noise)^-1 of both, by the block inverse. All of V and
+        # zeros, since a part of V would be copied first. A product with the rows of L^-1 as stored takes a
+        # third of the time of a product with L^-T.
         rows = matmul(jnp.pad(imagined.T, ((0, 0), (0, number - num_given))), whitened.T)
         args = rows, posterior.inverse_cholesky, posterior.count
         real = root.weights[None, :] - computed(kernels.explained_away, _product, *args)  # [stages, N]

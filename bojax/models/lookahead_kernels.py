@@ -15,7 +15,7 @@ from bojax.numerics.kernels import kernels_run_here, launch
 from bojax.numerics.linalg import HIGHEST
 
 BAND = 32
-"""Rows and columns of the blocks in which a kernel reads L^-1."""
+"""Rows and columns of the blocks of L^-1 that a kernel reads."""
 
 
 def are_used(number: int, num_given: int, dtype: Any) -> bool:
@@ -37,6 +37,7 @@ def whitened(
     size, width = gram.shape[0], _power_of_two(gram.shape[1])
 
     def body(factor_ref: Any, gram_ref: Any, count_ref: Any, out_ref: Any) -> None:
+        # All indices are explicitly 32-bit: in JAX's 64-bit mode, Python integers would become 64-bit.
         pallas, triton = _pallas()
         own = pallas.program_id(0).astype(np.int32)
 
@@ -45,6 +46,8 @@ def whitened(
             part = _load(gram_ref, (block * np.int32(BAND), BAND), (np.int32(0), width))
             return total + jnp.dot(factor, part, precision=HIGHEST)
 
+        # L^-1 is lower triangular: band `own` has blocks 0 to `own`, and none if it lies past the
+        # observations.
         is_held = own * np.int32(BAND) < count_ref[...]
         number = jnp.where(is_held, own + np.int32(1), np.int32(0))
         total = jax.lax.fori_loop(np.int32(0), number, add, jnp.zeros((BAND, width), gram.dtype))
@@ -72,6 +75,7 @@ def explained_away(
             factor = _load(factor_ref, (block * np.int32(BAND), BAND), (own * np.int32(BAND), BAND))
             return total + jnp.dot(part, factor, precision=HIGHEST)
 
+        # Column band `own` of L^-1 has entries from its own diagonal block down to the last observation.
         end = (count_ref[...] + np.int32(BAND - 1)) // np.int32(BAND)
         total = jax.lax.fori_loop(own, end, add, jnp.zeros((height, BAND), rows.dtype))
         tile, inside = _tile(out_ref, (np.int32(0), height), (own * np.int32(BAND), BAND))
@@ -103,7 +107,7 @@ def conditioned(
         row = jax.lax.broadcasted_iota(np.int32, (height, width), 0)
         column = jax.lax.broadcasted_iota(np.int32, (height, width), 1)
         right = _load(joint_ref, (np.int32(0), height), (np.int32(0), width))
-        right = jnp.where(column == size + row, 1.0, right)
+        right = jnp.where(column == size + row, 1.0, right)  # [joint | I]; loading past the end gave zeros
         index = jnp.arange(width, dtype=np.int32)
         shift = explained = jnp.zeros((width,), joint.dtype)
         weights = [shift] * (results - 2)
@@ -148,7 +152,7 @@ def conditioned(
 def _in_bands(
     body: Callable[..., None], like: jax.Array, size: int, *args: jax.Array, name: str
 ) -> jax.Array:
-    """An array like `like`, of which each program computes `BAND` of `size` rows or columns."""
+    """An array like `like`; each program computes `BAND` of its `size` rows or columns."""
     result = jax.ShapeDtypeStruct(like.shape, like.dtype)
     return launch(body, [result], *args, name=name, grid=(-(-size // BAND),), warps=4, stages=3)[0]
 

@@ -25,13 +25,11 @@ def matmul(a: Float[Array, "*a"], b: Float[Array, "*b"]) -> Float[Array, "*c"]:
 
 
 def matmul_on_tensor_cores(a: Float[Array, "*a"], b: Float[Array, "*b"]) -> Float[Array, "*c"]:
-    """Product at full precision, for large batches of matrices or large matrices in float32.
-
-    On NVIDIA GPUs, the product of two float32 matrices is the sum of three products in TF32, which tensor
-    cores compute. For 11 rows times 500 x 500 matrices on an H200, its largest error is 2e-7, and that of
-    `matmul` 7e-7; a batch of 200 takes 91 us instead of 121. XLA also has fewer kernels to compare: a refit
-    of EMU-Q compiles in 5 s instead of 9.
-    """
+    """Product at full precision, for large batches of matrices or large matrices in float32."""
+    # On NVIDIA GPUs, the product of two float32 matrices is the sum of three products in TF32, which tensor
+    # cores compute. For 11 rows times 500 x 500 matrices on an H200, its largest error is 2e-7, with `matmul`
+    # 7e-7; a batch of 200 takes 91 us instead of 121. With fewer kernels to compare, XLA compiles a refit of
+    # EMU-Q in 5 s instead of 9.
     if a.dtype != jnp.float32 or b.dtype != jnp.float32 or min(a.ndim, b.ndim) < 2:
         return matmul(a, b)
     return jax.lax.platform_dependent(a, b, cuda=_three_products, default=matmul)
@@ -42,12 +40,10 @@ def _three_products(a: Array, b: Array) -> Array:
 
 
 def row_sums(a: Float[Array, "N M"]) -> Float[Array, "N"]:
-    """The sum of every row; on a CPU a product with ones, which adds several numbers of a row at once.
-
-    For 64 rows of 500 products, XLA's own sum takes 13 us in float32, 26 us in float64, and 87 us in float32
-    in a batch of one lane; this takes 6, 11 and 6 us. On a GPU, the sum is part of the kernel that computes
-    the numbers.
-    """
+    """The sum of every row."""
+    # On a CPU a product with ones, which adds several numbers of a row at once. For 64 rows of 500 products,
+    # XLA's own sum takes 13 us in float32, 26 us in float64, and 87 us in float32 in a batch of one lane;
+    # this takes 6, 11 and 6 us. On a GPU, the sum is part of the kernel that computes the numbers.
     if jax.default_backend() != "cpu":
         return jnp.sum(a, axis=1)
     return matmul(a, jnp.ones(a.shape[1], a.dtype))
@@ -56,31 +52,28 @@ def row_sums(a: Float[Array, "N M"]) -> Float[Array, "N"]:
 def noise_floor(dtype) -> float:
     """Minimum noise variance of a Gaussian process, relative to the prior variance; its only jitter.
 
-    The inverse Cholesky factor L^-1 is built row by row. At the noise variance r, its entries reach r^-1/2,
-    and the rounding error of a new row, relative to its pivot, is proportional to eps r^-3/2. This error
-    enters the next row; once it reaches 1, the factor grows without bound and overflows. The floor is
-    therefore proportional to eps^(2/3): 1.8e-9 in float64 and 1.2e-3 in float32. Measured at the floor with
-    a smooth kernel and points along paths, max |L^-1 (K + r I) L^-T - I| is 2e-3 for 200 observations and
-    5e-3 for 600, in both precisions. In float64, 1e-11 overflows at 200 observations and 1e-10 at 600.
+    It is 1.8e-9 in float64 and 1.2e-3 in float32.
     """
+    # The inverse Cholesky factor L^-1 is built row by row. At the noise variance r, its entries reach r^-1/2,
+    # and the rounding error of a new row, relative to its pivot, is proportional to eps r^-3/2. This error
+    # enters the next row; once it reaches 1, the factor grows without bound and overflows. The floor is
+    # therefore proportional to eps^(2/3). Measured at the floor with a smooth kernel and points along paths,
+    # max |L^-1 (K + r I) L^-T - I| is 2e-3 for 200 observations and 5e-3 for 600, in both precisions. In
+    # float64, 1e-11 overflows at 200 observations and 1e-10 at 600.
     return 50.0 * float(jnp.finfo(dtype).eps) ** (2.0 / 3.0)
 
 
 def covariance_floor(dtype) -> float:
-    """Minimum noise variance of a Bayesian linear regression, relative to the prior variance of the value.
-
-    The covariance matrix is stored, and every observation subtracts from it. Each entry has a rounding error
-    in proportion to the prior variance; at the floor, this error is 1e-4 of the noise variance.
-    """
+    """Minimum noise variance of a Bayesian linear regression, relative to the prior variance of the value."""
+    # The covariance matrix is stored, and every observation subtracts from it. Each entry has a rounding
+    # error in proportion to the prior variance; at the floor, this error is 1e-4 of the noise variance.
     return 1e4 * float(jnp.finfo(dtype).eps)
 
 
 def one_by_one_on_cpu(function: Callable[[Array], Any]) -> Callable[[Array], Any]:
-    """Make a function of one matrix that calls LAPACK process a batch sequentially on a CPU.
-
-    Given a whole batch, jaxlib (0.10) distributes it over its threads and blocks one of them until all are
-    done. With as many concurrent calls as cores, every thread is blocked: the program deadlocks.
-    """
+    """Make a function of one matrix that calls LAPACK process a batch sequentially on a CPU."""
+    # Given a whole batch, jaxlib (0.10) distributes it over its threads and blocks one of them until all are
+    # done. With as many concurrent calls as cores, every thread is blocked: the program deadlocks.
     in_turn = jax.custom_batching.sequential_vmap(function)
 
     def call(a: Array) -> Any:
@@ -95,11 +88,9 @@ def _inverse_factor(a: Float[Array, "N N"]) -> Float[Array, "N N"]:
 
 
 def _inverse_triangular(factor: Float[Array, "N N"]) -> Float[Array, "N N"]:
-    """L^-1 of a lower triangular matrix, by recursive halving down to 64 rows.
-
-    The inverse of L = [[A, 0], [B, C]] is [[A^-1, 0], [-C^-1 B A^-1, C^-1]]. For 200 rows on a CPU,
-    LAPACK's triangular solve with an identity matrix takes twice as long.
-    """
+    """L^-1 of a lower triangular matrix."""
+    # By recursive halving down to 64 rows: the inverse of L = [[A, 0], [B, C]] is [[A^-1, 0], [-C^-1 B A^-1,
+    # C^-1]]. For 200 rows on a CPU, LAPACK's triangular solve with an identity matrix takes twice as long.
     n = factor.shape[0]
     if n <= 64:
         return solve_triangular(factor, jnp.eye(n, dtype=factor.dtype), lower=True)
@@ -111,17 +102,14 @@ def _inverse_triangular(factor: Float[Array, "N N"]) -> Float[Array, "N N"]:
 
 @jax.custom_jvp
 def inverse_cholesky(a: Float[Array, "N N"]) -> Float[Array, "N N"]:
-    """L^-1 of a symmetric positive definite matrix `a = L L'`; NaN if `a` is not positive definite.
-
-    The derivative is d(L^-1) = -Phi(L^-1 da L^-T) L^-1, where Phi takes the lower triangle with half the
-    diagonal. It needs matrix products only and is three times faster than differentiating a Cholesky factor
-    and a triangular solve.
-    """
+    """L^-1 of a symmetric positive definite matrix `a = L L'`; NaN if `a` is not positive definite."""
     return _inverse_factor(a)
 
 
 @inverse_cholesky.defjvp
 def _inverse_cholesky_jvp(primals, tangents):
+    # d(L^-1) = -Phi(L^-1 da L^-T) L^-1, where Phi takes the lower triangle with half the diagonal: matrix
+    # products only, three times as fast as the derivatives of a Cholesky factor and a triangular solve.
     inverse, (tangent,) = inverse_cholesky(*primals), tangents
     both = matmul(matmul(inverse, tangent), inverse.T)
     half = jnp.tril(both) - 0.5 * jnp.diag(jnp.diagonal(both))
@@ -134,19 +122,18 @@ def guarded_cholesky(
     """The first columns of the Cholesky factor of a covariance matrix, and the inverse of its leading block.
 
     In exact arithmetic, no squared pivot is less than the noise variance on the diagonal; a squared pivot
-    that rounding takes below this value is raised to it. LAPACK's factor is NaN if rounding makes the matrix
-    indefinite, as in a difference of two nearly equal matrices. The algorithm is Gaussian elimination of
-    [a | I] in elementwise arithmetic. Step k zeroes column k of `a` below the diagonal and fills column k of
-    the right half there, which is stored in its place.
-
-    On an accelerator, a step eliminates `BLOCK` columns: XLA makes about four kernels of a step, whatever the
-    number of its columns. For 16 columns of 24 rows, 38 kernels in the loop of a search become 9.
+    that rounding takes below this value is raised to it.
 
     Args:
         a: Covariance matrix, with the noise variances on its diagonal.
         least: Noise variance of each row.
         num: Number of columns; all by default.
     """
+    # Gaussian elimination of [a | I] in elementwise arithmetic: LAPACK's factor is NaN if rounding makes the
+    # matrix indefinite, as in a difference of two nearly equal matrices. Step k zeroes column k of `a` below
+    # the diagonal and fills column k of the right half there, which is stored in its place. On an
+    # accelerator, a step eliminates `BLOCK` columns: XLA makes about four kernels of a step, whatever the
+    # number of its columns. For 16 columns of 24 rows, 38 kernels in the loop of a search become 9.
     num = a.shape[0] if num is None else num
     rows = a[:num]
     if is_unrolled(num):
@@ -188,7 +175,7 @@ def _eliminate(
             rest = rest - factor[p][q] * scaled[q]
         scaled.append(rest * inverse[p])
 
-    # As `a` is symmetric, the scaled rows also hold the factors by which they are subtracted from later rows.
+    # As `a` is symmetric, the scaled rows also hold the factors of their subtraction from later rows.
     # A single column is scaled again: a CPU is four times as fast where it reads the factors along a column.
     num = rows.shape[0]
     factors = [row[:num] for row in scaled] if size > 1 else [rows[:, first] * inverse[0]]
@@ -213,9 +200,11 @@ def eigh(a: Float[Array, "N N"]) -> tuple[Float[Array, "N"], Float[Array, "N N"]
 def solve_small(a: Float[Array, "N N"], b: Float[Array, "N K"]) -> Float[Array, "N K"]:
     """Solution of `a x = b` by Gauss-Jordan elimination with partial pivoting, for N up to about 8.
 
-    XLA fuses the elementwise arithmetic into a few kernels for a whole batch; a library call would launch a
-    kernel for each matrix on a GPU. A singular matrix gives infinities or NaN, as in `jnp.linalg.solve`.
+    A singular matrix gives infinities or NaN, as in `jnp.linalg.solve`.
     """
+    # XLA fuses the elementwise arithmetic into a few kernels for a whole batch; a library call would launch a
+    # kernel for each matrix on a GPU. Rows are exchanged and eliminated under masks, as the pivot differs
+    # between lanes.
     n = a.shape[-1]
     index = jnp.arange(n)
 
@@ -240,10 +229,13 @@ def inverse_matrix(a: Float[Array, "N N"]) -> Float[Array, "N N"]:
 def inverse_by_blocks(a: Float[Array, "N N"], block: int = 64) -> Float[Array, "N N"]:
     """The inverse of a matrix by Gauss-Jordan elimination of `block` columns at a time, in its own place.
 
-    Most of the work is matrix products, which a GPU computes for a whole batch at once; as a loop, they are
-    two in the program, whatever the size. Rows are exchanged within a block only: if the inverse of a leading
-    part is much larger than that of the matrix, digits are lost in proportion.
+    Rows are exchanged within a block only: if the inverse of a leading part is much larger than the inverse
+    of the matrix, digits are lost in proportion.
     """
+    # Most of the work is matrix products, which a GPU computes for a whole batch at once; as a loop, they are
+    # two in the program, whatever the size. Step k replaces the pivot block P by P^-1, its rows by P^-1 rows,
+    # its columns by -columns P^-1, and subtracts columns P^-1 rows from the rest: one product if the rows
+    # already hold P^-1.
     n, product = a.shape[0], matmul_on_tensor_cores
     block = min(block, n)
     number = -(-n // block)
@@ -311,6 +303,8 @@ def gcr(
         going = going & ~is_solution(x, error) & (number + 1 < most)
         return x, error, directions, images, going
 
+    # Directions and their images are kept in arrays of `most` rows, zero until they are written: a product
+    # with all of them needs no mask, and a direction of zeros in a lane that has ended changes nothing.
     error, none = matmul(inverse, residual), jnp.zeros((most, len(start)), start.dtype)
     going = is_active & ~is_solution(start, error)
     x, error, _, _, _ = while_going(lambda loop: loop[-1], step, (start, error, none, none, going))

@@ -29,20 +29,19 @@ class NodeModels(eqx.Module):
 
     The observations of a node's process are the node's actions. Each one is stored with the child that the
     action leads to: its parameters, and the rows that it appended to the inverse Cholesky factor and to the
-    whitened covariances of the candidates; its value is the reward in the tree. This takes N (A + C) numbers
-    instead of N A (A + C) for separate factors and covariances of every node, and a new action costs A C
-    products instead of A^2 C for whitening the candidates again.
+    whitened covariances of the candidates; its value is the reward in the tree.
 
     Attributes:
         candidates: Parameters over which acquisitions are maximised and from which rollouts draw.
         paths: Paths of the candidates.
         actions: Parameters and row in the factor of the action that leads to each node, see `NodeAction`; the
-            last row is zero. They are one array because each further array costs a GPU a kernel in every
-            iteration.
-        whitened: Row of that action in the whitened covariances of the candidates; the last row is zero.
-        has_converged: Whether that action was within `convergence` of the action before it.
+            last row is zero.
+        whitened: Row of the same action in the whitened covariances of the candidates; the last row is zero.
+        has_converged: Whether the same action was within `convergence` of the action before it.
     """
 
+    # One row a node: N (A + C) numbers instead of N A (A + C) for a factor and covariances of every node.
+    # Parameters and row are one array, since each array costs a GPU a kernel in every iteration.
     candidates: Float[Array, "C D"]
     paths: Float[Array, "C S 3"]
     actions: Float[Array, "M K"]
@@ -114,8 +113,8 @@ class ContinuousBeliefTreeSearch(
     node's Gaussian process from action parameters to immediate rewards. Otherwise the search descends to the
     child with the highest upper confidence bound (4.1).
 
-    All values of `max_actions` up to `ROOM` share a program: the field is a mask of a node's places for
-    actions, of which the first `max_actions` may be taken.
+    All values of `max_actions` up to `ROOM` share a program: the field is a mask over the places of a node,
+    true for the first `max_actions`.
 
     Settings: `bojax.planning.settings.KCBTS` and `CBTS`.
     """
@@ -181,6 +180,7 @@ class ContinuousBeliefTreeSearch(
         """The child to descend to."""
         children = tree.children[node]
         exists = children != UNVISITED
+        # Line 12 of Algorithm 4, with A_max as a mask: a place that may not be taken counts as taken.
         is_full = jnp.all(exists | ~self.max_actions) | jnp.any(exists & memory.has_converged[children])
         return jnp.where(is_full, best_by_uct(tree, node, self.exploration), UNVISITED)
 
@@ -193,18 +193,26 @@ class ContinuousBeliefTreeSearch(
         self, tree: Tree, memory: NodeModels, node: Int[Array, ""], view: Int[Array, ""], draws: CBTSDraws
     ) -> Proposal[NodeModelUpdate]:
         del view
+        # Line 3 of Algorithm 3: the candidate of highest acquisition (4.2). The candidates are the same at
+        # all nodes, so that their whitened covariances grow by a row an action: A C products, where whitening
+        # them again would take A^2 C.
         known = memory.children(tree.children[node])
         model, best = self._model(tree, known, node)
+        # The first actions of a node are random: a single reward, standardised, carries no information.
         is_initial = model.count < self.num_initial
         choice = best_candidate(self.acquisition, model, best, memory.candidates, known.whitened)
         choice = jnp.where(is_initial, draws.initial, choice)
         params, path, whitened = memory.candidates[choice], memory.paths[choice], known.whitened[:, choice]
         if self.refine_steps > 0:
+            # A refined action is no candidate: its path and its covariances have to be computed.
             refined = refine(self.acquisition, model, best, params, self.refine_steps)
             params = jnp.where(is_initial, params, refined)
             path, whitened = self.motions.path(params), model.whiten(params[None, :])[:, 0]
+        # The search has converged at this node once two successive actions are (nearly) the same.
         previous = model.x[jnp.maximum(model.count - 1, 0)]
         distance = jnp.sqrt(jnp.sum((params - previous) ** 2))
+        # Line 6 of Algorithm 3 without a refit: the rows that the new observation appends. They do not depend
+        # on its reward, which the tree stores once it is simulated.
         action = NodeAction(
             params=params,
             row=model.next_row(params, whitened),
@@ -238,6 +246,9 @@ class ContinuousBeliefTreeSearch(
         self, tree: Tree, known: NodeAction, node: Int[Array, ""]
     ) -> tuple[GaussianProcess, Float[Array, ""]]:
         """The Gaussian process of a node with these actions, and the best value observed."""
+        # Assembled anew from the rows of the children. Rewards are scaled by all of the node's rewards, so
+        # that every new one changes the others: only rows of the factor, which are free of values, can be
+        # kept.
         children = tree.children[node]
         exists = children != UNVISITED
         count = jnp.sum(exists, dtype=jnp.int32)
@@ -273,7 +284,7 @@ def _scale(rewards: Float[Array, "A"], exists: Bool[Array, "A"], scaling: Scalin
     if scaling == "none":
         return rewards
     if scaling == "rank":
-        # Twice the mean rank: the number of smaller rewards plus that of rewards not larger, itself included.
+        # Twice the mean rank of a reward: how many are smaller, plus how many are not larger (with itself).
         below = jnp.sum(exists[None, :] & (rewards[None, :] < rewards[:, None]), axis=1)
         not_above = jnp.sum(exists[None, :] & (rewards[None, :] <= rewards[:, None]), axis=1)
         return (below + not_above).astype(rewards.dtype) / number - 1.0

@@ -100,6 +100,8 @@ class DiscreteTreeSearch(TreeSearch[DiscreteMemory, DiscreteDraws, Int[Array, ""
         draws: DiscreteDraws,
     ) -> Proposal[None]:
         del view
+        # Lines 16-17 of Algorithm 2: any untried action, chosen by random priorities in [0, 1). Places past
+        # the size of the set only make sets of all sizes one program.
         is_untried = tree.children[node] == UNVISITED
         is_untried &= jnp.arange(self.num_actions, dtype=jnp.int32) < self.motions.count
         action = jnp.argmax(jnp.where(is_untried, draws.order, -1.0)).astype(jnp.int32)

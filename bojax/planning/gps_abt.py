@@ -52,7 +52,7 @@ class Walk(eqx.Module):
         stencil: The last stencil.
         point: Its point of highest mean return.
         has_unvisited: Whether the last stencil has points that have not been simulated.
-        may_refine: Whether it has none, and its best point may be refined.
+        may_refine: Whether all its points have been simulated, and its best point may be refined.
         best_ucb: Child with the highest upper confidence bound among all points on the way.
         most_visited: Most visited child among the best points on the way.
     """
@@ -214,12 +214,15 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, Walk, StencilUpdate, Cont
     def propose(
         self, tree: Tree, memory: Stencils, node: Int[Array, ""], view: Walk, draws: StencilDraws
     ) -> Proposal[StencilUpdate]:
+        # Either a point of the last stencil, or one of the finer stencil around its best point. Both are
+        # computed and one is selected, since lanes differ.
         centre, radius, member = self._finer(memory, view.stencil, view.point)
         centre = jnp.where(view.may_refine, centre, memory.centre[view.stencil])
         radius = jnp.where(view.may_refine, radius, memory.radius[view.stencil])
         member = jnp.where(view.may_refine, member, memory.member[view.stencil])
         points = _points(centre, radius)
         is_new = _is_inside(points) & (member == UNVISITED)
+        # A random new point: priorities are in [0, 1), and -1 loses against all of them.
         point = jnp.argmax(jnp.where(is_new, draws.order, -1.0)).astype(jnp.int32)
         update = StencilUpdate(
             params=points[point],
@@ -241,6 +244,8 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, Walk, StencilUpdate, Cont
         proposal: Proposal[StencilUpdate],
         is_new: Bool[Array, ""],
     ) -> Stencils:
+        # Stencil N + child is written in every iteration, at an index that all lanes share, and is linked
+        # from its parent only if it refines a point. Links that do not apply have an index past the end.
         update = proposal.update
         added = memory.params.shape[0] + child
         nowhere = memory.radius.shape[0]
@@ -268,6 +273,8 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, Walk, StencilUpdate, Cont
 
     @eqx.filter_jit  # traced and lowered once for the views of the root, of other nodes and for the plan
     def _walk(self, tree: Tree, memory: Stencils, node: Int[Array, ""]) -> Walk:
+        # A loop of `max_levels` steps, in which a descent that has ended keeps its state under masks: lanes
+        # end at different levels. One pass finds all that `select`, `propose` and `recommend` need.
         dtype = tree.outcome.dtype
         visits_of_node = jnp.maximum(tree.totals[node][0], 1.0)
 
@@ -275,12 +282,15 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, Walk, StencilUpdate, Cont
             walk, is_walking = descent.walk, descent.is_walking
             stencil = walk.stencil
             is_inside = _is_inside(memory.points(stencil))
+            # Points outside the box are never simulated: their mean return is minus infinity.
             member = jnp.where(is_inside, memory.member[stencil], UNVISITED)
             visits = jnp.where(member == UNVISITED, 0.0, tree.totals[member][:, 0])
             mean = tree.mean_return(member)
             # The descent ends at a stencil with unvisited points.
             has_unvisited = is_walking & jnp.any(is_inside & (member == UNVISITED))
 
+            # The best action on the way by upper confidence bound, if this node neither adds nor refines one;
+            # and the most visited of the best points, which is the plan at the root.
             bound = mean + self.exploration * jnp.sqrt(jnp.log(visits_of_node) / jnp.maximum(visits, 1.0))
             highest = jnp.argmax(bound)
             is_higher = is_walking & (bound[highest] > descent.best_bound)
@@ -292,6 +302,8 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, Walk, StencilUpdate, Cont
                 descent.fewest_visits,
             )
 
+            # Follow the best point into the stencil that refines it. Where there is none, refine the point if
+            # all conditions of the toolkit hold: here, levels < ln N / ln k is written without a division.
             finer = memory.finer[stencil, best]
             descends = is_walking & ~has_unvisited & (finer != UNVISITED)
             levels = jnp.asarray(level + 1, dtype)
@@ -330,6 +342,8 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, Walk, StencilUpdate, Cont
         back = jnp.where(point % 2 == 1, point + 1, point - 1)
         known = jnp.where(index == CENTRE, member[point], UNVISITED)
         moved = jnp.where(index == back, member[CENTRE], known)
+        # A moved stencil keeps its radius and shares two points with the old one: its own centre, and the old
+        # centre opposite to the step. One without a new point inside the box would be useless.
         has_new = jnp.any(_is_inside(_points(centre, radius)) & (moved == UNVISITED))
         is_move = (point != CENTRE) & has_new
         return centre, jnp.where(is_move, radius, 0.5 * radius), jnp.where(is_move, moved, known)

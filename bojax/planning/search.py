@@ -51,14 +51,6 @@ class TreeSearch(Planner[M], Generic[Memory, Draws, View, Update, M]):
     all later ones. Depth counts actions. Terminal nodes are not expanded.
 
     Deviation: Algorithms 2 and 4, as printed, back up only the reward of the rollout.
-
-    The `view` of a node changes only when a simulation passes through it. Views are therefore stored, and an
-    iteration first renews those of the nodes that the previous one visited, as one batch. The descent then
-    only reads them. On a GPU this takes half the kernels of a descent that computes the views level by level.
-
-    An iteration first writes the results of the previous one to the tree, and only then reads it: XLA then
-    writes in place. It would copy an array that is also read by instructions on which the new values do not
-    depend.
     """
 
     discount: eqx.AbstractVar[Float[Array, ""]]
@@ -129,6 +121,8 @@ class TreeSearch(Planner[M], Generic[Memory, Draws, View, Update, M]):
         root, root_node = problem.root(belief, self.depth)
         tree = Tree.rooted(root_node, self.iterations + 1, self.num_actions, dtype)
         memory, draws = self.begin(key_begin, dtype)
+        # Every node starts with the root's view as a placeholder: its own is computed in the iteration after
+        # the one that adds it, before a descent can reach it.
         view = self.view(tree, memory, jnp.asarray(ROOT, jnp.int32))
         views = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (self.iterations + 1, *leaf.shape)), view)
         keys = jax.random.split(key_simulate, self.iterations)
@@ -138,13 +132,16 @@ class TreeSearch(Planner[M], Generic[Memory, Draws, View, Update, M]):
             child, draws, key = xs
             return self._iterate(problem, root, tree, memory, views, growth, child, draws, key), None
 
+        # Iteration i may add node i + 1 and no other. The first iteration writes a growth that changes
+        # nothing.
         children = jnp.arange(1, self.iterations + 1, dtype=jnp.int32)
         growth = Growth.nothing(tree, self.depth + 1)
         without_child = eqx.tree_at(lambda growth: growth.child, growth, None)
         tree, views, batched = batched_together((tree, views, without_child))
-        carry = tree, memory, views, eqx.combine(batched, growth)  # `child` is the same in all lanes
+        # `child` stays out of the batch: an index that all lanes share is written without a scatter.
+        carry = tree, memory, views, eqx.combine(batched, growth)
         (tree, memory, _, growth), _ = jax.lax.scan(iterate, carry, (children, draws, keys))
-        return tree.grown(growth), memory
+        return tree.grown(growth), memory  # the growth of the last iteration is still to be written
 
     def _iterate(
         self,
@@ -159,18 +156,26 @@ class TreeSearch(Planner[M], Generic[Memory, Draws, View, Update, M]):
         key: Key[Array, ""],
     ) -> tuple[Tree, Memory, View, Growth]:
         """One iteration, which writes `growth`, of the previous one, and adds the node `child`."""
+        # Write the results of the previous iteration first, and read the tree only then: XLA writes in place,
+        # but would copy an array that is also read by instructions independent of the new values.
         tree = tree.grown(growth)
-        # Nodes at the horizon have no actions and need no view.
+        # The view of a node changes only when a simulation passes through it. The nodes visited last renew
+        # theirs as one batch, and the descent below only reads: half the kernels, on a GPU, of a descent that
+        # computes the views level by level. Nodes at the horizon (`nodes[0]`) have no actions and need no
+        # view; the index of a level that was not reached is past the end, and its write is dropped.
         visited = growth.nodes[1:]
         renewed = jax.vmap(self.view, in_axes=(None, None, 0))(tree, memory, visited)
         views = jax.tree.map(lambda all, new: all.at[visited].set(new, mode="drop"), views, renewed)
 
+        # TreePolicy of Algorithms 2 and 4. A lane whose descent ends at the horizon or at a terminal node has
+        # nothing to add. It simulates all the same, as a branch would be computed in every lane of a batch;
+        # `is_new` then masks what it found.
         descent = self._descend(views)
         node, level = descent.node, descent.level
         is_terminal = tree.outcome[node][1] > 0.0
         is_new = (level < self.depth) & ~is_terminal
 
-        # Expand and roll out in one simulation.
+        # Expand and roll out in one simulation: the action and all random ones after it, from this node.
         proposal = self.propose(tree, memory, node, _at(views, node), draws)
         paths = jnp.concatenate([proposal.path[None], self.rollout(memory, draws)])
         simulation = problem.simulate(key, root, _at(tree.belief, node), paths, self.objective)
@@ -189,7 +194,8 @@ class TreeSearch(Planner[M], Generic[Memory, Draws, View, Update, M]):
         return tree, self.learn(memory, child, proposal, is_new), views, growth
 
     def _descend(self, views: View) -> "_Descent":
-        """Descend from the root; the depth is small and static, so that the loop is unrolled and masked."""
+        """Descend from the root until `select` returns no child."""
+        # The depth is small and static: the loop is unrolled. A lane whose descent has ended keeps its node.
         node = jnp.asarray(ROOT, jnp.int32)
         is_descending = jnp.asarray(True)
         visited = []
@@ -203,6 +209,9 @@ class TreeSearch(Planner[M], Generic[Memory, Draws, View, Update, M]):
 
     def _return_of(self, simulation: Simulation, level: Int[Array, ""]) -> Float[Array, ""]:
         """The return of simulated paths; rewards past the horizon or a terminal state do not count."""
+        # Backwards, R_t = r_t + gamma R_(t+1). All lanes simulate equally many paths, from nodes of different
+        # levels: rewards past the horizon are computed and masked. A terminal state cuts off what follows it,
+        # and the paths after it may hold any number, even NaN, which `where` does not let through.
         future = jnp.zeros((), self.discount.dtype)
         for step in reversed(range(simulation.rewards.shape[0])):
             is_within = level + step < self.depth
@@ -221,8 +230,10 @@ class TreeSearch(Planner[M], Generic[Memory, Draws, View, Update, M]):
         future: Float[Array, ""],
     ) -> tuple[Int[Array, "L"], Float[Array, "L"]]:
         """The nodes from the new one, if there is one, back to the root, and the return gained from each."""
-        nowhere = tree.children.shape[0]
+        nowhere = tree.children.shape[0]  # past the end: such writes are dropped
         nodes, gains = [], []  # the deepest level first
+        # BackUp of Algorithm 4 with all rewards on the way. Below the last node reached, `gain` is the return
+        # from the new action on, credited to the new node one level deeper; other levels name no node.
         gain = jnp.where(is_new, future, 0.0)
         for above, (node, reached) in reversed(list(enumerate(descent.visited))):
             gain = jnp.where(reached, tree.outcome[node][0] + self.discount * gain, gain)

@@ -182,7 +182,7 @@ class GpsAbt(_TreeSearch, frozen=True):
     )
     heuristic: Literal["rollout", "zero"] = Field(
         default="rollout",
-        description="value after a new action: that of a random rollout to the horizon, or zero",
+        description="value after a new action: the return of a random rollout to the horizon, or zero",
     )
     motions: _Continuous = KernelTrajectories()
 

@@ -19,10 +19,7 @@ class Tree(eqx.Module):
     """N belief nodes with at most A actions each.
 
     Each action has one observation branch, so that an action and the belief that it leads to share an index:
-    `reward`, `visits` and `total_return` of a node are those of the action that leads to it. Iteration i of a
-    search can create only node i + 1, in every run of a batch: a new node is written at the same index in all
-    lanes, without a scatter. Numbers that are written together are one array, since each further array costs
-    a GPU a kernel in every iteration.
+    `reward`, `visits` and `total_return` of a node belong to the action that leads to it.
 
     Attributes:
         belief: Beliefs of the nodes.
@@ -31,6 +28,7 @@ class Tree(eqx.Module):
         children: Nodes that the actions of a node lead to; `UNVISITED` for actions that do not exist yet.
     """
 
+    # Numbers that are written together are one array: each array costs a GPU a kernel in every iteration.
     belief: Node
     outcome: Float[Array, "N 2"]
     totals: Float[Array, "N 2"]
@@ -71,6 +69,9 @@ class Tree(eqx.Module):
 
     def grown(self, growth: "Growth") -> "Tree":
         """The tree after a simulation."""
+        # The row of the child is written even if no node is added: no parent refers to it, and the same
+        # iteration of every lane writes the same row, without a scatter. Visits and returns go to a different
+        # node in every lane, so these are scatters; indices past the end are dropped.
         child = growth.child
         return Tree(
             belief=jax.tree.map(lambda all, one: write_row(all, child, one), self.belief, growth.belief),
@@ -138,6 +139,7 @@ def write_row(rows: Array, index: Int[Array, ""], row: Array) -> Array:
 
 @write_row.def_vmap
 def _write_row_of_lanes(num_lanes: int, is_batched, rows: Array, index: Array, row: Array):
+    # The index differs between lanes only outside of a search, which shares it.
     if is_batched[1]:
         axes = [0 if batched else None for batched in is_batched]
         return jax.vmap(lambda rows, index, row: rows.at[index].set(row), axes)(rows, index, row), True
@@ -145,6 +147,7 @@ def _write_row_of_lanes(num_lanes: int, is_batched, rows: Array, index: Array, r
         rows = jnp.broadcast_to(rows, (num_lanes, *rows.shape))
     if not is_batched[2]:
         row = jnp.broadcast_to(row, (num_lanes, *row.shape))
+    # The same row of every lane: one slice along axis 1 of the batch, whose axis 0 are the lanes.
     return jax.lax.dynamic_update_index_in_dim(rows, row, index, 1), True
 
 
@@ -164,6 +167,7 @@ def best_by_uct(tree: Tree, node: Int[Array, ""], exploration: Float[Array, ""])
     The factor 2 under the square root in Algorithm 2 is absorbed by `exploration`.
     """
     children = tree.children[node]
+    # UNVISITED is -1 and reads the last node; its mean return of minus infinity keeps it from being chosen.
     visits = jnp.maximum(tree.totals[children][:, 0], 1.0)
     of_parent = jnp.maximum(tree.totals[node][0], 1.0)
     bonus = exploration * jnp.sqrt(jnp.log(of_parent) / visits)

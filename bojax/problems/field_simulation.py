@@ -19,9 +19,10 @@ class FieldNode(eqx.Module):
 
     Attributes:
         rows: The first row holds the pose of the robot and the number of actions since the root, the others
-            the samples. They are one array because each further array costs a kernel in every iteration.
+            the samples.
     """
 
+    # One array, since a search writes a node in every iteration, and each array costs a GPU a kernel.
     rows: Float[Array, "*N R 4"]
 
     @classmethod
@@ -84,6 +85,7 @@ def simulate_paths(
     All samples since the root, those of the node first, enter one look-ahead: no posterior is refitted.
     Samples past the horizon are dropped.
     """
+    # Each path is driven from the end of the one before it: the number of paths is static, so this unrolls.
     num_paths, size = paths.shape[:2]
     room = node.samples.shape[0]
     horizon = room // size + 1
@@ -91,6 +93,8 @@ def simulate_paths(
     for path in paths:
         drives.append(arena.drive(pose, path))
         pose = arena.end(drives[-1])
+    # Observations are imagined by their innovations: zeros give the predictive means, normal draws a sample
+    # of the belief, and neither needs the belief that `look_ahead` is about to compute.
     innovations = jnp.zeros((num_paths, size), paths.dtype)
     if imagined == "sample":
         innovations = jax.random.normal(key, (num_paths * size,), paths.dtype).reshape(num_paths, size)
@@ -98,7 +102,8 @@ def simulate_paths(
         jnp.column_stack([drive.poses[:, :2], seen, drive.is_driven.astype(seen.dtype)])
         for drive, seen in zip(drives, innovations, strict=True)
     ]
-    # For each possible level of the node: its samples followed by the new ones, up to the horizon.
+    # For each possible level of the node: its samples followed by the new ones, up to the horizon. The level
+    # differs between lanes, so that all few layouts are made and one is selected: slices instead of a gather.
     nothing = [jnp.zeros((size, 4), paths.dtype)] * horizon
     by_level = [
         jnp.concatenate([node.samples[: level * size], *new, *nothing])[: horizon * size]
@@ -109,12 +114,15 @@ def simulate_paths(
     ahead = look_ahead(
         root, all_samples.points, is_taken, all_samples.innovations, horizon, objective.needs_gradient
     )
+    # The reward of a stage is the sum over its samples, under the belief before it (3.2, 4.11). The
+    # look-ahead also holds the stages before the node: the paths are paid from the node's level on.
     gains = jnp.where(is_taken, objective(ahead.mean, ahead.variance, ahead.gradient), 0.0)
     by_stage = jnp.pad(jnp.sum(gains.reshape(horizon, size), axis=-1), (0, num_paths))
     paid = _choose(node.level, [by_stage[level : level + num_paths] for level in range(horizon)])
     rewards = paid + jnp.stack([arena.cost(drive) for drive in drives])
 
-    # The child holds the samples of the node and of the first path.
+    # The child holds the samples of the node and of the first path; those of the rollout, later stages, are
+    # cleared.
     stage = (jnp.arange(room, dtype=jnp.int32) // size).astype(paths.dtype)
     samples = jnp.where((stage <= node.level)[:, None], all_samples.samples[:room], 0.0)
     child = FieldNode.of(arena.end(drives[0]), node.level + 1.0, samples)

@@ -85,6 +85,8 @@ def search_at_ends(line: Line) -> Float[Array, ""]:
 
     In a program of XLA on a GPU, this makes steps three times as fast as `search_by_points` does.
     """
+    # The ends of the pieces are where a row reaches a bound of its range. The derivative increases, so that
+    # the piece with the root lies between the last end with a negative derivative and the first other one.
     rows = line.rows
     lower, upper = ((bound / rows.stiffness - line.x) / line.change for bound in (rows.low, rows.high))
     ends = jnp.concatenate([lower[rows.first_friction : rows.first_limit], upper[rows.first_friction :]])
@@ -100,10 +102,12 @@ def search_at_ends(line: Line) -> Float[Array, ""]:
 def search_by_points(line: Line) -> Float[Array, ""]:
     """The minimum of a line, by Newton's method for the root of the derivative, in a bracket.
 
-    Most often the whole step is the minimum, and this is known after one point. In a kernel with a thread for
-    each lane, steps are two to three times as fast as with `search_at_ends`.
+    In a kernel with a thread for each lane, steps are two to three times as fast as with `search_at_ends`.
     """
 
+    # Most often the whole step is the minimum, and this is known after one point: Newton's step from there
+    # stays on the piece. A root outside the bracket is replaced by its middle, or by twice the step if it has
+    # no right end.
     def closer(state: tuple[jax.Array, ...]) -> tuple[jax.Array, ...]:
         number, size, left, right, _ = state
         side, is_left = line.side(size), line.slope(size) < 0.0
@@ -161,6 +165,9 @@ def constrained(
     low = jnp.where(is_equality | is_limit, -jnp.inf, -efc.efc_frictionloss)
     rows = Rows(stiffness, low, jnp.where(is_limit, 0.0, -low), first_friction, first_limit)
 
+    # Every row is a quadratic whose derivative is clipped to [low, high]: equalities have no bounds, dry
+    # friction both, limits and contacts only the upper one, 0. One formula serves all, with no branch on the
+    # kind of a row.
     def violation(acceleration: jax.Array) -> jax.Array:
         return jacobian @ acceleration - efc.efc_aref
 
@@ -174,6 +181,8 @@ def constrained(
         x = violation(acceleration)
         before = rows.side(x)
         inertial = inertia @ (acceleration - data.qacc_smooth)
+        # Only rows within their range have curvature. The sum is symmetric but for rounding, which is
+        # averaged out before the Cholesky factor reads one triangle.
         active = jnp.where(before == 0, stiffness, 0.0)
         hessian = inertia + (jacobian.T * active[None, :]) @ jacobian
         factor = jax.scipy.linalg.cho_factor(0.5 * (hessian + hessian.T))
@@ -181,9 +190,11 @@ def constrained(
         first, second = direction @ inertial, direction @ (inertia @ direction)
         size = search(Line(rows, x, jacobian @ direction, first, second))
         acceleration = acceleration + size * direction
+        # If no row has changed sides, the cost was quadratic on the way and its minimum is reached.
         has_changed = jnp.any(rows.side(violation(acceleration)) != before)
         return number + 1, acceleration, has_changed
 
+    # As MJX does: start from the last accelerations, or from the unconstrained ones if those cost less.
     starts = jnp.stack([data.qacc_warmstart, data.qacc_smooth])
     costs = jax.vmap(cost)(starts)
     start = jnp.where(costs[0] < costs[1], *starts)
