@@ -71,9 +71,9 @@ class BayesianOptimisation(eqx.Module):
 
     With `relearn_every`, the hyper-parameters of the kernel and the noise variance are relearned from the
     standardised values by maximum a posteriori estimation, with a log-normal prior whose medians are the
-    given values; that of the noise variance is wider below its median (`NOISE_SPREAD_BELOW`). A constant mean
-    of the standardised values is learned with them. If `tell` is
-    vmapped over states, every lane computes this at every step; `maximise` does not.
+    given values; the prior of the noise variance is wider below its median (`NOISE_SPREAD_BELOW`). A constant
+    mean of the standardised values is learned with them. If `tell` is vmapped over states, every lane
+    computes this at every step; `maximise` does not.
 
     An evaluation whose value or point is not finite is missing and does not enter the model. The model would
     ask for nearly the same point again, so the next point is quasi-random.
@@ -133,7 +133,7 @@ class BayesianOptimisation(eqx.Module):
         for path, leaf in jax.tree_util.tree_leaves_with_path(self):
             if leaf.dtype != self.low.dtype:
                 name = jax.tree_util.keystr(path).removeprefix(".")
-                raise ValueError(f"{name}: got {leaf.dtype}; allowed: {self.low.dtype}, that of `low`")
+                raise ValueError(f"{name}: got {leaf.dtype}; allowed: {self.low.dtype}, as `low`")
         check_takes("kernel", self.kernel, 2, self.low.size, self.low.dtype, "those of the box")
         if is_known(self):
             self._check_numbers()

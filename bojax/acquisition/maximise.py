@@ -38,9 +38,9 @@ def best_candidate(
 def first_maximum(scores: Float[Array, "C"]) -> Int[Array, ""]:
     """The result of `jnp.argmax`: the index of the first maximum, or of a NaN if there is one.
 
-    On a CPU, the maxima of `COLUMNS` columns are found first, in vectorised arithmetic. `argmax` compares one
-    score after the other, and so computes the scores one after the other too: for 128 candidates of 20
-    observations, it takes three times as long.
+    On a CPU, the maxima of `COLUMNS` columns are found first, in vectorised arithmetic. `argmax` compares,
+    and so computes, one score after the other: for 128 candidates of 20 observations, it takes three times as
+    long.
     """
     number = scores.shape[0]
     if number % COLUMNS or jax.default_backend() != "cpu":

@@ -26,7 +26,6 @@ class UpperConfidenceBound(AcquisitionSettings, frozen=True):
     """Mean plus kappa standard deviations (thesis, equation 2.37)."""
 
     target: ClassVar[str] = "bojax.acquisition.functions:UpperConfidenceBound"
-
     kind: Literal["ucb"] = "ucb"
     kappa: float = Field(default=10.0, ge=0, le=GREATEST, description="weight of the standard deviation")
 
@@ -35,7 +34,6 @@ class ProbabilityOfImprovement(AcquisitionSettings, frozen=True):
     """Probability of improving on the best value so far by more than xi (thesis, equation 2.36)."""
 
     target: ClassVar[str] = "bojax.acquisition.functions:ProbabilityOfImprovement"
-
     kind: Literal["pi"] = "pi"
     xi: _Improvement = 0.01
 
@@ -44,7 +42,6 @@ class ExpectedImprovement(AcquisitionSettings, frozen=True):
     """Expected improvement over the best value so far plus xi (Jones, Schonlau and Welch, 1998)."""
 
     target: ClassVar[str] = "bojax.acquisition.functions:ExpectedImprovement"
-
     kind: Literal["ei"] = "ei"
     xi: _Improvement = 0.01
 
@@ -53,6 +50,5 @@ class LogExpectedImprovement(AcquisitionSettings, frozen=True):
     """Logarithm of the expected improvement over the best value so far plus xi (Ament et al., 2023)."""
 
     target: ClassVar[str] = "bojax.acquisition.functions:LogExpectedImprovement"
-
     kind: Literal["log-ei"] = "log-ei"
     xi: _Improvement = 0.01

@@ -52,7 +52,7 @@ class Env(eqx.Module):
     @property
     @abc.abstractmethod
     def observation_space(self) -> Space:
-        """Declared bounds of observations, by which learners scale; observations may lie outside them."""
+        """Declared bounds of observations, which learners scale by; observations may lie outside them."""
 
     @property
     @abc.abstractmethod

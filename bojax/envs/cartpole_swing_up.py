@@ -23,7 +23,7 @@ class CartpoleSwingUp(ControlTask):
     measured from upright and is not wrapped.
 
     The goal is a cosine of the angle above `goal_cosine`, at any speed; the failure is to leave the track,
-    |x| > `limit`. The classic reward is that of the author's code: cosine - 1 a step, 0 at the goal and -100
+    |x| > `limit`. The classic reward is the author's: cosine - 1 a step, 0 at the goal and -100
     at the failure, both of which end the episode.
 
     An episode begins with the pole hanging: all four numbers are uniform in [-0.05, 0.05], around an angle of

@@ -16,7 +16,7 @@ class ControlStep(eqx.Module):
     """A step of a `ControlTask`.
 
     Attributes:
-        state: State in which the step was taken.
+        state: State before the step.
         action: Action, within its bounds.
         after: State after the step.
         success: Whether the step reached the goal.
@@ -36,7 +36,7 @@ class ControlTask(Env):
     With the `"goal-only"` reward, a step to the goal pays 1 and a step to a failure pays -1; both states are
     terminal, and all other steps pay 0 (p. 106). With the `"classic"` reward, steps pay the reward of the
     domain in Gym, and each domain defines its terminal states. A step to the goal is a success with either
-    reward, unless the state is also a failure. A step after which the simulation has diverged pays NaN.
+    reward, unless the state is a failure. A step after which the simulation has diverged pays NaN.
     """
 
     reward: eqx.AbstractVar[Literal["goal-only", "classic"]]

@@ -49,7 +49,7 @@ SIDE_ENGINE = (12.0 * PIXEL, 17.0 * PIXEL, 14.0 * PIXEL)
 """Offset of a side engine from the hull's origin, in metres: sideways, and above it in x and in y."""
 
 ORIGIN = (0.5 * WIDTH, 0.25 * HEIGHT + 18.0 * PIXEL)
-"""Position of the hull's origin observed as (0, 0), in metres; 1 cm from that of a lander on the pad."""
+"""Position of the hull's origin observed as (0, 0), in metres; 1 cm off a lander on the pad."""
 
 UNITS = (0.5 * WIDTH, 0.5 * HEIGHT)
 """Horizontal and vertical distance that an observation reads as 1, in metres."""

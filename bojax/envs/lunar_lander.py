@@ -28,9 +28,9 @@ class LunarLander(ControlTask):
     hull touches the ground or the lander leaves the world sideways. There is no ceiling.
 
     The classic reward is Gym's: the increase of -100 (distance + speed + |angle|) + 10 for each leg on the
-    ground, minus 0.3 times the power of the main engine and 0.03 times that of the side engines. A failure
+    ground, minus 0.3 times the power of the main engine and 0.03 times the side engines' power. A failure
     pays -100 and coming to rest anywhere pays 100; both end the episode. With `classic_reward: published` it
-    is that of the author's code, see `bojax.envs.control.penalties`.
+    is the author's, see `bojax.envs.control.penalties`.
 
     As in Gym, an episode starts at the top of the world with a random force on the hull, over a rough terrain
     drawn for each episode.

@@ -35,7 +35,7 @@ class ControlTask(Environment, frozen=True):
 
     reward: Literal["goal-only", "classic"] = Field(
         default="goal-only",
-        description="reward: 1 at the goal, -1 at a failure and 0 otherwise; or that of Gym",
+        description="reward: 1 at the goal, -1 at a failure and 0 otherwise; or Gym's",
     )
 
 
@@ -46,7 +46,7 @@ def classic_reward(failure_reward: int) -> Any:
     """The field `classic_reward` of a domain with this reward at a failure in the author's code."""
     return Field(
         default="gym",
-        description="classic reward: that of Gym; or that of the author's published code, -1 a step, "
+        description="classic reward: Gym's; or the one in the author's published code, -1 a step, "
         f"{failure_reward} at a failure and 0 at the goal, both of which end the episode",
     )
 
@@ -56,7 +56,6 @@ class SinglePendulum(ControlTask, frozen=True):
 
     target: ClassVar[str] = "bojax.envs.single_pendulum:SinglePendulum"
     observation_names: ClassVar[tuple[str, str]] = ("cosine of the angle", "sine of the angle")
-
     kind: Literal["single-pendulum"] = "single-pendulum"
     goal_angle: float = Field(default=0.05, gt=0, description="largest |angle| from upright at the goal, rad")
     classic_ends_at_goal: bool = Field(
@@ -67,9 +66,7 @@ class SinglePendulum(ControlTask, frozen=True):
     mass: float = Field(default=1.0, gt=0, description="mass of the rod, kg")
     length: float = Field(default=1.0, gt=0, description="length of the rod, m")
     max_torque: float = Field(default=2.0, gt=0, description="largest torque, N m")
-    max_speed: float = Field(
-        default=8.0, gt=0, description="largest angular velocity, rad/s; the joint goes no faster"
-    )
+    max_speed: float = Field(default=8.0, gt=0, description="largest angular velocity of the joint, rad/s")
     time_step: float = Field(default=0.05, gt=0, description="time step, s")
 
 
@@ -78,7 +75,6 @@ class MountainCar(ControlTask, frozen=True):
 
     target: ClassVar[str] = "bojax.envs.mountain_car:MountainCar"
     observation_names: ClassVar[tuple[str, str]] = ("position", "velocity")
-
     kind: Literal["mountain-car"] = "mountain-car"
     goal_position: float = Field(
         default=0.5, gt=-1.2, le=0.6, description="smallest position at the goal; 0.42 in Fig. 5.7"
@@ -90,19 +86,14 @@ class MountainCar(ControlTask, frozen=True):
     threshold: float = Field(
         default=0.33, ge=0, le=1, description="smallest |action| that drives, if actions are thresholded"
     )
-    power: float = Field(
-        default=0.001, gt=0, description="change of the velocity by an action of 1, per step"
-    )
-    gravity: float = Field(
-        default=0.0025, ge=0, description="change of the velocity on the steepest slope, per step"
-    )
+    power: float = Field(default=0.001, gt=0, description="velocity change per step by an action of 1")
+    gravity: float = Field(default=0.0025, ge=0, description="velocity change per step on the steepest slope")
 
 
 class DoublePendulum(ControlTask, frozen=True):
     """Swing a two-link pendulum up with one weak motor (thesis, p. 107; Gym's Acrobot)."""
 
     target: ClassVar[str] = "bojax.envs.double_pendulum:DoublePendulum"
-
     kind: Literal["double-pendulum"] = "double-pendulum"
     actuated: Literal["base", "elbow"] = Field(
         default="base",
@@ -131,14 +122,9 @@ class CartpoleSwingUp(ControlTask, frozen=True):
 
     target: ClassVar[str] = "bojax.envs.cartpole_swing_up:CartpoleSwingUp"
     observation_names: ClassVar[tuple[str, str]] = ("position (m)", "velocity (m/s)")
-
     kind: Literal["cartpole-swing-up"] = "cartpole-swing-up"
-    goal_cosine: float = Field(
-        default=0.8, ge=-1, lt=1, description="cosine of the angle that has to be exceeded at the goal"
-    )
-    limit: float = Field(
-        default=2.4, gt=0, description="half the length of the track, m; 3 in the author's code"
-    )
+    goal_cosine: float = Field(default=0.8, ge=-1, lt=1, description="least cosine of the angle at the goal")
+    limit: float = Field(default=2.4, gt=0, description="half the track's length, m; 3 in the author's code")
     actions: Literal["continuous", "sign"] = Field(
         default="continuous",
         description="whether the force is the action, or max_force with the sign of the action",
@@ -151,7 +137,6 @@ class CliffWalking(Environment, frozen=True):
     """Walk along a cliff to a goal, on a grid of 4 x 12 (Sutton & Barto, Example 6.6)."""
 
     target: ClassVar[str] = "bojax.envs.cliff_walking:CliffWalking"
-
     kind: Literal["cliff-walking"] = "cliff-walking"
     max_steps: MaxSteps = 1000
     slip: float = Field(
@@ -172,7 +157,6 @@ class Taxi(Environment, frozen=True):
     """Fetch a passenger on a grid of 5 x 5 and bring them to their destination (Dietterich 2000)."""
 
     target: ClassVar[str] = "bojax.envs.taxi:Taxi"
-
     kind: Literal["taxi"] = "taxi"
     max_steps: MaxSteps = 1000
     reward_scale: float = Field(default=1.0, gt=0, description="factor of every reward")
@@ -188,7 +172,6 @@ class Chain(Environment, frozen=True):
     """Walk to the end of a chain of N states, where a step to the right may lead left (thesis, Fig. 5.6a)."""
 
     target: ClassVar[str] = "bojax.envs.chain:Chain"
-
     kind: Literal["chain"] = "chain"
     max_steps: MaxSteps = 1000
     length: int = Field(
@@ -218,7 +201,6 @@ class LunarLander(ControlTask, frozen=True):
     """Land on a pad between hills (thesis, p. 107; Gym's LunarLander, continuous)."""
 
     target: ClassVar[str] = "bojax.envs.lunar_lander:LunarLander"
-
     kind: Literal["lunar-lander"] = "lunar-lander"
     goal_distance: float = Field(
         default=0.05,
@@ -239,20 +221,14 @@ class LunarLander(ControlTask, frozen=True):
         description="impulse of the main engine at full power, N s, for each metre between the engine and "
         "the hull's origin",
     )
-    side_power: float = Field(
-        default=0.6, ge=0, description="impulse of the side engines, N s per metre from the hull's origin"
-    )
+    side_power: float = Field(default=0.6, ge=0, description="the same for the side engines, N s / m")
     dispersion: float = Field(
         default=1.0,
         ge=0,
         description="scale of the noise on direction and magnitude of an engine's impulse; 1 in Gym",
     )
-    max_push: float = Field(
-        default=1000.0, ge=0, description="bound on each component of the initial force, N"
-    )
-    max_speed: float = Field(
-        default=1000.0, gt=0, description="speed, m/s or rad/s, above which a simulation has diverged"
-    )
+    max_push: float = Field(default=1000.0, ge=0, description="largest component of the initial force, N")
+    max_speed: float = Field(default=1000.0, gt=0, description="speed that means divergence, m/s or rad/s")
 
 
 Bounds = float | Annotated[tuple[float, ...], Field(strict=False, min_length=1)]
@@ -263,7 +239,6 @@ class Brax(Environment, frozen=True):
     """An environment of Brax, compiled."""
 
     target: ClassVar[str] = "bojax.envs.brax:BraxEnv"
-
     kind: Literal["brax"] = "brax"
     name: str = Field(min_length=1, description="name in the registry of Brax, such as reacher")
     backend: Literal["mjx", "generalized", "positional", "spring"] = Field(
@@ -285,7 +260,6 @@ class Gymnasium(EnvironmentSettings, frozen=True):
     """An environment of Gymnasium, stepped on the host while the learner is compiled (extra `gym`)."""
 
     target: ClassVar[str] = "bojax.envs.gymnasium:HostEnv"
-
     kind: Literal["gymnasium"] = "gymnasium"
     id: str = Field(
         min_length=1,
@@ -308,7 +282,7 @@ class Gymnasium(EnvironmentSettings, frozen=True):
     )
     success: Literal["never", "terminated", "reward"] = Field(
         default="never",
-        description="success: never; an episode that ends in a terminal state, which may be a failure too; "
+        description="success: never; an episode that ends in a terminal state, even one of failure; "
         "or a step whose reward is at least success_reward",
     )
     success_reward: float = Field(

@@ -18,7 +18,7 @@ class SinglePendulum(ControlTask):
 
     The goal is to be upright within `goal_angle`, at any speed (p. 107: 0.05 rad). The author's runs
     test cos > 0.95 and |sin| < 0.05 instead, which is |angle| < 0.05002: the same goal. The classic reward
-    is Gym's, `-(angle^2 + 0.1 velocity^2 + 0.001 torque^2)` of the state in which the step is taken. As in
+    is Gym's, `-(angle^2 + 0.1 velocity^2 + 0.001 torque^2)` of the state before the step. As in
     the author's code, a step to the goal pays 0 and ends the episode; in Gym no step ends it
     (`classic_ends_at_goal: false`).
 

@@ -12,7 +12,7 @@ from bojax.envs.spaces import Discrete
 
 
 class TabularEnv(Env):
-    """A finite Markov decision process, in which every action has a few branches with given probabilities.
+    """A finite Markov decision process; every action has a few branches with given probabilities.
 
     A subclass defines the probability and the outcome of each branch. `step` draws a branch; `transitions`
     lists all branches, for exact solutions by dynamic programming. The observation is the state itself.

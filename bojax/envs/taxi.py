@@ -37,9 +37,9 @@ class Taxi(TabularEnv):
         +---------+
 
     States, `((row * 5 + column) * 5 + passenger) * 4 + destination`, and actions, south, north, east, west,
-    pick up and drop off, are numbered as in Gymnasium's `Taxi`. The initial state is also drawn as there,
-    from the 300 states in which the passenger waits at a place other than the destination. A passenger who is
-    dropped off at a wrong place waits there.
+    pick up and drop off, are numbered as in Gymnasium's `Taxi`. As there, the initial state is drawn from the
+    300 states where the passenger waits at a place other than the destination. A passenger who is dropped off
+    at a wrong place waits there.
 
     Settings: `bojax.envs.settings.Taxi`.
     """
@@ -112,7 +112,7 @@ class Taxi(TabularEnv):
 
 
 def _place(cell: Int[Array, ""]) -> Int[Array, ""]:
-    """Number of the place at a cell; -1 if there is none."""
+    """Number of the place at a cell; -1 elsewhere."""
     place = jnp.full((), -1, jnp.int32)
     for number, at in enumerate(PLACES):
         place = jnp.where(cell == at, number, place)

@@ -81,7 +81,7 @@ def apply_transition(
 
 
 _TOLERANCE = 1e-4
-"""Rounding error by which an observation may exceed its bounds, in units of their range."""
+"""Rounding error that an observation may exceed its bounds by, in units of their range."""
 
 
 def outside_bounds(space: Space, observation: Observation) -> Bool[Array, ""]:

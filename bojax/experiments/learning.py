@@ -42,7 +42,7 @@ class RunState(eqx.Module):
         is_done: Whether the run has ended.
         last_return: Return of the last training episode.
         planned_return: Mean return that the learner expected of its actions in the last training episode; NaN
-            after an episode in which this was not finite.
+            once this was not finite.
         episodes_to_goal: Training episodes up to and including the first success; -1 before.
         steps_to_goal: Training steps up to the first success; -1 before.
         target: Progress of the test episodes towards the target return.
@@ -365,7 +365,7 @@ class LearningRun(Experiment):
 
     @property
     def exploiting(self) -> ExplorationState:
-        """The exploration state by which a learner acts in a test."""
+        """The exploration state that a learner acts with in a test."""
         return ExplorationState(jnp.zeros((), self._dtype), jnp.zeros((), bool))
 
     def _phase(
@@ -441,7 +441,7 @@ _MAP_COLUMNS: Table = (
         "unseen_u",
         "float64",
         "",
-        "mean U of the cells without a visit less that of the starting cells, mean over map_episodes",
+        "mean U of the cells without a visit less the mean U of the starting cells, mean over map_episodes",
         nullable=True,
     ),
     Column(

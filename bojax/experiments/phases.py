@@ -42,8 +42,8 @@ class Phase(eqx.Module):
     Attributes:
         env: Environment.
         learner: Learner.
-        acting: Exploration state by which the learner acts.
-        exploration: Exploration state by which it learns.
+        acting: Exploration state that the learner acts with.
+        exploration: Exploration state that it learns with.
         key: Key of the episode.
         reset_key: Key of the initial state of the environment.
         learns: Whether the learner learns, from every step and from the whole episode at its end.
@@ -158,7 +158,7 @@ class Phase(eqx.Module):
         )
 
     def row(self, episode: EpisodeState, number: Int[Array, ""]) -> dict[str, Array]:
-        """The row of the episode in `episodes.parquet`; `number` is that of the training episode."""
+        """The row of the episode in `episodes.parquet`; `number` counts training episodes."""
         return {
             "episode": number,
             "return": episode.total,

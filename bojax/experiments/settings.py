@@ -27,11 +27,8 @@ class Planning(ExperimentSettings, frozen=True):
     """One episode of a planner on a problem."""
 
     target: ClassVar[str] = "bojax.experiments.planning:PlanningEpisode"
-
     kind: Literal["planning"] = "planning"
-    problem: Annotated[Component, Slot("problem")] = Field(
-        default=Parking(), description="problem to plan on"
-    )
+    problem: Annotated[Component, Slot("problem")] = Field(default=Parking(), description="planning problem")
     planner: Annotated[Component, Slot("planner")] = Field(
         default=KCBTS(),
         description="planner, which knows the model of the problem and receives observations of the world",
@@ -57,7 +54,6 @@ class Learning(ExperimentSettings, frozen=True):
     """Episodes of a learner in an environment, with test episodes in between (thesis, Algorithm 5)."""
 
     target: ClassVar[str] = "bojax.experiments.learning:LearningRun"
-
     kind: Literal["learning"] = "learning"
     dtype: Literal["float64", "float32"] = Field(default="float32", description="floating-point precision")
     env: Annotated[Component, Slot("env")] = Field(description="environment to learn in")
@@ -74,14 +70,8 @@ class Learning(ExperimentSettings, frozen=True):
         default="never",
         description="whether a run ends early: at its first success, or once target_return is exceeded",
     )
-    tests: int = Field(
-        default=0,
-        ge=0,
-        description="number of test episodes after each training episode; they do not explore",
-    )
-    tests_learn: bool = Field(
-        default=False, description="whether the learner goes on learning in its test episodes"
-    )
+    tests: int = Field(default=0, ge=0, description="number of tests after each episode; they do not explore")
+    tests_learn: bool = Field(default=False, description="whether the learner keeps learning in its tests")
     target_return: float | None = Field(
         default=None,
         description="return that all test episodes after a training episode have to exceed; null for none",
@@ -91,7 +81,7 @@ class Learning(ExperimentSettings, frozen=True):
     )
     map_resolution: int = Field(default=48, ge=2, description="number of cells of a map along each dimension")
     saved: str | None = Field(
-        default=None, description="folder of saved learners to start from; null for a new learner"
+        default=None, description="folder of saved learners to start from; null for none"
     )
     saved_run: int = Field(default=0, ge=0, description="run whose learner is taken from saved")
 
@@ -120,7 +110,6 @@ class Trajectories(ExperimentSettings, frozen=True):
     """A gallery of the trajectories of one family, all from one pose (thesis, Fig. 4.2)."""
 
     target: ClassVar[str] = "bojax.experiments.trajectories:TrajectoryGallery"
-
     kind: Literal["trajectories"] = "trajectories"
     motions: Annotated[Component, Slot("motions")] = Field(
         default=KernelTrajectories(), description="family of trajectories"

@@ -18,7 +18,7 @@ class StepRows(eqx.Module):
     Attributes:
         observations: Space of observations.
         actions: Space of actions.
-        frame_size: Size of `Env.frame`; 0 if there is none.
+        frame_size: Size of `Env.frame`; 0 without one.
         dtype: Precision of the rows; integers below 2^24 are exact.
     """
 

@@ -54,7 +54,7 @@ class Visits(eqx.Module):
         """The visits after an episode.
 
         Args:
-            unit: Observations in which its steps were taken, mapped to [0, 1].
+            unit: Observations before its steps, mapped to [0, 1].
             length: Number of its steps; later rows do not count.
         """
         resolution = self.seen.shape[0]

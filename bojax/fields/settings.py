@@ -41,7 +41,6 @@ class Bumps(FieldSettings, frozen=True):
     """A sum of Gaussian bumps and pits."""
 
     target: ClassVar[str] = "bojax.fields.closed_form:Bumps"
-
     kind: Literal["bumps"] = "bumps"
     heights: tuple[float, ...] = Field(
         default=(1.0,), strict=False, min_length=1, description="heights of the bumps; negative for a pit"
@@ -73,23 +72,17 @@ class Step(FieldSettings, frozen=True):
     """A smooth step across a straight line (thesis, Fig. 3.1)."""
 
     target: ClassVar[str] = "bojax.fields.closed_form:Step"
-
     kind: Literal["step"] = "step"
     point: Pair = Field(default=(0.0, 0.0), description="a point on the line, [x, y], m")
-    direction: float = Field(
-        default=math.pi / 4, description="direction in which the field rises, across the line, rad"
-    )
+    direction: float = Field(default=math.pi / 4, description="direction of the rise, across the line, rad")
     height: float = Field(default=1.0, description="half the difference between the two levels")
-    width: float = Field(
-        default=0.5, gt=0, description="width of the transition, m; the slope on the line is height / width"
-    )
+    width: float = Field(default=0.5, gt=0, description="width, m; the slope on the line is height / width")
 
 
 class Blocks(FieldSettings, frozen=True):
     """Axis-parallel blocks with sharp edges on a floor of height 0 (thesis, Section 3.5.2)."""
 
     target: ClassVar[str] = "bojax.fields.blocks:Blocks"
-
     kind: Literal["blocks"] = "blocks"
     boxes: tuple[Box, ...] = Field(
         default=((0.0, 0.0, 1.0, 1.0),),
@@ -125,9 +118,7 @@ class Blocks(FieldSettings, frozen=True):
 
 
 class _Measured(FieldSettings, frozen=True):
-    file: str = Field(
-        min_length=1, description="path of a .npy or .csv file, relative to the working directory"
-    )
+    file: str = Field(min_length=1, description="a .npy or .csv file, relative to the working directory")
     extent: Box = Field(
         description="area of the data, [x_min, y_min, x_max, y_max], m; of a grid, the positions of the "
         "outermost points"
@@ -164,7 +155,6 @@ class Grid(_Measured, frozen=True):
     """Values on a regular grid; the first axis is y, the second x, both increasing."""
 
     target: ClassVar[str] = "bojax.fields.measured:GridField"
-
     kind: Literal["grid"] = "grid"
 
     @override
@@ -177,7 +167,6 @@ class Scattered(_Measured, frozen=True):
     """Linear interpolation of measurements at scattered points: rows of x, y and value."""
 
     target: ClassVar[str] = "bojax.fields.measured:ScatteredField"
-
     kind: Literal["scattered"] = "scattered"
     resolution: Annotated[int, CELLS.bound(square)] = Field(
         default=101,

@@ -42,7 +42,7 @@ def td_errors(
 
     Args:
         rewards: Rewards of successive episodes.
-        values: Values V of the states in which the steps were taken.
+        values: Values V of the states before the steps.
         is_last: Whether a step is the last of its episode.
         discount: Discount gamma.
     """
@@ -56,7 +56,7 @@ class LinearBaseline(eqx.Module):
     The baseline of rllab (Duan et al., ICML 2016), with the features o, o^2, t/100, (t/100)^2, (t/100)^3 and
     1; observations are clipped to [-10, 10]. That code adds 1e-5 to the diagonal of the normal equations and
     solves them by a singular value decomposition. Here the features are scaled to a mean square of 1 first,
-    so that a Cholesky factor exists in single precision too.
+    so that a Cholesky factor exists even in single precision.
 
     Attributes:
         weights: Weight of each feature.

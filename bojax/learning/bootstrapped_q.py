@@ -26,7 +26,7 @@ class Bootstrap(eqx.Module):
 
 
 class BootstrappedQ(QNetworkLearner):
-    """Thompson sampling with K Q-networks, of which one, drawn at random, acts for a whole episode.
+    """Thompson sampling with K Q-networks: one, drawn at random, acts for a whole episode.
 
     Head k is Q_k = f_k + `prior_scale` p_k, where the prior p_k is a random network that never changes. It
     learns from the transitions of its mask, each with probability `mask_probability`, by Q-learning with a

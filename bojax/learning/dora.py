@@ -28,7 +28,7 @@ class DORAState(eqx.Module):
         table: Indices of the tiles seen so far.
         weights: Weights of Q and of the E-values.
         actions: The actions.
-        scale: Factor of each observation, by which a tile has side 1.
+        scale: Factor of each observation that gives a tile side 1.
         next_action: Index of the action that was chosen for the next training step; -1 before an episode.
     """
 

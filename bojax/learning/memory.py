@@ -16,7 +16,7 @@ T = TypeVar("T")
 
 
 class Memory(eqx.Module):
-    """Up to C transitions (s, a, r, s'), in the order in which they were observed.
+    """Up to C transitions (s, a, r, s'), in the order of their observation.
 
     Attributes:
         observations: Observations of s, `[C, ...]`.

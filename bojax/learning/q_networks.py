@@ -32,7 +32,7 @@ class Batch(eqx.Module):
         reward: Rewards.
         next_x: Inputs of the next states.
         continues: 1, or 0 where the next state is terminal.
-        index: Positions of the transitions in the order in which they were observed.
+        index: Positions of the transitions in the memory.
     """
 
     x: Float[Array, "B I"]
@@ -56,7 +56,7 @@ class QNetworkState(eqx.Module):
         memory: All transitions of the run, with the indices of actions.
         index: Positions in the memory of the transitions of the next gradient step.
         is_due: Whether a transition was observed since the last gradient step.
-        extra: Further state of the method.
+        extra: Method-specific state.
     """
 
     observations: Space
@@ -74,7 +74,7 @@ class QNetworkState(eqx.Module):
 class QNetworkLearner(Learner):
     """A learner with networks on a grid of actions.
 
-    A subclass defines its networks, their loss, its further state, and its policy.
+    A subclass defines its networks, their loss, its own state, and its policy.
     """
 
     discount: Float[Array, ""]
@@ -92,7 +92,7 @@ class QNetworkLearner(Learner):
 
     @abc.abstractmethod
     def initial_extra(self, key: Key[Array, ""]) -> PyTree:
-        """Further state of the method, at the beginning of a run."""
+        """Method-specific state at the beginning of a run."""
 
     @abc.abstractmethod
     def loss(self, trained: PyTree, state: QNetworkState, batch: Batch) -> Float[Array, ""]:
@@ -100,7 +100,7 @@ class QNetworkLearner(Learner):
 
     @abc.abstractmethod
     def extra_after(self, state: QNetworkState, next_x: Float[Array, "I"]) -> PyTree:
-        """Further state of the method, after a step to a state with inputs `next_x`."""
+        """Method-specific state after observing next-state inputs `next_x`."""
 
     # The interface of a learner.
 

@@ -33,7 +33,7 @@ class Normaliser(eqx.Module):
     squares: Float[Array, ""]
 
     def after(self, bonus: Float[Array, ""], discount: Float[Array, ""]) -> "Normaliser":
-        """The moments with the sum after one more bonus."""
+        """Update the running moments with one bonus."""
         total, count = discount * self.total + bonus, self.count + 1.0
         difference = total - self.mean
         mean = self.mean + difference / count
@@ -65,7 +65,7 @@ class RND(QNetworkLearner):
     values, predicts the outputs of a random network at s'. The bonus is small where states are often seen. As
     in the paper, it is divided by the running standard deviation of its discounted sums, and U is
     bootstrapped past the end of an episode. Bonuses are computed anew in every gradient step. The TD target
-    of Q takes the maximum of Q at s', that of U the action argmax Q + kappa U.
+    of Q takes the maximum of Q at s', and the target of U the action argmax Q + kappa U.
 
     Deviations from the paper: Q-learning instead of PPO, and observations scaled by their declared bounds
     instead of running moments.

@@ -21,14 +21,11 @@ class RandomFourierFeatures(FeatureSettings, frozen=True):
     """Random Fourier features of a stationary kernel over state and action (thesis, equation 2.33)."""
 
     target: ClassVar[str] = "bojax.learning.features:RandomFourierSpec"
-
     kind: Literal["random-fourier"] = "random-fourier"
     state_lengthscale: float = Field(
         default=0.3, gt=0, description="lengthscale along each observation, in units of its range (Table 5.2)"
     )
-    action_lengthscale: float = Field(
-        default=0.3, gt=0, description="lengthscale along each action dimension, in units of its range"
-    )
+    action_lengthscale: float = Field(default=0.3, gt=0, description="the same along each action dimension")
     num_features: int = Field(default=300, ge=2, multiple_of=2, description="number of features (M), even")
     kernel: Literal["rbf", "matern12", "matern32", "matern52"] = Field(
         default="rbf", description="kernel that the features approximate"
@@ -49,7 +46,6 @@ class FourierBasisFeatures(FeatureSettings, frozen=True):
     """The Fourier basis over state and action (thesis, equation 5.23)."""
 
     target: ClassVar[str] = "bojax.learning.features:FourierBasisSpec"
-
     kind: Literal["fourier-basis"] = "fourier-basis"
     order: int = Field(
         default=3,
@@ -62,7 +58,6 @@ class Indicators(FeatureSettings, frozen=True):
     """One-hot features: one for each pair of a discrete state and a discrete action."""
 
     target: ClassVar[str] = "bojax.learning.features:OneHotSpec"
-
     kind: Literal["indicators"] = "indicators"
 
 
@@ -92,7 +87,7 @@ _Block = Annotated[
     int, Field(ge=1, description="number of steps between two checks of whether the episode has ended")
 ]
 
-# Settings in which the two kinds of EMU-Q differ.
+# Settings that differ between the two kinds of EMU-Q.
 _RewardOrder = Annotated[
     Literal["before", "after"],
     Field(
@@ -149,9 +144,7 @@ class _EMUQ(LearnerSettings, frozen=True):
         description="whether candidates and mean actions are drawn once for a run, by a scrambled Halton "
         "sequence, or anew at each use, uniformly (published code)",
     )
-    refine_steps: int = Field(
-        default=0, ge=0, description="number of steps of a pattern search around the best candidate"
-    )
+    refine_steps: int = Field(default=0, ge=0, description="pattern search steps around the best candidate")
     reward_order: _RewardOrder = "before"
     terminal_q: _TerminalQ = "zero"
     terminal_u: _TerminalU = "absorbing"
@@ -208,7 +201,6 @@ class RFFQ(LearnerSettings, frozen=True):
     """Epsilon-greedy Q-learning on linear features (thesis, Sections 5.6.4 and 5.7)."""
 
     target: ClassVar[str] = "bojax.learning.rff_q:RFFQ"
-
     kind: Literal["rff-q"] = "rff-q"
     features: _Features = RandomFourierFeatures()
     learning_rate: float = Field(default=0.5, gt=0, description="learning rate of the gradient descent")
@@ -228,7 +220,6 @@ class DORA(LearnerSettings, frozen=True):
     """Q-learning on tiles, explored by E-values (Fox et al., ICLR 2018; thesis, Section 5.7.2)."""
 
     target: ClassVar[str] = "bojax.learning.dora:DORA"
-
     kind: Literal["dora"] = "dora"
     policy: Literal["lll", "epsilon-greedy"] = Field(
         default="lll",
@@ -236,14 +227,8 @@ class DORA(LearnerSettings, frozen=True):
         "published code)",
     )
     temperature: float = Field(default=0.5, ge=0, description="weight of log(-log E) in the policy lll")
-    epsilon: float = Field(
-        default=0.3, ge=0, le=1, description="probability of a random action in the policy epsilon-greedy"
-    )
-    xi: float = Field(
-        default=1.0,
-        ge=0,
-        description="weight of the bonus log(1 - alpha_E) / log E in the reward; 0 for none",
-    )
+    epsilon: float = Field(default=0.3, ge=0, le=1, description="share of random actions if epsilon-greedy")
+    xi: float = Field(default=1.0, ge=0, description="weight of the reward bonus log(1 - alpha_E) / log E")
     learning_rate: float = Field(
         default=0.1, gt=0, le=1, description="learning rate of Q, divided by the number of tilings"
     )
@@ -264,15 +249,9 @@ class DORA(LearnerSettings, frozen=True):
         description="where updates of E before the end of an episode take the derivative of the sigmoid: at E"
         " (published code), or at the summed weights, as would be right",
     )
-    initial_weight: float = Field(
-        default=0.01, ge=0, description="standard deviation of the initial weights of Q"
-    )
-    num_tilings: int = Field(
-        default=8, ge=1, description="number of tilings, and of tiles along the range of an observation"
-    )
-    num_indices: int = Field(
-        default=2048, ge=1, description="number of weights; tiles beyond this number share them, by a hash"
-    )
+    initial_weight: float = Field(default=0.01, ge=0, description="standard deviation of Q's initial weights")
+    num_tilings: int = Field(default=8, ge=1, description="number of tilings, and of tiles along a range")
+    num_indices: int = Field(default=2048, ge=1, description="number of weights; further tiles share by hash")
     actions_per_dimension: _ActionsPerDimension = 3
     block: _Block = 16
 
@@ -281,14 +260,9 @@ class VIME(LearnerSettings, frozen=True):
     """TRPO with rewards for information gain about the dynamics (Houthooft et al., NeurIPS 2016)."""
 
     target: ClassVar[str] = "bojax.learning.vime:VIME"
-
     kind: Literal["vime"] = "vime"
-    eta: float = Field(
-        default=1e-4, ge=0, description="weight of the bonus, whose median is about 1, in the rewards"
-    )
-    iteration_steps: int = Field(
-        default=5000, ge=1, description="steps that whole episodes must have together for an iteration"
-    )
+    eta: float = Field(default=1e-4, ge=0, description="weight of the bonus (median about 1) in rewards")
+    iteration_steps: int = Field(default=5000, ge=1, description="steps of whole episodes for an iteration")
     longest_episode: int = Field(
         default=500,
         ge=1,
@@ -302,21 +276,13 @@ class VIME(LearnerSettings, frozen=True):
         gt=0,
         description="initial standard deviation of continuous actions, in units of half their range; learned",
     )
-    max_kl: float = Field(
-        default=0.01, gt=0, description="bound of the KL divergence between successive policies"
-    )
-    trace_decay: float = Field(
-        default=1.0, ge=0, le=1, description="decay of generalised advantage estimation (lambda)"
-    )
+    max_kl: float = Field(default=0.01, gt=0, description="bound of the KL divergence of successive policies")
+    trace_decay: float = Field(default=1.0, ge=0, le=1, description="decay of advantage estimation (lambda)")
     damping: float = Field(default=1e-5, ge=0, description="damping of the policy's Fisher matrix")
     cg_steps: int = Field(default=10, ge=1, description="number of steps of the conjugate gradient method")
     backtracks: int = Field(default=15, ge=1, description="number of attempts of the line search")
-    backtrack_ratio: float = Field(
-        default=0.8, gt=0, lt=1, description="factor of the step from one attempt to the next"
-    )
-    model_units: int = Field(
-        default=32, ge=1, description="number of rectified units of the model of the dynamics"
-    )
+    backtrack_ratio: float = Field(default=0.8, gt=0, lt=1, description="factor of the step per attempt")
+    model_units: int = Field(default=32, ge=1, description="number of rectified units of the dynamics model")
     prior_deviation: float = Field(
         default=0.5, gt=0, description="prior and initial standard deviation of the model's weights"
     )
@@ -325,30 +291,18 @@ class VIME(LearnerSettings, frozen=True):
         gt=0,
         description="standard deviation of the model's likelihood, for standardised outputs",
     )
-    num_samples: int = Field(
-        default=10, ge=1, description="number of draws of the model's outputs in its likelihood"
-    )
-    num_batches: float = Field(
-        default=5.0, gt=0, description="divisor of the KL divergence from the prior in the model's loss"
-    )
+    num_samples: int = Field(default=10, ge=1, description="number of model draws in the likelihood")
+    num_batches: float = Field(default=5.0, gt=0, description="divisor of the KL term in the model's loss")
     model_learning_rate: float = Field(
         default=1e-3, gt=0, description="learning rate of Adam for the model; 1e-4 in the published script"
     )
     model_updates: int = Field(default=500, ge=1, description="number of updates of the model per iteration")
     model_batch: int = Field(default=10, ge=1, description="number of transitions of an update of the model")
-    pool_size: int = Field(
-        default=100_000, ge=1, description="number of transitions from which those of updates are drawn"
-    )
-    min_pool: float = Field(
-        default=500, ge=0, description="number of transitions in the pool before the model is updated"
-    )
-    gain_step: float = Field(
-        default=0.01, gt=0, description="size of the step whose information gain is the bonus (lambda)"
-    )
+    pool_size: int = Field(default=100_000, ge=1, description="number of transitions to draw updates from")
+    min_pool: float = Field(default=500, ge=0, description="transitions in the pool before the first update")
+    gain_step: float = Field(default=0.01, gt=0, description="step size of the information gain (lambda)")
     max_bonus: float = Field(default=1000.0, gt=0, description="bound of the bonus before it is normalised")
-    num_medians: int = Field(
-        default=10, ge=1, description="number of iterations over whose medians the bonus is normalised"
-    )
+    num_medians: int = Field(default=10, ge=1, description="number of medians that normalise the bonus")
     block: _Block = 16
 
 
@@ -361,7 +315,7 @@ class _QNetworks(LearnerSettings, frozen=True):
         default=0.01,
         gt=0,
         le=1,
-        description="share by which the slow copy of the networks approaches them in each gradient step",
+        description="step size of the slow copy of the networks towards them, per gradient step",
     )
     width: int = Field(default=64, ge=1, description="number of units of a hidden layer")
     depth: Annotated[int, LEVELS.bound()] = Field(default=2, ge=1, description="number of hidden layers")
@@ -375,10 +329,9 @@ class _QNetworks(LearnerSettings, frozen=True):
 
 
 class BootstrappedQ(_QNetworks, frozen=True):
-    """Q-networks with random priors, of which one acts for an episode (Osband et al., NeurIPS 2018)."""
+    """Q-networks with random priors; a random one acts for an episode (Osband et al., NeurIPS 2018)."""
 
     target: ClassVar[str] = "bojax.learning.bootstrapped_q:BootstrappedQ"
-
     kind: Literal["bootstrapped-q"] = "bootstrapped-q"
     prior_scale: float = Field(default=3.0, ge=0, description="factor of the prior networks; 0 for none")
     mask_probability: float = Field(
@@ -391,7 +344,6 @@ class RND(_QNetworks, frozen=True):
     """Q-networks explored by the error of predicting a random network (Burda et al., ICLR 2019)."""
 
     target: ClassVar[str] = "bojax.learning.rnd:RND"
-
     kind: Literal["rnd"] = "rnd"
     kappa: float = Field(default=1.0, ge=0, description="weight of U in the policy")
     epsilon: _Epsilon = 0.1
@@ -411,7 +363,6 @@ class FirstVisit(ExplorationRewardSettings, frozen=True):
     """0 for the first visit of a state-action pair, -1 for later visits (thesis, p. 118)."""
 
     target: ClassVar[str] = "bojax.learning.exploration_rewards:FirstVisit"
-
     kind: Literal["first-visit"] = "first-visit"
 
 
@@ -419,19 +370,14 @@ class NextUncertainty(ExplorationRewardSettings, frozen=True):
     """Mean uncertainty 1 / sqrt(1 + visits) of the next state's actions, minus 1 (thesis, equation 5.9)."""
 
     target: ClassVar[str] = "bojax.learning.exploration_rewards:NextUncertainty"
-
     kind: Literal["next-uncertainty"] = "next-uncertainty"
 
 
 class _Tabular(LearnerSettings, frozen=True):
     """Settings of all tabular learners."""
 
-    learning_rate: float = Field(
-        default=0.1, ge=0, le=1, description="fraction of the TD error by which a value is updated"
-    )
-    initial_q: float = Field(
-        default=0.0, description="initial Q; optimistic if above the largest possible return"
-    )
+    learning_rate: float = Field(default=0.1, ge=0, le=1, description="learning rate of the TD update")
+    initial_q: float = Field(default=0.0, description="initial Q; optimistic if above all possible returns")
     ties: Literal["random", "first"] = Field(
         default="random",
         description="how ties between the best actions are broken: uniformly at random, or by the lowest "
@@ -449,12 +395,9 @@ class ExplorationValues(_Tabular, frozen=True):
     """Q-learning with a second table U of exploration rewards; acts by argmax Q + kappa U (Algorithm 5)."""
 
     target: ClassVar[str] = "bojax.learning.tabular:ExplorationValues"
-
     kind: Literal["exploration-values"] = "exploration-values"
     kappa: float = Field(default=1.0, ge=0, description="weight of U in the policy")
-    initial_u: float = Field(
-        default=0.0, description="initial U; exploration rewards are at most 0, so 0 is optimistic"
-    )
+    initial_u: float = Field(default=0.0, description="initial U; 0 is optimistic, as r_e is at most 0")
     exploration_reward: _RewardOfExploration = FirstVisit()
     bootstrap: Literal["greedy-q", "policy", "max"] = Field(
         default="greedy-q",
@@ -473,7 +416,6 @@ class AdditiveRewards(_Tabular, frozen=True):
     """Q-learning of rewards plus xi times exploration rewards (thesis, equation 5.1)."""
 
     target: ClassVar[str] = "bojax.learning.tabular:AdditiveRewards"
-
     kind: Literal["additive"] = "additive"
     xi: float = Field(default=1.0, ge=0, description="weight of exploration rewards in the TD target")
     exploration_reward: _RewardOfExploration = FirstVisit()
@@ -483,7 +425,6 @@ class EpsilonGreedy(_Tabular, frozen=True):
     """Q-learning that takes a random action with probability epsilon."""
 
     target: ClassVar[str] = "bojax.learning.tabular:EpsilonGreedy"
-
     kind: Literal["epsilon-greedy"] = "epsilon-greedy"
     epsilon: _Epsilon = 0.1
 
@@ -500,7 +441,6 @@ class Constant(ScheduleSettings, frozen=True):
     """The same exploration in every episode."""
 
     target: ClassVar[str] = "bojax.learning.schedules:Constant"
-
     kind: Literal["constant"] = "constant"
 
 
@@ -508,7 +448,6 @@ class Decay(ScheduleSettings, frozen=True):
     """Exploration scaled by 1 / (1 + c t), with t the number of episodes before (thesis, p. 121)."""
 
     target: ClassVar[str] = "bojax.learning.schedules:Decay"
-
     kind: Literal["decay"] = "decay"
     rate: float = Field(default=0.1, ge=0, description="decay rate c, per episode")
 
@@ -517,7 +456,6 @@ class Linear(ScheduleSettings, frozen=True):
     """Exploration scaled from 1 down to a final share, linearly over a number of episodes."""
 
     target: ClassVar[str] = "bojax.learning.schedules:Linear"
-
     kind: Literal["linear"] = "linear"
     episodes: int = Field(default=100, ge=1, description="number of episodes over which exploration falls")
     final: float = Field(default=0.0, ge=0, le=1, description="share of exploration after these episodes")
@@ -527,7 +465,6 @@ class Budget(ScheduleSettings, frozen=True):
     """Exploration for a number of episodes, then none; optionally it resumes later (thesis, p. 119)."""
 
     target: ClassVar[str] = "bojax.learning.schedules:Budget"
-
     kind: Literal["budget"] = "budget"
     episodes: int = Field(default=30, ge=0, description="number of episodes with exploration")
     resume_after: int | None = Field(
@@ -535,25 +472,19 @@ class Budget(ScheduleSettings, frozen=True):
         ge=1,
         description="number of episodes without exploration before it resumes for good; null for never",
     )
-    learns_without: bool = Field(
-        default=False, description="whether the learner keeps learning while it does not explore"
-    )
+    learns_without: bool = Field(default=False, description="whether it keeps learning without exploring")
 
 
 class UntilTarget(ScheduleSettings, frozen=True):
     """Exploration until the test episodes reach their target return (thesis, p. 123)."""
 
     target: ClassVar[str] = "bojax.learning.schedules:UntilTarget"
-
     kind: Literal["until-target"] = "until-target"
-    learns_after: bool = Field(
-        default=False, description="whether the learner keeps learning after the target is reached"
-    )
+    learns_after: bool = Field(default=False, description="whether it keeps learning after the target")
 
 
 class Exploit(ScheduleSettings, frozen=True):
     """Neither exploration nor learning: the evaluation of a saved learner."""
 
     target: ClassVar[str] = "bojax.learning.schedules:Exploit"
-
     kind: Literal["exploit"] = "exploit"

@@ -35,7 +35,7 @@ class Tables(eqx.Module):
 
     @property
     def u(self) -> Float[Array, "*N S A"]:
-        """Expected exploration return of each action; 0 where the learner has none."""
+        """Expected exploration return of each action; 0 for a learner without U."""
         return self.columns[..., U] if self.columns.shape[-1] > 2 else jnp.zeros_like(self.q)
 
     @property

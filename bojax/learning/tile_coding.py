@@ -114,7 +114,7 @@ def tuple_hash(columns: list[Int[Array, "*N"]]) -> UInt32[Array, "*N"]:
 
 
 def is_first(index: Int[Array, "*N T"]) -> Bool[Array, "*N T"]:
-    """Whether an index does not occur earlier in its row: tiles that share an index count once."""
+    """Whether each index is its row's first occurrence, so that tiles hashed to one index count once."""
     earlier = jnp.tril(jnp.ones(2 * index.shape[-1:], bool), -1)
     is_equal = index[..., :, None] == index[..., None, :]
     return ~jnp.any(is_equal & jnp.broadcast_to(earlier, is_equal.shape), axis=-1)

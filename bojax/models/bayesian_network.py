@@ -22,7 +22,7 @@ Noise: TypeAlias = tuple[Float[Array, "..."], ...]
 
 
 class BayesianLayer(eqx.Module):
-    """Linear functions of the inputs with independent Gaussian weights, of which the last row are biases.
+    """Linear functions of the inputs with independent Gaussian weights; the last row are biases.
 
     Attributes:
         mean: Means of the weights.
@@ -40,7 +40,7 @@ class BayesianLayer(eqx.Module):
     def __call__(self, noise: Float[Array, "O"], inputs: Float[Array, "N I"]) -> Float[Array, "N O"]:
         """A draw of the outputs by local reparametrisation: their mean plus their deviation times the noise.
 
-        All rows share the noise, which is therefore not that of independent draws of the weights for each.
+        All rows share the noise; they are not independent draws of the weights.
         """
         inputs = jnp.concatenate([inputs, jnp.ones_like(inputs[:, :1])], axis=1)
         variance = matmul(inputs**2, self.deviation**2)

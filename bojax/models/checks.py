@@ -24,7 +24,7 @@ Numbers: TypeAlias = np.ndarray | np.generic | Sequence[Any] | float | int
 
 
 def precision(*trees: PyTree) -> Any:
-    """Data type of the first floating-point array in the trees, or JAX's default if there is none."""
+    """Data type of the first floating-point array in the trees; without one, JAX's default."""
     leaves = (leaf for leaf in jax.tree.leaves(trees) if eqx.is_inexact_array(leaf))
     return next((jax.dtypes.canonicalize_dtype(leaf.dtype) for leaf in leaves), jnp.result_type(float))
 
@@ -57,7 +57,7 @@ def to_points(name: str, given: Any, dtype: Any, num_dims: int | None = None) ->
 def to_data(
     features: Any, targets: Any, dtype: Any = None
 ) -> tuple[Float[Array, "N M"], Float[Array, "N *K"]]:
-    """Features and targets as arrays of a precision, by default that of the features.
+    """Features and targets as arrays of a precision, by default the features' own.
 
     Raises:
         ValueError: They are not arrays of real numbers, or there are not as many targets as rows of features.

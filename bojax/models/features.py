@@ -48,7 +48,7 @@ class Features(eqx.Module):
         """The features of one input."""
 
     def design(self, xs: Float[Array, "N D"] | Numbers) -> Float[Array, "N M"]:
-        """The design matrix: a row of features for each input; inputs may also be lists."""
+        """The design matrix: a row of features for each input (an array or lists)."""
         return jax.vmap(self)(to_points("xs", xs, precision(self, xs)))
 
 
@@ -57,7 +57,7 @@ class RandomFourier(Features):
 
     M/2 frequencies w, drawn from the kernel's spectral density, give the M features a cos(w'x) and
     a sin(w'x), with a^2 = 2 k(x, x) / M, so that phi(x)'phi(x) = k(x, x) exactly. Equation 2.33 is printed
-    with another scale. The thesis also prints N(0, 2 I / lengthscale^2) as the spectral density of the RBF
+    with another scale. The thesis prints N(0, 2 I / lengthscale^2) as the spectral density of the RBF
     kernel; it is N(0, I / lengthscale^2).
 
     Attributes:

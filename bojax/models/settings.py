@@ -7,7 +7,7 @@ from pydantic import Field, PlainSerializer, PlainValidator
 from bojax.config.component import Component, Slot
 
 LEAST, GREATEST = 1e-15, 1e15
-"""Range of lengthscales and variances: between them, means and variances are finite in 32-bit numbers too."""
+"""Range of lengthscales and variances: between them, means and variances are finite even in 32 bits."""
 
 
 def _positive(value: Any) -> float | tuple[float, ...]:
@@ -72,7 +72,6 @@ class Scaled(KernelSettings, frozen=True):
     """A kernel times a constant."""
 
     target: ClassVar[str] = "bojax.models.kernels:Scaled"
-
     kind: Literal["scaled"] = "scaled"
     kernel: Annotated[Component, Slot("kernel")] = Field(default=RBF(), description="kernel to scale")
     variance: float = Field(
@@ -114,7 +113,6 @@ class ZeroMean(MeanSettings, frozen=True):
     """A prior mean of zero."""
 
     target: ClassVar[str] = "bojax.models.means:ZeroMean"
-
     kind: Literal["zero"] = "zero"
 
 
@@ -122,7 +120,6 @@ class ConstantMean(MeanSettings, frozen=True):
     """A constant prior mean."""
 
     target: ClassVar[str] = "bojax.models.means:ConstantMean"
-
     kind: Literal["constant"] = "constant"
     value: float = Field(default=0.0, description="prior mean, in units of the value")
 
@@ -131,7 +128,6 @@ class LinearMean(MeanSettings, frozen=True):
     """A prior mean that is linear in the input."""
 
     target: ClassVar[str] = "bojax.models.means:LinearMean"
-
     kind: Literal["linear"] = "linear"
     weights: tuple[float, ...] = Field(
         default=(0.0, 0.0), strict=False, min_length=1, description="slope along each dimension"

@@ -26,7 +26,7 @@ def construct(component: Component, dtype: str, locate: Locate = dotted, path: L
     arrays. Strings and null stay as they are.
 
     Args:
-        component: Validated settings, in which parts given by import path have been resolved.
+        component: Validated settings, with parts given by import path resolved.
         dtype: Precision of every number.
         locate: Formats the path of a setting for messages.
         path: Names of the settings that lead to the component.

@@ -22,7 +22,7 @@ def kernels_run_here() -> bool:
 
 
 def either(is_kernel: bool, kernel: Callable[..., T], otherwise: Callable[..., T], *args: jax.Array) -> T:
-    """`kernel(*args)` if `is_kernel`, else `otherwise(*args)`, which is also computed by the host's CPU."""
+    """`kernel(*args)` if `is_kernel`, else `otherwise(*args)`, as on the host's CPU."""
     if not is_kernel:
         return otherwise(*args)
     return jax.lax.platform_dependent(*args, cuda=kernel, default=otherwise)
@@ -46,9 +46,9 @@ def launch(
         name: Name of the kernel, for profilers.
         grid: Number of programs of a lane.
         warps: Number of warps of a program.
-        stages: Number of iterations of a loop of which Triton loads the operands at a time.
+        stages: Number of iterations of a loop whose operands Triton loads at a time.
     """
-    # Imported here, since it takes a second.
+    # Imported late: it takes a second.
     pallas = importlib.import_module("jax.experimental.pallas")
     triton = importlib.import_module("jax.experimental.pallas.triton")
     call = pallas.pallas_call(

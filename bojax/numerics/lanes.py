@@ -50,7 +50,7 @@ def _largest(x: Array) -> Array:
 
 
 def batched_together(tree: T) -> T:
-    """A tree of arrays, all of which are batched if any is.
+    """A tree of arrays, with all of them batched if any is.
 
     For the initial values of a loop whose body batches them all, which then compiles to the same program in
     less time: `vmap` batches the body of a loop to learn which of its results are batched, and again until no
@@ -62,7 +62,7 @@ def batched_together(tree: T) -> T:
 
 @jax.custom_jvp
 def _differentiable(arrays: Sequence[ArrayLike]) -> list[ArrayLike]:
-    """`_together` with its derivative, the identity: `custom_vmap` alone has none in reverse mode."""
+    """`_together` with its derivative, the identity: `custom_vmap` alone has no reverse mode."""
     return list(_together(*arrays))
 
 
@@ -110,7 +110,7 @@ def lane_by_lane_on_cpu(function: Callable[..., T], *arguments: Any) -> T:
     def _(num_lanes: int, is_batched: Sequence[bool], *leaves: ArrayLike):
         del num_lanes
         axes = [0 if batched else None for batched in is_batched]
-        # A batch of one lane, in which the axis has a name.
+        # A batch of one lane, whose axis has a name.
         one = jax.vmap(compute, axes, axis_name=LANES)
 
         def lane(own: Sequence[Array]) -> list[Array]:

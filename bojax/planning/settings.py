@@ -38,9 +38,7 @@ _Continuous = Annotated[Component, Slot("motions", only=ContinuousMotions), _Fam
 
 class _TreeSearch(PlannerSettings, frozen=True):
     iterations: int = Field(default=300, ge=1, description="simulations per plan")
-    depth: Annotated[int, LEVELS.bound()] = Field(
-        default=3, ge=1, description="actions from the root to the horizon"
-    )
+    depth: Annotated[int, LEVELS.bound()] = Field(default=3, ge=1, description="actions up to the horizon")
     exploration: float = Field(
         default=300.0,
         ge=0,
@@ -86,9 +84,7 @@ class _ContinuousBeliefTreeSearch(_TreeSearch, frozen=True):
         description="number of quasi-random candidates among which the acquisition is maximised, drawn anew"
         " for each plan",
     )
-    refine_steps: int = Field(
-        default=0, ge=0, description="number of gradient steps that refine the best candidate"
-    )
+    refine_steps: int = Field(default=0, ge=0, description="number of gradient steps from the best candidate")
 
 
 class KCBTS(_ContinuousBeliefTreeSearch, frozen=True):
@@ -148,7 +144,6 @@ class GpsAbt(_TreeSearch, frozen=True):
     """Tree search whose nodes refine their actions by generalised pattern search (ABT toolkit)."""
 
     target: ClassVar[str] = "bojax.planning.gps_abt:PatternSearch"
-
     kind: Literal["gps-abt"] = "gps-abt"
     exploration: float = Field(
         default=100.0,
@@ -166,14 +161,8 @@ class GpsAbt(_TreeSearch, frozen=True):
         ge=0,
         description="number of visits of every best point on the way before a stencil is refined",
     )
-    min_radius: float = Field(
-        default=0.1,
-        gt=0,
-        description="radius at and below which stencils are not refined; the box is [-1, 1]",
-    )
-    initial_radius: float = Field(
-        default=1.0, gt=0, description="radius of a node's initial stencil; the box is [-1, 1]"
-    )
+    min_radius: float = Field(default=0.1, gt=0, description="largest radius of stencils not refined")
+    initial_radius: float = Field(default=1.0, gt=0, description="initial radius; the box is [-1, 1]")
     max_levels: int = Field(default=6, ge=1, description="largest number of stencils on a descent")
     num_rollout_paths: int = Field(
         default=128,
@@ -191,6 +180,5 @@ class Random(PlannerSettings, frozen=True):
     """Trajectories drawn at random."""
 
     target: ClassVar[str] = "bojax.planning.random:RandomPlanner"
-
     kind: Literal["random"] = "random"
     motions: Annotated[Component, Slot("motions"), _Family] = Splines()

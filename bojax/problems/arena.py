@@ -12,7 +12,7 @@ from bojax.numerics.angles import wrap_to_2pi
 from bojax.problems.walls import Boxes, Drive, drive_until_blocked, is_free
 
 START_TRIES = 256
-"""Number of random poses of which the first free one is a random start."""
+"""Number of random poses that a random start is searched in: the first free one."""
 
 
 class Arena(eqx.Module):
@@ -67,7 +67,7 @@ class Arena(eqx.Module):
         )
 
     def reaches_target(self, driven: Drive) -> Bool[Array, ""]:
-        """Whether a drive passes through the target area; false if there is none."""
+        """Whether a drive passes through the target area; false without one."""
         if self.target_area is None:
             return jnp.zeros((), bool)
         points, low, high = driven.poses[:, :2], self.target_area[None, :2], self.target_area[None, 2:]

@@ -71,7 +71,7 @@ class Simulation(eqx.Module):
 
 
 class Problem(eqx.Module):
-    """A partially observable planning problem in which the actions of a robot are paths.
+    """A partially observable planning problem with paths of a robot as actions.
 
     Paths are given in the robot's frame; the problem transforms them to the world frame. `simulate` takes a
     whole action sequence, so that a problem can evaluate a node and its rollout at once.

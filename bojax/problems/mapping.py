@@ -21,13 +21,13 @@ CORNER = 0.2
 """Side of a corner region, as a share of the side of the domain."""
 
 SPARSE = 0.25
-"""Share of the area, farthest from all samples, in which data count as sparse."""
+"""Share of the area, farthest from all samples, where data count as sparse."""
 
 EDGE = 0.1
-"""Distance from the border of a prop within which a point counts as at an edge, in metres."""
+"""Largest distance of a point at an edge from the border of a prop, in metres."""
 
 AROUND = 0.2
-"""Distance from a prop within which its reconstruction is compared with it, in metres."""
+"""Largest distance of points that a prop is compared with its reconstruction at, in metres."""
 
 MAP_COLUMNS: Table = (
     Column("offset", "float64", "m", "mean error of the final map; positive where it is too high"),
@@ -142,7 +142,7 @@ class PropMapping(FieldProblem):
     """Learn the heights of a floor with sharp-edged props (thesis, Section 3.5.2).
 
     The scores of `HeightMapping` are complemented by `PROP_COLUMNS`. A point is at an edge within 0.1 m of
-    the border of a prop. A prop is found if, within 0.2 m of it, the region in which the map exceeds half its
+    the border of a prop. A prop is found if, within 0.2 m of it, the region where the map exceeds half its
     height overlaps the prop by more than half of their union; regions covered by other props do not count.
     With `map_kernel`, the map that is scored and recorded is made from the samples of the flight with this
     kernel, as in Fig. 3.8, while the flight is planned with `kernel`.
@@ -224,7 +224,7 @@ def map_score(problem: FieldProblem, belief: FieldBelief, final: Map) -> dict[st
     truth = problem.field.values(final.points)
     spread = _rms(final.error, final.is_open)
     relief = _rms(truth - _mean(truth, final.is_open), final.is_open)
-    # Rounding would give a flat field a relief, by which nothing can be divided.
+    # Rounding would give a flat field a relief that nothing can be divided by.
     highest = jnp.max(truth, where=final.is_open, initial=-jnp.inf)
     is_flat = highest <= jnp.min(truth, where=final.is_open, initial=jnp.inf)
     corners = final.is_open[None] & _corners(final.points, problem.domain)

@@ -35,7 +35,7 @@ class Outcome(eqx.Module):
 class PoseProblem(Problem):
     """A problem defined by its initial pose and the outcome of a path, which subclasses implement.
 
-    The planner knows the model, in which paths are followed exactly, and observes the pose with Gaussian
+    The planner's model follows paths exactly. It observes the pose with Gaussian
     noise. Its belief is the last measurement, which simulations treat as the true pose. In the world, the
     `vehicle` follows the paths, by default exactly.
     """

@@ -31,7 +31,6 @@ class Gradient(ObjectiveSettings, frozen=True):
     """Norm of the gradient plus kappa standard deviations (thesis, equation 3.2)."""
 
     target: ClassVar[str] = "bojax.problems.objectives:GradientObjective"
-
     kind: Literal["gradient"] = "gradient"
     kappa: float = Field(default=5.0, ge=0, description="weight of the uncertainty")
 
@@ -40,7 +39,6 @@ class Value(ObjectiveSettings, frozen=True):
     """Mean plus kappa standard deviations (thesis, equation 4.11; SBO)."""
 
     target: ClassVar[str] = "bojax.problems.objectives:ValueObjective"
-
     kind: Literal["value"] = "value"
     kappa: float = Field(default=10.0, ge=0, description="weight of the uncertainty")
 
@@ -49,7 +47,6 @@ class Uncertainty(ObjectiveSettings, frozen=True):
     """The standard deviation alone (thesis, Section 3.5.1: the explorer)."""
 
     target: ClassVar[str] = "bojax.problems.objectives:UncertaintyObjective"
-
     kind: Literal["uncertainty"] = "uncertainty"
 
 
@@ -65,7 +62,6 @@ class Point(SensorSettings, frozen=True):
     """A sensor that measures the field at the robot's position."""
 
     target: ClassVar[str] = "bojax.problems.sensors:PointSensor"
-
     kind: Literal["point"] = "point"
 
 
@@ -73,13 +69,10 @@ class Range(SensorSettings, frozen=True):
     """A downward range finder that measures the height of the ground (thesis, p. 76-78)."""
 
     target: ClassVar[str] = "bojax.problems.sensors:RangeSensor"
-
     kind: Literal["range"] = "range"
     beam: float = Field(default=pi / 60, ge=0, lt=pi, description="full opening angle of the beam, rad")
     max_range: float = Field(default=5.0, gt=0, description="range, m; a larger distance reads as this one")
-    altitude_noise: float = Field(
-        default=0.02, ge=0, description="standard deviation of a measurement of the altitude, m"
-    )
+    altitude_noise: float = Field(default=0.02, ge=0, description="standard deviation of the altimeter, m")
     rays: int = Field(default=7, ge=1, description="number of rays in the beam")
     reading: Literal["mean", "minimum"] = Field(
         default="mean", description="statistic of the distances along the rays that is reported"
@@ -160,23 +153,17 @@ class _Parking(ProblemSettings, frozen=True):
 
     half_width: _HalfWidth = 4.0
     max_steps: _MaxSteps = 15
-    distance_tolerance: float = Field(
-        default=0.1, gt=0, description="largest distance of a parked robot from the goal, m"
-    )
+    distance_tolerance: float = Field(default=0.1, gt=0, description="largest distance of a parked robot, m")
     heading_tolerance: float = Field(
         default=pi / 10,
         gt=0,
         description="largest |sin| of the heading of a parked robot; the opposite heading is accepted too, "
         "as printed in (4.13)",
     )
-    bearing_tolerance: float = Field(
-        default=pi / 10, gt=0, description="largest |sin| of the bearing of a parked robot"
-    )
+    bearing_tolerance: float = Field(default=pi / 10, gt=0, description="largest |sin beta| when parked")
     success_reward: float = Field(default=1000.0, description="reward for parking")
     exit_reward: float = Field(default=-1000.0, description="reward for leaving the domain")
-    position_noise: float = Field(
-        default=0.02, ge=0, description="standard deviation of a position measurement per axis, m"
-    )
+    position_noise: float = Field(default=0.02, ge=0, description="standard deviation of measured x and y, m")
     heading_noise: float = Field(
         default=0.02, ge=0, description="standard deviation of a heading measurement, rad"
     )
@@ -185,17 +172,13 @@ class _Parking(ProblemSettings, frozen=True):
         description="the bearing (beta): direction of the robot seen from the spot, or of the spot relative "
         "to the robot's heading",
     )
-    success_needs_bearing: bool = Field(
-        default=False, description="whether parking also requires the bearing condition"
-    )
+    success_needs_bearing: bool = Field(default=False, description="whether parking needs the bearing")
     exit_terminates: bool = Field(
         default=True,
         description="whether leaving the domain ends the episode; otherwise exit_reward is paid each time "
         "that a path leads out of it",
     )
-    park_along_path: bool = Field(
-        default=True, description="whether any pose of a path can park the robot, not only its end"
-    )
+    park_along_path: bool = Field(default=True, description="whether every pose of a path can park")
     vehicle: _Vehicle = Exact()
 
     @property
@@ -246,27 +229,17 @@ class FieldProblem(ProblemSettings, frozen=True):
     kernel: Annotated[Component, Slot("kernel")] = Field(
         default=Scaled(kernel=RBF(lengthscale=1.0)), description="prior covariance of the field"
     )
-    mean: Annotated[Component, Slot("mean")] = Field(
-        default=ZeroMean(), description="prior mean of the field"
-    )
+    mean: Annotated[Component, Slot("mean")] = Field(default=ZeroMean(), description="field's prior mean")
     noise_variance: _NoiseVariance = 0.01
-    noise: float = Field(
-        default=0.1, ge=0, description="standard deviation of the observation noise in the world"
-    )
+    noise: float = Field(default=0.1, ge=0, description="standard deviation of the noise in the world")
     pose_noise: _PoseNoise = None
     vehicle: _Vehicle = Exact()
-    sensor: Annotated[Component, Slot("sensor")] = Field(
-        default=Point(), description="sensor that measures the field"
-    )
+    sensor: Annotated[Component, Slot("sensor")] = Field(default=Point(), description="sensor of the field")
     collision_reward: float = Field(default=-100.0, le=0, description="reward when a wall stops the robot")
     exit_reward: float = Field(default=-100.0, le=0, description="reward when the border stops the robot")
     max_steps: _MaxSteps = 25
     resolution: _Resolution = 31
-    relearn_every: int = Field(
-        default=0,
-        ge=0,
-        description="steps between updates of the belief's hyper-parameters; 0 for none",
-    )
+    relearn_every: int = Field(default=0, ge=0, description="steps between hyper-parameter updates; 0: none")
     relearn_spread: float = Field(
         default=0.5,
         gt=0,
@@ -362,9 +335,7 @@ class Monitoring(FieldProblem, frozen=True):
 
 class _Gradients(FieldProblem, frozen=True):
     objective: _Task = Gradient(kappa=5.0)
-    exit_reward: float = Field(
-        default=0.0, le=0, description="reward when the border stops the robot; Chapter 3 has no such cost"
-    )
+    exit_reward: float = Field(default=0.0, le=0, description="reward at the border; none in Chapter 3")
     weighting: _Weighting = "gradient"
 
 
@@ -397,9 +368,7 @@ class SpaceModelling(FieldProblem, frozen=True):
 
 class _Heights(_Gradients, frozen=True):
     vehicle: _Vehicle = Quadrotor(altitude=2.0)
-    sensor: Annotated[Component, Slot("sensor")] = Field(
-        default=Range(), description="sensor that measures the heights"
-    )
+    sensor: Annotated[Component, Slot("sensor")] = Field(default=Range(), description="sensor of heights")
     noise: float = Field(default=0.04, ge=0, description="standard deviation of a range measurement, m")
     pose_noise: _PoseNoise = (0.02, 0.02)
 
@@ -408,7 +377,6 @@ class HillyTerrain(_Heights, frozen=True):
     """Map a terrain with hills from the air (thesis, Section 3.5.1, Fig. 3.5)."""
 
     target: ClassVar[str] = "bojax.problems.mapping:HeightMapping"
-
     kind: Literal["hilly-terrain"] = "hilly-terrain"
     field: Annotated[Component, Slot("field")] = Field(
         default=Bumps(
@@ -433,7 +401,6 @@ class IndoorProps(_Heights, frozen=True):
     """Map a room with sharp-edged props from the air (thesis, Section 3.5.2, Figs. 3.7 and 3.8)."""
 
     target: ClassVar[str] = "bojax.problems.mapping:PropMapping"
-
     kind: Literal["indoor-props"] = "indoor-props"
     field: Annotated[Component, Slot("field", only=Blocks)] = Field(
         default=Blocks(
@@ -455,10 +422,7 @@ class IndoorProps(_Heights, frozen=True):
     map_kernel: Annotated[
         Component | None,
         Slot("kernel", optional=True),
-        Field(
-            description="prior covariance with which the final map is made from the samples of the flight; "
-            "null for that of planning"
-        ),
+        Field(description="prior covariance of the final map of the flight's samples; null for `kernel`"),
     ] = None
     noise_variance: _NoiseVariance = 0.0025
     max_steps: _MaxSteps = 15

@@ -371,7 +371,7 @@ def test_numbers_that_make_no_sense_are_refused():
     box = {"low": [-1.0, -1.0], "high": [1.0, 1.0], "noise_variance": 0.1, "kernel": RBF(0.5)}
     sizes = {"capacity": 1, "num_candidates": 1, "num_initial": 1, "refine_steps": 0, "relearn_every": 0}
     noise = "allowed: a number >= 0, representable in float64"
-    single = "kernel.lengthscale: got float32; allowed: float64, that of `low`"
+    single = "kernel.lengthscale: got float32; allowed: float64, as `low`"
     settings = [
         ({"kernel": RBF([0.5] * 3)}, r"kernel: does not accept points of dimension 2 \(those of the box\)"),
         ({"kernel": RBF(0.0)}, "kernel.lengthscale: got 0; allowed: > 0"),

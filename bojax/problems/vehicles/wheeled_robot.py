@@ -27,10 +27,10 @@ STOPPING_DISTANCE = 0.01
 class WheeledRobot(SimulatedVehicle):
     """A car that drives along a path at constant speed, slows down before the end, and waits there.
 
-    MJX simulates the robot with a step of 10 ms. Its pose is that of the midpoint of the rear axle, which
-    moves along the heading. A tracking system measures the pose every `substeps` simulation steps; the robot
-    steers by pure pursuit of the path, which is placed at the first measurement. Every path takes the same
-    time. A robot that has not completed the path by then stays where it is, and may still be rolling.
+    MJX simulates the robot with a step of 10 ms. Its position is the midpoint of the rear axle, which moves
+    along the heading. A tracking system measures the pose every `substeps` simulation steps; the robot steers
+    by pure pursuit of the path, which is placed at the first measurement. Every path takes the same time. A
+    robot that has not completed the path by then stays where it is, and may still be rolling.
 
     The tracked poses are those at the first measurement at which the robot has passed the corresponding pose
     of the path; the last one is the final pose. The robot cannot turn on the spot: the desired final heading
