@@ -22,6 +22,7 @@ from bojax.models.checks import (
     check_number,
     check_positive,
     check_takes,
+    compiled_if_known,
     is_known,
     to_numbers,
     to_points,
@@ -33,8 +34,7 @@ from bojax.models.means import ConstantMean, Mean, ZeroMean
 from bojax.models.names import by_name
 from bojax.numerics.quasirandom import shifted_kronecker
 
-PRIOR_SPREAD = 1.5
-"""Default of `prior_spread`."""
+PRIOR_SPREAD = 1.5  # default of `prior_spread`
 
 NOISE_SPREAD_BELOW = 20.0
 """Standard deviation of the noise's prior below its median, in units of `prior_spread`: an objective without
@@ -75,8 +75,7 @@ class BayesianOptimisation(eqx.Module):
     mean of the standardised values is learned with them. If `tell` is vmapped over states, every lane
     computes this at every step; `maximise` does not.
 
-    An evaluation whose value or point is not finite is missing and does not enter the model. The model would
-    ask for nearly the same point again, so the next point is quasi-random.
+    An evaluation whose value or point is not finite is missing and does not enter the model.
 
     `ask` and `tell` are compiled by themselves, once for all optimisations of the same sizes, and take Python
     numbers, lists and arrays.
@@ -111,11 +110,7 @@ class BayesianOptimisation(eqx.Module):
     prior_spread: float = eqx.field(static=True, default=PRIOR_SPREAD)
 
     def __check_init__(self):
-        """Check the classes and the common precision of the parts, the sizes, and the box.
-
-        Raises:
-            ValueError: A value is not allowed.
-        """
+        """Check the parts, their common precision, the sizes and the box, or raise ValueError."""
         check_kind("kernel", self.kernel, Kernel, "Matern52(0.5)")
         if not isinstance(self.acquisition, ThompsonSampling):
             check_kind("acquisition", self.acquisition, Acquisition, "LogExpectedImprovement(0.0)")
@@ -166,11 +161,9 @@ class BayesianOptimisation(eqx.Module):
             was_missing=jnp.zeros((), bool),
         )
 
+    @compiled_if_known
     def ask(self, state: OptimisationState) -> Float[Array, "D"]:
         """The next point to evaluate, a function of the state alone."""
-        return _ask(self, state) if is_known((self, state)) else self._asked(state)
-
-    def _asked(self, state: OptimisationState) -> Float[Array, "D"]:
         acquisition, model = self._target(state)
         best = highest(model)
         candidates = self._quasirandom(jax.random.fold_in(_stream(state, "candidates"), state.num_told))
@@ -178,15 +171,14 @@ class BayesianOptimisation(eqx.Module):
         point = candidates[choice]
         if self.refine_steps > 0:
             point = refine(acquisition, model, best, point, self.refine_steps)
+        # After a missing evaluation, the model would ask for nearly the same point again: a quasi-random one
+        # instead.
         initial = self._quasirandom(_stream(state, "initial"))[state.num_told % self.num_candidates]
         is_initial = (model.count < self.num_initial) | state.was_missing
         return self._from_unit(jnp.where(is_initial, initial, point))
 
     def tell(
-        self,
-        state: OptimisationState,
-        x: Float[Array, "D"] | Numbers,
-        y: Float[Array, ""] | Numbers,
+        self, state: OptimisationState, x: Float[Array, "D"] | Numbers, y: Float[Array, ""] | Numbers
     ) -> OptimisationState:
         """The state after observing `y` at `x`, which need not be the point from `ask`.
 
@@ -307,7 +299,7 @@ class BayesianOptimisation(eqx.Module):
         key_search, key_noise = jax.random.split(key)
 
         def step(state: OptimisationState, index: Int[Array, ""]):
-            x = self._asked(state)
+            x = self.ask(state)
             y = function(jax.random.fold_in(key_noise, index), x)
             return self.tell(state, x, y), (x, y)
 
@@ -369,7 +361,6 @@ def _stream(state: OptimisationState, name: str) -> Key[Array, ""]:
 
 
 # Each compiled as one program, for calls with known numbers.
-_ask = eqx.filter_jit(BayesianOptimisation._asked)
 _tell = eqx.filter_jit(BayesianOptimisation._told)
 _score = eqx.filter_jit(BayesianOptimisation._scored)
 _maximise = eqx.filter_jit(BayesianOptimisation._maximised)

@@ -1,6 +1,7 @@
 """Acquisition functions for maximisation (Section 2.7.1): the value of evaluating a point."""
 
 import abc
+from typing import TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,14 +11,15 @@ from typing_extensions import override
 
 from bojax.models.checks import as_numbers
 
+Values: TypeAlias = Float[Array, "*N"]
+"""A number for each of several points."""
+
 
 class Acquisition(eqx.Module):
     """A score of a point, given the posterior mean and standard deviation there."""
 
     @abc.abstractmethod
-    def __call__(
-        self, mean: Float[Array, "*N"], std: Float[Array, "*N"], best: Float[Array, ""]
-    ) -> Float[Array, "*N"]:
+    def __call__(self, mean: Values, std: Values, best: Float[Array, ""]) -> Values:
         """Score of each point; `best` is the highest observed value."""
 
 
@@ -30,9 +32,7 @@ class UpperConfidenceBound(Acquisition):
     kappa: Float[Array, ""] = eqx.field(converter=as_numbers("kappa"))
 
     @override
-    def __call__(
-        self, mean: Float[Array, "*N"], std: Float[Array, "*N"], best: Float[Array, ""]
-    ) -> Float[Array, "*N"]:
+    def __call__(self, mean: Values, std: Values, best: Float[Array, ""]) -> Values:
         del best
         return mean + self.kappa * std
 
@@ -48,9 +48,7 @@ class ProbabilityOfImprovement(Acquisition):
     xi: Float[Array, ""] = eqx.field(converter=as_numbers("xi"))
 
     @override
-    def __call__(
-        self, mean: Float[Array, "*N"], std: Float[Array, "*N"], best: Float[Array, ""]
-    ) -> Float[Array, "*N"]:
+    def __call__(self, mean: Values, std: Values, best: Float[Array, ""]) -> Values:
         # The logarithm preserves the order of the points, and does not underflow to ties far below the best.
         return norm.logcdf(_standard_score(mean, std, best + self.xi))
 
@@ -68,9 +66,7 @@ class ExpectedImprovement(Acquisition):
     xi: Float[Array, ""] = eqx.field(converter=as_numbers("xi"))
 
     @override
-    def __call__(
-        self, mean: Float[Array, "*N"], std: Float[Array, "*N"], best: Float[Array, ""]
-    ) -> Float[Array, "*N"]:
+    def __call__(self, mean: Values, std: Values, best: Float[Array, ""]) -> Values:
         return jnp.exp(_log_h(_standard_score(mean, std, best + self.xi))) * _positive(std)
 
 
@@ -85,27 +81,24 @@ class LogExpectedImprovement(Acquisition):
     xi: Float[Array, ""] = eqx.field(converter=as_numbers("xi"))
 
     @override
-    def __call__(
-        self, mean: Float[Array, "*N"], std: Float[Array, "*N"], best: Float[Array, ""]
-    ) -> Float[Array, "*N"]:
+    def __call__(self, mean: Values, std: Values, best: Float[Array, ""]) -> Values:
         return _log_h(_standard_score(mean, std, best + self.xi)) + jnp.log(_positive(std))
 
 
-def _positive(std: Float[Array, "*N"]) -> Float[Array, "*N"]:
+def _positive(std: Values) -> Values:
     return jnp.maximum(std, jnp.finfo(std.dtype).eps)
 
 
-def _standard_score(mean, std, threshold) -> Float[Array, "*N"]:
+def _standard_score(mean: Values, std: Values, threshold: Float[Array, ""]) -> Values:
     return (mean - threshold) / _positive(std)
 
 
-def _log_h(z: Float[Array, "*N"]) -> Float[Array, "*N"]:
-    """log(phi(z) + z Phi(z)) without cancellation, in three ranges of z.
-
-    Above -1 the formula is evaluated directly. Below, it is written with the Mills ratio, where 1 + z Phi/phi
-    loses at most three digits. From -20 down (-10 in float32), where `norm.logcdf` becomes too inaccurate for
-    this, it is the asymptotic series phi(z)/z^2 (1 - 3/z^2 + 15/z^4 - 105/z^6 + 945/z^8 - ...).
-    """
+def _log_h(z: Values) -> Values:
+    """log(phi(z) + z Phi(z)) without cancellation, in three ranges of z."""
+    # Above -1 the formula is evaluated directly. Below, it is written with the Mills ratio, where 1 + z
+    # Phi/phi loses at most three digits. From -20 down (-10 in float32), where `norm.logcdf` becomes too
+    # inaccurate for this, it is the asymptotic series phi(z)/z^2 (1 - 3/z^2 + 15/z^4 - 105/z^6 + 945/z^8 -
+    # ...).
     border = -20.0 if jnp.finfo(z.dtype).bits == 64 else -10.0
     is_high, is_low = z > -1.0, z <= border
     # Each formula receives numbers of its own range only, so that no value and no gradient overflows.

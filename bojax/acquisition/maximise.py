@@ -11,8 +11,7 @@ from jaxtyping import Array, Float, Int
 from bojax.acquisition.functions import Acquisition
 from bojax.models.gaussian_process import GaussianProcess
 
-COLUMNS = 16
-"""Number of columns of `first_maximum`: four AVX2 registers of float64."""
+COLUMNS = 16  # number of columns of `first_maximum`: four AVX2 registers of float64
 
 
 def best_candidate(

@@ -1,5 +1,7 @@
 """The chain that is hard to explore (Osband et al. 2014; thesis, Section 5.7.1 and Fig. 5.6a)."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
@@ -28,6 +30,9 @@ class Chain(TabularEnv):
     Settings: `bojax.envs.settings.Chain`.
     """
 
+    num_actions: ClassVar[int] = 2
+    num_branches: ClassVar[int] = 4
+
     length: Float[Array, ""]
     sparsity: Float[Array, ""]
     start: Float[Array, ""]
@@ -38,16 +43,6 @@ class Chain(TabularEnv):
     @override
     def observation_space(self) -> Discrete:
         return Discrete(self.max_length)
-
-    @property
-    @override
-    def action_space(self) -> Discrete:
-        return Discrete(2)
-
-    @property
-    @override
-    def num_branches(self) -> int:
-        return 4
 
     @override
     def reset(self, key: Key[Array, ""]) -> Int[Array, ""]:

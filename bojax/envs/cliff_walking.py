@@ -1,6 +1,6 @@
 """Cliff walking (Sutton & Barto, Example 6.6), goal-only as in Section 5.5 of the thesis, p. 119."""
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -28,6 +28,9 @@ class CliffWalking(TabularEnv):
     Settings: `bojax.envs.settings.CliffWalking`.
     """
 
+    num_actions: ClassVar[int] = 4
+    num_branches: ClassVar[int] = 5
+
     slip: Float[Array, ""]
     reward_scale: Float[Array, ""]
     reward: Literal["goal-only", "classic"] = eqx.field(static=True)
@@ -37,16 +40,6 @@ class CliffWalking(TabularEnv):
     @override
     def observation_space(self) -> Discrete:
         return Discrete(ROWS * COLUMNS)
-
-    @property
-    @override
-    def action_space(self) -> Discrete:
-        return Discrete(4)
-
-    @property
-    @override
-    def num_branches(self) -> int:
-        return 5
 
     @override
     def reset(self, key: Key[Array, ""]) -> Int[Array, ""]:

@@ -9,20 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-PIXEL = 1.0 / 30.0
-"""Length of a pixel of Gym's window, in metres."""
-
-TIME_STEP = 0.02
-"""Duration of a simulation step, in seconds."""
-
-WIDTH, HEIGHT = 600.0 * PIXEL, 400.0 * PIXEL
-"""Size of the region that Gym's window shows, in metres."""
-
-NUM_HEIGHTS = 11
-"""Number of terrain vertices, equally spaced over the width and joined by straight lines."""
-
-PAD = (4, 5, 6)
-"""Indices of the terrain vertices of the landing pad, which is flat and centred."""
+PIXEL = 1.0 / 30.0  # length of a pixel of Gym's window, in metres
+TIME_STEP = 0.02  # duration of a simulation step, in seconds
+WIDTH, HEIGHT = 600.0 * PIXEL, 400.0 * PIXEL  # size of the region that Gym's window shows, in metres
+NUM_HEIGHTS = 11  # number of terrain vertices, equally spaced over the width and joined by straight lines
+PAD = (4, 5, 6)  # indices of the terrain vertices of the landing pad, which is flat and centred
 
 PAD_HEIGHT = 0.99 * HEIGHT / 4.0
 """Height of the pad in metres; the weights of Gym's three-point average sum to 0.99."""
@@ -36,14 +27,12 @@ LEG = np.array([(-2, -8), (2, -8), (2, 8), (-2, 8)]) * PIXEL
 LEG_CENTRE = np.array([20.0, -18.0]) * PIXEL
 """Centre of the right leg relative to its hinge, the hull's origin, in metres; the left leg mirrors it."""
 
-LEG_FOLDED = -0.05
-"""Angle of the right leg relative to the hull at joint angle 0, in radians."""
+LEG_FOLDED = -0.05  # angle of the right leg relative to the hull at joint angle 0, in radians
 
 LEG_REST, LEG_STOP = 0.4, 0.9
 """Limits of the outward joint angle of a leg, in radians; the joint's motor drives it to the lower one."""
 
-MAIN_ENGINE = 4.0 * PIXEL
-"""Distance of the main engine below the hull's origin, in metres."""
+MAIN_ENGINE = 4.0 * PIXEL  # distance of the main engine below the hull's origin, in metres
 
 SIDE_ENGINE = (12.0 * PIXEL, 17.0 * PIXEL, 14.0 * PIXEL)
 """Offset of a side engine from the hull's origin, in metres: sideways, and above it in x and in y."""

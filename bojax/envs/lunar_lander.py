@@ -21,11 +21,9 @@ _REST_STEPS = 25  # Box2D puts a body to sleep after half a second at rest
 class LunarLander(ControlTask):
     """Land on a pad with a main engine below the hull and engines at its sides.
 
-    The dynamics are those of `bojax.envs.lander_dynamics`. The goal is a distance from the pad below
-    `goal_distance`, in units of the observation (p. 107): 0.05 is 0.5 m horizontally and 0.33 m vertically.
-    With `goal: box`, the goal is the box with sides of twice this distance, as in the author's code. Standing
-    on the centre of the pad reaches the goal. The goal has no condition on speed. An episode fails if the
-    hull touches the ground or the lander leaves the world sideways. There is no ceiling.
+    The dynamics are in `bojax.envs.lander_dynamics`. Standing on the centre of the pad reaches the goal,
+    which has no condition on speed. An episode fails if the hull touches the ground or the lander leaves the
+    world sideways. There is no ceiling.
 
     The classic reward is Gym's: the increase of -100 (distance + speed + |angle|) + 10 for each leg on the
     ground, minus 0.3 times the power of the main engine and 0.03 times the side engines' power. A failure

@@ -19,9 +19,8 @@ class MountainCar(ControlTask):
     which is 0.42. The classic reward is -1 a step, including the step that reaches the goal, and the goal
     ends the episode. A wall at the left stops the car.
 
-    The thesis has a continuous action, torque and direction. The author's code has three actions:
-    `actions: thresholded` coasts where |action| is below `threshold`, and drives with full force otherwise.
-    With `power` 0.0015 and `goal_position` 0.45 the dynamics are those of Gym's MountainCarContinuous.
+    The thesis has a continuous action, the author's code three (`actions: thresholded`). With `power` 0.0015
+    and `goal_position` 0.45 the dynamics equal Gym's MountainCarContinuous.
 
     An episode begins at rest, at a position uniform in [-0.6, -0.4].
 

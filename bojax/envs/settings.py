@@ -34,8 +34,7 @@ class ControlTask(Environment, frozen=True):
     """Settings of all domains of Section 5.7.2."""
 
     reward: Literal["goal-only", "classic"] = Field(
-        default="goal-only",
-        description="reward: 1 at the goal, -1 at a failure and 0 otherwise; or Gym's",
+        default="goal-only", description="reward: 1 at the goal, -1 at a failure and 0 otherwise; or Gym's"
     )
 
 

@@ -1,6 +1,7 @@
 """Environments with numbered states and actions whose every transition can be enumerated."""
 
 import abc
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +17,14 @@ class TabularEnv(Env):
 
     A subclass defines the probability and the outcome of each branch. `step` draws a branch; `transitions`
     lists all branches, for exact solutions by dynamic programming. The observation is the state itself.
+
+    Attributes:
+        num_actions: Number of actions.
+        num_branches: Number of branches of every action, K.
     """
+
+    num_actions: ClassVar[int]
+    num_branches: ClassVar[int]
 
     @property
     @abc.abstractmethod
@@ -25,15 +33,9 @@ class TabularEnv(Env):
         """The states, numbered from 0."""
 
     @property
-    @abc.abstractmethod
     @override
     def action_space(self) -> Discrete:
-        """The actions, numbered from 0."""
-
-    @property
-    @abc.abstractmethod
-    def num_branches(self) -> int:
-        """Number of branches of every action, K."""
+        return Discrete(self.num_actions)
 
     @abc.abstractmethod
     def probabilities(self, state: Int[Array, ""], action: Int[Array, ""]) -> Float[Array, "K"]:

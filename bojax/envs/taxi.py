@@ -1,6 +1,6 @@
 """Taxi (Dietterich 2000), goal-only as in Section 5.5 of the thesis, p. 119."""
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import equinox as eqx
 import jax
@@ -13,14 +13,9 @@ from bojax.envs.spaces import Discrete
 from bojax.envs.tabular import TabularEnv
 
 SIZE = 5
-PLACES = (0, 4, 20, 23)
-"""Cells of the places red, green, yellow and blue; cells are numbered row by row."""
-
-ABOARD = 4
-"""Position of a passenger in the taxi; positions 0 to 3 are the places."""
-
-WALLS = (1, 6, 15, 17, 20, 22)
-"""Cells with a wall on their east side, besides the border."""
+PLACES = (0, 4, 20, 23)  # cells of the places red, green, yellow and blue; cells are numbered row by row
+ABOARD = 4  # position of a passenger in the taxi; positions 0 to 3 are the places
+WALLS = (1, 6, 15, 17, 20, 22)  # cells with a wall on their east side, besides the border
 
 SOUTH, NORTH, EAST, WEST, PICK_UP, DROP_OFF = range(6)
 
@@ -44,6 +39,9 @@ class Taxi(TabularEnv):
     Settings: `bojax.envs.settings.Taxi`.
     """
 
+    num_actions: ClassVar[int] = 6
+    num_branches: ClassVar[int] = 1
+
     reward_scale: Float[Array, ""]
     reward: Literal["goal-only", "classic"] = eqx.field(static=True)
     max_steps: int = eqx.field(static=True)
@@ -52,16 +50,6 @@ class Taxi(TabularEnv):
     @override
     def observation_space(self) -> Discrete:
         return Discrete(500)
-
-    @property
-    @override
-    def action_space(self) -> Discrete:
-        return Discrete(6)
-
-    @property
-    @override
-    def num_branches(self) -> int:
-        return 1
 
     @override
     def reset(self, key: Key[Array, ""]) -> Int[Array, ""]:

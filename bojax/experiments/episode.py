@@ -1,5 +1,7 @@
 """The state of an episode of learning, and its change by a step of the environment."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -63,10 +65,10 @@ def apply_transition(
     def keep(after, before):
         return jax.tree.map(lambda a, b: a if a is b else jnp.where(counts, a, b), after, before)
 
-    after = EpisodeState(
+    after = replace(
+        episode,
         env=keep(env_state, episode.env),
         observation=keep(time_step.observation, episode.observation),
-        learner=episode.learner,
         is_active=counts & ~terminated & ~truncated,
         total=episode.total + jnp.where(counts, time_step.reward, jnp.where(fails, jnp.nan, 0.0)),
         length=length,
@@ -75,13 +77,11 @@ def apply_transition(
         success=episode.success | (counts & time_step.success),
         failed=episode.failed | fails,
         outside=episode.outside + (counts & is_outside).astype(jnp.int32),
-        rows=episode.rows,
     )
     return after, counts
 
 
-_TOLERANCE = 1e-4
-"""Rounding error that an observation may exceed its bounds by, in units of their range."""
+_TOLERANCE = 1e-4  # rounding error that an observation may exceed its bounds by, in units of their range
 
 
 def outside_bounds(space: Space, observation: Observation) -> Bool[Array, ""]:

@@ -1,6 +1,7 @@
 """A learning run (thesis, Algorithm 5): training episodes of a learner, each followed by test episodes."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Literal
 
 import equinox as eqx
@@ -26,8 +27,7 @@ from bojax.results.schema import Column, Table
 _OF_RUN = 2**32 - 1
 """Counter of the key of the properties that all episodes of a run share; episodes have smaller counters."""
 
-_START = 2**32 - 2
-"""Counter of the key of the initial state that all episodes of a run share."""
+_START = 2**32 - 2  # counter of the key of the initial state that all episodes of a run share
 
 
 class RunState(eqx.Module):
@@ -88,12 +88,7 @@ class LearningRun(Experiment):
     map_resolution: int = eqx.field(static=True)
 
     def __check_init__(self):
-        """Check the environment, and compare the learner with it.
-
-        Raises:
-            ValueError: The environment does not fit its spaces or the precision of the run, or the learner
-                does not take such observations or actions.
-        """
+        """Check the environment, and compare the learner with it, or raise ValueError."""
         try:
             check_env(self.env, self._dtype)
         except ValueError as error:
@@ -290,11 +285,7 @@ class LearningRun(Experiment):
         return self.test(carry, number).row(episode, carry.episode + 1)
 
     def close(
-        self,
-        carry: RunState,
-        episode: EpisodeState,
-        learner: LearnerState,
-        tests: Mapping[str, Array] | None,
+        self, carry: RunState, episode: EpisodeState, learner: LearnerState, tests: Mapping[str, Array] | None
     ) -> tuple[RunState, Records]:
         """The run after a training episode and its tests, and the records of all of them.
 
@@ -341,8 +332,8 @@ class LearningRun(Experiment):
                 unit = self.env.observation_space.to_unit(transitions.observation)
                 visits = visits.after(unit, episode.length)
                 map_scores = jnp.where(now[:, None], visits.scores(found[1])[None], map_scores)
-        after = RunState(
-            key=carry.key,
+        after = replace(
+            carry,
             learner=learner,
             episode=number,
             steps=steps,
@@ -441,7 +432,7 @@ _MAP_COLUMNS: Table = (
         "unseen_u",
         "float64",
         "",
-        "mean U of the cells without a visit less the mean U of the starting cells, mean over map_episodes",
+        "mean U of the cells without a visit less that of the starting cells, mean over map_episodes",
         nullable=True,
     ),
     Column(

@@ -78,11 +78,7 @@ class Phase(eqx.Module):
         return jax.random.key_data(keys.reshape(-1, 3))
 
     def begin(
-        self,
-        learner: LearnerState,
-        env_state: EnvState,
-        observation: Observation,
-        is_active: Bool[Array, ""],
+        self, learner: LearnerState, env_state: EnvState, observation: Observation, is_active: Bool[Array, ""]
     ) -> EpisodeState:
         """A new episode from the initial state and observation of the environment."""
         false, zero = jnp.zeros((), bool), jnp.zeros((), jnp.int32)

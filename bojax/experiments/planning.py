@@ -1,6 +1,7 @@
 """A planning episode: plan, execute and observe until the task ends."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from math import isfinite
 from typing import TypeVar
 
@@ -64,12 +65,7 @@ class PlanningEpisode(Experiment):
     planner: Planner
 
     def __check_init__(self):
-        """Compare the trajectories of the planner with the abilities of the robot.
-
-        Raises:
-            ValueError: The trajectories are longer than the robot can complete, or tighter than its turning
-                radius.
-        """
+        """Compare the trajectories of the planner with the abilities of the robot, or raise ValueError."""
         reach = self.problem.reach
         if isfinite(reach) and (length := float(self.planner.motions.length)) > reach:
             raise ValueError(
@@ -154,9 +150,8 @@ class PlanningEpisode(Experiment):
         step = carry.step + 1
         done = events.terminated | failed | (step >= self.problem.max_steps)
         accumulated = carry.accumulated + reward
-        after = PlanningState(
-            key_world=carry.key_world,
-            key_planner=carry.key_planner,
+        after = replace(
+            carry,
             world=world,
             belief=belief,
             step=step,
@@ -165,7 +160,6 @@ class PlanningEpisode(Experiment):
             exited=carry.exited + exited.astype(jnp.int32),
             is_done=done,
             failed=failed,
-            start=carry.start,
             paths=carry.paths.at[carry.step].set(events.driven),
             plans=carry.plans.at[carry.step].set(plan.path),
             frames=None if carry.frames is None else carry.frames.at[carry.step].set(events.frames),
@@ -194,13 +188,9 @@ class PlanningEpisode(Experiment):
 
     @override
     def summary(self, carry: PlanningState) -> dict[str, Scalar]:
-        return {
-            "return": carry.accumulated,
-            "success": carry.success,
-            "steps": carry.step,
-            "exits": carry.exited,
-            **self.problem.score(carry.world, carry.belief),
-        }
+        counts = {"steps": carry.step, "exits": carry.exited}
+        scores = self.problem.score(carry.world, carry.belief)
+        return {"return": carry.accumulated, "success": carry.success, **counts, **scores}
 
     @override
     def snapshot(self, carry: PlanningState) -> dict[str, dict[str, Array]]:

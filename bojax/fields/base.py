@@ -14,11 +14,7 @@ class Field(eqx.Module):
     """An environmental variable as a function of the position in metres."""
 
     def __check_init__(self):
-        """Call a user's field at a point.
-
-        Raises:
-            ValueError: The call raises an exception, or its value is not one number.
-        """
+        """Call a user's field at a point, or raise ValueError."""
         trial(self, _check_value)
 
     @abc.abstractmethod

@@ -20,11 +20,7 @@ class Blocks(Field):
 
     @override
     def __check_init__(self):
-        """Check that there are as many heights as boxes.
-
-        Raises:
-            ValueError: Their numbers differ.
-        """
+        """Check that there are as many heights as boxes, or raise ValueError."""
         if self.boxes.shape[0] != self.heights.shape[0]:
             raise ValueError(
                 f"boxes, heights: got {self.boxes.shape[0]} and {self.heights.shape[0]} entries; "

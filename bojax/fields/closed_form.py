@@ -21,11 +21,7 @@ class Bumps(Field):
 
     @override
     def __check_init__(self):
-        """Check that there are as many heights as centres and widths.
-
-        Raises:
-            ValueError: Their numbers differ.
-        """
+        """Check that there are as many heights as centres and widths, or raise ValueError."""
         if not self.heights.shape[0] == self.centres.shape[0] == self.widths.shape[0]:
             raise ValueError(
                 f"heights, centres, widths: got {self.heights.shape[0]}, {self.centres.shape[0]} and "

@@ -7,8 +7,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from bojax.numerics.linalg import inverse_cholesky, matmul
 
-_RIDGE = 1e-5
-"""Ridge of the baseline's fit, relative to the mean square of each feature."""
+_RIDGE = 1e-5  # ridge of the baseline's fit, relative to the mean square of each feature
 
 
 def discounted_sums(

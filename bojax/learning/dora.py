@@ -1,5 +1,7 @@
 """DORA: exploration by E-values, generalised visit counters (Fox, Choshen and Loewenstein, ICLR 2018)."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -14,11 +16,8 @@ from bojax.learning.policy import best_action
 from bojax.learning.tile_coding import TileTable, is_first, tiles
 from bojax.numerics.choices import Choice, one_of
 
-Q, E = 0, 1
-"""Columns of the weights."""
-
-_NONE = -1
-"""Index of the next action before one has been chosen."""
+Q, E = 0, 1  # columns of the weights
+_NONE = -1  # index of the next action before one has been chosen
 
 
 class DORAState(eqx.Module):
@@ -46,16 +45,12 @@ class DORA(Learner):
     log(1 - alpha_E) is therefore a generalised visit counter. E enters the policy argmax Q - T log(-log E)
     (LLL), or, with weight `xi`, the reward, as the bonus log(1 - alpha_E) / log E of the updated E; or both.
 
-    The details are those of the published code. There are 8 tilings, and a tile is as wide as an eighth of
-    the range of an observation. All rates are divided by the number of tilings. The next action of a training
-    episode is chosen before the update, and taken after it. E and Q of a terminal state are 0; a truncated
-    episode is bootstrapped. With the policy `epsilon-greedy`, the first of several best actions is taken.
-    With `derivative: at-e`, an error of that code, an update of E before the end of an episode takes the
-    derivative of the sigmoid at E instead of its logit. Deviations: a state of a discrete space has tiles of
+    As in the published code, the next action of a training episode is chosen before the update and taken
+    after it, and a truncated episode is bootstrapped. Deviations: a state of a discrete space has tiles of
     its own, and the table hashes by 32 bits instead of Python's hash.
 
-    With `e_values: linear`, E = 1 + w'phi. On a discrete space with one tiling, this is the table of Section
-    3 of the paper, and the counter is the number of visits if `e_discount` is 0.
+    With `e_values: linear`, on a discrete space with one tiling, E is the table of Section 3 of the paper,
+    and the counter is the number of visits if `e_discount` is 0.
 
     Settings: `bojax.learning.settings.DORA`.
     """
@@ -84,11 +79,10 @@ class DORA(Learner):
     @override
     def check_spaces(self, observation_space: Space, action_space: Space) -> None:
         del action_space
-        if isinstance(observation_space, Box):
-            if not bool(jnp.all(jnp.isfinite(observation_space.high - observation_space.low))):
-                raise ValueError(
-                    "observation_space: tiles need finite bounds, since they are parts of a range"
-                )
+        if not isinstance(observation_space, Box):
+            return
+        if not bool(jnp.all(jnp.isfinite(observation_space.high - observation_space.low))):
+            raise ValueError("observation_space: tiles need finite bounds, since they are parts of a range")
 
     @override
     def init(
@@ -112,11 +106,7 @@ class DORA(Learner):
 
     @override
     def act(
-        self,
-        key: Key[Array, ""],
-        state: DORAState,
-        observation: Observation,
-        exploration: ExplorationState,
+        self, key: Key[Array, ""], state: DORAState, observation: Observation, exploration: ExplorationState
     ) -> tuple[Action, Float[Array, ""]]:
         """The action that `observe` chose; in the first step of an episode and in tests, one of the policy.
 
@@ -149,14 +139,16 @@ class DORA(Learner):
         next_sums = _sums(state.weights, next_index)
         next_action = self._choose(key, next_sums, exploration)
 
-        # E is learned by SARSA, with a reward of 0.
+        # E is learned by SARSA, with a reward of 0. Each tile counts once, even if two share an index; rates
+        # are divided by the number of tilings, as the sum over the tiles changes by as many steps. E and Q of
+        # a terminal state are 0.
         e, next_e = self._e(logit), self._e(next_sums[next_action, E])
         rate, counted = self._e_rate, is_first(place)
         e_error = jnp.where(continues, self.e_discount * next_e, 0.0) - e
         e_step = rate * e_error * self._slope(e, continues)
         logit = logit + e_step * jnp.sum(counted, dtype=e_step.dtype)
 
-        # Q is learned by Q-learning.
+        # Q is learned by Q-learning; the bonus is the inverse of the counter, after the update of E.
         bonus = jnp.log1p(-rate) / self._log_e(logit)
         reward = transition.reward + self.xi * exploration.scale * bonus
         target = reward + jnp.where(continues, self.discount * jnp.max(next_sums[:, Q]), 0.0)
@@ -164,12 +156,9 @@ class DORA(Learner):
 
         steps = jnp.where((learns & counted)[:, None], jnp.stack([q_step, e_step])[None, :], 0.0)
         next_action = jnp.where(continues, next_action, _NONE)
-        return DORAState(
-            table=table,
-            weights=state.weights.at[place].add(steps),
-            actions=state.actions,
-            scale=state.scale,
-            next_action=jnp.where(learns, next_action, state.next_action),
+        next_action = jnp.where(learns, next_action, state.next_action)
+        return replace(
+            state, table=table, weights=state.weights.at[place].add(steps), next_action=next_action
         )
 
     @override
@@ -214,6 +203,7 @@ class DORA(Learner):
         lll = best_action(keys[0], q - weight * self._log_negative_log_e(sums[:, E]))
         is_random = jax.random.uniform(keys[1], (), q.dtype) < weight
         random = jax.random.randint(keys[2], (), 0, len(q), jnp.int32)
+        # As in the published code, the first of several best actions here; LLL breaks ties at random.
         greedy = jnp.where(is_random, random, jnp.argmax(q).astype(jnp.int32))
         return jnp.where(self.policy.is_("lll"), lll, greedy)
 
@@ -222,6 +212,8 @@ class DORA(Learner):
 
     def _slope(self, e: Float[Array, ""], continues: Bool[Array, ""]) -> Float[Array, ""]:
         """dE/dw, or its replacement in the published code."""
+        # The derivative of the sigmoid, s(z) (1 - s(z)), at the logit z, where s(z) is E; or at E in place of
+        # z, an error of the published code before the end of an episode.
         at = jnp.where(self.derivative.is_("at-e") & continues, jax.nn.sigmoid(e), e)
         return jnp.where(self.e_values.is_("sigmoid"), at * (1.0 - at), 1.0)
 

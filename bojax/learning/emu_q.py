@@ -70,11 +70,7 @@ class EMUQ(Learner):
         dtype = self.prior_precision.dtype
         features = self.features.draw(key_features, observation_space, action_space, dtype)
         posterior = BayesianLinearRegression.prior(
-            features.num_features,
-            self.prior_precision,
-            self.noise_precision,
-            num_targets=2,
-            block=self.block,
+            features.num_features, self.prior_precision, self.noise_precision, num_targets=2, block=self.block
         )
         candidates = even_actions(key_candidates, self.num_actions, action_space)
         samples = even_actions(key_samples, self.num_samples, action_space)
@@ -85,11 +81,7 @@ class EMUQ(Learner):
 
     @override
     def act(
-        self,
-        key: Key[Array, ""],
-        state: EMUQState,
-        observation: Observation,
-        exploration: ExplorationState,
+        self, key: Key[Array, ""], state: EMUQState, observation: Observation, exploration: ExplorationState
     ) -> tuple[Action, Float[Array, ""]]:
         """Line 6: argmax Q + kappa U over the candidates (5.10)."""
         # A test has scale 0: then kappa is 0, and the policy is argmax Q.
@@ -212,10 +204,5 @@ class EMUQ(Learner):
     @property
     def refitter(self) -> Refit:
         """The fit at the end of an episode."""
-        return Refit(
-            model=self.model,
-            tolerance=self.tolerance,
-            is_direct=self.refit == "direct",
-            max_sweeps=self.max_sweeps,
-            block=self.refit_block,
-        )
+        is_direct = self.refit == "direct"
+        return Refit(self.model, self.tolerance, is_direct, self.max_sweeps, block=self.refit_block)

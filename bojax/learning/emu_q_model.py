@@ -20,14 +20,9 @@ from bojax.models.bayesian_linear_regression import BayesianLinearRegression
 from bojax.numerics.choices import Choice, one_of
 from bojax.numerics.linalg import matmul
 
-Q, U = 0, 1
-"""Columns of the mean of the weights."""
-
-TERMINAL_Q = one_of("zero", "bootstrap")
-"""Readings of Q of a terminal state."""
-
-TERMINAL_U = one_of("absorbing", "bootstrap", "zero")
-"""Readings of U of a terminal state."""
+Q, U = 0, 1  # columns of the mean of the weights
+TERMINAL_Q = one_of("zero", "bootstrap")  # readings of Q of a terminal state
+TERMINAL_U = one_of("absorbing", "bootstrap", "zero")  # readings of U of a terminal state
 
 
 class EMUQState(eqx.Module):

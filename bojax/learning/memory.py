@@ -11,8 +11,7 @@ from bojax.envs.base import Action, Observation
 from bojax.learning.base import Episode
 from bojax.numerics.lanes import batched_together, largest_in_lanes
 
-T = TypeVar("T")
-"""A tree of arrays with one row for each transition, and of counts."""
+T = TypeVar("T")  # A tree of arrays with one row for each transition, and of counts
 
 
 class Memory(eqx.Module):

@@ -6,6 +6,7 @@ networks. `BootstrappedQ` and `RND` define the exploration.
 """
 
 import abc
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -157,13 +158,8 @@ class QNetworkLearner(Learner):
         memory = state.memory.add(episode, learns)
         index = jax.random.randint(key, state.index.shape, 0, jnp.maximum(memory.count, 1), jnp.int32)
         extra = self.extra_after(state, self.inputs(state, transition.next_observation))
-        return QNetworkState(
-            observations=state.observations,
-            actions=state.actions,
-            trained=state.trained,
-            target=state.target,
-            fixed=state.fixed,
-            optimiser=state.optimiser,
+        return replace(
+            state,
             memory=memory,
             index=optax.tree.where(learns, index, state.index),
             is_due=state.is_due | learns,

@@ -29,8 +29,7 @@ NUM_STORED, NUM_STORED_ON_CPU = 2048, 4096
 
 # The last block is padded. Blocks of 512, which need fewer launches on a GPU, take 2.8 times as long for 28
 # transitions on a CPU, and as long for 2,500.
-MOST_ON_CPU = 64
-"""Largest block on a CPU."""
+MOST_ON_CPU = 64  # largest block on a CPU
 
 
 class _Rows(eqx.Module):
@@ -206,15 +205,7 @@ class _Policy(eqx.Module):
         bonus: Float[Array, "C"],
         mean: Float[Array, "M 2"],
     ) -> "_Policy":
-        """The policy of the given means.
-
-        Args:
-            transitions: The transitions.
-            gain: beta S.
-            candidates: The actions among which the policy chooses.
-            bonus: Exploration reward of every transition.
-            mean: Means of Q and U.
-        """
+        """The policy of the given means; `bonus` is the exploration reward of every transition."""
         model, choose = candidates.model, candidates.policy(mean)
 
         def visit(carry, rows):
@@ -249,14 +240,7 @@ class _Policy(eqx.Module):
 class _Equations(eqx.Module):
     """The equations m = beta S Phi'(constant + discount Phi_next m) of Q or of U, for a given policy.
 
-    Attributes:
-        transitions: The transitions.
-        gain: beta S.
-        candidates: The actions among which the policy chooses.
-        chosen: Index of a' = pi(s') among them.
-        constant: Constant term of every target.
-        discount: Factor of phi(s', a')'m in every target.
-        targets: Phi'(constant + discount Phi_next m) of the weights m that the policy was made for.
+    The fields are as in `_Policy`, for Q or U alone.
     """
 
     transitions: _Transitions
@@ -311,15 +295,7 @@ class _Equations(eqx.Module):
 
 
 class Refit(eqx.Module):
-    """The fit of the means of Q and U to all transitions.
-
-    Attributes:
-        model: Model of Q and U.
-        tolerance: Change of the weights (Euclidean norm) at which sweeps, or policies, stop.
-        is_direct: Whether the equations are solved instead of swept.
-        max_sweeps: Largest number of sweeps, or of policies whose equations are solved.
-        block: Number of transitions that are visited at a time.
-    """
+    """The fit of the means of Q and U to all transitions; the fields are settings of `EMUQ`."""
 
     model: EMUQModel
     tolerance: Float[Array, ""]

@@ -74,11 +74,7 @@ class RFFQ(Learner):
 
     @override
     def act(
-        self,
-        key: Key[Array, ""],
-        state: RFFQState,
-        observation: Observation,
-        exploration: ExplorationState,
+        self, key: Key[Array, ""], state: RFFQState, observation: Observation, exploration: ExplorationState
     ) -> tuple[Action, Float[Array, ""]]:
         """A random candidate with probability epsilon, else the best candidate."""
         space, candidates = state.features.actions, state.candidates

@@ -13,8 +13,7 @@ from bojax.learning.network import Network
 from bojax.learning.policy import best_action
 from bojax.learning.q_networks import Batch, QNetworkLearner, QNetworkState
 
-Q, U = 0, 1
-"""Rows of the outputs of the value network."""
+Q, U = 0, 1  # rows of the outputs of the value network
 
 
 class Normaliser(eqx.Module):

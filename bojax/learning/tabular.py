@@ -14,8 +14,7 @@ from bojax.learning.base import ExplorationState, Learner, Transition
 from bojax.learning.exploration_rewards import ExplorationReward
 from bojax.learning.policy import Ties, best_action, random_argmax
 
-Q, U = 0, 1
-"""Columns of the table."""
+Q, U = 0, 1  # columns of the table
 
 
 class Tables(eqx.Module):
@@ -143,15 +142,6 @@ class TabularLearner(Learner):
 class ExplorationValues(TabularLearner):
     """Separate values Q of rewards and U of exploration rewards; acts by argmax Q + kappa U (Algorithm 5).
 
-    With `bootstrap` `"policy"`, the TD targets take Q and U of the action argmax Q + kappa U (5.7). Q + kappa
-    U then equals the Q of `AdditiveRewards`, and Q is the return of the exploring policy. With `"greedy-q"`,
-    they take the maximum of Q, as in Q-learning, so that Q is the return of exploitation. With `"max"`, they
-    take the maximum of each, and a run can get stuck: an action that was punished is not taken again, its U
-    stays high, and the state keeps promising exploration.
-
-    With `terminal_u` `"masked"`, U of a terminal state is 0, which makes an early end the best exploration.
-    In the domains of Section 5.5 only the goal ends an episode.
-
     Settings: `bojax.learning.settings.ExplorationValues`.
     """
 
@@ -188,6 +178,11 @@ class ExplorationValues(TabularLearner):
         visits: Float[Array, ""],
         next_row: Float[Array, "A 3"],
     ) -> Float[Array, "2"]:
+        # "policy": Q and U of the action argmax Q + kappa U (5.7). Q + kappa U is then the Q of
+        # `AdditiveRewards`, and Q the return of the exploring policy. "greedy-q": the maximum of Q, as in
+        # Q-learning, so that Q is the return of exploitation. "max": the maximum of each, with which a run
+        # can get stuck: an action that was punished is not taken again, its U stays high, and the state keeps
+        # promising exploration.
         bonus = self.exploration_reward(visits, next_row[:, -1])
         greatest = jnp.max(next_row[:, :-1], axis=0)
         if self.bootstrap == "max":
@@ -196,6 +191,8 @@ class ExplorationValues(TabularLearner):
             next_value = next_row[self._best(key, next_row, exploration), :-1]
             if self.bootstrap == "greedy-q":
                 next_value = next_value.at[Q].set(greatest[Q])
+        # A masked U is 0, the largest there is: an early end is then the best exploration. In the domains of
+        # Section 5.5, only the goal ends an episode.
         is_masked = jnp.stack([transition.terminated, transition.terminated & (self.terminal_u == "masked")])
         rewards = jnp.stack([transition.reward, bonus])
         return rewards + self.discount * jnp.where(is_masked, 0.0, next_value)

@@ -5,12 +5,13 @@ state and a discrete action gets the next free index when it is first used. Once
 tiles share them, by a hash of their coordinates.
 """
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
-_LARGEST = 2.0**20
-"""Coordinates are clipped to this, so that they are integers of 32 bits."""
+_LARGEST = 2.0**20  # coordinates are clipped to this, so that they are integers of 32 bits
 
 
 def tiles(x: Float[Array, "D"], num_tilings: int) -> Int[Array, "T C"]:
@@ -26,10 +27,6 @@ def tiles(x: Float[Array, "D"], num_tilings: int) -> Int[Array, "T C"]:
 
 class TileTable(eqx.Module):
     """The indices of the tiles seen so far, at most N of them.
-
-    The tiles of a state are looked up for all A actions at once, in the order of actions and then of tilings.
-    If m of them are new, the indices of the next action are higher by m, so that the table holds one row for
-    all actions.
 
     Attributes:
         tiles: Tiles of states, `[K, C]`; rows that are not in use are -1.
@@ -67,6 +64,9 @@ class TileTable(eqx.Module):
             tiles: Tiles of the state.
             is_kept: Whether new tiles are stored; the indices are the same if they are not.
         """
+        # The tiles of a state get their indices for all A actions at once, in the order of actions and then
+        # of tilings: if m tiles are new, the indices of the next action are higher by m, and one row serves
+        # all actions.
         is_equal = jnp.all(tiles[:, None, :] == self.tiles[None, :, :], axis=2)
         is_new, row = ~jnp.any(is_equal, axis=1), jnp.argmax(is_equal, axis=1)
         rank, number = jnp.cumsum(is_new, dtype=jnp.int32) - 1, jnp.sum(is_new, dtype=jnp.int32)
@@ -80,14 +80,13 @@ class TileTable(eqx.Module):
         is_stored = is_new & (first < self.size) & is_kept
         place = jnp.where(is_stored, self.num_rows + rank, len(self.first))
         grown = jnp.minimum(self.num_used + number * self.num_actions, self.size)
-        table = TileTable(
+        table = replace(
+            self,
             tiles=self.tiles.at[place].set(tiles, mode="drop"),
             first=self.first.at[place].set(first, mode="drop"),
             stride=self.stride.at[place].set(stride, mode="drop"),
             num_rows=self.num_rows + jnp.sum(is_stored, dtype=jnp.int32),
             num_used=jnp.where(is_kept, grown, self.num_used),
-            size=self.size,
-            num_actions=self.num_actions,
         )
         return table, index
 

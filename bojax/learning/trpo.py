@@ -12,11 +12,8 @@ from jaxtyping import Array, Bool, Float
 from bojax.learning.stochastic_policy import PolicyNetwork
 from bojax.numerics.lanes import any_lane
 
-_TOLERANCE = 1e-5
-"""Norm of the residual at which conjugate gradients stop."""
-
-_SMALL = 1e-8
-"""Added to x'Fx, so that a gradient of 0 makes no step."""
+_TOLERANCE = 1e-5  # norm of the residual at which conjugate gradients stop
+_SMALL = 1e-8  # added to x'Fx, so that a gradient of 0 makes no step
 
 P = TypeVar("P")
 
@@ -45,12 +42,7 @@ class Samples(eqx.Module):
 class TRPO(eqx.Module):
     """The largest improvement of the surrogate advantage within a mean KL divergence of `max_kl`.
 
-    Attributes:
-        max_kl: Bound of the mean KL divergence of the old policy from the new one.
-        damping: Multiple of the identity that is added to the Fisher matrix.
-        backtrack_ratio: Factor of the step from one attempt of the line search to the next.
-        cg_steps: Largest number of steps of the conjugate gradient method.
-        backtracks: Largest number of attempts of the line search.
+    The fields are settings of `bojax.learning.settings.VIME`.
     """
 
     max_kl: Float[Array, ""]
@@ -65,9 +57,8 @@ class TRPO(eqx.Module):
         def log_ratio(inputs, action):
             return new(inputs).log_probability(action) - policy(inputs).log_probability(action)
 
-        ratios = jnp.exp(
-            jnp.where(samples.is_valid, jax.vmap(log_ratio)(samples.inputs, samples.actions), 0.0)
-        )
+        log_ratios = jax.vmap(log_ratio)(samples.inputs, samples.actions)
+        ratios = jnp.exp(jnp.where(samples.is_valid, log_ratios, 0.0))
         return samples.mean(ratios * samples.advantages)
 
     def mean_kl(self, policy: PolicyNetwork, new: PolicyNetwork, samples: Samples) -> Float[Array, ""]:
@@ -80,19 +71,15 @@ class TRPO(eqx.Module):
         return jax.jvp(gradient, (policy,), (vector,))[1]
 
     def improved(self, policy: PolicyNetwork, samples: Samples, is_active: Bool[Array, ""]) -> PolicyNetwork:
-        """The policy after a step along the natural gradient.
-
-        At first the step is as long as the quadratic model of the divergence permits. It is shortened until
-        the surrogate increases and the divergence is within the bound. If no attempt succeeds, or if
-        `is_active` is false, the policy stays as it is.
-        """
+        """The policy after a step along the natural gradient; unchanged if none succeeds or not active."""
+        # At first the step is as long as the quadratic model of the divergence permits. It is shortened until
+        # the surrogate increases and the divergence is within the bound.
         start, unravel = ravel_pytree(policy)
 
         @jax.jit  # traced and lowered once: `cg` calls it six times
         def product(vector):
-            return ravel_pytree(self.fisher_product(policy, samples, unravel(vector)))[0] + (
-                self.damping * vector
-            )
+            image = ravel_pytree(self.fisher_product(policy, samples, unravel(vector)))[0]
+            return image + self.damping * vector
 
         value, gradient = jax.value_and_grad(lambda new: self.surrogate(policy, new, samples))(policy)
         gradient = ravel_pytree(gradient)[0]

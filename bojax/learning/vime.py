@@ -1,5 +1,7 @@
 """VIME: rewards for information gain about the dynamics (Houthooft et al., NeurIPS 2016), learned by TRPO."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -21,8 +23,7 @@ from bojax.models.bayesian_network import BayesianNetwork
 from bojax.numerics.lanes import any_lane
 from bojax.results.schema import Column, Table
 
-_CHUNK = 256
-"""Number of transitions whose gradients are computed at once."""
+_CHUNK = 256  # number of transitions whose gradients are computed at once
 
 _LEAST_DEVIATION = 1e-4
 """Added to the standard deviations that divide observations and actions, in units of half a range."""
@@ -151,11 +152,7 @@ class VIME(Learner):
 
     @override
     def act(
-        self,
-        key: Key[Array, ""],
-        state: VIMEState,
-        observation: Observation,
-        exploration: ExplorationState,
+        self, key: Key[Array, ""], state: VIMEState, observation: Observation, exploration: ExplorationState
     ) -> tuple[Action, Float[Array, ""]]:
         """A draw from the policy; its most probable action if it neither explores nor learns."""
         distribution = state.policy(self._vectors(state.observations, observation))
@@ -263,9 +260,8 @@ class VIME(Learner):
         before = state.policy, state.baseline, state.medians, state.iterations
         policy, baseline, medians, iterations = optax.tree.where(is_due, small, before)
         model, optimiser = optax.tree.where(is_trained, (model, optimiser), (state.model, state.optimiser))
-        return VIMEState(
-            observations=state.observations,
-            actions=state.actions,
+        return replace(
+            state,
             policy=policy,
             baseline=baseline,
             model=model,

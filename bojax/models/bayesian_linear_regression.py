@@ -1,6 +1,7 @@
 """Bayesian linear regression: batch and sequential posteriors, the evidence, and its maximum."""
 
 import warnings
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -225,7 +226,7 @@ class BayesianLinearRegression(eqx.Module):
         else:
             rows = jax.lax.dynamic_update_index_in_dim(rows, row, step_in_block, axis=0)
         mean = self.mean + jax.vmap(lambda k: k * residual)(gain)
-        return self._with(mean, base, rows, num_ignored)
+        return replace(self, mean=mean, base=base, rows=rows, num_ignored=num_ignored)
 
     def update_batch(
         self,
@@ -254,11 +255,12 @@ class BayesianLinearRegression(eqx.Module):
         residuals = _times_rows(scale, targets - matmul(features, self.mean))
         whitened = solve_triangular(factor, residuals, lower=True)
         base = _symmetric(self.base - matmul(rows.T, rows))
-        return self._with(self.mean + matmul(rows.T, whitened), base, self.rows, num_ignored)
+        mean = self.mean + matmul(rows.T, whitened)
+        return replace(self, mean=mean, base=base, num_ignored=num_ignored)
 
     def flush(self) -> "BayesianLinearRegression":
         """Apply the rows of the block to `base`: the same posterior with an empty block."""
-        return self._with(self.mean, self.covariance, jnp.zeros_like(self.rows), self.num_ignored)
+        return replace(self, base=self.covariance, rows=jnp.zeros_like(self.rows))
 
     def predict(
         self, features: Float[Array, "N M"] | Numbers, *, with_noise: bool = False
@@ -333,11 +335,6 @@ class BayesianLinearRegression(eqx.Module):
         # updates diverge.
         prior_variance = jnp.sum(features * features) / self.prior_precision
         return precision * covariance_floor(features.dtype) * prior_variance
-
-    def _with(self, mean, base, rows, num_ignored) -> "BayesianLinearRegression":
-        return BayesianLinearRegression(
-            mean, base, rows, self.prior_precision, self.noise_precision, num_ignored
-        )
 
 
 def log_marginal_likelihood(

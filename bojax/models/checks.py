@@ -3,12 +3,13 @@
 Every failure names the allowed values in one line.
 """
 
+import functools
 import math
 import numbers
 import operator
 import reprlib
 from collections.abc import Callable, Sequence
-from typing import Any, TypeAlias
+from typing import Any, ParamSpec, TypeAlias, TypeVar
 
 import equinox as eqx
 import jax
@@ -23,6 +24,10 @@ Numbers: TypeAlias = np.ndarray | np.generic | Sequence[Any] | float | int
 """What may be given instead of an array of JAX: Python numbers, lists of them, and arrays of NumPy."""
 
 
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
 def precision(*trees: PyTree) -> Any:
     """Data type of the first floating-point array in the trees; without one, JAX's default."""
     leaves = (leaf for leaf in jax.tree.leaves(trees) if eqx.is_inexact_array(leaf))
@@ -30,21 +35,14 @@ def precision(*trees: PyTree) -> Any:
 
 
 def to_numbers(name: str, given: Any, dtype: Any) -> Array:
-    """Numbers as an array of a precision.
-
-    Raises:
-        ValueError: They are not an array of real numbers.
-    """
+    """Numbers as an array of a precision; ValueError if they are not real numbers."""
     return as_numbers(name)(given).astype(dtype)
 
 
 def to_points(name: str, given: Any, dtype: Any, num_dims: int | None = None) -> Float[Array, "N D"]:
-    """Points as the rows of an array of a precision.
+    """Points as the rows of an array of a precision; ValueError if they do not fit.
 
     On a line, a point may be given as one number, and several points as a list of numbers.
-
-    Raises:
-        ValueError: They are not an array of real numbers, or have another number of dimensions.
     """
     array = to_numbers(name, given, dtype)
     rows = array.reshape(-1, 1) if array.ndim < 2 else array
@@ -57,11 +55,7 @@ def to_points(name: str, given: Any, dtype: Any, num_dims: int | None = None) ->
 def to_data(
     features: Any, targets: Any, dtype: Any = None
 ) -> tuple[Float[Array, "N M"], Float[Array, "N *K"]]:
-    """Features and targets as arrays of a precision, by default the features' own.
-
-    Raises:
-        ValueError: They are not arrays of real numbers, or there are not as many targets as rows of features.
-    """
+    """Features and targets as arrays, by default of the features' precision; ValueError if they do not fit."""
     dtype = precision(features) if dtype is None else dtype
     features, targets = to_points("features", features, dtype), to_numbers("targets", targets, dtype)
     if targets.shape[:1] != features.shape[:1]:
@@ -71,11 +65,7 @@ def to_data(
 
 
 def to_point(name: str, given: Any, dtype: Any, num_dims: int) -> Float[Array, "D"]:
-    """One point as an array of a precision; on a line it may be one number.
-
-    Raises:
-        ValueError: It is not an array of real numbers, or has another number of dimensions.
-    """
+    """One point as an array of a precision (on a line, a number will do); ValueError if it does not fit."""
     array = jnp.atleast_1d(to_numbers(name, given, dtype))
     if array.shape != (num_dims,):
         raise ValueError(f"{name}: got shape {array.shape}; allowed: [{num_dims}]")
@@ -212,6 +202,17 @@ def check_takes(
 def is_known(tree: PyTree) -> bool:
     """Whether the values of all leaves of a tree are known: none is traced."""
     return not any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(tree))
+
+
+def compiled_if_known(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile a function as one program for calls with known numbers; a traced call stays as it is."""
+    compiled = eqx.filter_jit(function)
+
+    @functools.wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> R:
+        return (compiled if is_known((args, kwargs)) else function)(*args, **kwargs)
+
+    return call
 
 
 def cast(module: PyTree, dtype: str) -> PyTree:

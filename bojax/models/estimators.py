@@ -82,9 +82,7 @@ class _Regressor(abc.ABC):
         from sklearn.utils import RegressorTags, Tags, TargetTags
 
         return Tags(
-            estimator_type="regressor",
-            target_tags=TargetTags(required=True),
-            regressor_tags=RegressorTags(),
+            estimator_type="regressor", target_tags=TargetTags(required=True), regressor_tags=RegressorTags()
         )
 
     @override

@@ -9,13 +9,12 @@ import optax
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Bool, Float, Key, PyTree
 
-from bojax.models.checks import is_known
+from bojax.models.checks import compiled_if_known
 from bojax.models.gaussian_process import GaussianProcess
 from bojax.models.kernels import Kernel
 from bojax.numerics.lanes import batched_together
 
-EDGE = 0.01
-"""Share of the logarithmic range of a parameter, next to either bound, that counts as its bound."""
+EDGE = 0.01  # share of the logarithmic range of a parameter, next to either bound, that counts as its bound
 
 LogPrior = Callable[[Kernel, Float[Array, ""]], Float[Array, ""]]
 """Log density of a prior over a kernel and a noise variance, up to a constant."""
@@ -169,6 +168,7 @@ class _Iterate(eqx.Module):
         return jnp.max(jnp.abs(self.gradient)) <= tolerance
 
 
+@compiled_if_known
 def relearn(
     gp: GaussianProcess,
     key: Key[Array, ""],
@@ -200,22 +200,7 @@ def relearn(
         spread: Standard deviation of the logarithms of the other starting points around the first.
         bounds: Lower and upper bound of every hyper-parameter.
     """
-    args = gp, key, learn_noise, learn_mean, log_prior, noise_variances, num_starts, num_steps, spread, bounds
-    return _relearn(*args) if is_known((gp, key, noise_variances)) else _relearned(*args)
 
-
-def _relearned(
-    gp: GaussianProcess,
-    key: Key[Array, ""],
-    learn_noise: bool,
-    learn_mean: bool,
-    log_prior: LogPrior | None,
-    noise_variances: Float[Array, "N"] | None,
-    num_starts: int,
-    num_steps: int,
-    spread: float,
-    bounds: tuple[float, float],
-) -> tuple[GaussianProcess, Optimum]:
     def refit(kernel: Kernel, noise_variance: Float[Array, ""]) -> GaussianProcess:
         # For given hyper-parameters, the best constant mean has a closed form: the search does not vary it.
         fitted = gp.refitted(kernel, noise_variance, noise_variances)
@@ -247,6 +232,3 @@ def _relearned(
     used = jnp.min(jnp.where(gp.is_held(), fitted.noise(gp.x), jnp.inf))
     used = jnp.where(gp.count > 0, used, noise_variance)
     return eqx.tree_at(lambda gp: gp.noise_variance, fitted, used), optimum
-
-
-_relearn = eqx.filter_jit(_relearned)  # compiled as one program, for calls with known numbers

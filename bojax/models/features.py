@@ -80,10 +80,7 @@ class RandomFourier(Features):
     ) -> "RandomFourier":
         """Features of a kernel; differentiable with respect to its lengthscales and variances.
 
-        The terms of a sum of kernels receive equal shares of the frequencies. A frequency of a product is the
-        sum of a frequency of each factor. Normal variables are quantiles of uniform ones. The spectral
-        density of a Matern kernel of smoothness nu is Student's t with 2 nu degrees of freedom: a normal
-        vector divided by the square root of an independent chi-squared variable over 2 nu.
+        The terms of a sum of kernels receive equal shares of the frequencies.
 
         Args:
             key: Random key.
@@ -253,6 +250,9 @@ def _degrees_of_freedom(kernel: Correlation) -> int | None:
 
 def _frequencies(key, factors, number, num_dims, sampling) -> Float[Array, "F D"]:
     """Frequencies of a product of correlations: sums of independent frequencies of the factors."""
+    # Normal variables are quantiles of uniform ones. The spectral density of a Matern kernel of smoothness nu
+    # is Student's t with 2 nu degrees of freedom: a normal vector divided by the square root of an
+    # independent chi-squared variable over 2 nu, which takes one more uniform variable.
     widths = [num_dims + (_degrees_of_freedom(kernel) is not None) for kernel in factors]
     dtype = factors[0].lengthscale.dtype
     if sampling == "quasi-random":

@@ -3,6 +3,7 @@
 import math
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -394,15 +395,13 @@ class GaussianProcess(eqx.Module):
     def _appended(self, at, x, y, row, number: Int[Array, ""], given: Int[Array, ""]) -> "GaussianProcess":
         """The posterior with `number` more observations, of `given`, in the rows `at`, up to the capacity."""
         count = jnp.minimum(self.count + number, self.y.shape[0]).astype(self.count.dtype)
-        return GaussianProcess(
-            kernel=self.kernel,
-            noise_variance=self.noise_variance,
+        return replace(
+            self,
             x=self.x.at[at].set(x, mode="drop"),
             y=self.y.at[at].set(y, mode="drop"),
             inverse_cholesky=self.inverse_cholesky.at[at].set(row, mode="drop"),
             count=count,
             num_ignored=self.num_ignored + given - (count - self.count),
-            mean=self.mean,
         )
 
     def _check_room(self, xs: tuple[str, Array], ys: tuple[str, Array], is_valid: Bool[Array, "S"]) -> None:

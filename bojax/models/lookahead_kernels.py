@@ -14,8 +14,7 @@ from jaxtyping import Array, Float, Int
 from bojax.numerics.kernels import kernels_run_here, launch
 from bojax.numerics.linalg import HIGHEST
 
-BAND = 32
-"""Rows and columns of the blocks of L^-1 that a kernel reads."""
+BAND = 32  # rows and columns of the blocks of L^-1 that a kernel reads
 
 
 def are_used(number: int, num_given: int, dtype: Any) -> bool:

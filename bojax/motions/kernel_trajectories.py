@@ -42,11 +42,8 @@ class KernelTrajectories(ContinuousMotions):
     points within one length along each axis; its mean embedding is computed in closed form instead of from
     samples.
 
-    Because of the regularisation in (4.8)-(4.9), the raw curve starts slightly off the robot's position and
-    heading, whatever anchors are added. With `start="pose"` both are imposed: T(y) - T(0) + (length e_x -
-    T'(0)) y (1-y)^2 starts at the robot, tangential to its heading, and has the same end relative to its
-    start. With `start="relaxed"` only the position is imposed (Fig. 4.2d). The curve is then scaled to
-    `length`.
+    With `start="pose"` the start and its heading are imposed, with `start="relaxed"` only the start (Fig.
+    4.2d). The curve is then scaled to `length`.
 
     Settings: `bojax.motions.settings.KernelTrajectories`.
     """
@@ -93,6 +90,10 @@ class KernelTrajectories(ContinuousMotions):
         def expected(u):
             return matmul(time.gram(u[None, None], times[:, None])[0], coefficients)
 
+        # Because of the regularisation in (4.8)-(4.9), the raw curve starts slightly off the robot's position
+        # and heading, whatever anchors are added. T(y) - T(0) + (e_x - T'(0)) y (1-y)^2 starts at the robot,
+        # tangential to its heading, and has the same end relative to its start; without the last term, only
+        # the position is imposed.
         zero, one = jnp.zeros((), params.dtype), jnp.ones((), params.dtype)
         origin, velocity = eqx.filter_jvp(expected, (zero,), (one,))
         misfit = jnp.asarray([1.0, 0.0], params.dtype) - velocity

@@ -65,7 +65,6 @@ class KernelTrajectories(ContinuousMotions, frozen=True):
     epsilon: float = Field(default=0.1, gt=0, description="regulariser of kernel Bayes' rule (4.9)")
     delta: float = Field(default=1e-5, gt=0, description="regulariser of kernel Bayes' rule (4.8)")
     start: Literal["pose", "relaxed"] = Field(
-        default="pose",
-        description="whether a path starts along the robot's heading, or in a free direction",
+        default="pose", description="whether a path starts along the robot's heading, or in a free direction"
     )
     num_samples: int = Field(default=10, ge=2, description="poses per trajectory")

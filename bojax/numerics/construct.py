@@ -125,9 +125,7 @@ def _check_arguments(
 
 
 def _check_shapes(
-    arguments: Mapping[str, Any],
-    accepted: Mapping[str, inspect.Parameter],
-    locate: Callable[[str], str],
+    arguments: Mapping[str, Any], accepted: Mapping[str, inspect.Parameter], locate: Callable[[str], str]
 ) -> None:
     """Refuse an array whose shape differs from its annotation: JAX does not report out-of-bounds indices."""
     for name, value in arguments.items():

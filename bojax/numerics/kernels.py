@@ -10,8 +10,7 @@ from typing import TypeVar
 
 import jax
 
-T = TypeVar("T")
-"""A tree of arrays."""
+T = TypeVar("T")  # A tree of arrays
 
 
 def kernels_run_here() -> bool:

@@ -9,8 +9,7 @@ import jax.numpy as jnp
 from jax.extend.core import jaxpr_as_fun
 from jaxtyping import Array, ArrayLike, Bool, Int
 
-T = TypeVar("T")
-"""A tree of arrays."""
+T = TypeVar("T")  # A tree of arrays
 
 LANES = "lanes"
 """Name of the axis over which the engine batches runs (`vmap(axis_name=LANES)`).
@@ -19,8 +18,7 @@ Its size is 1 while the engine traces an experiment: use `lax.pmax`, `pmin` or `
 `axis_size`.
 """
 
-EPISODES = "episodes"
-"""Name of the axis over which a run batches episodes that do not depend on each other."""
+EPISODES = "episodes"  # name of the axis over which a run batches episodes that do not depend on each other
 
 
 def any_lane(flag: Bool[Array, ""]) -> Bool[Array, ""]:
@@ -28,17 +26,15 @@ def any_lane(flag: Bool[Array, ""]) -> Bool[Array, ""]:
 
     Where a run batches episodes, whether it holds in any episode of any lane.
 
-    A loop that ends on `any_lane(active)` has an unbatched predicate. With a predicate of each lane, `vmap`
-    would add a select of the whole carry to every iteration.
     """
+    # A loop that ends on `any_lane(active)` has an unbatched predicate. With a predicate of each lane, `vmap`
+    # would add a select of the whole carry to every iteration.
     return _largest(flag)
 
 
 def largest_in_lanes(number: Int[Array, ""]) -> Int[Array, ""]:
-    """The largest `number` of all lanes of this device; `number` itself outside the engine.
-
-    As the trip count of a loop whose length differs between lanes, it keeps the predicate unbatched.
-    """
+    """The largest `number` of all lanes of this device; `number` itself outside the engine."""
+    # As the trip count of a loop whose length differs between lanes, it keeps the predicate unbatched.
     return _largest(number)
 
 
@@ -52,10 +48,11 @@ def _largest(x: Array) -> Array:
 def batched_together(tree: T) -> T:
     """A tree of arrays, with all of them batched if any is.
 
-    For the initial values of a loop whose body batches them all, which then compiles to the same program in
-    less time: `vmap` batches the body of a loop to learn which of its results are batched, and again until no
-    further ones are. A value that all lanes share must be left out, or each lane gets a copy of it.
+    For the initial values of a loop whose body batches them all. A value that all lanes share must be left
+    out, or each lane gets a copy of it.
     """
+    # The program is the same and compiles in less time: `vmap` batches the body of a loop to learn which of
+    # its results are batched, and again until no further ones are.
     leaves, structure = jax.tree.flatten(tree)
     return jax.tree.unflatten(structure, _differentiable(leaves))
 
@@ -88,13 +85,11 @@ def _together_in_lanes(num_lanes: int, is_batched: Sequence[bool], *arrays: Arra
 def lane_by_lane_on_cpu(function: Callable[..., T], *arguments: Any) -> T:
     """`function(*arguments)`, computed on a CPU for one lane after the other.
 
-    For a function with loops whose lengths differ between lanes. In a batch, each iteration computes all
-    lanes until the last one ends; lane by lane, each ends on its own, and its arrays stay in the cache.
-
-    Args:
-        function: The function.
-        arguments: Trees of arrays: all numbers that the function reads.
+    For a function with loops whose lengths differ between lanes. `arguments` are trees of arrays with all
+    numbers that the function reads.
     """
+    # In a batch, each iteration computes all lanes until the last one ends; lane by lane, each ends on its
+    # own, and its arrays stay in the cache.
     if jax.default_backend() != "cpu":
         return function(*arguments)
     leaves, structure = jax.tree.flatten(arguments)

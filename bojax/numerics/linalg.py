@@ -15,8 +15,7 @@ from bojax.numerics.stragglers import while_going
 HIGHEST = Precision.HIGHEST
 """Precision of every matrix product. TF32, JAX's default on NVIDIA GPUs, errs by up to 4e-2 in a GP mean."""
 
-BLOCK = 8
-"""Number of columns that a step of `guarded_cholesky` eliminates on an accelerator."""
+BLOCK = 8  # number of columns that a step of `guarded_cholesky` eliminates on an accelerator
 
 
 def matmul(a: Float[Array, "*a"], b: Float[Array, "*b"]) -> Float[Array, "*c"]:

@@ -33,11 +33,12 @@ def shifted_kronecker(key: Key[Array, ""], num_points: int, num_dims: int, dtype
 def scrambled_halton(key: Key[Array, ""], num_points: int, num_dims: int, dtype) -> Float[Array, "N D"]:
     """`num_points` points that fill the open cube (0, 1)^D evenly; each point is uniformly distributed.
 
-    The j-th coordinate of Halton's sequence reverses the digits of the index in the j-th prime base. A random
-    permutation of the digits at every place (Owen, "A randomized Halton algorithm in R", 2017) breaks the
-    correlation between the coordinates of large bases, which are otherwise almost proportional to each other.
-    Places that no index reaches hold the same permuted zeros in all points: a uniform draw replaces them.
+    The digits at every place are permuted at random (Owen, "A randomized Halton algorithm in R", 2017).
     """
+    # The j-th coordinate of Halton's sequence reverses the digits of the index in the j-th prime base.
+    # Permutations break the correlation between the coordinates of large bases, which are otherwise almost
+    # proportional to each other. Places that no index reaches hold the same permuted zeros in all points: a
+    # uniform draw replaces them.
     levels = [
         (dim, base, base**k)
         for dim, base in enumerate(_first_primes(num_dims))

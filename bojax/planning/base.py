@@ -26,8 +26,7 @@ class Plan(eqx.Module):
     visits: Int[Array, ""]
 
 
-M = TypeVar("M", bound=Motions)
-"""The family of trajectories of a planner."""
+M = TypeVar("M", bound=Motions)  # the family of trajectories of a planner
 
 
 class Planner(eqx.Module, Generic[M]):

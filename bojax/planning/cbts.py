@@ -1,6 +1,7 @@
 """Continuous belief tree search: nodes choose new actions by Bayesian optimisation (Algorithms 3-4)."""
 
 import math
+from dataclasses import replace
 from typing import Literal
 
 import equinox as eqx
@@ -93,8 +94,7 @@ class NodeModelUpdate(eqx.Module):
     has_converged: Bool[Array, ""]
 
 
-ROOM = 20
-"""Number of actions for which a node has room at least: A_max of the thesis."""
+ROOM = 20  # number of actions for which a node has room at least: A_max of the thesis
 
 
 def _places(max_actions: int | Float[Array, ""] | Bool[Array, "A"]) -> Bool[Array, "A"]:
@@ -136,11 +136,7 @@ class ContinuousBeliefTreeSearch(
     objective: Objective = None
 
     def __check_init__(self):
-        """Compare the kernel with the trajectories' parameters.
-
-        Raises:
-            ValueError: The kernel has another number of dimensions.
-        """
+        """Compare the kernel with the trajectories' parameters, or raise ValueError."""
         num_params, dtype = self.motions.num_params, self.motions.length.dtype
         check_takes("kernel", self.kernel, 2, num_params, dtype, "the parameters of the motions")
 
@@ -234,9 +230,8 @@ class ContinuousBeliefTreeSearch(
         del is_new
         update, action = proposal.update, proposal.update.action
         row = jnp.concatenate([action.params, action.row])
-        return NodeModels(
-            candidates=memory.candidates,
-            paths=memory.paths,
+        return replace(
+            memory,
             actions=write_row(memory.actions, child, row),
             whitened=write_row(memory.whitened, child, action.whitened),
             has_converged=write_row(memory.has_converged, child, update.has_converged),

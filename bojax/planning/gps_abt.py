@@ -14,8 +14,7 @@ from bojax.planning.search import Proposal, TreeSearch
 from bojax.planning.tree import ROOT, UNVISITED, Tree, write_row
 from bojax.problems.base import Objective
 
-CENTRE = 0
-"""Index of the centre among the points of a stencil."""
+CENTRE = 0  # index of the centre among the points of a stencil
 
 
 class Stencils(eqx.Module):
@@ -297,9 +296,7 @@ class PatternSearch(TreeSearch[Stencils, StencilDraws, Walk, StencilUpdate, Cont
             best = jnp.argmax(mean).astype(jnp.int32)
             is_most = is_walking & (member[best] != UNVISITED) & (visits[best] > descent.most_visits)
             fewest_visits = jnp.where(
-                is_walking,
-                jnp.minimum(descent.fewest_visits, visits[best]),
-                descent.fewest_visits,
+                is_walking, jnp.minimum(descent.fewest_visits, visits[best]), descent.fewest_visits
             )
 
             # Follow the best point into the stencil that refines it. Where there is none, refine the point if

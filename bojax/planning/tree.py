@@ -8,11 +8,8 @@ from jaxtyping import Array, Bool, Float, Int
 
 from bojax.problems.base import Node
 
-ROOT = 0
-"""Index of the root node."""
-
-UNVISITED = -1
-"""Marks an action that has not been simulated."""
+ROOT = 0  # index of the root node
+UNVISITED = -1  # marks an action that has not been simulated
 
 
 class Tree(eqx.Module):

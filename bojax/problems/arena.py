@@ -11,8 +11,7 @@ from bojax.motions.base import Path, Pose, place
 from bojax.numerics.angles import wrap_to_2pi
 from bojax.problems.walls import Boxes, Drive, drive_until_blocked, is_free
 
-START_TRIES = 256
-"""Number of random poses that a random start is searched in: the first free one."""
+START_TRIES = 256  # number of random poses that a random start is searched in: the first free one
 
 
 class Arena(eqx.Module):

@@ -110,12 +110,7 @@ class Problem(eqx.Module):
 
     @abc.abstractmethod
     def simulate(
-        self,
-        key: Key[Array, ""],
-        root: Root,
-        node: Node,
-        paths: Float[Array, "H S 3"],
-        objective: Objective,
+        self, key: Key[Array, ""], root: Root, node: Node, paths: Float[Array, "H S 3"], objective: Objective
     ) -> Simulation:
         """Simulate an action sequence from a node of the search tree."""
 
@@ -129,11 +124,9 @@ class Problem(eqx.Module):
 
     @property
     def lanes_on_cpu(self) -> int:
-        """Default number of lanes on a core of a CPU, see `Experiment`.
-
-        Measured on one core on the parking problem, in milliseconds per plan: kCBTS 6.8 with 4 lanes, 4.3
-        with 8, 4.0 with 16, 4.8 with 32, 4.9 with 50; SBO 1.1, 1.3, 0.9, 1.5, 1.1.
-        """
+        """Default number of lanes on a core of a CPU, see `Experiment`."""
+        # Measured on one core on the parking problem, in milliseconds per plan: kCBTS 6.8 with 4 lanes, 4.3
+        # with 8, 4.0 with 16, 4.8 with 32, 4.9 with 50; SBO 1.1, 1.3, 0.9, 1.5, 1.1.
         return 16
 
     @property

@@ -1,5 +1,7 @@
 """The belief of a robot that learns a field: its pose, and a Gaussian process conditioned on its samples."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -58,14 +60,8 @@ class FieldBelief(eqx.Module):
             most = self.counts.shape[0] - 1
             if int(step) > most:
                 raise ValueError(f"after: got path {int(step)}; allowed: up to {most}, `max_steps`")
-        return FieldBelief(
-            pose=pose,
-            posterior=posterior,
-            step=step,
-            counts=self.counts.at[step].set(posterior.count, mode="drop"),
-            key=self.key,
-            num_samples=self.num_samples,
-        )
+        counts = self.counts.at[step].set(posterior.count, mode="drop")
+        return replace(self, pose=pose, posterior=posterior, step=step, counts=counts)
 
     def predict_grid(
         self, grid: Float[Array, "G 2"], resolution: int

@@ -32,8 +32,7 @@ from bojax.results.schema import Column, Table
 FILM_RESOLUTION = 31
 """Largest number of grid points per side at which the belief after every step is recorded."""
 
-RELEARN_STARTS = 2
-"""Number of starts of hyper-parameter learning: the current values, and a draw around them."""
+RELEARN_STARTS = 2  # number of starts of hyper-parameter learning: the current values, and a draw around them
 
 FIELD_COLUMNS: Table = (
     *ERROR_COLUMNS,
@@ -95,12 +94,7 @@ class FieldProblem(Problem):
     weighting: Weighting = eqx.field(static=True)
 
     def __check_init__(self):
-        """Check that kernel, mean, sensor, field and vehicle fit together, see `Sensor.check`.
-
-        Raises:
-            ValueError: The kernel or the mean has another number of dimensions, the sensor cannot measure
-                the field, or the vehicle cannot turn on the spot but has to.
-        """
+        """Check that kernel, mean, sensor, field and vehicle fit together, or raise ValueError."""
         check_takes("kernel", self.kernel, 2, 2, self.domain.dtype, "the coordinates of the plane")
         check_takes("mean", self.mean, 1, 2, self.domain.dtype, "the coordinates of the plane")
         self.sensor.check(self.field, self.grid(), self.vehicle.flight_altitude)

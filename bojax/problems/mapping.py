@@ -17,17 +17,15 @@ from bojax.problems.field_belief import FieldBelief
 from bojax.problems.field_problem import FIELD_COLUMNS, FieldProblem, FieldWorld
 from bojax.results.schema import Column, Table
 
-CORNER = 0.2
-"""Side of a corner region, as a share of the side of the domain."""
+CORNER = 0.2  # side of a corner region, as a share of the side of the domain
+SPARSE = 0.25  # share of the area, farthest from all samples, where data count as sparse
+EDGE = 0.1  # largest distance of a point at an edge from the border of a prop, in metres
+AROUND = 0.2  # reach around a prop of the comparison with its reconstruction, in metres
 
-SPARSE = 0.25
-"""Share of the area, farthest from all samples, where data count as sparse."""
 
-EDGE = 0.1
-"""Largest distance of a point at an edge from the border of a prop, in metres."""
+def _in_metres(name: str, doc: str) -> Column:
+    return Column(name, "float64", "m", doc, nullable=True)
 
-AROUND = 0.2
-"""Largest distance of points that a prop is compared with its reconstruction at, in metres."""
 
 MAP_COLUMNS: Table = (
     Column("offset", "float64", "m", "mean error of the final map; positive where it is too high"),
@@ -38,46 +36,28 @@ MAP_COLUMNS: Table = (
         "",
         "share of the variance of the heights that it explains; NaN for a flat field",
     ),
-    Column(
+    _in_metres(
         "corner_error",
-        "float64",
-        "m",
         "centred root mean square error in the corner where it is least, less elsewhere; null if one of both "
         "regions has no grid point",
-        nullable=True,
     ),
-    Column(
+    _in_metres(
         "corner_std",
-        "float64",
-        "m",
         "mean standard deviation in the corner where it is least, less elsewhere; null if one of both "
         "regions has no grid point",
-        nullable=True,
     ),
-    Column(
+    _in_metres(
         "sparse_error",
-        "float64",
-        "m",
         "the error on the quarter of the area farthest from samples; null if it has no grid point",
-        nullable=True,
     ),
 )
 
 PROP_COLUMNS: Table = (
-    Column(
+    _in_metres(
         "edge_error",
-        "float64",
-        "m",
         "centred root mean square error at the edges of props; null if no grid point is at an edge",
-        nullable=True,
     ),
-    Column(
-        "edge_excess",
-        "float64",
-        "m",
-        "the same less that elsewhere; null if one of both has no grid point",
-        nullable=True,
-    ),
+    _in_metres("edge_excess", "the same less that elsewhere; null if one of both has no grid point"),
     Column("props_found", "float64", "", "share of the props that the final map shows, in their place"),
 )
 
@@ -126,11 +106,7 @@ class HeightMapping(FieldProblem):
 
     @override
     def __check_init__(self):
-        """Check that a flying robot flies above the ground.
-
-        Raises:
-            ValueError: The ground is higher than the flight altitude somewhere in the domain.
-        """
+        """Check that a flying robot flies above the ground, or raise ValueError."""
         _check_altitude(self)
 
     @override
@@ -141,11 +117,8 @@ class HeightMapping(FieldProblem):
 class PropMapping(FieldProblem):
     """Learn the heights of a floor with sharp-edged props (thesis, Section 3.5.2).
 
-    The scores of `HeightMapping` are complemented by `PROP_COLUMNS`. A point is at an edge within 0.1 m of
-    the border of a prop. A prop is found if, within 0.2 m of it, the region where the map exceeds half its
-    height overlaps the prop by more than half of their union; regions covered by other props do not count.
-    With `map_kernel`, the map that is scored and recorded is made from the samples of the flight with this
-    kernel, as in Fig. 3.8, while the flight is planned with `kernel`.
+    The scores of `HeightMapping` are complemented by `PROP_COLUMNS`. With `map_kernel`, the map that is
+    scored and recorded is made with this kernel, as in Fig. 3.8, while the flight is planned with `kernel`.
 
     Settings: `bojax.problems.settings.IndoorProps`.
     """
@@ -156,12 +129,7 @@ class PropMapping(FieldProblem):
 
     @override
     def __check_init__(self):
-        """Check that the field consists of blocks, and that a flying robot flies above them.
-
-        Raises:
-            ValueError: The field is of another kind, or higher than the flight altitude somewhere, or the
-                kernel of the map has another number of dimensions.
-        """
+        """Check that the field consists of blocks that a robot flies above, or raise ValueError."""
         if self.map_kernel is not None:
             place = "the coordinates of the plane"
             check_takes("map_kernel", self.map_kernel, 2, 2, self.domain.dtype, place)
@@ -205,6 +173,8 @@ class PropMapping(FieldProblem):
         return away + jnp.minimum(jnp.max(beyond, axis=-1), 0.0)
 
     def _is_found(self, final: Map, outside: Float[Array, "G K"]) -> Bool[Array, "K"]:
+        # A prop is found if the region around it where the map exceeds half its height overlaps the prop by
+        # more than half of their union; points on other props do not count.
         on = outside <= 0.0
         is_other = jnp.any(on, axis=1, keepdims=True) & ~on
         near = final.is_open[:, None] & (outside <= AROUND) & ~is_other

@@ -45,11 +45,7 @@ class PoseProblem(Problem):
     vehicle: Vehicle = eqx.field(default_factory=Exact, kw_only=True)
 
     def __check_init__(self):
-        """Call `start` and `outcome` of a user's problem.
-
-        Raises:
-            ValueError: A call raises an exception, or returns something of another shape or precision.
-        """
+        """Call `start` and `outcome` of a user's problem, or raise ValueError."""
         trial(self, _check_path, jax.random.key(0))
 
     @abc.abstractmethod
@@ -111,19 +107,12 @@ class PoseProblem(Problem):
 
     @override
     def simulate(
-        self,
-        key: Key[Array, ""],
-        root: None,
-        node: Pose,
-        paths: Float[Array, "H S 3"],
-        objective: Objective,
+        self, key: Key[Array, ""], root: None, node: Pose, paths: Float[Array, "H S 3"], objective: Objective
     ) -> Simulation:
-        """Drive the paths one after the other, without noise.
-
-        The initial pose of each path depends only on the ends of the paths before it, so that all outcomes
-        are computed as one batch. Outcomes after termination are ignored.
-        """
+        """Drive the paths one after the other, without noise."""
         del key, root, objective
+        # The initial pose of each path depends only on the ends of the paths before it, so that all outcomes
+        # are one batch. Those after termination are computed and ignored.
         starts = [node]
         for path in paths:
             starts.append(place(path[-1], starts[-1]))

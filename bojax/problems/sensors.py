@@ -1,7 +1,7 @@
 """Sensors with which a robot measures a field."""
 
 import abc
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import equinox as eqx
 import jax
@@ -10,8 +10,12 @@ from jaxtyping import Array, Float, Key
 from typing_extensions import override
 
 from bojax.fields.base import Field
+from bojax.motions.base import Path
 from bojax.robots.quaternions import rotation_matrix
 from bojax.robots.range_sensor import cone, ranges
+
+SensorPoses: TypeAlias = Float[Array, "S 7"] | None
+"""Poses of the sensor, see `TrackingResult`."""
 
 
 class Sensor(eqx.Module):
@@ -30,8 +34,8 @@ class Sensor(eqx.Module):
         self,
         key: Key[Array, ""],
         field: Field,
-        poses: Float[Array, "S 3"],
-        sensor_poses: Float[Array, "S 7"] | None,
+        poses: Path,
+        sensor_poses: SensorPoses,
         noise: Float[Array, ""],
     ) -> Float[Array, "S"]:
         """Noisy measurements.
@@ -56,8 +60,8 @@ class PointSensor(Sensor):
         self,
         key: Key[Array, ""],
         field: Field,
-        poses: Float[Array, "S 3"],
-        sensor_poses: Float[Array, "S 7"] | None,
+        poses: Path,
+        sensor_poses: SensorPoses,
         noise: Float[Array, ""],
     ) -> Float[Array, "S"]:
         del sensor_poses
@@ -102,8 +106,8 @@ class RangeSensor(Sensor):
         self,
         key: Key[Array, ""],
         field: Field,
-        poses: Float[Array, "S 3"],
-        sensor_poses: Float[Array, "S 7"] | None,
+        poses: Path,
+        sensor_poses: SensorPoses,
         noise: Float[Array, ""],
     ) -> Float[Array, "S"]:
         """Measured heights; `noise` is the standard deviation of a range."""

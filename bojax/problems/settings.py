@@ -138,9 +138,7 @@ _PoseNoise = Annotated[
     Field(description="standard deviations of a pose measurement, [m, rad]; null: exact measurements"),
 ]
 _Resolution = Annotated[
-    int,
-    Field(ge=2, description="points per side of the grid of the error measures"),
-    CELLS.bound(square),
+    int, Field(ge=2, description="points per side of the grid of the error measures"), CELLS.bound(square)
 ]
 _Weighting = Annotated[
     Literal["gradient", "gradient-norm", "value"],

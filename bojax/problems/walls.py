@@ -33,15 +33,13 @@ def drive_until_blocked(
     """Drive from the first pose of a trajectory up to the last one that straight line segments reach.
 
     A segment that touches a wall or ends outside the domain, and all later ones, are not driven. A segment
-    that does both counts as a collision.
-
-    A robot beside a wall may measure a pose inside the wall. The first segment therefore does not collide
-    with a wall inside which it starts, provided that it ends beyond the nearest face. This does not apply to
-    a start exactly on the face.
+    that does both counts as a collision. The first segment may leave a wall that it starts inside of.
     """
-    # The segments are one array and the few walls are unrolled: elementwise arithmetic in one kernel, where a
-    # reduction over the walls would be a further kernel on a GPU. Unrolled over the segments as well, the
-    # program takes twice as long to compile.
+    # A robot beside a wall may measure a pose inside it: the first segment does not collide with such a wall
+    # if it ends beyond the nearest face. This does not apply to a start exactly on the face. The segments are
+    # one array and the few walls are unrolled: elementwise arithmetic in one kernel, where a reduction over
+    # the walls would be a further kernel on a GPU. Unrolled over the segments as well, the program takes
+    # twice as long to compile.
     poses = trajectory[1:]
     is_hit = _touches_any(trajectory[:-1], poses, walls, may_leave=True)
     is_free = ~is_hit & _is_inside(poses, domain)
@@ -72,10 +70,7 @@ def _is_inside(points: Float[Array, "*N _"], domain: Float[Array, "4"]) -> Bool[
 def _touches_any(
     begin: Float[Array, "*N _"], end: Float[Array, "*N _"], walls: Boxes | None, may_leave: bool = False
 ) -> Bool[Array, "*N"]:
-    """Whether line segments intersect a wall: the separating axis test with x, y and the segment's normal.
-
-    `across` is twice an area, which avoids a division. With `may_leave`, the first segment may leave a wall.
-    """
+    """Whether line segments intersect a wall. With `may_leave`, the first segment may leave a wall."""
     touches = jnp.zeros(begin.shape[:-1], bool)
     for wall in () if walls is None else walls:
         touches = touches | _touches(begin, end, wall, may_leave)
@@ -86,6 +81,8 @@ def _touches_any(
 def _touches(
     begin: Float[Array, "*N _"], end: Float[Array, "*N _"], wall: Float[Array, "4"], may_leave: bool
 ) -> Bool[Array, "*N"]:
+    # The separating axis test with x, y and the segment's normal; `across` is twice an area, which avoids a
+    # division.
     low_x, high_x = jnp.minimum(begin[..., 0], end[..., 0]), jnp.maximum(begin[..., 0], end[..., 0])
     low_y, high_y = jnp.minimum(begin[..., 1], end[..., 1]), jnp.maximum(begin[..., 1], end[..., 1])
     step_x, step_y = end[..., 0] - begin[..., 0], end[..., 1] - begin[..., 1]

@@ -102,15 +102,12 @@ class Corridor(TabularEnv):
     poisoned: Float[Array, ""]
     cells: int = eqx.field(static=True)
     max_steps: int = eqx.field(static=True)
+    num_actions: ClassVar[int] = 1
     num_branches: ClassVar[int] = 1
 
     @property
     def observation_space(self):
         return Discrete(self.cells)
-
-    @property
-    def action_space(self):
-        return Discrete(1)
 
     def reset(self, key):
         return jnp.int32(0)

@@ -16,15 +16,12 @@ class Bandit(TabularEnv):
 
     rewards: Float[Array, "2"]
     max_steps: ClassVar[int] = 1
+    num_actions: ClassVar[int] = 2
     num_branches: ClassVar[int] = 1
 
     @property
     def observation_space(self):
         return Discrete(1)
-
-    @property
-    def action_space(self):
-        return Discrete(2)
 
     def reset(self, key):
         return jnp.int32(0)
@@ -48,15 +45,12 @@ class Loop(TabularEnv):
     reward: Float[Array, ""]
     absorbs: bool = eqx.field(static=True)
     max_steps: int = eqx.field(static=True, default=2)
+    num_actions: ClassVar[int] = 1
     num_branches: ClassVar[int] = 1
 
     @property
     def observation_space(self):
         return Discrete(2)
-
-    @property
-    def action_space(self):
-        return Discrete(1)
 
     def reset(self, key):
         return jnp.int32(0)

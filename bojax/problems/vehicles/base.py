@@ -8,7 +8,7 @@ import jax
 from jaxtyping import Array, Bool, Float, Key
 from typing_extensions import override
 
-from bojax.motions.base import Pose
+from bojax.motions.base import Path, Pose
 from bojax.numerics.angles import wrap_to_2pi
 
 VehicleState = Any
@@ -54,12 +54,7 @@ class Vehicle(eqx.Module):
 
     @abc.abstractmethod
     def follow(
-        self,
-        key: Key[Array, ""],
-        state: VehicleState,
-        path: Float[Array, "S 3"],
-        end: Pose,
-        noise: Float[Array, "3"] | None,
+        self, key: Key[Array, ""], state: VehicleState, path: Path, end: Pose, noise: Float[Array, "3"] | None
     ) -> TrackingResult:
         """Track a path.
 
@@ -127,12 +122,7 @@ class Exact(Vehicle):
 
     @override
     def follow(
-        self,
-        key: Key[Array, ""],
-        state: Pose,
-        path: Float[Array, "S 3"],
-        end: Pose,
-        noise: Float[Array, "3"] | None,
+        self, key: Key[Array, ""], state: Pose, path: Path, end: Pose, noise: Float[Array, "3"] | None
     ) -> TrackingResult:
         del state
         estimates = path

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 from typing_extensions import override
 
-from bojax.motions.base import Pose
+from bojax.motions.base import Path, Pose
 from bojax.numerics.angles import wrap_to_2pi
 from bojax.problems.vehicles.base import TrackingResult
 from bojax.problems.vehicles.simulated import SimulatedState, SimulatedVehicle, planar
@@ -18,8 +18,7 @@ from bojax.robots.models import packaged
 from bojax.robots.quaternions import rotate_yaw, rotation_matrix
 from bojax.robots.simulator import Physics, RobotState, Simulator
 
-FRAME_EVERY = 10
-"""Number of control steps between two frames of an animation."""
+FRAME_EVERY = 10  # number of control steps between two frames of an animation
 
 
 class Quadrotor(SimulatedVehicle):
@@ -68,7 +67,7 @@ class Quadrotor(SimulatedVehicle):
         self,
         key: Key[Array, ""],
         state: SimulatedState,
-        path: Float[Array, "S 3"],
+        path: Path,
         end: Pose,
         noise: Float[Array, "3"] | None,
     ) -> TrackingResult:
@@ -113,10 +112,9 @@ class Quadrotor(SimulatedVehicle):
     @property
     @override
     def reach(self) -> float:
-        """Length of the minimum-jerk flight from rest to rest that takes full thrust at constant altitude.
-
-        The largest acceleration of such a flight is 10 / sqrt(3) times its length over its squared duration.
-        """
+        """Length of the minimum-jerk flight from rest to rest that takes full thrust at constant altitude."""
+        # The largest acceleration of such a flight is 10 / sqrt(3) times its length over its squared
+        # duration.
         airframe = self.airframe
         upward = 4.0 * float(airframe.max_thrust) / float(airframe.mass)
         sideways = sqrt(upward**2 - float(airframe.gravity) ** 2)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 from typing_extensions import override
 
-from bojax.motions.base import Pose
+from bojax.motions.base import Path, Pose
 from bojax.problems.vehicles.base import TrackingResult
 from bojax.problems.vehicles.simulated import SimulatedState, SimulatedVehicle, planar
 from bojax.robots import pursuit
@@ -17,11 +17,8 @@ from bojax.robots.models import packaged
 from bojax.robots.pursuit import PIECES, Route
 from bojax.robots.simulator import Physics, Simulator
 
-FRAME_EVERY = 2
-"""Number of measurements between two frames of an animation."""
-
-STOPPING_DISTANCE = 0.01
-"""Distance from the end of a path at which the path counts as completed, in metres."""
+FRAME_EVERY = 2  # number of measurements between two frames of an animation
+STOPPING_DISTANCE = 0.01  # distance from the end of a path at which the path counts as completed, in metres
 
 
 class WheeledRobot(SimulatedVehicle):
@@ -65,7 +62,7 @@ class WheeledRobot(SimulatedVehicle):
         self,
         key: Key[Array, ""],
         state: SimulatedState,
-        path: Float[Array, "S 3"],
+        path: Path,
         end: Pose,
         noise: Float[Array, "3"] | None,
     ) -> TrackingResult:
@@ -105,11 +102,9 @@ class WheeledRobot(SimulatedVehicle):
     @property
     @override
     def reach(self) -> float:
-        """Length of the path that is completed, to within 1 cm, in the time available.
-
-        The robot drives at `speed` until the remaining path is `speed / gain`; then the remaining path decays
-        exponentially.
-        """
+        """Length of the path that is completed, to within 1 cm, in the time available."""
+        # The robot drives at `speed` until the remaining path is `speed / gain`, which then decays
+        # exponentially.
         speed, slow = float(self.speed), float(self.speed) / float(self.gain)
         seconds = self.readings * self.simulator.time_step
         return max(
