@@ -55,7 +55,7 @@ def to_points(name: str, given: Any, dtype: Any, num_dims: int | None = None) ->
 def to_data(
     features: Any, targets: Any, dtype: Any = None
 ) -> tuple[Float[Array, "N M"], Float[Array, "N *K"]]:
-    """Features and targets as arrays, by default of the features' precision; ValueError if they do not fit."""
+    """Features and targets as arrays, by default of the features' precision; ValueError if they misfit."""
     dtype = precision(features) if dtype is None else dtype
     features, targets = to_points("features", features, dtype), to_numbers("targets", targets, dtype)
     if targets.shape[:1] != features.shape[:1]:
