@@ -104,7 +104,7 @@ class Latency(Recorded):
     """What `bojax bench latency` has measured in a results folder."""
 
     config_hash: str | None = None
-    written: Text = ""
+    written: str = ""
     device: dict[str, Any] = {}
     # Median, least and largest seconds of an advance of a single run, by index of the point.
     seconds: dict[str, Annotated[list[float], Field(min_length=3, max_length=3)]] = {}
