@@ -19,15 +19,15 @@ from peers import installed
 from rich.console import Console
 from rich.table import Table
 
-from bojax.cli.tuning import Task
 from bojax.config.sweep import load_config
-from bojax.config.tuning import Range, described
 from bojax.engine.program_cache import held
 from bojax.engine.run import run_sweeps
 from bojax.engine.targets import Request
-from bojax.engine.tuning import Search, Values
 from bojax.report.ranking import Measure
 from bojax.report.source import load
+from bojax.tuning.ranges import Range, described
+from bojax.tuning.search import Search, Values
+from bojax.tuning.task import Task
 
 PEAK = (0.03, 2.0, 0.4)
 SPACE = (

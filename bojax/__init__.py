@@ -12,11 +12,13 @@ __version__ = "0.1.0"
 _HOMES = {
     "run": "start",
     "sweep": "start",
+    "tune": "start",
     "part": "parts",
     "load": "results",
     "plot_gp": "plots",
     "plot_search": "plots",
     "Results": "results",
+    "TuningResults": "results",
     "Picture": "results",
     "BojaxError": "errors",
     "Interrupted": "errors",

@@ -5,8 +5,10 @@ from bojax.api.plots import plot_gp as plot_gp
 from bojax.api.plots import plot_search as plot_search
 from bojax.api.results import Picture as Picture
 from bojax.api.results import Results as Results
+from bojax.api.results import TuningResults as TuningResults
 from bojax.api.results import load as load
 from bojax.api.start import run as run
 from bojax.api.start import sweep as sweep
+from bojax.api.start import tune as tune
 
 __version__: str

@@ -17,6 +17,7 @@ from bojax.api.errors import BojaxError, in_one_line
 from bojax.api.given import path_of
 from bojax.config.errors import allowed_names
 from bojax.config.figures import figure_modules
+from bojax.config.yaml_file import read_mapping
 from bojax.report import source, style
 from bojax.report.drawing.base import FigureUnavailable
 from bojax.report.figures import draw, ranked
@@ -24,6 +25,8 @@ from bojax.report.page import summary
 from bojax.report.ranking import best_of, config_of, measure_of
 from bojax.report.verdicts import read_claims
 from bojax.results.store import read_manifest, read_table
+from bojax.tuning.page import read_tuning
+from bojax.tuning.ranges import described
 
 _CLAIMS = pa.schema(
     [(name, pa.string()) for name in ("id", "source", "claim", "thesis", "ours")]
@@ -201,3 +204,56 @@ class Results:
             raise BojaxError(f"{self.folder}: no table {name}{allowed_names(name, there)}")
         with in_one_line():
             return read_table(path)
+
+
+class TuningResults:
+    """What a search over settings has found, in the folder that `bojax tune` wrote.
+
+    Raises:
+        BojaxError: The folder holds no finished search.
+    """
+
+    def __init__(self, folder: str | os.PathLike[str]):
+        self.folder = Path(folder)
+        with in_one_line():
+            self._tuning = read_tuning(self.folder)
+
+    @cached_property
+    def points(self) -> pa.Table:
+        """One row for each point, the best expected score first.
+
+        The columns are the tuned settings by dotted path, `round` from 0, `score`, the mean of the metric,
+        and the posterior `mean` and `std` of the metric without noise. Points without a score are left out.
+        """
+        keys, points = [each.key for each in self._tuning.ranges], self._tuning.points
+        return pa.Table.from_pylist(
+            [
+                {
+                    **dict(zip(keys, points[index].values, strict=True)),
+                    **points[index].model_dump(exclude={"values"}),
+                }
+                for index in self._tuning.order
+            ]
+        )
+
+    @cached_property
+    def best(self) -> dict[str, Any]:
+        """The config of the best point, with another seed: `bojax.run(found.best, runs=200)`."""
+        with in_one_line():
+            return read_mapping(self.folder / "best.yaml", "best.yaml")
+
+    @property
+    def confirmed(self) -> Results | None:
+        """Results of the best points and of the config as given on fresh runs; None without fresh runs."""
+        name = self._tuning.confirmed
+        return None if name is None else load(self.folder / name)
+
+    @property
+    def report(self) -> Path:
+        """The page with slices through the model, scores and fresh runs, `report.html`."""
+        return self.folder / "report.html"
+
+    @override
+    def __repr__(self) -> str:
+        words = described(self._tuning.ranges, self._tuning.best.values)
+        return f"{self._tuning.title}: {self._tuning.measure.words} best at {words} ({self.folder})"

@@ -1,23 +1,28 @@
-"""`bojax.run` and `bojax.sweep`: the commands of the same names, from Python."""
+"""`bojax.run`, `bojax.sweep` and `bojax.tune`: the commands of the same names, from Python."""
 
 import contextlib
 import os
 import signal
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
+from bojax.api.command import run_here, run_in_child
 from bojax.api.errors import BojaxError, Interrupted, in_one_line
 from bojax.api.given import Values, path_of
-from bojax.api.results import Results, load
+from bojax.api.results import Results, TuningResults, load
+from bojax.config.errors import ConfigError, shown
 from bojax.config.files import STANDARD_INPUT
 from bojax.config.overrides import SOURCE
 from bojax.config.sweep import UNNAMED, load_config, load_sweep
 from bojax.results.folder import is_unfinished, reserve_folder
 from bojax.results.store import MANIFEST
+from bojax.tuning.ranges import split_ranges
 
 Given = str | os.PathLike[str] | Mapping[str, Any]
 """A name, the path of a YAML file, or the content of one."""
+
+Folder = str | os.PathLike[str]
 
 
 def run(
@@ -26,7 +31,7 @@ def run(
     *,
     runs: int | None = None,
     seed: int | None = None,
-    out: str | os.PathLike[str] | None = None,
+    out: Folder | None = None,
     resume: bool = False,
     **settings: Any,
 ) -> Results:
@@ -52,7 +57,7 @@ def run(
         BojaxError: The input is wrong, or the experiment failed; the message is one line.
         Interrupted: It was stopped by Ctrl-C; a `KeyboardInterrupt` whose message says how to resume.
     """
-    return _start("run", config, runs, seed, out, resume, settings)
+    return load(_start("run", config, {"runs": runs, "seed": seed}, out, resume, settings))
 
 
 def sweep(
@@ -61,7 +66,7 @@ def sweep(
     *,
     runs: int | None = None,
     seed: int | None = None,
-    out: str | os.PathLike[str] | None = None,
+    out: Folder | None = None,
     resume: bool = False,
     **settings: Any,
 ) -> Results:
@@ -74,67 +79,131 @@ def sweep(
         BojaxError: The input is wrong, or the sweep failed; the message is one line.
         Interrupted: It was stopped by Ctrl-C; a `KeyboardInterrupt` whose message says how to resume.
     """
-    return _start("sweep", sweep, runs, seed, out, resume, settings)
+    return load(_start("sweep", sweep, {"runs": runs, "seed": seed}, out, resume, settings))
+
+
+def tune(
+    config: Given,
+    ranges: Mapping[str, Sequence[Any]],
+    /,
+    *,
+    metric: str | None = None,
+    minimise: bool = False,
+    budget: int | None = None,
+    batch: int | None = None,
+    confirm: int | None = None,
+    runs: int | None = None,
+    seed: int | None = None,
+    out: Folder | None = None,
+    resume: bool = False,
+    **settings: Any,
+) -> TuningResults:
+    """Search for the best values of numeric settings, as `bojax tune`, and return what was found.
+
+    The process and the other arguments are those of `bojax.run`; those without a default here have the one of
+    the command line.
+
+    Args:
+        config: Name of a config, path of a YAML file, or its content as a mapping.
+        ranges: Bounds of each tuned setting, by dotted path: `{"planner.exploration": (10, 1000, "log")}`;
+            with `"log"`, values are searched by their logarithm.
+        metric: Column of `runs.parquet` whose mean is the score.
+        minimise: Whether less is better.
+        budget: Number of runs of the search in all.
+        batch: Number of points of a round.
+        confirm: Number of fresh runs of each of the best three settings; 0 for none.
+        runs: Number of runs of each point.
+        seed: Seed of the search and of its runs.
+        out: Folder of the search, new or empty; `results/NAME-tune/TIME` by default.
+        resume: Whether to continue an unfinished search, or to extend the finished one in `out`.
+        settings: Settings to change that are not tuned, by dotted path.
+
+    Raises:
+        BojaxError: The input is wrong, or a round failed; the message is one line.
+        Interrupted: It was stopped by Ctrl-C; a `KeyboardInterrupt` whose message says how to resume.
+    """
+    options = {"metric": metric, "minimise": minimise or None, "budget": budget, "batch": batch}
+    options |= {"confirm": confirm, "runs": runs, "seed": seed}
+    return TuningResults(_start("tune", config, options, out, resume, settings, ranges))
 
 
 def _start(
-    command: Literal["run", "sweep"],
+    command: Literal["run", "sweep", "tune"],
     given: Given,
-    runs: int | None,
-    seed: int | None,
-    out: str | os.PathLike[str] | None,
+    options: Mapping[str, Any],
+    out: Folder | None,
     resume: bool,
     settings: Mapping[str, Any],
-) -> Results:
+    ranges: Mapping[str, Sequence[Any]] | None = None,
+) -> Path:
+    """Run a command with options and settings, and return its results folder."""
     values = Values()
     with in_one_line():
-        runs, seed = values.number(runs, "runs"), values.number(seed, "seed")
+        options = {name: values.number(value, name) for name, value in options.items() if value is not None}
         if isinstance(given, Mapping):
             source = values.mapping(given, str(UNNAMED))
         else:
             source = path_of(given, command, "a name, a path or a mapping")
         place = None if out is None else Path(path_of(out, "out"))
         overrides = [f"{key}={values.text(value, (key,), SOURCE)}" for key, value in settings.items()]
+        tuned = [_range(key, bounds, values) for key, bounds in (ranges or {}).items()]
         # A mistake ends here, before a process starts and before anything is written.
-        load_it = load_config if command == "run" else load_sweep
-        loaded = load_it(source, overrides, runs, seed)
-        folder, _ = reserve_folder(loaded.name, place, resume=resume)
-    words = ["bojax", command, source if isinstance(source, str) else STANDARD_INPUT, *overrides]
-    for option, value in (("--runs", runs), ("--seed", seed), ("--out", folder)):
-        words += [] if value is None else [option, str(value)]
-    words += ["--resume"] if resume else []
-    try:
-        if values.has_classes:
-            from bojax.api.here import run_here
-
-            with in_one_line():
-                ended = run_here(loaded, folder, resume, words)
+        split_ranges(tuned)
+        load_it = load_sweep if command == "sweep" else load_config
+        name = load_it(source, overrides, options.get("runs"), options.get("seed")).name
+        name = f"{name}-tune" if command == "tune" else name
+        if place is not None and resume and command == "tune" and place.is_dir():
+            folder = place  # of a search, which may be finished
         else:
-            from bojax.api.child import run_command
-
-            config = None if isinstance(source, str) else values.text(source, (), str(UNNAMED))
-            ended = run_command(words[1:], config)
+            folder, _ = reserve_folder(name, place, resume=resume)
+    words = [command, source if isinstance(source, str) else STANDARD_INPUT, *overrides, *tuned]
+    for option, value in {**options, "out": folder}.items():
+        words += [f"--{option}"] if value is True else [f"--{option}", str(value)]
+    words += ["--resume"] if resume else []
+    config = None if isinstance(source, str) else values.text(source, (), str(UNNAMED))
+    try:
+        with in_one_line():
+            ended = (run_here if values.has_classes else run_in_child)(words, config)
     finally:
         with contextlib.suppress(OSError):  # unless something was written
             folder.rmdir()
     if ended.code == 0:
-        return load(folder)
+        return folder
     if ended.signal is None:
-        raise BojaxError(ended.error.removeprefix(f"{SOURCE}: "), ended.output)
+        raise BojaxError(ended.error.removeprefix(f"{SOURCE}: "), "\n".join(ended.lines))
     advice = "nothing was written"
     if is_unfinished(folder):
-        options = {"runs": runs, "seed": seed, "out": str(folder), "resume": True}
-        advice = f"to resume: {_call(command, given, options, settings)}"
+        again = {**options, "out": str(folder), "resume": True}
+        advice = f"to resume: {_call(command, given, ranges, again, settings)}"
     elif (folder / MANIFEST).exists():
         advice = f"the runs are finished; to write the report: bojax report {folder}"
     if ended.signal is signal.SIGINT:
         raise Interrupted(f"interrupted; {advice}")
-    raise BojaxError(f"the process of the sweep was ended by {ended.signal.name}; {advice}", ended.output)
+    reason = f"the process of the sweep was ended by {ended.signal.name}"
+    raise BojaxError(f"{reason}; {advice}", "\n".join(ended.lines))
 
 
-def _call(command: str, given: Given, options: Mapping[str, Any], settings: Mapping[str, Any]) -> str:
+def _range(key: str, bounds: Any, values: Values) -> str:
+    """A range as a word of the command line, `key=low:high` or `key=low:high:log`."""
+    given = values.number(bounds, key)
+    low, high, *scale = given if isinstance(given, list) and len(given) in (2, 3) else (None, None)
+    if not all(isinstance(bound, int | float) for bound in (low, high)) or scale not in ([], ["log"]):
+        raise ConfigError(
+            f'{key}: got {shown(given)}; allowed: (low, high) or (low, high, "log"), two numbers'
+        )
+    return ":".join([f"{key}={low}", str(high), *scale])
+
+
+def _call(
+    command: str,
+    given: Given,
+    ranges: Mapping[str, Any] | None,
+    options: Mapping[str, Any],
+    settings: Mapping[str, Any],
+) -> str:
     """The call of a function, as text."""
-    first = "config" if isinstance(given, Mapping) else repr(os.fspath(given))
-    named = [f"{name}={value!r}" for name, value in options.items() if value is not None]
+    first = ["config" if isinstance(given, Mapping) else repr(os.fspath(given))]
+    first += [repr(dict(ranges))] if ranges is not None else []
+    named = [f"{name}={value!r}" for name, value in options.items()]
     rest = [f"**{dict(settings)!r}"] if settings else []
-    return f"bojax.{command}({', '.join([first, *named, *rest])})"
+    return f"bojax.{command}({', '.join([*first, *named, *rest])})"

@@ -4,10 +4,11 @@ import dataclasses
 from collections.abc import Sequence
 
 from bojax.cli.parser import Parser, UsageError, column, integer, path
-from bojax.cli.running import resolved, run
+from bojax.cli.running import run
 from bojax.config.errors import dotted, printable
 from bojax.config.sweep import load_config
 from bojax.config.yaml_file import dump
+from bojax.engine.resolve import resolved
 
 _EXAMPLES = """\
   bojax best results/grid > best.yaml          the config of the point with the best mean return

@@ -105,7 +105,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper):  # names of folders may not be UTF-8
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
-        return _run_to_the_end(words) if words and words[0] in _WRITING else _run(words)
+        return _run_to_the_end(words) if words and words[0] in _WRITING else dispatch(words)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130
@@ -135,10 +135,10 @@ def _has_stopped_importing(package: str) -> bool:
 def _run_to_the_end(words: list[str]) -> int:
     """Run a command that goes on if its output cannot be written."""
     if sys.stdout is None:  # bojax ... >&-
-        return _run(words)
+        return dispatch(words)
     output = Messages(sys.stdout)
     with contextlib.redirect_stdout(cast(TextIO, output)):
-        code = _run(words)
+        code = dispatch(words)
     output.flush()
     return code if output.error is None else code or _end_output(output.error)
 
@@ -218,7 +218,12 @@ def leave(code: int) -> NoReturn:
     sys.exit(code)
 
 
-def _run(words: list[str]) -> int:
+def dispatch(words: list[str]) -> int:
+    """Run a command in this process, changing nothing of it, and return the exit code.
+
+    Raises:
+        UsageError: The command line is wrong; other errors with an `exit_code` are those of the input.
+    """
     for word in words:
         if sign := control_character(word):
             raise UsageError(

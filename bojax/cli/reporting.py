@@ -23,7 +23,9 @@ def main(name: str, words: Sequence[str]) -> int:
     args = parser.parse_intermixed_args(list(words))
 
     from bojax.report.progress import report
+    from bojax.tuning.page import build_page, is_search
 
     for folder in args.folders:
-        print(report(folder, is_brief=len(args.folders) > 1))
+        page = build_page(folder) if is_search(folder) else report(folder, is_brief=len(args.folders) > 1)
+        print(page)
     return 0

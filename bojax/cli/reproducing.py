@@ -8,10 +8,11 @@ from pathlib import Path
 
 from bojax.cli.launching import LAUNCHING_USAGE, add_launching, check_launching, dry_run
 from bojax.cli.parser import Parser, UsageError, integer, path
-from bojax.cli.running import resolved, run
+from bojax.cli.running import run
 from bojax.config.errors import ConfigError
 from bojax.config.sweep import load_sweep
 from bojax.config.thesis import ALL, sweeps_of
+from bojax.engine.resolve import resolved
 from bojax.results.folder import is_unfinished, require_empty
 
 FOLDER = Path("results/reproduction")

@@ -8,15 +8,15 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 from bojax.cli.launching import LAUNCHING_USAGE, add_launching, check_launching, dry_run, name_of_launcher
 from bojax.cli.parser import Parser, UsageError, integer, path
 from bojax.config.errors import printable
 from bojax.config.files import STANDARD_INPUT, SUFFIXES, display, find, shadowed
 from bojax.config.overrides import parse_overrides
-from bojax.config.sweep import Sweep, load_config, load_sweep
+from bojax.config.sweep import Source, Sweep, load_config, load_sweep
 from bojax.config.yaml_file import MAX_BYTES, mapping_of
+from bojax.engine.resolve import resolved
 
 _DOTTED = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)+")
 
@@ -44,10 +44,8 @@ _SWEEP = """\
 def main(name: str, words: Sequence[str]) -> int:
     """Run the command `name`, which is "run" or "sweep"."""
     args = _parser(name).parse_intermixed_args(list(words))
-    overrides = [word for word in args.words if "=" in word and not os.path.isfile(word)]
-    sources = [word for word in args.words if word not in overrides]
     check_launching(args)
-    parse_overrides(overrides)  # before the sources: the shell may have split a value into words
+    overrides, sources = split_words(args.words)
     for word, value in pairwise(sources):
         if _DOTTED.fullmatch(word) and not word.endswith(SUFFIXES):
             raise UsageError(f"bojax {name}: got {word} {value}; did you mean {word}={value}?")
@@ -57,7 +55,7 @@ def main(name: str, words: Sequence[str]) -> int:
         raise UsageError(f"bojax {name}: got {got}; allowed: {allowed} (bojax list shows the names)")
     if sources.count(STANDARD_INPUT) > 1:
         raise UsageError(f"bojax {name}: got {STANDARD_INPUT} twice; allowed: distinct sweeps")
-    given = [read_standard_input() if source == STANDARD_INPUT else source for source in sources]
+    given = [read_source(source) for source in sources]
     load = load_config if name == "run" else load_sweep
     sweeps = [load(source, overrides, args.runs, args.seed) for source in given]
     names = [sweep.name for sweep in sweeps]
@@ -112,23 +110,21 @@ def _parser(name: str) -> Parser:
     return parser
 
 
-def resolved(sweep: Sweep) -> Sweep:
-    """Import the modules that the sweep names. This runs the user's code, so JAX is configured first."""
-    from bojax.config.external import imports_code, resolve
+def split_words(words: Sequence[str]) -> tuple[list[str], list[str]]:
+    """The overrides among the words of a command line, and the sources.
 
-    if not imports_code(sweep):
-        return sweep
-    from bojax.engine.signals import kept
-
-    with kept():
-        from bojax.engine.devices import prepare
-
-        prepare(sweep.engine.device)
-        return resolve(sweep)
+    Raises:
+        ConfigError: An override is wrong. The shell may have split a value into words, which are no sources.
+    """
+    overrides = [word for word in words if "=" in word and not os.path.isfile(word)]
+    parse_overrides(overrides)
+    return overrides, [word for word in words if word not in overrides]
 
 
-def read_standard_input() -> dict[str, Any]:
-    """The content of a YAML file on standard input."""
+def read_source(word: str) -> Source:
+    """A name or a path as it is, or the content of a YAML file on standard input."""
+    if word != STANDARD_INPUT:
+        return word
     return mapping_of(sys.stdin.buffer.read(MAX_BYTES + 1), "standard input")
 
 
@@ -138,7 +134,6 @@ def run(
     resume: bool,
     command: list[str],
     *,
-    exits: bool = True,
     launching: Namespace | None = None,
 ) -> int:
     """Run resolved sweeps and write their reports.
@@ -148,7 +143,6 @@ def run(
         folders: Results folder of each sweep; None for `results/NAME/TIME`.
         resume: Whether to continue unfinished sweeps.
         command: The command line, for the manifests and for the hint on how to resume.
-        exits: Whether a second signal ends the process at once.
         launching: The options of `add_launching`; None runs the chunks in this process, on all devices.
 
     Returns:
@@ -157,7 +151,7 @@ def run(
     from bojax.engine.signals import StopRequest, stop_with_parent
 
     # During the import of JAX, a callback can raise a KeyboardInterrupt, which is discarded there.
-    with StopRequest(announce=lambda _: None, exits=exits) as stop:
+    with StopRequest(announce=lambda _: None) as stop:
         from bojax.engine.devices import start_early
 
         if name_of_launcher(launching) == "inline" and len({sweep.engine.device for sweep in sweeps}) == 1:
@@ -182,7 +176,6 @@ def run(
             resume,
             command,
             finish=reports.write,
-            exits=exits,
             launcher=launcher,
             indices=devices,
             planned=reports.prepare,

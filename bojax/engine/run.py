@@ -29,7 +29,6 @@ def run_sweeps(
     command: Sequence[str],
     finish: Callable[[Path], Any] = lambda _: None,
     *,
-    exits: bool = True,
     launcher: Launcher | None = None,
     indices: Sequence[int] | None = None,
     planned: Callable[[], Any] = lambda: None,
@@ -43,7 +42,6 @@ def run_sweeps(
         resume: Continue unfinished sweeps, each in its `out` or in the newest unfinished folder of its name.
         command: The command line, for the manifests and for the hint on how to resume.
         finish: Called with the results folder of each finished sweep, for instance to write a report.
-        exits: Whether a second signal ends the process at once.
         launcher: Starts workers that run the chunks; None to run them in this process.
         indices: Indices of the devices that this process uses; None for all.
         planned: Called before this process waits for devices or workers.
@@ -52,7 +50,7 @@ def run_sweeps(
         The exit code: 0; 1 if something failed; 2 for an input error; 128 and its number after a signal.
     """
     try:
-        with StopRequest(exits=exits) as stop:
+        with StopRequest() as stop:
             device = _common_device([request.sweep for request in requests])
             targets = choose_targets(requests, resume=resume)
             if launcher is not None:

@@ -14,6 +14,19 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """What stops a sweep: Ctrl-C, the system or a scheduler, and a terminal that is closed."""
 
 
+_ends_process = [True]
+
+
+@contextlib.contextmanager
+def sparing_the_process() -> Iterator[None]:
+    """Context in which a second signal does not end the process: a notebook has more to lose than a sweep."""
+    _ends_process[0] = False
+    try:
+        yield
+    finally:
+        _ends_process[0] = True
+
+
 class StopRequest:
     """Notices signals while its `with` block runs.
 
@@ -31,7 +44,7 @@ class StopRequest:
     Args:
         announce: Called with a message after the first signal; prints it by default.
         signals: The signals to notice.
-        exits: Whether the second signal ends the process. A notebook's process has more to lose than a sweep.
+        exits: Whether the second signal ends the process; by default, unless `sparing_the_process`.
     """
 
     def __init__(
@@ -39,10 +52,10 @@ class StopRequest:
         announce: Callable[[str], None] | None = None,
         signals: Sequence[signal.Signals] = SIGNALS,
         *,
-        exits: bool = True,
+        exits: bool | None = None,
     ):
         self.signum: int | None = None
-        self._signals, self._exits = signals, exits
+        self._signals, self._exits = signals, _ends_process[0] if exits is None else exits
         self._announce = announce or (lambda text: print(text, file=sys.stderr, flush=True))
 
     def __bool__(self) -> bool:

@@ -1,6 +1,5 @@
 """Builds a report, and shows its progress and its verdicts on standard error."""
 
-import os
 import time
 from pathlib import Path
 
@@ -8,14 +7,13 @@ from rich.console import Console
 from rich.status import Status
 
 from bojax.report.build import build_report
-from bojax.report.tuning import TUNING, build_tuning_report
 from bojax.report.verdicts import print_verdicts
 
 PATIENCE = 1.0  # seconds before progress is shown
 
 
 def report(folder: Path, *, is_brief: bool = False) -> Path:
-    """Write the report of a sweep or of a search over settings, and return the path of the page.
+    """Write the report of a sweep, and return the path of the page.
 
     Meanwhile a terminal shows the stage, and a log file gets one line. The verdicts are printed at the end,
     or only counted if `is_brief`.
@@ -37,9 +35,6 @@ def report(folder: Path, *, is_brief: bool = False) -> Path:
         has_spoken = True
 
     try:
-        if os.path.isfile(folder / TUNING):
-            at("tables")
-            return build_tuning_report(folder)
         page = build_report(folder, at)
     finally:
         status.stop()

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import bojax
-from bojax.api import child
+from bojax.api.command import Output
 from bojax.engine import signals
 from bojax.results.folder import is_unfinished
 from bojax.results.store import read_manifest
@@ -73,47 +73,75 @@ def test_a_mapping_runs_in_a_process_of_its_own(caller, capfd):
 
 
 def test_a_class_runs_in_this_process(caller, capfd):
-    results = bojax.run(
-        {"experiment": "learning", "env": {"kind": Bandit, "rewards": (-1.0, 2.0)}, "learner": "additive"},
-        runs=3,
-        out="arms",
-        resume=True,
-        episodes=2,
-    )
+    results = bojax.run(ARMS, runs=3, out="arms", resume=True, episodes=2)
     assert set(results.episodes["return"].to_pylist()) <= {-1.0, 2.0}
     assert results.runs.num_rows == 3
     assert results.manifest["points"][0]["config"]["env"]["kind"] == "tests.learning.probes:Bandit"
     assert "note: nothing to resume; starting anew: arms\n" in capfd.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: bojax.run("mountain-cra"), 'mountain-cra: no such file.*did you mean "mountain-car"'),
-        (lambda: bojax.sweep("fig-4.7"), "fig-4.7: no such file"),
-        (lambda: bojax.run(CONFIG, episodes=0), "^episodes: got 0; allowed: >= 1$"),
-        (lambda: bojax.run(CONFIG, runs=0), "^runs: got 0; allowed: >= 1$"),
-        (lambda: bojax.run(CONFIG, runs=2.5), "^runs: got 2.5; allowed: an integer$"),
-        (lambda: bojax.run(CONFIG, runs=np.int64(0)), "^runs: got 0; allowed: >= 1$"),
-        (lambda: bojax.run(CONFIG, seed=float("nan")), "^seed: got nan; allowed: a finite number$"),
-        (lambda: bojax.run(None), "^run: got null, of type NoneType; allowed: a name, a path or a mapping$"),
-        (lambda: bojax.sweep(b"parking"), "^sweep: got b'parking', of type bytes; allowed: a name"),
-        (lambda: bojax.run(CONFIG, out=3), "^out: got 3, of type int; allowed: a path$"),
-        (lambda: bojax.run(CONFIG, out=""), '^out: got "", of type str; allowed: a path$'),
-        (lambda: bojax.load(None), "^folder: got null, of type NoneType; allowed: a path$"),
-        (lambda: bojax.run({**CONFIG, "episodse": 1}), 'episodse: unknown key.*did you mean "episodes"'),
-        (lambda: bojax.run({"base": "chain"}), "config.yaml: is a sweep, not an experiment"),
-        (lambda: bojax.sweep(CONFIG), "config.yaml: base: missing"),
-        (lambda: bojax.run(CONFIG, resume=True), "no unfinished sweep to resume"),
-        (lambda: bojax.run({**CONFIG, "env": int}), 'got "builtins:int"; the class does not implement'),
-        (lambda: bojax.run(CONFIG, out=__file__), "is not a folder; allowed: a new or empty folder"),
-    ],
-)
-def test_a_mistake_is_one_line_before_anything_is_written(here, call, message):
-    with pytest.raises(bojax.BojaxError, match=message) as caught:
-        call()
-    assert "\n" not in str(caught.value)
-    assert [path for path in here.rglob("*") if path.is_file()] == []
+ARMS = {"experiment": "learning", "env": {"kind": Bandit, "rewards": (-1.0, 2.0)}, "learner": "additive"}
+RANGES = {"learner.learning_rate": (0.05, 1, "log"), "learner.discount": (0.5, np.float64(1.0))}
+
+
+def test_a_search_is_the_command_of_the_same_name(caller, monkeypatch):
+    asked = []
+    monkeypatch.setattr("bojax.cli.tuning.search", lambda task, *_: asked.append(task) or 1)
+    with pytest.raises(bojax.BojaxError):
+        bojax.tune(ARMS, RANGES, metric="steps_to_goal", minimise=True, budget=8, batch=2, runs=2, confirm=3)
+    (task,) = asked
+    assert (task.column, task.is_least, task.batch, task.rounds) == ("steps_to_goal", True, 2, 2)
+    assert (task.config.runs, task.confirm) == (2, 3)
+    bounds = [(each.key, each.low, each.high, each.is_log) for each in task.ranges]
+    assert bounds == [("learner.learning_rate", 0.05, 1.0, True), ("learner.discount", 0.5, 1.0, False)]
+
+
+@pytest.mark.slow
+def test_a_search_returns_what_it_has_found(caller, capfd):
+    found = bojax.tune(ARMS, RANGES, budget=8, batch=2, runs=2, confirm=3, episodes=2)
+    assert found.folder.parent == type(found.folder)("results", "config-tune") and found.report.is_file()
+    assert found.points.num_rows == 4 and found.confirmed is not None
+    assert "round 2 of 2" in capfd.readouterr().out
+
+
+MISTAKES = [
+    (lambda: bojax.run("mountain-cra"), 'mountain-cra: no such file.*did you mean "mountain-car"'),
+    (lambda: bojax.sweep("fig-4.7"), "fig-4.7: no such file"),
+    (lambda: bojax.run(CONFIG, episodes=0), "^episodes: got 0; allowed: >= 1$"),
+    (lambda: bojax.run(CONFIG, runs=0), "^runs: got 0; allowed: >= 1$"),
+    (lambda: bojax.run(CONFIG, runs=2.5), "^runs: got 2.5; allowed: an integer$"),
+    (lambda: bojax.run(CONFIG, runs=np.int64(0)), "^runs: got 0; allowed: >= 1$"),
+    (lambda: bojax.run(CONFIG, seed=float("nan")), "^seed: got nan; allowed: a finite number$"),
+    (lambda: bojax.run(None), "^run: got null, of type NoneType; allowed: a name, a path or a mapping$"),
+    (lambda: bojax.sweep(b"parking"), "^sweep: got b'parking', of type bytes; allowed: a name"),
+    (lambda: bojax.run(CONFIG, out=3), "^out: got 3, of type int; allowed: a path$"),
+    (lambda: bojax.run(CONFIG, out=""), '^out: got "", of type str; allowed: a path$'),
+    (lambda: bojax.load(None), "^folder: got null, of type NoneType; allowed: a path$"),
+    (lambda: bojax.run({**CONFIG, "episodse": 1}), 'episodse: unknown key.*did you mean "episodes"'),
+    (lambda: bojax.run({"base": "chain"}), "config.yaml: is a sweep, not an experiment"),
+    (lambda: bojax.sweep(CONFIG), "config.yaml: base: missing"),
+    (lambda: bojax.run(CONFIG, resume=True), "no unfinished sweep to resume"),
+    (lambda: bojax.run({**CONFIG, "env": int}), 'got "builtins:int"; the class does not implement'),
+    (
+        lambda: bojax.tune(CONFIG, {"learner.discount": 1}),
+        "learner.discount: got 1; allowed: .low, high",
+    ),
+    (lambda: bojax.tune(CONFIG, {"learner.discount": (1, 0.5)}), "got 1:0.5; allowed: low:high with low"),
+    (
+        lambda: bojax.tune(CONFIG, {"learner.discount": (0.5, 1)}, budget=3),
+        "--budget: got 3; allowed: >=",
+    ),
+    (lambda: bojax.tune("chian", {"learner.discount": (0.5, 1)}), 'did you mean "chain"'),
+    (lambda: bojax.run(CONFIG, out=__file__), "is not a folder; allowed: a new or empty folder"),
+]
+
+
+def test_a_mistake_is_one_line_before_anything_is_written(here):
+    for call, message in MISTAKES:
+        with pytest.raises(bojax.BojaxError, match=message) as caught:
+            call()
+        assert "\n" not in str(caught.value)
+        assert [path for path in here.rglob("*") if path.is_file()] == []
 
 
 def test_an_error_of_the_process_is_one_line(here):
@@ -130,7 +158,7 @@ def test_an_error_of_the_process_is_one_line(here):
 def test_a_class_that_cannot_be_traced_is_refused(here, caller):
     env = {"kind": Broken, "rewards": (1.0, 2.0)}
     with pytest.raises(bojax.BojaxError, match="env: Broken: .* ZeroDivisionError: no such arm") as caught:
-        bojax.run({"experiment": "learning", "env": env, "learner": "additive"}, out="broken")
+        bojax.run({**ARMS, "env": env}, out="broken")
     assert "\n" not in str(caught.value) and not (here / "broken").exists()
 
 
@@ -139,11 +167,9 @@ def test_a_failure_in_this_process_is_one_line(caller, monkeypatch):
         raise ZeroDivisionError("no such arm")
 
     monkeypatch.setattr("bojax.experiments.learning.run_episode", fail)
-    env = {"kind": Bandit, "rewards": (1.0, 2.0)}
-    with pytest.raises(
-        bojax.BojaxError, match="1 of 1 chunks failed: ZeroDivisionError: no such arm"
-    ) as caught:
-        bojax.run({"experiment": "learning", "env": env, "learner": "additive"}, out="broken")
+    message = "1 of 1 chunks failed: ZeroDivisionError: no such arm"
+    with pytest.raises(bojax.BojaxError, match=message) as caught:
+        bojax.run(ARMS, out="broken")
     assert "\n" not in str(caught.value)
 
 
@@ -157,9 +183,8 @@ def test_a_signal_during_the_report_ends_it_at_once(here, caller, monkeypatch, c
         (here / "report.html").touch()
 
     monkeypatch.setattr("bojax.report.progress.report", report)
-    env = {"kind": Bandit, "rewards": (-1.0, 2.0)}
     with pytest.raises(bojax.Interrupted, match="the runs are finished; .* bojax report arms$"):
-        bojax.run({"experiment": "learning", "env": env, "learner": "additive"}, out="arms", episodes=2)
+        bojax.run(ARMS, out="arms", episodes=2)
     assert handlers == [signal.SIG_DFL] and not (here / "report.html").exists()
     assert read_manifest(here / "arms")["status"] == "finished"
     assert "stopping after" not in capsys.readouterr().err
@@ -168,7 +193,7 @@ def test_a_signal_during_the_report_ends_it_at_once(here, caller, monkeypatch, c
 @pytest.fixture
 def interrupt(monkeypatch):
     """Sends this process a SIGINT at the first line of the command that contains each text, in turn."""
-    take = child.Output.take
+    take = Output.take
 
     def arrange(*texts: str) -> None:
         left = list(texts)
@@ -179,7 +204,7 @@ def interrupt(monkeypatch):
                 os.kill(os.getpid(), signal.SIGINT)
             take(self, line)
 
-        monkeypatch.setattr(child.Output, "take", taken)
+        monkeypatch.setattr(Output, "take", taken)
 
     return arrange
 

@@ -21,8 +21,8 @@ def calls(tmp_path, monkeypatch):
     made: list[tuple] = []
     codes: dict[str, int] = {}
 
-    def run_sweeps(requests, resume, command, finish, exits, launcher, indices, planned):
-        assert exits and launcher is None and indices is None
+    def run_sweeps(requests, resume, command, finish, launcher, indices, planned):
+        assert launcher is None and indices is None
         for request in requests:
             made.append(("run", request.sweep, request.out, resume, command))
             if request.sweep.name not in codes:

@@ -1,25 +1,55 @@
-"""The command line in a process of its own, with its progress and its errors shown here.
+"""A command of `bojax`, in a process of its own or in this one, with its progress and its errors shown here.
 
 A notebook may have started JAX with 64-bit numbers off and a single CPU device, which can no longer
 be changed. A process of its own starts JAX as the command line does, and nothing changes in the caller's.
+Classes that no other process can import need this one.
 """
 
+import io
 import json
 import os
 import signal
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
-from typing import Any
+from contextlib import redirect_stderr, suppress
+from dataclasses import dataclass
+from typing import Any, TextIO
 
 from rich.console import Console
+from typing_extensions import override
 
-from bojax.api.ended import Ended
 from bojax.engine.bar import PROGRESS, Bar
 
 _OF_TERMINALS = ("FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE")
 """Environment variables with which rich takes a pipe for a terminal."""
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a command ended.
+
+    Attributes:
+        code: Exit code; negative for a signal that ended the process.
+        lines: What it printed.
+    """
+
+    code: int
+    lines: Sequence[str]
+
+    @property
+    def signal(self) -> signal.Signals | None:
+        """The signal that ended the command; None if it ended otherwise."""
+        number = -self.code if self.code < 0 else self.code - 128
+        return signal.Signals(number) if number in {each.value for each in signal.Signals} else None
+
+    @property
+    def error(self) -> str:
+        """The message of the last error in one line; without one, as after a traceback, the last line."""
+        prefix = "error: "
+        errors = [line for line in self.lines if line.startswith(prefix)]
+        said = [line for line in self.lines if line.strip()]
+        return (errors or said or [f"exit code {self.code}"])[-1].removeprefix(prefix)
 
 
 class Output:
@@ -33,13 +63,16 @@ class Output:
         self.lines: list[str] = []
         self._console = Console(stderr=True, highlight=False)
         self._bar: Bar | None = None
+        self._title = ""
         self._is_printed = True
 
     def take(self, line: str) -> None:
         """Show a line."""
         if (event := _event(line)) is not None:
-            if self._bar is None:
-                self._bar = Bar(event["title"], event["total"], self._console).__enter__()
+            if self._bar is None or self._title != event["title"]:
+                self.close()
+                self._title = event["title"]
+                self._bar = Bar(self._title, event["total"], self._console).__enter__()
             self._bar.show(event["done"], event["text"])
             return
         self.lines.append(line)
@@ -55,8 +88,57 @@ class Output:
             self._bar.__exit__(None, None, None)
 
 
-def run_command(words: Sequence[str], config: str | None) -> Ended:
-    """Run `bojax WORDS`.
+def run_here(words: Sequence[str], config: str | None) -> Ended:
+    """Run `bojax WORDS` in this process; JAX's flags are restored afterwards.
+
+    A second Ctrl-C does not end the process, which is the caller's.
+
+    Args:
+        words: The words of the command line.
+        config: YAML that the command reads from standard input.
+
+    Raises:
+        ConfigError: A class does not accept its settings.
+    """
+    from bojax.cli.main import dispatch
+    from bojax.engine.devices import restored
+    from bojax.engine.signals import sparing_the_process
+
+    shown, stdin = _Shown(sys.stderr), sys.stdin
+    sys.stdin = io.TextIOWrapper(io.BytesIO((config or "").encode()))
+    try:
+        with restored(), sparing_the_process(), redirect_stderr(shown):
+            code = dispatch(list(words))
+    except KeyboardInterrupt:
+        code = 128 + signal.SIGINT
+    finally:
+        sys.stdin = stdin
+    return Ended(code, shown.getvalue().splitlines())
+
+
+class _Shown(io.StringIO):
+    """Text that is also written to a stream."""
+
+    def __init__(self, stream: TextIO):
+        super().__init__()
+        self._stream = stream
+
+    @override
+    def write(self, text: str, /) -> int:
+        self._stream.write(text)
+        return super().write(text)
+
+    @override
+    def flush(self) -> None:
+        self._stream.flush()
+
+    @override
+    def isatty(self) -> bool:
+        return self._stream.isatty()
+
+
+def run_in_child(words: Sequence[str], config: str | None) -> Ended:
+    """Run `bojax WORDS` in a process of its own.
 
     The first KeyboardInterrupt stops the sweep at a checkpoint, the second ends the process at once.
 

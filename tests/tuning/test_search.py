@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from bojax.config.tuning import Range
-from bojax.engine.tuning import Search
+from bojax.tuning.ranges import Range
+from bojax.tuning.search import Search
 from tests.tiers import by_tier
 
 RATE = Range("learner.learning_rate", 1e-3, 1.0, is_log=True, is_integer=False)

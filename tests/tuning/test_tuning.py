@@ -16,14 +16,16 @@ import pytest
 import yaml
 from jax.experimental.compilation_cache import compilation_cache
 
+from bojax.api.errors import BojaxError
+from bojax.api.results import TuningResults
 from bojax.cli.main import main
-from bojax.cli.rounds import _Rounds
 from bojax.config.sweep import load_config
 from bojax.engine import batch
 from bojax.engine.worker import WorkerOptions, run_worker
 from bojax.report.source import load
-from bojax.report.tuning import read_tuning
 from bojax.results.folder import make_new
+from bojax.tuning.page import read_tuning
+from bojax.tuning.rounds import _Rounds
 from tests.engine.here import Here
 
 ROOT = Path(__file__).parents[2]
@@ -67,7 +69,7 @@ def test_ctrl_c_during_the_import_of_jax_is_not_lost(tmp_path, capfd, monkeypatc
             time.sleep(0.3)
         return ()
 
-    monkeypatch.setattr("bojax.cli.tuning._recompiled", interrupt)
+    monkeypatch.setattr("bojax.tuning.task._recompiled", interrupt)
     assert tune(tmp_path / "search") == 130
     assert capfd.readouterr().err == "interrupted\n" and not (tmp_path / "search").exists()
 
@@ -99,6 +101,18 @@ def test_a_search_writes_its_rounds_the_best_config_and_fresh_runs(undisturbed):
     assert all(key == (text.split(" of ")[0] if " of " in text else "") for key, text in cells)
     page = (undisturbed / "report.html").read_text()
     assert "as written in the config" in page and "learner.learning_rate" in page
+
+
+def test_python_reads_what_a_search_has_found(undisturbed):
+    found, tuning = TuningResults(undisturbed), read_tuning(undisturbed)
+    points = found.points.to_pylist()
+    assert [point["mean"] for point in points] == [tuning.points[index].mean for index in tuning.order]
+    best = [points[0][key] for key in ("learner.learning_rate", "learner.discount")]
+    assert best == tuning.best.values and found.best["learner"]["discount"] == best[1]
+    assert found.confirmed is not None and found.confirmed.runs.num_rows == 16
+    assert "learner.discount" in repr(found) and found.report.is_file()
+    with pytest.raises(BojaxError, match="no such file"):
+        TuningResults(undisturbed / "rounds")
 
 
 def test_the_score_is_the_mean_over_the_runs_of_a_point(undisturbed):
@@ -140,7 +154,7 @@ def test_killed_between_rounds_and_resumed(tmp_path, undisturbed):
     out = tmp_path / "search"
     killed(
         out,
-        "from bojax.engine.tuning import Search\n"
+        "from bojax.tuning.search import Search\n"
         "propose = Search.propose\n"
         "def stop(self, number):\n"
         "    if self._seen: os.kill(os.getpid(), signal.SIGKILL)\n"
@@ -250,61 +264,62 @@ def test_a_damaged_file_ends_in_one_line(tmp_path, undisturbed, capsys):
         assert err.startswith(f"error: {tmp_path}/tuning.json: ") and err.count("\n") == 1
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (
-            ["chain", "learner.kappa=2:1"],
-            "command line: learner.kappa: got 2:1; allowed: low:high with low < ",
-        ),
-        (
-            ["chain", "learner.kappa=0:1:log"],
-            "command line: learner.kappa: got 0:1; allowed: low > 0, for log",
-        ),
-        (["chain", "learner.kapa=0:1"], "command line: learner.kapa: unknown key"),
-        (["chain", "learner.discount=0.5:2"], "command line: learner.discount: got 2; allowed: <= 1"),
-        (["chain", "learner.ties=0:1"], "command line: learner.ties: got 0; allowed: "),
-        (["chain", "learner=0:1"], "command line: learner: got 0; unknown learner"),
-        (["chain", "seed=0:9"], "command line: seed: got 0:9; allowed: settings of the experiment"),
-        (["chain", "learner.kappa=0:1", "learner.kappa=2"], "command line: learner.kappa: given twice"),
-        (["chain", "learner.kappa=0:1", "learner.kappa=0:2"], "command line: learner.kappa: given twice"),
-        (
-            ["chain", "learner.kappa=0:1", "--metric", ""],
-            '--metric: got ""; allowed: a column',
-        ),
-        (
-            ["chain", "learner.kappa=0:1", "--metric", "retrun"],
-            "bojax tune: --metric: got retrun; unknown column",
-        ),
-        (
-            ["chain", "learner.kappa=0:1", "--metric", "return"],
-            "bojax tune: --metric: got return; unknown column; allowed: ",
-        ),
-        (["chain", "learner.kappa=0:1", "--budget", "63"], "bojax tune: --budget: got 63; allowed: >= 64"),
-        (
-            ["chain", "learner.kappa=0:1", "--budget", "640000"],
-            "bojax tune: --budget: got 640000, which is 80000",
-        ),
-        (["chain", "learner.kappa=0:1", "--batch", "0"], "bojax tune: --batch: got 0; allowed: >= 1"),
-        (["chain", "learner.kappa=0:1", "--confirm", "-1"], "bojax tune: --confirm: got -1; allowed: >= 0"),
-        (["chain", "learner.kappa=0:1", "--runs", "0"], "command line: runs: got 0; allowed: >= 1"),
-        (["chain", "learner.kappa=3"], "bojax tune: got no range; allowed: key=low:high"),
-        (["chain", "learner.kappa=0:x"], "bojax tune: got learner.kappa=0:x; allowed: key=low:high with two"),
-        (["chain", "env={kind: chain}"], "bojax tune: got no range; allowed: key=low:high"),
-        (["learner.kappa=0:1"], "bojax tune: got none; allowed: one config"),
-        (["chain", "parking", "learner.kappa=0:1"], "bojax tune: got chain, parking; allowed: one config"),
-        (["chian", "learner.kappa=0:1"], "chian: "),
-        (["swept.yaml", "learner.kappa=0:1"], "swept.yaml: is a sweep, not an experiment"),
-    ],
-)
-def test_mistakes(tmp_path, monkeypatch, capsys, words, message):
+TUNED = "learner.kappa=0:1"
+MISTAKES = [
+    (
+        ["chain", "learner.kappa=2:1"],
+        "command line: learner.kappa: got 2:1; allowed: low:high with low < ",
+    ),
+    (
+        ["chain", "learner.kappa=0:1:log"],
+        "command line: learner.kappa: got 0:1; allowed: low > 0, for log",
+    ),
+    (["chain", "learner.kapa=0:1"], "command line: learner.kapa: unknown key"),
+    (["chain", "learner.discount=0.5:2"], "command line: learner.discount: got 2; allowed: <= 1"),
+    (["chain", "learner.ties=0:1"], "command line: learner.ties: got 0; allowed: "),
+    (["chain", "learner=0:1"], "command line: learner: got 0; unknown learner"),
+    (["chain", "seed=0:9"], "command line: seed: got 0:9; allowed: settings of the experiment"),
+    (["chain", TUNED, "learner.kappa=2"], "command line: learner.kappa: given twice"),
+    (["chain", TUNED, "learner.kappa=0:2"], "command line: learner.kappa: given twice"),
+    (
+        ["chain", TUNED, "--metric", ""],
+        '--metric: got ""; allowed: a column',
+    ),
+    (
+        ["chain", TUNED, "--metric", "retrun"],
+        "bojax tune: --metric: got retrun; unknown column",
+    ),
+    (
+        ["chain", TUNED, "--metric", "return"],
+        "bojax tune: --metric: got return; unknown column; allowed: ",
+    ),
+    (["chain", TUNED, "--budget", "63"], "bojax tune: --budget: got 63; allowed: >= 64"),
+    (
+        ["chain", TUNED, "--budget", "640000"],
+        "bojax tune: --budget: got 640000, which is 80000",
+    ),
+    (["chain", TUNED, "--batch", "0"], "bojax tune: --batch: got 0; allowed: >= 1"),
+    (["chain", TUNED, "--confirm", "-1"], "bojax tune: --confirm: got -1; allowed: >= 0"),
+    (["chain", TUNED, "--runs", "0"], "command line: runs: got 0; allowed: >= 1"),
+    (["chain", "learner.kappa=3"], "bojax tune: got no range; allowed: key=low:high"),
+    (["chain", "learner.kappa=0:x"], "bojax tune: got learner.kappa=0:x; allowed: key=low:high with two"),
+    (["chain", "env={kind: chain}"], "bojax tune: got no range; allowed: key=low:high"),
+    ([TUNED], "bojax tune: got none; allowed: one config"),
+    (["chain", "parking", TUNED], "bojax tune: got chain, parking; allowed: one config"),
+    (["chian", TUNED], "chian: "),
+    (["swept.yaml", TUNED], "swept.yaml: is a sweep, not an experiment"),
+]
+
+
+def test_mistakes(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "swept.yaml").write_text("base: chain\naxes: {learner.kappa: [0.1, 1]}\n")
-    assert main(["tune", *words]) == 2
-    err = capsys.readouterr().err
-    assert err.startswith(f"error: {message}") and err.count("\n") == 1
-    assert "return" not in words or 'did you mean "last_return"?' in err
-    assert [path.name for path in tmp_path.iterdir()] == ["swept.yaml"]
+    for words, message in MISTAKES:
+        assert main(["tune", *words]) == 2
+        err = capsys.readouterr().err
+        assert err.startswith(f"error: {message}") and err.count("\n") == 1, err
+        assert "return" not in words or 'did you mean "last_return"?' in err
+        assert [path.name for path in tmp_path.iterdir()] == ["swept.yaml"]
 
 
 def test_the_metric_is_the_return_of_a_plan_or_of_the_last_episode(monkeypatch):

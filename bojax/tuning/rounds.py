@@ -3,34 +3,30 @@
 import contextlib
 import io
 import math
-import os
 import shlex
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from bojax.config.errors import printable
 from bojax.config.sweep import Sweep
-from bojax.config.tuning import described, value_at
 from bojax.config.yaml_file import dump
 from bojax.engine.program_cache import held
 from bojax.engine.remote import Launcher
 from bojax.engine.run import run_sweeps
 from bojax.engine.targets import Request, say_new
-from bojax.engine.tuning import Search, Values
-from bojax.report.progress import report
 from bojax.report.ranking import Measure, config_of, ranking, scored
 from bojax.report.source import load
-from bojax.report.tuning import TUNING, read_tuning, round_folder, round_name
 from bojax.results.folder import RunFolder, check_plan, is_unfinished, reserve_folder
 from bojax.results.store import MANIFEST, ResultsError, write_content, write_json
-
-if TYPE_CHECKING:
-    from bojax.cli.tuning import Task
+from bojax.tuning.page import TUNING, build_page, is_search, read_tuning, round_folder, round_name
+from bojax.tuning.ranges import described, value_at
+from bojax.tuning.search import Search, Values
+from bojax.tuning.task import Task
 
 TOP = 3
 """Number of the best settings that are confirmed."""
@@ -40,7 +36,7 @@ NUM_SLICE = 101
 
 
 def run_rounds(
-    task: "Task",
+    task: Task,
     out: Path | None,
     resume: bool,
     command: list[str],
@@ -66,7 +62,7 @@ def run_rounds(
     """
     if launcher is not None:
         launcher.check(f"{task.config.name}-tune")
-    is_extended = resume and out is not None and os.path.isfile(out / TUNING) and not is_unfinished(out)
+    is_extended = resume and out is not None and is_search(out) and not is_unfinished(out)
     if is_extended and out is not None:
         check_plan(out, read_tuning(out).plan.model_dump(), task.content)
         folder, is_resumed = out, False
@@ -97,7 +93,7 @@ def run_rounds(
     finally:
         files.close(finished=is_done)
     if is_done:
-        print(report(folder))
+        print(build_page(folder))
     return code
 
 
@@ -115,7 +111,7 @@ class _Rounds:
 
     def __init__(
         self,
-        task: "Task",
+        task: Task,
         folder: Path,
         command: list[str],
         launcher: Launcher | None,

@@ -11,10 +11,10 @@ from jaxtyping import Float
 
 from bojax.acquisition.bayesian_optimisation import BayesianOptimisation
 from bojax.acquisition.functions import UpperConfidenceBound
-from bojax.config.tuning import Range
 from bojax.engine.devices import on_cpu
 from bojax.models.kernels import Matern52
 from bojax.numerics.quasirandom import shifted_kronecker
+from bojax.tuning.ranges import Range
 
 Values = tuple[int | float, ...]
 """A value of each tuned setting."""

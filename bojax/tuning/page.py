@@ -1,5 +1,6 @@
-"""The report of a search over settings: reads the files of its folder, and draws and writes `report.html`."""
+"""The page of a search over settings, from the files of its folder."""
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
-from bojax.config.tuning import Range, described
 from bojax.report import style
 from bojax.report.drawing.base import Drawing, label_panels, panel_grid
 from bojax.report.manifest import Count, Recorded, validated
@@ -20,6 +20,7 @@ from bojax.report.tables import BEHIND, LAG, Cell, Table, count_cell, interval_c
 from bojax.report.template import fill
 from bojax.report.text import counted, heading, number, plain
 from bojax.results.store import ResultsError, read_json, write_content
+from bojax.tuning.ranges import Range, described
 
 TUNING = "tuning.json"
 """The file of a search that is finished: its plan, its points, and the posterior of its model."""
@@ -87,6 +88,11 @@ class Tuning(Recorded):
         return self.points[self.order[0]]
 
 
+def is_search(folder: Path) -> bool:
+    """Whether a folder is that of a finished search."""
+    return os.path.isfile(folder / TUNING)
+
+
 def read_tuning(folder: Path) -> Tuning:
     """The search in a folder."""
     path = folder / TUNING
@@ -108,7 +114,7 @@ def round_folder(search: Path, number: int) -> Path:
     return search / "rounds" / f"{number:03d}"
 
 
-def build_tuning_report(folder: Path) -> Path:
+def build_page(folder: Path) -> Path:
     """Write `report.html` of a finished search, and return its path."""
     tuning = read_tuning(folder)
     last = load(round_folder(folder, tuning.points[-1].round))

@@ -1,0 +1,174 @@
+"""What a search over settings is asked for, checked before anything runs. Imports JAX only to check it."""
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from bojax.config.component import Component
+from bojax.config.errors import ConfigError, allowed_names
+from bojax.config.settings import Platform
+from bojax.config.sweep import Source, Sweep, load_config, load_sweep
+from bojax.engine.resolve import resolved
+from bojax.tuning.ranges import Asked, Range, range_of
+
+MOST_POINTS = 1000
+"""Maximum number of points of a search: the time of the model grows with their cube."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """A search that was checked.
+
+    Attributes:
+        config: The experiment, a sweep of one point.
+        ranges: The tuned settings.
+        column: Column of `runs.parquet` whose mean is the score.
+        is_least: Whether less is better.
+        batch: Number of points of a round.
+        rounds: Maximum number of rounds.
+        confirm: Number of fresh runs of each of the best settings; 0 for none.
+        recompiled: Keys of the tuned settings that fix the shape of a program.
+    """
+
+    config: Sweep
+    ranges: tuple[Range, ...]
+    column: str
+    is_least: bool
+    batch: int
+    rounds: int
+    confirm: int
+    recompiled: tuple[str, ...]
+
+    @cached_property
+    def content(self) -> dict[str, Any]:
+        """Everything that the proposals and the scores depend on; a search resumes with equal content."""
+        return {
+            "config": self.config.base,
+            "settings": {each.key: dataclasses.asdict(each) for each in self.ranges},
+            "metric": self.column,
+            "minimise": self.is_least,
+            "batch": self.batch,
+            "runs": self.config.runs,
+            "seed": self.config.seed,
+        }
+
+    def sweep(self, points: Sequence[Sequence[int | float]], name: str, **settings: Any) -> Sweep:
+        """A sweep of the experiment over values of the tuned settings, in the order of the points."""
+        config, keys = self.config, [each.key for each in self.ranges]
+        content = {
+            "title": config.title,
+            "runs": config.runs,
+            "seed": config.seed,
+            "record": {"runs": 0},
+            "engine": config.engine.model_dump(mode="json"),
+            "base": config.base,
+            "axes": dict(zip(keys, map(list, zip(*points, strict=True)), strict=True)),
+            "combine": "zip",
+            "report": {"rank_by": f"-{self.column}" if self.is_least else self.column},
+        }
+        sweep = load_sweep({**content, **settings})
+        return resolved(dataclasses.replace(sweep, name=name, source=config.source))
+
+
+def make_task(
+    source: Source,
+    asked: Sequence[Asked],
+    overrides: Sequence[str],
+    *,
+    runs: int | None,
+    seed: int | None,
+    metric: str | None,
+    is_least: bool,
+    budget: int | None,
+    batch: int,
+    confirm: int,
+    builds_on_cpu: bool,
+) -> Task:
+    """Check a search. The arguments are the options of `bojax tune`.
+
+    Args:
+        source: The config.
+        asked: The ranges.
+        overrides: Settings that are not tuned, `key=value`.
+        runs: Number of runs of each point; None for that of the config.
+        seed: Seed of the search and of its runs; None for that of the config.
+        metric: Column of `runs.parquet`; None for the return.
+        is_least: Whether less is better.
+        budget: Number of runs in all; None for 10 rounds.
+        batch: Number of points of a round.
+        confirm: Number of fresh runs of each of the best settings.
+        builds_on_cpu: Whether this process leaves the accelerators to workers.
+
+    Raises:
+        ConfigError: A setting, a range or an option is wrong.
+    """
+
+    def at(*changes: str) -> Sweep:
+        return resolved(load_config(source, [*overrides, *changes], runs, seed))
+
+    config = at()
+    ends = [[at(f"{each.key}={bound}").points[0].config for bound in (each.low, each.high)] for each in asked]
+    ranges = tuple(range_of(each, *configs) for each, configs in zip(asked, ends, strict=True))
+    rounds = _rounds(budget, batch, config.runs)
+    device = "cpu" if builds_on_cpu else config.engine.device
+    return Task(
+        config=config,
+        ranges=ranges,
+        column=_metric(metric, config, device),
+        is_least=is_least,
+        batch=batch,
+        rounds=rounds,
+        confirm=confirm,
+        recompiled=_recompiled(ranges, ends, device),
+    )
+
+
+def _rounds(budget: int | None, batch: int, runs: int) -> int:
+    """The number of whole rounds in a budget."""
+    if budget is None:
+        budget = 10 * batch * runs
+    if budget < batch * runs:
+        raise ConfigError(
+            f"bojax tune: --budget: got {budget}; allowed: >= {batch * runs}, the runs of one round "
+            f"(--batch {batch} x --runs {runs})"
+        )
+    rounds = budget // (batch * runs)
+    if rounds * batch > MOST_POINTS:
+        raise ConfigError(
+            f"bojax tune: --budget: got {budget}, which is {rounds * batch} points; allowed: "
+            f"<= {MOST_POINTS} points; more --runs make each of them more precise"
+        )
+    return rounds
+
+
+def _metric(asked: str | None, config: Sweep, device: Platform) -> str:
+    """The column whose mean is the score: by default the return of a run, or of its last episode."""
+    columns = _module(config.points[0].config, device).tables["runs"]
+    known = [each.name for each in columns if each.dtype != "string"]
+    column = asked if asked is not None else "last_return" if "last_return" in known else "return"
+    if column not in known:
+        raise ConfigError(f"bojax tune: --metric: got {column}; unknown column{allowed_names(column, known)}")
+    return column
+
+
+def _recompiled(
+    ranges: Sequence[Range], ends: Sequence[Sequence[Component]], device: Platform
+) -> tuple[str, ...]:
+    """The keys whose values at both bounds are different programs."""
+    from bojax.engine.groups import static_groups
+
+    return tuple(
+        each.key
+        for each, configs in zip(ranges, ends, strict=True)
+        if len(static_groups([_module(experiment, device) for experiment in configs])) > 1
+    )
+
+
+def _module(experiment: Component, device: Platform) -> Any:
+    from bojax.engine.build import build
+    from bojax.engine.devices import prepare
+
+    prepare(device)
+    return build(experiment, getattr(experiment, "dtype", "float64"))
