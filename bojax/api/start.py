@@ -14,7 +14,8 @@ from bojax.api.results import Results, TuningResults, load
 from bojax.config.errors import ConfigError, shown
 from bojax.config.files import STANDARD_INPUT
 from bojax.config.overrides import SOURCE
-from bojax.config.sweep import UNNAMED, load_config, load_sweep
+from bojax.config.sweep import load_config, load_sweep
+from bojax.config.sweep_file import UNNAMED
 from bojax.results.folder import is_unfinished, reserve_folder
 from bojax.results.store import MANIFEST
 from bojax.tuning.ranges import split_ranges

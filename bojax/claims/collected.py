@@ -15,6 +15,7 @@ from bojax.config import sweep as config
 from bojax.config.changed import changed_settings
 from bojax.config.claims import Claim, Test
 from bojax.config.errors import listed
+from bojax.config.sweep_file import published_name
 from bojax.report.findings import evaluate
 from bojax.report.manifest import ClaimEntry, Unread, validated
 from bojax.report.source import Results, load
@@ -55,7 +56,7 @@ def _results(folder: Path, names: Collection[str]) -> list[Results]:
 
 def _name_of(results: Results, names: Collection[str]) -> str:
     """Which of these sweeps results are of, also by an alias; empty for none."""
-    name = config.published_name(results.manifest.name) if results.manifest.is_published else None
+    name = published_name(results.manifest.name) if results.manifest.is_published else None
     return name if name and name in names else ""
 
 

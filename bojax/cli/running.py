@@ -14,7 +14,8 @@ from bojax.cli.parser import Parser, UsageError, integer, path
 from bojax.config.errors import printable
 from bojax.config.files import STANDARD_INPUT, SUFFIXES, display, find, shadowed
 from bojax.config.overrides import parse_overrides
-from bojax.config.sweep import Source, Sweep, load_config, load_sweep
+from bojax.config.sweep import Sweep, load_config, load_sweep
+from bojax.config.sweep_file import Source
 from bojax.config.yaml_file import MAX_BYTES, mapping_of
 from bojax.engine.resolve import resolved
 

@@ -2,15 +2,19 @@
 
 import json
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from bojax.config.sweep import Point, Sweep
+from bojax.config.sweep import Point, Sweep, load_sweep
 
 _MISSING = object()
 
 
-def changed_settings(published: "Sweep", ours: "Sweep") -> dict[str, list[Any]]:
+def changed_from_published(sweep: Sweep) -> dict[str, list[Any]]:
+    """The settings in which a sweep differs from the sweep of bojax with its name, see `changed_settings`."""
+    return {} if sweep.published is None else changed_settings(load_sweep(str(sweep.published)), sweep)
+
+
+def changed_settings(published: Sweep, ours: Sweep) -> dict[str, list[Any]]:
     """The published value and our value of every setting that differs, by dotted path.
 
     The comparison covers everything that affects a verdict: runs, seed, axes, the resolved settings of each
@@ -39,7 +43,7 @@ def changed_settings(published: "Sweep", ours: "Sweep") -> dict[str, list[Any]]:
     }
 
 
-def _differences(published: "Sweep", ours: "Sweep") -> Iterator[tuple[str, tuple[Any, Any]]]:
+def _differences(published: Sweep, ours: Sweep) -> Iterator[tuple[str, tuple[Any, Any]]]:
     """The unswept settings in which a point differs from its counterpart."""
     same_values = {_key(point): point for point in reversed(published.points)}
     same_variant = {point.variant: point for point in reversed(published.points)}
@@ -57,13 +61,13 @@ def _differences(published: "Sweep", ours: "Sweep") -> Iterator[tuple[str, tuple
                 yield path, values
 
 
-def _without(sweep: "Sweep", other: "Sweep") -> list[dict[str, Any]]:
+def _without(sweep: Sweep, other: Sweep) -> list[dict[str, Any]]:
     """The swept values of the points of `sweep` that `other` does not have."""
     known = set(map(_key, other.points))
     return [point.swept for point in sweep.points if _key(point) not in known]
 
 
-def _key(point: "Point") -> str:
+def _key(point: Point) -> str:
     return json.dumps(point.swept, sort_keys=True, default=str)
 
 

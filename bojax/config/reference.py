@@ -12,7 +12,7 @@ from bojax.config.claims import Claim, Explanation, Window
 from bojax.config.component import Component, registry
 from bojax.config.describe import settings_of, summary_of
 from bojax.config.settings import EngineConfig, Record, Settings
-from bojax.config.sweep import Report, SweepFile
+from bojax.config.sweep_file import Report, SweepFile
 
 _HEAD = """\
 # Settings

@@ -4,6 +4,7 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from bojax.config.changed import changed_from_published
 from bojax.config.errors import ConfigError
 from bojax.engine.chunks import Chunk, digest
 from bojax.engine.devices import setting
@@ -54,7 +55,7 @@ def describe_sweep(
         "points": [{"index": index, **point, **outline} for index, (point, outline) in enumerate(points)],
         "report": plain(sweep.report),
         "claims": plain(sweep.claims),
-        "changed": plain(sweep.changed),
+        "changed": plain(changed_from_published(sweep)),
         "is_published": sweep.is_published,
         "engine": plain(sweep.engine),
         "versions": versions(),

@@ -16,7 +16,8 @@ from pydantic import BeforeValidator, Field, PlainValidator
 from bojax.config.claims import Claim
 from bojax.config.component import Component
 from bojax.config.errors import dotted, from_validation
-from bojax.config.sweep import Report, validate_experiment
+from bojax.config.sweep import validate_experiment
+from bojax.config.sweep_file import Report
 from bojax.report.text import MISSING, counted, line
 from bojax.results.outline import Outline
 from bojax.results.store import ResultsError

@@ -15,7 +15,7 @@ from bojax import __version__
 from bojax.config.claims import Claim
 from bojax.config.component import Component
 from bojax.config.errors import printable
-from bojax.config.sweep import Report
+from bojax.config.sweep_file import Report
 from bojax.experiments.settings import Learning, Planning
 from bojax.problems.settings import ProblemSettings
 from bojax.report.budgets import held

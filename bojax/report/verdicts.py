@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from bojax.config.claims import Cause
 from bojax.config.errors import printable
-from bojax.config.sweep import published_report
+from bojax.config.sweep_file import published_report
 from bojax.report.findings import Verdict
 from bojax.report.manifest import Bounds, Count, Manifest, Recorded, validated
 from bojax.report.statistics import Interval

@@ -9,7 +9,8 @@ from typing import Any
 from bojax.config.component import Component
 from bojax.config.errors import ConfigError, allowed_names
 from bojax.config.settings import Platform
-from bojax.config.sweep import Source, Sweep, load_config, load_sweep
+from bojax.config.sweep import Sweep, load_config, load_sweep
+from bojax.config.sweep_file import Source
 from bojax.engine.resolve import resolved
 from bojax.tuning.ranges import Asked, Range, range_of
 

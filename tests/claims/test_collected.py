@@ -8,7 +8,8 @@ import pytest
 from bojax.claims.collected import collected
 from bojax.claims.reproduction import joined_reproduction
 from bojax.cli.main import main
-from bojax.config.sweep import load_published, published_name
+from bojax.config.sweep import load_published
+from bojax.config.sweep_file import published_name
 from bojax.report.build import build_report
 from bojax.results.store import ResultsError
 from tests.report.synthetic import edit_manifest, write_results

@@ -9,7 +9,7 @@ import pytest
 
 from bojax.claims.reproduction import reproduction
 from bojax.cli.main import main
-from bojax.config.sweep import published_report
+from bojax.config.sweep_file import published_report
 from bojax.report.build import build_report
 from bojax.results.store import ResultsError
 from tests.report.synthetic import edit_manifest, write_results

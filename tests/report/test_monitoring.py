@@ -9,7 +9,7 @@ from matplotlib.colors import Normalize
 from matplotlib.patches import Rectangle
 
 from bojax.config.component import registry
-from bojax.config.sweep import Report
+from bojax.config.sweep_file import Report
 from bojax.report import style
 from bojax.report.build import build_report
 from bojax.report.drawing.base import FigureUnavailable

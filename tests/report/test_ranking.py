@@ -6,7 +6,8 @@ import re
 import numpy as np
 import pytest
 
-from bojax.config.sweep import Report, load_config
+from bojax.config.sweep import load_config
+from bojax.config.sweep_file import Report
 from bojax.report import statistics
 from bojax.report.build import build_report
 from bojax.report.drawing.base import FigureUnavailable

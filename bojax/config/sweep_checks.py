@@ -1,0 +1,72 @@
+"""Checks of a sweep's report and claims against its points."""
+
+from typing import TYPE_CHECKING
+
+from bojax.config.claims import Window
+from bojax.config.errors import ConfigError, allowed_names, did_you_mean, shown
+from bojax.config.figures import TABLES, figure_modules
+from bojax.config.files import available
+
+if TYPE_CHECKING:
+    from bojax.config.sweep import Sweep
+
+
+def check_sweep(sweep: "Sweep", file: str) -> None:
+    """Refuse duplicate ids of claims, and names that the sweep does not have.
+
+    Raises:
+        ConfigError: The report or a claim names something unknown; `file` is the sweep file.
+    """
+    variants = {point.variant for point in sweep.points}
+    relative_to = sweep.report.get("relative_to")
+    if relative_to is not None and relative_to not in variants:
+        raise ConfigError(
+            f"{file}: report.relative_to: got {shown(relative_to)}; unknown variant"
+            f"{allowed_names(relative_to, variants)}"
+        )
+    figures = [*figure_modules(), *TABLES]
+    for name in sweep.report.get("figures", ()):
+        if name not in figures:
+            raise ConfigError(
+                f"{file}: report.figures: got {shown(name)}; allowed: {', '.join(figures)}"
+                f"{did_you_mean(name, figures)}"
+            )
+    for key in ("rank_by", "column"):
+        _check_column(sweep, sweep.report.get(key), f"{file}: report.{key}")
+    seen = set()
+    for index, claim in enumerate(sweep.claims):
+        where = f"{file}: claims.{index}"
+        if claim.id in seen:
+            raise ConfigError(f"{where}.id: got {shown(claim.id)}; allowed: a unique id")
+        seen.add(claim.id)
+        values = dict(claim.test)
+        if not any(isinstance(value, Window) for value in values.values()):
+            _check_column(sweep, values.get("column"), f"{where}.test.column")
+        known = {point.variant if claim.test.by == "variant" else point.label for point in sweep.points}
+        for name in claim.test.names:
+            if name not in known:
+                raise ConfigError(
+                    f"{where}.test: got {shown(name)}; unknown {claim.test.by}{allowed_names(name, known)}"
+                )
+    explained, names = set(), available("sweeps")
+    for index, explanation in enumerate(sweep.report.get("explanations", ())):
+        where = f"{file}: report.explanations.{index}"
+        for name in explanation["claims"]:
+            if name not in seen:
+                raise ConfigError(f"{where}.claims: got {shown(name)}; unknown id{allowed_names(name, seen)}")
+            if name in explained:
+                raise ConfigError(f"{where}.claims: got {shown(name)}; allowed: one explanation of a claim")
+            explained.add(name)
+        for name in explanation.get("sweeps", ()):
+            if name not in names:
+                raise ConfigError(f"{where}.sweeps: got {shown(name)}{allowed_names(name, names)}")
+
+
+def _check_column(sweep: "Sweep", column: str | None, where: str) -> None:
+    """Refuse the column `return` of the runs of learners, which have one return for each episode."""
+    is_learning = any(point.config.kind == "learning" for point in sweep.points)
+    if is_learning and column is not None and column.removeprefix("-") == "return":
+        renamed = column.replace("return", "last_return")
+        raise ConfigError(
+            f"{where}: got {shown(column)}; did you mean {shown(renamed)}, of the last episode?"
+        )

@@ -1,0 +1,226 @@
+"""Sweep and experiment files as they are written: their keys, aliases, and the base of a sweep."""
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+import pydantic
+from pydantic import Field
+
+from bojax.config import catalog as _catalog  # noqa: F401 (registers every schema class)
+from bojax.config.claims import Claim, Explanation
+from bojax.config.component import Schema
+from bojax.config.errors import MAX_NAMES, ConfigError, Location, dotted, from_validation, listed, shown
+from bojax.config.files import STANDARD_INPUT, SUFFIXES, display, find, shipped
+from bojax.config.settings import RESERVED
+from bojax.config.thesis import groups
+from bojax.config.yaml_file import read_mapping
+
+_ALLOWED_BASE = "allowed: a name in configs/, a YAML file or a mapping"
+
+
+class Report(Schema, frozen=True):
+    """Content of the report of a sweep."""
+
+    figures: tuple[str, ...] = Field(default=(), strict=False, description="figures, in order")
+    notes: str = Field(default="", description="paragraph above the figures")
+    thesis: dict[str, Any] = Field(default={}, description="numbers of the thesis, shown beside the results")
+    relative_to: str | None = Field(
+        default=None,
+        description="variant relative to which results and numbers of the thesis are shown as ratios",
+    )
+    by_step: int | None = Field(
+        default=None, ge=1, description="step at which tables also give the success rate"
+    )
+    best_return: float | None = Field(default=None, description="return drawn as a line in learning curves")
+    rolling: int | None = Field(
+        default=None,
+        ge=1,
+        lt=2**31,
+        description="number of episodes over which learning curves average each run",
+    )
+    over: str | None = Field(default=None, description="swept number on the x axis of growth and sweep-curve")
+    column: str | None = Field(
+        default=None, description="column of runs.parquet that growth and sweep-curve draw"
+    )
+    rank_by: str | None = Field(
+        default=None,
+        description="column of runs.parquet by which points are ranked, with a minus sign if less is better",
+    )
+    heat_map: tuple[str, str] | None = Field(
+        default=None, strict=False, description="the two swept numbers of heat-map"
+    )
+    explanations: tuple[Explanation, ...] = Field(
+        default=(), strict=False, description="why claims are not reproduced or inconclusive"
+    )
+
+
+class SweepFile(Schema, frozen=True):
+    """The keys that only sweep files have."""
+
+    axes: dict[str, Any] = Field(default={}, description="values of each swept key, by dotted path")
+    combine: Literal["grid", "zip"] = Field(
+        default="grid",
+        description="whether points are all combinations of the values, or the values at equal positions",
+    )
+    report: Report = Field(default=Report(), description="content of the report")
+    claims: tuple[Claim, ...] = Field(
+        default=(), strict=False, description="claims of the thesis, with their tests"
+    )
+
+
+Source: TypeAlias = str | Mapping[str, Any]
+"""Where an experiment or a sweep is described: a name, a path, or the content of a file."""
+
+UNNAMED = Path("config.yaml")
+"""Stands in messages, and in the names of results, for the file of a mapping."""
+
+
+@dataclass(frozen=True)
+class Written:
+    """A file as it is written.
+
+    Attributes:
+        path: The file, at the end of a chain of aliases.
+        name: Name of the sweep or of the experiment.
+        base: The experiment file, with its reserved keys.
+        locate: Formats a location in the base as `FILE: dotted.path`.
+        own: Reserved keys that a sweep sets beside its base.
+        content: Keys that only sweeps have.
+    """
+
+    path: Path
+    name: str
+    base: Mapping[str, Any]
+    locate: Callable[[Location], str]
+    own: Mapping[str, Any]
+    content: SweepFile
+
+    @property
+    def file(self) -> str:
+        """Name of the file in messages."""
+        return display(self.path)
+
+
+def read_config(source: Source) -> Written:
+    """An experiment file.
+
+    Raises:
+        ConfigError: There is no such file, or it is not an experiment.
+    """
+    path = _find(source, "configs") if isinstance(source, str) else UNNAMED
+    file = display(path)
+    mapping = read_mapping(path, file) if isinstance(source, str) else source
+    if {"base", "axes", "alias"} & mapping.keys():
+        raise ConfigError(
+            f"{file}: is a sweep, not an experiment; start it with: bojax sweep {_command(source)}"
+        )
+    saved = mapping.get("saved")
+    if isinstance(saved, str) and os.path.exists(path.parent / saved):  # relative to the config file
+        mapping = {**mapping, "saved": str(path.parent / saved)}
+    return Written(path, path.stem, mapping, lambda location: f"{file}: {dotted(location)}", {}, SweepFile())
+
+
+def read_sweep(source: Source) -> Written:
+    """A sweep file.
+
+    Raises:
+        ConfigError: There is no such file, or a key that only sweeps have is wrong.
+    """
+    given = _find(source, "sweeps") if isinstance(source, str) else UNNAMED
+    path, mapping = follow_alias(given) if isinstance(source, str) else (given, source)
+    file = display(path)
+    if "base" not in mapping:
+        hint = "" if "axes" in mapping else f"; start an experiment with: bojax run {_command(source)}"
+        raise ConfigError(f"{file}: base: missing; {_ALLOWED_BASE}{hint}")
+    rest = {key: value for key, value in mapping.items() if key not in (*RESERVED, "base")}
+    try:
+        content = SweepFile.model_validate(rest)
+    except pydantic.ValidationError as error:
+        raise from_validation(
+            error, lambda location: f"{file}: {dotted(location)}", siblings=(*RESERVED, "base")
+        ) from error
+    base, locate = _read_base(mapping["base"], path)
+    own = {key: value for key, value in mapping.items() if key in RESERVED}
+    return Written(path, given.stem, base, locate, own, content)
+
+
+def _find(source: str, folder: str) -> Path:
+    """The file of a name or path; the name of a figure with several sweeps is refused with a hint."""
+    try:
+        return find(source, folder)
+    except ConfigError:
+        if source not in (meant := groups()):
+            raise
+        names = listed(source, meant[source]) if len(meant[source]) <= MAX_NAMES else "many sweeps"
+        raise ConfigError(f"{source}: stands for {names}; start with: bojax reproduce {source}") from None
+
+
+def _command(source: Source) -> str:
+    """A source as a word of the command line; a mapping is read from standard input."""
+    return source if isinstance(source, str) else STANDARD_INPUT
+
+
+def follow_alias(path: Path) -> tuple[Path, dict[str, Any]]:
+    """The file that a chain of aliases ends at, and its content.
+
+    Raises:
+        ConfigError: A file is not readable, or the aliases form a cycle.
+    """
+    seen = []
+    while True:
+        file = display(path)
+        mapping = read_mapping(path, file)
+        if "alias" not in mapping:
+            return path, mapping
+        target = mapping["alias"]
+        if len(mapping) > 1 or not isinstance(target, str):
+            raise ConfigError(
+                f"{file}: alias: got {shown(target)}; allowed: the name of another sweep, as the only key"
+            )
+        seen.append(path.resolve())
+        try:
+            path = find(target, "sweeps", beside=[path.parent])
+        except ConfigError as error:
+            raise ConfigError(f"{file}: alias: {error}") from error
+        if path.resolve() in seen:
+            raise ConfigError(f"{file}: alias: got {shown(target)}; aliases must not form a cycle")
+
+
+def _read_base(base: Any, sweep: Path) -> tuple[dict[str, Any], Callable[[Location], str]]:
+    file = display(sweep)
+    if isinstance(base, dict):
+        return base, lambda location: f"{file}: {dotted(('base', *location))}"
+    if not isinstance(base, str):
+        raise ConfigError(f"{file}: base: got {shown(base)}; {_ALLOWED_BASE}")
+    # A path is relative to the sweep, a name is not: `base: parking` must not find the sweep `parking`.
+    beside = sweep.parent if base.endswith(SUFFIXES) else sweep.parent.parent / "configs"
+    try:
+        path = find(base, "configs", beside=[beside])
+    except ConfigError as error:
+        raise ConfigError(f"{file}: base: {error}") from error
+    name = display(path)
+    return read_mapping(path, name), lambda location: f"{name}: {dotted(location)}"
+
+
+def published_name(name: str) -> str | None:
+    """The name of the sweep of bojax that a name or alias stands for; None if there is none.
+
+    Raises:
+        ConfigError: The file is not readable.
+    """
+    path = shipped("sweeps") / f"{name}.yaml"
+    return follow_alias(path)[0].stem if path in shipped("sweeps").glob("*.yaml") else None
+
+
+def published_report(name: str) -> Report | None:
+    """The settings of the report of a sweep that is part of bojax; None if none has this name.
+
+    Raises:
+        ConfigError: The file is not readable.
+    """
+    if published_name(name) is None:
+        return None
+    return Report.model_validate(follow_alias(shipped("sweeps") / f"{name}.yaml")[1].get("report", {}))
