@@ -1,5 +1,7 @@
 """`bojax best` prints a config that runs, and confirms its score with fresh runs."""
 
+import shlex
+
 import pytest
 import yaml
 
@@ -8,6 +10,7 @@ from bojax.config.sweep import load_config
 from bojax.report.ranking import Measure, best_of
 from bojax.report.source import load
 from tests.report.synthetic import write_learning, write_results
+from tests.transcript import cases
 
 
 @pytest.fixture
@@ -33,22 +36,28 @@ def test_another_column_and_a_minus_sign_choose_another_point(folder, capsys):
     assert out.startswith(f"# {worst.name}, ") and worst.label != "kcbts"
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["nowhere"], "nowhere: no such results folder"),
-        (["made-up", "--by", ""], '--by: got ""; allowed: a column'),
-        (["made-up", "--by", "retrun"], "runs.parquet: unknown column retrun; allowed: exits, return"),
-        (["made-up", "--out", "x"], "bojax best: --out and --resume: allowed only with --confirm"),
-        (["made-up", "--confirm", "0"], "bojax best: --confirm: got 0; allowed: >= 1"),
-        (["made-up", "--confirm", "1", "--out", "made-up"], "made-up: the folder is not empty"),
-        ([], "the following arguments are required: DIR"),
-    ],
-)
-def test_mistakes(folder, capsys, words, message):
-    assert main(["best", *words]) == 2
-    err = capsys.readouterr().err
-    assert err.startswith(f"error: {message}") and err.count("\n") == 1
+MISTAKES = """\
+nowhere
+=> nowhere: no such results folder
+made-up --by ''
+=> --by: got ""; allowed: a column
+made-up --by retrun
+=> runs.parquet: unknown column retrun; allowed: exits, return
+made-up --out x
+=> bojax best: --out and --resume: allowed only with --confirm
+made-up --confirm 0
+=> bojax best: --confirm: got 0; allowed: >= 1
+made-up --confirm 1 --out made-up
+=> made-up: the folder is not empty
+"""
+
+
+def test_mistakes(folder, capsys):
+    nothing = "", "the following arguments are required: DIR"
+    for words, message in [nothing, *cases(MISTAKES)]:
+        assert main(["best", *shlex.split(words)]) == 2
+        err = capsys.readouterr().err
+        assert err.startswith(f"error: {message}") and err.count("\n") == 1
 
 
 def test_a_module_that_the_folder_names_is_announced(folder, capsys):

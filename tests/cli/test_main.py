@@ -5,6 +5,7 @@ import io
 import json
 import os
 import platform
+import shlex
 import subprocess
 import sys
 import threading
@@ -15,6 +16,7 @@ import pytest
 from bojax import __version__
 from bojax.cli.doctor import CHECKS, examine
 from bojax.cli.main import COMMANDS, Messages, entry, leave, main
+from tests.transcript import cases
 
 HEAVY = ("jax", "equinox", "numpy", "pyarrow", "matplotlib", "rich", "jinja2")
 
@@ -26,69 +28,64 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
-MISTAKES = {
-    "an unknown command": (
-        ["swep"],
-        "unknown command swep; allowed: bench, best, compare, doctor, export, list, render, report, "
-        'reproduce, run, status, sweep, tune, worker; did you mean "sweep"?',
-    ),
-    "a path of many names": (
-        ["run", "parking", ".".join(["a"] * 5000) + "=1"],
-        "command line: a.a.a.",
-    ),
-    "an unknown option before the command": (["--runs"], "unknown option --runs; allowed: bench"),
-    "an unknown option": (
-        ["run", "parking", "--rnus", "3"],
-        'unknown option --rnus; did you mean "--runs"? (see: bojax run --help)',
-    ),
-    "an abbreviated option": (["run", "parking", "--run=3"], 'unknown option --run; did you mean "--runs"?'),
-    "no integer": (["run", "parking", "--runs", "x"], "--runs: got x; allowed: an integer"),
-    "no share": (["render", "x", "--at", "half"], "--at: got half; allowed: a number from 0 to 1"),
-    "a share above 1": (["render", "x", "--at", "2"], "--at: got 2; allowed: a number from 0 to 1"),
-    "no value": (["run", "parking", "--runs"], "--runs: expected one argument"),
-    "no runs": (["run", "parking", "--runs", "0"], "command line: runs: got 0; allowed: >= 1"),
-    "a negative seed": (["sweep", "parking", "--seed", "-1"], "command line: seed: got -1; allowed: >= 0"),
-    "no config": (["run"], "bojax run: got none; allowed: one config"),
-    "only overrides": (["sweep", "runs=3"], "bojax sweep: got none; allowed: one sweep or more"),
-    "two configs": (["run", "a", "b"], "bojax run: got a, b; allowed: one config"),
-    "a sweep twice": (
-        ["sweep", "parking", "parking"],
-        "bojax sweep: got parking twice; allowed: distinct sweeps",
-    ),
-    "an unknown config": (
-        ["run", "prking"],
-        "prking: no such file, and no such name in configs/; allowed:",
-    ),
-    "an unknown sweep": (
-        ["sweep", "fig-4.7"],
-        "fig-4.7: no such file, and no such name in sweeps/; allowed:",
-    ),
-    "an unknown key": (
-        ["run", "parking", "problem.half_widht=3"],
-        "command line: problem.half_widht: unknown key",
-    ),
-    "a second sweep that is wrong": (["sweep", "parking", "fig-4.7"], "fig-4.7: no such file"),
-    "a swept key": (
-        ["sweep", "parking", "planner=sbo"],
-        'command line: planner: got "sbo"; a swept key cannot',
-    ),
-    "a missing module": (
-        ["run", "parking", "problem=nowhere:Field"],
-        'command line: problem.kind: got "nowhere:Field"; module nowhere is neither in the working directory',
-    ),
-    "no folder": (["report"], "the following arguments are required: DIR (see: bojax report --help)"),
-    "an unknown part": (["list", "kcbt"], "unknown name kcbt; allowed: "),
-    "an argument of doctor": (["doctor", "now"], "unknown option now (see: bojax doctor --help)"),
-}
+MISTAKES = """\
+swep
+=> unknown command swep; allowed: bench, best, compare, doctor, export, list, render, report, reproduce, run,
+   status, sweep, tune, worker; did you mean "sweep"?
+--runs
+=> unknown option --runs; allowed: bench
+run parking --rnus 3
+=> unknown option --rnus; did you mean "--runs"? (see: bojax run --help)
+run parking --run=3
+=> unknown option --run; did you mean "--runs"?
+run parking --runs x
+=> --runs: got x; allowed: an integer
+render x --at half
+=> --at: got half; allowed: a number from 0 to 1
+render x --at 2
+=> --at: got 2; allowed: a number from 0 to 1
+run parking --runs
+=> --runs: expected one argument
+run parking --runs 0
+=> command line: runs: got 0; allowed: >= 1
+sweep parking --seed -1
+=> command line: seed: got -1; allowed: >= 0
+run
+=> bojax run: got none; allowed: one config
+sweep runs=3
+=> bojax sweep: got none; allowed: one sweep or more
+run a b
+=> bojax run: got a, b; allowed: one config
+sweep parking parking
+=> bojax sweep: got parking twice; allowed: distinct sweeps
+run prking
+=> prking: no such file, and no such name in configs/; allowed:
+sweep fig-4.7
+=> fig-4.7: no such file, and no such name in sweeps/; allowed:
+run parking problem.half_widht=3
+=> command line: problem.half_widht: unknown key
+sweep parking fig-4.7
+=> fig-4.7: no such file
+sweep parking planner=sbo
+=> command line: planner: got "sbo"; a swept key cannot
+run parking problem=nowhere:Field
+=> command line: problem.kind: got "nowhere:Field"; module nowhere is neither in the working directory
+report
+=> the following arguments are required: DIR (see: bojax report --help)
+list kcbt
+=> unknown name kcbt; allowed:
+doctor now
+=> unknown option now (see: bojax doctor --help)
+"""
 
 
-@pytest.mark.parametrize("case", MISTAKES)
-def test_mistakes(here, capsys, case):
-    words, message = MISTAKES[case]
-    assert main(words) == 2
-    out, err = capsys.readouterr()
-    assert out == "" and err.count("\n") == 1 and err.startswith(f"error: {message}"), err
-    assert list(here.iterdir()) == []
+def test_mistakes(here, capsys):
+    deep = "run parking " + ".".join(["a"] * 5000) + "=1", "command line: a.a.a."
+    for words, message in [deep, *cases(MISTAKES)]:
+        assert main(shlex.split(words)) == 2
+        out, err = capsys.readouterr()
+        assert out == "" and err.count("\n") == 1 and err.startswith(f"error: {message}"), err
+        assert list(here.iterdir()) == []
 
 
 def test_a_working_directory_that_has_been_deleted(here, capsys):
@@ -101,29 +98,24 @@ def test_a_working_directory_that_has_been_deleted(here, capsys):
     assert list(here.iterdir()) == []
 
 
-STANDARD_INPUT = {
-    "a sweep": (
-        b"base: parking",
-        ["run", "-"],
-        "config.yaml: is a sweep, not an experiment; start",
-    ),
-    "an experiment": (b"planner: sbo", ["sweep", "-"], "config.yaml: base: missing; "),
-    "a wrong value": (b"planner: {iterations: 0}", ["run", "-"], "config.yaml: planner.iterations: got 0"),
-    "nothing": (b"", ["run", "-"], "standard input: is empty"),
-    "bytes": (b"\xff", ["run", "-"], "standard input: is not UTF-8 text (byte 0)"),
-    "no YAML": (b"a: [", ["run", "-"], "standard input:1: is not YAML"),
-    "twice": (b"base: parking", ["sweep", "-", "-"], "bojax sweep: got - twice; allowed: distinct sweeps"),
-}
+STANDARD_INPUT = [
+    (b"base: parking", "run -", "config.yaml: is a sweep, not an experiment; start"),
+    (b"planner: sbo", "sweep -", "config.yaml: base: missing; "),
+    (b"planner: {iterations: 0}", "run -", "config.yaml: planner.iterations: got 0"),
+    (b"", "run -", "standard input: is empty"),
+    (b"\xff", "run -", "standard input: is not UTF-8 text (byte 0)"),
+    (b"a: [", "run -", "standard input:1: is not YAML"),
+    (b"base: parking", "sweep - -", "bojax sweep: got - twice; allowed: distinct sweeps"),
+]
 
 
-@pytest.mark.parametrize("case", STANDARD_INPUT)
-def test_mistakes_in_standard_input(here, capsys, monkeypatch, case):
-    content, words, message = STANDARD_INPUT[case]
-    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(content)))
-    assert main(words) == 2
-    out, err = capsys.readouterr()
-    assert out == "" and err.count("\n") == 1 and err.startswith(f"error: {message}"), err
-    assert list(here.iterdir()) == []
+def test_mistakes_in_standard_input(here, capsys, monkeypatch):
+    for content, words, message in STANDARD_INPUT:
+        monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(content)))
+        assert main(words.split()) == 2
+        out, err = capsys.readouterr()
+        assert out == "" and err.count("\n") == 1 and err.startswith(f"error: {message}"), err
+        assert list(here.iterdir()) == []
 
 
 def test_a_config_is_read_from_standard_input(here, monkeypatch):
@@ -135,37 +127,33 @@ def test_a_config_is_read_from_standard_input(here, monkeypatch):
     assert (sweep.name, sweep.runs, sweep.points[0].config.planner.depth) == ("config", 3, 2)
 
 
-def imported_by(words: list[str], cwd) -> tuple[int, set[str]]:
-    """The exit code of a command in a process of its own, and which heavy packages it imported."""
+LIGHT = [
+    ("--help", 0),
+    ("sweep --help", 0),
+    ("list", 0),
+    ("list kcbts", 0),
+    ("run parking planner.depth=0", 2),
+    ("sweep parking plannr=sbo", 2),
+    ("sweep nothing", 2),
+]
+
+
+def test_nothing_heavy_is_imported_for_help_lists_and_mistakes(here):
+    """In a process of its own, with the exit codes in the place of those that an import would change."""
     code = (
         "import contextlib, io, json, sys\n"
         "from bojax.cli.main import main\n"
+        "codes = []\n"
         "with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):\n"
-        "    try:\n"
-        f"        code = main({words!r})\n"
-        "    except SystemExit as stop:\n"
-        "        code = stop.code\n"
-        f"print(json.dumps([code or 0, [name for name in {HEAVY!r} if name in sys.modules]]))"
+        f"    for words, _ in {LIGHT!r}:\n"
+        "        try:\n"
+        "            codes.append(main(words.split()))\n"
+        "        except SystemExit as stop:\n"
+        "            codes.append(stop.code or 0)\n"
+        f"print(json.dumps([codes, [name for name in {HEAVY!r} if name in sys.modules]]))"
     )
-    result = subprocess.run([sys.executable, "-c", code], cwd=cwd, capture_output=True, text=True, check=True)
-    code, names = json.loads(result.stdout)
-    return code, set(names)
-
-
-@pytest.mark.parametrize(
-    ("words", "code"),
-    [
-        (["--help"], 0),
-        (["sweep", "--help"], 0),
-        (["list"], 0),
-        (["list", "kcbts"], 0),
-        (["run", "parking", "planner.depth=0"], 2),
-        (["sweep", "parking", "plannr=sbo"], 2),
-        (["sweep", "nothing"], 2),
-    ],
-)
-def test_nothing_heavy_is_imported_for_help_lists_and_mistakes(tmp_path, words, code):
-    assert imported_by(words, tmp_path) == (code, set())
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert json.loads(result.stdout) == [[code for _, code in LIGHT], []]
 
 
 def test_an_unexpected_exception_keeps_its_traceback(monkeypatch):
@@ -274,14 +262,14 @@ def test_help_has_examples(capsys):
     assert "launcher" not in out
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_has_help_with_examples(capsys, name):
-    with pytest.raises(SystemExit) as stop:
-        main([name, "--help"])
-    out = capsys.readouterr().out
-    assert stop.value.code == 0
-    assert out.startswith(f"usage: bojax {name}") and f"examples:\n  bojax {name}" in out
-    assert max(len(line) for line in out.splitlines()) <= 110
+def test_every_command_has_help_with_examples(capsys):
+    for name in COMMANDS:
+        with pytest.raises(SystemExit) as stop:
+            main([name, "--help"])
+        out = capsys.readouterr().out
+        assert stop.value.code == 0
+        assert out.startswith(f"usage: bojax {name}") and f"examples:\n  bojax {name}" in out
+        assert max(len(line) for line in out.splitlines()) <= 110
 
 
 def test_an_unexpected_exception_while_a_program_is_compiled(monkeypatch, capsys):

@@ -8,6 +8,7 @@ from bojax.config.component import External
 from bojax.config.errors import ConfigError
 from bojax.config.external import imports_code, resolve
 from bojax.config.sweep import load_config, load_sweep
+from tests.transcript import cases
 
 MODULE = '''
 """Kernels of a user."""
@@ -171,62 +172,54 @@ def test_the_label_of_a_class_is_its_name(write, resolved):
     assert sweep.points[0].config.planner.kernel.label == "Annotated"
 
 
-@pytest.mark.parametrize(
-    ("overrides", "message"),
-    [
-        (["planner.kernel.lengthscale=a"], 'planner.kernel.lengthscale: got "a"; allowed: a number'),
-        (
-            ["planner.kernel.weights=[1, a]"],
-            'planner.kernel.weights: got [1, "a"]; allowed: a number or a list',
-        ),
-        (
-            ["planner.kernel.weights=[1, .nan]"],
-            "planner.kernel.weights: got [1, NaN]; allowed: a number or a",
-        ),
-        (["planner.kernel.order=1.5"], "planner.kernel.order: got 1.5; allowed: an integer"),
-        (["planner.kernel.mode=x"], 'planner.kernel.mode: got "x"; allowed: "sum" or "product"'),
-        (
-            ["planner.kernel.wieghts=1"],
-            "planner.kernel.wieghts: unknown key; allowed: either, lengthscale, mode",
-        ),
-        (
-            ["planner.kernel=my_kernels:Annotated"],
-            "planner.kernel.lengthscale: missing; this setting has no default",
-        ),
-        (["planner.kernel={kind: 'my_kernels:Configured', lengthscale: 0}"], "got 0; allowed: > 0"),
-        (["planner.kernel=my_kernels:Anotated"], 'my_kernels has no Anotated; did you mean "Annotated"?'),
-        (["planner.kernel=my_kernels:number"], "number is not a class"),
-        (["planner.kernel=my_kernel:X"], "module my_kernel is neither in the working directory ("),
-        (["planner.kernel=my_kernels.x:X"], "module my_kernels.x is neither in the working directory ("),
-        (
-            ["planner.kernel=my_broken:X"],
-            "importing my_broken failed: ValueError: math domain error (my_broken.py",
-        ),
-        (["planner.kernel=my_script:X"], "importing my_script failed: SystemExit: 0 (my_script.py, line 3)"),
-        (["planner.kernel=my_quitter:X"], "importing my_quitter failed: Quit (my_quitter.py, line 5)"),
-        (
-            ["planner.kernel=my_kernels:Checking"],
-            "checking its settings failed: KeyError: 'lengthscale' (my_kernels.py, line ",
-        ),
-        (
-            ["planner.kernel=my_needy:X"],
-            "importing my_needy failed: ModuleNotFoundError: No module named 'there",
-        ),
-        (
-            ["planner.kernel=my_kernels:Nested"],
-            "the annotation of inner in Nested is not the type of a setting; allowed: ",
-        ),
-        (
-            ["planner.kernel=my_kernels:Lacking"],
-            "the class does not implement __call__; see bojax.models.kernels.Kernel",
-        ),
-    ],
-)
-def test_refused(resolved, overrides, message):
-    with pytest.raises(ConfigError) as raised:
-        resolved(*overrides)
-    text = str(raised.value)
-    assert text.startswith("command line: planner.kernel") and message in text and "\n" not in text
+REFUSED = """\
+planner.kernel.lengthscale=a
+=> planner.kernel.lengthscale: got "a"; allowed: a number
+planner.kernel.weights=[1, a]
+=> planner.kernel.weights: got [1, "a"]; allowed: a number or a list
+planner.kernel.weights=[1, .nan]
+=> planner.kernel.weights: got [1, NaN]; allowed: a number or a
+planner.kernel.order=1.5
+=> planner.kernel.order: got 1.5; allowed: an integer
+planner.kernel.mode=x
+=> planner.kernel.mode: got "x"; allowed: "sum" or "product"
+planner.kernel.wieghts=1
+=> planner.kernel.wieghts: unknown key; allowed: either, lengthscale, mode
+planner.kernel=my_kernels:Annotated
+=> planner.kernel.lengthscale: missing; this setting has no default
+planner.kernel={kind: 'my_kernels:Configured', lengthscale: 0}
+=> got 0; allowed: > 0
+planner.kernel=my_kernels:Anotated
+=> my_kernels has no Anotated; did you mean "Annotated"?
+planner.kernel=my_kernels:number
+=> number is not a class
+planner.kernel=my_kernel:X
+=> module my_kernel is neither in the working directory (
+planner.kernel=my_kernels.x:X
+=> module my_kernels.x is neither in the working directory (
+planner.kernel=my_broken:X
+=> importing my_broken failed: ValueError: math domain error (my_broken.py
+planner.kernel=my_script:X
+=> importing my_script failed: SystemExit: 0 (my_script.py, line 3)
+planner.kernel=my_quitter:X
+=> importing my_quitter failed: Quit (my_quitter.py, line 5)
+planner.kernel=my_kernels:Checking
+=> checking its settings failed: KeyError: 'lengthscale' (my_kernels.py, line
+planner.kernel=my_needy:X
+=> importing my_needy failed: ModuleNotFoundError: No module named 'there
+planner.kernel=my_kernels:Nested
+=> the annotation of inner in Nested is not the type of a setting; allowed:
+planner.kernel=my_kernels:Lacking
+=> the class does not implement __call__; see bojax.models.kernels.Kernel
+"""
+
+
+def test_refused(resolved):
+    for override, message in cases(REFUSED):
+        with pytest.raises(ConfigError) as raised:
+            resolved(override)
+        text = str(raised.value)
+        assert text.startswith("command line: planner.kernel") and message in text and "\n" not in text
 
 
 def test_an_error_in_a_file_names_the_file(write, resolved):

@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import re
+import shlex
 import shutil
 import signal
 import subprocess
@@ -27,6 +28,7 @@ from bojax.results.folder import make_new
 from bojax.tuning.page import read_tuning
 from bojax.tuning.rounds import _Rounds
 from tests.engine.here import Here
+from tests.transcript import cases
 
 ROOT = Path(__file__).parents[2]
 
@@ -264,61 +266,66 @@ def test_a_damaged_file_ends_in_one_line(tmp_path, undisturbed, capsys):
         assert err.startswith(f"error: {tmp_path}/tuning.json: ") and err.count("\n") == 1
 
 
-TUNED = "learner.kappa=0:1"
-MISTAKES = [
-    (
-        ["chain", "learner.kappa=2:1"],
-        "command line: learner.kappa: got 2:1; allowed: low:high with low < ",
-    ),
-    (
-        ["chain", "learner.kappa=0:1:log"],
-        "command line: learner.kappa: got 0:1; allowed: low > 0, for log",
-    ),
-    (["chain", "learner.kapa=0:1"], "command line: learner.kapa: unknown key"),
-    (["chain", "learner.discount=0.5:2"], "command line: learner.discount: got 2; allowed: <= 1"),
-    (["chain", "learner.ties=0:1"], "command line: learner.ties: got 0; allowed: "),
-    (["chain", "learner=0:1"], "command line: learner: got 0; unknown learner"),
-    (["chain", "seed=0:9"], "command line: seed: got 0:9; allowed: settings of the experiment"),
-    (["chain", TUNED, "learner.kappa=2"], "command line: learner.kappa: given twice"),
-    (["chain", TUNED, "learner.kappa=0:2"], "command line: learner.kappa: given twice"),
-    (
-        ["chain", TUNED, "--metric", ""],
-        '--metric: got ""; allowed: a column',
-    ),
-    (
-        ["chain", TUNED, "--metric", "retrun"],
-        "bojax tune: --metric: got retrun; unknown column",
-    ),
-    (
-        ["chain", TUNED, "--metric", "return"],
-        "bojax tune: --metric: got return; unknown column; allowed: ",
-    ),
-    (["chain", TUNED, "--budget", "63"], "bojax tune: --budget: got 63; allowed: >= 64"),
-    (
-        ["chain", TUNED, "--budget", "640000"],
-        "bojax tune: --budget: got 640000, which is 80000",
-    ),
-    (["chain", TUNED, "--batch", "0"], "bojax tune: --batch: got 0; allowed: >= 1"),
-    (["chain", TUNED, "--confirm", "-1"], "bojax tune: --confirm: got -1; allowed: >= 0"),
-    (["chain", TUNED, "--runs", "0"], "command line: runs: got 0; allowed: >= 1"),
-    (["chain", "learner.kappa=3"], "bojax tune: got no range; allowed: key=low:high"),
-    (["chain", "learner.kappa=0:x"], "bojax tune: got learner.kappa=0:x; allowed: key=low:high with two"),
-    (["chain", "env={kind: chain}"], "bojax tune: got no range; allowed: key=low:high"),
-    ([TUNED], "bojax tune: got none; allowed: one config"),
-    (["chain", "parking", TUNED], "bojax tune: got chain, parking; allowed: one config"),
-    (["chian", TUNED], "chian: "),
-    (["swept.yaml", TUNED], "swept.yaml: is a sweep, not an experiment"),
-]
+MISTAKES = """\
+chain learner.kappa=2:1
+=> command line: learner.kappa: got 2:1; allowed: low:high with low <
+chain learner.kappa=0:1:log
+=> command line: learner.kappa: got 0:1; allowed: low > 0, for log
+chain learner.kapa=0:1
+=> command line: learner.kapa: unknown key
+chain learner.discount=0.5:2
+=> command line: learner.discount: got 2; allowed: <= 1
+chain learner.ties=0:1
+=> command line: learner.ties: got 0; allowed:
+chain learner=0:1
+=> command line: learner: got 0; unknown learner
+chain seed=0:9
+=> command line: seed: got 0:9; allowed: settings of the experiment
+chain learner.kappa=0:1 learner.kappa=2
+=> command line: learner.kappa: given twice
+chain learner.kappa=0:1 learner.kappa=0:2
+=> command line: learner.kappa: given twice
+chain learner.kappa=0:1 --metric ''
+=> --metric: got ""; allowed: a column
+chain learner.kappa=0:1 --metric retrun
+=> bojax tune: --metric: got retrun; unknown column
+chain learner.kappa=0:1 --metric return
+=> bojax tune: --metric: got return; unknown column; allowed:
+chain learner.kappa=0:1 --budget 63
+=> bojax tune: --budget: got 63; allowed: >= 64
+chain learner.kappa=0:1 --budget 640000
+=> bojax tune: --budget: got 640000, which is 80000
+chain learner.kappa=0:1 --batch 0
+=> bojax tune: --batch: got 0; allowed: >= 1
+chain learner.kappa=0:1 --confirm -1
+=> bojax tune: --confirm: got -1; allowed: >= 0
+chain learner.kappa=0:1 --runs 0
+=> command line: runs: got 0; allowed: >= 1
+chain learner.kappa=3
+=> bojax tune: got no range; allowed: key=low:high
+chain learner.kappa=0:x
+=> bojax tune: got learner.kappa=0:x; allowed: key=low:high with two
+chain 'env={kind: chain}'
+=> bojax tune: got no range; allowed: key=low:high
+learner.kappa=0:1
+=> bojax tune: got none; allowed: one config
+chain parking learner.kappa=0:1
+=> bojax tune: got chain, parking; allowed: one config
+chian learner.kappa=0:1
+=> chian:
+swept.yaml learner.kappa=0:1
+=> swept.yaml: is a sweep, not an experiment
+"""
 
 
 def test_mistakes(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "swept.yaml").write_text("base: chain\naxes: {learner.kappa: [0.1, 1]}\n")
-    for words, message in MISTAKES:
-        assert main(["tune", *words]) == 2
+    for words, message in cases(MISTAKES):
+        assert main(["tune", *shlex.split(words)]) == 2
         err = capsys.readouterr().err
         assert err.startswith(f"error: {message}") and err.count("\n") == 1, err
-        assert "return" not in words or 'did you mean "last_return"?' in err
+        assert not words.endswith("return") or 'did you mean "last_return"?' in err
         assert [path.name for path in tmp_path.iterdir()] == ["swept.yaml"]
 
 
