@@ -22,14 +22,14 @@ _PREFIX = "bench_"
 def main(name: str, words: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     parser = Parser(
-        prog=f"bojax {name}",
-        usage=f"bojax {name} [NAME ...] | {name} NAME ARGUMENT ...",
-        description="Run benchmarks: ./benchmarks/bench_NAME.py, or those of the repository of bojax.\n"
+        name,
+        f"[NAME ...] | {name} NAME ARGUMENT ...",
+        "Run benchmarks: ./benchmarks/bench_NAME.py, or those of the repository of bojax.\n"
         "Their options are those of the scripts: python benchmarks/bench_NAME.py --help",
-        examples=_EXAMPLES,
+        _EXAMPLES,
     )
-    parser.add_argument("names", nargs="*", metavar="NAME", help="name of a benchmark (default: all)")
-    args = parser.parse_intermixed_args(list(words))
+    parser.option("names", "NAME", "name of a benchmark (default: all)", nargs="*")
+    args = parser.read(words)
     benchmarks = find_benchmarks()
     if not benchmarks:
         raise UsageError(

@@ -26,7 +26,7 @@ runs, which is unbiased.
 
 def main(name: str, words: Sequence[str]) -> int:
     """Run the command and return its exit code."""
-    args = _parser(name).parse_intermixed_args(list(words))
+    args = _parser(name).read(words)
     if args.confirm is None and (args.out is not None or args.resume):
         raise UsageError(f"bojax {name}: --out and --resume: allowed only with --confirm")
     if args.confirm is not None and args.confirm < 1:
@@ -64,23 +64,13 @@ def main(name: str, words: Sequence[str]) -> int:
 
 
 def _parser(name: str) -> Parser:
-    parser = Parser(
-        prog=f"bojax {name}",
-        usage=f"bojax {name} DIR [--by COLUMN] [--confirm N [--out DIR] [--resume]]",
-        description=_DESCRIPTION,
-        examples=_EXAMPLES,
-    )
-    parser.add_argument("folder", metavar="DIR", type=path, help="results folder")
-    parser.add_argument(
-        "--by",
-        type=column,
-        metavar="COLUMN",
-        help="column of runs.parquet, with a minus sign if less is better (default: report.rank_by; without "
-        "it -steps_to_goal if a learner reached a goal, otherwise return)",
-    )
-    parser.add_argument("--confirm", type=integer, metavar="N", help="run the best point with N fresh runs")
-    parser.add_argument(
-        "--out", type=path, metavar="DIR", help="folder of these runs (default: results/NAME-best/TIME)"
-    )
-    parser.add_argument("--resume", action="store_true", help="resume interrupted runs of --confirm")
+    usage = "DIR [--by COLUMN] [--confirm N [--out DIR] [--resume]]"
+    parser = Parser(name, usage, _DESCRIPTION, _EXAMPLES)
+    parser.option("folder", "DIR", "results folder", path)
+    by = "column of runs.parquet, with a minus sign if less is better (default: report.rank_by; without it "
+    by += "-steps_to_goal if a learner reached a goal, otherwise return)"
+    parser.option("--by", "COLUMN", by, column)
+    parser.option("--confirm", "N", "run the best point with N fresh runs", integer)
+    parser.option("--out", "DIR", "folder of these runs (default: results/NAME-best/TIME)", path)
+    parser.flag("--resume", "resume interrupted runs of --confirm")
     return parser

@@ -25,15 +25,14 @@ _EXAMPLES = """\
 
 def main(name: str, words: Sequence[str]) -> int:
     """Run the command and return its exit code."""
-    args = _parser(name).parse_intermixed_args(list(words))
+    args = _parser(name).read(words)
     if not args.folders and not args.csv:
         raise UsageError(
             f"bojax {name}: got none; allowed: results folders or --csv files (see: bojax {name} --help)"
         )
-    if args.last is not None and args.last < 1:
-        raise UsageError(f"--last: got {args.last}; allowed: >= 1")
-    if args.at is not None and args.at < 1:
-        raise UsageError(f"--at: got {args.at}; allowed: >= 1")
+    for option in ("last", "at"):
+        if (value := getattr(args, option)) is not None and value < 1:
+            raise UsageError(f"--{option}: got {value}; allowed: >= 1")
     sources = [*args.folders, *args.csv]
     if duplicates := [source for source in sources if sources.count(source) > 1]:
         raise UsageError(f"bojax {name}: got {duplicates[0]} twice; allowed: distinct sources")
@@ -61,56 +60,24 @@ def main(name: str, words: Sequence[str]) -> int:
 
 def _parser(name: str) -> Parser:
     parser = Parser(
-        prog=f"bojax {name}",
-        usage=f"bojax {name} DIR... [--csv FILE ...] [--metric COLUMN] [--x AXIS] [--phase PHASE]\n"
+        name,
+        "DIR... [--csv FILE ...] [--metric COLUMN] [--x AXIS] [--phase PHASE]\n"
         "                     [--last N] [--at STEP] [--reference NAME] [--out DIR]",
-        description=_DESCRIPTION,
-        examples=_EXAMPLES,
+        _DESCRIPTION,
+        _EXAMPLES,
     )
-    parser.add_argument("folders", nargs="*", metavar="DIR", type=path, help="results folders")
-    parser.add_argument(
-        "--csv", nargs="+", action="extend", metavar="FILE", type=path, default=[], help="curves in CSV files"
-    )
-    parser.add_argument(
-        "--metric",
-        type=column,
-        metavar="COLUMN",
-        help="column of episodes.parquet or runs.parquet, with a minus sign if less is better (default: "
-        "return; accumulated_reward in planning)",
-    )
-    parser.add_argument(
-        "--x",
-        metavar="AXIS",
-        type=one_of(("episode", "step")),
-        help="axis of curves: episode or step (default: episode; step in planning)",
-    )
-    parser.add_argument(
-        "--phase",
-        metavar="PHASE",
-        type=one_of(("train", "test")),
-        default="train",
-        help="phase of the episodes whose curves are drawn: train or test (default: train)",
-    )
-    parser.add_argument(
-        "--last",
-        type=integer,
-        metavar="N",
-        help="number of the last values of a run whose mean is its score (default: a tenth; 1 in planning)",
-    )
-    parser.add_argument(
-        "--at",
-        type=integer,
-        metavar="STEP",
-        help="step, or episode where that is the axis, up to which values count (default: the largest that "
-        "all methods have)",
-    )
-    parser.add_argument(
-        "--reference", metavar="NAME", help="method that others are compared with (default: the first)"
-    )
-    parser.add_argument(
-        "--out",
-        type=path,
-        metavar="DIR",
-        help="folder of the page, new or empty (default: results/compare/TIME)",
-    )
+    parser.option("folders", "DIR", "results folders", path, nargs="*")
+    parser.option("--csv", "FILE", "curves in CSV files", path, nargs="+", action="extend", default=[])
+    metric = "column of episodes.parquet or runs.parquet, with a minus sign if less is better (default: "
+    parser.option("--metric", "COLUMN", f"{metric}return; accumulated_reward in planning)", column)
+    axis = "axis of curves: episode or step (default: episode; step in planning)"
+    parser.option("--x", "AXIS", axis, one_of(("episode", "step")))
+    phase = "phase of the episodes whose curves are drawn: train or test (default: train)"
+    parser.option("--phase", "PHASE", phase, one_of(("train", "test")), default="train")
+    last = "number of the last values of a run whose mean is its score (default: a tenth; 1 in planning)"
+    parser.option("--last", "N", last, integer)
+    at = "step, or episode where that is the axis, up to which values count (default: the largest that all "
+    parser.option("--at", "STEP", f"{at}methods have)", integer)
+    parser.option("--reference", "NAME", "method that others are compared with (default: the first)")
+    parser.option("--out", "DIR", "folder of the page, new or empty (default: results/compare/TIME)", path)
     return parser

@@ -60,13 +60,8 @@ class Failure(Exception):
 
 def main(name: str, words: Sequence[str]) -> int:
     """Run the command; the exit code is 1 if a check failed."""
-    parser = Parser(
-        prog=f"bojax {name}",
-        usage=f"bojax {name}",
-        description="Check versions, optional packages, devices, precision, folders and films.",
-        examples=_EXAMPLES,
-    )
-    parser.parse_intermixed_args(list(words))
+    about = "Check versions, optional packages, devices, precision, folders and films."
+    Parser(name, "", about, _EXAMPLES).read(words)
     findings = []
     for title, check in CHECKS.items():
         for finding in examine(check):

@@ -21,27 +21,12 @@ curves averaged over runs with their standard deviation, and the means of runs.p
 
 def main(name: str, words: Sequence[str]) -> int:
     """Run the command and return its exit code."""
-    parser = Parser(
-        prog=f"bojax {name}",
-        usage=f"bojax {name} DIR --to TARGET [--out DIR]",
-        description=_DESCRIPTION,
-        examples=_EXAMPLES,
-    )
-    parser.add_argument("folder", metavar="DIR", type=path, help="results folder")
-    parser.add_argument(
-        "--to",
-        metavar="TARGET",
-        required=True,
-        type=one_of(TARGETS),
-        help="csv, or the extras mlflow, tensorboard or wandb",
-    )
-    parser.add_argument(
-        "--out",
-        type=path,
-        metavar="DIR",
-        help="folder to write, new or empty (default: export/TARGET in DIR)",
-    )
-    args = parser.parse_intermixed_args(list(words))
+    parser = Parser(name, "DIR --to TARGET [--out DIR]", _DESCRIPTION, _EXAMPLES)
+    parser.option("folder", "DIR", "results folder", path)
+    targets = "csv, or the extras mlflow, tensorboard or wandb"
+    parser.option("--to", "TARGET", targets, one_of(TARGETS), required=True)
+    parser.option("--out", "DIR", "folder to write, new or empty (default: export/TARGET in DIR)", path)
+    args = parser.read(words)
 
     from bojax.report.exporting.build import export
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bojax.cli.parser import Parser, UsageError, path
+from bojax.cli.parser import Parser, UsageError, integer, path
 from bojax.cli.worker import device_indices
 from bojax.config.launching import RayConfig, SlurmConfig, load_launching
 
@@ -19,21 +19,19 @@ LAUNCHERS = ("inline", "ray", "slurm")
 
 def add_launching(parser: Parser) -> None:
     """Add the options."""
-    parser.add_argument(
-        "--launcher",
-        choices=LAUNCHERS,
-        default="inline",
-        help="what runs the chunks: this process, Ray actors or a Slurm array (default: inline)",
-    )
-    parser.add_argument(
-        "--cluster", type=path, metavar="FILE", help="YAML file with settings of --launcher ray or slurm"
-    )
-    parser.add_argument(
-        "--devices", type=device_indices, metavar="I,J", help="indices of the GPUs to use (default: all)"
-    )
-    parser.add_argument(
-        "--dry-run", action="store_true", help="with --launcher slurm: print the script, submit nothing"
-    )
+    launcher = "what runs the chunks: this process, Ray actors or a Slurm array (default: inline)"
+    parser.add_argument("--launcher", choices=LAUNCHERS, default="inline", help=launcher)
+    parser.option("--cluster", "FILE", "YAML file with settings of --launcher ray or slurm", path)
+    parser.option("--devices", "I,J", "indices of the GPUs to use (default: all)", device_indices)
+    parser.flag("--dry-run", "with --launcher slurm: print the script, submit nothing")
+
+
+def add_running(parser: Parser, out: str, resume: str) -> None:
+    """Add the options of every command that runs sweeps."""
+    parser.option("--runs", "N", "number of runs of each point (default: as in the file)", integer)
+    parser.option("--seed", "S", "seed of the keys of all runs (default: as in the file)", integer)
+    parser.option("--out", "DIR", out, path)
+    parser.flag("--resume", resume)
 
 
 def check_launching(args: Namespace) -> None:

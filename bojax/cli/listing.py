@@ -30,16 +30,11 @@ Members = Mapping[str, type[Component]] | Mapping[str, Path] | Mapping[str, list
 
 def main(name: str, words: Sequence[str]) -> int:
     """Run the command and return its exit code."""
-    parser = Parser(
-        prog=f"bojax {name}",
-        usage=f"bojax {name} [NAME ...]",
-        description="List parts (problems, planners, ...), configs and sweeps, or the settings of a part.",
-        examples=_EXAMPLES,
-    )
-    parser.add_argument(
-        "names", nargs="*", metavar="NAME", help="name of a part, a group, a config or a sweep (default: all)"
-    )
-    args = parser.parse_intermixed_args(list(words))
+    about = "List parts (problems, planners, ...), configs and sweeps, or the settings of a part."
+    parser = Parser(name, "[NAME ...]", about, _EXAMPLES)
+    names = "name of a part, a group, a config or a sweep (default: all)"
+    parser.option("names", "NAME", names, nargs="*")
+    args = parser.read(words)
     groups = _groups()
     if args.names:
         blocks = [block for wanted in args.names for block in _about(wanted, groups)]

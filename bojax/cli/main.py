@@ -254,10 +254,6 @@ def dispatch(words: list[str]) -> int:
 
 def _parser() -> Parser:
     commands = "\n".join(f"  {name:<9} {summary}" for name, (_, summary) in COMMANDS.items())
-    return Parser(
-        prog="bojax",
-        usage="bojax COMMAND ...",
-        description="Batch experiments in Bayesian optimisation for planning and reinforcement learning.\n\n"
-        f"commands:\n{commands}\n\nbojax COMMAND --help describes a command.",
-        examples=_EXAMPLES,
-    )
+    about = "Batch experiments in Bayesian optimisation for planning and reinforcement learning.\n\n"
+    about += f"commands:\n{commands}\n\nbojax COMMAND --help describes a command."
+    return Parser("", "COMMAND ...", about, _EXAMPLES)

@@ -3,7 +3,7 @@
 import argparse
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from typing_extensions import override
 
@@ -25,17 +25,43 @@ class UsageError(Exception):
 
 
 class Parser(argparse.ArgumentParser):
-    """An argument parser that raises a `UsageError` instead of printing the usage and exiting."""
+    """An argument parser that raises a `UsageError` instead of printing the usage and exiting.
 
-    def __init__(self, *, prog: str, usage: str, description: str, examples: str):
+    Args:
+        name: The command; empty for `bojax` itself.
+        usage: What follows the command.
+        description: What the command does.
+        examples: Calls with their meaning, a line each.
+    """
+
+    def __init__(self, name: str, usage: str, description: str, examples: str):
+        prog = f"bojax {name}".strip()
         super().__init__(
             prog=prog,
-            usage=usage,
+            usage=f"{prog} {usage}".strip(),
             description=description,
             epilog=f"examples:\n{examples}",
             formatter_class=argparse.RawDescriptionHelpFormatter,
             allow_abbrev=False,
         )
+
+    def option(
+        self, name: str, metavar: str, help: str, type: Callable[[str], Any] = str, **more: Any
+    ) -> None:
+        """Add an option with a value, or an argument if the name has no dashes."""
+        self.add_argument(name, metavar=metavar, help=help, type=type, **more)
+
+    def flag(self, name: str, help: str) -> None:
+        """Add an option without a value."""
+        self.add_argument(name, action="store_true", help=help)
+
+    def read(self, words: Sequence[str]) -> argparse.Namespace:
+        """The arguments among the words of a command line.
+
+        Raises:
+            UsageError: An argument is wrong.
+        """
+        return self.parse_intermixed_args(list(words))
 
     @override
     def error(self, message: str) -> NoReturn:

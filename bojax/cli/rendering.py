@@ -18,7 +18,7 @@ _EXAMPLES = """\
 
 def main(name: str, words: Sequence[str]) -> int:
     """Run the command and return its exit code."""
-    args = _parser(name).parse_intermixed_args(list(words))
+    args = _parser(name).read(words)
 
     from rich.console import Console
     from rich.progress import Progress
@@ -61,31 +61,19 @@ def _share(text: str) -> float:
 
 def _parser(name: str) -> Parser:
     parser = Parser(
-        prog=f"bojax {name}",
-        usage=f"bojax {name} DIR [--run N] [--episode E] [--point P] [--model FILE] "
-        "[--still FILE [--at SHARE]]",
-        description="Draw a recorded run of a planner, or an episode of a learning run, and write it to\n"
+        name,
+        "DIR [--run N] [--episode E] [--point P] [--model FILE] [--still FILE [--at SHARE]]",
+        "Draw a recorded run of a planner, or an episode of a learning run, and write it to\n"
         "DIR/animations/ as GIF and, if ffmpeg is installed, as MP4. The first runs of each point are\n"
         "recorded; their number is record.runs. MuJoCo draws robots, and needs no display.",
-        examples=_EXAMPLES,
+        _EXAMPLES,
     )
-    parser.add_argument("folder", metavar="DIR", type=path, help="results folder")
-    parser.add_argument(
-        "--run", type=integer, metavar="N", help="index of the run (default: the first recorded run)"
-    )
-    parser.add_argument(
-        "--episode", type=integer, metavar="E", help="number of the episode (default: first success, or last)"
-    )
-    parser.add_argument("--point", type=integer, metavar="P", help="number of the point of a sweep")
-    parser.add_argument("--model", type=path, metavar="FILE", help="MJCF file of a custom robot")
-    parser.add_argument(
-        "--still", type=path, metavar="FILE", help="write a PNG image without text instead of a film"
-    )
-    parser.add_argument(
-        "--at",
-        type=_share,
-        metavar="SHARE",
-        default=1.0,
-        help="position of the image in the film, from 0 to 1 (default: 1)",
-    )
+    parser.option("folder", "DIR", "results folder", path)
+    parser.option("--run", "N", "index of the run (default: the first recorded run)", integer)
+    parser.option("--episode", "E", "number of the episode (default: first success, or last)", integer)
+    parser.option("--point", "P", "number of the point of a sweep", integer)
+    parser.option("--model", "FILE", "MJCF file of a custom robot", path)
+    parser.option("--still", "FILE", "write a PNG image without text instead of a film", path)
+    at = "position of the image in the film, from 0 to 1 (default: 1)"
+    parser.option("--at", "SHARE", at, _share, default=1.0)
     return parser

@@ -13,14 +13,14 @@ _EXAMPLES = """\
 def main(name: str, words: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     parser = Parser(
-        prog=f"bojax {name}",
-        usage=f"bojax {name} DIR...",
-        description="Draw the figures, test the claims and write report.html of finished results folders.\n"
+        name,
+        "DIR...",
+        "Draw the figures, test the claims and write report.html of finished results folders.\n"
         "The tables are not changed. Verdicts are printed on standard error, paths on standard output.",
-        examples=_EXAMPLES,
+        _EXAMPLES,
     )
-    parser.add_argument("folders", nargs="+", metavar="DIR", type=path, help="results folders")
-    args = parser.parse_intermixed_args(list(words))
+    parser.option("folders", "DIR", "results folders", path, nargs="+")
+    args = parser.read(words)
 
     from bojax.report.progress import report
     from bojax.tuning.page import build_page, is_search

@@ -6,8 +6,8 @@ from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
 
-from bojax.cli.launching import LAUNCHING_USAGE, add_launching, check_launching, dry_run
-from bojax.cli.parser import Parser, UsageError, integer, path
+from bojax.cli.launching import LAUNCHING_USAGE, add_launching, add_running, check_launching, dry_run
+from bojax.cli.parser import Parser, UsageError, path
 from bojax.cli.running import run
 from bojax.config.errors import ConfigError
 from bojax.config.sweep import load_sweep
@@ -43,7 +43,7 @@ _EXAMPLES = """\
 def main(name: str, words: Sequence[str]) -> int:
     """Run the command and return its exit code."""
     parser = _parser(name)
-    args = parser.parse_intermixed_args(list(words))
+    args = parser.read(words)
     if args.page:
         for option, value in vars(args).items():
             if option not in ("page", "out", "count_in") and value not in (parser.get_default(option), []):
@@ -132,43 +132,19 @@ def _newest(folder: Path, names: Sequence[str]) -> Path:
 
 def _parser(name: str) -> Parser:
     parser = Parser(
-        prog=f"bojax {name}",
-        usage=f"bojax {name} ID... [--runs N] [--seed S] [--out DIR] [--resume]{LAUNCHING_USAGE}\n"
+        name,
+        f"ID... [--runs N] [--seed S] [--out DIR] [--resume]{LAUNCHING_USAGE}\n"
         f"       bojax {name} --page DIR... [--out DIR | --out FILE] [--count-in FILE]",
-        description=_DESCRIPTION,
-        examples=_EXAMPLES,
+        _DESCRIPTION,
+        _EXAMPLES,
     )
-    parser.add_argument("ids", nargs="*", metavar="ID", help="sweeps, figures, tables, chapters, or all")
-    parser.add_argument(
-        "--runs", type=integer, metavar="N", help="number of runs of each point (default: as in the sweeps)"
-    )
-    parser.add_argument(
-        "--seed", type=integer, metavar="S", help="seed of the keys of all runs (default: as in the sweeps)"
-    )
-    parser.add_argument(
-        "--out",
-        type=path,
-        metavar="DIR",
-        help=f"folder of the results, or with --page also an .html or .md file (default: {FOLDER}/TIME)",
-    )
-    parser.add_argument("--resume", action="store_true", help="go on with interrupted or failed sweeps")
-    parser.add_argument(
-        "--page",
-        nargs="+",
-        action="extend",
-        type=path,
-        metavar="DIR",
-        default=[],
-        help="run nothing, but make the page from these results",
-    )
-    parser.add_argument(
-        "--count-in",
-        nargs="+",
-        type=path,
-        metavar="FILE",
-        default=[],
-        help="with --page: also update the numbers of claims in a sentence of these files: Of N claims ..., "
-        "N are reproduced, N are not, and N are inconclusive",
-    )
+    parser.option("ids", "ID", "sweeps, figures, tables, chapters, or all", nargs="*")
+    out = f"folder of the results, or with --page also an .html or .md file (default: {FOLDER}/TIME)"
+    add_running(parser, out, "go on with interrupted or failed sweeps")
+    page = "run nothing, but make the page from these results"
+    parser.option("--page", "DIR", page, path, nargs="+", action="extend", default=[])
+    count = "with --page: also update the numbers of claims in a sentence of these files: Of N claims ..., N "
+    count += "are reproduced, N are not, and N are inconclusive"
+    parser.option("--count-in", "FILE", count, path, nargs="+", default=[])
     add_launching(parser)
     return parser

@@ -9,8 +9,15 @@ from contextlib import nullcontext
 from itertools import pairwise
 from pathlib import Path
 
-from bojax.cli.launching import LAUNCHING_USAGE, add_launching, check_launching, dry_run, name_of_launcher
-from bojax.cli.parser import Parser, UsageError, integer, path
+from bojax.cli.launching import (
+    LAUNCHING_USAGE,
+    add_launching,
+    add_running,
+    check_launching,
+    dry_run,
+    name_of_launcher,
+)
+from bojax.cli.parser import Parser, UsageError
 from bojax.config.errors import printable
 from bojax.config.files import STANDARD_INPUT, SUFFIXES, display, find, shadowed
 from bojax.config.overrides import parse_overrides
@@ -44,7 +51,7 @@ _SWEEP = """\
 
 def main(name: str, words: Sequence[str]) -> int:
     """Run the command `name`, which is "run" or "sweep"."""
-    args = _parser(name).parse_intermixed_args(list(words))
+    args = _parser(name).read(words)
     check_launching(args)
     overrides, sources = split_words(args.words)
     for word, value in pairwise(sources):
@@ -83,29 +90,19 @@ def _folders(out: Path, names: Sequence[str]) -> list[Path]:
 
 def _parser(name: str) -> Parser:
     is_run = name == "run"
-    parser = Parser(
-        prog=f"bojax {name}",
-        usage=f"bojax {name} {'CONFIG' if is_run else 'SWEEP...'} [key=value ...] [--runs N] [--seed S] "
-        f"[--out DIR] [--resume]{'' if is_run else LAUNCHING_USAGE}",
-        description=("Run one experiment.\n\n" if is_run else "Run sweeps and write their reports.\n\n")
-        + _OVERRIDES,
-        examples=_RUN if is_run else _SWEEP,
-    )
     source = "a file, or a name in configs/" if is_run else "files, or names in sweeps/"
-    source += f"; {STANDARD_INPUT} for standard input"
-    parser.add_argument(
-        "words", nargs="*", metavar="CONFIG" if is_run else "SWEEP", help=f"{source}; with key=value settings"
+    metavar, about = (
+        ("CONFIG", "Run one experiment.") if is_run else ("SWEEP", "Run sweeps and write their reports.")
     )
-    parser.add_argument(
-        "--runs", type=integer, metavar="N", help="number of runs of each point (default: as in the file)"
+    options = (
+        f"[key=value ...] [--runs N] [--seed S] [--out DIR] [--resume]{'' if is_run else LAUNCHING_USAGE}"
     )
-    parser.add_argument(
-        "--seed", type=integer, metavar="S", help="seed of the keys of all runs (default: as in the file)"
-    )
-    parser.add_argument(
-        "--out", type=path, metavar="DIR", help="results folder, new or empty (default: results/NAME/TIME)"
-    )
-    parser.add_argument("--resume", action="store_true", help="resume an interrupted or failed sweep")
+    usage = f"{metavar}{'' if is_run else '...'} {options}"
+    parser = Parser(name, usage, f"{about}\n\n{_OVERRIDES}", _RUN if is_run else _SWEEP)
+    help = f"{source}; {STANDARD_INPUT} for standard input; with key=value settings"
+    parser.option("words", metavar, help, nargs="*")
+    out = "results folder, new or empty (default: results/NAME/TIME)"
+    add_running(parser, out, "resume an interrupted or failed sweep")
     if not is_run:
         add_launching(parser)
     return parser

@@ -18,7 +18,11 @@ _EXAMPLES = """\
 
 def main(name: str, words: Sequence[str]) -> int:
     """Run the command; the exit code is 1 if a chunk failed."""
-    args = _parser(name).parse_intermixed_args(list(words))
+    parser = Parser(
+        name, "DIR...", "Show which chunks of a sweep are done, running, lost or failed.", _EXAMPLES
+    )
+    parser.option("folders", "DIR", "results folder of a sweep", path, nargs="+")
+    args = parser.read(words)
     has_failed = False
     for folder in args.folders:
         lines, failed = describe(folder)
@@ -67,14 +71,3 @@ def describe(folder: Path) -> tuple[list[str], bool]:
         outputs = sorted((folder / WORK).glob(OUTPUT.format("*")), key=os.path.getmtime)
         found += [f"output of the last task: {path}" for path in outputs[-1:]]
     return found, bool(failed)
-
-
-def _parser(name: str) -> Parser:
-    parser = Parser(
-        prog=f"bojax {name}",
-        usage=f"bojax {name} DIR...",
-        description="Show which chunks of a sweep are done, running, lost or failed.",
-        examples=_EXAMPLES,
-    )
-    parser.add_argument("folders", nargs="+", type=path, metavar="DIR", help="results folder of a sweep")
-    return parser

@@ -5,8 +5,15 @@ import re
 from collections.abc import Sequence
 from contextlib import nullcontext
 
-from bojax.cli.launching import LAUNCHING_USAGE, add_launching, check_launching, dry_run, launcher_of
-from bojax.cli.parser import Parser, UsageError, column, integer, path
+from bojax.cli.launching import (
+    LAUNCHING_USAGE,
+    add_launching,
+    add_running,
+    check_launching,
+    dry_run,
+    launcher_of,
+)
+from bojax.cli.parser import Parser, UsageError, column, integer
 from bojax.cli.running import read_source, split_words
 from bojax.engine.signals import kept
 from bojax.results.folder import dated_folder
@@ -33,8 +40,7 @@ _ALMOST = re.compile(r"=[-+.\d]+[^,:]*:")
 
 def main(name: str, words: Sequence[str]) -> int:
     """Run the command and return its exit code."""
-    parser = _parser(name)
-    args = parser.parse_intermixed_args(list(words))
+    args = _parser(name).read(words)
     check_launching(args)
     with kept():
         task = checked(args)
@@ -58,51 +64,24 @@ def search(task: Task, args: argparse.Namespace, command: list[str]) -> int:
 
 def _parser(name: str) -> Parser:
     parser = Parser(
-        prog=f"bojax {name}",
-        usage=f"bojax {name} CONFIG key=low:high ... [key=value ...] [--metric COLUMN] [--minimise]\n"
+        name,
+        "CONFIG key=low:high ... [key=value ...] [--metric COLUMN] [--minimise]\n"
         "                  [--budget RUNS] [--batch POINTS] [--runs N] [--seed S] [--confirm N] [--out DIR] "
         f"[--resume]{LAUNCHING_USAGE}",
-        description=_DESCRIPTION,
-        examples=_EXAMPLES,
+        _DESCRIPTION,
+        _EXAMPLES,
     )
-    parser.add_argument(
-        "words", nargs="*", metavar="CONFIG", help="a file or a name in configs/; with ranges and settings"
-    )
-    parser.add_argument(
-        "--metric",
-        type=column,
-        metavar="COLUMN",
-        help="column of runs.parquet (default: return; of learners, last_return)",
-    )
-    parser.add_argument("--minimise", action="store_true", help="less is better")
-    parser.add_argument(
-        "--budget", type=integer, metavar="RUNS", help="runs of the search in all (default: 10 rounds)"
-    )
-    parser.add_argument(
-        "--batch", type=integer, metavar="POINTS", default=8, help="points of a round (default: 8)"
-    )
-    parser.add_argument(
-        "--runs", type=integer, metavar="N", help="runs of each point (default: as in the file)"
-    )
-    parser.add_argument(
-        "--seed",
-        type=integer,
-        metavar="S",
-        help="seed of the search and of its runs (default: as in the file)",
-    )
-    parser.add_argument(
-        "--confirm",
-        type=integer,
-        metavar="N",
-        default=100,
-        help="fresh runs of each of the best 3 settings (default: 100; 0 for none)",
-    )
-    parser.add_argument(
-        "--out", type=path, metavar="DIR", help="folder of the search (default: results/NAME-tune/TIME)"
-    )
-    parser.add_argument(
-        "--resume", action="store_true", help="resume an interrupted search, or extend one by a larger budget"
-    )
+    source = "a file or a name in configs/; with ranges and settings"
+    parser.option("words", "CONFIG", source, nargs="*")
+    metric = "column of runs.parquet (default: return; of learners, last_return)"
+    parser.option("--metric", "COLUMN", metric, column)
+    parser.flag("--minimise", "less is better")
+    parser.option("--budget", "RUNS", "runs of the search in all (default: 10 rounds)", integer)
+    parser.option("--batch", "POINTS", "points of a round (default: 8)", integer, default=8)
+    confirm = "fresh runs of each of the best 3 settings (default: 100; 0 for none)"
+    parser.option("--confirm", "N", confirm, integer, default=100)
+    out = "folder of the search (default: results/NAME-tune/TIME)"
+    add_running(parser, out, "resume an interrupted search, or extend one by a larger budget")
     add_launching(parser)
     return parser
 

@@ -22,7 +22,7 @@ _EXAMPLES = """\
 
 def main(name: str, words: Sequence[str]) -> int:
     """Run the command: 0; 1 if a chunk failed; 2 for a wrong input; 128 and its number after a signal."""
-    args = _parser(name).parse_intermixed_args(list(words))
+    args = _parser(name).read(words)
     from bojax.engine.signals import SIGNALS, StopRequest
 
     signals = (*SIGNALS, REQUEUE)
@@ -70,23 +70,16 @@ def _cores(text: str) -> int:
 
 def _parser(name: str) -> Parser:
     parser = Parser(
-        prog=f"bojax {name}",
-        usage=f"bojax {name} DIR... [--devices I,J] [--cores N] [--share NUMBER/COUNT]",
-        description="Run chunks of sweeps that `bojax sweep` or `bojax reproduce` has started and no longer\n"
+        name,
+        "DIR... [--devices I,J] [--cores N] [--share NUMBER/COUNT]",
+        "Run chunks of sweeps that `bojax sweep` or `bojax reproduce` has started and no longer\n"
         "runs, on this machine or on another one that shares their folders. Each worker runs a share of\n"
         "the chunks. The command that started the sweeps merges them, with --resume.",
-        examples=_EXAMPLES,
+        _EXAMPLES,
     )
-    parser.add_argument("folders", nargs="+", type=path, metavar="DIR", help="results folder of the sweep")
-    parser.add_argument(
-        "--devices", type=device_indices, metavar="I,J", help="indices of the GPUs to use (default: all)"
-    )
-    parser.add_argument("--cores", type=_cores, metavar="N", help="number of CPU cores to use (default: all)")
-    parser.add_argument(
-        "--share",
-        type=_share,
-        default=(0, 1),
-        metavar="NUMBER/COUNT",
-        help="which share of the chunks to run, from 0: 1/4 is the second of four (default: all)",
-    )
+    parser.option("folders", "DIR", "results folder of the sweep", path, nargs="+")
+    parser.option("--devices", "I,J", "indices of the GPUs to use (default: all)", device_indices)
+    parser.option("--cores", "N", "number of CPU cores to use (default: all)", _cores)
+    share = "which share of the chunks to run, from 0: 1/4 is the second of four (default: all)"
+    parser.option("--share", "NUMBER/COUNT", share, _share, default=(0, 1))
     return parser
