@@ -17,19 +17,15 @@ def planner(sweep: Sweep, index: int = 0) -> Component:
     return sweep.points[index].config.planner
 
 
-@pytest.mark.parametrize("name", available("configs"))
-def test_every_config_loads(name):
-    sweep = load_config(name)
-    assert sweep.name == name and len(sweep.points) == 1
-    assert sweep.title != name
-
-
-@pytest.mark.parametrize("name", available("sweeps"))
-def test_every_sweep_expands(name):
-    sweep = load_sweep(name)
-    assert sweep.name == name
-    settings = [(point.variant, *map(str, point.swept.values())) for point in sweep.points]
-    assert len(set(settings)) == len(settings)
+def test_every_config_and_every_sweep_loads():
+    for name in available("configs"):
+        sweep = load_config(name)
+        assert sweep.name == name != sweep.title and len(sweep.points) == 1
+    for name in available("sweeps"):
+        sweep = load_sweep(name)
+        assert sweep.name == name
+        settings = [(point.variant, *map(str, point.swept.values())) for point in sweep.points]
+        assert len(set(settings)) == len(settings), name
 
 
 def test_the_parking_sweep_is_figure_4_6():
@@ -72,55 +68,45 @@ def test_options_and_overrides_take_precedence_over_the_file(write):
     assert sweep.engine == EngineConfig(device="gpu", segment_seconds=9)
 
 
-@pytest.mark.parametrize("name", ["runs", "seed"])
-def test_an_option_and_an_override_of_one_setting_are_refused(name):
-    with pytest.raises(
-        ConfigError, match=f"^command line: {name}: given twice, as {name}=6 and as --{name} 7$"
-    ):
-        load_sweep("parking", [f"{name}=6"], **{name: 7})
+def test_an_option_and_an_override_of_one_setting_are_refused():
+    for name in ("runs", "seed"):
+        given = f"^command line: {name}: given twice, as {name}=6 and as --{name} 7$"
+        with pytest.raises(ConfigError, match=given):
+            load_sweep("parking", [f"{name}=6"], **{name: 7})
 
 
-class TestOverrides:
-    """`key=value` with dotted paths."""
+OVERRIDDEN = [
+    # Values are typed by YAML.
+    (
+        "planner: kcbts",
+        "planner.iterations=10 planner.noise_variance=1e-3",
+        KCBTS(iterations=10, noise_variance=1e-3),
+    ),
+    # A name replaces the part.
+    ("planner: {kind: kcbts, iterations: 10}", "planner=sbo", SBO()),
+    ("planner: {kind: kcbts, iterations: 10}", "planner=kcbts", KCBTS()),
+    # A new kind discards the settings of the old one.
+    ("planner: {kind: kcbts, max_actions: 10}", "planner.kind=sbo", SBO()),
+    ("planner: {kind: kcbts, max_actions: 10}", "planner.kind=kcbts", KCBTS(max_actions=10)),
+    # The order does not matter.
+    (
+        "planner: kcbts",
+        "planner.motions.length=2 planner.motions.kind=splines planner=sbo planner.depth=2",
+        SBO(depth=2, motions=Splines(length=2.0)),
+    ),
+    # Settings of a default part, and a part as a mapping.
+    ("planner: kcbts", "planner.motions.length=2", KCBTS(motions=KernelTrajectories(length=2.0))),
+    ("planner: kcbts", "planner={kind:\u00a0sbo,depth:\u00a02}", SBO(depth=2)),
+]
 
-    def test_values_are_typed_by_yaml(self, write):
-        write("x.yaml", "planner: kcbts")
-        sweep = load_config(
-            "x.yaml", ["planner.iterations=10", "planner.noise_variance=1e-3", "dtype=float32"]
-        )
-        assert planner(sweep) == KCBTS(iterations=10, noise_variance=1e-3)
-        assert sweep.points[0].config.dtype == "float32"
 
-    def test_a_name_replaces_the_part(self, write):
-        write("x.yaml", "planner: {kind: kcbts, iterations: 10}")
-        assert planner(load_config("x.yaml", ["planner=sbo"])) == SBO()
-        assert planner(load_config("x.yaml", ["planner=kcbts"])) == KCBTS()
-
-    def test_a_new_kind_discards_the_settings_of_the_old_one(self, write):
-        write("x.yaml", "planner: {kind: kcbts, max_actions: 10}")
-        assert planner(load_config("x.yaml", ["planner.kind=sbo"])) == SBO()
-        assert planner(load_config("x.yaml", ["planner.kind=kcbts"])) == KCBTS(max_actions=10)
-
-    def test_the_order_does_not_matter(self, write):
-        write("x.yaml", "planner: kcbts")
-        changes = [
-            "planner.motions.length=2",
-            "planner.motions.kind=splines",
-            "planner=sbo",
-            "planner.depth=2",
-        ]
-        expected = SBO(depth=2, motions=Splines(length=2.0))
+def test_overrides_change_parts(write):
+    for text, words, expected in OVERRIDDEN:
+        write("x.yaml", text)
+        changes = [word.replace("\u00a0", " ") for word in words.split(" ")]
         assert planner(load_config("x.yaml", changes)) == expected
         assert planner(load_config("x.yaml", changes[::-1])) == expected
-
-    def test_settings_of_a_default_part(self, write):
-        write("x.yaml", "planner: kcbts")
-        got = planner(load_config("x.yaml", ["planner.motions.length=2"]))
-        assert got == KCBTS(motions=KernelTrajectories(length=2.0))
-
-    def test_a_part_given_as_a_mapping(self, write):
-        write("x.yaml", "planner: kcbts")
-        assert planner(load_config("x.yaml", ["planner={kind: sbo, depth: 2}"])) == SBO(depth=2)
+    assert load_config("x.yaml", ["dtype=float32"]).points[0].config.dtype == "float32"
 
 
 class TestAxes:
