@@ -177,7 +177,7 @@ def _hashable(value: Any) -> Hashable:
     if isinstance(value, list):
         return "list", *map(_hashable, value)
     if isinstance(value, dict):
-        return frozenset((name, _hashable(part)) for name, part in value.items())
+        return frozenset((name, _hashable(item)) for name, item in value.items())
     return value
 
 

@@ -62,15 +62,15 @@ def _type(field: FieldInfo) -> str:
 
 
 def _words(annotation: Any) -> str:
-    origin, parts = get_origin(annotation), get_args(annotation)
+    origin, arguments = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
-        return _words(parts[0])
+        return _words(arguments[0])
     if origin is Literal:
-        return " | ".join(str(part) for part in parts)
+        return " | ".join(str(argument) for argument in arguments)
     if origin in (Union, types.UnionType):
-        return " | ".join(_words(part) for part in parts)
+        return " | ".join(_words(argument) for argument in arguments)
     if origin in (tuple, list):
-        return f"list of {_words(parts[0])}" if parts else "list"
+        return f"list of {_words(arguments[0])}" if arguments else "list"
     if origin is dict or (isinstance(annotation, type) and issubclass(annotation, pydantic.BaseModel)):
         return "mapping"
     return _WORDS.get(annotation, "any")

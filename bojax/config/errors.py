@@ -109,7 +109,7 @@ def _continued(name: str, names: Iterable[str]) -> list[str]:
 
 def dotted(location: Iterable[int | str]) -> str:
     """A location as a dotted path."""
-    return ".".join(str(part) for part in location)
+    return ".".join(map(str, location))
 
 
 def from_validation(

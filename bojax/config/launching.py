@@ -19,7 +19,7 @@ def _on_one_line(text: str) -> str:
 
 
 _Word = Annotated[str, Field(min_length=1), pydantic.AfterValidator(_on_one_line)]
-"""A part of a line of the batch script."""
+"""A word of a line of the batch script."""
 
 
 class SlurmConfig(Schema, frozen=True):

@@ -14,17 +14,17 @@ from pydantic import Field, PlainValidator
 
 def _numbers(value: Any) -> Any:
     if isinstance(value, list | tuple):
-        parts = tuple(_numbers(part) for part in value)
-        if len({_shape(part) for part in parts}) > 1:
+        items = tuple(_numbers(item) for item in value)
+        if len({_shape(item) for item in items}) > 1:
             raise ValueError("allowed: lists of equal lengths")
-        return parts
+        return items
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise ValueError("allowed: a number or a list of numbers")
     return value
 
 
 def _shape(value: Any) -> tuple[int, ...]:
-    """The shape of nested tuples; the parts of each have equal shapes."""
+    """The shape of nested tuples; the items of each have equal shapes."""
     return (len(value), *_shape(value[0])) if isinstance(value, tuple) and value else ()
 
 
@@ -87,13 +87,13 @@ def _field_type(annotation: Any) -> Any:
     if origin is Annotated:
         return _field_type(get_args(annotation)[0])
     if origin is tuple:
-        parts = [part if part is ... else _field_type(part) for part in get_args(annotation)]
-        return None if None in parts else Annotated[tuple[tuple(parts)], Field(strict=False)]
+        items = [item if item is ... else _field_type(item) for item in get_args(annotation)]
+        return None if None in items else Annotated[tuple[tuple(items)], Field(strict=False)]
     if origin in (Union, types.UnionType):
-        parts = [_field_type(part) for part in get_args(annotation)]
-        if Numbers in parts:
-            parts = [Numbers, *(part for part in parts if part is type(None))]
-        return None if None in parts else Union[tuple(parts)]  # noqa: UP007 (made at run time)
+        items = [_field_type(item) for item in get_args(annotation)]
+        if Numbers in items:
+            items = [Numbers, *(item for item in items if item is type(None))]
+        return None if None in items else Union[tuple(items)]  # noqa: UP007 (made at run time)
     return None
 
 
@@ -107,5 +107,5 @@ def _is_array(annotation: Any) -> bool:
 
 def _is_plain(value: Any) -> bool:
     if isinstance(value, list | tuple):
-        return all(_is_plain(part) for part in value)
+        return all(_is_plain(item) for item in value)
     return isinstance(value, _PLAIN)

@@ -83,7 +83,7 @@ def run_rounds(
     else:
         files.create(task.content)
     try:
-        with held():  # the rounds have their programs in common
+        with held():  # rounds share compiled programs
             code = _Rounds(task, folder, command, launcher, devices).run()
         is_done = code == 0
     except KeyboardInterrupt:  # between two rounds; within one, the engine prints this

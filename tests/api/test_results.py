@@ -2,6 +2,7 @@
 
 import json
 import re
+from functools import partial
 
 import pyarrow.parquet as pq
 import pytest
@@ -9,6 +10,7 @@ from matplotlib.figure import Figure
 
 import bojax
 from bojax.report.build import build_report
+from tests.refusals import assert_refused
 from tests.report.synthetic import CLAIMS, write_results
 
 
@@ -57,11 +59,10 @@ def test_a_figure_that_cannot_be_drawn_is_one_line(results):
 
 
 def test_what_is_no_results_folder_is_refused(results, tmp_path):
-    for folder, message in (
+    refused = [
         (tmp_path / "nowhere", "no such results folder"),
         (tmp_path, "not a results folder"),
         (results.folder.parent, f"the newest below it is {results.folder}"),
         (results.report, "a file, not a results folder"),
-    ):
-        with pytest.raises(bojax.BojaxError, match=message):
-            bojax.load(folder)
+    ]
+    assert_refused([(partial(bojax.load, path), message) for path, message in refused], bojax.BojaxError)

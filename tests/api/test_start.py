@@ -15,6 +15,7 @@ from bojax.engine import signals
 from bojax.results.folder import is_unfinished
 from bojax.results.store import read_manifest
 from tests.learning.probes import Bandit
+from tests.refusals import assert_refused
 
 FLAGS = (
     "jax_enable_x64",
@@ -137,11 +138,8 @@ MISTAKES = [
 
 
 def test_a_mistake_is_one_line_before_anything_is_written(here):
-    for call, message in MISTAKES:
-        with pytest.raises(bojax.BojaxError, match=message) as caught:
-            call()
-        assert "\n" not in str(caught.value)
-        assert [path for path in here.rglob("*") if path.is_file()] == []
+    assert_refused(MISTAKES, bojax.BojaxError)
+    assert [path for path in here.rglob("*") if path.is_file()] == []
 
 
 def test_an_error_of_the_process_is_one_line(here):
