@@ -56,13 +56,10 @@ class Launcher(abc.ABC):
     Attributes:
         is_awaited: Whether the driver waits for the workers, and merges at the end. Otherwise it ends once
             they are submitted, and merges when it is started again with `--resume`.
-        home: The folder by which another driver finds the workers; None for the folders of the sweeps. A
-            search has one, since its rounds have folders of their own.
         all_refused: Whether every worker has left with an error.
     """
 
     is_awaited: bool
-    home: Path | None = None
     all_refused: bool = False
 
     @abc.abstractmethod

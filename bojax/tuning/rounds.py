@@ -70,8 +70,6 @@ def run_rounds(
         folder, is_resumed = reserve_folder(f"{task.config.name}-tune", out, resume=resume)
         if resume and not is_resumed:
             say_new([folder])
-    if launcher is not None:
-        launcher.home = folder
     for key in task.recompiled:
         note = f"note: {key} fixes the shape of a program; each of its values is compiled anew"
         print(printable(note), file=sys.stderr)

@@ -192,24 +192,10 @@ def test_a_cluster_that_does_not_answer_any_more_is_given_up(monkeypatch, capsys
     launcher.close()  # asks nothing of Ray
 
 
-def test_an_actor_tells_why_it_left(tmp_path, monkeypatch):
+def test_an_actor_tells_why_it_left(tmp_path):
     """As on a node that does not share the folder."""
-    monkeypatch.setattr(ray_actors, "IDLE_SECONDS", 1e6)
     error = ray_actors._Actor().work([str(tmp_path / "elsewhere")], 0, 1, 1)
     assert error is not None and "elsewhere: no such folder on " in error
-
-
-def test_an_actor_ends_by_itself_after_an_unexpected_error(monkeypatch):
-    """The driver that would end it may be gone."""
-    monkeypatch.setattr("bojax.engine.worker.run_worker", lambda *_: 1 // 0)
-    left = threading.Event()
-    monkeypatch.setattr(ray_actors._Actor, "_leave", lambda _: left.set())
-    monkeypatch.setattr(ray_actors, "IDLE_SECONDS", 1e6)
-    actor = ray_actors._Actor()
-    monkeypatch.setattr(ray_actors, "IDLE_SECONDS", 0.0)
-    with pytest.raises(ZeroDivisionError):
-        actor.work([], 0, 1, 1)
-    assert left.wait(60)
 
 
 def test_a_worker_that_cannot_run_tells_why(monkeypatch):

@@ -2,12 +2,10 @@
 
 An actor runs one share of the chunks after the other: the driver gives the next share to the next idle actor.
 The rounds of a search are run by the same actors. Ray starts an actor again if its process or node is lost;
-its share goes to the next idle actor. Actors outlive the driver: a driver that is started again finds them by
-their names, and ends what the earlier one has asked of them.
+its share goes to the next idle actor. The actors end with the driver.
 """
 
 import functools
-import hashlib
 import importlib
 import logging
 import os
@@ -52,9 +50,6 @@ STOP_SECONDS = 600.0
 HEAR_SECONDS = 5.0
 """Time in which a living actor answers that it will stop."""
 
-IDLE_SECONDS = 60.0
-"""Time after which an actor without work ends by itself, if no driver has ended it."""
-
 
 class Ray(Launcher):
     """Starts actors, and waits for them."""
@@ -63,15 +58,14 @@ class Ray(Launcher):
 
     def __init__(self, config: RayConfig):
         self._config = config
-        self._actors: dict[int, Any] = {}
-        self._calls: dict[Any, tuple[int, int | None]] = {}  # the actor and the share of each pending call
-        self._idle: list[int] = []
+        self._actors: list[Any] = []
+        self._calls: dict[Any, tuple[Any, int | None]] = {}  # the actor and the share of each pending call
         self._shares: deque[int] = deque()
-        self._refusing: set[int] = set()
+        self._idle: list[Any] = []
+        self._refusing: set[Any] = set()
         self._has_connected = False
         self._address: str | None = None
         self._lost_since: float | None = None
-        self._touched = 0.0
 
     @override
     def check(self, name: str) -> None:
@@ -102,45 +96,13 @@ class Ray(Launcher):
         ray = _ray()
         self._paths = [str(folder.absolute()) for folder in folders]
         workers, self._options, self._cores = self._shape(ray.cluster_resources(), len(ray.nodes()))
+        if not self._actors:
+            print(f"{workers} workers on Ray", file=sys.stderr)
+            options = {"max_restarts": -1, "max_concurrency": 2, **self._options}
+            self._actors = [ray.remote(_Actor).options(**options).remote() for _ in range(workers)]
         self._count = num_shares(workers, groups)
-        self._shares = deque(range(self._count))
-        self._calls, self._idle, self._refusing = {}, [], set()
-        # Actors of an earlier driver may hold the GPUs, also those for which there is no node any more.
-        prefix = self._name("")
-        names = importlib.import_module("ray.util").list_named_actors()
-        found = {int(name.removeprefix(prefix)) for name in names if name.startswith(prefix)}
-        is_first = not self._actors
-        for number in sorted(found | set(range(workers))):
-            self._actors[number] = self._actor(number)
-            self._call(number)
-        if is_first:
-            print(f"{len(self._actors)} workers on Ray", file=sys.stderr)
-
-    def _name(self, number: int | str) -> str:
-        """Name of an actor, by which another driver finds it."""
-        paths = [str(self.home.absolute())] if self.home else self._paths
-        identity = hashlib.sha256("\n".join(paths).encode()).hexdigest()[:12]
-        return f"bojax-{identity}-{number}"
-
-    def _actor(self, number: int) -> Any:
-        """An actor; it is started unless an earlier driver or round has started it."""
-        options = {
-            "name": self._name(number),
-            "get_if_exists": True,
-            "lifetime": "detached",
-            "max_restarts": -1,
-            "max_concurrency": 4,
-            **self._options,
-        }
-        return _ray().remote(_Actor).options(**options).remote()
-
-    def _call(self, number: int, share: int | None = None) -> None:
-        """Let an actor run a share, or without one, let it say when it is idle."""
-        actor = self._actors[number]
-        if share is None:
-            self._calls[actor.rest.remote()] = number, None
-        else:
-            self._calls[actor.work.remote(self._paths, share, self._count, self._cores)] = number, share
+        self._shares, self._idle, self._refusing = deque(range(self._count)), [], set()
+        self._calls = {actor.__ray_ready__.remote(): (actor, None) for actor in self._actors}
 
     def _shape(self, resources: dict[str, float], num_nodes: int) -> tuple[int, dict[str, Any], int | None]:
         """Number of actors, what each needs, and its number of cores."""
@@ -163,31 +125,27 @@ class Ray(Launcher):
         ray = _ray()
         ended, _ = ray.wait(list(self._calls), num_returns=len(self._calls), timeout=0.0)
         for call in ended:
-            number, share = self._calls.pop(call)
+            actor, share = self._calls.pop(call)
             try:
-                error = ray.get(call)
+                told = ray.get(call)
             except ray.exceptions.RayError as problem:
                 is_lost = isinstance(problem, ray.exceptions.RayActorError) and not problem.actor_init_failed
                 if not is_lost:
                     lines = str(problem).strip().splitlines() or [error_line(problem)]
                     reason = f"--launcher ray: a worker cannot run: {lines[-1]}"  # the end of Ray's traceback
                     raise EngineError(reason, FAILURE) from problem
-                self._actors[number] = self._actor(number)  # Ray has started it again, or will
-                self._call(number)
+                self._calls[actor.__ray_ready__.remote()] = actor, None  # once Ray has started it again
             else:
-                if not error:
-                    self._idle.append(number)
+                if share is None or told is None:
+                    self._idle.append(actor)
                     continue
-                self._refusing.add(number)
-                print(printable(f"a worker has left: {error}"), file=sys.stderr)
+                self._refusing.add(actor)
+                print(printable(f"a worker has left: {told}"), file=sys.stderr)
             if share is not None:
                 self._shares.appendleft(share)
         while self._shares and self._idle:
-            self._call(self._idle.pop(), self._shares.popleft())
-        if time.monotonic() - self._touched > IDLE_SECONDS / 4:
-            self._touched = time.monotonic()
-            for number in self._idle:
-                self._actors[number].touch.remote()
+            actor, share = self._idle.pop(), self._shares.popleft()
+            self._calls[actor.work.remote(self._paths, share, self._count, self._cores)] = actor, share
         self.all_refused = self._refusing == set(self._actors)
         is_busy = any(share is not None for _, share in self._calls.values())
         return not self.all_refused and (bool(self._shares) or is_busy)
@@ -223,14 +181,14 @@ class Ray(Launcher):
         if not self._has_connected and not self._actors:
             return
         ray = _ray()
-        told = {actor.stop.remote(): number for number, actor in self._actors.items()}
+        told = {actor.stop.remote(): actor for actor in self._actors}
         if told:
             heard, _ = ray.wait(list(told), num_returns=len(told), timeout=HEAR_SECONDS)
-            alive = {told[call] for call in heard}  # others may wait for a node that is gone
-            calls = [call for call, (number, _) in self._calls.items() if number in alive]
+            alive = [told[call] for call in heard]  # others may wait for a node that is gone
+            calls = [call for call, (actor, _) in self._calls.items() if actor in alive]
             if calls:
                 ray.wait(calls, num_returns=len(calls), timeout=STOP_SECONDS)
-        for actor in self._actors.values():
+        for actor in self._actors:
             ray.kill(actor)
         self._actors.clear()
         self._calls.clear()
@@ -244,9 +202,6 @@ class _Actor:
 
     def __init__(self):
         self._is_stopping = False
-        self._newest = 0
-        self._one = threading.Lock()
-        self._timer = self._wait_for_work()
 
     def work(self, folders: Sequence[str], share: int, count: int, cores: int | None) -> str | None:
         """Run a share of the chunks.
@@ -256,45 +211,12 @@ class _Actor:
         """
         from bojax.engine.worker import EXPECTED, WorkerOptions, run_worker
 
-        error, newest = None, self._newest
-        with self._one:
-            self._timer.cancel()
-            options = WorkerOptions(None, cores, share, count)
-
-            def stop() -> bool:
-                return self._is_stopping or self._newest != newest
-
-            try:
-                run_worker([Path(folder) for folder in folders], options, stop)
-            except EXPECTED as problem:
-                error = f"{socket.gethostname()}: {problem}"
-            finally:
-                self._timer = self._wait_for_work()
-        return error
-
-    def rest(self) -> None:
-        """Stop what an earlier driver has asked for at a checkpoint, and return once nothing runs."""
-        self._newest += 1
-        with self._one:
-            return
-
-    def touch(self) -> None:
-        """Keep an actor without work, which may be given the share of a lost one."""
-        if self._one.acquire(blocking=False):
-            self._timer.cancel()
-            self._timer = self._wait_for_work()
-            self._one.release()
-
-    def _wait_for_work(self) -> threading.Timer:
-        timer = threading.Timer(IDLE_SECONDS, self._leave)
-        timer.daemon = True
-        timer.start()
-        return timer
-
-    def _leave(self) -> None:
-        if self._one.acquire(blocking=False):
-            ray = _ray()
-            ray.kill(ray.get_runtime_context().current_actor)
+        options = WorkerOptions(None, cores, share, count)
+        try:
+            run_worker([Path(folder) for folder in folders], options, lambda: self._is_stopping)
+        except EXPECTED as problem:
+            return f"{socket.gethostname()}: {problem}"
+        return None
 
     def stop(self) -> None:
         """Make `work` stop at a checkpoint."""
