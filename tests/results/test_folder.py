@@ -76,7 +76,7 @@ def test_life_of_a_folder(tmp_path):
     folder = RunFolder(path)
     folder.create(PLAN)
     launch = folder.launch({"name": "parking"})
-    assert folder.launched() == launch and launch.number == 1 and launch.sweep == {"name": "parking"}
+    assert folder.launched() == launch and launch.sweep == {"name": "parking"} and launch.left is None
     assert is_unfinished(path)
     with pytest.raises(ResultsError, match="not empty"):
         choose_folder("parking", path, resume=False)
@@ -153,9 +153,9 @@ def test_a_damaged_plan_is_refused(tmp_path, damage):
     folder.create(PLAN)
     folder.launch({})
     folder.close(finished=False)
-    (folder.work / "sweep.json").write_text(damage)
+    (folder.work / "launch.json").write_text(damage)
     with pytest.raises(
-        ResultsError, match="sweep.json: missing or damaged; start the sweep again with --res"
+        ResultsError, match="launch.json: missing or damaged; start the sweep again with --res"
     ):
         folder.launched()
     (folder.work / "plan.json").write_text(damage)

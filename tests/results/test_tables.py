@@ -2,16 +2,19 @@
 
 import errno
 import os
+import shutil
+from hashlib import sha256
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from bojax.results.merge import PointInfo, merge, runs_ignoring_samples, sorted_rows
+from bojax.results.merge import ChunkInfo, PointInfo, merge, sorted_rows
 from bojax.results.parts import ChunkFolder
 from bojax.results.schema import Column
 from bojax.results.store import (
+    WORK,
     ResultsError,
     explained,
     fingerprint,
@@ -79,14 +82,23 @@ def test_nans_are_counted_by_run_over_all_tables():
     assert count_nans(tables) == {(0, 1): 2, (1, 0): 1}
 
 
-def make_chunk(path, *parts):
-    chunk = ChunkFolder(path, path.parent)
-    chunk.open()
+CHUNKS = [ChunkInfo(f"chunk-{index:05d}-0123456789ab", index, 0, -1) for index in range(2)]
+
+
+def attempt(folder, index=0, number=1):
+    """The files of an attempt at a chunk."""
+    chunk = CHUNKS[index].name
+    files = ChunkFolder(folder / WORK / f"{chunk}-{number}", folder, chunk)
+    files.open()
+    return files
+
+
+def done(files, *parts, table="steps"):
     for part in parts:
-        chunk.write_part({"steps": part})
-    chunk.state.is_done = True
-    chunk.commit()
-    return chunk
+        files.write_part({table: part})
+    files.state.is_done = True
+    files.commit()
+    return files
 
 
 POINTS = [PointInfo(0, "kcbts", "fast", {}), PointInfo(1, "sbo", "slow", {})]
@@ -94,20 +106,24 @@ POINTS = [PointInfo(0, "kcbts", "fast", {}), PointInfo(1, "sbo", "slow", {})]
 
 def test_merge_depends_on_the_rows_alone(tmp_path):
     a, b, c = steps((0, 0, 1, 0.0)), steps((1, 0, 1, 0.1), (1, 0, 2, 0.2)), steps((0, 1, 1, 0.3))
-    one = [make_chunk(tmp_path / "one", a, b, c)]
-    two = [make_chunk(tmp_path / "two", c, b), make_chunk(tmp_path / "three", steps(), a)]
-    merged = []
-    for name, chunks in (("x", one), ("y", two)):
-        (tmp_path / name).mkdir()
-        merge(tmp_path / name, chunks, ["steps"], POINTS, seed=0)
-        merged.append((tmp_path / name / "steps.parquet").read_bytes())
+    done(attempt(tmp_path / "x"), a, b, c)
+    done(attempt(tmp_path / "y"), c, b)
+    done(attempt(tmp_path / "y", 1), steps(), a)
+    found = [merge(tmp_path / name, CHUNKS, ["steps"], POINTS, seed=0) for name in ("x", "y")]
+    merged = [(tmp_path / name / "steps.parquet").read_bytes() for name in ("x", "y")]
     assert merged[0] == merged[1]
+    assert (
+        found[0].sha256["steps.parquet"] == found[1].sha256["steps.parquet"] == sha256(merged[0]).hexdigest()
+    )
+    assert not found[0].nans and not found[0].errors and list(found[1].files) == [0, 1]
     table = read_table(tmp_path / "x" / "steps.parquet")
     assert table["label"].to_pylist() == ["kcbts", "kcbts", "sbo", "sbo"]
 
 
 def test_uncommitted_parts_are_ignored(tmp_path):
-    chunk = make_chunk(tmp_path / "chunk", steps((0, 0, 1, 0.0)))
+    chunk = ChunkFolder(tmp_path / "chunk", tmp_path)
+    chunk.open()
+    done(chunk, steps((0, 0, 1, 0.0)))
     chunk.write_part({"steps": steps((0, 0, 2, 0.0))})
     (tmp_path / "chunk" / "checkpoint-00000007").mkdir()
     (tmp_path / "chunk" / "checkpoint-00000007" / "stray").write_text("stray")
@@ -129,24 +145,22 @@ def test_uncommitted_parts_are_ignored(tmp_path):
     ],
 )
 def test_swept_values_keep_their_type(tmp_path, values, kind):
-    chunk = ChunkFolder(tmp_path / "chunk", tmp_path)
-    chunk.open()
     runs = to_arrow(KEYS, {"point": np.array([1, 0]), "run": np.array([0, 0])})
-    chunk.write_part({"runs": runs})
-    chunk.commit()
+    done(attempt(tmp_path), runs, table="runs")
     points = [PointInfo(i, "kcbts", "", {"a.b": value}) for i, value in enumerate(values)]
-    merge(tmp_path, [chunk], ["runs"], points, seed=9)
+    merge(tmp_path, CHUNKS, ["runs"], points, seed=9)
     table = read_table(tmp_path / "runs.parquet")
     assert table.column_names == ["point", "label", "variant", "a.b", "run", "seed", "nans"]
     assert table["a.b"].type == kind and table["seed"].to_pylist() == [9, 9]
 
 
 def test_runs_whose_belief_left_out_samples_are_counted(tmp_path):
-    assert runs_ignoring_samples(tmp_path) == 0
-    write_table(tmp_path / "runs.parquet", pa.table({"run": [0, 1, 2]}))
-    assert runs_ignoring_samples(tmp_path) == 0
-    write_table(tmp_path / "runs.parquet", pa.table({"run": [0, 1, 2], "ignored_samples": [0, 3, 1]}))
-    assert runs_ignoring_samples(tmp_path) == 2
+    for number, columns in enumerate(({}, {"ignored_samples": np.array([0, 3, 1])})):
+        (tmp_path / str(number)).mkdir()
+        runs = {"point": np.zeros(3, np.int32), "run": np.arange(3, dtype=np.int32), **columns}
+        done(attempt(tmp_path / str(number)), pa.table(runs), table="runs")
+        merged = merge(tmp_path / str(number), CHUNKS, ["runs"], POINTS, seed=0)
+        assert merged.num_ignoring == 2 * number
 
 
 def test_tables_whose_names_share_a_suffix_stay_separate(tmp_path):
@@ -158,28 +172,25 @@ def test_tables_whose_names_share_a_suffix_stay_separate(tmp_path):
 
 
 def test_snapshots_are_moved_once(tmp_path):
-    def open_chunk(name="chunk"):
-        chunk = ChunkFolder(tmp_path / "work" / name, tmp_path)
-        chunk.open()
-        return chunk
-
     def moved():
         with np.load(tmp_path / "arrays" / "0-1-walk-end.npz") as arrays:
             return arrays["x"].tolist()
 
-    chunk = open_chunk()
+    chunk = attempt(tmp_path)
     chunk.write_snapshot(0, 1, "walk", "end", {"x": np.arange(3)})
-    chunk.commit()
+    done(chunk)
     for _ in range(2):  # a merge may be cut off, or repeated when failed chunks have been computed
-        merge(tmp_path, [open_chunk()], [], POINTS, seed=0)
+        merge(tmp_path, CHUNKS, [], POINTS, seed=0)
         assert moved() == [0, 1, 2]
-    again = open_chunk("again")  # the chunk was deleted and computed again
+    shutil.rmtree(chunk.path)
+    again = attempt(tmp_path, number=2)  # the chunk was deleted and computed again
     again.write_snapshot(0, 1, "walk", "end", {"x": np.arange(4)})
-    again.commit()
-    merge(tmp_path, [again], [], POINTS, seed=0)
+    done(again)
+    merge(tmp_path, CHUNKS, [], POINTS, seed=0)
     assert moved() == [0, 1, 2, 3]
+    (tmp_path / "arrays" / "0-1-walk-end.npz").write_bytes(b"")
     with pytest.raises(ResultsError, match="0-1-walk-end.npz: changed"):
-        open_chunk()
+        merge(tmp_path, CHUNKS, [], POINTS, seed=0)
 
 
 def add_folder(chunk, text):
@@ -221,15 +232,15 @@ def test_the_checkpoint_before_stays_until_the_next_one_is_committed(tmp_path):
 
 
 @pytest.mark.parametrize("damage", ["deleted", "flipped"])
-def test_a_part_that_is_damaged_after_it_was_opened_is_not_merged(tmp_path, damage):
-    chunk = make_chunk(tmp_path / "chunk", steps((0, 0, 1, 0.0)), steps((0, 0, 2, 0.0)))
-    path = tmp_path / "chunk" / "part-000001-steps.parquet"
+def test_a_damaged_part_is_not_merged(tmp_path, damage):
+    files = done(attempt(tmp_path), steps((0, 0, 1, 0.0)), steps((0, 0, 2, 0.0)))
+    path = files.path / "part-000001-steps.parquet"
     if damage == "deleted":
         path.unlink()
     else:
         flip(path, 10)
     with pytest.raises(ResultsError, match="part-000001-steps.parquet: .* delete the folder"):
-        merge(tmp_path, [chunk], ["steps"], POINTS, seed=0)
+        merge(tmp_path, CHUNKS, ["steps"], POINTS, seed=0)
     assert not (tmp_path / "steps.parquet").exists()
 
 
