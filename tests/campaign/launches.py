@@ -46,7 +46,7 @@ def check(seed: int) -> Outcome:
         launch = kind(place, draw)
         try:
             launch.drive(resume=False)
-            for mark in sorted(draw.uniform(0, CHUNKS) for _ in range(draw.randint(1, 3))):
+            for mark in sorted(draw.uniform(0, CHUNKS) for _ in range(draw.randint(3, 6))):
                 launch.wait_for(mark)
                 launch.disturb()
             launch.finish()
