@@ -46,9 +46,9 @@ class Storage(abc.ABC):
             ResultsError: A file of the chunk cannot be read or written.
         """
 
-    @abc.abstractmethod
     def close(self, chunk: Chunk, sink: Sink) -> None:
         """Note that a chunk is done, or has been paused at a checkpoint."""
+        return
 
     def abandon(self, chunk: Chunk) -> None:
         """Note that a chunk cannot go on here, since its files cannot be written."""
@@ -58,9 +58,9 @@ class Storage(abc.ABC):
     def fail(self, chunks: Sequence[Chunk], error: BaseException) -> str:
         """Note that chunks have failed, and return the reason in one line."""
 
-    @abc.abstractmethod
     def note_compiled(self, group: StaticGroup, seconds: float) -> None:
         """Note the seconds of a compilation."""
+        return
 
 
 class MemoryStorage(Storage):
@@ -86,17 +86,9 @@ class MemoryStorage(Storage):
         return self.sinks[chunk.index]
 
     @override
-    def close(self, chunk: Chunk, sink: Sink) -> None:
-        return
-
-    @override
     def fail(self, chunks: Sequence[Chunk], error: BaseException) -> str:
         self.errors.append(error)
         return error_line(error)
-
-    @override
-    def note_compiled(self, group: StaticGroup, seconds: float) -> None:
-        return
 
 
 class FolderStorage(Storage):

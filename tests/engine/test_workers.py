@@ -1,10 +1,7 @@
 """Workers run shares of a sweep, and are lost: the bytes are those of one process that ran it alone."""
 
-import contextlib
 import shutil
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -233,30 +230,6 @@ def test_a_worker_whose_disk_is_full_leaves_its_chunks_to_others(planned, alone,
     assert attempts.begun() and len(attempts.paused) == len(attempts.begun()) and not attempts.failed
     assert work_on(planned) == 0
     assert merged(planned) == alone
-
-
-@pytest.fixture
-def small_disk(tmp_path):
-    """A disk of 2 MB, as a quota would leave it on one node."""
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(folder)]
-    if sys.platform != "linux" or subprocess.run(mount, capture_output=True).returncode:
-        pytest.skip("needs the right to mount a disk")
-    yield folder
-    subprocess.run(["umount", "-l", str(folder)], check=True)
-
-
-def test_a_disk_that_fills_up_under_a_worker(plans, small_disk, alone, capsys):
-    out = Path(shutil.copytree(plans["often"], small_disk / "toy"))
-    filler = small_disk / "filler"
-    with contextlib.suppress(OSError), filler.open("wb", buffering=0) as file:
-        file.write(bytes(2_000_000))  # less than the disk, whose rest the checkpoints fill
-    assert work_on(out, cores=1) == 1
-    assert "the disk is full; free some space, then run again with --resume" in one_line(capsys)
-    filler.unlink()
-    assert run_here(out, resume=True) == 0
-    assert contents(out) == alone
 
 
 def test_a_failed_chunk_does_not_stop_the_others_and_is_told(planned, alone, capsys, monkeypatch):
