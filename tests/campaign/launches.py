@@ -292,7 +292,7 @@ class _Slurm(_Launch):
 
     @override
     def is_running(self) -> bool:
-        return super().is_running() or bool(self._tasks())
+        return super().is_running() or len(self._tasks()) > len(self._paused)
 
     @override
     def actions(self) -> dict[str, Callable[[], object]]:
