@@ -324,14 +324,6 @@ def _compiled(configured: ConfiguredModel) -> MjModel:
     return compiled
 
 
-def _checked(configured: ConfiguredModel) -> MjModel:
-    """The model of C MuJoCo, if MJX ignores nothing of it."""
-    compiled = _compiled(configured)
-    if ignored := _ignored(compiled):
-        raise ValueError(f"MJX cannot simulate the model: {ignored}")
-    return compiled
-
-
 def _skeleton(model: RobotModel) -> MjModel:
     """The bodies, joints and sites of a model, without anything else that MJX may refuse."""
     spec = model.spec()
@@ -348,7 +340,10 @@ def _skeleton(model: RobotModel) -> MjModel:
 @functools.cache
 def _in_mjx(configured: ConfiguredModel) -> tuple[Any, Any]:
     """The model and the data of MJX in JAX; created once, outside of any trace."""
-    return _put(_checked(configured))
+    compiled = _compiled(configured)
+    if ignored := _ignored(compiled):
+        raise ValueError(f"MJX cannot simulate the model: {ignored}")
+    return _put(compiled)
 
 
 def _put(compiled: MjModel) -> tuple[Any, Any]:
