@@ -214,7 +214,7 @@ class HostEnv(Env):
 
 
 class Idling(gymnasium.Wrapper):
-    """A wrapper with flat observations and actions, in which an episode that has ended stays as it is.
+    """A wrapper with flat observations and actions that stays at the end of an episode until it is seeded.
 
     Neither a step nor a reset without a seed changes it. A vector environment resets every environment whose
     episode has ended, but the next episode must not begin before the episodes of all lanes have ended.

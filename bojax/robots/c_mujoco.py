@@ -44,7 +44,7 @@ class CSteps:
         control: Float[Array, "L U"],
     ) -> tuple[Float[Array, "L Q"], Float[Array, "L V"], Float[Array, "L V"]]:
         """The state of every lane after the steps, in the order of `RobotState`; NaN where MuJoCo warned."""
-        # In a single matrix: every array of a callback costs 25 us.
+        # Packed into one matrix: each array of a callback costs 25 us.
         before = jnp.concatenate([qpos, qvel, qacc_warmstart, control], axis=1)
         num_lanes, width = before.shape
         shape = jax.ShapeDtypeStruct((num_lanes, width - control.shape[1]), before.dtype)
@@ -55,6 +55,7 @@ class CSteps:
 
     def _advance(self, before: Float[Array, "L QVVU"]) -> np.ndarray:
         """The steps, in NumPy."""
+        # A copy, since the steps are made in place: rows of MuJoCo's state vector, in the order of `_SPEC`.
         states = np.array(before, np.float64)
         pool, num_threads = _threads()
         parts = np.array_split(states, max(1, min(num_threads, len(states) // _LANES_PER_THREAD)))
@@ -73,7 +74,7 @@ class CSteps:
         """
         try:
             data = self._unused.pop()
-        except IndexError:  # other threads have them all
+        except IndexError:  # all are in use by other threads
             data = mujoco.MjData(self.model)
         warnings = data.warning.number
         for state in states:

@@ -91,6 +91,7 @@ def control(
         + airframe.gravity * up
     )
     wanted = _attitude(acceleration, reference.yaw)
+    # The attitude error of the paper, 1/2 (Rd'R - R'Rd) as a vector: zero where the attitudes agree.
     turn = matmul(wanted.T, rotation)
     error = 0.5 * _vee(turn - turn.T)
     vertical = rotation[2]  # in the body frame
@@ -141,6 +142,8 @@ def reference_trajectory(
 
     share, share_rate, share_acceleration = _minimum_jerk(path_steps, rest_steps, time_step, dtype)
     arc, speed, gain = length * share, length * share_rate, length * share_acceleration
+    # At each control step, the segment between poses that the arc length has come to, and the part of it
+    # that is behind. A segment without length has a chord of 1 and a part of 0, against a division by 0.
     is_past = arc[:, None] >= ends[None, :]
     piece = jnp.minimum(jnp.sum(is_past, axis=1, dtype=jnp.int32), path.shape[0] - 1)
     is_short = pieces[piece] < _LEAST_LENGTH
@@ -155,9 +158,12 @@ def reference_trajectory(
     slope, bend = jnp.where(is_still, 0.0, slope), jnp.where(is_still, 0.0, bend)
     yaw_slope = jnp.where(is_short, 0.0, turns[piece] / chord)
 
+    # The final turn has the same profile in time, beginning when the flight ends.
     turn = wrap_to_pi(end_heading - yaws[-1])
     swing, swing_rate, swing_acceleration = _minimum_jerk(rest_steps, 0, time_step, dtype, path_steps)
     flat = jnp.zeros_like(arc)[:, None]
+    # Chain rule through the arc length s(t): x' = x_s s', x'' = x_ss s'^2 + x_s s''. The heading is linear in
+    # s between poses, so that its acceleration there, x_s s'', is left to the feedback.
     reference = Reference(
         position=jnp.concatenate([place, flat + altitude], axis=1),
         velocity=jnp.concatenate([slope * speed[:, None], flat], axis=1),

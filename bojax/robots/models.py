@@ -18,7 +18,7 @@ MjModel: TypeAlias = Any
 
 @dataclass(frozen=True)
 class RobotModel:
-    """A robot and its world as text; models with equal text are equal.
+    """An MJCF model of a robot and its world, compared and hashed by its text.
 
     Attributes:
         xml: The MJCF.

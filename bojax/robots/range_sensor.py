@@ -47,7 +47,7 @@ def ranges(
     rays: Float[Array, "K 3"],
     max_range: Float[Array, ""],
 ) -> Float[Array, "K"]:
-    """Distances along rays to the first point at or below a surface; `max_range` where there is none.
+    """Distances along rays to the first point at or below a surface, `max_range` for a ray that misses it.
 
     Each ray is marched in 64 equal segments, and the first segment that ends below the surface is bisected.
     An obstacle that a ray enters and leaves within one segment is missed.
@@ -68,6 +68,7 @@ def ranges(
 
     marched = max_range * jnp.arange(NUM_MARCHED + 1, dtype=rays.dtype) / NUM_MARCHED
     was_hit = is_below(jnp.broadcast_to(marched[None], (rays.shape[0], NUM_MARCHED + 1)))
+    # The first True of each ray; 0 for a ray without any, whose result is replaced at the end.
     first = jnp.argmax(was_hit, axis=1)
     far = marched[first]
     near = jnp.maximum(far - max_range / NUM_MARCHED, 0.0)

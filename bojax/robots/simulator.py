@@ -35,7 +35,7 @@ _INTEGRATORS = {
 
 
 class ConfiguredModel(NamedTuple):
-    """A model with the settings that its compiled form depends on, by which compiled models are cached.
+    """A model and the settings that enter its compiled form: the key of all caches of this module.
 
     Attributes:
         model: The robot and its world.
@@ -279,6 +279,7 @@ def _in_lanes(steps: Callable[..., tuple[jax.Array, ...]]) -> Any:
     def advance_more_lanes(
         size: int, is_batched: Any, state: RobotState, control: jax.Array
     ) -> tuple[RobotState, RobotState]:
+        # Called for each further `vmap`: its axis is merged into the axis of lanes, and split off afterwards.
         def flat(x: jax.Array, has_axis: bool) -> jax.Array:
             x = x if has_axis else jnp.broadcast_to(x, (size, *x.shape))
             return x.reshape(x.shape[0] * x.shape[1], *x.shape[2:])
@@ -394,6 +395,9 @@ def _runge_kutta_step(forward: Callable[[Any, Any], Any], model: Any, before: An
     """The step of `mjx.step` by RK4, with a single call site of the dynamics; MJX has one for each stage."""
     h = model.opt.timestep
 
+    # Each stage starts at `before` and needs the slopes of the previous stage alone, here (velocity,
+    # acceleration); `sums` are the weighted slopes. The first stage has a step of 0, so that its slopes, 0
+    # at the start, do not matter.
     def stage(carry: Any, numbers: jax.Array) -> tuple[Any, None]:
         (velocity, acceleration), sums = carry
         size, weight = numbers
@@ -404,8 +408,11 @@ def _runge_kutta_step(forward: Callable[[Any, Any], Any], model: Any, before: An
         sums = tuple(total + weight * slope for total, slope in zip(sums, slopes, strict=True))
         return (slopes, sums), None
 
+    # The zeros are batched with the state from the start: otherwise `vmap` finds only after batching a stage
+    # that they become so, and batches the stage again.
     zero = jnp.zeros_like(before.qvel)
     start, _ = batched_together((((zero, zero), (zero, zero)), before.qvel))
+    # The warm start of the next step is the acceleration of the last stage.
     (_, acceleration), (velocity, change) = jax.lax.scan(stage, start, jnp.asarray(_STAGES))[0]
     return RobotState(before.qpos + h * velocity, before.qvel + h * change, acceleration)
 

@@ -18,8 +18,8 @@ class RobotTask(Simulated, ControlTask):
     """A control task of a robot that MJX simulates.
 
     Subclasses define the initial state, the observations and the rewards. Actions are the controls of the
-    model, within their ranges. A diverged simulation pays NaN, which ends the run as failed. The state is
-    that of the robot; a subclass that adds to it overrides `robot` and `moved`.
+    model, within their ranges. A diverged simulation pays NaN, which ends the run as failed. By default,
+    the state is the state of the robot; a subclass that adds to it overrides `robot` and `moved`.
     """
 
     substeps: eqx.AbstractVar[int]
@@ -70,7 +70,7 @@ class RobotTask(Simulated, ControlTask):
         return robot
 
     def mocap_positions(self, state: EnvState) -> Float[Array, "M"] | None:
-        """Positions of the model's mocap bodies, for an animation; None if it has none."""
+        """Positions of the model's mocap bodies, for an animation; None for a model without any."""
         del state
         return None
 

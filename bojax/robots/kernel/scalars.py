@@ -1,4 +1,4 @@
-"""Functions of small arrays as programs of scalars, for kernels in which every lane is one thread.
+"""Compile functions of small arrays into scalar programs, for kernels with one thread per lane.
 
 A function is traced for a single lane, and its arrays are taken apart into elements. Operations that only
 move elements disappear, products with a known 0 too, and equal operations are computed once. Thousands of
@@ -25,12 +25,12 @@ from jax.lax import GatherScatterMode
 
 
 class NotScalar(Exception):
-    """A function has an operation that is not known here, or moves elements by numbers that it computes."""
+    """A function has an unsupported operation, or indexes an array by computed numbers."""
 
 
 @dataclasses.dataclass(eq=False)
 class Scalar:
-    """A scalar that is computed by the program; known ones are scalars of NumPy.
+    """A scalar computed by the program; known numbers are scalars of NumPy instead.
 
     Attributes:
         number: Greater than those of the operands.
@@ -88,7 +88,7 @@ def _by_jax(name: str) -> Callable[..., Any]:
 
 
 def _of_floats(name: str, compute: Callable[..., Any]) -> Callable[..., Any]:
-    """An operation of NumPy on floats; on integers that of JAX, which divides by 0 without an exception."""
+    """NumPy on floats, JAX on integers, where NumPy raises an exception for a division by 0."""
     return lambda x, y: (compute if np.issubdtype(x.dtype, np.floating) else _by_jax(name))(x, y)
 
 
@@ -151,7 +151,7 @@ class _Tracing:
         return Scalar(number, level, operands, compute, np.dtype(dtype))
 
     def inputs(self, aval: Any) -> np.ndarray:
-        """An array of which nothing is known: an argument, or what a loop carries."""
+        """An array of unknown scalars: an argument, or the carry of a loop."""
         dtype = np.dtype(aval.dtype)
         return _each(
             lambda _: Scalar(next(self._numbers), self._level, (), None, dtype), np.empty(aval.shape)
@@ -193,7 +193,7 @@ class _Tracing:
         return parts[0]
 
     def evaluate(self, jaxpr: Any, consts: Sequence[Any], arguments: Sequence[Any]) -> list[np.ndarray]:
-        """The results of a traced function; arrays of which nothing is computed are NumPy's."""
+        """The results of a traced function; an array of known numbers alone is an array of NumPy."""
         values = dict(zip(jaxpr.constvars, map(np.asarray, consts), strict=True))
         values |= dict(zip(jaxpr.invars, arguments, strict=True))
 
@@ -411,7 +411,7 @@ class _Tracing:
         carry = [self.inputs(aval) for aval in avals]
         (go_on,) = self.evaluate(*_opened(params["cond_jaxpr"]), [*arrays[:first], *carry])
         if go_on.ndim:
-            raise NotScalar("a loop in which each lane has a condition of its own")
+            raise NotScalar("a loop with a condition for each lane")
         after = self.evaluate(*_opened(params["body_jaxpr"]), [*arrays[first:second], *carry])
         return self._loop(_elements(carry), _elements(after, avals), go_on[()], arrays[second:], avals)
 
@@ -559,7 +559,7 @@ _OF_KNOWN: dict[str, Callable[..., Iterable[np.ndarray]]] = {
         x[np.argsort(_only(params["num_keys"] == x.ndim == 1, xs[0]), kind="stable")] for x in xs
     ],
 }
-"""Operations on numbers that do not depend on the arguments, in the forms that MJX has."""
+"""Operations on known numbers only, in the forms that MJX uses."""
 
 
 def _only(is_known: bool, x: np.ndarray) -> np.ndarray:

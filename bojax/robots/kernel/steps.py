@@ -1,4 +1,4 @@
-"""Steps of MJX on a GPU as one kernel, in which a thread simulates a robot."""
+"""Steps of MJX on a GPU as one kernel, with a thread for each robot."""
 
 import importlib
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from bojax.robots.kernel.scalars import NotScalar, ScalarProgram
 from bojax.robots.models import MjModel
 
 _MOST_SCALARS = 40_000
-"""Largest program that is compiled; that of the hopper has 11,000 scalars, which take 4 s."""
+"""Maximum number of scalars of a kernel; the hopper has 11,000, which Triton compiles in 4 s."""
 
 
 class KernelSteps:
@@ -55,6 +55,7 @@ class KernelSteps:
         pallas = importlib.import_module("jax.experimental.pallas")
         triton = importlib.import_module("jax.experimental.pallas.triton")
 
+        # A program reads the numbers of its lane one by one, as scalars, and so it writes the results.
         def kernel(*refs: Any) -> None:
             lane = pallas.program_id(0)
             before, after = refs[:-3], refs[-3:]
