@@ -223,9 +223,6 @@ def test_sweeps_that_cannot_be_read_are_one_line_each(tmp_path):
     assert "2 claims, tested by 2 sweeps" in text and "Incomplete or left out: 8 sweeps." in text
     assert "statement good" in text and "statement f" in text
     assert all(name in page.text for name in reasons)
-
-
-def test_nothing_to_read_is_still_a_page(tmp_path):
     page, text = pages(tmp_path / "new", [])
     assert "0 claims, tested by 0 sweeps" in page.text and "0 claims" in text
 
@@ -233,12 +230,10 @@ def test_nothing_to_read_is_still_a_page(tmp_path):
 def test_equal_input_gives_equal_files(tmp_path):
     folders = [write(tmp_path / name, [claim(name, "Fig. 3.1")]) for name in ("a", "b")]
     reproduction(tmp_path, folders, 1.0)
-    first = (tmp_path / "reproduction.html").read_bytes(), (tmp_path / "reproduction.md").read_bytes()
+    files = [tmp_path / "reproduction.html", tmp_path / "reproduction.md"]
+    first = [path.read_bytes() for path in files]
     reproduction(tmp_path, folders, 1.0)
-    assert first == (
-        (tmp_path / "reproduction.html").read_bytes(),
-        (tmp_path / "reproduction.md").read_bytes(),
-    )
+    assert first == [path.read_bytes() for path in files]
 
 
 WHY = {"claims": ["c", "b"], "cause": "choice", "text": "Because of *it*, by -3.\n", "sweeps": ["study-ties"]}

@@ -182,37 +182,27 @@ def test_the_stage_shows_the_settings():
     assert flag == [0.42, 0.5]
 
 
-def test_the_default_is_the_first_success_of_the_first_run(folder):
-    episode = choose_episode(load(folder))
-    assert (episode.point.index, episode.run, episode.number, episode.outcome) == (0, 0, 2, "goal reached")
-    np.testing.assert_allclose(episode.accumulated, 0.5 * np.arange(1, 21))
-    np.testing.assert_allclose(episode.observations, observations("mountain-car", 20))
-    np.testing.assert_allclose(episode.actions[:, 0], np.sin(np.arange(20)))
-
-
-def test_without_success_it_is_the_last_episode(folder):
-    episode = choose_episode(load(folder), run=3)
-    assert (episode.run, episode.number, episode.outcome) == (3, 3, "failed")
-    assert len(episode.observations) == 25
-
-
 def test_any_recorded_episode_can_be_chosen(folder):
-    episode = choose_episode(load(folder), point=1, run=1, episode=1)
-    assert (episode.point.index, episode.run, episode.number, episode.outcome) == (1, 1, 1, "truncated")
-    assert episode.actions[0, 0] == 1.0
-
-
-@pytest.mark.parametrize(
-    ("asked", "message"),
-    [
+    """By default the first success of the first run; without success the last episode."""
+    for asked, point, run, number, outcome in (
+        ({}, 0, 0, 2, "goal reached"),
+        ({"run": 3}, 0, 3, 3, "failed"),
+        ({"point": 1, "run": 1, "episode": 1}, 1, 1, 1, "truncated"),
+    ):
+        episode = choose_episode(load(folder), **asked)
+        found = episode.point.index, episode.run, episode.number, episode.outcome
+        assert found == (point, run, number, outcome)
+        steps = (30, 20, 25)[number - 1]
+        np.testing.assert_allclose(episode.accumulated, 0.5 * np.arange(1, steps + 1))
+        np.testing.assert_allclose(episode.observations, observations("mountain-car", steps))
+        np.testing.assert_allclose(episode.actions[:, 0], np.sin(np.arange(steps)) + run)
+    for asked, message in (
         ({"run": 2}, "no steps of run 2; recorded: 0 to 1, 3"),
         ({"episode": 4}, "no steps of episode 4; recorded: 1 to 3"),
         ({"point": 7}, "no steps of point 7; recorded: 0 to 1"),
-    ],
-)
-def test_what_was_not_recorded_is_told_with_what_was(folder, asked, message):
-    with pytest.raises(ResultsError, match=message):
-        choose_episode(load(folder), **asked)
+    ):
+        with pytest.raises(ResultsError, match=message):
+            choose_episode(load(folder), **asked)
 
 
 def test_a_long_episode_is_shown_in_parts():
@@ -230,42 +220,31 @@ def test_the_command(folder, capsys):
     assert len(list(frames(written))) == 30
 
 
-def remove_steps(folder):
-    (folder / "steps.parquet").unlink()
-
-
-def forget_the_goal(folder):
-    manifest = json.loads((folder / "manifest.json").read_text())
+def forget_the_goal(manifest):
     for point in manifest["points"]:
         point["config"]["env"]["goal_position"] = None
-    (folder / "manifest.json").write_text(json.dumps(manifest))
 
 
-@pytest.mark.parametrize(
-    ("kind", "damage", "message"),
-    [
-        ("mountain-car", remove_steps, "no steps were recorded"),
+def test_what_cannot_be_drawn_is_told_in_a_line(tmp_path, capsys):
+    refused = "this version cannot read the settings: env"
+    for number, (kind, damage, message) in enumerate(
         (
-            "mountain-car",
-            forget_the_goal,
-            "this version cannot read the settings: env.goal_position: got null",
-        ),
-        ("ice-rink", lambda folder: None, "this version cannot read the settings: env"),
-        ("reacher", lambda folder: None, "no drawing of reacher is known; known: single-pendulum"),
-    ],
-)
-def test_what_cannot_be_drawn_is_told_in_a_line(tmp_path, capsys, kind, damage, message):
-    folder = learning_results(tmp_path / "results", kind, lengths=(5,), goals=(True,))
-    damage(folder)
-    assert main(["render", str(folder)]) == 2
-    error = capsys.readouterr().err.strip()
-    assert message in error and "\n" not in error
-    assert not (folder / "animations").exists()
-
-
-def test_a_folder_that_is_none_is_told_in_a_line(tmp_path, capsys):
-    assert main(["render", str(tmp_path / "nowhere")]) == 2
-    assert "no such results folder" in capsys.readouterr().err
+            ("mountain-car", lambda folder: (folder / "steps.parquet").unlink(), "no steps were recorded"),
+            (
+                "mountain-car",
+                lambda folder: edit_manifest(folder, forget_the_goal),
+                f"{refused}.goal_position: got null",
+            ),
+            ("ice-rink", lambda folder: None, refused),
+            ("reacher", lambda folder: None, "no drawing of reacher is known; known: single-pendulum"),
+        )
+    ):
+        folder = learning_results(tmp_path / str(number), kind, lengths=(5,), goals=(True,))
+        damage(folder)
+        assert main(["render", str(folder)]) == 2
+        error = capsys.readouterr().err.strip()
+        assert message in error and "\n" not in error
+        assert not (folder / "animations").exists()
 
 
 @pytest.mark.parametrize("share", ["0", "0.5", "1"])

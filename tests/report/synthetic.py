@@ -25,68 +25,43 @@ BEHAVIOUR = {
     "random": {"label": "random", "parks": 0, "exits": 15, "at": 6},
 }
 
+_SHARE = {"kind": "share", "column": "success"}
+_ORDER = {"kind": "order", "column": "return", "by": "label"}
+_TREND = {"kind": "trend", "label": "kcbts", "column": "accumulated_reward", "from": 6, "to": 15}
+
 CLAIMS = [
-    {
-        "id": "order-holds",
-        "source": "Fig. 4.6, p. 99-100",
-        "claim": "final accumulated reward: kCBTS > SBO > GPS-ABT > random",
-        "thesis": "kcbts > sbo > gps-abt > random",
-        "test": {
-            "kind": "order",
-            "column": "return",
-            "by": "label",
-            "greater": ["kcbts", "sbo", "gps-abt", "random"],
-        },
-    },
-    {
-        "id": "order-fails",
-        "source": "p. 100",
-        "claim": "random is above kCBTS",
-        "thesis": "random > kcbts",
-        "test": {"kind": "order", "column": "return", "by": "label", "greater": ["random", "kcbts"]},
-    },
-    {
-        "id": "share-holds",
-        "source": "p. 100",
-        "claim": "kCBTS parks in most episodes by step 6",
-        "thesis": "most",
-        "test": {"kind": "share", "label": "kcbts", "column": "success", "within": 6, "above": 0.5},
-    },
-    {
-        "id": "share-fails",
-        "source": "p. 100",
-        "claim": "SBO parks in most episodes by step 6",
-        "thesis": "most",
-        "test": {"kind": "share", "label": "sbo", "column": "success", "within": 6, "above": 0.5},
-    },
-    {
-        "id": "share-open",
-        "source": "p. 100",
-        "claim": "SBO <parks> in fewer than 45% of runs & more",
-        "thesis": 0.45,
-        "test": {"kind": "share", "label": "sbo", "column": "success", "below": 0.45},
-    },
-    {
-        "id": "trend-holds",
-        "source": "p. 100",
-        "claim": "the curve of kCBTS falls after step 6",
-        "thesis": "steady decrease",
-        "test": {
-            "kind": "trend",
-            "label": "kcbts",
-            "column": "accumulated_reward",
-            "from": 6,
-            "to": 15,
-            "direction": "falls",
-        },
-    },
-    {
-        "id": "missing",
-        "source": "p. 90",
-        "claim": "CBTS is above random",
-        "thesis": "cbts > random",
-        "test": {"kind": "order", "column": "return", "by": "label", "greater": ["cbts", "random"]},
-    },
+    dict(zip(("id", "source", "claim", "thesis", "test"), claim, strict=True))
+    for claim in (
+        (
+            *("order-holds", "Fig. 4.6, p. 99-100"),
+            *("final accumulated reward: kCBTS > SBO > GPS-ABT > random", "kcbts > sbo > gps-abt > random"),
+            {**_ORDER, "greater": ["kcbts", "sbo", "gps-abt", "random"]},
+        ),
+        (
+            *("order-fails", "p. 100", "random is above kCBTS", "random > kcbts"),
+            {**_ORDER, "greater": ["random", "kcbts"]},
+        ),
+        (
+            *("share-holds", "p. 100", "kCBTS parks in most episodes by step 6", "most"),
+            {**_SHARE, "label": "kcbts", "within": 6, "above": 0.5},
+        ),
+        (
+            *("share-fails", "p. 100", "SBO parks in most episodes by step 6", "most"),
+            {**_SHARE, "label": "sbo", "within": 6, "above": 0.5},
+        ),
+        (
+            *("share-open", "p. 100", "SBO <parks> in fewer than 45% of runs & more", 0.45),
+            {**_SHARE, "label": "sbo", "below": 0.45},
+        ),
+        (
+            *("trend-holds", "p. 100", "the curve of kCBTS falls after step 6", "steady decrease"),
+            {**_TREND, "direction": "falls"},
+        ),
+        (
+            *("missing", "p. 90", "CBTS is above random", "cbts > random"),
+            {**_ORDER, "greater": ["cbts", "random"]},
+        ),
+    )
 ]
 
 
@@ -95,34 +70,14 @@ def write_results(folder: Path, *, runs: int = 40, recorded: int = 8, report: di
     (folder / "arrays").mkdir(parents=True)
     random = np.random.default_rng(7)
     run_rows, step_rows, points = [], [], []
-    starts = np.stack(
-        [
-            random.uniform(-3.5, 3.5, runs),
-            random.uniform(-3.5, 3.5, runs),
-            random.uniform(0, 2 * np.pi, runs),
-        ],
-        axis=1,
-    )
+    places = random.uniform(-3.5, 3.5, (2, runs))
+    starts = np.stack([*places, random.uniform(0, 2 * np.pi, runs)], axis=1)
     for index, (variant, behaviour) in enumerate(BEHAVIOUR.items()):
         label = behaviour["label"]
-        points.append(
-            {
-                "index": index,
-                "label": label,
-                "variant": variant,
-                "swept": {"planner": variant},
-                "config": {
-                    "kind": "planning",
-                    "problem": {
-                        "kind": "parking",
-                        "half_width": 4.0,
-                        "distance_tolerance": 0.1,
-                        "max_steps": 15,
-                    },
-                    "planner": {"kind": label} if label == "random" else {"kind": label, "iterations": 300},
-                },
-            }
-        )
+        problem = {"kind": "parking", "half_width": 4.0, "distance_tolerance": 0.1, "max_steps": 15}
+        planner = {"kind": label} if label == "random" else {"kind": label, "iterations": 300}
+        points.append({"index": index, "label": label, "variant": variant, "swept": {"planner": variant}})
+        points[-1]["config"] = {"kind": "planning", "problem": problem, "planner": planner}
         for run in range(runs):
             parks, exits = _outcome(behaviour, run)
             length = max(1, behaviour["at"] + run % 3 - 1) if parks or exits else MAX_STEPS
@@ -138,28 +93,10 @@ def write_results(folder: Path, *, runs: int = 40, recorded: int = 8, report: di
                 paths = np.full((MAX_STEPS, SAMPLES, 3), np.nan)
                 paths[:length] = _drive(starts[run], length, parks, exits, random)
                 np.savez(folder / "arrays" / f"{index}-{run}-paths-end.npz", paths=paths, start=starts[run])
-    _table(
-        folder / "runs.parquet",
-        [
-            "point",
-            "label",
-            "variant",
-            "planner",
-            "run",
-            "seed",
-            "return",
-            "success",
-            "steps",
-            "exits",
-            "nans",
-        ],
-        run_rows,
-    )
-    _table(
-        folder / "steps.parquet",
-        ["point", "label", "run", "step", "reward", "accumulated_reward", "done"],
-        step_rows,
-    )
+    known = "point label variant planner run seed return success steps exits nans".split()
+    _table(folder / "runs.parquet", known, run_rows)
+    known = "point label run step reward accumulated_reward done".split()
+    _table(folder / "steps.parquet", known, step_rows)
     manifest = {
         "name": "parking",
         "title": "Robot parking (Fig. 4.6)",

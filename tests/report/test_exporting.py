@@ -4,6 +4,7 @@ import csv
 import json
 import struct
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -199,9 +200,16 @@ class TestMistakes:
         (tmp_path / "full" / "notes.txt").write_text("precious")
         return tmp_path
 
-    @pytest.mark.parametrize(
-        ("words", "message"),
-        [
+    def refused(self, capsys, words, message, code=2):
+        """A command ends in this line and writes nothing."""
+        before = sorted(Path().rglob("*"))
+        assert main(["export", *words]) == code
+        out, err = capsys.readouterr()
+        assert out == "" and err.count("\n") == 1 and err.startswith(f"error: {message}"), err
+        assert sorted(Path().rglob("*")) == before
+
+    def test_a_mistake_is_one_line_and_writes_nothing(self, here, capsys):
+        for words, message in (
             (["car"], "the following arguments are required: --to"),
             (["--to", "csv"], "the following arguments are required: DIR"),
             (
@@ -213,41 +221,23 @@ class TestMistakes:
             (["newer", "--to", "csv"], "newer: this version of bojax cannot read the settings of emu-q"),
             (["car", "--to", "csv", "--out", "full"], "full: the folder is not empty; give another --out"),
             (["car", "--to", "csv", "--out", "notes.txt"], "notes.txt: is not a folder; allowed: a new or"),
-        ],
-    )
-    def test_a_mistake_is_one_line_and_writes_nothing(self, here, capsys, words, message):
-        before = sorted(here.rglob("*"))
-        assert main(["export", *words]) == 2
-        out, err = capsys.readouterr()
-        assert out == "" and err.count("\n") == 1 and err.startswith(f"error: {message}"), err
-        assert sorted(here.rglob("*")) == before
+        ):
+            self.refused(capsys, words, message)
 
-    @pytest.mark.parametrize(
-        ("target", "package"), [("tensorboard", "tensorboardX"), ("wandb", "wandb"), ("mlflow", "mlflow")]
-    )
-    def test_a_missing_library_is_named_and_nothing_is_written(
-        self, here, monkeypatch, capsys, target, package
-    ):
-        monkeypatch.setitem(sys.modules, package, None)
-        before = sorted(here.rglob("*"))
-        assert main(["export", "car", "--to", target]) == 2
-        expected = (
-            f"error: {package} is not installed; install it in a clone of bojax: pip install -e '.[{target}]'"
-        )
-        assert capsys.readouterr().err == f"{expected}\n"
-        assert sorted(here.rglob("*")) == before
+    def test_a_missing_library_is_named_and_nothing_is_written(self, here, monkeypatch, capsys):
+        for target, package in (("tensorboard", "tensorboardX"), ("wandb", "wandb"), ("mlflow", "mlflow")):
+            monkeypatch.setitem(sys.modules, package, None)
+            told = f"install it in a clone of bojax: pip install -e '.[{target}]'\n"
+            self.refused(capsys, ["car", "--to", target], f"{package} is not installed; {told}")
 
     def test_an_error_of_a_library_is_one_line_and_writes_nothing(self, here, monkeypatch, capsys):
         def refuse(**settings):
             raise ValueError("base_url\n  should be a valid URL")
 
         monkeypatch.setitem(sys.modules, "wandb", SimpleNamespace(Settings=refuse))
-        before = sorted(here.rglob("*"))
-        assert main(["export", "car", "--to", "wandb"]) == 1
         reason = "wandb cannot write it (ValueError: base_url should be a valid URL)"
-        expected = f"error: car/export/wandb: {reason}; the results are unchanged; try --to csv\n"
-        assert capsys.readouterr().err == expected
-        assert sorted(here.rglob("*")) == before
+        told = f"car/export/wandb: {reason}; the results are unchanged; try --to csv\n"
+        self.refused(capsys, ["car", "--to", "wandb"], told, code=1)
 
     def test_a_good_command_names_its_folder_and_does_not_overwrite_it(self, here, capsys):
         assert main(["export", "car", "--to", "csv"]) == 0
