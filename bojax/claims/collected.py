@@ -30,9 +30,9 @@ def collected(
 ) -> list[tuple[Results, list[TestedClaim], int]]:
     """The newest results of each of the sweeps of bojax with these names, and its claims.
 
-    The folders hold results of these sweeps, or are above results, of which others are passed over. Manifests
-    have the name and title of the sweep, and the settings that differ from its own. The number is how many
-    verdicts are those of the results' own report, because tables are missing.
+    The folders hold results of these sweeps, or are above results; other results are ignored. Manifests
+    have the name and title of the sweep, and the settings that differ from its own. The number counts
+    verdicts taken from the results' own report, because tables are missing.
     """
     newest: dict[str, Results] = {}
     for results in (each for folder in folders for each in _results(folder, names)):
@@ -89,7 +89,7 @@ def _test_of(entry: dict[str, Any]) -> Test | None:
 
 
 def _changed(results: Results, sweep: config.Sweep, test: Test | None = None) -> dict[str, list[Any]]:
-    """The settings in which the results, or the points that a test names, differ from the sweep of today."""
+    """Settings of the results, or of the points that a test names, that differ from today's sweep."""
 
     def named(points: Iterable[config.Point]) -> tuple[config.Point, ...]:
         return tuple(point for point in points if test is None or getattr(point, test.by) in test.names)

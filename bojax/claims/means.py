@@ -41,7 +41,7 @@ def mean(results: Results, test: Mean) -> Finding:
 
 
 def share(results: Results, test: Share) -> Finding:
-    """Whether the share of runs in which a condition holds is above, or below, a threshold."""
+    """Whether the share of runs that meet a condition is above, or below, a threshold."""
     label, limit, window = test.label, test.within, test.window
     (point,), chosen = stand_ins(results, test, Measure(test.column, window))
     if limit is not None and not point.ends_at_success:
@@ -97,7 +97,7 @@ def trend(results: Results, test: Trend) -> Finding:
 
 
 def _change_of_active(results: Results, test: Trend, point: Point) -> tuple[statistics.Interval, int]:
-    """Change from the mean at the first step to that of the later ones, over runs that have not ended."""
+    """Change of the mean from the first step to the later ones, over runs that have not ended."""
     rows, runs = results.steps_of(point), results.runs_of(point)["run"]
     values, step = rows[test.column], rows["step"]
     row = np.searchsorted(runs, rows["run"])

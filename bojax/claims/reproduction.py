@@ -68,7 +68,7 @@ class Sweep:
     manifest: Manifest
     claims: Sequence[TestedClaim]
     explanations: Sequence[Explained]  # of the claims that are not reproduced, or inconclusive
-    report: str  # address of its report, relative to the page; empty if there is none
+    report: str  # address of its report, relative to the page; empty without a report
 
     @classmethod
     def of(cls, results: Results, claims: Sequence[TestedClaim], folder: Path) -> "Sweep":
@@ -138,8 +138,8 @@ def joined_reproduction(
 ) -> list[TestedClaim]:
     """Write pages on the newest results of each of some sweeps in several folders, and return their claims.
 
-    The claims are those of this version, and decided by its tests, see `bojax.claims.collected`. Sweeps may
-    have been made by different commands, revisions, devices and versions: the page then says which by which.
+    The claims and tests are taken from this version, see `bojax.claims.collected`. Sweeps may have been made
+    by different commands, revisions, devices and versions: the page says which sweep by which.
 
     Pages are `.html` or `.md`, and say which of the named sweeps have no results, if most have. Other pages,
     `counted_in`, have a sentence "Of N claims ..., N are reproduced, N are not, and N are inconclusive",
@@ -264,8 +264,8 @@ def _changes(manifests: Iterable[Manifest]) -> list[tuple[str, str, str, str]]:
 def _provenance(sweeps: Sequence[Sweep], origins: Sequence[Origin]) -> list[tuple[str, str]]:
     """What the sweeps were made by and on.
 
-    What differs between commands is told with their numbers, from 1. Devices and precisions are told with the
-    sweeps, since those of one command may run on several devices.
+    What differs between commands is listed by their numbers, from 1. Devices and precisions are listed by
+    sweep, since the sweeps of one command may run on several devices.
     """
     rows = []
     for key in dict(origins[0]) if origins else ():

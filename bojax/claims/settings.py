@@ -63,11 +63,6 @@ class OfOneLabel(Test, frozen=True):
 
     label: str = Field(description="label or variant whose runs are tested")
 
-    @property
-    @override
-    def names(self) -> tuple[str, ...]:
-        return (self.label,)
-
 
 class Order(Measured, frozen=True):
     """Whether the means of a column are in the given order, each above the next (paired by run)."""
@@ -145,11 +140,6 @@ class Ratio(Measured, frozen=True):
             raise ValueError("expected: a ratio of 1 is tested by kind similar, with a factor")
         return self
 
-    @property
-    @override
-    def names(self) -> tuple[str, ...]:
-        return (self.label, self.to)
-
 
 _Place = Annotated[
     Annotated[Annotated[int, Field(ge=1)], pydantic.Tag("step")] | Annotated[Window, pydantic.Tag("window")],
@@ -191,11 +181,6 @@ class Similar(Measured, frozen=True):
         if self.spread_at is not None and type(self.spread_at) is not type(place):
             raise ValueError("spread_at: needs a step if step is given, and a window if window is given")
         return self
-
-    @property
-    @override
-    def names(self) -> tuple[str, ...]:
-        return self.labels
 
 
 class Share(OfOneLabel, frozen=True):
@@ -332,11 +317,6 @@ class Latency(Test, frozen=True):
         if self.below is not None and self.factor is not None:
             raise ValueError("latency: give either below or factor")
         return self
-
-    @property
-    @override
-    def names(self) -> tuple[str, ...]:
-        return self.labels
 
 
 class Growth(OfOneLabel, frozen=True):

@@ -28,8 +28,9 @@ class Test(Registered, frozen=True):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The labels or variants that the test compares."""
-        raise NotImplementedError
+        """The labels or variants that the test compares: its settings `labels`, or `label` and `to`."""
+        found = getattr(self, "labels", (getattr(self, "label", None), getattr(self, "to", None)))
+        return tuple(name for name in found if name is not None)
 
 
 class Window(Schema, frozen=True):

@@ -19,7 +19,7 @@ def choose_film(
     episode: int | None = None,
     model: Path | None = None,
 ) -> Film:
-    """A film of a recorded run, drawn with the robot that the settings name, or with that of an MJCF file.
+    """A film of a recorded run, drawn with the robot of its settings, or with the robot of an MJCF file.
 
     The point and the run are given by index; by default they are the first recorded ones. The default episode
     of a learning run is its first success, else its last episode.

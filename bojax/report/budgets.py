@@ -67,7 +67,7 @@ def common_budget(settings: Sequence[Sequence[Series]]) -> float:
 
 
 def held(table: Floats, ends: NDArray[np.integer], is_final: NDArray[np.bool_]) -> Floats:
-    """Values of a setting `[runs, n]` in which a final run keeps that of its last column, `ends`.
+    """Values of a setting `[runs, n]` in which a final run keeps its value at its last column, `ends`.
 
     Other runs are NaN after their end. Nothing is kept beyond the budget of the setting: a mean over its
     final runs alone would be one over other runs than before.
@@ -80,7 +80,7 @@ def held(table: Floats, ends: NDArray[np.integer], is_final: NDArray[np.bool_]) 
 
 
 def within_budget(table: Floats, ends: NDArray[np.integer], is_final: NDArray[np.bool_]) -> Floats:
-    """Values of a setting `[runs, n]`, NaN beyond the last column in which one of its runs ended.
+    """Values of a setting `[runs, n]`, NaN after the last column at which a run ended.
 
     Nothing is replaced if all its runs are final.
     """

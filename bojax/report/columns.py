@@ -37,7 +37,7 @@ def read_columns(path: Path) -> Columns:
 
 
 def where(columns: Columns, **values: Any) -> Columns:
-    """The rows with these values of columns; an empty table has none."""
+    """The rows with these values of columns; no row of an empty table."""
     kept = np.logical_and.reduce([columns[name] == value for name, value in values.items() if columns])
     return Columns({key: column[kept] for key, column in columns.items()})
 

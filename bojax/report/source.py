@@ -66,12 +66,12 @@ class Point:
 
     @property
     def problem(self) -> Component | None:
-        """Its problem; None where the experiment has none."""
+        """Its problem; None of an experiment without a problem."""
         return self.experiment.problem if isinstance(self.experiment, Planning) else None
 
     @property
     def env(self) -> Component | None:
-        """Its environment; None where the experiment has none."""
+        """Its environment; None of an experiment without an environment."""
         return self.experiment.env if isinstance(self.experiment, Learning) else None
 
     @property
@@ -134,7 +134,7 @@ class Results:
         return next((value for row in rows if (value := row.get(column)) is not None), None)
 
     def thesis_ratio(self, point: Point, column: str) -> float | None:
-        """The thesis's number over that of the reference; None unless both are positive numbers."""
+        """The thesis's number divided by its number for the reference; None unless both are positive."""
         pair = [self.thesis(each, column) for each in (point, self.reference) if each is not None]
         is_positive = all(isinstance(value, int | float) and value > 0 for value in pair)
         return float(pair[0] / pair[1]) if len(pair) == 2 and is_positive else None
@@ -184,13 +184,13 @@ class Results:
     @property
     def return_column(self) -> str:
         """The column of `runs.parquet` that is the return of a run, or of its last training episode."""
-        # Earlier versions had `return` in learning, too.
+        # Earlier versions had `return` in learning as well.
         return "last_return" if "last_return" in self.runs else "return"
 
     def by_step(self, point: Point, column: str) -> NDArray[np.float64]:
         """A column of `steps.parquet` by run and step, `[runs, num_steps + 1]`; 0 at step 0.
 
-        A run that has ended keeps its last value, see `held`. The rows are those of `runs_of`.
+        A run that has ended keeps its last value, see `held`. Rows correspond to `runs_of`.
         """
         rows, runs = self.steps_of(point), self.runs_of(point)["run"]
         table = np.full((runs.size, self.num_steps + 1), np.nan)
@@ -220,7 +220,7 @@ class Results:
         """A column of `episodes.parquet` by run and episode, `[runs, episodes]`, the first episode first.
 
         Of several tests after one episode, the mean. NaN where a run had no such episode. As many columns
-        as the longest run of any point has; its rows are those of `runs_of`.
+        as the longest run of any point has; rows correspond to `runs_of`.
         """
         key = (point.index, column, phase)
         if key not in self._recorded:
@@ -397,7 +397,7 @@ def distinct_names(points: Sequence[Point]) -> list[str]:
 
 
 def short_value(points: Sequence[Point], key: str, value: Any) -> Any:
-    """A swept value for a name or a tick: a list, too long for them, is told by its number in the sweep."""
+    """A swept value for a name or a tick: a list, which is too long, by its number in the sweep."""
     return f"no. {swept_values(points, key).index(value) + 1}" if isinstance(value, list) else value
 
 

@@ -169,8 +169,8 @@ def interval_of_means(
     """Interval of a statistic of the means of columns, of a table `[n]` or `[n, columns]` with a row per run.
 
     From `FEW` runs on it is a percentile bootstrap. Fewer have the t interval with the jackknife's standard
-    error (Tukey 1958), which is Student's for a mean; that of a ratio is computed for its logarithm. A single
-    run has no interval.
+    error (Tukey 1958), which is Student's for a mean; a ratio's interval is computed for its logarithm. A
+    single run has no interval.
 
     Args:
         statistic: Maps means `[..., columns]` to values `[...]`.
@@ -262,7 +262,7 @@ def improvement_interval(strata: Sequence[tuple[ArrayLike, ArrayLike]], *, is_pa
     stratified percentile bootstrap. With fewer, resamples of separated kinds would all be equal: the interval
     is then the score interval of this statistic (Newcombe 2006, Statistics in Medicine 25, pp. 559-573,
     method 5), those of several strata combined by the squares of their widths. It is NaN for a kind without
-    values or a NaN among them, and there is none for a single run.
+    values or a NaN among them, and has no bounds for a single run.
 
     The strata hold the values of both kinds, `[n]` and `[m]`. If they are paired, they belong to the same
     runs, `n = m`, which are resampled together, while the score interval ignores the pairing and is wider.

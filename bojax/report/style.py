@@ -68,7 +68,7 @@ LINES = ("-", (0, (5, 1.6)), (0, (1.2, 1.4)), (0, (6, 1.5, 1.2, 1.5)), (0, (2.5,
 """Line styles that distinguish the variants of one identifier."""
 
 SHADES = (("white", 0.0), ("black", 0.45), ("white", 0.4), ("black", 0.25), ("white", 0.2))
-"""The colour that is mixed into that of an identifier for each of its variants, and its share."""
+"""For each variant of an identifier: a colour to mix into the identifier's own, and its share."""
 
 FIGURES = "figures"  # name of the folder of figures
 WIDTH = 4.7  # width of every figure in inches: on a phone of 340 CSS pixels, text is still 10 pixels high

@@ -137,7 +137,7 @@ def ranking_gaps(results: Results) -> list[str]:
 
 
 def ratios(results: Results) -> Table | None:
-    """Ratios of means to those of `report.relative_to`, for columns of which the thesis prints numbers.
+    """Ratios of means to the means of `report.relative_to`, for columns with numbers in the thesis.
 
     None unless some column has at least two such numbers. A column with a number that is not positive is
     left out, since its ratios mean nothing.

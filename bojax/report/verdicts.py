@@ -90,7 +90,7 @@ class TestedClaim(Recorded):
 
     @property
     def decisive(self) -> tuple[str, str, str] | None:
-        """The entry of `comparisons` whose interval is that of the claim."""
+        """The entry of `comparisons` with the interval of the claim."""
         rows = zip(self.comparisons, self.test.comparisons, strict=False)
         return next((row for row, each in rows if each.interval == self.interval), None)
 
@@ -99,7 +99,7 @@ class TestedClaim(Recorded):
         """A sentence, without its full stop, for each label that one of several variants represents."""
         test = self.test
         extreme = "least" if test.kind == "order" and test.greater is None else "greatest"
-        # The rule is that of `stand_ins` of `bojax.claims.samples`.
+        # The same rule as in `stand_ins` of `bojax.claims.samples`.
         is_own = test.kind == "order" or isinstance(test.window or test.to, dict)
         column = test.column if is_own else "return"
         return [
@@ -182,8 +182,8 @@ def explanations_of(manifest: Manifest, claims: Sequence[TestedClaim]) -> list[E
     """The explanations of those claims that are not reproduced, or inconclusive, in the order of the sweep.
 
     A sweep that is part of bojax has the explanations of this version, which may be later than the results.
-    Any other sweep, also one of the same name, has those of its manifest. Claims without an explanation come
-    last: those that could not be tested, and those that are unexplained.
+    Any other sweep, even one of the same name, has the explanations in its manifest. Claims without an
+    explanation come last: those that could not be tested, and those that are unexplained.
     """
     published = published_report(manifest.name) if manifest.is_published else None
     report = published or manifest.report

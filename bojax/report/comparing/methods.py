@@ -94,7 +94,7 @@ class Method:
 
     @property
     def name(self) -> str:
-        """Its name, unique among those of its task."""
+        """Its name, unique within its task."""
         return self.point.name
 
     def is_paired_with(self, other: "Method") -> bool:
@@ -155,7 +155,7 @@ def measured_by(
 
 
 def methods_of(results: Sequence[Results], files: Sequence[Path], measure: Measure) -> list[Method]:
-    """The methods of all folders and CSV files, whose tasks have to be among those of the folders."""
+    """The methods of all folders and CSV files, whose tasks must occur in the folders."""
     found = [method for each in results for method in of_folder(each, measure)]
     known = list(dict.fromkeys(method.task for method in found))
     for path in files:

@@ -16,7 +16,7 @@ MOST_NAMED = 8  # runs of a method that are listed by number
 
 
 def rule(method: Method, measure: Measure) -> str:
-    """The rule by which runs of different length are compared, in sentences that follow another one."""
+    """How runs of different length are compared, in sentences that follow another one."""
     if not (method.has_curve or measure.column in ENDS):
         return ""
     budget = "the largest that all methods have" if measure.at is None else "that of --at"
@@ -122,7 +122,7 @@ def overall(tasks: Sequence[Task], reference: str, measure: Measure) -> tables.T
 
 
 def difference(method: Method, reference: Method) -> Interval:
-    """Difference of the mean scores: that of paired runs, otherwise Welch's; of shares, Newcombe's.
+    """Difference of the mean scores: over paired runs, otherwise Welch's; of shares, Newcombe's.
 
     NaN for fewer than two runs or a NaN among the scores.
     """
@@ -167,7 +167,7 @@ def settings(methods: Sequence[Method]) -> tables.Table | None:
 
 
 def differing_worlds(tasks: Sequence[Task]) -> list[str]:
-    """The settings of the environment or problem in which methods of one task differ."""
+    """The settings of the environment or problem that differ among the methods of a task."""
     found = [table for task in tasks if (table := settings(task.methods)) is not None]
     keys = dict.fromkeys(key for table in found for key, _ in table.rows)
     return [key for key in keys if key.startswith(("env.", "problem."))]
