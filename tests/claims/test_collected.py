@@ -41,9 +41,8 @@ def verdicts(folder):
 
 
 def test_the_newest_results_of_a_sweep_count(tmp_path, capsys):
-    results(
-        tmp_path / "a" / "x", written="2026-01-03T10:00:00+0000", command="bojax reproduce fig-4.6 --out b"
-    )
+    newest = {"written": "2026-01-03T10:00:00+0000", "command": "bojax reproduce fig-4.6 --out b"}
+    results(tmp_path / "a" / "x", **newest)
     results(tmp_path / "a" / "y", name="parking")  # another name of fig-4.6
     results(tmp_path / "b" / "fig-4.8", name="fig-4.8")
     results(tmp_path / "a" / "unfinished", status="running")
@@ -52,15 +51,8 @@ def test_the_newest_results_of_a_sweep_count(tmp_path, capsys):
     readme = tmp_path / "readme.md"
     readme.write_text("Of 0 claims of it,\n0 are reproduced, 0 are not, and 0\nare inconclusive: so.")
     page = tmp_path / "page.md"
-    words = [
-        "--page",
-        str(tmp_path / "a"),
-        str(tmp_path / "b"),
-        "--out",
-        str(page),
-        "--count-in",
-        str(readme),
-    ]
+    sources = [str(tmp_path / name) for name in "ab"]
+    words = ["--page", *sources, "--out", str(page), "--count-in", str(readme)]
     assert main(["reproduce", *words]) == 0
     told, text = capsys.readouterr(), page.read_text()
     assert told.out == f"{page}\n"
@@ -124,37 +116,36 @@ def test_a_setting_of_one_variant_changes_the_claims_of_that_variant_alone(tmp_p
     assert touched == of_kcbts and 0 < len(touched) < len(new)
 
 
-@pytest.mark.parametrize(
-    ("changes", "error"),
-    [
-        ({"name": "mine"}, "got results of mine; allowed: those of sweeps of the thesis"),
-        ({"name": "study-ties"}, "got results of study-ties; allowed"),
-        ({"is_published": False}, "got results of fig-4.6; allowed"),
+def test_other_results_are_refused(tmp_path):
+    folder = results(tmp_path / "x")
+    for changes, error in (
         ({"status": "running"}, "has not finished"),
-    ],
-)
-def test_other_results_are_refused(tmp_path, changes, error):
-    with pytest.raises(ResultsError, match=error) as raised:
-        collected([results(tmp_path / "x", **changes)], THESIS)
-    assert "\n" not in str(raised.value)
+        (
+            {"status": "finished", "name": "mine"},
+            "got results of mine; allowed: those of sweeps of the thesis",
+        ),
+        ({"name": "study-ties"}, "got results of study-ties; allowed"),
+        ({"name": "fig-4.6", "is_published": False}, "got results of fig-4.6; allowed"),
+    ):
+        edit_manifest(folder, lambda manifest, changes=changes: manifest.update(changes))
+        with pytest.raises(ResultsError, match=error) as raised:
+            collected([folder], THESIS)
+        assert "\n" not in str(raised.value)
 
 
-@pytest.mark.parametrize(
-    ("words", "error"),
-    [
+def test_misuse_is_one_line(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for words, error in (
         (["--page", "nowhere"], "no such results folder"),
         (["--page", ".", "--out", "p.md"], "manifest.json"),
         (["fig-4.6", "--page", "."], "ID: not allowed with --page"),
         (["--page", ".", "--runs", "3"], "--runs: not allowed with --page"),
         (["--count-in", "README.md", "--", "fig-4.6"], "--count-in: needs --page"),
         ([], "the following arguments are required: ID"),
-    ],
-)
-def test_misuse_is_one_line(tmp_path, monkeypatch, capsys, words, error):
-    monkeypatch.chdir(tmp_path)
-    assert main(["reproduce", *words]) == 2
-    told = capsys.readouterr().err
-    assert error in told and told.count("\n") == 1 and not list(tmp_path.iterdir())
+    ):
+        assert main(["reproduce", *words]) == 2
+        told = capsys.readouterr().err
+        assert error in told and told.count("\n") == 1 and not list(tmp_path.iterdir())
 
 
 def test_a_page_to_count_in_needs_the_sentence(tmp_path, reported, capsys):

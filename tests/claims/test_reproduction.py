@@ -303,12 +303,9 @@ def test_earlier_results_of_a_published_sweep_have_its_explanations(tmp_path):
     assert "Outdated." in text, "a user's sweep of the same name has explanations of its own"
 
 
-def test_no_section_if_all_is_reproduced(tmp_path):
+def test_no_section_if_all_is_reproduced_and_a_folder_in_the_way_is_one_line(tmp_path):
     page, text = pages(tmp_path, [write(tmp_path / "a", [claim("a", "Fig. 3.1")])])
     assert "Causes" not in text and "and why" not in text + page.text
-
-
-def test_a_folder_that_cannot_be_written_is_one_line(tmp_path):
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(ResultsError) as error:
         reproduction(tmp_path / "file", [], 1.0)

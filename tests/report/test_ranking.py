@@ -99,11 +99,8 @@ def test_a_run_that_never_reaches_its_goal_counts_with_its_end(tmp_path):
     results = load(write_learning(tmp_path / "a"))
     measure = measure_of(results)
     assert measure == Measure("steps_to_goal", is_least=True)
-    assert [standing.point.label for standing in ranking(results, measure)] == [
-        "emu-q",
-        "rff-q",
-        "epsilon-greedy",
-    ]
+    labels = [standing.point.label for standing in ranking(results, measure)]
+    assert labels == ["emu-q", "rff-q", "epsilon-greedy"]
     runs = results.runs_of(results.points[1])
     never = np.isnan(runs["steps_to_goal"].astype(float))
     found = measure.values(results, results.points[1])
@@ -122,10 +119,10 @@ def test_a_run_gains_nothing_by_ending_early_without_reaching_its_goal():
     assert [(each.point.name, each.mean.estimate) for each in standings] == [("a", 50), ("b", 60)]
 
 
-@pytest.mark.parametrize("by", ["rewrd", "label", "planner.depth", "seed", ""])
-def test_an_unknown_column_is_refused_with_those_that_are_known(by):
-    with pytest.raises(ResultsError, match=f"unknown column {by}; allowed: return, rmse"):
-        measure_of(grid(), by)
+def test_an_unknown_column_is_refused_with_those_that_are_known():
+    for by in ("rewrd", "label", "planner.depth", "seed", ""):
+        with pytest.raises(ResultsError, match=f"unknown column {by}; allowed: return, rmse"):
+            measure_of(grid(), by)
 
 
 def test_learners_have_the_return_of_their_last_episode(tmp_path):
@@ -223,16 +220,7 @@ def test_long_axes_have_few_ticks():
     swept = {str(n): {"planner.a": n % 40, "planner.b": n // 40} for n in range(80)}
     results = swept_results({name: {"return": np.array([float(name)])} for name in swept}, swept)
     panel = heat_map.draw(reported(results)).figure.axes[0]
-    assert [tick.get_text() for tick in panel.get_xticklabels()] == [
-        "0",
-        "5",
-        "10",
-        "15",
-        "20",
-        "25",
-        "30",
-        "35",
-    ]
+    assert [tick.get_text() for tick in panel.get_xticklabels()] == [str(5 * n) for n in range(8)]
     assert len(panel.texts) == 0
 
 

@@ -44,18 +44,9 @@ def test_more_labels_than_colours_do_not_look_alike():
     assert len(set(looks)) == len(looks)
 
 
-@pytest.mark.parametrize(
-    ("last", "ticks"),
-    [
-        (1, [0, 1]),
-        (5, range(6)),
-        (15, range(0, 16, 3)),
-        (50, range(0, 51, 10)),
-        (2**53, range(0, 2**53, 2 * 10**15)),
-    ],
-)
-def test_step_ticks_are_even_and_reach_the_end(last, ticks):
-    assert step_ticks(last) == list(ticks)
+def test_step_ticks_are_even_and_reach_the_end():
+    for last, step in ((1, 1), (5, 1), (15, 3), (50, 10), (2**53, 2 * 10**15)):
+        assert step_ticks(last) == list(range(0, last + 1, step))
 
 
 def test_a_swarm_stacks_what_falls_into_one_bin():
@@ -64,12 +55,11 @@ def test_a_swarm_stacks_what_falls_into_one_bin():
     np.testing.assert_allclose(offsets, [-0.035, 0.035, 0.0])
 
 
-@pytest.mark.parametrize(
-    ("value", "written"),
-    [(0.0, "0"), (0.01234, "0.0123"), (569.6, "570"), (-1523.4, "-1,523"), (None, "–"), (float("nan"), "–")],
-)
-def test_numbers_keep_three_digits(value, written):
-    assert text.number(value) == written
+def test_numbers_keep_three_digits_and_time_spans_have_a_fitting_unit():
+    values = {0.0: "0", 0.01234: "0.0123", 569.6: "570", -1523.4: "-1,523", None: "–", float("nan"): "–"}
+    assert [text.number(value) for value in values] == [*values.values()]
+    spans = {4.2e-5: "42.0 µs", 0.0123: "12.3 ms", 7.25: "7.25 s", 150: "2 min 30 s"}
+    assert [text.seconds(value) for value in spans] == [*spans.values()]
 
 
 def test_an_estimate_has_the_decimals_that_its_interval_allows():
@@ -77,13 +67,6 @@ def test_an_estimate_has_the_decimals_that_its_interval_allows():
     assert text.with_bounds(4.9721, 4.84, 5.09) == ("4.97", "[4.84, 5.09]")
     assert text.with_bounds(-0.2, -40.0, 41.0) == ("0", "[-40, 41]")
     assert text.with_bounds(17.0, 17.0, 17.0) == ("17", "[17, 17]")
-
-
-@pytest.mark.parametrize(
-    ("value", "written"), [(4.2e-5, "42.0 µs"), (0.0123, "12.3 ms"), (7.25, "7.25 s"), (150, "2 min 30 s")]
-)
-def test_time_spans_have_a_fitting_unit(value, written):
-    assert text.seconds(value) == written
 
 
 def test_a_smooth_curve_follows_an_arc_through_its_poses():
@@ -107,17 +90,14 @@ def test_fallback_fonts_of_other_weights_are_no_messages():
     assert logger.isEnabledFor(logging.WARNING)
 
 
-@pytest.mark.parametrize(
-    ("name", "width", "lines"),
-    [
-        ("emu-q, state_lengthscale 0.2", 16, ["emu-q, state_", "lengthscale 0.2"]),
-        ("learner.features.state_lengthscale", 26, ["learner.features.", "state_lengthscale"]),
-        ("kcbts", 16, ["kcbts"]),
-        ("a" * 20, 16, ["a" * 16, "a" * 4]),
-    ],
-)
-def test_a_long_word_is_broken_where_it_has_parts(name, width, lines):
-    assert style.wrapped(name, width).split("\n") == lines
+def test_a_long_word_is_broken_where_it_has_parts():
+    for width, lines in (
+        (16, ["emu-q, state_", "lengthscale 0.2"]),
+        (26, ["learner.features.", "state_lengthscale"]),
+        (16, ["kcbts"]),
+        (16, ["a" * 16, "a" * 4]),
+    ):
+        assert style.wrapped("".join(lines), width).split("\n") == lines
 
 
 def test_a_list_of_names_with_commas_has_semicolons():
