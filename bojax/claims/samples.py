@@ -141,15 +141,15 @@ def paired(results: Results, test: Test, points: Sequence[Point], measure: Measu
 def mean_of(results: Results, test: Test, point: Point, measure: Measure) -> tuple[Interval, int, str]:
     """Interval of the mean of a measure over the runs of a point, number of these runs, and the method."""
     values = paired(results, test, [point], measure)[:, 0]
-    parts = [dataclasses.replace(measure, since=None)]
+    terms = [dataclasses.replace(measure, since=None)]
     if measure.since is not None:
-        parts.append(dataclasses.replace(measure, place=measure.since, since=None))
-    if not all(part.is_share(results) for part in parts):
+        terms.append(dataclasses.replace(measure, place=measure.since, since=None))
+    if not all(term.is_share(results) for term in terms):
         return statistics.mean_interval(values), len(values), interval_of(len(values))
     runs = results.runs_of(point)["run"]
-    flags = np.stack([part.values(results, point, runs) for part in parts], axis=1)
+    flags = np.stack([term.values(results, point, runs) for term in terms], axis=1)
     flags = flags[np.isfinite(flags.astype(np.float64)).all(axis=1)]
-    if len(parts) == 1:
+    if len(terms) == 1:
         return statistics.share_interval(flags[:, 0]), len(flags), "Wilson"
     return statistics.paired_shares(flags, [1.0, -1.0]), len(flags), interval_of(len(flags), is_share=True)
 

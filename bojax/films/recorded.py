@@ -49,7 +49,7 @@ def choose_episode(
     number = pick(results, "episode", episode, steps["episode"])
     steps = where(steps, episode=number)
     return Episode(
-        point=next(part for part in results.points if part.index == index),
+        point=next(each for each in results.points if each.index == index),
         run=run,
         number=number,
         observations=_vectors(steps, "observation"),
@@ -98,12 +98,12 @@ class Drive:
 
 def choose_drive(results: Results, point: int | None = None, run: int | None = None) -> Drive:
     """A recorded run of a planner, chosen by the arguments of `choose_film`."""
-    kept = {part.index: dict(results.arrays(part, "paths")) for part in results.points}
+    kept = {each.index: dict(results.arrays(each, "paths")) for each in results.points}
     recorded = np.asarray([index for index, runs in kept.items() if runs], np.int64)
     if not recorded.size:
         raise ResultsError(f"{results.folder}: no paths were recorded (record.runs in the config: 1 or more)")
     index = pick(results, "point", point, recorded)
-    chosen = next(part for part in results.points if part.index == index)
+    chosen = next(each for each in results.points if each.index == index)
     run = pick(results, "run", run, np.asarray(list(kept[index]), np.int64))
     legs = tuple(_legs(kept[index][run], where(results.steps_of(chosen), run=run)))
     if not legs:
@@ -156,8 +156,8 @@ def pick(results: Results, name: str, asked: int | None, values: NDArray[Any]) -
 def _ranges(numbers: Sequence[int]) -> str:
     """Sorted numbers as ranges: `0, 2 to 5`."""
     gaps = [i for i in range(1, len(numbers)) if numbers[i] != numbers[i - 1] + 1]
-    parts = [numbers[i:j] for i, j in zip([0, *gaps], [*gaps, len(numbers)], strict=True)]
-    return ", ".join(f"{part[0]} to {part[-1]}" if len(part) > 1 else str(part[0]) for part in parts)
+    ranges = [numbers[i:j] for i, j in zip([0, *gaps], [*gaps, len(numbers)], strict=True)]
+    return ", ".join(f"{each[0]} to {each[-1]}" if len(each) > 1 else str(each[0]) for each in ranges)
 
 
 def _vectors(steps: Columns, name: str) -> Floats:

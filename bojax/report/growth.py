@@ -92,5 +92,5 @@ def _exponential(law: Law, x: Floats, means: Floats, weights: Floats) -> tuple[F
         height = along[np.arange(len(block)), best] / norms[best]
         squares = (block - height[:, None] * curves[best]) ** 2 @ weights
         found.append((height * np.exp(-rates[best] * middle), rates[best], squares))
-    a, b, squares = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    a, b, squares = (np.concatenate(blocks) for blocks in zip(*found, strict=True))
     return a, b, squares

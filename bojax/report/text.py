@@ -10,7 +10,7 @@ from typing import Any
 
 MISSING = "–"
 JOINERS = "\u200c\u200d"  # invisible, but scripts such as Arabic and Devanagari are not legible without them
-MAX_FILE_NAME = 120  # bytes of a part of a file name; most file systems allow 255 in all
+MAX_FILE_NAME = 120  # bytes of a name within a file name; most file systems allow 255 in all
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -81,7 +81,7 @@ def is_number(value: Any) -> bool:
 
 
 def heading(name: str) -> str:
-    """The last part of a dotted path in words: `learning rate`."""
+    """The last name of a dotted path in words: `learning rate`."""
     return name.rsplit(".", 1)[-1].replace("_", " ")
 
 

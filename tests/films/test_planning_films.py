@@ -24,7 +24,7 @@ from bojax.report.source import load
 from bojax.report.style import settings
 from bojax.results.store import ResultsError
 from tests.films.test_learning_films import learning_results
-from tests.report.synthetic import write_results
+from tests.report.synthetic import edit_manifest, write_results
 
 STEPS, SAMPLES, ROOM = 4, 5, 6
 ARC = np.array([[0.2, 0.02, 0.2], [0.4, 0.08, 0.4], [0.6, 0.18, 0.6], [0.7, 0.26, 0.8], [0.8, 0.4, 1.0]])
@@ -91,17 +91,17 @@ def test_a_plan_lies_where_the_robot_stood_when_it_was_made(tmp_path):
     assert [leg.accumulated for leg in drive.legs] == [-1.5, -3.0, -4.5, -6.0]
 
 
-@pytest.mark.parametrize(
-    "problem, end, outcome",
-    [
-        (Parking(), {"success": False}, "left the domain"),
-        (Parking(exit_terminates=False), {"success": False}, ""),
-        (TwoPits(), {"success": False}, ""),
-        (TwoPits(), {"success": False, "nans": 2}, "failed"),
-    ],
-)
-def test_how_it_ended_is_said(tmp_path, problem, end, outcome):
-    assert choose_drive(load(planning_results(tmp_path / "results", problem, **end))).outcome == outcome
+def test_how_it_ended_is_said(tmp_path):
+    for number, (problem, nans, outcome) in enumerate(
+        (
+            (Parking(), 0, "left the domain"),
+            (Parking(exit_terminates=False), 0, ""),
+            (TwoPits(), 0, ""),
+            (TwoPits(), 2, "failed"),
+        )
+    ):
+        folder = planning_results(tmp_path / str(number), problem, success=False, nans=nans)
+        assert choose_drive(load(folder)).outcome == outcome
 
 
 @pytest.mark.parametrize("problem, belief", [(Parking(), False), (TwoPits(), True)])
@@ -130,17 +130,16 @@ def test_of_a_long_run_fewer_pictures_are_made_of_a_step(tmp_path, monkeypatch):
     assert PlanningFilm(long).num_images == 20 * STEPS * (MAX_FRAMES // (20 * STEPS)) + 1
 
 
-@pytest.mark.parametrize("name", ["mean", "std"])
-def test_the_belief_is_that_before_the_plan(tmp_path, name):
+def test_the_belief_is_that_before_the_plan(tmp_path):
     folder = planning_results(tmp_path / "results", TwoPits(), belief=True)
     drive = choose_drive(load(folder))
-    view = _Map(Figure().add_subplot(), drive, name)
-    for step in (0, 2):
-        view.believe(step)
-        np.testing.assert_array_equal(view._image.get_array(), drive.belief[f"{name}s"][step])
-    low, high = view._image.get_clim()
     truth, stds = drive.belief["truth"], drive.belief["stds"]
-    assert (low, high) == ((truth.min(), truth.max()) if name == "mean" else (0.0, stds.max()))
+    for name, limits in (("mean", (truth.min(), truth.max())), ("std", (0.0, stds.max()))):
+        view = _Map(Figure().add_subplot(), drive, name)
+        for step in (0, 2):
+            view.believe(step)
+            np.testing.assert_array_equal(view._image.get_array(), drive.belief[f"{name}s"][step])
+        assert view._image.get_clim() == limits
 
 
 def test_results_without_plans_are_drawn_too(tmp_path, monkeypatch, capsys):
@@ -154,10 +153,7 @@ def test_results_without_plans_are_drawn_too(tmp_path, monkeypatch, capsys):
     ]:
         assert main(["render", str(folder), *words]) == 2
         assert message in capsys.readouterr().err
-
-
-def test_where_no_run_was_recorded_this_is_told(tmp_path, capsys):
-    folder = write_results(tmp_path / "results", runs=2, recorded=0)
+    folder = write_results(tmp_path / "unrecorded", runs=2, recorded=0)
     assert main(["render", str(folder)]) == 2
     assert "no paths were recorded (record.runs in the config: 1 or more)" in capsys.readouterr().err
 
@@ -175,6 +171,13 @@ def rendering():
 
 
 STANDING = (0.0, 1.25, 0.0, 0.0, 0.0, 0.0)
+
+
+def standing(folder):
+    """Two steps of a hopper."""
+    return learning_results(folder, "hopper", lengths=(2,), goals=(True,), frames=STANDING)
+
+
 PUCK = """
 <mujoco>
   <option timestep="0.02"/>
@@ -225,7 +228,7 @@ def test_a_robot_that_learns_is_drawn_from_its_settings(tmp_path, rendering, cap
 
 
 def test_robots_are_drawn_without_jax(tmp_path, rendering):
-    folder = learning_results(tmp_path / "results", "hopper", lengths=(2,), goals=(True,), frames=STANDING)
+    folder = standing(tmp_path / "results")
     code = (
         "import sys; from bojax.cli.main import main; "
         f"assert main(['render', {str(folder)!r}]) == 0; assert 'jax' not in sys.modules"
@@ -317,9 +320,7 @@ class TestWithoutAScreen:
     def test_what_the_user_has_set_alone(self, works, monkeypatch, tmp_path, capsys):
         monkeypatch.setenv("MUJOCO_GL", "glfw")
         tried = works("egl")
-        folder = learning_results(
-            tmp_path / "results", "hopper", lengths=(2,), goals=(True,), frames=STANDING
-        )
+        folder = standing(tmp_path / "results")
         assert main(["render", str(folder)]) == 2
         error = capsys.readouterr().err.strip()
         assert error == "error: MUJOCO_GL=glfw draws nothing here: unset it, and EGL and OSMesa are tried"
@@ -328,9 +329,7 @@ class TestWithoutAScreen:
     def test_nothing_works(self, works, monkeypatch, tmp_path, capsys):
         monkeypatch.delenv("MUJOCO_GL", raising=False)
         works()
-        folder = learning_results(
-            tmp_path / "results", "hopper", lengths=(2,), goals=(True,), frames=STANDING
-        )
+        folder = standing(tmp_path / "results")
         assert main(["render", str(folder)]) == 2
         error = capsys.readouterr().err.strip()
         assert "neither EGL nor OSMesa works here" in error and "apt install" in error and "\n" not in error
@@ -347,8 +346,6 @@ class TestWithoutAScreen:
 
 def test_gallery_results_do_not_move(tmp_path):
     folder = planning_results(tmp_path / "results", Parking())
-    manifest = json.loads((folder / "manifest.json").read_text())
-    manifest["points"][0]["config"] = {"kind": "trajectories"}
-    (folder / "manifest.json").write_text(json.dumps(manifest))
+    edit_manifest(folder, lambda manifest: manifest["points"][0].update(config={"kind": "trajectories"}))
     with pytest.raises(ResultsError, match="got results of trajectories; only planners and learners"):
         choose_film(load(folder))

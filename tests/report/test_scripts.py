@@ -112,7 +112,7 @@ def page():
         title="Comparison",
         summary="",
         counts=[],
-        parts=[("", [drawing], Table(headings, rows)), ("none", [], Table(headings, []))],
+        sections=[("", [drawing], Table(headings, rows)), ("none", [], Table(headings, []))],
         overall=None,
         settings=None,
         sources=[],

@@ -54,13 +54,13 @@ def compare(
     measure = measured_by(results, metric, axis, phase, last, at)
     methods = methods_of(results, files, measure)
     tasks = tasks_of(methods, measure, reference)
-    images, parts = {}, []
+    images, sections = {}, []
     with style.settings():
         for number, task in enumerate(tasks, start=1):
             suffix = f"-{number}-{file_name(task.name)}" if len(tasks) > 1 else ""
             drawings = _drawings(task, measure)
             images |= {f"{name}{suffix}": drawing.files for name, drawing in drawings.items()}
-            parts.append((task.name, [*drawings.values()], tables.scores(task, measure)))
+            sections.append((task.name, [*drawings.values()], tables.scores(task, measure)))
     names = list(dict.fromkeys(each.name for each in methods))
     listed = f" ({joined(names)})" if len(names) <= MAX_POINTS else ""
     places = [task.name for task in tasks if task.name]
@@ -78,7 +78,7 @@ def compare(
         f"the {_score(methods[0], measure)}{', of which less is better' if measure.is_least else ''}."
         f"{tables.rule(methods[0], measure)}{caution}{tables.compiled_apart(results)}",
         counts=[],
-        parts=parts,
+        sections=sections,
         methods=statistics.methods(sizes),
         better="Newcombe" if min(sizes) < statistics.FEW else "bootstrap",
         overall=tables.overall(tasks, reference or tasks[0].reference.name, measure),

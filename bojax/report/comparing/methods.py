@@ -201,12 +201,12 @@ def of_folder(results: Results, measure: Measure) -> list[Method]:
     for point in results.run_points:
         runs = results.runs_of(point)
         of_runs = runs.get(measure.column, np.zeros(0))
-        part = point.env or point.problem
+        world = point.env or point.problem
         methods.append(
             Method(
                 point,
                 results.folder,
-                "" if part is None else part.kind,
+                "" if world is None else world.kind,
                 runs["run"],
                 _series(results, point, measure) if has_curve else _single_values(results, point, measure),
                 has_curve & (runs.get("nans", np.zeros(runs["run"].size)) > 0),

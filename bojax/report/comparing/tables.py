@@ -48,13 +48,13 @@ def remarks(task: Task, measure: Measure) -> str:
 
 def _listed(runs: Mapping[str, Sequence[int]]) -> str:
     """Runs of methods, the first few by number."""
-    parts = []
+    phrases = []
     for name, found in runs.items():
         if found:
             more = f" and {counted(len(found) - MOST_NAMED, 'more run')}" if len(found) > MOST_NAMED else ""
             numbers = ", ".join(map(str, found[:MOST_NAMED]))
-            parts.append(f"{'run' if len(found) == 1 else 'runs'} {numbers}{more} of {name}")
-    return "; ".join(parts)
+            phrases.append(f"{'run' if len(found) == 1 else 'runs'} {numbers}{more} of {name}")
+    return "; ".join(phrases)
 
 
 def _budget_cell(method: Method, measure: Measure) -> tables.Cell:
@@ -189,7 +189,7 @@ def sources(results: Sequence[Results], methods: Sequence[Method]) -> list[tuple
     rows = []
     for each in results:
         manifest = each.manifest
-        parts = {
+        known = {
             "sweep": manifest.name,
             "runs": plain(manifest.runs),
             "seed": plain(manifest.seed),
@@ -197,7 +197,7 @@ def sources(results: Sequence[Results], methods: Sequence[Method]) -> list[tuple
             **manifest.provenance,
             **({"compiled": manifest.compiled} if manifest.programs else {}),
         }
-        rows.append((str(each.folder), line(parts)))
+        rows.append((str(each.folder), line(known)))
     folders = {each.folder for each in results}
     for path in dict.fromkeys(each.source for each in methods if each.source not in folders):
         labels = ", ".join(dict.fromkeys(each.name for each in methods if each.source == path))

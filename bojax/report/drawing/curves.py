@@ -174,9 +174,9 @@ class Chart:
             lines, columns = self._lines[axes], self._columns_below
             legend = style.legend(self.figure, lines, self._names, loc="outside lower center", ncols=columns)
             for number, entry in enumerate(zip(legend.legend_handles, legend.get_texts(), strict=True)):
-                for kind, part in zip(("line", "text"), entry, strict=True):
-                    if part is not None:
-                        part.set_gid(f"name-{number}-{kind}")
+                for kind, artist in zip(("line", "text"), entry, strict=True):
+                    if artist is not None:
+                        artist.set_gid(f"name-{number}-{kind}")
             return
         ends = [float(mean[np.isfinite(mean)][-1]) for _, (mean, _, _), _ in entries]
         last = max(float(curve.x[-1]) for curve, _, _ in entries)
