@@ -16,7 +16,7 @@ VARIANTS = {
     "kcbts, no exploration": kcbts(exploration=0.0),
     "kcbts, much exploration": kcbts(exploration=1000.0),
     "kcbts, discount": kcbts(discount=0.8),
-    "kcbts, convergence": kcbts(convergence=0.5),
+    "kcbts, convergence": kcbts(convergence=1.0),
     "kcbts, ranks, log-ei, depth 1": kcbts("log-ei", scaling="rank", depth=1),
     "kcbts, log-ei, depth 2": kcbts("log-ei", depth=2),
     "kcbts, unscaled, pi, discount": kcbts("pi", scaling="none", num_initial=0, discount=0.9),
