@@ -27,8 +27,9 @@ from tests.reference.monitoring import segments_touch_boxes
 from tests.tiers import by_tier
 
 NUM, SIZE = 400, 6
+WALLED = monitoring()
 PROBLEMS = {
-    "walls": monitoring(),
+    "walls": WALLED,
     "walls, stays": monitoring(after_collision="stop"),
     "no walls": monitoring(walls=None, target_area=None),
 }
