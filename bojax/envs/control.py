@@ -41,20 +41,6 @@ class ControlTask(Env):
 
     reward: eqx.AbstractVar[Literal["goal-only", "classic"]]
 
-    @property
-    @abc.abstractmethod
-    @override
-    def observation_space(self) -> Box: ...
-
-    @property
-    @abc.abstractmethod
-    @override
-    def action_space(self) -> Box: ...
-
-    @abc.abstractmethod
-    @override
-    def observe(self, state: EnvState) -> Float[Array, "D"]: ...
-
     @abc.abstractmethod
     def advance(self, key: Key[Array, ""], state: EnvState, action: Float[Array, "A"]) -> EnvState:
         """The state one time step later, under an action within its bounds; most domains need no key."""
@@ -82,6 +68,7 @@ class ControlTask(Env):
         self, key: Key[Array, ""], state: EnvState, action: Float[Array, "A"]
     ) -> tuple[EnvState, TimeStep]:
         bounds = self.action_space
+        assert isinstance(bounds, Box)
         dtype = bounds.low.dtype
         clipped = jnp.clip(action.astype(dtype), bounds.low, bounds.high)
         after = self.advance(key, state, clipped)

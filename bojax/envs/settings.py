@@ -58,8 +58,7 @@ class SinglePendulum(ControlTask, frozen=True):
     kind: Literal["single-pendulum"] = "single-pendulum"
     goal_angle: float = Field(default=0.05, gt=0, description="largest |angle| from upright at the goal, rad")
     classic_ends_at_goal: bool = Field(
-        default=True,
-        description="whether the goal ends an episode with the classic reward; in Gym it does not",
+        default=True, description="whether the goal ends an episode with the classic reward (not in Gym)"
     )
     gravity: float = Field(default=10.0, ge=0, description="gravitational acceleration, m/s^2")
     mass: float = Field(default=1.0, gt=0, description="mass of the rod, kg")
@@ -79,8 +78,7 @@ class MountainCar(ControlTask, frozen=True):
         default=0.5, gt=-1.2, le=0.6, description="smallest position at the goal; 0.42 in Fig. 5.7"
     )
     actions: Literal["continuous", "thresholded"] = Field(
-        default="continuous",
-        description="whether an action in [-1, 1] is a force, or selects left, coast or right",
+        default="continuous", description="an action in [-1, 1] is a force, or selects left, coast or right"
     )
     threshold: float = Field(
         default=0.33, ge=0, le=1, description="smallest |action| that drives, if actions are thresholded"
@@ -95,8 +93,7 @@ class DoublePendulum(ControlTask, frozen=True):
     target: ClassVar[str] = "bojax.envs.double_pendulum:DoublePendulum"
     kind: Literal["double-pendulum"] = "double-pendulum"
     actuated: Literal["base", "elbow"] = Field(
-        default="base",
-        description="driven joint: the base (p. 107), or the elbow (Gym, and the author's code)",
+        default="base", description="driven joint: the base (p. 107), or the elbow (Gym, author's code)"
     )
     goal: Literal["distance", "height"] = Field(
         default="distance",
@@ -104,13 +101,10 @@ class DoublePendulum(ControlTask, frozen=True):
         "height of the tip (Gym)",
     )
     goal_distance: float = Field(
-        default=1.0,
-        gt=0,
-        description="largest distance to the highest point, or largest depth below it, at the goal, m",
+        default=1.0, gt=0, description="largest distance to the highest point, or depth below it, m"
     )
     actions: Literal["continuous", "sign"] = Field(
-        default="continuous",
-        description="whether the torque is the action, or max_torque with the sign of the action",
+        default="continuous", description="the torque is the action, or max_torque with the action's sign"
     )
     max_torque: float = Field(default=1.0, gt=0, description="largest torque, N m")
     time_step: float = Field(default=0.2, gt=0, description="time step, s")
@@ -125,8 +119,7 @@ class CartpoleSwingUp(ControlTask, frozen=True):
     goal_cosine: float = Field(default=0.8, ge=-1, lt=1, description="least cosine of the angle at the goal")
     limit: float = Field(default=2.4, gt=0, description="half the track's length, m; 3 in the author's code")
     actions: Literal["continuous", "sign"] = Field(
-        default="continuous",
-        description="whether the force is the action, or max_force with the sign of the action",
+        default="continuous", description="the force is the action, or max_force with the action's sign"
     )
     max_force: float = Field(default=10.0, gt=0, description="largest force, N")
     time_step: float = Field(default=0.02, gt=0, description="time step, s")
@@ -139,10 +132,7 @@ class CliffWalking(Environment, frozen=True):
     kind: Literal["cliff-walking"] = "cliff-walking"
     max_steps: MaxSteps = 1000
     slip: float = Field(
-        default=0.01,
-        ge=0,
-        le=1,
-        description="probability that the direction is replaced by a uniform draw from all four",
+        default=0.01, ge=0, le=1, description="probability of a direction drawn uniformly from all four"
     )
     reward_scale: float = Field(default=1.0, gt=0, description="factor of every reward")
     reward: Literal["goal-only", "classic"] = Field(
@@ -174,15 +164,13 @@ class Chain(Environment, frozen=True):
     kind: Literal["chain"] = "chain"
     max_steps: MaxSteps = 1000
     length: int = Field(
-        default=10,
-        ge=2,
-        description="number of states (N), at most max_length; a sweep over it compiles once",
+        default=10, ge=2, description="number of states (N), up to max_length; a sweep over it compiles once"
     )
     sparsity: float = Field(
         default=1.0,
         ge=0,
         le=1,
-        description="sparsity (p): a step to a state other than the goal pays -1 with probability 1 - p",
+        description="sparsity (p): a step not to the goal pays -1 with probability 1 - p",
     )
     start: int = Field(default=0, ge=0, description="initial state; 0 is the first (S_1)")
     max_length: int = Field(default=20, ge=2, description="number of declared observations")
@@ -217,14 +205,11 @@ class LunarLander(ControlTask, frozen=True):
     main_power: float = Field(
         default=13.0,
         ge=0,
-        description="impulse of the main engine at full power, N s, for each metre between the engine and "
-        "the hull's origin",
+        description="impulse of the main engine at full power, N s per m from the hull's origin",
     )
     side_power: float = Field(default=0.6, ge=0, description="the same for the side engines, N s / m")
     dispersion: float = Field(
-        default=1.0,
-        ge=0,
-        description="scale of the noise on direction and magnitude of an engine's impulse; 1 in Gym",
+        default=1.0, ge=0, description="scale of the noise on direction and magnitude of an impulse; 1 in Gym"
     )
     max_push: float = Field(default=1000.0, ge=0, description="largest component of the initial force, N")
     max_speed: float = Field(default=1000.0, gt=0, description="speed that means divergence, m/s or rad/s")

@@ -30,8 +30,7 @@ class Planning(ExperimentSettings, frozen=True):
     kind: Literal["planning"] = "planning"
     problem: Annotated[Component, Slot("problem")] = Field(default=Parking(), description="planning problem")
     planner: Annotated[Component, Slot("planner")] = Field(
-        default=KCBTS(),
-        description="planner, which knows the model of the problem and receives observations of the world",
+        default=KCBTS(), description="planner, which knows the problem's model and observes the world"
     )
 
     @pydantic.model_validator(mode="after")
@@ -64,17 +63,15 @@ class Learning(ExperimentSettings, frozen=True):
     episodes: int = Field(default=100, ge=1, description="number of training episodes")
     starts: Literal["per-episode", "per-run"] = Field(
         default="per-episode",
-        description="whether every episode draws its initial state, or all those of a run share one",
+        description="every episode draws its initial state, or all those of a run share one",
     )
     stop: Literal["never", "first-success", "target"] = Field(
-        default="never",
-        description="whether a run ends early: at its first success, or once target_return is exceeded",
+        default="never", description="early end of a run: at its first success, or above target_return"
     )
     tests: int = Field(default=0, ge=0, description="number of tests after each episode; they do not explore")
     tests_learn: bool = Field(default=False, description="whether the learner keeps learning in its tests")
     target_return: float | None = Field(
-        default=None,
-        description="return that all test episodes after a training episode have to exceed; null for none",
+        default=None, description="return that all tests after an episode have to exceed; null for none"
     )
     map_episodes: tuple[Annotated[int, Field(ge=1)], ...] = Field(
         default=(), strict=False, description="training episodes after which maps of Q and U are saved"
@@ -115,9 +112,7 @@ class Trajectories(ExperimentSettings, frozen=True):
         default=KernelTrajectories(), description="family of trajectories"
     )
     levels: int = Field(
-        default=3,
-        ge=1,
-        description="number of values of each parameter of a continuous family, evenly spaced over its range",
+        default=3, ge=1, description="number of evenly spaced values of each parameter of a continuous family"
     )
 
     @property

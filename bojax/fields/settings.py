@@ -46,16 +46,10 @@ class Bumps(FieldSettings, frozen=True):
         default=(1.0,), strict=False, min_length=1, description="heights of the bumps; negative for a pit"
     )
     centres: tuple[Pair, ...] = Field(
-        default=((0.0, 0.0),),
-        strict=False,
-        min_length=1,
-        description="centres of the bumps, a list of [x, y], m",
+        default=((0.0, 0.0),), strict=False, min_length=1, description="centres, a list of [x, y], m"
     )
     widths: tuple[Annotated[float, Field(gt=0)], ...] = Field(
-        default=(1.0,),
-        strict=False,
-        min_length=1,
-        description="standard deviations of the bumps, m; the steepest slope is 0.61 |height| / width",
+        default=(1.0,), strict=False, min_length=1, description="standard deviations, m"
     )
 
     @pydantic.model_validator(mode="after")
@@ -91,10 +85,7 @@ class Blocks(FieldSettings, frozen=True):
         description="footprints, a list of [x_min, y_min, x_max, y_max], m",
     )
     heights: tuple[Annotated[float, Field(gt=0)], ...] = Field(
-        default=(1.0,),
-        strict=False,
-        min_length=1,
-        description="heights of the blocks, m; where blocks overlap, the highest counts",
+        default=(1.0,), strict=False, min_length=1, description="heights, m; overlapping: the highest"
     )
 
     @pydantic.field_validator("boxes")
@@ -120,8 +111,7 @@ class Blocks(FieldSettings, frozen=True):
 class _Measured(FieldSettings, frozen=True):
     file: str = Field(min_length=1, description="a .npy or .csv file, relative to the working directory")
     extent: Box = Field(
-        description="area of the data, [x_min, y_min, x_max, y_max], m; of a grid, the positions of the "
-        "outermost points"
+        description="area of the data or outermost grid points, [x_min, y_min, x_max, y_max], m"
     )
     sha256: str | None = Field(default=None, description="SHA-256 of the file; null to compute it")
 
@@ -169,9 +159,7 @@ class Scattered(_Measured, frozen=True):
     target: ClassVar[str] = "bojax.fields.measured:ScatteredField"
     kind: Literal["scattered"] = "scattered"
     resolution: Annotated[int, CELLS.bound(square)] = Field(
-        default=101,
-        ge=2,
-        description="points on each side of the grid onto which the measurements are interpolated",
+        default=101, ge=2, description="points per side of the grid that the measurements are interpolated on"
     )
 
     @override

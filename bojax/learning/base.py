@@ -1,7 +1,7 @@
 """The interface of a learner, one method for each line of Algorithm 5 of the thesis."""
 
 import abc
-from typing import Any, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 import equinox as eqx
 from jaxtyping import Array, Bool, Float, Int, Key, Scalar
@@ -64,7 +64,12 @@ class Learner(eqx.Module):
 
     Attributes:
         block: Number of steps between two calls of `flush`.
+        lanes_on_cpu: Largest number of lanes per CPU device at which a batch is still fast.
+        prefers_cpu: Whether a few CPU cores are faster than a GPU, as a step computes only a few numbers.
     """
+
+    lanes_on_cpu: ClassVar[int] = 64
+    prefers_cpu: ClassVar[bool] = False
 
     block: eqx.AbstractVar[int]
 
@@ -150,16 +155,6 @@ class Learner(eqx.Module):
         """Scalar results of a run in the columns of `columns`."""
         del state
         return {}
-
-    @property
-    def lanes_on_cpu(self) -> int:
-        """Largest number of lanes per CPU device at which a batch is still fast."""
-        return 64
-
-    @property
-    def prefers_cpu(self) -> bool:
-        """Whether a few CPU cores are faster than a GPU, because a step computes only a few numbers."""
-        return False
 
     @abc.abstractmethod
     def values(

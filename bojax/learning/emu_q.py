@@ -1,6 +1,6 @@
 """EMU-Q: exploration by minimising the uncertainty of Q values (thesis, Section 5.6, Algorithm 6)."""
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 import equinox as eqx
 import jax
@@ -32,6 +32,9 @@ class EMUQ(Learner):
 
     Settings: `bojax.learning.settings.EMUQ` and `EMUQPublished`.
     """
+
+    # The covariances of more lanes do not fit into a core's cache.
+    lanes_on_cpu: ClassVar[int] = 8
 
     features: FeatureSpec
     prior_precision: Float[Array, ""]
@@ -160,12 +163,6 @@ class EMUQ(Learner):
     def exploration_weight(self) -> Float[Array, ""]:
         """`kappa` / V_max."""
         return self.kappa * self.prior_precision
-
-    @property
-    @override
-    def lanes_on_cpu(self) -> int:
-        # The covariances of more lanes do not fit into a core's cache.
-        return 8
 
     @override
     def flush(self, state: EMUQState) -> EMUQState:

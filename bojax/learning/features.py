@@ -130,8 +130,7 @@ class FourierFeatures(StateActionFeatures):
         action = self.actions.to_unit(action).astype(dtype)
         angles = angles + matmul(self.action_frequencies[:number], action)
         cosines, sines = cos_and_sin(angles)
-        waves = jnp.concatenate([cosines, sines]) if has_pairs else cosines
-        return self.amplitude * waves
+        return self.amplitude * (jnp.concatenate([cosines, sines]) if has_pairs else cosines)
 
     @override
     def values(
@@ -341,7 +340,7 @@ class FourierBasisSpec(FeatureSpec):
 class OneHotSpec(FeatureSpec):
     """One-hot features of discrete states and actions: linear function approximation of a table.
 
-    Settings: `bojax.learning.settings.Indicators`.
+    Settings: `bojax.learning.settings.OneHot`.
     """
 
     @override

@@ -1,5 +1,7 @@
 """Q-learning with linear features and an epsilon-greedy policy (thesis, Sections 5.6.4 and 5.7)."""
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -37,6 +39,9 @@ class RFFQ(Learner):
     Settings: `bojax.learning.settings.RFFQ`.
     """
 
+    # Measured with 300 features: a core takes 18,000 steps/s with 8 lanes, and 15,000 with 32.
+    lanes_on_cpu: ClassVar[int] = 8
+
     features: FeatureSpec
     discount: Float[Array, ""]
     learning_rate: Float[Array, ""]
@@ -50,12 +55,6 @@ class RFFQ(Learner):
     @override
     def exploration_weight(self) -> Float[Array, ""]:
         return self.epsilon
-
-    @property
-    @override
-    def lanes_on_cpu(self) -> int:
-        # Measured with 300 features: a core takes 18,000 steps/s with 8 lanes, and 15,000 with 32.
-        return 8
 
     @override
     def check_spaces(self, observation_space: Space, action_space: Space) -> None:

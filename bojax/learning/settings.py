@@ -32,7 +32,7 @@ class RandomFourierFeatures(FeatureSettings, frozen=True):
     )
     sampling: Literal["quasi-random", "monte-carlo"] = Field(
         default="quasi-random",
-        description="how the frequencies are drawn: by a scrambled Halton sequence, or independently",
+        description="draws of the frequencies: a scrambled Halton sequence, or independent",
     )
     form: Literal["cos-sin", "phase"] = Field(
         default="cos-sin",
@@ -48,13 +48,11 @@ class FourierBasisFeatures(FeatureSettings, frozen=True):
     target: ClassVar[str] = "bojax.learning.features:FourierBasisSpec"
     kind: Literal["fourier-basis"] = "fourier-basis"
     order: int = Field(
-        default=3,
-        ge=1,
-        description="largest number of half periods along a dimension; there are (order + 1)^D features",
+        default=3, ge=1, description="most half periods along a dimension; there are (order + 1)^D features"
     )
 
 
-class Indicators(FeatureSettings, frozen=True):
+class OneHot(FeatureSettings, frozen=True):
     """One-hot features: one for each pair of a discrete state and a discrete action."""
 
     target: ClassVar[str] = "bojax.learning.features:OneHotSpec"
@@ -135,9 +133,7 @@ class _EMUQ(LearnerSettings, frozen=True):
     kappa: float = Field(default=1.0, ge=0, description="weight of exploration, in units of 1/V_max = alpha")
     num_actions: _NumCandidates = 15
     num_samples: int = Field(
-        default=10,
-        ge=1,
-        description="number of actions of the mean in the exploration reward, for a continuous action space",
+        default=10, ge=1, description="number of continuous actions of the mean in the exploration reward"
     )
     draw_actions: Literal["once", "always"] = Field(
         default="always",
@@ -152,22 +148,15 @@ class _EMUQ(LearnerSettings, frozen=True):
     has_noise: _HasNoise = False
     refit: _Refit = "direct"
     max_sweeps: int = Field(
-        default=30,
-        ge=1,
-        description="largest number of sweeps, or of policies whose equations are solved directly",
+        default=30, ge=1, description="largest number of sweeps, or of policies solved directly"
     )
     tolerance: float = Field(
-        default=0.1,
-        ge=0,
-        description="change of the weights, as a Euclidean norm, at which sweeps, or policies whose "
-        "equations are solved, stop",
+        default=0.1, ge=0, description="change of the weights (Euclidean norm) that ends sweeps, or policies"
     )
     mixes_transitions: _MixesTransitions = False
     block: int = Field(default=16, ge=1, description="number of steps between two flushes of the covariance")
     refit_block: int = Field(
-        default=512,
-        ge=1,
-        description="number of transitions that a refit visits at a time, 64 at most on a CPU",
+        default=512, ge=1, description="number of transitions that a refit visits at a time, <= 64 on a CPU"
     )
 
 
@@ -229,14 +218,9 @@ class DORA(LearnerSettings, frozen=True):
     temperature: float = Field(default=0.5, ge=0, description="weight of log(-log E) in the policy lll")
     epsilon: float = Field(default=0.3, ge=0, le=1, description="share of random actions if epsilon-greedy")
     xi: float = Field(default=1.0, ge=0, description="weight of the reward bonus log(1 - alpha_E) / log E")
-    learning_rate: float = Field(
-        default=0.1, gt=0, le=1, description="learning rate of Q, divided by the number of tilings"
-    )
+    learning_rate: float = Field(default=0.1, gt=0, le=1, description="learning rate of Q, over num_tilings")
     e_learning_rate: float = Field(
-        default=0.5,
-        gt=0,
-        lt=1,
-        description="learning rate of E, divided by the number of tilings (then alpha_E)",
+        default=0.5, gt=0, lt=1, description="learning rate of E, over num_tilings (then alpha_E)"
     )
     e_discount: float = Field(default=0.99, ge=0, le=1, description="discount of E-values per step (gamma_E)")
     e_values: Literal["sigmoid", "linear"] = Field(
@@ -264,17 +248,13 @@ class VIME(LearnerSettings, frozen=True):
     eta: float = Field(default=1e-4, ge=0, description="weight of the bonus (median about 1) in rewards")
     iteration_steps: int = Field(default=5000, ge=1, description="steps of whole episodes for an iteration")
     longest_episode: int = Field(
-        default=500,
-        ge=1,
-        description="longest episode; of a longer one, only its first steps are learned from",
+        default=500, ge=1, description="longest episode; of a longer one, the first steps are learned from"
     )
     policy_units: Annotated[tuple[Annotated[int, Field(ge=1)], ...], LEVELS.bound(len)] = Field(
         default=(64, 32), strict=False, description="number of tanh units of each hidden layer of the policy"
     )
     initial_deviation: float = Field(
-        default=1.0,
-        gt=0,
-        description="initial standard deviation of continuous actions, in units of half their range; learned",
+        default=1.0, gt=0, description="initial standard deviation of actions, in half ranges; learned"
     )
     max_kl: float = Field(default=0.01, gt=0, description="bound of the KL divergence of successive policies")
     trace_decay: float = Field(default=1.0, ge=0, le=1, description="decay of advantage estimation (lambda)")
@@ -287,9 +267,7 @@ class VIME(LearnerSettings, frozen=True):
         default=0.5, gt=0, description="prior and initial standard deviation of the model's weights"
     )
     likelihood_deviation: float = Field(
-        default=5.0,
-        gt=0,
-        description="standard deviation of the model's likelihood, for standardised outputs",
+        default=5.0, gt=0, description="standard deviation of the model's likelihood (standardised outputs)"
     )
     num_samples: int = Field(default=10, ge=1, description="number of model draws in the likelihood")
     num_batches: float = Field(default=5.0, gt=0, description="divisor of the KL term in the model's loss")
@@ -312,19 +290,13 @@ class _QNetworks(LearnerSettings, frozen=True):
     actions_per_dimension: _ActionsPerDimension = 3
     learning_rate: float = Field(default=1e-3, gt=0, description="learning rate of Adam")
     target_rate: float = Field(
-        default=0.01,
-        gt=0,
-        le=1,
-        description="step size of the slow copy of the networks towards them, per gradient step",
+        default=0.01, gt=0, le=1, description="step of the slow copy of the networks per gradient step"
     )
     width: int = Field(default=64, ge=1, description="number of units of a hidden layer")
     depth: Annotated[int, LEVELS.bound()] = Field(default=2, ge=1, description="number of hidden layers")
     batch_size: int = Field(default=32, ge=1, description="number of transitions of a gradient step")
     train_every: int = Field(
-        default=4,
-        ge=1,
-        description="number of steps between two gradient steps, and between two checks of whether the "
-        "episode has ended",
+        default=4, ge=1, description="number of steps between gradient steps, and between checks of the end"
     )
 
 
@@ -379,9 +351,7 @@ class _Tabular(LearnerSettings, frozen=True):
     learning_rate: float = Field(default=0.1, ge=0, le=1, description="learning rate of the TD update")
     initial_q: float = Field(default=0.0, description="initial Q; optimistic if above all possible returns")
     ties: Literal["random", "first"] = Field(
-        default="random",
-        description="how ties between the best actions are broken: uniformly at random, or by the lowest "
-        "number",
+        default="random", description="ties of the best actions: broken at random, or by the first"
     )
     block: _Block = 16
 
@@ -468,9 +438,7 @@ class Budget(ScheduleSettings, frozen=True):
     kind: Literal["budget"] = "budget"
     episodes: int = Field(default=30, ge=0, description="number of episodes with exploration")
     resume_after: int | None = Field(
-        default=None,
-        ge=1,
-        description="number of episodes without exploration before it resumes for good; null for never",
+        default=None, ge=1, description="number of episodes before it resumes for good; null for never"
     )
     learns_without: bool = Field(default=False, description="whether it keeps learning without exploring")
 

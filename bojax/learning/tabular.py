@@ -1,7 +1,7 @@
 """Tabular Q-learning with three ways to explore, which share one update (thesis, Sections 5.3 to 5.5)."""
 
 import abc
-from typing import Literal
+from typing import ClassVar, Literal
 
 import equinox as eqx
 import jax
@@ -48,6 +48,11 @@ class TabularLearner(Learner):
 
     The value of a terminal state is 0. A time limit is not terminal: the target bootstraps past it.
     """
+
+    # The 200 runs of a point then fill two cores.
+    lanes_on_cpu: ClassVar[int] = 100
+    # A step is a few numbers: on two cores, Table 5.1 takes as long as on one H200.
+    prefers_cpu: ClassVar[bool] = True
 
     discount: Float[Array, ""]
     learning_rate: Float[Array, ""]
@@ -125,18 +130,6 @@ class TabularLearner(Learner):
     ) -> tuple[Float[Array, ""], Float[Array, ""]]:
         entry = _row(state, observation)[action]
         return entry[Q], entry[U] if entry.shape[0] > 2 else jnp.zeros_like(entry[Q])
-
-    @property
-    @override
-    def lanes_on_cpu(self) -> int:
-        # The 200 runs of a point then fill two cores.
-        return 100
-
-    @property
-    @override
-    def prefers_cpu(self) -> bool:
-        # A step is a few numbers: on two cores, Table 5.1 takes as long as on one H200.
-        return True
 
 
 class ExplorationValues(TabularLearner):

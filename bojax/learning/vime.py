@@ -1,6 +1,7 @@
 """VIME: rewards for information gain about the dynamics (Houthooft et al., NeurIPS 2016), learned by TRPO."""
 
 from dataclasses import replace
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -85,6 +86,9 @@ class VIME(Learner):
 
     Settings: `bojax.learning.settings.VIME`.
     """
+
+    # Iteration time and memory grow with the number of lanes.
+    lanes_on_cpu: ClassVar[int] = 16
 
     discount: Float[Array, ""]
     eta: Float[Array, ""]
@@ -190,12 +194,6 @@ class VIME(Learner):
         # any does, all compute one, and `is_due` masks it: a batch is slower where episodes end at different
         # times.
         return jax.lax.cond(any_lane(is_due), iterate, lambda: state)
-
-    @property
-    @override
-    def lanes_on_cpu(self) -> int:
-        # Iteration time and memory grow with the number of lanes.
-        return 16
 
     @override
     def policy_state(self, state: VIMEState) -> VIMEState:

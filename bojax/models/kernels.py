@@ -69,7 +69,7 @@ def as_kernel(given: Any) -> Kernel:
 class _Stationary(Kernel):
     """A function of the distance of two points in lengthscales."""
 
-    lengthscale: eqx.AbstractVar[Float[Array, ""] | Float[Array, "D"]]
+    lengthscale: Float[Array, ""] | Float[Array, "D"] = eqx.field(converter=as_numbers("lengthscale"))
 
     @override
     def stretched(self, unit: Float[Array, ""] | Float[Array, "D"]) -> "Kernel":
@@ -82,8 +82,6 @@ class RBF(_Stationary):
     Settings: `bojax.models.settings.RBF`.
     """
 
-    lengthscale: Float[Array, ""] | Float[Array, "D"] = eqx.field(converter=as_numbers("lengthscale"))
-
     @override
     def __call__(self, x: Float[Array, "D"], y: Float[Array, "D"]) -> Scalar:
         return jnp.exp(-0.5 * _squared_distance(x, y, self.lengthscale))
@@ -94,8 +92,6 @@ class Matern12(_Stationary):
 
     Settings: `bojax.models.settings.Matern12`.
     """
-
-    lengthscale: Float[Array, ""] | Float[Array, "D"] = eqx.field(converter=as_numbers("lengthscale"))
 
     @override
     def __call__(self, x: Float[Array, "D"], y: Float[Array, "D"]) -> Scalar:
@@ -108,8 +104,6 @@ class Matern32(_Stationary):
     Settings: `bojax.models.settings.Matern32`.
     """
 
-    lengthscale: Float[Array, ""] | Float[Array, "D"] = eqx.field(converter=as_numbers("lengthscale"))
-
     @override
     def __call__(self, x: Float[Array, "D"], y: Float[Array, "D"]) -> Scalar:
         s = 3.0**0.5 * _distance(x, y, self.lengthscale)
@@ -121,8 +115,6 @@ class Matern52(_Stationary):
 
     Settings: `bojax.models.settings.Matern52`.
     """
-
-    lengthscale: Float[Array, ""] | Float[Array, "D"] = eqx.field(converter=as_numbers("lengthscale"))
 
     @override
     def __call__(self, x: Float[Array, "D"], y: Float[Array, "D"]) -> Scalar:

@@ -1,4 +1,4 @@
-"""Parts of `bojax.models.lookahead` as kernels for NVIDIA GPUs."""
+"""Steps of `bojax.models.lookahead` as kernels for NVIDIA GPUs."""
 
 import functools
 import importlib
@@ -168,7 +168,7 @@ def _power_of_two(number: int) -> int:
 
 
 def _tile(ref: Any, *axes: tuple[Any, int]) -> tuple[Any, jax.Array]:
-    """A part of an array, by the start and the size along each axis, and which of its elements exist."""
+    """A block of an array, by the start and the size along each axis, and which of its elements exist."""
     pallas, _ = _pallas()
     inside = []
     for axis, (start, size) in enumerate(axes):
@@ -179,7 +179,7 @@ def _tile(ref: Any, *axes: tuple[Any, int]) -> tuple[Any, jax.Array]:
 
 
 def _load(ref: Any, *axes: tuple[Any, int]) -> jax.Array:
-    """A part of an array, 0 past its end."""
+    """A block of an array, 0 past its end."""
     _, triton = _pallas()
     tile, inside = _tile(ref, *axes)
     return triton.load(tile, mask=inside, other=0.0)

@@ -75,10 +75,7 @@ class Scaled(KernelSettings, frozen=True):
     kind: Literal["scaled"] = "scaled"
     kernel: Annotated[Component, Slot("kernel")] = Field(default=RBF(), description="kernel to scale")
     variance: float = Field(
-        default=1.0,
-        ge=LEAST,
-        le=GREATEST,
-        description="factor: the prior variance, in squared units of the value",
+        default=1.0, ge=LEAST, le=GREATEST, description="the prior variance, in squared units of the value"
     )
 
 

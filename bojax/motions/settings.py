@@ -49,9 +49,7 @@ class KernelTrajectories(ContinuousMotions, frozen=True):
     target: ClassVar[str] = "bojax.motions.kernel_trajectories:KernelTrajectories"
     kind: Literal["kernel"] = "kernel"
     num_segments: int = Field(
-        default=3,
-        ge=1,
-        description="number of segments between anchor points; each has one parameter, its turning angle",
+        default=3, ge=1, description="number of segments, each with one parameter, its turning angle"
     )
     length: float = Field(default=1.0, gt=0, description="arc length, m")
     first_angle: float = Field(default=1.2, ge=0, description="largest first angle from the heading, rad")

@@ -42,8 +42,7 @@ class _TreeSearch(PlannerSettings, frozen=True):
     exploration: float = Field(
         default=300.0,
         ge=0,
-        description="weight of the exploration bonus in the choice of branches (kappa_MC of 4.1), in units "
-        "of the return",
+        description="weight of the exploration bonus (kappa_MC of 4.1), in units of the return",
     )
     discount: float = Field(default=1.0, gt=0, le=1, description="discount per step")
     objective: _Objective = None
@@ -54,18 +53,15 @@ class _ContinuousBeliefTreeSearch(_TreeSearch, frozen=True):
 
     max_actions: int = Field(default=20, ge=1, description="largest number of actions of a node (A_max)")
     kernel: Annotated[Component, Slot("kernel")] = Field(
-        default=RBF(),
-        description="kernel of a node's Gaussian process from action parameters, in [-1, 1]^D, to rewards",
+        default=RBF(), description="kernel of a node's Gaussian process, from [-1, 1]^D to rewards"
     )
     acquisition: Annotated[Component, Slot("acquisition")] = Field(
-        default=UpperConfidenceBound(kappa=100.0),
-        description="acquisition function that new actions maximise",
+        default=UpperConfidenceBound(kappa=100.0), description="acquisition that new actions maximise"
     )
     convergence: float = Field(
         default=0.0,
         ge=0,
-        description="distance of two successive actions of a node below which the node gets no new actions;"
-        " 0 for never",
+        description="distance of successive actions that ends new actions at a node; 0: never",
     )
     scaling: Literal["standardise", "rank", "none"] = Field(
         default="standardise",
@@ -74,15 +70,10 @@ class _ContinuousBeliefTreeSearch(_TreeSearch, frozen=True):
     )
     num_initial: int = Field(default=2, ge=1, description="number of first actions of a node that are random")
     noise_variance: float = Field(
-        default=0.01,
-        gt=0,
-        description="noise variance of a node's Gaussian process, relative to its scaled rewards",
+        default=0.01, gt=0, description="noise variance of a node's Gaussian process, of scaled rewards"
     )
     num_candidates: int = Field(
-        default=128,
-        ge=1,
-        description="number of quasi-random candidates among which the acquisition is maximised, drawn anew"
-        " for each plan",
+        default=128, ge=1, description="number of quasi-random candidates of new actions, drawn for each plan"
     )
     refine_steps: int = Field(default=0, ge=0, description="number of gradient steps from the best candidate")
 
@@ -148,30 +139,22 @@ class GpsAbt(_TreeSearch, frozen=True):
     exploration: float = Field(
         default=100.0,
         ge=0,
-        description="weight of the exploration bonus (square root of the toolkit's C), in units of the "
-        "return",
+        description="weight of the exploration bonus (root of the toolkit's C), as the return",
     )
     growth: float = Field(
-        default=5.0,
-        gt=1,
-        description="growth factor k: a node of N visits has at most ln N / ln k levels of stencils",
+        default=5.0, gt=1, description="growth k: a node of N visits has up to ln N / ln k levels of stencils"
     )
     min_visits: float = Field(
-        default=2.0,
-        ge=0,
-        description="number of visits of every best point on the way before a stencil is refined",
+        default=2.0, ge=0, description="visits of every best point on the way before a stencil is refined"
     )
     min_radius: float = Field(default=0.1, gt=0, description="largest radius of stencils not refined")
     initial_radius: float = Field(default=1.0, gt=0, description="initial radius; the box is [-1, 1]")
     max_levels: int = Field(default=6, ge=1, description="largest number of stencils on a descent")
     num_rollout_paths: int = Field(
-        default=128,
-        ge=1,
-        description="number of random paths that rollouts draw from, drawn anew for each plan",
+        default=128, ge=1, description="number of random paths that rollouts draw from, new for each plan"
     )
     heuristic: Literal["rollout", "zero"] = Field(
-        default="rollout",
-        description="value after a new action: the return of a random rollout to the horizon, or zero",
+        default="rollout", description="value after a new action: of a random rollout to the horizon, or zero"
     )
     motions: _Continuous = KernelTrajectories()
 

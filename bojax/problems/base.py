@@ -79,10 +79,14 @@ class Problem(eqx.Module):
     Attributes:
         max_steps: Actions per episode.
         scores: Columns of `runs.parquet` that `score` computes.
+        lanes_on_cpu: Default number of lanes on a core of a CPU, see `Experiment`.
     """
 
     max_steps: eqx.AbstractVar[int]
     scores: ClassVar[Table] = ()
+    # Measured on one core on the parking problem, in milliseconds per plan: kCBTS 6.8 with 4 lanes, 4.3
+    # with 8, 4.0 with 16, 4.8 with 32, 4.9 with 50; SBO 1.1, 1.3, 0.9, 1.5, 1.1.
+    lanes_on_cpu: ClassVar[int] = 16
 
     @abc.abstractmethod
     def reset(self, key: Key[Array, ""]) -> World:
@@ -121,13 +125,6 @@ class Problem(eqx.Module):
     def outline(self) -> Outline | None:
         """The world as figures and films draw it; None if its settings class has it, or nothing is drawn."""
         return None
-
-    @property
-    def lanes_on_cpu(self) -> int:
-        """Default number of lanes on a core of a CPU, see `Experiment`."""
-        # Measured on one core on the parking problem, in milliseconds per plan: kCBTS 6.8 with 4 lanes, 4.3
-        # with 8, 4.0 with 16, 4.8 with 32, 4.9 with 50; SBO 1.1, 1.3, 0.9, 1.5, 1.1.
-        return 16
 
     @property
     def turning_radius(self) -> float:

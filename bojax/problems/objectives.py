@@ -1,12 +1,15 @@
 """Objectives of field monitoring: the reward of a sample, h in (3.1) and (4.10)."""
 
 import abc
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 from typing_extensions import override
+
+Values: TypeAlias = Float[Array, "S"]
+Gradients: TypeAlias = Float[Array, "S 2"]
 
 
 class FieldObjective(eqx.Module):
@@ -19,9 +22,7 @@ class FieldObjective(eqx.Module):
     needs_gradient: ClassVar[bool] = False
 
     @abc.abstractmethod
-    def __call__(
-        self, mean: Float[Array, "S"], variance: Float[Array, "S"], gradient: Float[Array, "S 2"] | None
-    ) -> Float[Array, "S"]:
+    def __call__(self, mean: Values, variance: Values, gradient: Gradients | None) -> Values:
         """Reward of each sample."""
 
 
@@ -29,7 +30,7 @@ Uncertainty = Literal["std", "variance"]
 """Measure of uncertainty: Chapter 3 defines sigma as the variance, (2.37) as the standard deviation."""
 
 
-def _spread(variance: Float[Array, "S"], uncertainty: Uncertainty) -> Float[Array, "S"]:
+def _spread(variance: Values, uncertainty: Uncertainty) -> Values:
     return jnp.sqrt(variance) if uncertainty == "std" else variance
 
 
@@ -47,9 +48,7 @@ class GradientObjective(FieldObjective):
     uncertainty: Uncertainty = eqx.field(static=True, default="std")
 
     @override
-    def __call__(
-        self, mean: Float[Array, "S"], variance: Float[Array, "S"], gradient: Float[Array, "S 2"] | None
-    ) -> Float[Array, "S"]:
+    def __call__(self, mean: Values, variance: Values, gradient: Gradients | None) -> Values:
         del mean
         assert gradient is not None
         norm = jnp.sqrt(jnp.sum(gradient * gradient, axis=-1))
@@ -68,9 +67,7 @@ class ValueObjective(FieldObjective):
     uncertainty: Uncertainty = eqx.field(static=True, default="std")
 
     @override
-    def __call__(
-        self, mean: Float[Array, "S"], variance: Float[Array, "S"], gradient: Float[Array, "S 2"] | None
-    ) -> Float[Array, "S"]:
+    def __call__(self, mean: Values, variance: Values, gradient: Gradients | None) -> Values:
         del gradient
         return mean + self.kappa * _spread(variance, self.uncertainty)
 
@@ -84,8 +81,6 @@ class UncertaintyObjective(FieldObjective):
     uncertainty: Uncertainty = eqx.field(static=True, default="std")
 
     @override
-    def __call__(
-        self, mean: Float[Array, "S"], variance: Float[Array, "S"], gradient: Float[Array, "S 2"] | None
-    ) -> Float[Array, "S"]:
+    def __call__(self, mean: Values, variance: Values, gradient: Gradients | None) -> Values:
         del mean, gradient
         return _spread(variance, self.uncertainty)

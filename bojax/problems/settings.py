@@ -153,10 +153,7 @@ class _Parking(ProblemSettings, frozen=True):
     max_steps: _MaxSteps = 15
     distance_tolerance: float = Field(default=0.1, gt=0, description="largest distance of a parked robot, m")
     heading_tolerance: float = Field(
-        default=pi / 10,
-        gt=0,
-        description="largest |sin| of the heading of a parked robot; the opposite heading is accepted too, "
-        "as printed in (4.13)",
+        default=pi / 10, gt=0, description="largest |sin alpha| when parked; either direction, as in (4.13)"
     )
     bearing_tolerance: float = Field(default=pi / 10, gt=0, description="largest |sin beta| when parked")
     success_reward: float = Field(default=1000.0, description="reward for parking")
@@ -214,12 +211,7 @@ class FieldProblem(ProblemSettings, frozen=True):
 
     field: _TrueField = Bumps(centres=((3.0, 3.0),))
     domain: _Domain = (0.0, 0.0, 6.0, 6.0)
-    margin: float = Field(
-        default=0.0,
-        ge=0,
-        description="distance beyond the domain up to which the robot may drive, m; starts and errors are "
-        "those of the domain",
-    )
+    margin: float = Field(default=0.0, ge=0, description="how far the robot may drive beyond the domain, m")
     walls: _Walls = None
     start: _Start = None
     target_area: _TargetArea = None
@@ -239,13 +231,10 @@ class FieldProblem(ProblemSettings, frozen=True):
     resolution: _Resolution = 31
     relearn_every: int = Field(default=0, ge=0, description="steps between hyper-parameter updates; 0: none")
     relearn_spread: float = Field(
-        default=0.5,
-        gt=0,
-        description="prior standard deviation of the logarithm of each hyper-parameter, around its setting",
+        default=0.5, gt=0, description="prior standard deviation of each hyper-parameter's logarithm"
     )
     imagined: Literal["sample", "mean"] = Field(
-        default="sample",
-        description="whether simulated observations are drawn from the belief or are its mean",
+        default="sample", description="simulated observations are drawn from the belief or are its mean"
     )
     after_collision: Literal["stop", "turn"] = Field(
         default="turn",

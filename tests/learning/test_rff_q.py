@@ -10,7 +10,7 @@ from scipy import stats
 from bojax.engine.build import build
 from bojax.envs.spaces import Box, Discrete
 from bojax.learning.base import ExplorationState
-from bojax.learning.settings import RFFQ, Indicators, RandomFourierFeatures
+from bojax.learning.settings import RFFQ, OneHot, RandomFourierFeatures
 
 DRAWS = 4000
 ON = ExplorationState(jnp.ones(()), jnp.ones((), bool))
@@ -26,7 +26,7 @@ def acted(learner, state, observation):
 
 @pytest.mark.parametrize("epsilon", [0.0, 0.4, 1.0])
 def test_of_a_finite_set_the_best_actions_and_all_others_are_equally_likely(epsilon):
-    learner = build(RFFQ(features=Indicators(), epsilon=epsilon), "float64")
+    learner = build(RFFQ(features=OneHot(), epsilon=epsilon), "float64")
     state = eqx.filter_jit(learner.init)(jax.random.key(0), Discrete(2), Discrete(5), 0)
     q = np.asarray([0.0, 1.0, -1.0, 1.0, 0.5])
     state = eqx.tree_at(lambda s: s.weights, state, jnp.concatenate([-q, q]))

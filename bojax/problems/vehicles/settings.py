@@ -34,9 +34,7 @@ class WheeledRobot(VehicleSettings, frozen=True):
     physics: PhysicsEngine = MJX()
     substeps: int = Field(default=5, ge=1, description="steps of 10 ms between two measurements of the pose")
     readings: int = Field(
-        default=50,
-        ge=2,
-        description="number of pose readings per path; a robot that has not reached the end by then stops",
+        default=50, ge=2, description="number of pose readings per path; then the robot stops"
     )
 
 
