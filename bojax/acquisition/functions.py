@@ -33,7 +33,6 @@ class UpperConfidenceBound(Acquisition):
 
     @override
     def __call__(self, mean: Values, std: Values, best: Float[Array, ""]) -> Values:
-        del best
         return mean + self.kappa * std
 
 

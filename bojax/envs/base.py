@@ -65,7 +65,6 @@ class Env(eqx.Module):
         Properties that have been drawn stay as they are. A learning run calls only `reset` on the returned
         environment, so the state must contain these properties.
         """
-        del key
         return self
 
     @abc.abstractmethod
@@ -78,7 +77,6 @@ class Env(eqx.Module):
 
     def frame(self, state: EnvState) -> Float[Array, "Q"] | None:
         """Numbers of a state that an animation needs besides observations; recorded with the steps."""
-        del state
         return None
 
     @abc.abstractmethod

@@ -68,7 +68,6 @@ class CartpoleSwingUp(ControlTask):
         self, key: Key[Array, ""], state: Float[Array, "4"], action: Float[Array, "1"]
     ) -> Float[Array, "4"]:
         """One explicit Euler step."""
-        del key
         (force,) = action
         force = jnp.where(self.actions.is_("sign"), self.max_force * sign(force), force)
         _, velocity, angle, speed = state

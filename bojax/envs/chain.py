@@ -46,13 +46,11 @@ class Chain(TabularEnv):
 
     @override
     def reset(self, key: Key[Array, ""]) -> Int[Array, ""]:
-        del key
         return self.start.astype(jnp.int32)
 
     @override
     def probabilities(self, state: Int[Array, ""], action: Int[Array, ""]) -> Float[Array, "4"]:
         """The intended direction without and with the additional -1, then the opposite direction likewise."""
-        del state
         slip = jnp.where(action == RIGHT, 1.0 / self.length, 0.0)
         free, paid = self.sparsity, 1.0 - self.sparsity
         return jnp.stack([(1.0 - slip) * free, (1.0 - slip) * paid, slip * free, slip * paid])

@@ -43,13 +43,11 @@ class CliffWalking(TabularEnv):
 
     @override
     def reset(self, key: Key[Array, ""]) -> Int[Array, ""]:
-        del key
         return jnp.full((), START, jnp.int32)
 
     @override
     def probabilities(self, state: Int[Array, ""], action: Int[Array, ""]) -> Float[Array, "5"]:
         """The intended direction, then each of the four directions that a slip may draw."""
-        del state, action
         return jnp.append(1.0 - self.slip, jnp.broadcast_to(self.slip / 4.0, (4,)))
 
     @override

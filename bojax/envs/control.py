@@ -51,12 +51,10 @@ class ControlTask(Env):
 
     def is_failure(self, state: EnvState) -> Bool[Array, ""]:
         """Whether a state is a failure; most domains have no failures."""
-        del state
         return jnp.zeros((), bool)
 
     def has_diverged(self, state: EnvState) -> Bool[Array, ""]:
         """Whether the simulation has diverged to a state that is not physical; by default it never does."""
-        del state
         return jnp.zeros((), bool)
 
     @abc.abstractmethod

@@ -71,7 +71,6 @@ class DoublePendulum(ControlTask):
         self, key: Key[Array, ""], state: Float[Array, "4"], action: Float[Array, "1"]
     ) -> Float[Array, "4"]:
         """One Runge-Kutta step, after which angles are wrapped and velocities are clipped to their bounds."""
-        del key
         (torque,) = action
         torque = jnp.where(self.actions.is_("sign"), self.max_torque * sign(torque), torque)
         h = self.time_step

@@ -63,7 +63,6 @@ class MountainCar(ControlTask):
         self, key: Key[Array, ""], state: Float[Array, "2"], action: Float[Array, "1"]
     ) -> Float[Array, "2"]:
         """Update the velocity, then the position; the left wall stops the car."""
-        del key
         low, high = self.observation_space.low, self.observation_space.high
         (force,) = action
         if self.actions == "thresholded":

@@ -65,7 +65,6 @@ class SinglePendulum(ControlTask):
         self, key: Key[Array, ""], state: Float[Array, "2"], action: Float[Array, "1"]
     ) -> Float[Array, "2"]:
         """One semi-implicit Euler step, as in Gym."""
-        del key
         angle, speed = state
         (torque,) = action
         weight = 1.5 * self.gravity / self.length * jnp.sin(angle)

@@ -59,12 +59,10 @@ class Taxi(TabularEnv):
 
     @override
     def probabilities(self, state: Int[Array, ""], action: Int[Array, ""]) -> Float[Array, "1"]:
-        del state, action
         return jnp.ones((1,), self.reward_scale.dtype)
 
     @override
     def outcome(self, state: Int[Array, ""], action: Int[Array, ""], branch: Int[Array, ""]) -> TimeStep:
-        del branch
         cell, passenger, destination = state // 20, state // 4 % 5, state % 4
         row, column = cell // SIZE, cell % SIZE
         is_pick_up, is_drop_off = action == PICK_UP, action == DROP_OFF

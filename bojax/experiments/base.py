@@ -93,10 +93,8 @@ class Experiment(eqx.Module):
 
     def snapshot(self, carry: Carry) -> dict[str, dict[str, Array]]:
         """Arrays to keep for recorded runs: `{name: {array name: array}}`."""
-        del carry
         return {}
 
     def exported_state(self, carry: Carry) -> PyTree:
         """The state that a saved learner is restored from, a tree of arrays; None by default."""
-        del carry
         return None

@@ -73,7 +73,6 @@ class TrajectoryGallery(Experiment):
 
     @override
     def snapshot(self, carry: Gallery) -> dict[str, dict[str, Array]]:
-        del carry
         return {"trajectories": {"paths": self.paths()}}
 
     def paths(self) -> Float[Array, "K S 3"]:

@@ -29,7 +29,6 @@ class GridField(Field):
         Raises:
             ValueError: The file is not a grid of at least 2 x 2 finite numbers.
         """
-        del sha256
         self.table = jnp.asarray(read_array(file), extent.dtype)
         self.extent = extent
 
@@ -60,7 +59,6 @@ class ScatteredField(Field):
         Raises:
             ValueError: The file is not a table of three columns of finite numbers.
         """
-        del sha256
         rows = read_array(file)
         low_x, low_y, high_x, high_y = np.asarray(extent)
         x, y = np.meshgrid(np.linspace(low_x, high_x, resolution), np.linspace(low_y, high_y, resolution))

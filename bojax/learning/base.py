@@ -84,7 +84,6 @@ class Learner(eqx.Module):
         Raises:
             ValueError: The observations or actions are of a kind that the learner does not take.
         """
-        del observation_space, action_space
 
     @abc.abstractmethod
     def init(
@@ -136,7 +135,6 @@ class Learner(eqx.Module):
         self, key: Key[Array, ""], state: LearnerState, episode: Episode, exploration: ExplorationState
     ) -> LearnerState:
         """Learn from a whole episode, after its last transition has been observed."""
-        del key, episode, exploration
         return state
 
     def policy_state(self, state: LearnerState) -> LearnerState:
@@ -153,7 +151,6 @@ class Learner(eqx.Module):
 
     def summary(self, state: LearnerState) -> dict[str, Scalar]:
         """Scalar results of a run in the columns of `columns`."""
-        del state
         return {}
 
     @abc.abstractmethod

@@ -68,7 +68,6 @@ class BootstrappedQ(QNetworkLearner):
 
     @override
     def extra_after(self, state: QNetworkState, next_x: Float[Array, "I"]) -> Bootstrap:
-        del next_x
         return state.extra
 
     @override
@@ -79,7 +78,6 @@ class BootstrappedQ(QNetworkLearner):
         observation: Observation,
         exploration: ExplorationState,
     ) -> tuple[Action, Float[Array, ""]]:
-        del key
         q = self.q(state.trained, state.fixed, self.inputs(state, observation))
         mean = jnp.mean(q, axis=0)
         scores = mean + exploration.scale * (q[state.extra.head] - mean)
@@ -91,7 +89,6 @@ class BootstrappedQ(QNetworkLearner):
         self, key: Key[Array, ""], state: QNetworkState, episode: Episode, exploration: ExplorationState
     ) -> QNetworkState:
         """Draw the head that acts in the next episode."""
-        del episode
         head = jnp.where(exploration.is_learning, self._any_head(key), state.extra.head)
         return eqx.tree_at(lambda s: s.extra.head, state, head)
 

@@ -78,7 +78,6 @@ class DORA(Learner):
 
     @override
     def check_spaces(self, observation_space: Space, action_space: Space) -> None:
-        del action_space
         if not isinstance(observation_space, Box):
             return
         if not bool(jnp.all(jnp.isfinite(observation_space.high - observation_space.low))):
@@ -88,7 +87,6 @@ class DORA(Learner):
     def init(
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, capacity: int
     ) -> DORAState:
-        del capacity
         dtype = self.discount.dtype
         scale = jnp.ones((1,), dtype)
         if isinstance(observation_space, Box):
@@ -128,7 +126,6 @@ class DORA(Learner):
         exploration: ExplorationState,
         step_in_block: Int[Array, ""],
     ) -> DORAState:
-        del step_in_block
         learns, continues = exploration.is_learning, ~transition.terminated
         action = nearest_action(state.actions, transition.action)
         table, index = state.table.look_up(self._tiles(state, transition.observation), learns)
@@ -166,7 +163,6 @@ class DORA(Learner):
         self, key: Key[Array, ""], state: DORAState, episode: Episode, exploration: ExplorationState
     ) -> DORAState:
         """Discard the action chosen for the step after a time limit."""
-        del key, episode
         next_action = jnp.where(exploration.is_learning, _NONE, state.next_action)
         return eqx.tree_at(lambda s: s.next_action, state, next_action)
 

@@ -30,7 +30,6 @@ class FirstVisit(ExplorationReward):
 
     @override
     def __call__(self, count: Float[Array, ""], next_counts: Float[Array, "A"]) -> Float[Array, ""]:
-        del next_counts
         return -(count > 0).astype(count.dtype)
 
 
@@ -45,5 +44,4 @@ class NextUncertainty(ExplorationReward):
 
     @override
     def __call__(self, count: Float[Array, ""], next_counts: Float[Array, "A"]) -> Float[Array, ""]:
-        del count
         return jnp.mean(jax.lax.rsqrt(1.0 + next_counts)) - 1.0

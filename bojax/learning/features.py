@@ -229,7 +229,6 @@ class FeatureSpec(eqx.Module):
         Raises:
             ValueError: The spaces do not fit.
         """
-        del observation_space, action_space
 
     def count(self, observation_space: Space, action_space: Space) -> int:
         """The number of features that `draw` draws for these spaces."""
@@ -322,7 +321,6 @@ class FourierBasisSpec(FeatureSpec):
     def draw(
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, dtype: jnp.dtype
     ) -> FourierFeatures:
-        del key
         num_observations = observation_space.num_dims
         basis = FourierBasis(self.order, num_observations + action_space.num_dims)
         frequencies = jnp.asarray(basis.frequencies(), dtype)
@@ -352,7 +350,6 @@ class OneHotSpec(FeatureSpec):
     def draw(
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, dtype: jnp.dtype
     ) -> OneHotFeatures:
-        del key
         return OneHotFeatures(_discrete(observation_space), _discrete(action_space), jnp.ones((), dtype))
 
 

@@ -148,7 +148,6 @@ class QNetworkLearner(Learner):
         step_in_block: Int[Array, ""],
     ) -> QNetworkState:
         """Store the transition, and draw the sample of the next gradient step."""
-        del step_in_block
         learns = exploration.is_learning
         action = nearest_action(state.actions, transition.action)
         stored = eqx.tree_at(lambda t: t.action, transition, action)

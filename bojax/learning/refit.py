@@ -89,7 +89,6 @@ class _Transitions(eqx.Module):
         number = min(most, len(state.memory.rewards))
 
         def visit(arrays, rows, index, is_valid):
-            del is_valid
             return tuple(
                 jax.lax.dynamic_update_slice_in_dim(array, new, index[0], 0)
                 for array, new in zip(arrays, _features(state, rows), strict=True)

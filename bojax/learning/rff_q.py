@@ -64,7 +64,6 @@ class RFFQ(Learner):
     def init(
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, capacity: int
     ) -> RFFQState:
-        del capacity
         key_features, key_weights, key_actions = jax.random.split(key, 3)
         dtype = self.discount.dtype
         features = self.features.draw(key_features, observation_space, action_space, dtype)
@@ -98,7 +97,6 @@ class RFFQ(Learner):
         exploration: ExplorationState,
         step_in_block: Int[Array, ""],
     ) -> RFFQState:
-        del step_in_block
         candidates = uniform_actions(key, state.candidates, state.features.actions)
         best = jnp.max(self._values(state, transition.next_observation, candidates))
         target = transition.reward + self.discount * jnp.where(transition.terminated, 0.0, best)

@@ -91,7 +91,6 @@ class RND(QNetworkLearner):
 
     @override
     def initial_extra(self, key: Key[Array, ""]) -> Normaliser:
-        del key
         zero = jnp.zeros_like(self.discount)
         return Normaliser(zero, zero, zero, zero)
 

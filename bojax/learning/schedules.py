@@ -31,7 +31,6 @@ class Constant(Schedule):
 
     @override
     def __call__(self, episode: Int[Array, ""], has_reached: Bool[Array, ""]) -> ExplorationState:
-        del has_reached
         return ExplorationState(jnp.ones((), jnp.result_type(float)), episode >= 0)
 
 
@@ -45,7 +44,6 @@ class Decay(Schedule):
 
     @override
     def __call__(self, episode: Int[Array, ""], has_reached: Bool[Array, ""]) -> ExplorationState:
-        del has_reached
         return ExplorationState(1.0 / (1.0 + self.rate * episode.astype(self.rate.dtype)), episode >= 0)
 
 
@@ -62,7 +60,6 @@ class Linear(Schedule):
 
     @override
     def __call__(self, episode: Int[Array, ""], has_reached: Bool[Array, ""]) -> ExplorationState:
-        del has_reached
         share = jnp.minimum(episode.astype(self.episodes.dtype) / self.episodes, 1.0)
         return ExplorationState(1.0 + share * (self.final - 1.0), episode >= 0)
 
@@ -79,7 +76,6 @@ class Budget(Schedule):
 
     @override
     def __call__(self, episode: Int[Array, ""], has_reached: Bool[Array, ""]) -> ExplorationState:
-        del has_reached
         episode = episode.astype(self.episodes.dtype)
         explores = episode < self.episodes
         if self.resume_after is not None:
@@ -97,7 +93,6 @@ class UntilTarget(Schedule):
 
     @override
     def __call__(self, episode: Int[Array, ""], has_reached: Bool[Array, ""]) -> ExplorationState:
-        del episode
         return ExplorationState(
             (~has_reached).astype(jnp.result_type(float)), ~has_reached | self.learns_after
         )
@@ -111,5 +106,4 @@ class Exploit(Schedule):
 
     @override
     def __call__(self, episode: Int[Array, ""], has_reached: Bool[Array, ""]) -> ExplorationState:
-        del has_reached
         return ExplorationState(jnp.zeros((), jnp.result_type(float)), episode < 0)

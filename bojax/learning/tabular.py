@@ -98,7 +98,6 @@ class TabularLearner(Learner):
         Raises:
             ValueError: A space is not discrete.
         """
-        del key, capacity
         num_states = _num(observation_space, "observation_space")
         num_actions = _num(action_space, "action_space")
         entry = jnp.append(self.initial_values, 0.0)
@@ -114,7 +113,6 @@ class TabularLearner(Learner):
         step_in_block: Int[Array, ""],
     ) -> Tables:
         """The TD update that all tabular learners share."""
-        del step_in_block
         pair = transition.observation, transition.action
         entry = _row(state, transition.observation)[transition.action]
         next_row = _row(state, transition.next_observation)
@@ -222,7 +220,6 @@ class AdditiveRewards(TabularLearner):
     def act(
         self, key: Key[Array, ""], state: Tables, observation: Int[Array, ""], exploration: ExplorationState
     ) -> tuple[Int[Array, ""], Float[Array, ""]]:
-        del exploration
         q = _row(state, observation)[:, Q]
         action = best_action(key, q, self.ties)
         return action, q[action]
@@ -236,7 +233,6 @@ class AdditiveRewards(TabularLearner):
         visits: Float[Array, ""],
         next_row: Float[Array, "A 2"],
     ) -> Float[Array, "1"]:
-        del key
         bonus = self.exploration_reward(visits, next_row[:, -1])
         reward = transition.reward + self.xi * exploration.scale * bonus
         return reward[None] + self.discount * _greedy_value(transition, next_row)
@@ -286,7 +282,6 @@ class EpsilonGreedy(TabularLearner):
         visits: Float[Array, ""],
         next_row: Float[Array, "A 2"],
     ) -> Float[Array, "1"]:
-        del key, exploration, visits
         return transition.reward[None] + self.discount * _greedy_value(transition, next_row)
 
 

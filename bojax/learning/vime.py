@@ -176,7 +176,6 @@ class VIME(Learner):
         step_in_block: Int[Array, ""],
     ) -> VIMEState:
         """No change: VIME learns from whole episodes."""
-        del key, transition, exploration, step_in_block
         return state
 
     @override
@@ -213,7 +212,6 @@ class VIME(Learner):
         self, state: VIMEState, observation: Observation, action: Action
     ) -> tuple[Float[Array, ""], Float[Array, ""]]:
         """The return that the baseline predicts for the state at the start of an episode, and 0."""
-        del action
         inputs = self._vectors(state.observations, observation[None])
         value = state.baseline.predict(inputs, jnp.zeros((1,), jnp.int32))[0]
         return value, jnp.zeros_like(value)

@@ -52,7 +52,6 @@ class _Regressor(abc.ABC):
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
         """The arguments of the constructor, as they were given."""
-        del deep
         return {name: getattr(self, name) for name in inspect.signature(type(self)).parameters}
 
     def set_params(self: Regressor, **params: Any) -> Regressor:

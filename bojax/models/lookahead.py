@@ -160,5 +160,4 @@ def conditioned(
 
 def _product(a: Array, b: Array, count: Array) -> Array:
     """A product with L^-1 of `count` observations."""
-    del count
     return matmul(a, b)

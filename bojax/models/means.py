@@ -40,7 +40,6 @@ class ConstantMean(Mean):
 
     @override
     def __call__(self, x: Float[Array, "D"]) -> Scalar:
-        del x
         return self.value
 
 

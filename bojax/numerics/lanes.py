@@ -103,7 +103,6 @@ def lane_by_lane_on_cpu(function: Callable[..., T], *arguments: Any) -> T:
 
     @in_turn.def_vmap
     def _(num_lanes: int, is_batched: Sequence[bool], *leaves: ArrayLike):
-        del num_lanes
         axes = [0 if batched else None for batched in is_batched]
         # A batch of one lane, whose axis has a name.
         one = jax.vmap(compute, axes, axis_name=LANES)

@@ -188,7 +188,6 @@ class ContinuousBeliefTreeSearch(
     def propose(
         self, tree: Tree, memory: NodeModels, node: Int[Array, ""], view: Int[Array, ""], draws: CBTSDraws
     ) -> Proposal[NodeModelUpdate]:
-        del view
         # Line 3 of Algorithm 3: the candidate of highest acquisition (4.2). The candidates are the same at
         # all nodes, so that their whitened covariances grow by a row an action: A C products, where whitening
         # them again would take A^2 C.
@@ -227,7 +226,6 @@ class ContinuousBeliefTreeSearch(
         proposal: Proposal[NodeModelUpdate],
         is_new: Bool[Array, ""],
     ) -> NodeModels:
-        del is_new
         update, action = proposal.update, proposal.update.action
         row = jnp.concatenate([action.params, action.row])
         return replace(
@@ -261,7 +259,6 @@ class ContinuousBeliefTreeSearch(
 
     @override
     def recommend(self, tree: Tree, memory: NodeModels) -> Int[Array, ""]:
-        del memory
         return best_by_mean(tree)
 
     @override

@@ -82,7 +82,6 @@ class DiscreteTreeSearch(TreeSearch[DiscreteMemory, DiscreteDraws, Int[Array, ""
     @override
     def view(self, tree: Tree, memory: DiscreteMemory, node: Int[Array, ""]) -> Int[Array, ""]:
         """The child to descend to."""
-        del memory
         is_open = tree.num_children(node) < self.motions.count
         return jnp.where(is_open, UNVISITED, best_by_uct(tree, node, self.exploration))
 
@@ -99,7 +98,6 @@ class DiscreteTreeSearch(TreeSearch[DiscreteMemory, DiscreteDraws, Int[Array, ""
         view: Int[Array, ""],
         draws: DiscreteDraws,
     ) -> Proposal[None]:
-        del view
         # Lines 16-17 of Algorithm 2: any untried action, chosen by random priorities in [0, 1). Places past
         # the size of the set only make sets of all sizes one program.
         is_untried = tree.children[node] == UNVISITED
@@ -111,12 +109,10 @@ class DiscreteTreeSearch(TreeSearch[DiscreteMemory, DiscreteDraws, Int[Array, ""
     def learn(
         self, memory: DiscreteMemory, child: Int[Array, ""], proposal: Proposal[None], is_new: Bool[Array, ""]
     ) -> DiscreteMemory:
-        del is_new
         return DiscreteMemory(memory.paths, write_row(memory.action, child, proposal.index))
 
     @override
     def recommend(self, tree: Tree, memory: DiscreteMemory) -> Int[Array, ""]:
-        del memory
         return best_by_mean(tree)
 
     @override

@@ -138,12 +138,10 @@ class Problem(eqx.Module):
 
     def snapshot(self, world: World, belief: Belief) -> dict[str, dict[str, Array]]:
         """Arrays recorded at the end of an episode: `{name: {array name: array}}`."""
-        del world, belief
         return {}
 
     def score(self, world: World, belief: Belief) -> dict[str, Scalar]:
         """Scores of the final belief, one per column of `scores`."""
-        del world, belief
         return {}
 
 

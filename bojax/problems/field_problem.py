@@ -176,7 +176,6 @@ class FieldProblem(Problem):
     @override
     def update(self, belief: FieldBelief, path: Path, observation: Samples) -> FieldBelief:
         """The belief after the samples of a path, with updated hyper-parameters where they are due."""
-        del path
         posterior = belief.posterior.extend(observation.points, observation.values, observation.is_taken)
         if self.relearn_every > 0:
             step = belief.step + 1
@@ -198,7 +197,6 @@ class FieldProblem(Problem):
         self, objective: FieldObjective | None, belief: FieldBelief, path: Path, events: Events
     ) -> Scalar:
         """Rewards of the samples taken, under the belief before the path, plus the cost of the path."""
-        del path
         objective = self.objective if objective is None else objective
         points = events.driven[:, :2]
         mean, variance = belief.posterior.predict(points)
@@ -261,7 +259,6 @@ class FieldProblem(Problem):
         `means` and `stds`, `[T + 1, R, R]` from the prior on, are on a grid of at most `FILM_RESOLUTION`
         points per side over the same domain, see `FieldBelief.history`.
         """
-        del world
         x, y = self.arena.axes(self.resolution)
         grid = self.grid()
         mean, variance = belief.predict_grid(grid, self.resolution)

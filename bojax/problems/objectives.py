@@ -49,7 +49,6 @@ class GradientObjective(FieldObjective):
 
     @override
     def __call__(self, mean: Values, variance: Values, gradient: Gradients | None) -> Values:
-        del mean
         assert gradient is not None
         norm = jnp.sqrt(jnp.sum(gradient * gradient, axis=-1))
         return norm + self.kappa * _spread(variance, self.uncertainty)
@@ -68,7 +67,6 @@ class ValueObjective(FieldObjective):
 
     @override
     def __call__(self, mean: Values, variance: Values, gradient: Gradients | None) -> Values:
-        del gradient
         return mean + self.kappa * _spread(variance, self.uncertainty)
 
 
@@ -82,5 +80,4 @@ class UncertaintyObjective(FieldObjective):
 
     @override
     def __call__(self, mean: Values, variance: Values, gradient: Gradients | None) -> Values:
-        del mean, gradient
         return _spread(variance, self.uncertainty)

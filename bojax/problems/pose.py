@@ -63,7 +63,6 @@ class PoseProblem(Problem):
     @override
     def prior(self, key: Key[Array, ""], world: VehicleState, num_samples: int) -> Pose:
         """The first measurement."""
-        del num_samples
         return self.vehicle.measure(key, world, self._noise)
 
     @override
@@ -92,17 +91,14 @@ class PoseProblem(Problem):
     @override
     def update(self, belief: Pose, path: Path, observation: Pose) -> Pose:
         """The last measurement."""
-        del belief, path
         return observation
 
     @override
     def reward(self, objective: Objective, belief: Pose, path: Path, events: Events) -> Scalar:
-        del objective, belief, path
         return events.reward
 
     @override
     def root(self, belief: Pose, horizon: int) -> tuple[None, Pose]:
-        del horizon
         return None, belief
 
     @override
@@ -110,7 +106,6 @@ class PoseProblem(Problem):
         self, key: Key[Array, ""], root: None, node: Pose, paths: Float[Array, "H S 3"], objective: Objective
     ) -> Simulation:
         """Drive the paths one after the other, without noise."""
-        del key, root, objective
         # The initial pose of each path depends only on the ends of the paths before it, so that all outcomes
         # are one batch. Those after termination are computed and ignored.
         starts = [node]

@@ -27,7 +27,6 @@ class Sensor(eqx.Module):
         Raises:
             ValueError: It cannot.
         """
-        del field, points, altitude
 
     @abc.abstractmethod
     def __call__(
@@ -64,7 +63,6 @@ class PointSensor(Sensor):
         sensor_poses: SensorPoses,
         noise: Float[Array, ""],
     ) -> Float[Array, "S"]:
-        del sensor_poses
         points = poses[:, :2]
         return field.values(points) + noise * jax.random.normal(key, points.shape[:1], points.dtype)
 
@@ -112,7 +110,6 @@ class RangeSensor(Sensor):
     ) -> Float[Array, "S"]:
         """Measured heights; `noise` is the standard deviation of a range."""
         assert sensor_poses is not None, "see `check`"
-        del poses
         sensor_poses = sensor_poses.astype(noise.dtype)
         rays = cone(self.beam, self.rays)
 

@@ -82,7 +82,6 @@ class Vehicle(eqx.Module):
 
         A simulated vehicle keeps its own state: it has driven on.
         """
-        del pose
         return state
 
     @property
@@ -124,7 +123,6 @@ class Exact(Vehicle):
     def follow(
         self, key: Key[Array, ""], state: Pose, path: Path, end: Pose, noise: Float[Array, "3"] | None
     ) -> TrackingResult:
-        del state
         estimates = path
         if noise is not None:
             estimates = path + noise[None] * jax.random.normal(key, path.shape, path.dtype)
@@ -133,5 +131,4 @@ class Exact(Vehicle):
     @override
     def stopped_at(self, state: Pose, pose: Pose) -> Pose:
         """The pose, with its heading in [0, 2 pi)."""
-        del state
         return pose.at[2].set(wrap_to_2pi(pose[2]))

@@ -47,7 +47,6 @@ class SimulatedVehicle(Simulated, Vehicle):
     @override
     def measure(self, key: Key[Array, ""], state: SimulatedState, noise: Float[Array, "3"]) -> Pose:
         """The last measurement, whose noise was drawn when it was made."""
-        del key, noise
         return state.reading
 
     def at_rest(self, pose: Pose, height: Float[Array, ""]) -> SimulatedState:

@@ -66,7 +66,6 @@ class WheeledRobot(SimulatedVehicle):
         end: Pose,
         noise: Float[Array, "3"] | None,
     ) -> TrackingResult:
-        del end
         simulator = self.simulator
         errors = jnp.zeros((self.readings, 3), jnp.float32)
         if noise is not None:
