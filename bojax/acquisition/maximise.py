@@ -23,12 +23,8 @@ def best_candidate(
 ) -> Int[Array, ""]:
     """Index of the candidate of highest acquisition; the first one if several are tied.
 
-    Args:
-        acquisition: Acquisition function.
-        posterior: Posterior of the objective.
-        best: Highest observed value.
-        candidates: Points to choose from.
-        whitened: `posterior.whiten(candidates)`, which `posterior.next_whitened` can extend.
+    `best` is the highest observed value, and `whitened` is `posterior.whiten(candidates)`, which
+    `posterior.next_whitened` can extend.
     """
     mean, variance = posterior.moments(candidates, whitened)
     return first_maximum(acquisition(mean, jnp.sqrt(variance), best))

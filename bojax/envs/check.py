@@ -14,10 +14,6 @@ def check_env(env: Env, dtype: DTypeLike) -> None:
 
     Environments of bojax are not checked, nor those that step on the host.
 
-    Args:
-        env: The environment.
-        dtype: Precision of the run.
-
     Raises:
         ValueError: A method raises an exception, or returns something that does not fit.
     """

@@ -289,11 +289,7 @@ class LearningRun(Experiment):
     ) -> tuple[RunState, Records]:
         """The run after a training episode and its tests, and the records of all of them.
 
-        Args:
-            carry: The run before the training episode.
-            episode: The training episode at its end.
-            learner: The learner after the training episode and its tests.
-            tests: Rows of the test episodes, in columns of `tests` values; None if there are none.
+        `learner` has been trained and tested. `tests` are the rows of the test episodes; None without tests.
         """
         # A finished run counts no episode: `active` masks its numbers, and its rows are not valid.
         active = ~carry.is_done

@@ -113,13 +113,8 @@ class Phase(eqx.Module):
     ) -> EpisodeState:
         """The episode after a step of the environment, from which the learner may learn.
 
-        Args:
-            key: Random key.
-            episode: State of the episode before the step.
-            choice: The action taken.
-            env_state: State of the environment after the step; None if it steps on the host.
-            time_step: Time step that the environment returned.
-            step: Number of the step in the episode, from 0.
+        `env_state` is the state after the step, None if the environment steps on the host. `step` is the
+        number of the step in the episode, from 0.
         """
         after, counts = apply_transition(self.env, episode, env_state, time_step)
         if not self.learns:

@@ -31,14 +31,7 @@ class TargetProgress(eqx.Module):
         episode: Int[Array, ""],
         is_active: Bool[Array, ""],
     ) -> "TargetProgress":
-        """The progress after a round of tests; unchanged if the run is not active.
-
-        Args:
-            returns: Returns of the test episodes.
-            target: Target return; every test has to exceed it.
-            episode: Number of training episodes so far.
-            is_active: Whether the run is active.
-        """
+        """The progress after a round of tests, which all have to exceed `target`; unchanged if not active."""
         is_new = is_active & ~self.is_reached & jnp.all(returns > target)
         is_after = is_active & self.is_reached
         return TargetProgress(

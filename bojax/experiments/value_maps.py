@@ -51,12 +51,7 @@ class Visits(eqx.Module):
         return cls(nowhere, nowhere)
 
     def after(self, unit: Float[Array, "T 2"], length: Int[Array, ""]) -> "Visits":
-        """The visits after an episode.
-
-        Args:
-            unit: Observations before its steps, mapped to [0, 1].
-            length: Number of its steps; later rows do not count.
-        """
+        """The visits after an episode of `length` steps, from observations in [0, 1] before them."""
         resolution = self.seen.shape[0]
         cells = jnp.clip(jnp.floor(unit * resolution), 0, resolution - 1).astype(jnp.int32)
         is_step = jnp.arange(len(cells), dtype=jnp.int32) < length

@@ -13,13 +13,7 @@ _RIDGE = 1e-5  # ridge of the baseline's fit, relative to the mean square of eac
 def discounted_sums(
     terms: Float[Array, "N"], is_last: Bool[Array, "N"], factor: Float[Array, ""]
 ) -> Float[Array, "N"]:
-    """Sum of each term and the later ones of its episode, each step discounted by `factor`.
-
-    Args:
-        terms: Terms of successive episodes.
-        is_last: Whether a term is the last of its episode.
-        factor: Discount per step.
-    """
+    """Sum of each term and the later ones of its episode, each step discounted by `factor`."""
     factors = jnp.where(is_last, jnp.zeros_like(factor), factor)
 
     def join(later, earlier):
@@ -36,14 +30,8 @@ def td_errors(
 ) -> Float[Array, "N"]:
     """The errors r + gamma V(s') - V(s), whose sums discounted by gamma lambda are generalised advantages.
 
-    The value after the last step of an episode is 0, even after a time limit, as in the published code of
-    VIME.
-
-    Args:
-        rewards: Rewards of successive episodes.
-        values: Values V of the states before the steps.
-        is_last: Whether a step is the last of its episode.
-        discount: Discount gamma.
+    `values` are V of the states before the steps. The value after the last step of an episode is 0, even
+    after a time limit, as in the published code of VIME.
     """
     after = jnp.where(is_last, jnp.zeros_like(values), jnp.append(values[1:], values[:1]))
     return rewards + discount * after - values

@@ -89,14 +89,7 @@ class Learner(eqx.Module):
     def init(
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, capacity: int
     ) -> LearnerState:
-        """The state of a learner that has observed nothing.
-
-        Args:
-            key: Random key.
-            observation_space: Space of observations.
-            action_space: Space of actions.
-            capacity: Largest number of transitions that the learner will observe.
-        """
+        """The state of a learner that has observed nothing, and will observe up to `capacity` transitions."""
 
     @abc.abstractmethod
     def act(
@@ -119,12 +112,7 @@ class Learner(eqx.Module):
     ) -> LearnerState:
         """Learn from one transition.
 
-        Args:
-            key: Random key.
-            state: State of the learner.
-            transition: The transition.
-            exploration: Exploration state of the episode.
-            step_in_block: Number of steps since the last `flush`; the same in every lane of a batch.
+        `step_in_block` is the number of steps since the last `flush`, the same in every lane of a batch.
         """
 
     def flush(self, state: LearnerState) -> LearnerState:

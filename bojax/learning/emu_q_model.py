@@ -146,14 +146,9 @@ class EMUQModel(eqx.Module):
     ) -> Float[Array, "K"]:
         """Variances of Q at s' with every sampled action, before the covariance is updated.
 
-        With `reward_order="after"`, after it is updated.
-
-        Args:
-            posterior: Posterior before the transition.
-            phi: Features of (s, a), followed by those of s' with every sampled action.
-            variances: Variance at each of them.
-            product: Covariance times the first of them.
-            weight: 1, or 0 if the covariance is not going to be updated.
+        With `reward_order="after"`, after it is updated. `phi` holds the features of (s, a), then those of s'
+        with every sampled action; `variances` are theirs, `product` is the covariance times the first, and
+        `weight` is 0 if the covariance is not going to be updated.
         """
         if self.reward_order == "after":
             # The update subtracts r r' from S, and so (phi'r)^2 from the variance at phi: the covariance

@@ -14,12 +14,7 @@ class ExplorationReward(eqx.Module):
 
     @abc.abstractmethod
     def __call__(self, count: Float[Array, ""], next_counts: Float[Array, "A"]) -> Float[Array, ""]:
-        """The exploration reward r_e of a transition.
-
-        Args:
-            count: Earlier visits of the state-action pair.
-            next_counts: Earlier visits of each action in the next state.
-        """
+        """The exploration reward r_e, from earlier visits of the pair and of every next action."""
 
 
 class FirstVisit(ExplorationReward):

@@ -369,13 +369,7 @@ class Refit(eqx.Module):
         mean: Float[Array, "M 2"],
         is_active: Bool[Array, ""],
     ) -> Float[Array, "M 2"]:
-        """Solve the equations of Q for one policy after the other, and then those of U for the last one.
-
-        Args:
-            policy_of: The policy of the given means.
-            mean: Means to start from.
-            is_active: Whether they may change.
-        """
+        """Solve the equations of Q for one policy after the other, and then those of U for the last one."""
 
         # Policy iteration: solve the equations of a policy, become greedy for the solution, until a policy
         # comes for the second time; the result is the solution that this policy is greedy for. If no action

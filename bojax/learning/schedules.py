@@ -15,11 +15,9 @@ class Schedule(eqx.Module):
 
     @abc.abstractmethod
     def __call__(self, episode: Int[Array, ""], has_reached: Bool[Array, ""]) -> ExplorationState:
-        """The exploration state of an episode.
+        """The exploration state after `episode` training episodes.
 
-        Args:
-            episode: Number of training episodes before this one.
-            has_reached: Whether the test episodes have reached their target return (Section 5.5.2).
+        `has_reached` is whether the test episodes have reached their target return (Section 5.5.2).
         """
 
 

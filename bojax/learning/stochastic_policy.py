@@ -121,12 +121,7 @@ class PolicyNetwork(eqx.Module):
     ) -> "PolicyNetwork":
         """A network with weights drawn uniformly (Glorot and Bengio 2010) and biases of 0.
 
-        Args:
-            key: Random key.
-            num_inputs: Number of inputs.
-            hidden: Number of units of each hidden layer.
-            actions: Space of actions.
-            deviation: Standard deviation of the Gaussian.
+        `hidden` is the number of units of each hidden layer, `deviation` belongs to the Gaussian.
         """
         num_outputs = actions.num if isinstance(actions, Discrete) else actions.num_dims
         sizes = (num_inputs, *hidden, num_outputs)

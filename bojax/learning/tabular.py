@@ -76,12 +76,8 @@ class TabularLearner(Learner):
     ) -> Float[Array, "V"]:
         """The TD target of each value: its reward plus the discounted value of the next state.
 
-        Args:
-            key: Random key.
-            transition: The transition.
-            exploration: Exploration state of the episode.
-            visits: Earlier visits of the state-action pair.
-            next_row: Row of the table for the next state.
+        `visits` counts earlier visits of the state-action pair; `next_row` is the table's row of the next
+        state.
         """
 
     @override

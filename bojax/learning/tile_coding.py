@@ -60,9 +60,7 @@ class TileTable(eqx.Module):
     ) -> tuple["TileTable", Int[Array, "A T"]]:
         """The indices of a state's tiles with every action, and the table with the new ones.
 
-        Args:
-            tiles: Tiles of the state.
-            is_kept: Whether new tiles are stored; the indices are the same if they are not.
+        The indices do not depend on `is_kept`: whether new tiles are stored.
         """
         # The tiles of a state get their indices for all A actions at once, in the order of actions and then
         # of tilings: if m tiles are new, the indices of the next action are higher by m, and one row serves
@@ -99,11 +97,7 @@ class TileTable(eqx.Module):
 
 
 def tuple_hash(columns: list[Int[Array, "*N"]]) -> UInt32[Array, "*N"]:
-    """Hashes of tuples of integers: xxHash as CPython uses it for tuples, in its form for 32 bits.
-
-    Args:
-        columns: The first number of every tuple, then the second number of every tuple, and so on.
-    """
+    """Hashes of tuples of integers, given as columns: CPython's xxHash for tuples, in 32 bits."""
     total = jnp.full_like(columns[0], 374761393, jnp.uint32)
     for column in columns:
         total = total + column.astype(jnp.uint32) * jnp.uint32(2246822519)

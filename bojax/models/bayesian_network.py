@@ -62,10 +62,7 @@ class BayesianNetwork(eqx.Module):
     ) -> "BayesianNetwork":
         """A network with means drawn from N(0, 1), and the given standard deviation of every weight.
 
-        Args:
-            key: Random key.
-            sizes: Number of inputs, of units of each hidden layer, and of outputs.
-            deviation: Standard deviation.
+        `sizes` are the numbers of inputs, of units of each hidden layer, and of outputs.
         """
         keys = jax.random.split(key, len(sizes) - 1)
         rho = jnp.log(jnp.expm1(deviation))
@@ -129,13 +126,7 @@ class BayesianNetwork(eqx.Module):
     ) -> Float[Array, ""]:
         """The negative evidence lower bound of a batch, KL(posterior, prior) / num_batches - log p(targets).
 
-        Args:
-            noise: Noise of each draw, `[K, O]` for each layer.
-            inputs: Inputs.
-            targets: Observed outputs.
-            prior: Standard deviation of the prior.
-            likelihood: Standard deviation of the likelihood.
-            num_batches: Number of batches over which the KL divergence is spread.
+        `prior` and `likelihood` are standard deviations; see `negative_log_likelihood`.
         """
         error = self.negative_log_likelihood(noise, inputs, targets, likelihood)
         return self.kl_to_prior(prior) / num_batches + error
@@ -153,14 +144,8 @@ class BayesianNetwork(eqx.Module):
 
         The step is `step` H^-1 g, with g the gradient of -log p(targets), and H the Hessian of the KL
         divergence, which is diagonal (Houthooft et al. 2016, Section 2.4). To second order, the divergence is
-        step^2 g'H^-1 g / 2. The published code leaves out the factor 1/2, and so does this function.
-
-        Args:
-            noise: Noise of each draw, `[K, O]` for each layer.
-            inputs: Inputs.
-            targets: Observed outputs.
-            likelihood: Standard deviation of the likelihood.
-            step: Size of the step (lambda).
+        step^2 g'H^-1 g / 2. The published code leaves out the factor 1/2, and so does this function. See
+        `negative_log_likelihood` for the other arguments.
         """
 
         def error(network):

@@ -29,15 +29,9 @@ def field_errors(
     is_open: Bool[Array, "G"],
     weighting: Weighting,
 ) -> dict[str, Scalar]:
-    """The columns of `ERROR_COLUMNS`.
+    """The columns of `ERROR_COLUMNS`, from the moments of the belief at the points of a regular grid.
 
-    Args:
-        field: The true field.
-        grid: Points of a regular grid.
-        mean: Mean of the belief at these points.
-        variance: Variance of the belief at these points.
-        is_open: Whether a point counts; points in walls do not.
-        weighting: Weights of the weighted RMSE.
+    Points that are not open, in walls, do not count. `weighting` gives the weights of the weighted RMSE.
     """
     truth = field.values(grid)
     counts = is_open.astype(truth.dtype)

@@ -67,13 +67,7 @@ class Vehicle(eqx.Module):
         """
 
     def measure(self, key: Key[Array, ""], state: VehicleState, noise: Float[Array, "3"]) -> Pose:
-        """Measurement of the pose, from which the next path is planned.
-
-        Args:
-            key: Key of the measurement noise.
-            state: State of the vehicle.
-            noise: Standard deviations of the measurement, in m and rad.
-        """
+        """Measurement of the pose, from which the next path is planned; `noise` as in `follow`."""
         pose = self.pose(state)
         return pose + noise * jax.random.normal(key, (3,), pose.dtype)
 
