@@ -315,10 +315,12 @@ class BayesianOptimisation(eqx.Module):
         model = _standardised(state.model)
         if not isinstance(self.acquisition, ThompsonSampling):
             return self.acquisition, model
+        # The draw is the posterior mean of a process, and an upper bound with kappa 0 is this mean.
         key = jax.random.fold_in(_stream(state, "draws"), state.num_told)
         return UpperConfidenceBound(jnp.zeros((), self.low.dtype)), self.acquisition.draw(key, model)
 
     def _relearn(self, key: Key[Array, ""], model: GaussianProcess) -> GaussianProcess:
+        # The model holds values in the units of the objective, which are standardised anew for every use.
         below = NOISE_SPREAD_BELOW * self.prior_spread
         log_prior = log_normal_prior(self.kernel, self.noise_variance, self.prior_spread, below)
         learned, _ = relearn(_standardised(model), key, log_prior=log_prior, num_starts=4, learn_mean=True)

@@ -31,12 +31,10 @@ def best_candidate(
 
 
 def first_maximum(scores: Float[Array, "C"]) -> Int[Array, ""]:
-    """The result of `jnp.argmax`: the index of the first maximum, or of a NaN if there is one.
-
-    On a CPU, the maxima of `COLUMNS` columns are found first, in vectorised arithmetic. `argmax` compares,
-    and so computes, one score after the other: for 128 candidates of 20 observations, it takes three times as
-    long.
-    """
+    """The result of `jnp.argmax`: the index of the first maximum, or of a NaN if there is one."""
+    # On a CPU, the maxima of `COLUMNS` columns are found first, in vectorised arithmetic. `argmax` compares,
+    # and so computes, one score after the other: for 128 candidates of 20 observations, it takes three times
+    # as long.
     number = scores.shape[0]
     if number % COLUMNS or jax.default_backend() != "cpu":
         return jnp.argmax(scores)

@@ -52,6 +52,9 @@ def apply_transition(
     A step counts if the episode was active and all values are finite; a non-finite value ends the episode as
     failed. The learner and the rows of the episode stay the same.
     """
+    # Everything is computed in every lane and kept where the step counts; leaves that a step leaves alone are
+    # passed on as they are. A non-finite value ends the episode with a total of NaN, and never reaches
+    # learner or state.
     dtype = episode.total.dtype
     values = jnp.append(jnp.ravel(time_step.observation).astype(dtype), time_step.reward)
     is_finite = jnp.all(jnp.isfinite(values))

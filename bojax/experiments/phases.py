@@ -180,7 +180,9 @@ def run_episode(phase: Phase, episode: EpisodeState) -> EpisodeState:
         episode, _ = jax.lax.scan(run_step, episode, (phase.step_keys(start + block), start + block))
         return start + phase.learner.block, phase.flush(episode)
 
-    # The tests of a run share its learner, which is therefore left as it is.
+    # The end is checked once a block, by a flag of all lanes: a check makes a GPU wait for the host, and a
+    # flag of each lane would put a select of the whole state into every iteration. Steps after the end of a
+    # lane do not count. The tests of a run share its learner, which is therefore left as it is.
     batched = batched_together(eqx.tree_at(lambda e: e.learner, episode, None))
     loop = jnp.zeros((), jnp.int32), eqx.combine(batched, episode)
     return jax.lax.while_loop(lambda loop: any_lane(loop[1].is_active), run_block, loop)[1]

@@ -108,6 +108,8 @@ class BootstrappedQ(QNetworkLearner):
 
     def masks(self, state: QNetworkState, index: Int[Array, "B"]) -> Bool[Array, "B K"]:
         """Which heads learn from the given transitions; the same in every gradient step."""
+        # Not stored: drawn again from the seed and the position in the memory, a transition has the same mask
+        # every time.
         key = jax.random.key(state.extra.seed)
         shape, dtype = (self.num_heads,), self.discount.dtype
         draws = jax.vmap(lambda i: jax.random.uniform(jax.random.fold_in(key, i), shape, dtype))(index)

@@ -35,6 +35,7 @@ class EpisodeBatch(eqx.Module):
     @property
     def is_last(self) -> Bool[Array, "C"]:
         """Which transitions are the last of their episode; true for invalid rows."""
+        # A row is the last of its episode unless the next one is valid and not the first step of another.
         follows = jnp.append(self.steps[1:] > 0, False) & jnp.append(self.is_valid[1:], False)
         return ~follows
 

@@ -115,6 +115,8 @@ class FourierFeatures(StateActionFeatures):
     @override
     def join(self, x: Float[Array, "P"], y: Float[Array, "R"]) -> Float[Array, "M"]:
         """Cosines, and sines if there are any, of the sums of both parts of the angles."""
+        # cos(s + a) = cos s cos a - sin s sin a, and likewise for the sine: bilinear in the parts of state
+        # and action.
         (cx, sx), (cy, sy) = jnp.split(x, 2), jnp.split(y, 2)
         cosines = cx * cy - sx * sy
         return jnp.concatenate([cosines, sx * cy + cx * sy]) if self.has_sines else cosines

@@ -51,6 +51,8 @@ class Memory(eqx.Module):
 
     def add(self, episode: Episode, is_kept: Bool[Array, ""]) -> "Memory":
         """The memory with an episode appended if `is_kept`; transitions beyond the capacity are dropped."""
+        # Padding rows, and all rows of an episode that is not kept, get a place past the end, and their
+        # writes are dropped: a select between the old and the new memory would copy it whole.
         new = episode.transitions
         number = jnp.arange(len(new.reward), dtype=jnp.int32)
         capacity = len(self.rewards)
@@ -88,6 +90,8 @@ class Memory(eqx.Module):
         block = min(block, end - first)
 
         def visit(number, carry):
+            # The last block is moved back so that it ends at `end`; rows that an earlier block has counted
+            # are masked.
             begin = first + number * block
             place = jnp.minimum(begin, end - block)
             index = place + jnp.arange(block, dtype=jnp.int32)
@@ -98,6 +102,8 @@ class Memory(eqx.Module):
             is_valid = (index >= begin) & (index < self.count)
             return function(carry, rows, index, is_valid)
 
+        # As many blocks as the fullest lane needs: one trip count for all keeps the loop's predicate
+        # unbatched.
         number = jnp.clip(largest_in_lanes(self.count), first, end) - first
         start, _ = batched_together((start, self.count))
         return jax.lax.fori_loop(0, (number + block - 1) // block, visit, start)

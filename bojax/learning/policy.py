@@ -22,6 +22,8 @@ def random_argmax(draw: Float[Array, ""], scores: Float[Array, "A"]) -> Int[Arra
 
     A draw of 0 selects the first of the tied scores.
     """
+    # Each of the tied scores gets a rank from 1; the one that the draw selects is the first whose rank
+    # exceeds it. The bound guards against a product that rounds up to the number of ties.
     rank = jnp.cumsum(scores == jnp.max(scores), dtype=jnp.int32)
     chosen = (draw * rank[-1].astype(draw.dtype)).astype(jnp.int32)
     return jnp.argmax(rank > jnp.minimum(chosen, rank[-1] - 1)).astype(jnp.int32)

@@ -153,6 +153,8 @@ class QNetworkLearner(Learner):
         stored = eqx.tree_at(lambda t: t.action, transition, action)
         episode = Episode(jax.tree.map(lambda x: x[None], stored), jnp.ones((), jnp.int32))
         memory = state.memory.add(episode, learns)
+        # The sample of the next gradient step is drawn here, as `flush` has no key; each step replaces the
+        # last draw.
         index = jax.random.randint(key, state.index.shape, 0, jnp.maximum(memory.count, 1), jnp.int32)
         extra = self.extra_after(state, self.inputs(state, transition.next_observation))
         return replace(
@@ -166,6 +168,7 @@ class QNetworkLearner(Learner):
     @override
     def flush(self, state: QNetworkState) -> QNetworkState:
         """One gradient step, if a transition was observed since the last one."""
+        # Computed in every lane, and selected where a transition was observed: the networks are small.
         gradient = jax.grad(self.loss)(state.trained, state, self.batch(state))
         with jax.numpy_dtype_promotion("standard"):  # optax raises a float to the power of an integer
             steps, optimiser = self._adam.update(gradient, state.optimiser)

@@ -67,6 +67,8 @@ class TRPO(eqx.Module):
 
     def fisher_product(self, policy: PolicyNetwork, samples: Samples, vector: P) -> P:
         """The Fisher matrix, which is the Hessian of `mean_kl`, times a tree of the policy's structure."""
+        # A Hessian-vector product, the derivative of the gradient along the vector: the matrix is never
+        # formed.
         gradient = jax.grad(lambda new: self.mean_kl(policy, new, samples))
         return jax.jvp(gradient, (policy,), (vector,))[1]
 
@@ -87,6 +89,7 @@ class TRPO(eqx.Module):
         curvature = jnp.vdot(direction, product(direction), precision=jax.lax.Precision.HIGHEST)
         longest = jnp.sqrt(2.0 * self.max_kl / (curvature + _SMALL))
 
+        # Lanes that have found a step, or are not active, keep theirs while the others go on.
         def attempt(loop):
             number, factor, best, searches = loop
             theta = start + factor * longest * direction

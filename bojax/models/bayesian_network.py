@@ -42,6 +42,8 @@ class BayesianLayer(eqx.Module):
 
         All rows share the noise; they are not independent draws of the weights.
         """
+        # A linear function of independent Gaussian weights is Gaussian: its moments are two products, and one
+        # draw a unit replaces a draw of every weight.
         inputs = jnp.concatenate([inputs, jnp.ones_like(inputs[:, :1])], axis=1)
         variance = matmul(inputs**2, self.deviation**2)
         return matmul(inputs, self.mean) + jnp.sqrt(variance) * noise[None]
@@ -151,6 +153,8 @@ class BayesianNetwork(eqx.Module):
         def error(network):
             return network.negative_log_likelihood(noise, inputs[None], targets[None], likelihood)
 
+        # H is diagonal, so that g'H^-1 g is a sum over the weights: no matrix, and no second network for the
+        # posterior after the step.
         gradient, inverse = jax.grad(error)(self), self.inverse_curvature()
         terms = jax.tree.map(lambda g, h: jnp.sum(g**2 * h), gradient, inverse)
         return step**2 * sum(jax.tree.leaves(terms), start=jnp.zeros_like(step))

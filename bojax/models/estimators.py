@@ -217,6 +217,9 @@ class GaussianProcessRegressor(_Regressor):
         _check_resolved("X", X, dtype)
         _check_resolved("y", y, dtype)
         residuals = y - np.asarray(_prior_means(mean, jnp.asarray(X, dtype)), np.float64)
+        # Learned in standardised units, the posterior is then fitted to the data as given: a kernel of
+        # standardised inputs is one of the inputs with stretched lengthscales, and variances scale with the
+        # square of the unit.
         (centre, unit), (x_centre, x_unit) = (0.0, 1.0), (0.0, np.ones(()))
         if is_standardised and number:
             x_centre, x_unit = np.mean(X, axis=0), _magnitude(X, np.mean(X, axis=0))

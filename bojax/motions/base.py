@@ -48,6 +48,7 @@ def sample_by_arc_length(
     def position_and_velocity(u):
         return jax.jvp(curve, (u,), (jnp.ones_like(u),))
 
+    # Arc length as a table over the parameter, inverted by interpolation at equal lengths.
     knots = jnp.linspace(0.0, 1.0, num_knots, dtype=length.dtype)
     _, velocity = jax.vmap(position_and_velocity)(knots)
     # Elementwise arithmetic: on a CPU, a sum over two coordinates takes longer than all the velocities.

@@ -32,6 +32,8 @@ class Arena(eqx.Module):
 
     def random_pose(self, key: Key[Array, ""]) -> Pose:
         """A pose drawn uniformly from the free space and all headings."""
+        # Rejection sampling with a fixed number of tries, as shapes are static; without a free one, the first
+        # try.
         low_x, low_y, high_x, high_y = self.domain
         low, high = (
             jnp.stack([low_x, low_y, jnp.zeros_like(low_x)]),

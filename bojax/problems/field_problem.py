@@ -149,10 +149,12 @@ class FieldProblem(Problem):
         """Drive a path and take its samples."""
         arena = self.arena
         driven = arena.drive(self.vehicle.estimate(world.vehicle), path)
+        # x and y are measured with the same deviation.
         noise = None if self.pose_noise is None else self.pose_noise[jnp.asarray([0, 0, 1])]
         tracked = self.vehicle.follow(
             jax.random.fold_in(key, 0), world.vehicle, driven.poses, arena.end(driven), noise
         )
+        # Samples are values at the true poses, assigned to the estimated ones.
         values = self.sensor(key, self.field, tracked.poses, tracked.sensor_poses, self.noise)
         slope = jnp.sqrt(jnp.sum(self.field.gradients(tracked.poses[:, :2]) ** 2, axis=-1))
         after = FieldWorld(

@@ -84,6 +84,7 @@ class Quadrotor(SimulatedVehicle):
         )
         errors = jnp.zeros((num_steps + 1, 4), jnp.float32)
         if noise is not None:
+            # The altitude is measured with the noise of a horizontal coordinate.
             spread = noise[jnp.asarray([0, 1, 0, 2])].astype(jnp.float32)
             errors = spread[None] * jax.random.normal(key, errors.shape, jnp.float32)
 
