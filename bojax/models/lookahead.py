@@ -106,9 +106,9 @@ def look_ahead(
     gradient = None
     if imagined is not None:
         # The mean as a weighted sum of kernels at the real data and at the imagined observations, which can
-        # be differentiated at each point: weights (K + noise)^-1 of both, by the block inverse. All of V and
-        # zeros, since a part of V would be copied first. A product with the rows of L^-1 as stored takes a
-        # third of the time of a product with L^-T.
+        # be differentiated at each point: weights (K + noise)^-1 (y - m) of both, by the block inverse. The
+        # product is with all of V, padded with zeros, since a part of V would be copied first; and with the
+        # rows of L^-1 as stored, which takes a third of the time of a product with L^-T.
         rows = matmul(jnp.pad(imagined.T, ((0, 0), (0, number - num_given))), whitened.T)
         args = rows, posterior.inverse_cholesky, posterior.count
         real = root.weights[None, :] - computed(kernels.explained_away, _product, *args)  # [stages, N]
