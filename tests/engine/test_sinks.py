@@ -172,6 +172,7 @@ def test_damaged_learners_are_refused(results):
     load_learner(folder, 0, LEARNER)
 
 
+@pytest.mark.filterwarnings("ignore:Sharding info not provided")
 def test_the_page_shows_how_orbax_opens_them(results, capsys):
     (shown,) = [text for kind, text, _ in blocks(ROOT / "docs" / "results.md") if "orbax" in text]
     stopped(results / "again").path.rename(results / ".work" / "chunk-c")

@@ -102,7 +102,7 @@ def test_another_structure_is_refused_in_a_line(path, shapes, dtype, reason):
     structure = [jax.ShapeDtypeStruct(shape, dtype) for shape in shapes]
     for read in (
         lambda: checkpoint.restore(path, structure, advice="choose another"),
-        lambda: checkpoint.fit(checkpoint.arrays(tree), structure, path, "choose another"),
+        lambda: checkpoint.fit(jax.device_get(checkpoint.arrays(tree)), structure, path, "choose another"),
     ):
         with pytest.raises(ResultsError, match=f"{reason}.*: choose another") as error:
             read()
