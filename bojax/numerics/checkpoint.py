@@ -9,6 +9,7 @@ import contextlib
 import errno
 import functools
 import logging
+import os
 import re
 import shutil
 import sys
@@ -50,11 +51,13 @@ def save(folder: Path, content: Mapping[str, Any]) -> Callable[[], None]:
         ResultsError: The folder cannot be written; nothing of it is left.
     """
     with _USING, _written(folder), _context() as orbax:
-        end = orbax.save_async(folder.absolute(), dict(content))
+        path, unpin = _pinned(folder)
+        end = orbax.save_async(path, dict(content))
 
     def wait() -> None:
         with _written(folder):
             end.result()
+            unpin()  # not after an error, when a thread of Orbax may still write there
 
     return wait
 
@@ -180,6 +183,18 @@ def _orbax() -> Any:
 def _is_of_others(record: logging.LogRecord) -> bool:
     stack = logging.Formatter().formatException(record.exc_info) if record.exc_info else ""
     return "orbax" not in f"{record.pathname} {record.getMessage()} {stack}"
+
+
+def _pinned(folder: Path) -> tuple[Path, Callable[[], None]]:
+    """A path to a new folder that is gone once the folder above is deleted, and what ends its use.
+
+    Orbax makes missing folders above its own, at any time of a save. After the end of a sweep, one of its
+    workers that is late would make the working folder again, and the sweep would seem to be unfinished.
+    """
+    if not os.path.isdir("/proc/self/fd"):  # only Linux has such paths
+        return folder.absolute(), lambda: None
+    descriptor = os.open(folder.parent, os.O_RDONLY | os.O_DIRECTORY)
+    return Path(f"/proc/self/fd/{descriptor}", folder.name), lambda: os.close(descriptor)
 
 
 @contextlib.contextmanager

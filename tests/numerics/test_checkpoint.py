@@ -1,8 +1,11 @@
 """A checkpoint restores the same bits, keys and shardings, or fails in one line."""
 
+import contextlib
 import errno
+import shutil
 import subprocess
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import jax
@@ -137,6 +140,22 @@ def test_a_failed_write_is_one_error(path, monkeypatch, code):
     with pytest.raises(ResultsError, match="one: the disk is full") as raised:
         save(path, jnp.arange(3.0))
     assert raised.value.exit_code == 1 and not list(path.parent.iterdir())
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the folders above are pinned on Linux alone")
+@pytest.mark.parametrize("seconds", [0.0, 0.01, 0.03])
+def test_a_deleted_working_folder_is_not_made_again(tmp_path, seconds):
+    (tmp_path / "work" / "chunk").mkdir(parents=True)
+    wait = checkpoint.save(tmp_path / "work" / "chunk" / "one", {str(i): jnp.ones(30_000) for i in range(10)})
+    time.sleep(seconds)
+    (tmp_path / "work").rename(tmp_path / "done")
+    shutil.rmtree(tmp_path / "done", ignore_errors=True)
+    with contextlib.suppress(ResultsError):
+        wait()
+    assert not (tmp_path / "work").exists()
+    with pytest.raises(ResultsError, match="cannot be written"):
+        save(tmp_path / "work" / "chunk" / "two", jnp.ones(3))
+    assert not (tmp_path / "work").exists()
 
 
 FULL = """
