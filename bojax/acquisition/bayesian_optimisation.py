@@ -262,6 +262,7 @@ class BayesianOptimisation(eqx.Module):
         """Standard deviation of the noise of an observation, in the units of the objective."""
         return self._scale(state)[1] * jnp.sqrt(state.model.noise_variance)
 
+    @compiled_if_known
     def maximise(
         self,
         key: Key[Array, ""],
@@ -287,15 +288,6 @@ class BayesianOptimisation(eqx.Module):
             raise ValueError(
                 f"num_iterations: got {num_iterations}; allowed: <= {self.capacity}, the capacity"
             )
-        args = self, key, function, num_iterations
-        return _maximise(*args) if is_known((self, key, function)) else BayesianOptimisation._maximised(*args)
-
-    def _maximised(
-        self,
-        key: Key[Array, ""],
-        function: Callable[[Key[Array, ""], Float[Array, "D"]], Scalar],
-        num_iterations: int,
-    ) -> tuple[OptimisationState, Float[Array, "T D"], Float[Array, "T"]]:
         key_search, key_noise = jax.random.split(key)
 
         def step(state: OptimisationState, index: Int[Array, ""]):
@@ -365,4 +357,3 @@ def _stream(state: OptimisationState, name: str) -> Key[Array, ""]:
 # Each compiled as one program, for calls with known numbers.
 _tell = eqx.filter_jit(BayesianOptimisation._told)
 _score = eqx.filter_jit(BayesianOptimisation._scored)
-_maximise = eqx.filter_jit(BayesianOptimisation._maximised)

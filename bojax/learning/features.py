@@ -287,20 +287,13 @@ class RandomFourierSpec(FeatureSpec):
             sampling=self.sampling,
         )
         frequencies, number = features.frequencies, len(features.frequencies)
+        amplitude = jnp.asarray(number**-0.5, dtype)
         if has_sines:
             frequencies = jnp.concatenate([frequencies, frequencies])
             phases = jnp.concatenate([jnp.zeros((number,), dtype), jnp.full((number,), -0.5 * jnp.pi, dtype)])
         else:
             phases = jax.random.uniform(key_phases, (number,), dtype, maxval=2.0 * jnp.pi)
-        return FourierFeatures(
-            observations=observation_space,
-            actions=action_space,
-            state_frequencies=frequencies[:, :num_observations],
-            action_frequencies=frequencies[:, num_observations:],
-            phases=phases,
-            amplitude=jnp.asarray(number**-0.5, dtype),
-            has_sines=has_sines,
-        )
+        return _fourier(observation_space, action_space, frequencies, phases, amplitude, has_sines)
 
 
 class FourierBasisSpec(FeatureSpec):
@@ -323,18 +316,10 @@ class FourierBasisSpec(FeatureSpec):
     def draw(
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, dtype: jnp.dtype
     ) -> FourierFeatures:
-        num_observations = observation_space.num_dims
-        basis = FourierBasis(self.order, num_observations + action_space.num_dims)
+        basis = FourierBasis(self.order, observation_space.num_dims + action_space.num_dims)
         frequencies = jnp.asarray(basis.frequencies(), dtype)
-        return FourierFeatures(
-            observations=observation_space,
-            actions=action_space,
-            state_frequencies=frequencies[:, :num_observations],
-            action_frequencies=frequencies[:, num_observations:],
-            phases=jnp.zeros((len(frequencies),), dtype),
-            amplitude=jnp.ones((), dtype),
-            has_sines=False,
-        )
+        phases, amplitude = jnp.zeros((len(frequencies),), dtype), jnp.ones((), dtype)
+        return _fourier(observation_space, action_space, frequencies, phases, amplitude, has_sines=False)
 
 
 class OneHotSpec(FeatureSpec):
@@ -353,6 +338,13 @@ class OneHotSpec(FeatureSpec):
         self, key: Key[Array, ""], observation_space: Space, action_space: Space, dtype: jnp.dtype
     ) -> OneHotFeatures:
         return OneHotFeatures(_discrete(observation_space), _discrete(action_space), jnp.ones((), dtype))
+
+
+def _fourier(
+    observations: Space, actions: Space, frequencies: Array, phases: Array, amplitude: Array, has_sines: bool
+) -> FourierFeatures:
+    of_state, of_action = jnp.split(frequencies, [observations.num_dims], axis=1)
+    return FourierFeatures(observations, actions, of_state, of_action, phases, amplitude, has_sines)
 
 
 def _quarters(matrix: Float[Array, "M M"]) -> list[list[Float[Array, "F F"]]]:

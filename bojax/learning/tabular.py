@@ -61,9 +61,9 @@ class TabularLearner(Learner):
     block: int = eqx.field(static=True)
 
     @property
-    @abc.abstractmethod
     def initial_values(self) -> Float[Array, "V"]:
-        """Initial Q, followed by the initial U where the learner has one."""
+        """Initial Q, followed by the initial U of a learner with U."""
+        return self.initial_q[None]
 
     @abc.abstractmethod
     def td_target(
@@ -207,11 +207,6 @@ class AdditiveRewards(TabularLearner):
     def exploration_weight(self) -> Float[Array, ""]:
         return self.xi
 
-    @property
-    @override
-    def initial_values(self) -> Float[Array, "1"]:
-        return self.initial_q[None]
-
     @override
     def act(
         self, key: Key[Array, ""], state: Tables, observation: Int[Array, ""], exploration: ExplorationState
@@ -246,11 +241,6 @@ class EpsilonGreedy(TabularLearner):
     @override
     def exploration_weight(self) -> Float[Array, ""]:
         return self.epsilon
-
-    @property
-    @override
-    def initial_values(self) -> Float[Array, "1"]:
-        return self.initial_q[None]
 
     @override
     def act(
